@@ -1,4 +1,4 @@
-# Stage 00: shards and parameter slices, made while make reads its files, so that `make -n` is exact.
+# Stage 00: shards and stage parameters, made while make reads its files, so that `make -n` is exact.
 D := results/$(DATASET)
 P := $D/00_plan/params
 DATA := data/$(DATASET)

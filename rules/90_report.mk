@@ -14,7 +14,7 @@ SOLVED := $(if $(IMPORTED),,$(POSES) $(FORCES) $D/50_labels/$(RES1)/labels.json)
 .PHONY: report
 report: $(REPORT)  ## one HTML page: presses, labels, errors, posterior, chart, failures
 
-# The page prints every slice of the parameters; the plan writes them before make reads these rules for good.
+# The page prints the parameters of every stage; the plan writes them before make reads these rules for good.
 $(REPORT): $P/report.json $(wildcard $P/*.json) $(SOLVED) $(IS_FROZEN) $D/80_evaluate/$(RES1)/$(MODEL).json $(CALIBRATION) $(CHART) $D/90_report/choice.txt
 	$(call step,gelforge.stages.report --data $(DATA) --results $D --resolution $(RES1) --model $(MODEL) --params $< --out $@.part)
 

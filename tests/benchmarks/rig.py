@@ -183,7 +183,7 @@ def dot_motions(real_before, before, real_after, after) -> tuple[np.ndarray, np.
     """How far each marker (63, 2) px moved in the real picture and in ours, less the mean motion of all.
 
     The unit of the real cuboid was not photographed without contact, so another unit of the same print stands in.
-    Gels sit a few px apart in their holders, which the mean takes away; a print that is a little larger would
+    Gels are mounted a few px apart in their holders, which the mean takes away; a print that is a little larger would
     be read as motion.
     """
     start, end, our_start, our_end = (_all_markers(image) for image in (real_before, real_after, before, after))

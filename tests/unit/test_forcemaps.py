@@ -7,7 +7,7 @@ import pytest
 from gelforge.reporting.canvas import canvas, to_png
 from gelforge.reporting.forcemaps import FULL_COLOUR_N, WARNING_LINES, overlay, wrapped, write_maps
 
-WARNING = "the gel sits too far from its place in the no-contact image to be sure: (+12.0, -3.0) px aside, 4.1 degrees turned"
+WARNING = "the gel is mounted too far from its place in the no-contact image to be sure: (+12.0, -3.0) px aside, 4.1 degrees turned"
 GREY = np.full((240, 320, 3), 90, np.uint8)
 NOTHING = np.zeros((3, 24, 32), np.float32)
 

@@ -161,7 +161,7 @@ RIMLESS = {
     "a gel at rest": (0.1, 0.2, 0, ""),
     "a press that shades markers": (0.7, 18.0, 18, ""),
     "a drag": (3.0, 8.0, 4, ""),
-    "a gel that sits otherwise": (3.0, 3.2, 0, "all its markers moved"),
+    "a gel that is mounted differently": (3.0, 3.2, 0, "all its markers moved"),
     "another gel": (3.0, 8.0, 16, "all its markers moved"),
     "another gel whose markers were taken for others": (0.3, 8.0, 24, "60% of its markers do not look"),
     "no marker that is found again": (np.nan, np.nan, 40, "100% of its markers do not look"),

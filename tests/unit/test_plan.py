@@ -193,7 +193,7 @@ def test_rows_that_name_no_sensor_are_of_the_datasets(tmp_path):
         ('[params.meshes]\ngel = "digit"', r"dataset\.toml: \[params.meshes\] gel 'digit' is unknown"),
         ('[params.report]\nmodel = "tunedd"', r"dataset\.toml: \[params.report\] model = 'tunedd': choose"),
         ('gel = "soft"', r"gel = 'soft', but"),
-        ('[params.meshes]\ngel = "soft"', "sensor 'mini_a' of the log sits on gel 'gelsight_mini'"),
+        ('[params.meshes]\ngel = "soft"', "sensor 'mini_a' of the log has gel 'gelsight_mini'"),
         ('[params.dataset]\nunseen_sensors = ["mini_f"]', "unseen_sensors: 'mini_f' is unknown"),
         (
             '[params.dataset]\nunseen_indenters = ["spere_15"]',
@@ -219,7 +219,7 @@ def test_sensors_sit_on_gels_of_their_own_where_bricks_follow_them(tmp_path):
     )
     hexahedra = '[params.fea]\nfidelity = "hex"\n'
     assert planned(tmp_path, hexahedra, "thin") == ["thin", "mini_b"]
-    off = r"sensor '{}' of the log sits on gel '{}'.*hexahedra .*follow the thickness"
+    off = r"sensor '{}' of the log has gel '{}'.*hexahedra .*follow the thickness"
     with pytest.raises(BadInput, match=off.format("thin", "gelsight_mini-3.6mm")):
         planned(tmp_path, '[params.fea]\nfidelity = "auto"\n', "thin", ccx="/usr/bin/ccx")
     # of a thickness for all presses nobody has to guess whether it serves sensors that state none

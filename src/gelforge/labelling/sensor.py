@@ -79,7 +79,7 @@ def check_projection(homography: np.ndarray, where: str, gel: Gel = NOMINAL) -> 
 
 
 def load_sensors(path) -> dict[str, Sensor]:
-    """Read sensors.toml (or its slice, .json) into {name: Sensor}; BadInput names a bad entry and its field."""
+    """Read sensors.toml (or stage parameters, .json) into {name: Sensor}; BadInput names a bad entry and its field."""
     try:
         text = Path(path).read_text(encoding="utf-8")
         tables = json.loads(text) if Path(path).suffix == ".json" else tomllib.loads(text)

@@ -7,9 +7,7 @@ import numpy as np
 from gelforge.errors import BadInput
 
 PITCH_RANGE = (12.0, 90.0)  # px between neighbouring markers of any GelSight Mini image we know, with a margin of two
-LARGEST_TURN = (
-    25.0  # degrees a gel can sit turned in its holder and still be distinguished from the next lattice direction
-)
+LARGEST_TURN = 25.0  # degrees a gel can be mounted turned in its holder and still be distinguished from the next lattice direction
 REACH = 0.3  # of the pitch: how far from its expected place a marker is still that marker
 LIT = 0.3  # of the brightest colour's background: below, a colour no longer separates noise from ink
 LEAST_FRACTION = 0.5  # of the markers must be found for a grid to be believed

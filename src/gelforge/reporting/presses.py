@@ -33,7 +33,7 @@ def press_rows(
 
     presses, rejected: presses of the pose tables and rows of their rejections, with their shard. solved, samples: of
     stages 30 and 60 by sample_id. totals: (3,) N by sample_id that the network read, in its channel order. gels: name of
-    the gel on which each sensor sits.
+    the gel of each sensor.
     """
     rows = [
         _press(

@@ -126,7 +126,7 @@ def write_shards(
 
 
 def own_shapes(sensors: Mapping[str, object]) -> dict[str, dict]:
-    """Kind and numbers of the gels of workflow/gels.toml that sensors sit on: what is pressed there depends on them."""
+    """Kind and numbers of the gels of workflow/gels.toml that sensors carry: what is pressed there depends on them."""
     from gelforge.geometry.gel import GELS, gel_shape, is_gel, load_gel
 
     names = {table.get("gel") for table in sensors.values() if isinstance(table, dict)}
@@ -204,7 +204,7 @@ def image_digests(data: Path, names: set[str], kept: Path) -> dict[str, str]:
 
 
 def write_slices(params: Params, workflow: Path, out: Path, tables: dict[str, dict], scenes: dict) -> None:
-    """Write every stage's slice, and the catalogues' entries that this dataset uses, without their comments."""
+    """Write the parameters of every stage, and the catalogues' entries that this dataset uses, without their comments."""
     source = Path(__file__).parent
     for name, of in config.SLICES.items():
         made = config.cut_slice(params, of.kind, config.stage_version(source, of))
@@ -291,7 +291,7 @@ def chart_lists(params: Params, scenes: dict) -> dict[str, list[str]]:
 def read_catalogues(
     rows: list[RawRow], catalogue: Path, workflow: Path, known: dict, params: Params
 ) -> tuple[dict[str, dict], list[Path]]:
-    """What of the `known` sensors and the indenters a dataset and its charts use, by slice, and files this depends on."""
+    """What of the `known` sensors and the indenters a dataset and its charts use, by stage, and files this depends on."""
     from gelforge.geometry.gelcatalogue import files_of
 
     sensors = named(rows, "sensor_id") | {params.pareto.sensor}
@@ -326,7 +326,7 @@ def check_gel(file: Path, of: DatasetFile, params: Params, sensors: dict[str, di
         gel = table.get("gel") if isinstance(table, dict) else None
         if is_gel(gel) and gel != mesh_gel and not (hexahedra and states_thickness(gel, mesh_gel)):
             raise BadInput(
-                f"{file}: sensor {name!r} of the log sits on gel {gel!r} ({SENSOR_TABLES}), but"
+                f"{file}: sensor {name!r} of the log has gel {gel!r} ({SENSOR_TABLES}), but"
                 f" [meshes] gel = {mesh_gel!r}: set [params.meshes] gel, and keep presses on different gels in datasets of their own;"
                 ' hexahedra ([params.fea] fidelity = "hex") follow the thickness that each sensor states'
             )

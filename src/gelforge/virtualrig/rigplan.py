@@ -83,8 +83,8 @@ class DrawnUnits(RigTable):
     """Virtual sensors drawn from ranges: `known` ones, known_01 and on, and as many `unseen` ones, unseen_01 and on.
 
     ranges: file in workflow/rig. `sensors` of a kind may name them by a pattern: "known_*" is all known ones.
-    known_gels, unseen_gels: names of the gels on which they sit in turn, such as gelsight_mini-3.6mm; none: on the plan's.
-    What sees one press sits on one gel.
+    known_gels, unseen_gels: names of the gels that they have in turn, such as gelsight_mini-3.6mm; none: on the plan's.
+    Sensors that see one press have the same gel.
     """
 
     ranges: str
@@ -98,7 +98,7 @@ class DrawnUnits(RigTable):
         return tuple(f"{group}_{k + 1:02d}" for group in ("known", "unseen") for k in range(getattr(self, group)))
 
     def gel_of(self, name: str) -> str | None:
-        """Name of the gel on which a drawn unit sits; none where the plan's serves, and for a unit that was not drawn."""
+        """Name of a drawn unit's gel; none where it has the plan's, and for a unit that was not drawn."""
         group, _, number = name.rpartition("_")
         gels = {"known": self.known_gels, "unseen": self.unseen_gels}.get(group, ())
         return gels[(int(number) - 1) % len(gels)] if gels and name in self.names else None
@@ -146,7 +146,7 @@ class Plan(RigTable):
         return json.dumps({**content, "presses": None}, sort_keys=True)
 
     def gel_of(self, sensor: str) -> str:
-        """Name of the gel on which a sensor sits."""
+        """Name of a sensor's gel."""
         return (self.units and self.units.gel_of(sensor)) or self.gel
 
     @property
@@ -236,7 +236,7 @@ def _check_values(plan: Plan, path) -> None:
 
 
 def by_gel(plan: Plan, sensors: Sequence[str]) -> dict[str, list[str]]:
-    """Sensors by the gel on which they sit."""
+    """Sensors by their gel."""
     found: dict[str, list[str]] = {}
     for name in sensors:
         found.setdefault(plan.gel_of(name), []).append(name)
@@ -244,7 +244,7 @@ def by_gel(plan: Plan, sensors: Sequence[str]) -> dict[str, list[str]]:
 
 
 def _check_kind(kind: Kind, gel: Gel, fewest: int, where: str) -> None:
-    """gel: the thinnest that is pressed. fewest: of the kind's sensors that sit on one gel."""
+    """gel: the thinnest that is pressed. fewest: of the kind's sensors that have one gel."""
     if not 1 <= kind.seen_by <= fewest:
         raise BadInput(
             f"{where}: seen_by = {kind.seen_by}: give 1 to {fewest}, as many sensors as it names on one gel"
@@ -340,7 +340,7 @@ def _orders_of_press(plan: Plan, index: int, kind: Kind, number: int) -> list[Or
 
 
 def _sensors_of_press(plan: Plan, index: int, kind: Kind) -> tuple[str, ...]:
-    """The sensors that see a press, in the order in which the plan names them; all of them sit on one gel."""
+    """The sensors that see a press, in the order in which the plan names them; all of them have the same gel."""
     rng, gels = generator(plan, index, WHO_SEES), by_gel(plan, kind.sensors)
     names = list(gels.values())
     # a gel is pressed as often as its sensors are many; a plan of one gel draws nothing for it

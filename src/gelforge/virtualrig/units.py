@@ -74,7 +74,7 @@ class UnitRanges(ParameterTable):
 def draw_units(units: DrawnUnits, gel: str, rig: Path, seed: int) -> tuple[dict[str, Appearance], dict[str, Sensor]]:
     """Appearances and sensors of a plan's drawn units, by name; each depends on the seed and its own name alone.
 
-    gel: name of that on which those sit for whom `units` names none. rig: folder workflow/rig with the ranges and with
+    gel: name of the gel of those for which `units` names none. rig: folder workflow/rig with the ranges and with
     sensors.toml, whose backgrounds are mixed.
     """
     path = rig / units.ranges

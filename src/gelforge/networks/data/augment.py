@@ -76,7 +76,7 @@ def shift_together(images, labels, cells: int, generator) -> tuple[np.ndarray, n
 
 
 def misplace_nocontact(pairs: np.ndarray, narrow: np.ndarray, settings: AugmentTable, generator) -> np.ndarray:
-    """Shift, turn and zoom the no-contact image of a fraction of the pairs (n, h, w, 6) uint8, as if the gel sat otherwise.
+    """Shift, turn and zoom the no-contact image of a fraction of the pairs (n, h, w, 6) uint8, as if the gel were mounted differently.
 
     Where the gel is held its markers do not move under any force, so these show the network what to take back. narrow: (n,)
     pairs that are left alone because they do not show these markers: there a common motion is sideways force.

@@ -23,7 +23,7 @@ MOST_DESCRIBED = 500  # images, of training and held out each, that the referenc
 MARGIN = 1.5
 RELIEF_SIZE = (160, 120)  # px at which the relief of a picture is looked at
 RELIEF_MARGIN = 1.25
-# Markers of one gel that sits otherwise, or of another gel, move alike: one of ten by more than this fraction of what another one of
+# Markers of one gel that is mounted differently, or of another gel, move alike: one of ten by more than this fraction of what another one of
 # ten does, and than so many px. Of 700 presses of the rig, dragged ones too, four in a thousand do.
 ALIKE_FRACTION, ALIKE_PX = 0.55, 1.0
 # Another gel's markers look otherwise, too: beyond the first fraction of such markers less of a common motion suffices, beyond the second
@@ -251,7 +251,7 @@ def marker_diagnostics(markers: MarkerTracker, tracks: Tracks) -> MarkerDiagnost
 def rimless_diagnostics(tracks: Tracks) -> MarkerDiagnostics:
     """Evidence of where a no-contact image's markers are in an image, in a view that does not show the gel's rim.
 
-    What drags a gel moves markers the less the farther they are; a gel that sits otherwise moves all of them. Markers of another
+    What drags a gel moves markers the less the farther they are; a gel that is mounted differently moves all of them. Markers of another
     gel do not look like those of the no-contact image either, which those around a contact need not.
     """
     if not len(tracks.unlike):
@@ -328,7 +328,7 @@ def pair_fault(limits: dict, pair: PairDiagnostics) -> str:
         f"the rim of the gel moved by {markers.rim_px:.1f} px since the no-contact image": (
             markers.rim_px > limits.get("largest_rim_px", np.inf)
         ),
-        f"all its markers moved by {markers.alike_px:.1f} px and more: the gel sits otherwise than in the no-contact image, or that"
+        f"all its markers moved by {markers.alike_px:.1f} px and more: the gel is mounted differently than in the no-contact image, or that"
         " is of another gel": markers.alike_px > ALIKE_PX,
         f"{markers.other_look:.0%} of its markers do not look like those of the no-contact image: it is of another gel, or blurred": (
             markers.other_look > MOST_OTHER_LOOK
