@@ -24,7 +24,7 @@ def tables(path: Path) -> dict[str, Any]:
 def words(workflow: Path) -> Iterator[str]:
     """Lines KIND:WORD, read:all first.
 
-    network: all networks. tuned: those that start from the network that ships. beside: those that read a no-contact image.
+    network: all networks. tuned: those that start from the shipped network. beside: those that read a no-contact image.
     shape: files of indenters' shapes.
     """
     yield "read:all"
