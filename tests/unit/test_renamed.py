@@ -20,7 +20,7 @@ def test_a_table_of_rejected_rows_is_read_by_both_names_of_its_column(tmp_path, 
 
 @pytest.mark.parametrize("former, name, file, read", [
     ("jpeg_share", "jpeg_fraction", "units.toml", read_ranges),
-    ("missing_markers", "missing_markers", "units.toml", read_ranges),
+    ("missing_dots", "missing_markers", "units.toml", read_ranges),
     ("print_turn_deg", "grid_turn_deg", "units.toml", read_ranges),
     ("[mini_a.dots]", "[mini_a.markers]", "sensors.toml", read_appearances),
 ])  # fmt: skip
