@@ -12,6 +12,11 @@ IS_FROZEN := $(wildcard $(FROZEN))
 PLAN_INPUTS := $(DATA)/log.csv $(DATA)/dataset.toml $(addprefix workflow/,params.toml charted.toml models.toml scenes.toml sensors.toml gels.toml) $(wildcard $(DATA)/sensors.toml) $(IS_FROZEN) $(CCX_FOUND) $(wildcard src/gelforge/*/*.py src/gelforge/*/*/*.py)
 PLAN_READS :=
 PLAN_STATE :=
+NEEDS_CALIBRATION :=
+MODELS :=
+TUNED :=
+NEED_NOCONTACT :=
+SHAPES :=
 PICTURES :=
 PICTURE_STATE :=
 
@@ -19,7 +24,7 @@ PICTURE_STATE :=
 MAKE_RESTARTS ?=
 
 # Goals that need no dataset do not read one.
-NO_DATASET := help setup parameters lint format test test-% rig rig-% benchmark-% lock clean-% slurm-cancel feats-fetch feats-import mcap-import projection real-check
+NO_DATASET := help setup parameters stage-digests lint format test test-% rig rig-% benchmark-% lock clean-% slurm-cancel feats-fetch feats-import mcap-import projection real-check
 # What was made of a dataset whose data are gone can still be seen.
 NO_DATASET += $(if $(wildcard $(DATA)/log.csv),,$(if $(wildcard $D),status provenance lineage))
 # Results dated ahead of this machine's clock, by another one's or its own of before: what is edited until then looks older
@@ -41,6 +46,10 @@ include $(PLANNED)
 ifneq ($(PLAN_STATE),$(if $(PLAN_STATE),$(shell LC_ALL=C stat -L -c '%n:%.9Y:%s' $(PLAN_INPUTS) $(PLAN_READS) 2>/dev/null)))
 .PHONY: plan-again
 $(PLANNED): plan-again
+# Networks of before would refuse one that was added or changed since.
+MODELS :=
+TUNED :=
+NEED_NOCONTACT :=
 # So are those of all files in PICTURES, the folders that the log names, by a digest as stages/plan.py writes it: the time at
 # which an entry changed, which no copy keeps.
 else ifeq ($(MAKE_RESTARTS)$(if $(and $(PICTURES),$(wildcard $(PLANNED))),,none),)

@@ -2,7 +2,7 @@
 FORCES := $(SHARDS:%=$D/40_forces/%.npz)
 
 # [material] c10 = "calibrated" waits for the posterior and scales by its median; no solve is repeated.
-CALIBRATED := $(if $(shell grep -s '"c10": "calibrated"' $P/forces.json),$D/calibrate/summary.json)
+CALIBRATED := $(if $(NEEDS_CALIBRATION),$D/calibrate/summary.json)
 
 .PHONY: forces
 forces: $(FORCES) $(call barrier,40_forces)  ## nodal contact forces out of the solvers' output

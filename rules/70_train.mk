@@ -1,17 +1,9 @@
 # Stage 70: networks. A model is a table of workflow/models.toml; RES names the grid.
-# Where no dataset is asked for, and before there is a Python, which make sets up and then reads its rules again, none.
-TOML_WORDS := $(if $(and $(wildcard $(PY)),$(filter-out $(NO_DATASET),$(or $(MAKECMDGOALS),help))),$(or $(shell $(PY) -SP src/gelforge/flow/names.py workflow),unread))
-ifeq ($(TOML_WORDS),unread)
-$(error workflow/models.toml or workflow/indenters.toml cannot be read, see above: mend the line named there)
-endif
-# $(call of_toml,KIND): see names.py.
-of_toml = $(patsubst $(1):%,%,$(filter $(1):%,$(TOML_WORDS)))
-MODELS := $(call of_toml,network)
+# MODELS, TUNED and NEED_NOCONTACT come from the plan.
 SHIPPED := src/gelforge/networks/weights/default
 # The shipped network is never trained here.
 LEARNT = $(if $(filter shipped,$(MODEL)),$(LEARNER),$(MODEL))
-# Those that fine-tune the shipped network are for one dataset, and write its grid: they are made by name alone.
-TUNED := $(call of_toml,tuned)
+# Those that fine-tune the shipped network (TUNED) are for one dataset, and write its grid: they are made by name alone.
 LEARNABLE := $(filter-out $(TUNED),$(MODELS))
 TRAINED := $(MODELS:%=$D/70_train/$(RES1)/%.onnx)
 
@@ -30,7 +22,7 @@ endif
 
 # Networks that read a picture beside a no-contact image. Without such pictures none of them can be judged, which
 # is said here, and not after the presses are solved.
-WITH_NOCONTACT := shipped $(call of_toml,beside)
+WITH_NOCONTACT := shipped $(NEED_NOCONTACT)
 ASKED = $(if $(filter evaluate report demo study,$(MAKECMDGOALS)),$(MODEL)) $(if $(filter train onnx ship,$(MAKECMDGOALS)),$(LEARNT)) \
     $(if $(filter models evaluate-models,$(MAKECMDGOALS)),$(LEARNABLE)) $(if $(filter pareto-models,$(MAKECMDGOALS)),$(or $(call by_hand,CHARTED),$(LEARNABLE)))
 UNREADABLE = $(firstword $(filter $(WITH_NOCONTACT),$(ASKED)))

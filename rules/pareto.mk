@@ -39,12 +39,11 @@ $D/pareto/quick.json: $(PARETO_QUICK_FILES)
 # references whose keys are of other methods or of another version of the chart.
 CHALLENGE := results/fea_challenge/challenge.json
 CHALLENGE_CODE := $(addprefix src/gelforge/,stages/challenge.py stages/pareto.py sweeps/challenge.py sweeps/methods.py)
-SHAPES := $(wildcard $(call of_toml,shape))
 
 .PHONY: fea-challenge fea-references
 fea-challenge: $(CHALLENGE)  ## the scenes as an open benchmark for any simulator: results/fea_challenge
 
-$(CHALLENGE): workflow/scenes.toml workflow/indenters.toml workflow/sensors.toml workflow/params.toml $(KEPT) $(CHALLENGE_CODE) $(SHAPES) $(wildcard $(REFERENCES)/*.csv src/gelforge/sweeps/fea_challenge/*) | $(SETUP)
+$(CHALLENGE): workflow/scenes.toml workflow/indenters.toml workflow/sensors.toml workflow/params.toml $(KEPT) $(CHALLENGE_CODE) $(wildcard $(SHAPES) $(REFERENCES)/*.csv src/gelforge/sweeps/fea_challenge/*) | $(SETUP)
 	@$(PY) -m gelforge.stages.challenge write --references $(REFERENCES) --out $(@D)
 
 fea-references: $(PARETO_FILES)  ## the benchmark's references anew from the large chart (hours)

@@ -2,7 +2,7 @@
 # The networks on the chart: all but those that go on from the one that ships (LEARNABLE), or a list: make pareto-models
 # CHARTED="grid_16 unet".
 CHARTED ?= $(LEARNABLE)
-ifneq ($(filter-out $(MODELS),$(CHARTED)),)
+ifneq ($(and $(MODELS),$(filter-out $(MODELS),$(CHARTED))),)
 $(error CHARTED names $(filter-out $(MODELS),$(CHARTED)): no such network; workflow/models.toml has: $(MODELS))
 endif
 

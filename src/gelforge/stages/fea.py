@@ -242,6 +242,16 @@ def verify_press(press: PosedPress, keys: tuple[str, str], scenes: list[Scene], 
     verification.write_verified(path, found)
 
 
+def read_shard(params: Path, poses: Path, workflow: Path) -> tuple[ForFea, dict, list[PosedPress], dict]:
+    """What stages 20 and 30 read of a shard: parameters, catalogues, presses, and their bodies by name.
+
+    params: folder of the stages' parameters. workflow: where STL paths start.
+    """
+    tables = {name: read_json(params / f"{name}.json") for name in ("sensors", "indenters")}
+    presses = read_poses(poses)
+    return read_slice(params / "fea.json", ForFea), tables, presses, bodies_of(presses, tables, workflow)
+
+
 @command(
     option("--poses", type=Path, help="10_poses/NNNN.csv"),
     option("--meshes", type=Path, help="20_meshes"),
@@ -256,15 +266,13 @@ def verify_press(press: PosedPress, keys: tuple[str, str], scenes: list[Scene], 
     option("--out", type=Path, help="30_fea/NNNN.csv; samples go to 30_fea/NNNN/"),
 )
 def main(args: Namespace) -> None:
-    params = read_slice(args.params, ForFea)
-    tables = {name: read_json(args.params.parent / f"{name}.json") for name in ("sensors", "indenters")}
-    presses = read_poses(args.poses)
+    params, tables, presses, bodies = read_shard(args.params.parent, args.poses, args.workflow)
     family, chosen = MeshFamily(args.meshes, []), {}
     if names := mesh_names(params.fea):
         family = MeshFamily(args.meshes, names, source_of(args.params.with_name("meshes.json"), args.workflow))
         chosen = read_meshes(args.chosen)
     folder = beside(args.out, "")
-    solves = run_shard(presses, family, chosen, params, tables, bodies_of(presses, tables, args.workflow), folder)
+    solves = run_shard(presses, family, chosen, params, tables, bodies, folder)
     write_solves(args.out, solves)
     for solve in solves:
         if not solve.status.valid:

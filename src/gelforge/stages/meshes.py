@@ -4,9 +4,9 @@ import json
 from argparse import Namespace
 from pathlib import Path
 
-from gelforge.flow.files import read_json, write_csv, write_json
+from gelforge.flow.files import write_csv, write_json
 from gelforge.flow.main import command, option
-from gelforge.flow.params.slices import ForFea, read_slice
+from gelforge.flow.params.slices import ForFea
 from gelforge.flow.params.tables import IN_PROCESS
 from gelforge.flow.slots import in_slots
 from gelforge.mechanics.mesh.family import MeshFamily, choose_mesh, first_candidate, mesh_names
@@ -15,7 +15,6 @@ from gelforge.mechanics.mesh.meshstore import MeshSource, source_of
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solvers.auto import method_of
 from gelforge.records.frames import presses_of
-from gelforge.records.log import read_poses
 from gelforge.records.meshtable import COLUMNS
 from gelforge.sweeps import verification
 
@@ -64,13 +63,10 @@ def make_missing(names: set[str], source: MeshSource, folder: Path, jobs: int) -
     option("--out", type=Path, help="20_meshes/NNNN.csv, the mesh of each press"),
 )
 def main(args: Namespace) -> None:
-    from gelforge.stages.fea import bodies_of, scene_of
+    from gelforge.stages.fea import read_shard, scene_of
 
     source = source_of(args.params, args.workflow)
-    params = read_slice(args.params.with_name("fea.json"), ForFea)
-    tables = {name: read_json(args.params.with_name(f"{name}.json")) for name in ("sensors", "indenters")}
-    presses = read_poses(args.poses)
-    bodies = bodies_of(presses, tables, args.workflow)
+    params, tables, presses, bodies = read_shard(args.params.parent, args.poses, args.workflow)
     family = MeshFamily(args.meshes, mesh_names(params.fea), source)
     scenes = meshed(
         [

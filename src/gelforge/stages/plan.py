@@ -225,7 +225,7 @@ def used(catalogue: dict, names: set[str]) -> dict:
 
 # What make takes as one word without reading anything into it.
 _WORD = re.compile(r"[A-Za-z0-9_@+][A-Za-z0-9_.@+/-]*")
-NETWORK_NAME = re.compile(r"[a-z0-9_]+")  # as flow/names.py lists them
+NETWORK_NAME = re.compile(r"[a-z0-9_]+")
 MOST_SHARDS = 20_000
 GELS_FILE = "gels.toml"
 
@@ -259,6 +259,20 @@ def networks(workflow: Path) -> dict[str, dict]:
     if odd := [name for name in found if not NETWORK_NAME.fullmatch(name)]:
         raise BadInput(f"{path}: [{odd[0]}]: name a network by small letters, digits and underscores alone")
     return found
+
+
+def network_lists(models: dict[str, dict]) -> dict[str, list[str]]:
+    """Names of all networks, of those that start from the network that ships, and of those that read a no-contact image."""
+    tables = {name: table for name, table in models.items() if isinstance(table, dict)}
+    tuned = [name for name, table in tables.items() if "start" in table]
+    beside = [name for name, table in tables.items() if table.get("reads", "image") != "image"]
+    return {"MODELS": list(tables), "TUNED": tuned, "NEED_NOCONTACT": beside}
+
+
+def shape_files(workflow: Path) -> list[str]:
+    """Files of shapes that the project's own catalogue names."""
+    files = with_content(config.read_toml(workflow / "indenters.toml"), workflow)[1]
+    return [str(path) for path in files if _WORD.fullmatch(str(path))]
 
 
 def reported_model(file: Path, params: Params, models: dict) -> list[str]:
@@ -443,7 +457,11 @@ def main(args: Namespace) -> None:
     meshes = required_meshes(params.fea, params.meshes)
     lists: dict[str, list[str]] = {"MESHES": meshes, "BRANCHES": [*params.report.branches]}
     lists |= chart_lists(params, scenes)
-    lists["REPORT_MODEL"] = reported_model(dataset_toml, params, networks(args.workflow))
+    models = networks(args.workflow)
+    lists |= network_lists(models)
+    lists["SHAPES"] = shape_files(args.workflow)
+    lists["NEEDS_CALIBRATION"] = ["yes"] if params.material.c10 == "calibrated" else []
+    lists["REPORT_MODEL"] = reported_model(dataset_toml, params, models)
     lists["LEARN_ALSO"] = list(params.train.also)
     lists["PLAN_READS"] = [str(path) for path in read]
     lists["PICTURES"] = picture_folders(args.data, rows)
