@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from gelforge.flow.files import write_json
-from gelforge.flow.params import SLICES, Params, cut_slice, laid_over, load_params, plain
+from gelforge.flow.params import SOURCES, Params, laid_over, load_params, parameters_of, plain
 from gelforge.flow.params.schema import ParameterTable, Place, parse
 
 WORKFLOW = Path(__file__).resolve().parent.parent / "workflow"
@@ -20,13 +20,13 @@ def with_values(table: ParameterTable, **values: Any) -> Any:
     return parse(type(table), laid_over(plain(table), values), Place("a test"))
 
 
-def slice_of(stage: str, **tables: dict[str, Any]) -> Any:
+def stage_of(stage: str, **tables: dict[str, Any]) -> Any:
     """What a stage reads, with some values changed."""
-    return cut_slice(parameters(**tables), SLICES[stage].kind, 1)
+    return parameters_of(parameters(**tables), SOURCES[stage].kind, 1)
 
 
-def write_slice(folder: Path, stage: str, **tables: dict[str, Any]) -> Path:
+def write_stage(folder: Path, stage: str, **tables: dict[str, Any]) -> Path:
     """Write what a stage reads to FOLDER/STAGE.json; return the path."""
     path = Path(folder) / f"{stage}.json"
-    write_json(path, plain(slice_of(stage, **tables)))
+    write_json(path, plain(stage_of(stage, **tables)))
     return path

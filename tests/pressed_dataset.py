@@ -3,7 +3,7 @@
 from pathlib import Path
 
 import numpy as np
-from parameters import parameters, with_values, write_slice
+from parameters import parameters, with_values, write_stage
 
 from gelforge.flow.files import write_csv, write_json
 from gelforge.flow.params import plain
@@ -82,8 +82,8 @@ def write_pressed(
         ["sample_id", "shard"],
         [{"sample_id": row["sample_id"], "shard": at // shard_size} for at, row in enumerate(rows)],
     )
-    write_slice(results / "00_plan/params", "labels")
-    write_slice(results / "00_plan/params", "dataset", dataset=plain(SETTINGS))
+    write_stage(results / "00_plan/params", "labels")
+    write_stage(results / "00_plan/params", "dataset", dataset=plain(SETTINGS))
     write_json(results / "00_plan/params/indenters.json", CATALOGUE)
     return {"folder": folder, "data": data, "results": results, "mesh": mesh, "loads": loads, "rows": rows}
 
@@ -122,7 +122,7 @@ def collect(made: dict, resolution: str, *flags: str, **settings) -> Path:
 
     results, out = made["results"], made["results"] / "60_dataset" / resolution / "dataset.json"
     if settings:
-        write_slice(results / "00_plan/params", "dataset", dataset=plain(SETTINGS) | settings)
+        write_stage(results / "00_plan/params", "dataset", dataset=plain(SETTINGS) | settings)
     source = made["data"] / "labels" / f"{resolution}.npz"
     folder = source if source.exists() else results / "50_labels" / resolution
     dataset.main(

@@ -6,7 +6,7 @@ import numpy as np
 from parameters import parameters
 
 from gelforge.flow.files import write_csv, write_json
-from gelforge.flow.params.slices import narrowed
+from gelforge.flow.params.stages import narrowed
 from gelforge.flow.params.tables import TrainingTable
 
 SPLITS = ("train", "val", "test", "test_unseen_indenter", "test_unseen_sensor")

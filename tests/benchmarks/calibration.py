@@ -28,7 +28,7 @@ from gelforge.errors import SolveFailed
 from gelforge.flow import params as config
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.main import command, option
-from gelforge.flow.params.slices import ForCalibrate
+from gelforge.flow.params.stages import ForCalibrate
 from gelforge.flow.params.tables import CalibrateTable
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import USUAL_GEL
@@ -188,7 +188,7 @@ def run_stage(dataset: str, folder: Path, jobs: int) -> tuple[dict, list[Figure]
     """
     work = folder / dataset
     params = config.load_params("workflow", Path("data") / dataset / "dataset.toml")
-    write_json(work / "params.json", config.plain(config.cut_slice(params, ForCalibrate, stage.VERSION)))
+    write_json(work / "params.json", config.plain(config.parameters_of(params, ForCalibrate, stage.VERSION)))
     places = {
         "--data": Path("data") / dataset,
         "--poses": Path("results") / dataset / "10_poses",

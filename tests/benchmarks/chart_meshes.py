@@ -4,7 +4,7 @@ from pathlib import Path
 
 from gelforge.flow.files import write_json
 from gelforge.flow.params import Params
-from gelforge.flow.params.slices import ForPareto
+from gelforge.flow.params.stages import ForPareto
 from gelforge.geometry.gel import load_gel
 from gelforge.sweeps.references import build_mesh
 from gelforge.sweeps.trial import ChartBench

@@ -326,7 +326,7 @@ def key_cases() -> Iterator[Case]:
     from gelforge.stages.fea import VERSION, press_keys, scene_of
     from tests.press_records import press_record
 
-    params = config.cut_slice(config.load_params(ROOT / "workflow"), config.SLICES["fea"].kind, VERSION)
+    params = config.parameters_of(config.load_params(ROOT / "workflow"), config.SOURCES["fea"].kind, VERSION)
     tables = {
         "indenters": {"sphere_15": {"kind": "sphere", "diameter": 15, "height": 10}},
         "sensors": {"gelsight_mini": {"gel": "gelsight_mini"}},

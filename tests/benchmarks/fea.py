@@ -20,7 +20,7 @@ from gelforge.flow import params as config
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.main import command, option
 from gelforge.flow.params import canonical
-from gelforge.flow.params.slices import ForPareto
+from gelforge.flow.params.stages import ForPareto
 from gelforge.flow.params.tables import FeaTable
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel, load_gel
@@ -406,7 +406,7 @@ def law_figures(work: Path, table: FeaTable) -> list[Figure]:
 )
 def main(args: Namespace) -> None:
     need_ccx()
-    params = config.cut_slice(config.load_params(args.workflow), ForPareto, branch.VERSION)
+    params = config.parameters_of(config.load_params(args.workflow), ForPareto, branch.VERSION)
     sensors = load_sensors(args.workflow / "sensors.toml")
     bench = load_bench(params, sensors, args.pareto / "meshes", args.pareto / "scenes", args.references)
     tables = read_tables(args.workflow)

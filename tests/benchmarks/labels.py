@@ -23,7 +23,7 @@ from gelforge.records.labelfile import read_labels, to_float32
 from gelforge.records.markers import find_markers
 from gelforge.records.press import POSE
 from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
-from tests.parameters import write_slice
+from tests.parameters import write_stage
 from tests.patch import consistent_loads, exact_cells, irregular_surface
 
 SENSORS = Path("workflow/sensors.toml")
@@ -232,7 +232,7 @@ def write_shards(folder: Path, rng, samples: int) -> None:
         rows = [{"sample_id": name, **pose} for name in names]
         write_csv(folder / "10_poses" / f"{shard:04d}.csv", list(rows[0]), rows)
         (folder / "shards" / f"{shard:04d}.csv").touch()
-    write_slice(folder, "labels", labels={"largest_outside_share": 1.0})
+    write_stage(folder, "labels", labels={"largest_outside_share": 1.0})
 
 
 def whole_dataset(rng, samples: int) -> list[Figure]:

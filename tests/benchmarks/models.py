@@ -21,7 +21,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, write_csv, write_json
 from gelforge.flow.main import command, option
 from gelforge.flow.params import load_params, plain, read_toml
-from gelforge.flow.params.slices import ForTrain
+from gelforge.flow.params.stages import ForTrain
 from gelforge.flow.params.tables import TrainTable
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image

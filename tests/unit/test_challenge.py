@@ -10,7 +10,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from parameters import slice_of
+from parameters import stage_of
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
@@ -204,7 +204,7 @@ def test_the_gel_is_reported_as_numbers(folder):
 def bench(root, tmp_path):
     """A bench that has no mesh to solve a reference on, only those that are kept."""
     sensors, kept = load_sensors(root / "workflow" / "sensors.toml"), root / "data" / "fea_challenge"
-    params = replace(slice_of("pareto"), version=pareto.VERSION)
+    params = replace(stage_of("pareto"), version=pareto.VERSION)
     return load_bench(params, sensors, tmp_path / "meshes", tmp_path / "records", kept)
 
 

@@ -15,7 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
-from parameters import parameters, slice_of
+from parameters import parameters, stage_of
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
@@ -38,7 +38,7 @@ CELLS = arrays(float, (3, 4, 5), elements=NUMBERS)
 
 @pytest.fixture(scope="module")
 def params():
-    return slice_of("pareto")
+    return stage_of("pareto")
 
 
 @pytest.fixture(scope="module")
@@ -299,11 +299,11 @@ def test_verdicts_against_the_finest_of_the_row():
     base = cases.Case("hex", "round", 1.0, 0.0, "centre", 0.475, 1.0, 8)
     sizes = [cases.Case(**(base.describe() | {"size": size})) for size in (1.4, 1.0, 0.5)]
     records = [_record(sizes[0], fz=-6.0), _record(sizes[1], fz=-5.1), _record(sizes[2])]
-    judged = stability.judge_row("size", records, slice_of("stability", stability={"drift": 0.05}))
+    judged = stability.judge_row("size", records, stage_of("stability", stability={"drift": 0.05}))
     assert [line["verdict"] for line in judged] == ["drifts", "good", "good"]
     assert judged[0]["error"] == pytest.approx(0.2)
     records[0] = _record(sizes[0], "DIVERGED", 0.0)
-    judged = stability.judge_row("size", records, slice_of("stability", stability={"drift": 0.05}))
+    judged = stability.judge_row("size", records, stage_of("stability", stability={"drift": 0.05}))
     assert judged[0]["verdict"] == "failed" and judged[0]["reason"] == "why"
     assert "DIVERGED" in "\n".join(stability.reading(judged))
 
@@ -314,7 +314,7 @@ def test_a_place_at_label_setting_stands_beside_the_finest_hexahedra():
     records = [
         _record(cases.Case(fidelity, **press), fz=fz) for fidelity, fz in zip(fidelities, (-5.1, -6, -5), strict=True)
     ]
-    judged = stability.judge_row("depth", records, slice_of("stability", stability={"drift": 0.05}))
+    judged = stability.judge_row("depth", records, stage_of("stability", stability={"drift": 0.05}))
     assert [(line["level"], line["against"], line["verdict"]) for line in judged] == [
         (3.5, "finest", "good"), (3.5, "finest", "drifts"), (3.5, None, "good")]  # fmt: skip
     assert judged[0]["error"] == pytest.approx(0.02)
@@ -381,7 +381,7 @@ def test_the_chart_writes_what_auto_chooses_by(root, tmp_path):
     """The tracked file comes back from its own numbers, and only a chart of the project's own parameters changes it."""
     workflow = shutil.copytree(root / "workflow", tmp_path / "workflow")
     path = workflow / "charted.toml"
-    before, params = path.read_text(encoding="utf-8"), slice_of("pareto")
+    before, params = path.read_text(encoding="utf-8"), stage_of("pareto")
     found = {kind: {way: list(row) for way, row in of.items()} for kind, of in params.fea.charted.items()}
     assert "says the same" in keep_charted(found, params, workflow) and path.read_text(encoding="utf-8") == before
     found["flat_deep"]["ccx"][0] = 0.5

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from parameters import parameters, slice_of
+from parameters import parameters, stage_of
 from synthetic_presses import write_dataset
 
 from gelforge.commands import estimate
@@ -99,7 +99,7 @@ def test_a_network_that_is_trained_is_counted_by_its_kind(tmp_path, root):
     models = tomllib.loads((root / "workflow/models.toml").read_text(encoding="utf-8"))
     for name in ("grid_16", "unet", "pair_24_mirrored"):
         write_json(params / "models" / f"{name}.json", {name: models[name]})
-    write_json(params / "train.json", {"version": 1, "train": plain(slice_of("train").train)})
+    write_json(params / "train.json", {"version": 1, "train": plain(stage_of("train").train)})
     write_json(params / "report.json", {"version": 1, "report": plain(parameters().report) | {"branches": []}})
     costs = {
         name: {c.stage: c for c in later_costs(results, "24x32", name, ROWS)}
@@ -107,7 +107,7 @@ def test_a_network_that_is_trained_is_counted_by_its_kind(tmp_path, root):
     }
     assert "70_train" not in costs["shipped"]
     light, heavy = (costs[name]["70_train"].cpu_each for name in ("grid_16", "unet"))
-    epochs = slice_of("train").train
+    epochs = stage_of("train").train
     assert heavy / (epochs.epochs_of.unet or epochs.epochs) > 2 * light / epochs.epochs
 
 
@@ -116,7 +116,7 @@ def test_a_log_without_pictures_goes_no_farther_than_its_branches(tmp_path):
     branches = plain(parameters().report) | {"branches": ["calibrate"]}
     write_json(results.params / "report.json", {"version": 1, "report": branches})
     write_json(results.params / "poses.json", {"version": 1, "poses": plain(parameters().poses) | {"images": False}})
-    write_json(results.params / "calibrate.json", {"version": 1} | plain(slice_of("calibrate")))
+    write_json(results.params / "calibrate.json", {"version": 1} | plain(stage_of("calibrate")))
     assert [cost.stage for cost in later_costs(results, "24x32", "shipped", ROWS)] == ["calibrate"]
 
 
@@ -128,7 +128,7 @@ def test_what_the_pilots_do_not_run_is_counted_at_their_pace(tmp_path):
     write_json(results.params / "poses.json", {"version": 1, "poses": plain(parameters().poses)})
     write_json(results.params / "sensors.json", {})
     for name in ("calibrate", "pareto"):
-        write_json(results.params / f"{name}.json", {"version": 1} | plain(slice_of(name)))
+        write_json(results.params / f"{name}.json", {"version": 1} | plain(stage_of(name)))
     quick, slow = (later_costs(results, "24x32", "shipped", [], pace) for pace in (Pace(0.4, 2.0), Pace(1.2, 6.0)))
     assert [cost.cpu(0) for cost in slow] == pytest.approx([3 * cost.cpu(0) for cost in quick]) and len(quick) == 5
 
@@ -157,7 +157,7 @@ def test_pictures_count_by_the_size_that_their_sensor_takes(tmp_path, root):
 
 def test_an_epoch_of_a_part_of_the_presses_costs_that_part(tmp_path):
     """Where epochs visit fewer presses than there are; where they would visit more, they visit all."""
-    train = plain(slice_of("train").train)
+    train = plain(stage_of("train").train)
     cpu = {}
     for images in (0, 300, 1200):
         results = Layout(tmp_path / str(images))
@@ -172,7 +172,7 @@ def test_an_epoch_of_a_part_of_the_presses_costs_that_part(tmp_path):
 def test_a_network_that_is_being_written_is_none(tmp_path):
     """What a plan that was killed left beside the tables of the networks."""
     params = Layout(tmp_path).params
-    write_json(params / "train.json", {"version": 1, "train": plain(slice_of("train").train)})
+    write_json(params / "train.json", {"version": 1, "train": plain(stage_of("train").train)})
     write_json(params / "models" / "net.json", {"net": {"kind": "unet", "widths": [4, 8]}})
     (params / "models" / ".net.4711.part.json").write_text('{"net": {"ki')
     assert training(Layout(tmp_path), "24x32", "net", 900).cpu_each > 0.0
@@ -180,7 +180,7 @@ def test_a_network_that_is_being_written_is_none(tmp_path):
 
 def test_a_network_that_there_is_not_is_named(tmp_path):
     params = Layout(tmp_path).params
-    write_json(params / "train.json", {"version": 1, "train": plain(slice_of("train").train)})
+    write_json(params / "train.json", {"version": 1, "train": plain(stage_of("train").train)})
     with pytest.raises(BadInput, match="MODEL=grid16"):
         training(Layout(tmp_path), "24x32", "grid16", 900)
     write_json(params / "models" / "net.json", {"net": {"kind": "transformer"}})
@@ -191,7 +191,7 @@ def test_a_network_that_there_is_not_is_named(tmp_path):
 @pytest.mark.parametrize("table", [{"kind": "unet"}, {"kind": "grid", "start": "shipped", "train": {"epochs": 5}}])
 def test_presses_of_other_datasets_cost_what_its_own_do(tmp_path, table):
     """90 presses and 45 of [train] also take as long as 135; a dataset that is not made yet is named."""
-    results, alone = Layout(tmp_path / "one"), plain(slice_of("train").train)
+    results, alone = Layout(tmp_path / "one"), plain(stage_of("train").train)
     write_json(results.params / "models" / "net.json", {"net": table})
 
     def cost(presses, also):

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from parameters import parameters, write_slice
+from parameters import parameters, write_stage
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
@@ -112,15 +112,15 @@ def test_the_report_says_what_labels_were_made_with(tmp_path):
     """Frozen or not, with a posterior or without: the page has a sentence, and a table of presses that have both forces."""
     path, results = frozen(tmp_path), tmp_path / "results" / "lab"
     frozen_params = {"c10": 0.0853, "c10_interval68": [0.0844, 0.0863], "c10_interval95": [0.0835, 0.0871]}
-    write_slice(results / "00_plan" / "params", "forces", material=frozen_params)
-    write_slice(results / "00_plan" / "params", "calibrate")
+    write_stage(results / "00_plan" / "params", "forces", material=frozen_params)
+    write_stage(results / "00_plan" / "params", "calibrate")
     own = rows([-4.0, -10.0], [-4.1, -9.9])
     section = force_section(results, path.parent, own)
     assert "calibration lab-" in section.items[0]["text"] and len(section.items[-1]["rows"]) == 2
     write_json(results / "calibrate" / "summary.json", SUMMARY)
     assert force_section(results, path.parent, own).items[-1]["columns"] == COMPARED
     path.unlink()
-    write_slice(results / "00_plan" / "params", "forces")
+    write_stage(results / "00_plan" / "params", "forces")
     reported = force_section(results, path.parent, own).items[0]["text"]
     assert "No calibration was frozen" in reported and "make calibrated-labels DATASET=lab" in reported
     assert force_section(results, path.parent, []).items[0]["absent"]

@@ -16,7 +16,7 @@ from gelforge.errors import BadInput
 from gelforge.flow import params as config
 from gelforge.flow.files import read_csv, write_if_changed
 from gelforge.flow.layout import PLAN, Layout
-from gelforge.flow.params.slices import ForPoses
+from gelforge.flow.params.stages import ForPoses
 from gelforge.geometry.gel import GELS
 from gelforge.records.log import read_shard
 from gelforge.stages import plan
@@ -264,7 +264,7 @@ def test_a_comment_does_not_touch_a_slice(tmp_path):
     path = tmp_path / "poses.json"
 
     def text(version):
-        return config.canonical(config.plain(config.cut_slice(parameters(), ForPoses, version)))
+        return config.canonical(config.plain(config.parameters_of(parameters(), ForPoses, version)))
 
     assert write_if_changed(path, text(1))
     assert not write_if_changed(path, text(1))

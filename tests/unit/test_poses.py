@@ -10,7 +10,7 @@ from dataclasses import replace
 import cv2
 import numpy as np
 import pytest
-from parameters import parameters, write_slice
+from parameters import parameters, write_stage
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_csv
@@ -33,7 +33,7 @@ def lab(tmp_path, root):
     for name in ("sensors", "indenters"):
         table = tomllib.loads((root / "workflow" / f"{name}.toml").read_text())
         (tmp_path / "params" / f"{name}.json").write_text(json.dumps(table))
-    write_slice(tmp_path / "params", "poses")
+    write_stage(tmp_path / "params", "poses")
 
     def run(rows, *flags, without=()):
         shard = tmp_path / "0000.csv"
@@ -151,7 +151,7 @@ def test_strict_run_can_be_followed_by_a_good_one(lab):
 
 
 def test_a_log_without_images_can_be_allowed(lab, tmp_path):
-    write_slice(tmp_path / "params", "poses", poses={"images": False})
+    write_stage(tmp_path / "params", "poses", poses={"images": False})
     table, rejected, _ = lab([sample("a", image="")])
     assert len(table) == 1
     assert not rejected
@@ -164,7 +164,7 @@ def test_a_log_without_a_column_of_images_is_reported_once_and_can_be_allowed(la
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("rejected: ")]
     assert len(lines) == 1 and "[params.poses] images = false" in lines[0]
     assert lines[0].endswith("the same reason against 8 more rows: 3, 4, 5, 6, 7, …")
-    write_slice(tmp_path / "params", "poses", poses={"images": False})
+    write_stage(tmp_path / "params", "poses", poses={"images": False})
     table, rejected, _ = lab(rows, without=["image"])
     assert not rejected and len(table) == 9
 

@@ -122,14 +122,14 @@ def test_what_older_parameters_solved_is_still_to_come(tmp_path):
 def test_of_stages_after_the_solves_their_count_is_not_reported(tmp_path):
     now = lay(tmp_path, 8)
     with at_work(tmp_path, "80_evaluate/24x32/pair_8.card"):
-        assert look(tmp_path, now).told() == "now: 80_evaluate/24x32/pair_8.card"
+        assert look(tmp_path, now).summary() == "now: 80_evaluate/24x32/pair_8.card"
         write_json(tmp_path / "metrics/80_evaluate/24x32/pair_8.json", {})  # of the evaluation, not of its card
         os.utime(tmp_path / "metrics/80_evaluate/24x32/pair_8.json", (now + 9, now + 9))
         assert look(tmp_path, now).running == ["80_evaluate/24x32/pair_8.card"]
         write_json(tmp_path / "metrics/80_evaluate/24x32/pair_8.card.json", {})
         os.utime(tmp_path / "metrics/80_evaluate/24x32/pair_8.card.json", (now + 9, now + 9))
         ended = look(tmp_path, now)
-    assert ended.told(["80_evaluate"]) == "" and ended.told(["30_fea"]) == "8 of 8 presses solved"
+    assert ended.summary(["80_evaluate"]) == "" and ended.summary(["30_fea"]) == "8 of 8 presses solved"
 
 
 def test_a_lock_that_nobody_holds_is_not_running(tmp_path):

@@ -11,14 +11,14 @@ from parameters import parameters
 from gelforge.commands.parameters import page
 from gelforge.errors import BadInput
 from gelforge.flow.params import (
-    SLICES,
+    SOURCES,
     canonical,
-    cut_slice,
     laid_over,
     load_params,
+    parameters_of,
     plain,
     read_dataset_file,
-    read_slice,
+    read_parameters,
     read_toml,
     with_charted,
 )
@@ -59,26 +59,26 @@ def test_a_value_is_kept_digit_for_digit(root):
     """Keys of solves are digests of what stages are given: it is what the file holds, whole numbers whole."""
     assert canonical(plain(load_params(root / "workflow"))) == canonical(raw(root))
     odd = parameters(material={"nu": 0}, interface={"mu": 2}, poses={"touch_offset_mm": 1e-2})
-    assert canonical(plain(cut_slice(odd, SLICES["fea"].kind, 7))) == canonical(
+    assert canonical(plain(parameters_of(odd, SOURCES["fea"].kind, 7))) == canonical(
         {"version": 7, "fea": raw(root)["fea"], "interface": {"law": "no_slip", "mu": 2}, "material": {"nu": 0}}
     )
 
 
-@pytest.mark.parametrize("stage", SLICES)
-def test_a_slice_reads_back_as_it_was(stage, tmp_path):
-    made = cut_slice(parameters(), SLICES[stage].kind, 3)
+@pytest.mark.parametrize("stage", SOURCES)
+def test_stage_parameters_reads_back_as_it_was(stage, tmp_path):
+    made = parameters_of(parameters(), SOURCES[stage].kind, 3)
     path = tmp_path / f"{stage}.json"
     path.write_text(canonical(plain(made)))
-    assert read_slice(path, SLICES[stage].kind) == made
+    assert read_parameters(path, SOURCES[stage].kind) == made
     path.write_text(json.dumps(plain(made) | {"more": 1}))
     with pytest.raises(BadInput, match=r"json: cannot be read .*'more'"):
-        read_slice(path, SLICES[stage].kind)
+        read_parameters(path, SOURCES[stage].kind)
 
 
-def test_a_slice_that_cannot_be_read_names_its_file(tmp_path):
+def test_stage_parameters_that_cannot_be_read_names_its_file(tmp_path):
     (tmp_path / "fea.json").write_text("{")
     with pytest.raises(BadInput, match=r"fea\.json: cannot be read .* run make again"):
-        read_slice(tmp_path / "fea.json", SLICES["fea"].kind)
+        read_parameters(tmp_path / "fea.json", SOURCES["fea"].kind)
 
 
 def leaves(kind: type[ParameterTable], path: tuple[str, ...] = ()) -> list[tuple[tuple[str, ...], Any]]:

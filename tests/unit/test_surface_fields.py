@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from parameters import parameters, write_slice
+from parameters import parameters, write_stage
 from pressed_dataset import collect, label, write_pressed
 
 from gelforge.errors import BadInput
@@ -89,7 +89,7 @@ def made(tmp_path_factory, root):
 
     os.chdir(root)
     made = write_pressed(tmp_path_factory.mktemp("made"), count=8, failed=(3,))
-    write_slice(made["results"] / "00_plan/params", "labels", labels={"channels": EVERYTHING})
+    write_stage(made["results"] / "00_plan/params", "labels", labels={"channels": EVERYTHING})
     return made
 
 

@@ -5,7 +5,7 @@ import shutil
 
 import numpy as np
 import pytest
-from parameters import parameters, write_slice
+from parameters import parameters, write_stage
 
 from gelforge.errors import BadInput
 from gelforge.stages import calibrate
@@ -23,7 +23,7 @@ SOLVER = {
 def stage_args(root, folder, **changes):
     """Arguments of the stage in a folder of its own, and the parameters it gets."""
     usual = {"solver": SOLVER, "compare": False, "refine": "none", "friction_nodes": []}
-    write_slice(folder, "calibrate", calibrate=usual | changes)
+    write_stage(folder, "calibrate", calibrate=usual | changes)
     if not (folder / "data").exists():
         shutil.copytree(root / "data" / "feats_sphere15", folder / "data")
     names = {"data": "data", "params": "calibrate.json", "work": "work", "out": "work/summary.json"}

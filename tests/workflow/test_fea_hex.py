@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from parameters import parameters, write_slice
+from parameters import parameters, write_stage
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, write_csv, write_json
@@ -37,9 +37,9 @@ def made(tmp_path_factory):
     rows = [dict(zip(COLUMNS, (name, SENSOR, *press), strict=True)) for name, press in PRESSES.items()]
     write_csv(folder / "10_poses" / "0000.csv", COLUMNS, rows)
     params = folder / "params"
-    write_slice(params, "fea", fea={"fidelity": "hex", "hex_quality": "demo"})
-    write_slice(params, "forces")
-    write_slice(params, "labels")
+    write_stage(params, "fea", fea={"fidelity": "hex", "hex_quality": "demo"})
+    write_stage(params, "forces")
+    write_stage(params, "labels")
     write_json(params / "sensors.json", {SENSOR: {"gel": SENSOR}})
     write_json(params / "indenters.json", {"ball": BALL})
     for module, *arguments in (

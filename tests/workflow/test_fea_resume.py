@@ -11,7 +11,7 @@ import sys
 
 import numpy as np
 import pytest
-from parameters import write_slice
+from parameters import write_stage
 
 from gelforge.commands import deck
 from gelforge.errors import BadInput
@@ -38,11 +38,11 @@ def folder(tmp_path):
     mesh = symmetric_block(GEL, 2.6, 2)
     mesh.save(tmp_path / "20_meshes" / "ccx-wide-2.6.npz")
     params = tmp_path / "params"
-    key = source_of(write_slice(params, "meshes"), tmp_path).key("ccx-wide-2.6")
+    key = source_of(write_stage(params, "meshes"), tmp_path).key("ccx-wide-2.6")
     report = {"engine": "ccx", "region": "wide", "size": 2.6, "half_mm": [10, 12], "reach_mm": [0, 0], "recipe": key}
     write_json(tmp_path / "20_meshes" / "ccx-wide-2.6.json", report)
-    write_slice(params, "fea", fea=FEA)
-    write_slice(params, "forces", material={"c10": 0.145})
+    write_stage(params, "fea", fea=FEA)
+    write_stage(params, "forces", material={"c10": 0.145})
     write_json(params / "sensors.json", {"cam": {"gel": GEL.name}})
     write_json(params / "indenters.json", {"ball": {"kind": "sphere", "diameter": 15, "height": 10}})
     (tmp_path / "10_poses").mkdir()
@@ -150,7 +150,7 @@ def test_a_longer_timeout_solves_again_only_what_the_shorter_one_stopped(folder,
     record = folder / "30_fea" / "0000" / "s0.json"
 
     def solved(**changed):
-        write_slice(folder / "params", "fea", fea=FEA | changed)
+        write_stage(folder / "params", "fea", fea=FEA | changed)
         assert fea.main(arguments(folder)) == 0
         return json.loads(record.read_text())["status"], record.stat().st_mtime_ns
 

@@ -5,7 +5,7 @@ import json
 import cv2
 import numpy as np
 import pytest
-from parameters import write_slice
+from parameters import write_stage
 from synthetic_presses import SETTINGS
 
 from gelforge.commands.mcap import main as mcap_import
@@ -120,7 +120,7 @@ def test_the_dataset_trains_on_totals(tmp_path, sensor, root):
     write_shards(tmp_path / "lab", logged_rows(log, name), plan, 30)
     out = tmp_path / "60_dataset" / "1x1" / "dataset.json"
     write_json(tmp_path / "indenters.json", {})
-    write_slice(tmp_path, "dataset", dataset={"validation": 0.2, "test": 0.2, "force_edges": [1.0, 3.0]})
+    write_stage(tmp_path, "dataset", dataset={"validation": 0.2, "test": 0.2, "force_edges": [1.0, 3.0]})
     import tomllib
 
     write_json(tmp_path / "sensors.json", tomllib.loads((root / "workflow/sensors.toml").read_text()))
@@ -136,7 +136,7 @@ def test_the_dataset_trains_on_totals(tmp_path, sensor, root):
     about = json.loads(out.read_text())
     assert about["grid"] == [1, 1] and about["samples"] == 4 * 23 and {"train", "val", "test"} == set(about["splits"])
     write_json(tmp_path / "models.json", {"small": {"kind": "resnet", "blocks": [1, 1], "widths": [8, 16]}})
-    write_slice(tmp_path, "train", train={**plain(SETTINGS), "epochs": 1, "shift_cells": 0})
+    write_stage(tmp_path, "train", train={**plain(SETTINGS), "epochs": 1, "shift_cells": 0})
     command = {"dataset": out.parent, "model": "small", "models": tmp_path / "models.json", "params": tmp_path / "train.json",
                "out": tmp_path / "small.onnx.part"}  # fmt: skip
     words = [word for name, value in command.items() for word in (f"--{name}", str(value))]

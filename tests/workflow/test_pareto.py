@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from parameters import slice_of
+from parameters import stage_of
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
@@ -30,7 +30,7 @@ METHODS = [hex_method(2.0, 2, 1), hex_method(1.4, 3, 2), hex_method(1.0, 4, 4)]
 @pytest.fixture
 def bench(tmp_path):
     return load_bench(
-        slice_of("pareto"), load_sensors("workflow/sensors.toml"), tmp_path / "meshes", tmp_path / "records"
+        stage_of("pareto"), load_sensors("workflow/sensors.toml"), tmp_path / "meshes", tmp_path / "records"
     )
 
 
@@ -42,9 +42,9 @@ def coarse(tmp_path_factory):
 
 def coarse_mesh(region, size, folder):
     """The parameters of the stability branch with one region of meshes, and the folder, where one of that size is made."""
-    params = slice_of("stability")
+    params = stage_of("stability")
     own = replace(params.meshes, hold={}, regions={region: params.meshes.regions[region]})
-    write_json(folder / "params.json", plain(replace(slice_of("pareto_meshes"), meshes=own)))
+    write_json(folder / "params.json", plain(replace(stage_of("pareto_meshes"), meshes=own)))
     name = f"ccx-{region}-{size}"
     command = [sys.executable, "-m", "gelforge.stages.pareto", "mesh", "--name", name, "--params", "params.json"]
     subprocess.run([*command, "--out", f"{name}.npz"], cwd=folder, check=True)

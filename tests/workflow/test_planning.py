@@ -19,7 +19,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.catalogue import with_content
 from gelforge.flow.files import read_csv, write_csv, write_text
 from gelforge.flow.layout import metrics_of
-from gelforge.flow.params import SLICES, digest_of_value
+from gelforge.flow.params import SOURCES, digest_of_value
 from gelforge.geometry.triangles import write_stl
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.press import RawRow
@@ -749,10 +749,10 @@ def test_each_file_that_a_word_asks_for_is_a_cause(tmp_path, monkeypatch):
     assert all("STRICT=1" in why for reasons_of in found.values() for why in reasons_of)
 
 
-@pytest.mark.parametrize("stage", sorted({of.module for of in SLICES.values()}))
+@pytest.mark.parametrize("stage", sorted({of.module for of in SOURCES.values()}))
 def test_results_follow_the_version_of_their_stage(root, stage):
     """What a newer version of the code makes otherwise is made again: the version is a prerequisite of one of its rules."""
-    slices = {f"$P/{name}.json" for name, of in SLICES.items() if of.module == stage}
+    slices = {f"$P/{name}.json" for name, of in SOURCES.items() if of.module == stage}
     rules = re.findall(
         r"^(\S.*)\n\t(?:\$\(HANDS_SLOTS\))?\$\(call step,(\S+) ", "".join(rules_of(root)), re.MULTILINE
     )
@@ -762,7 +762,7 @@ def test_results_follow_the_version_of_their_stage(root, stage):
 
 def test_every_stage_that_make_runs_has_a_version(root):
     run = set(re.findall(r"call step,gelforge\.stages\.(\w+)", "".join(rules_of(root))))
-    assert run == {of.module for of in SLICES.values()}
+    assert run == {of.module for of in SOURCES.values()}
 
 
 def rules_of(root):
@@ -780,7 +780,7 @@ def prerequisites(project, goal, target) -> list[str]:
 
 def test_the_page_is_made_again_for_every_parameter_that_it_prints(labelled):
     printed = {str(path.relative_to(labelled)) for path in labelled.glob("results/tiny/00_plan/params/*.json")}
-    assert len(printed) > len(SLICES)  # catalogues, too
+    assert len(printed) > len(SOURCES)  # catalogues, too
     needed = prerequisites(labelled, "report", "results/tiny/90_report/index.html")
     assert printed <= set(needed) and needed[0].endswith("/report.json")
 

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from parameters import write_slice
+from parameters import write_stage
 from synthetic_presses import SETTINGS, write_dataset
 
 from gelforge.flow.files import read_json, write_json
@@ -28,8 +28,8 @@ def command(module, *arguments) -> list[str]:
 def place(tmp_path_factory):
     folder = tmp_path_factory.mktemp("training")
     write_dataset(folder / "6x8", 48, (48, 64), (6, 8))
-    write_slice(folder, "train", train={**plain(SETTINGS), "epochs": EPOCHS})
-    write_slice(folder, "evaluate", evaluate={"force_edges": [0.0, 10.0], "bootstrap": 50})
+    write_stage(folder, "train", train={**plain(SETTINGS), "epochs": EPOCHS})
+    write_stage(folder, "evaluate", evaluate={"force_edges": [0.0, 10.0], "bootstrap": 50})
     write_json(folder / "models.json", {"small": {"kind": "grid", "width": 8, "blocks": 1}})
     return folder
 

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from parameters import parameters, write_slice
+from parameters import parameters, write_stage
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, read_toml, write_json
@@ -28,7 +28,7 @@ def folder(root, tmp_path):
     """Inputs of stage 30: one press of a ball, one coarse mesh."""
     (tmp_path / "20_meshes").mkdir()
     symmetric_block(GEL, 2.6, 2).save(tmp_path / "20_meshes" / "ccx-wide-2.6.npz")
-    key = source_of(write_slice(tmp_path / "params", "meshes"), tmp_path).key("ccx-wide-2.6")
+    key = source_of(write_stage(tmp_path / "params", "meshes"), tmp_path).key("ccx-wide-2.6")
     report = {"engine": "ccx", "region": "wide", "size": 2.6, "half_mm": [10, 12], "reach_mm": [0, 0], "recipe": key}
     write_json(tmp_path / "20_meshes" / "ccx-wide-2.6.json", report)
     sensor = read_toml(root / "workflow" / "sensors.toml")["gelsight_mini"]
@@ -41,7 +41,7 @@ def folder(root, tmp_path):
 
 def solve(folder, verify: float, charted=None) -> list[Verified]:
     table = {"fidelity": "auto", "meshes": ["wide-2.6"], "verify": verify} | ({"charted": charted} if charted else {})
-    write_slice(folder / "params", "fea", fea=table)
+    write_stage(folder / "params", "fea", fea=table)
     poses = ["--poses", f"{folder}/10_poses/0000.csv", "--meshes", f"{folder}/20_meshes", "--workflow", str(folder)]
     chosen = f"{folder}/20_meshes/0000.csv"
     assert meshes.main([*poses, "--params", f"{folder}/params/meshes.json", "--out", chosen]) == 0

@@ -24,7 +24,7 @@ from gelforge.flow.files import bytes_of, listed, read_json, write_json, write_t
 from gelforge.flow.forecast import Cost, on_cores, pilots, presses_an_hour, table, wall_seconds
 from gelforge.flow.layout import Layout, shard_name
 from gelforge.flow.main import command, option, positive
-from gelforge.flow.params.slices import ForCalibrate, ForPareto, ForPoses, ForReport, ForTrain, read_slice
+from gelforge.flow.params.stages import ForCalibrate, ForPareto, ForPoses, ForReport, ForTrain, read_parameters
 from gelforge.flow.params.tables import SHIPPED
 from gelforge.flow.running import duration
 from gelforge.labelling.grid import Grid
@@ -163,7 +163,7 @@ def measured(data: Path, results: Path, resolution: str, rows: list[RawRow]) -> 
 def training(results: Layout, resolution: str, model: str, presses: int, start: float = Pace.start * START) -> Cost:
     """What a network takes to learn from so many presses, and from those of [train] also; BadInput for one that there is not."""
     tables = {path.stem: read_json(path)[path.stem] for path in listed(results.params / "models", "*.json")}
-    of_train = read_slice(results.params / "train.json", ForTrain).train
+    of_train = read_parameters(results.params / "train.json", ForTrain).train
     table, settings = resolve(tables, model, of_train)
     beside = sum(made_presses(Layout(results.root.parent / name), resolution) for name in of_train.also)
     every = presses + beside
@@ -192,18 +192,18 @@ def later_costs(results: Layout, resolution: str, model: str, rows: list[RawRow]
     """What the stages after the labels take of rows with a network, from other datasets and the pace of this one's pilots."""
     start = START * pace.start
     params, presses = results.params, len(rows)
-    report = read_slice(params / "report.json", ForReport).report
+    report = read_parameters(params / "report.json", ForReport).report
     grid = Grid.parse(resolution)
     cells = 4 * 3 * grid.rows * grid.cols
     branches = []
     if "calibrate" in report.branches:
-        solved = read_slice(params / "calibrate.json", ForCalibrate).calibrate.max_presses
+        solved = read_parameters(params / "calibrate.json", ForCalibrate).calibrate.max_presses
         branches.append(Cost(layout.CALIBRATE, cpu_once=CALIBRATE_EACH * solved * pace.hex_press, bytes_once=2e7))
     if "pareto" in report.branches:
-        scenes = read_slice(params / "pareto.json", ForPareto).pareto.quick.scenes
+        scenes = read_parameters(params / "pareto.json", ForPareto).pareto.quick.scenes
         cpu = CHART_EACH * len(scenes) * pace.hex_press
         branches.append(Cost(layout.PARETO, cpu_once=cpu, bytes_once=4e5 * len(scenes)))
-    if not read_slice(params / "poses.json", ForPoses).poses.images:
+    if not read_parameters(params / "poses.json", ForPoses).poses.images:
         return branches  # a log without pictures goes no farther
     return [
         Cost(layout.DATASET, 2e-3, start, image_bytes(results, rows) + cells),

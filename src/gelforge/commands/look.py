@@ -7,11 +7,11 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.ancestry import imported_labels, rejections_of, steps_of_label
 from gelforge.flow.files import publish
 from gelforge.flow.layout import LOOK, Layout, command_for, shard_name
 from gelforge.flow.ledger import causes, changed_since
 from gelforge.flow.main import command, option
+from gelforge.flow.provenance import imported_labels, rejections_of, steps_of_label
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors, transform
 from gelforge.mechanics.mesh.family import load_mesh

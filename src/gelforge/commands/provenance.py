@@ -7,7 +7,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from gelforge.errors import BadInput
-from gelforge.flow.ancestry import (
+from gelforge.flow.layout import FEA, Layout
+from gelforge.flow.main import command, option
+from gelforge.flow.provenance import (
     Step,
     concerning,
     imported_labels,
@@ -17,8 +19,6 @@ from gelforge.flow.ancestry import (
     steps_of_label,
     steps_to,
 )
-from gelforge.flow.layout import FEA, Layout
-from gelforge.flow.main import command, option
 
 
 def provenance(results: Path, sample_id: str, resolution: str) -> dict:

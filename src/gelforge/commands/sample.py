@@ -8,7 +8,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import write_text
 from gelforge.flow.layout import Layout, shard_name
 from gelforge.flow.main import command, option
-from gelforge.flow.params.slices import ForFea, ForForces, read_slice
+from gelforge.flow.params.stages import ForFea, ForForces, read_parameters
 from gelforge.flow.params.tables import IN_PROCESS
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses, read_shard, shard_text
@@ -37,7 +37,7 @@ def stages(data: Path, results: Path, work: Path, resolution: str) -> list[tuple
     labels = own.labelled(resolution)
     posterior = Layout(results).calibration
     calibrated = ["--calibration", posterior] if posterior.exists() else []
-    needed = read_slice(params / "fea.json", ForFea).fea.fidelity not in IN_PROCESS
+    needed = read_parameters(params / "fea.json", ForFea).fea.fidelity not in IN_PROCESS
     mesh = ["--poses", poses, "--params", params / "meshes.json", "--meshes", meshes, "--out", chosen]
     solve = ["--poses", poses, "--meshes", meshes, "--params", params / "fea.json"]
     return [
@@ -78,7 +78,7 @@ def require_stiffness(results: Path) -> None:
 
     of = Layout(results)
     if not of.calibration.exists():
-        material_c10(read_slice(of.params / "forces.json", ForForces).material, None, of.calibration)
+        material_c10(read_parameters(of.params / "forces.json", ForForces).material, None, of.calibration)
 
 
 @command(

@@ -33,7 +33,7 @@ UNNAMEABLE = (errno.ENAMETOOLONG, errno.ELOOP)
 
 @dataclass(frozen=True)
 class Option:
-    """One argument of a command line: its names and what `argparse` is told of it."""
+    """One argument of a command line: its names and what `argparse` gets of it."""
 
     names: tuple[str, ...]
     about: dict[str, Any]
@@ -76,7 +76,7 @@ class Command:
 
 @dataclass(frozen=True)
 class Group(Command):
-    """Several commands of one module, told apart by their first word."""
+    """Several commands of one module, chosen by their first word."""
 
     members: dict[str, Command]
 
@@ -89,7 +89,7 @@ class Group(Command):
 
 
 class Renamed(argparse.Action):
-    """An option under the name that it had before; `const` is the one that it has now, which is told."""
+    """An option under the name that it had before; `const` is the one that it has now, which it prints."""
 
     def __call__(
         self, _parser: Any, namespace: argparse.Namespace, values: Any, option_string: str | None = None
@@ -156,8 +156,8 @@ def exit_with(main: Callable[[Sequence[str] | None], int], argv: Sequence[str] |
         if error.errno not in (*UNWRITABLE, *UNNAMEABLE):
             raise
         named = error.errno in UNNAMEABLE
-        told = f"{printable(error.filename)}: {error.strerror}; give another name" if named else unwritable(error)
-        print(f"error: {told}, then run it again", file=sys.stderr)
+        said = f"{printable(error.filename)}: {error.strerror}; give another name" if named else unwritable(error)
+        print(f"error: {said}, then run it again", file=sys.stderr)
         code = 2
     sys.exit(code)
 

@@ -49,7 +49,7 @@ class Progress:
         left = duration((self.total - self.solved) / self.rate)
         return f"{said}, {self.rate:.2g} a second, {left} left for solves"
 
-    def told(self, stages: Iterable[str] = ()) -> str:
+    def summary(self, stages: Iterable[str] = ()) -> str:
         """The pace where these stages or those that run are on the way to solved presses, and what runs; "" where neither."""
         at_work = {*stages, *(target.split("/")[0] for target in self.running)}
         paced = self.pace if at_work & SOLVING else ""
@@ -60,7 +60,7 @@ class Progress:
         return f"{self.stage}: {paced}; {now}" if paced else now
 
     def __str__(self) -> str:
-        return self.told() if self.running else self.pace
+        return self.summary() if self.running else self.pace
 
 
 def duration(seconds: float) -> str:

@@ -52,16 +52,16 @@ def live_line(log_path: Path) -> Iterator[None]:
 
     def show() -> None:
         while not over.wait(LIVE_EVERY_S):
-            show_line(device, " | ".join(filter(None, (look(results).told(), last_line(log_path)))))
+            show_line(device, " | ".join(filter(None, (look(results).summary(), last_line(log_path)))))
         show_line(device)
 
-    teller = threading.Thread(target=show, daemon=True)
-    teller.start()
+    printer = threading.Thread(target=show, daemon=True)
+    printer.start()
     try:
         yield
     finally:
         over.set()
-        teller.join()
+        printer.join()
 
 
 def run(command: list[str], log_path: Path) -> tuple[int, dict]:
@@ -121,7 +121,7 @@ def pass_on(number: int, child: subprocess.Popen) -> None:
 def ended(child: subprocess.Popen) -> tuple[int, resource.struct_rusage]:
     """Wait for a child: its exit code, and what it used.
 
-    The children of this process all together would not tell: a step that healed its inputs had others before.
+    The children of this process all together would not do: a step that repaired its inputs had others before.
     """
     _, status, usage = os.wait4(child.pid, 0)
     child.returncode = os.waitstatus_to_exitcode(status)
@@ -144,20 +144,20 @@ def report_failure(target: Path, log_path: Path, code: int, interrupted: bool) -
     print(f"FAILED {target} (exit {code}); log: {log_path}", *(f"  | {line}" for line in lines), sep="\n", flush=True)
 
 
-def heal(path: Path) -> int:
+def repair(path: Path) -> int:
     """Make an input again if it does not have the content it was published with; return the exit code.
 
     It goes first: where its command fails, or is one that an older version of the code knew, nobody takes the
-    damaged file for a whole one, and the next make finds it missing and makes it by today's rule. So it does where the
+    corrupt file for a whole one, and the next make finds it missing and makes it by today's rule. So it does where the
     record of the input, and with it the command, is lost. Of several readers the first makes it again, the others wait.
     """
-    if damage(path) is None:
+    if corrupt_file(path) is None:
         return 0
     with locked(path) as log_path:
-        lost = damage(path)
+        lost = corrupt_file(path)
         if lost is None:
             return 0
-        made, damaged = record_of(path), path.with_name(lost)
+        made, corrupt = record_of(path), path.with_name(lost)
         if not made:
             print(f"{metrics_of(path)}: cannot be read, so nothing tells whether {path} is whole; run make again, which"
                   " makes it again", flush=True)  # fmt: skip
@@ -167,23 +167,23 @@ def heal(path: Path) -> int:
         if made["exit_code"]:
             print(f"{path}: could not be made; see {log_path}", flush=True)
             return 1
-        print(f"{damaged}: not as it was when it was made; making it again", flush=True)
-        for gone in (damaged, path):
+        print(f"{corrupt}: not as it was when it was made; making it again", flush=True)
+        for gone in (corrupt, path):
             shutil.rmtree(gone) if gone.is_dir() else gone.unlink(missing_ok=True)
         inputs = [Path(name) for name in made["inputs"]]
-        return heal_all(inputs) or make_part(path, inputs, made["command"], log_path)
+        return repair_all(inputs) or make_part(path, inputs, made["command"], log_path)
 
 
-def heal_all(paths: Iterable[Path]) -> int:
-    """Heal one after the other; return the first exit code that is not 0."""
-    return next((code for code in map(heal, paths) if code), 0)
+def repair_all(paths: Iterable[Path]) -> int:
+    """Repair one after the other; return the first exit code that is not 0."""
+    return next((code for code in map(repair, paths) if code), 0)
 
 
-def damage(path: Path) -> str | None:
+def corrupt_file(path: Path) -> str | None:
     """Which file of a target is not as it was published: its own, absent too, or one beside it; None where all is well.
 
     What has no record was made by hand or is being made for the first time; one that cannot be read tells nothing, and its
-    target is as good as damaged.
+    target is as good as corrupt.
     """
     metrics = metrics_of(path)
     if not metrics.exists():
@@ -195,11 +195,11 @@ def damage(path: Path) -> str | None:
         return path.name
     if made["exit_code"]:
         return None
-    return damaged_beside(path) if whole(path, made) else path.name
+    return corrupt_beside(path) if whole(path, made) else path.name
 
 
 def record_of(path: Path) -> dict:
-    """The metrics of a target, empty where they are damaged; a disk that does not answer is no damage."""
+    """The metrics of a target, empty where they are corrupt; a disk that does not answer corrupts nothing."""
     try:
         return read_json(metrics_of(path)) or {}
     except ValueError:
@@ -211,7 +211,7 @@ def whole(path: Path, made: dict) -> bool:
     return path.stat().st_size == made["bytes"] and made.get("sha256") in (None, digest_of(path))
 
 
-def damaged_beside(path: Path) -> str | None:
+def corrupt_beside(path: Path) -> str | None:
     """The first of the files beside a JSON target, named with their digests under "sha256" in it, that is not whole."""
     listed = read_json(path).get("sha256") if path.suffix == ".json" else None
     for name, digest in (listed or {}).items():
@@ -222,9 +222,9 @@ def damaged_beside(path: Path) -> str | None:
 
 
 def build(target: Path, inputs: list[Path], command: list[str]) -> int:
-    """Make one target: heal its inputs, lock, run, publish; return the exit code."""
+    """Make one target: repair its inputs, lock, run, publish; return the exit code."""
     before = file_state(target)
-    code = heal_all(inputs)
+    code = repair_all(inputs)
     if code:
         return code
     with locked(target) as log_path:
@@ -289,7 +289,7 @@ def publish_part(target: Path, part: Path, inputs: list[Path], command: list[str
     os.replace(part, target)
     show_notices(log_path)
     results = dataset_folder(target)
-    far = look(results).told([target.relative_to(results).parts[0]]) if results and terminal() is None else ""
+    far = look(results).summary([target.relative_to(results).parts[0]]) if results and terminal() is None else ""
     print(f"{target}  {cost['seconds']:.1f} s, {cost['peak_mib']:.0f} MiB{far and f'  [{far}]'}", flush=True)
     return 0
 

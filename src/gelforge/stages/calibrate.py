@@ -19,7 +19,7 @@ from gelforge.flow.files import write_json
 from gelforge.flow.layout import planned_shards
 from gelforge.flow.main import command, option, positive
 from gelforge.flow.params import DatasetFile, read_dataset_file
-from gelforge.flow.params.slices import ForCalibrate, read_slice
+from gelforge.flow.params.stages import ForCalibrate, read_parameters
 from gelforge.flow.params.tables import CalibrateSolverTable, CalibrateTable
 from gelforge.flow.progress import progress
 from gelforge.flow.slots import in_slots
@@ -308,7 +308,7 @@ def main(args: Namespace) -> None:
         raise BadInput(
             "--poses and --shards go together: the plan names the tables of --poses that are of today's log"
         )
-    tables = read_slice(args.params, ForCalibrate)
+    tables = read_parameters(args.params, ForCalibrate)
     params, nu = tables.calibrate, float(tables.material.nu)
 
     rejected = load_rejected(args.poses, planned_shards(args.shards)) if args.poses else set()

@@ -6,8 +6,8 @@ from pathlib import Path
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
 from gelforge.flow.main import command, group, option
-from gelforge.flow.params import SLICES, cut_slice, load_params, stage_version
-from gelforge.flow.params.slices import ForPareto
+from gelforge.flow.params import SOURCES, load_params, parameters_of, stage_version
+from gelforge.flow.params.stages import ForPareto
 from gelforge.labelling.sensor import load_sensors
 from gelforge.sweeps.challenge import write_challenge
 from gelforge.sweeps.keptreferences import keep_references
@@ -40,7 +40,7 @@ def write(args: Namespace) -> None:
     if name not in sensors:
         raise BadInput(f"[pareto] sensor = {name!r} is not in {args.workflow}/sensors.toml")
     scenes = [parse_scene(key, table, params.material.nu) for key, table in read_tables(args.workflow).items()]
-    made = cut_slice(params, ForPareto, stage_version(Path(__file__).parent, SLICES["pareto"]))
+    made = parameters_of(params, ForPareto, stage_version(Path(__file__).parent, SOURCES["pareto"]))
     bench = ChartBench(args.out, sensors[name], made, args.out, args.references)
     old = [scene.name for scene in scenes if given_reference(bench, scene) is None]
     if old:

@@ -15,7 +15,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, listed, publish, read_json, take, write_csv, write_json, write_text
 from gelforge.flow.layout import command_for, planned_shards
 from gelforge.flow.main import command, option
-from gelforge.flow.params.slices import ForDataset, read_slice
+from gelforge.flow.params.stages import ForDataset, read_parameters
 from gelforge.flow.params.tables import DatasetTable
 from gelforge.flow.progress import progress
 from gelforge.formats.featsfile import LabelSample, Ranges
@@ -332,7 +332,7 @@ def refuse_torn_presses(path: Path, presses: list, splits: np.ndarray) -> None:
 
 def build(args) -> dict:
     """Write the arrays and tables of one resolution beside args.out; return the contents of dataset.json."""
-    grid, settings = Grid.parse(args.resolution), read_slice(args.params, ForDataset).dataset
+    grid, settings = Grid.parse(args.resolution), read_parameters(args.params, ForDataset).dataset
     shards = list_shards(args)
     found, places, left_out, material = collect(shards, read_truth(args.data))
     if not found:

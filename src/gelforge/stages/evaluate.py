@@ -8,7 +8,7 @@ import numpy as np
 from gelforge.flow.files import publish, write_json
 from gelforge.flow.layout import beside
 from gelforge.flow.main import command, option
-from gelforge.flow.params.slices import ForEvaluate, read_slice
+from gelforge.flow.params.stages import ForEvaluate, read_parameters
 from gelforge.records.axes import CHANNELS
 from gelforge.records.predictionfile import write_predictions
 from gelforge.records.splits import TRAINING
@@ -64,7 +64,7 @@ def main(args: Namespace) -> None:
     data = open_data(args.dataset)
     model = load_model(args.model)
     called = "the shipped network" if args.model.resolve() == SHIPPED.resolve() else ""
-    result, predictions = evaluate(data, model, read_slice(args.params, ForEvaluate).evaluate, called)
+    result, predictions = evaluate(data, model, read_parameters(args.params, ForEvaluate).evaluate, called)
     if feats_tables.SENSOR in data.info.get("sensors", ()):
         result["published"] = {
             name: feats_tables.published_errors(predictions[name][1], np.asarray(data.labels[predictions[name][0]]))

@@ -16,7 +16,7 @@ from gelforge.flow.files import digest_of, publish, read_json, write_json
 from gelforge.flow.layout import beside
 from gelforge.flow.main import command, option
 from gelforge.flow.params import digest_of_value
-from gelforge.flow.params.slices import ForFea, read_slice
+from gelforge.flow.params.stages import ForFea, read_parameters
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
 from gelforge.labelling.sensor import sensor_of
@@ -249,7 +249,7 @@ def read_shard(params: Path, poses: Path, workflow: Path) -> tuple[ForFea, dict,
     """
     tables = {name: read_json(params / f"{name}.json") for name in ("sensors", "indenters")}
     presses = read_poses(poses)
-    return read_slice(params / "fea.json", ForFea), tables, presses, bodies_of(presses, tables, workflow)
+    return read_parameters(params / "fea.json", ForFea), tables, presses, bodies_of(presses, tables, workflow)
 
 
 @command(

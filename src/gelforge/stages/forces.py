@@ -13,7 +13,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
 from gelforge.flow.layout import command_for
 from gelforge.flow.main import command, option
-from gelforge.flow.params.slices import ForForces, read_slice
+from gelforge.flow.params.stages import ForForces, read_parameters
 from gelforge.flow.params.tables import ForcesTable, MaterialTable
 from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat
 from gelforge.mechanics.material import REFERENCE_C10
@@ -138,7 +138,7 @@ def refuse_corrupt(table: Path, solves: list[Solved]) -> None:
     option("--out", type=Path, help="40_forces/NNNN.npz"),
 )
 def main(args: Namespace) -> None:
-    params = read_slice(args.params, ForForces)
+    params = read_parameters(args.params, ForForces)
     c10, intervals = material_c10(params.material, args.calibration, args.out)
     load = mesh_loader(args.meshes)
     samples: list[SampleForces] = []

@@ -14,7 +14,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, write_json
 from gelforge.flow.layout import command_for, planned_shards
 from gelforge.flow.main import command, option
-from gelforge.flow.params.slices import ForLabels, read_slice
+from gelforge.flow.params.stages import ForLabels, read_parameters
 from gelforge.flow.progress import progress
 from gelforge.labelling.cellsurface import SurfaceMap, surface_map, traction
 from gelforge.labelling.grid import Grid
@@ -313,7 +313,7 @@ def report(summary: dict, largest_share: float) -> None:
 )
 def main(args: Namespace) -> None:
     grid, sensors = Grid.parse(args.resolution), load_sensors(args.sensors)
-    params = read_slice(args.params, ForLabels).labels
+    params = read_parameters(args.params, ForLabels).labels
     summary = label_folder(args, grid, sensors, params.channels)
     write_json(args.out, summary)
     report(summary, params.largest_outside_share)

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from gelforge.flow.files import write_csv, write_json
 from gelforge.flow.main import command, option
-from gelforge.flow.params.slices import ForFea
+from gelforge.flow.params.stages import ForFea
 from gelforge.flow.params.tables import IN_PROCESS
 from gelforge.flow.slots import in_slots
 from gelforge.mechanics.mesh.family import MeshFamily, choose_mesh, first_candidate, mesh_names

@@ -12,8 +12,8 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_csv, write_if_changed, write_json
 from gelforge.flow.layout import beside
 from gelforge.flow.main import command, group, option
-from gelforge.flow.params import CHARTED, cut_slice, load_params, plain
-from gelforge.flow.params.slices import ForPareto, ForParetoMeshes, read_slice
+from gelforge.flow.params import CHARTED, load_params, parameters_of, plain
+from gelforge.flow.params.stages import ForPareto, ForParetoMeshes, read_parameters
 from gelforge.flow.params.tables import CHOOSING, CLASSES, IN_PROCESS, VERIFYING, FeaTable
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
@@ -151,7 +151,7 @@ def keep_charted(found: dict[str, dict[str, list[float]]], params: ForPareto, wo
     Only of a dataset that solves with the project's own parameters: "auto" of all datasets chooses by them.
     """
     path = workflow / CHARTED
-    usual = cut_slice(load_params(workflow), ForPareto, params.version)
+    usual = parameters_of(load_params(workflow), ForPareto, params.version)
     if not found:
         return f"{path} stays as it is: not every method of auto was solved on every scene."
     if replace(usual, fea=params.fea) != params or solving(usual.fea) != solving(params.fea):
@@ -233,7 +233,7 @@ def _brief(record: dict) -> dict:
 )
 def solve(args: Namespace) -> None:
     """Solve one scene by every method; a rerun resumes."""
-    params = read_slice(args.params, ForPareto)
+    params = read_parameters(args.params, ForPareto)
     scene = parse_scene(args.name, read_json(args.scene), params.material.nu)
     bench = load_bench(params, load_sensors(args.sensors), args.meshes, args.out.parent, args.references)
     if args.set == "quick":
@@ -268,7 +268,7 @@ def draw(args: Namespace) -> None:
     found = publish_chart(args.out, scenes, args.note)
     print("\n".join(found["reading"]))
     if args.params:
-        print(keep_charted(found["charted"], read_slice(args.params, ForPareto), args.workflow))
+        print(keep_charted(found["charted"], read_parameters(args.params, ForPareto), args.workflow))
 
 
 @command(
@@ -278,7 +278,7 @@ def draw(args: Namespace) -> None:
 )
 def mesh(args: Namespace) -> None:
     """Make one mesh: a label region at a density of the chart, or a tight fine one for the reference."""
-    params = read_slice(args.params, ForParetoMeshes)
+    params = read_parameters(args.params, ForParetoMeshes)
     made, report = build_mesh(args.name, load_gel(params.meshes.gel), params)
     publish_mesh(args.name, made, report, args.out)
 

@@ -203,11 +203,11 @@ def image_digests(data: Path, names: set[str], kept: Path) -> dict[str, str]:
     return found
 
 
-def write_slices(params: Params, workflow: Path, out: Path, tables: dict[str, dict], scenes: dict) -> None:
+def write_parameters(params: Params, workflow: Path, out: Path, tables: dict[str, dict], scenes: dict) -> None:
     """Write the parameters of every stage, and the catalogues' entries that this dataset uses, without their comments."""
     source = Path(__file__).parent
-    for name, of in config.SLICES.items():
-        made = config.cut_slice(params, of.kind, config.stage_version(source, of))
+    for name, of in config.SOURCES.items():
+        made = config.parameters_of(params, of.kind, config.stage_version(source, of))
         write_if_changed(out / "params" / f"{name}.json", config.canonical(config.plain(made)))
     for name, entries in tables.items():
         write_if_changed(out / "params" / f"{name}.json", config.canonical(entries))
@@ -467,7 +467,7 @@ def main(args: Namespace) -> None:
     lists["PICTURES"] = picture_folders(args.data, rows)
     lists["PICTURE_STATE"] = [picture_state(lists["PICTURES"])]  # taken before they are read, too
     text = "".join(make_list(name, values) for name, values in lists.items())
-    write_slices(params, args.workflow, out, tables, scenes)
+    write_parameters(params, args.workflow, out, tables, scenes)
     shards = write_shards(args.data, rows, out, params.plan.shard_size, tables)
     check_count(shards, params.plan.shard_size)
     state = " ".join(filter(None, [before, state_of(read)]))

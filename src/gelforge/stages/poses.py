@@ -16,7 +16,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json
 from gelforge.flow.layout import beside
 from gelforge.flow.main import command, option
-from gelforge.flow.params.slices import ForPoses, read_slice
+from gelforge.flow.params.stages import ForPoses, read_parameters
 from gelforge.flow.params.tables import PosesTable
 from gelforge.geometry import touch
 from gelforge.geometry.cropping import cropped
@@ -250,7 +250,7 @@ def write_shard(good, rejections, out: Path, params: PosesTable) -> None:
     option("--out", type=Path, help="pose table, 10_poses/NNNN.csv"),
 )
 def main(args: Namespace) -> None:
-    params = read_slice(args.params, ForPoses).poses
+    params = read_parameters(args.params, ForPoses).poses
     tables = {name: read_json(args.params.parent / f"{name}.json") for name in ("sensors", "indenters")}
     rows = read_shard(args.shard)
     good, rejections = judge(rows, str(args.data / "log.csv"), args.data, {**tables, "folder": args.workflow}, params)

@@ -13,7 +13,7 @@ from gelforge.flow.files import listed, read_csv, read_json, write_text
 from gelforge.flow.layout import PARETO, Layout
 from gelforge.flow.main import command, option
 from gelforge.flow.params.frozen import FROZEN, read_frozen
-from gelforge.flow.params.slices import ForCalibrate, ForEvaluate, ForForces, ForMeshes, ForReport, read_slice
+from gelforge.flow.params.stages import ForCalibrate, ForEvaluate, ForForces, ForMeshes, ForReport, read_parameters
 from gelforge.flow.params.tables import SHIPPED
 from gelforge.flow.programs import installed
 from gelforge.flow.progress import progress
@@ -148,11 +148,11 @@ def force_section(results: Path, data: Path, rows: list[dict]) -> Section:
     if not any(row.get("measured_fz") for row in rows):  # as where labels came with the dataset
         return section.text(none, absent=True)
     frozen, summary = read_frozen(data / FROZEN), of.calibration
-    material = read_slice(of.params / "forces.json", ForForces).material
+    material = read_parameters(of.params / "forces.json", ForForces).material
     spread = spreads(
         material,
         read_json(summary) if summary.exists() else {},
-        read_slice(of.params / "calibrate.json", ForCalibrate).calibrate,
+        read_parameters(of.params / "calibrate.json", ForCalibrate).calibrate,
     )
     presses = compare_forces(rows, spread, set(frozen.presses) if frozen else set())
     if not presses:
@@ -314,7 +314,7 @@ def about(results: Path, dataset: str, resolution: str, model: str, params: Path
         "model": model,
         "learnt_here": model != SHIPPED,
         "grid": list(Grid.parse(resolution).shape),
-        "force_edges": list(read_slice(params / "evaluate.json", ForEvaluate).evaluate.force_edges),
+        "force_edges": list(read_parameters(params / "evaluate.json", ForEvaluate).evaluate.force_edges),
         "controls": {name: {"n": split["n"], "controls": split["controls"]} for name, split in splits.items()},
     }
 
@@ -335,7 +335,7 @@ def open_explorer(
     rejected = read_tables(Layout(results), Layout(results).rejected)
     rows = press_rows(read_presses(results), rejected, solved, samples, totals, gels)
     order = {name: at for at, name in enumerate(samples)}
-    gel = load_gel(read_slice(Layout(results).params / "meshes.json", ForMeshes).meshes.gel)
+    gel = load_gel(read_parameters(Layout(results).params / "meshes.json", ForMeshes).meshes.gel)
     return Explorer(results, resolution, rows, order, gel, predictions)
 
 
@@ -394,7 +394,7 @@ def main(args: Namespace) -> None:
     gels = {name: sensor.gel for name, sensor in load_sensors(args.params.parent / "sensors.json").items()}
     explorer = open_explorer(args.results, args.resolution, args.model, solved, gels)
     known = about(args.results, args.data.name, args.resolution, args.model, args.params.parent)
-    limit = read_slice(args.params, ForReport).report.embed_mb * 1e6
+    limit = read_parameters(args.params, ForReport).report.embed_mb * 1e6
     folder, embedded = place_parts(
         args.out.parent, in_parts(progress(explorer.presses(), "presses", len(explorer.rows))), limit
     )

@@ -15,7 +15,7 @@ from gelforge.flow.files import publish, read_json, write_csv, write_json
 from gelforge.flow.layout import beside
 from gelforge.flow.main import command, group, option
 from gelforge.flow.params import digest_of_value
-from gelforge.flow.params.slices import ForStability, read_slice
+from gelforge.flow.params.stages import ForStability, read_parameters
 from gelforge.flow.progress import progress
 from gelforge.mechanics.ccx.program import need_ccx
 from gelforge.records.status import VALID
@@ -158,7 +158,7 @@ def _place(line: dict) -> str:
 )
 def solve(args: Namespace) -> None:
     """Solve the cases of one row; a rerun resumes."""
-    params = read_slice(args.params, ForStability)
+    params = read_parameters(args.params, ForStability)
     need_ccx()
     records = solve_row(args.row, params, args.meshes, args.cases)
     judged = judge_row(args.row, records, params)

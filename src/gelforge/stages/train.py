@@ -12,7 +12,7 @@ from gelforge.flow.layout import beside
 from gelforge.flow.main import command, option
 from gelforge.flow.params import laid_over, plain
 from gelforge.flow.params.schema import Place, parse
-from gelforge.flow.params.slices import ForTrain, read_slice
+from gelforge.flow.params.stages import ForTrain, read_parameters
 from gelforge.flow.params.tables import SHIPPED as SHIPS
 from gelforge.flow.params.tables import TrainingTable, TrainTable
 from gelforge.records.networkkind import kind_of
@@ -71,7 +71,7 @@ def main(args: Namespace) -> None:
     from gelforge.networks.pipeline import Start, save_trained
     from gelforge.reporting.networkcharts import draw_curve
 
-    model, settings = resolve(read_models(args.models), args.model, read_slice(args.params, ForTrain).train)
+    model, settings = resolve(read_models(args.models), args.model, read_parameters(args.params, ForTrain).train)
     checkpoint = beside(args.out, ".checkpoint.safetensors")
     data = open_data(args.dataset)
     if args.part:

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelforge.flow.params.slices import ForPareto, ForStability
+from gelforge.flow.params.stages import ForPareto, ForStability
 from gelforge.flow.params.tables import IN_PROCESS, FeaTable, ParetoTable, QuickTable
 from gelforge.mechanics.hexsettings import HexSettings, quality
 from gelforge.mechanics.mesh.family import MeshFamily, load_mesh

@@ -7,7 +7,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.params import Params
-from gelforge.flow.params.slices import ForPareto, ForParetoMeshes, ForStability
+from gelforge.flow.params.stages import ForPareto, ForParetoMeshes, ForStability
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.mesh.family import MeshFamily, MeshName, choose_mesh, make_mesh, required_meshes, sizing
 from gelforge.mechanics.mesh.gelmesh import GelMesh

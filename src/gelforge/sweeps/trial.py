@@ -13,7 +13,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.params import digest_of_value, plain
 from gelforge.flow.params.schema import ParameterTable
-from gelforge.flow.params.slices import ForPareto, ForStability
+from gelforge.flow.params.stages import ForPareto, ForStability
 from gelforge.flow.params.tables import CHOOSING, TETRAHEDRAL, VERIFYING, ParetoTable, StabilityTable
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import assemble

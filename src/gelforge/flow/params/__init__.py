@@ -1,6 +1,6 @@
 """Parameters: workflow/params.toml with a dataset's own values laid over it, as typed tables.
 
-`tables` says what each table holds, `schema` reads a table and refuses what has no meaning, `slices` gives each stage
+`tables` says what each table holds, `schema` reads a table and refuses what has no meaning, `stages` gives each stage
 its own part.
 """
 
@@ -14,12 +14,24 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_toml
 from gelforge.flow.params.frozen import with_frozen
 from gelforge.flow.params.schema import Place, nearest, parse, plain
-from gelforge.flow.params.slices import SLICES, cut_slice, read_slice, stage_version
+from gelforge.flow.params.stages import SOURCES, parameters_of, read_parameters, stage_version
 from gelforge.flow.params.tables import Params
 
 __all__ = [
-    "SLICES", "DatasetFile", "Params", "canonical", "cut_slice", "load_params", "nearest", "overlaid", "plain",
-    "read_dataset_file", "read_sensor_tables", "read_slice", "read_toml", "stage_version",
+    "SOURCES",
+    "DatasetFile",
+    "Params",
+    "canonical",
+    "load_params",
+    "nearest",
+    "overlaid",
+    "parameters_of",
+    "plain",
+    "read_dataset_file",
+    "read_parameters",
+    "read_sensor_tables",
+    "read_toml",
+    "stage_version",
 ]  # fmt: skip
 
 CHARTED = "charted.toml"  # in workflow/, written by branch pareto

@@ -71,18 +71,18 @@ def read_frozen(path: Path) -> Frozen | None:
     """The frozen calibration; None where there is none, and BadInput where the file is none."""
     if not path.exists():
         return None
-    remedy = f"run make freeze DATASET={path.parent.name}, or remove it"
+    hint = f"run make freeze DATASET={path.parent.name}, or remove it"
     try:
         given = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise BadInput(f"{path}: cannot be read ({error}); {remedy}") from error
+        raise BadInput(f"{path}: cannot be read ({error}); {hint}") from error
     if given.keys() != KINDS.keys() or not all(isinstance(given[key], kind) for key, kind in KINDS.items()):
-        raise BadInput(f"{path}: is no frozen calibration, which holds {', '.join(KINDS)}; {remedy}")
+        raise BadInput(f"{path}: is no frozen calibration, which holds {', '.join(KINDS)}; {hint}")
     tables = {"material": {*DIGITS, "c10_interval68", "c10_interval95"} - BENCH.keys(), "poses": set(BENCH)}
     for table, values in given["params"].items():
         if not isinstance(values, dict) or values.keys() - tables.get(table, set()):
             raise BadInput(
-                f"{path}: [params.{table}] holds what no calibration finds; set it in dataset.toml; {remedy}"
+                f"{path}: [params.{table}] holds what no calibration finds; set it in dataset.toml; {hint}"
             )
     return Frozen(given["name"], given["model"], tuple(str(name) for name in given["presses"]), given["params"])
 

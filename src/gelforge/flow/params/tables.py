@@ -195,7 +195,7 @@ class DatasetTable(ParameterTable):
 
 @dataclass(frozen=True)
 class CalibrateSolverTable(ParameterTable):
-    """[calibrate.solver]: bricks and load steps of the solves behind the emulator."""
+    """[calibrate.solver]: hexahedra and load steps of the solves behind the emulator."""
 
     size: Size
     layers: Annotated[int, Within(1, 100)]
@@ -451,7 +451,7 @@ class ReferenceTable(ParameterTable):
 
 @dataclass(frozen=True)
 class BrickReferenceTable(ParameterTable):
-    """[pareto.quick] reference: the bricks that the small chart is held against."""
+    """[pareto.quick] reference: the hexahedra that the small chart is held against."""
 
     size: Size
     layers: Annotated[int, Within(1, 100)]
@@ -558,7 +558,7 @@ class StabilityTable(ParameterTable):
             return f"sizes.hex has fewer sizes than sizes.ccx ({len(self.sizes['ccx'])}): give each its counterpart"
         bare = [size for size in (*self.sizes["hex"], self.size["hex"]) if str(size) not in self.layers]
         if bare:
-            return f'layers has no "{bare[0]}": give the layers of each size of bricks'
+            return f'layers has no "{bare[0]}": give the layers of each size of hexahedra'
         return None
 
 

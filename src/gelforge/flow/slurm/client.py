@@ -38,7 +38,7 @@ class SlurmRefused(GelforgeError):
 
 
 class Interrupted(Exception):
-    """make was told to stop."""
+    """make was asked to stop."""
 
 
 class Element(NamedTuple):
@@ -203,7 +203,7 @@ def patient(profile: Profile, ask: Callable[[], Answer]) -> Answer:
 
 
 def pause(seconds: float) -> None:
-    """Wait; Interrupted when make was told to stop (the signals are blocked, so nothing else is cut short)."""
+    """Wait; Interrupted when make was asked to stop (the signals are blocked, so nothing else is cut short)."""
     if signal.sigtimedwait(STOP, seconds):
         raise Interrupted
 

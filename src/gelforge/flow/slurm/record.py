@@ -1,4 +1,4 @@
-"""What is known of work on Slurm: a record per stage, the results seen, and how both are told to a person."""
+"""What is known of work on Slurm: a record per stage, the results seen, and how both are shown to a person."""
 
 import os
 import sys

@@ -102,7 +102,7 @@ def submit_array(record: Record, profile: Profile, groups: list[list[int]], opti
 # --- what became of a task ------------------------------------------------------------------------------------------
 
 
-def remedy(task: Task, cause: str, profile: Profile) -> bool:
+def with_more(task: Task, cause: str, profile: Profile) -> bool:
     """Change what a task asks for according to why it ended; return whether to run it again."""
     if task.runs > profile.retries or cause == "error":
         return False
@@ -162,7 +162,7 @@ def judge(record: Record, profile: Profile, ended: list[tuple], gone: dict) -> l
             cancel_jobs([f"{jobs[name]}_{index}"])
         limit = {"memory": f" of {task.memory_mb} MiB", "time": f" of {task.minutes} min"}
         task.reason += limit.get(cause, "")
-        if remedy(task, cause, profile):
+        if with_more(task, cause, profile):
             print(f"{task.target}: {task.reason}; again with {task.memory_mb} MiB, {task.minutes} min", flush=True)
             again.append(task)
         else:

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from gelforge.flow.files import listed, publish, read_json, write_json
 from gelforge.flow.params import digest_of_value
-from gelforge.flow.params.slices import ForMeshes, read_slice
+from gelforge.flow.params.stages import ForMeshes, read_parameters
 from gelforge.flow.params.tables import MeshesTable
 from gelforge.geometry.gel import Gel, gel_shape, load_gel
 from gelforge.mechanics.mesh.gelmesh import GelMesh
@@ -105,5 +105,5 @@ class MeshSource:
 
 def source_of(params: Path, workflow: Path = WORKFLOW) -> MeshSource:
     """Where a stage gets meshes from. params: the slice of [meshes]."""
-    table = read_slice(params, ForMeshes).meshes
+    table = read_parameters(params, ForMeshes).meshes
     return MeshSource(load_gel(table.gel), table, workflow / KEPT)

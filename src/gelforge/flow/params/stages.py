@@ -34,28 +34,28 @@ from gelforge.flow.params.tables import (
 
 
 @dataclass(frozen=True)
-class Slice(ParameterTable):
+class StageParameters(ParameterTable):
     """Tables of one stage, and the version of its results; by itself what a stage is given that reads no table."""
 
     version: Annotated[int, Within(0, 1e6)]
 
 
 @dataclass(frozen=True)
-class ForPoses(Slice):
+class ForPoses(StageParameters):
     """What stage 10 reads."""
 
     poses: PosesTable
 
 
 @dataclass(frozen=True)
-class ForMeshes(Slice):
+class ForMeshes(StageParameters):
     """What stage 20 reads."""
 
     meshes: MeshesTable
 
 
 @dataclass(frozen=True)
-class ForFea(Slice):
+class ForFea(StageParameters):
     """What stage 30 reads."""
 
     fea: FeaTable
@@ -64,7 +64,7 @@ class ForFea(Slice):
 
 
 @dataclass(frozen=True)
-class ForForces(Slice):
+class ForForces(StageParameters):
     """What stage 40 reads."""
 
     forces: ForcesTable
@@ -72,42 +72,42 @@ class ForForces(Slice):
 
 
 @dataclass(frozen=True)
-class ForLabels(Slice):
+class ForLabels(StageParameters):
     """What stage 50 reads."""
 
     labels: LabelsTable
 
 
 @dataclass(frozen=True)
-class ForDataset(Slice):
+class ForDataset(StageParameters):
     """What stage 60 reads."""
 
     dataset: DatasetTable
 
 
 @dataclass(frozen=True)
-class ForTrain(Slice):
+class ForTrain(StageParameters):
     """What stage 70 reads."""
 
     train: TrainTable
 
 
 @dataclass(frozen=True)
-class ForEvaluate(Slice):
+class ForEvaluate(StageParameters):
     """What stage 80 reads."""
 
     evaluate: EvaluateTable
 
 
 @dataclass(frozen=True)
-class ForReport(Slice):
+class ForReport(StageParameters):
     """What stage 90 reads."""
 
     report: ReportTable
 
 
 @dataclass(frozen=True)
-class ForCalibrate(Slice):
+class ForCalibrate(StageParameters):
     """What branch calibrate reads."""
 
     calibrate: CalibrateTable
@@ -115,7 +115,7 @@ class ForCalibrate(Slice):
 
 
 @dataclass(frozen=True)
-class ForPareto(Slice):
+class ForPareto(StageParameters):
     """What branch pareto reads."""
 
     pareto: ParetoTable
@@ -125,7 +125,7 @@ class ForPareto(Slice):
 
 
 @dataclass(frozen=True)
-class ForParetoMeshes(Slice):
+class ForParetoMeshes(StageParameters):
     """What the meshes of branch pareto depend on."""
 
     pareto: ParetoMeshesTable
@@ -133,7 +133,7 @@ class ForParetoMeshes(Slice):
 
 
 @dataclass(frozen=True)
-class ForStability(Slice):
+class ForStability(StageParameters):
     """What branch stability reads."""
 
     stability: StabilityTable
@@ -143,18 +143,18 @@ class ForStability(Slice):
 
 @dataclass(frozen=True)
 class Source:
-    """A slice's type, and where its version stands: a module of gelforge.stages.
+    """The type of a stage's parameters, and where its version stands: a module of gelforge.stages.
 
     solves: whether the branch solves presses as stage 30 does, so that its results change with stage 30's.
     """
 
-    kind: type[Slice]
+    kind: type[StageParameters]
     module: str
     solves: bool = False
 
 
 # By the name of the file, 00_plan/params/NAME.json.
-SLICES = {
+SOURCES = {
     "poses": Source(ForPoses, "poses"),
     "meshes": Source(ForMeshes, "meshes"),
     "fea": Source(ForFea, "fea"),
@@ -163,17 +163,17 @@ SLICES = {
     "dataset": Source(ForDataset, "dataset"),
     "train": Source(ForTrain, "train"),
     "evaluate": Source(ForEvaluate, "evaluate"),
-    "card": Source(Slice, "card"),
+    "card": Source(StageParameters, "card"),
     "report": Source(ForReport, "report"),
     "calibrate": Source(ForCalibrate, "calibrate", solves=True),
     "pareto": Source(ForPareto, "pareto"),
     "pareto_meshes": Source(ForParetoMeshes, "pareto"),
     "stability": Source(ForStability, "stability", solves=True),
-    "pareto_models": Source(Slice, "pareto_models"),
-    "study": Source(Slice, "study"),
+    "pareto_models": Source(StageParameters, "pareto_models"),
+    "study": Source(StageParameters, "study"),
 }
 
-S = TypeVar("S", bound=Slice)
+S = TypeVar("S", bound=StageParameters)
 
 
 def stage_version(folder: Path, source: Source) -> int:
@@ -185,10 +185,10 @@ def stage_version(folder: Path, source: Source) -> int:
     found = re.search(r"^VERSION = (\d+)$", path.read_text(encoding="utf-8"), re.MULTILINE)
     if not found:
         raise BadInput(f"{path}: has no line `VERSION = n`; a stage needs one, raised when its results change")
-    return int(found.group(1)) + (stage_version(folder, SLICES["fea"]) if source.solves else 0)
+    return int(found.group(1)) + (stage_version(folder, SOURCES["fea"]) if source.solves else 0)
 
 
-def cut_slice(params: Params, kind: type[S], version: int) -> S:
+def parameters_of(params: Params, kind: type[S], version: int) -> S:
     """What a stage reads of the parameters, with the version of its results."""
     of: Any = kind
     tables = {
@@ -204,7 +204,7 @@ def narrowed(table: ParameterTable, kind: type[ParameterTable]) -> ParameterTabl
     return kind(**{field.name: getattr(table, field.name) for field in fields(kind)})
 
 
-def read_slice(path: Path, kind: type[S]) -> S:
+def read_parameters(path: Path, kind: type[S]) -> S:
     """Read what the plan checked and wrote for a stage."""
     try:
         return structured(kind, read_json(path))

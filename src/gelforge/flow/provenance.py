@@ -90,11 +90,12 @@ def rejections_of(results: Path, shard: str, sample_id: str) -> list[str]:
     ]
 
 
-def concerning(slices: dict[str, dict], pose: dict) -> dict[str, dict]:
+def concerning(parameters: dict[str, dict], pose: dict) -> dict[str, dict]:
     """Parameter files without the entries of the catalogues that are of other indenters and sensors."""
     of = {"indenters": pose.get("indenter"), "sensors": pose.get("sensor_id")}
     return {
-        name: {of[name]: values[of[name]]} if of.get(name) in values else values for name, values in slices.items()
+        name: {of[name]: values[of[name]]} if of.get(name) in values else values
+        for name, values in parameters.items()
     }
 
 
@@ -113,8 +114,10 @@ def steps_to(results: Path, target: str, shard: str) -> Iterator[Step]:
         inputs = [path for path in record.get("inputs", []) if belongs(path, results, shards, shard)]
         for path in inputs:
             yield from walk(path)
-        slices = {Path(path).stem: read_record(Path(path)) for path in inputs if Path(path).is_relative_to(params)}
+        parameters = {
+            Path(path).stem: read_record(Path(path)) for path in inputs if Path(path).is_relative_to(params)
+        }
         costs = {key: record.get(key, 0.0) for key in ("seconds", "cpu_seconds", "peak_mib", "started")}
-        yield Step(name, inputs, **costs, parameters=slices, programs=record.get("programs", {}))
+        yield Step(name, inputs, **costs, parameters=parameters, programs=record.get("programs", {}))
 
     yield from walk(target)
