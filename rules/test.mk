@@ -44,6 +44,10 @@ lint: $(SETUP)  ## style, names and types of the code, as CI asks for them
 	@$(PY) -m ruff format --check
 	@$(PY) -m mypy
 
+.PHONY: stage-digests
+stage-digests: $(SETUP)  ## say that changed code changes no results, or that VERSION was raised: tests/stage_digests.json
+	@$(PY) -m tests.stage_digests
+
 format: $(SETUP)  ## write the code in the project's form
 	@$(PY) -m ruff check --fix
 	@$(PY) -m ruff format
