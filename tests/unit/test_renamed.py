@@ -6,6 +6,8 @@ from gelforge.commands import gelforge
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, write_csv
 from gelforge.flow.renamed import APPEARANCE, notice, with_names_of_today
+from gelforge.records.solvetable import Solved, read_solves, write_solves
+from gelforge.records.status import Status
 from gelforge.stages.rig import contents_of, units_of
 from gelforge.virtualrig.appearance import read_appearances
 from gelforge.virtualrig.rigplan import read_plan
@@ -16,6 +18,15 @@ from gelforge.virtualrig.units import read_ranges
 def test_a_table_of_rejected_rows_is_read_by_both_names_of_its_column(tmp_path, name):
     write_csv(tmp_path / "0000.rejected.csv", ["row", name], [{"row": 2, name: "write a number"}])
     assert read_csv(tmp_path / "0000.rejected.csv") == [{"row": "2", "hint": "write a number"}]
+
+
+@pytest.mark.parametrize("name", ["attempt", "rung"])
+def test_a_table_of_solves_is_read_by_both_names_of_its_column(tmp_path, name):
+    solve = Solved("a", Status.OK, "", "hex", "m", "f", (0.0, 0.1, -1.0), {"attempt": "hex, smaller load steps"})
+    write_solves(tmp_path / "0000.csv", [solve])
+    text = (tmp_path / "0000.csv").read_text(encoding="utf-8")
+    (tmp_path / "0000.csv").write_text(text.replace("attempt", name, 1), encoding="utf-8")
+    assert read_solves(tmp_path / "0000.csv")[0].evidence["attempt"] == "hex, smaller load steps"
 
 
 @pytest.mark.parametrize("former, name, file, read", [

@@ -8,7 +8,7 @@ from gelforge.errors import BadInput
 
 # Former name: name of today; one table for each kind of file.
 COMMANDS = {"lineage": "provenance"}  # of `gelforge`; those of make stand in rules/work.mk
-COLUMNS = {"remedy": "hint"}  # of tables of results
+COLUMNS = {"remedy": "hint", "rung": "attempt"}  # of tables of results
 PROFILE = {"untouched": "nocontact"}  # of a sensor's profile
 UNITS = {
     "print_shift_px": "grid_shift_px",

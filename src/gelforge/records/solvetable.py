@@ -19,7 +19,6 @@ EVIDENCE = (
 )  # fmt: skip
 NAMES = ("sample_id", "status", "reason", "fidelity", "mesh", "file")
 COLUMNS = (*NAMES, *FORCE, *EVIDENCE)
-FORMER = {"attempt": "rung"}  # names of columns in older tables
 
 
 @dataclass(frozen=True)
@@ -74,9 +73,7 @@ def read_solves(path: str | Path) -> list[Solved]:
             raise BadInput(f"{path}: row {at} is no solve of stage 30; {hint}")
         x, y, z = (math.nan if force is None else force for force in forces)
         names = {name: row.get(name) or "" for name in NAMES if name != "status"}
-        evidence: dict[str, object] = {
-            name: row.get(name) or row.get(FORMER.get(name, name)) or "" for name in EVIDENCE
-        }
+        evidence: dict[str, object] = {name: row.get(name) or "" for name in EVIDENCE}
         found.append(Solved(**names, status=Status[state], total=(x, y, z), evidence=evidence,
                             press_id=row.get("press_id") or ""))  # fmt: skip
     return found

@@ -5,6 +5,7 @@ import io
 from pathlib import Path
 
 from gelforge.errors import BadInput
+from gelforge.flow.renamed import COLUMNS
 from gelforge.records.regular import read_text
 
 
@@ -17,6 +18,7 @@ def numbered_rows(path: str | Path, hint: str) -> list[tuple[int, dict[str, str]
     """`read_table` with the number of each row's line in the file, for tables that people write: some lines may be blank."""
     lines = csv.DictReader(io.StringIO(read_text(Path(path), hint), newline=""), restval=None)
     try:
+        lines.fieldnames = [COLUMNS.get(name, name) for name in lines.fieldnames or ()]
         rows = [(lines.line_num, row) for row in lines]
     except csv.Error as error:
         raise BadInput(f"{path}: row {lines.line_num}: {error}; {hint}") from error
