@@ -43,13 +43,15 @@ def taught(net: GeometryNet, pairs, target, slopes, motion, scale, generator: to
     """Loss of a batch whose shapes are known.
 
     pairs: (n, 6, h, w) inputs; target: (n, 3, rows, cols) in training units; slopes (n, 2, h / 2, w / 2), motion (n, 2, h / 8,
-    w / 8) px. The second stage learns from the shape that the first one predicts, and from the true one, disturbed.
+    w / 8) px. The second stage learns from the shape that the first one predicts and, for half of the batch, from the true one,
+    disturbed.
     """
     seen_slopes, seen_motion = net.slopes(pairs)
     loss = SHAPE_WEIGHT * shape_loss(seen_slopes, seen_motion, slopes, motion)
     loss = loss + relative_loss(net.forces(seen_slopes, seen_motion), target, scale)
-    true_slopes, true_motion = disturbed(slopes, motion, generator)
-    true_slopes, true_motion, mirrored_target = mirrored(true_slopes, true_motion, target, generator)
+    half = len(slopes) // 2 or 1
+    true_slopes, true_motion = disturbed(slopes[:half], motion[:half], generator)
+    true_slopes, true_motion, mirrored_target = mirrored(true_slopes, true_motion, target[:half], generator)
     return loss + TRUE_SHAPE_WEIGHT * relative_loss(net.forces(true_slopes, true_motion), mirrored_target, scale)
 
 
