@@ -72,7 +72,7 @@ def test_measures_are_bounded_and_fit_the_cause(monkeypatch):
     asked = {"memory": [], "time": [], "node": [], "error": []}
     for cause, seen in asked.items():
         task = Task("t", "c", 100, 10, runs=1)
-        while slurm.remedy(task, cause, profile):
+        while slurm.with_more(task, cause, profile):
             seen.append((task.memory_mb, task.minutes))
             task.runs += 1
     assert asked["memory"] == [(200, 10), (300, 10)]

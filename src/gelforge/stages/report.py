@@ -29,12 +29,12 @@ from gelforge.records.samplefile import read_samples
 from gelforge.records.solvetable import Solved, read_solves
 from gelforge.records.status import VALID, Status
 from gelforge.reporting import feats_tables
+from gelforge.reporting.costs import COST, stages, target_costs
 from gelforge.reporting.explorer import Explorer
 from gelforge.reporting.forcesensor import COMPARED, compare_forces, force_rows, force_sentences, spreads
 from gelforge.reporting.page import Explored, Section, render
 from gelforge.reporting.parts import PART, forget_parts, in_parts, place_parts
 from gelforge.reporting.presses import as_columns, press_rows
-from gelforge.reporting.provenance import COST, stages, target_costs
 from gelforge.sweeps import verification
 
 VERSION = 4
