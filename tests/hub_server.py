@@ -74,7 +74,8 @@ class Handler(BaseHTTPRequestHandler):
         elif url.path in (api, f"{api}/revision/main"):
             self.answer({"_id": "1", "id": self.server.name, "sha": self.server.commit(), "siblings": []})
         elif url.path.startswith(files):
-            self.file(url.path.removeprefix(files).partition("/")[2])
+            revision, _, name = url.path.removeprefix(files).partition("/")
+            self.file(name, self.server.commit() if revision == "main" else revision)
         elif url.path.startswith("/cdn/"):
             self.content(url.path.removeprefix("/cdn/"))
         else:
@@ -103,18 +104,18 @@ class Handler(BaseHTTPRequestHandler):
         self.end_headers()
         self.wfile.write(content)
 
-    def file(self, name: str) -> None:
+    def file(self, name: str, commit: str) -> None:
         """Where the content of a file lies."""
-        path = self.server.files()[name]
+        path = self.server.folder / name
         self.send_response(302)
-        for header, said in {"Location": f"{self.server.cdn}/cdn/{name}", "X-Repo-Commit": self.server.commit(), "Content-Length": 0,
+        for header, said in {"Location": f"{self.server.cdn}/cdn/{name}", "X-Repo-Commit": commit, "Content-Length": 0,
                              "X-Linked-Etag": f'"{self.server.digest(path)}"', "X-Linked-Size": path.stat().st_size}.items():  # fmt: skip
             self.send_header(header, str(said))
         self.end_headers()
 
     def content(self, name: str) -> None:
         """The content of a file."""
-        held = self.server.files()[name].read_bytes()
+        held = (self.server.folder / name).read_bytes()
         self.send_response(200)
         self.send_header("Content-Length", str(len(held)))
         self.end_headers()
