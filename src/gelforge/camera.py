@@ -27,17 +27,12 @@ class CameraPredictor(Predictor):
         threads: int = 1,
         table: SlopeTable | None = None,
     ) -> None:
-        self._given = (model, nocontact, gain, device, threads)
         self.frame: CameraFrame | None = None
         if nocontact is not None and model.needs_nocontact:
             rows, cols = model.metadata["image"]
             self.frame = camera_frame(nocontact, (rows, cols))
             nocontact = self.frame(nocontact)
         super().__init__(model, nocontact, gain, device, threads, table)
-
-    def with_table(self, table: SlopeTable | None) -> "CameraPredictor":
-        """The same with another table of slopes."""
-        return CameraPredictor(*self._given, table)
 
     @property
     def text(self) -> str:

@@ -4,6 +4,7 @@ The level is sure to a quarter (circles are marked by hand, the diameter is a ca
 """
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,12 +17,12 @@ from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.networks.balls.ballpresses import BACKGROUND, BallPress, read_presses
 from gelforge.networks.balls.balltable import ball_table
-from gelforge.networks.balls.slopefit import SlopePress, fit_slope_table, known_slopes
+from gelforge.networks.balls.slopefit import fit_slope_table, known_slopes
 from gelforge.networks.checkpoint.modelfile import ForceModel
 from gelforge.networks.inference.predictor import SLOPES, Predictor
 from gelforge.networks.inference.sensorprofile import fit_gain
 from gelforge.networks.preprocess.illumination import match_light
-from gelforge.networks.preprocess.slopetable import light_change
+from gelforge.networks.preprocess.slopetable import SlopeTable, light_change
 from gelforge.records.image import read_image, write_png
 from gelforge.records.press import Press
 from gelforge.stages.ball_table import DEPTHS
@@ -80,10 +81,7 @@ def table_figures(
     presses: list[BallPress], nocontact: np.ndarray, px_per_mm: float, model: ForceModel
 ) -> list[Figure]:
     """Slopes by the sensor's own table in presses that it did not learn from, and forces by way of them."""
-    learnt = [
-        SlopePress(match_light(one.image, nocontact).undo(one.image), one.circle, one.diameter / 2 * px_per_mm)
-        for one in presses
-    ]
+    learnt = [replace(one, image=match_light(one.image, nocontact).undo(one.image)) for one in presses]
     figures = []
     for count, low, high in ((40, 0.93, 1.08), (10, 0.85, 1.15)):
         gains = slope_gains(learnt, count, nocontact, px_per_mm)
@@ -107,18 +105,22 @@ def table_figures(
     )
 
 
-def slope_gains(presses: Sequence[SlopePress], count: int, nocontact: np.ndarray, px_per_mm: float) -> np.ndarray:
+def slope_gains(presses: Sequence[BallPress], count: int, nocontact: np.ndarray, px_per_mm: float) -> np.ndarray:
     """Slopes by tables of `count` presses over those that the ball dictates, for the presses left out of each of five tables."""
     gains, rng = [], np.random.default_rng(0)
     for _ in range(5):
         order = rng.permutation(len(presses))
         table = fit_slope_table([presses[k] for k in order[:count]], nocontact, px_per_mm)
-        for press in (presses[k] for k in order[count:]):
-            _, clear = light_change(press.image, nocontact, px_per_mm)
-            within, _, slope = known_slopes(press, clear)
-            found = table.slopes(press.image, nocontact)[:, within].T
-            gains.append((found * slope).sum() / (slope**2).sum())
+        gains += [slope_gain(table, presses[k], nocontact) for k in order[count:]]
     return np.array(gains)
+
+
+def slope_gain(table: SlopeTable, press: BallPress, nocontact: np.ndarray) -> float:
+    """Slopes by a table over those that the ball dictates, by least squares."""
+    _, clear = light_change(press.image, nocontact, table.px_per_mm)
+    within, _, slope = known_slopes(press, clear, table.px_per_mm)
+    found = table.slopes(press.image, nocontact)[:, within].T
+    return float((found * slope).sum() / (slope**2).sum())
 
 
 def circle_figures(folder: Path, nocontact: np.ndarray, px_per_mm: float) -> list[Figure]:

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gelforge.commands import sensor
+from gelforge.commands import predict, sensor
 from gelforge.errors import BadInput
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
@@ -18,13 +18,11 @@ from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.networks.balls.ballpresses import px_per_mm_of, read_presses
 from gelforge.networks.balls.balltable import ball_table
 from gelforge.networks.balls.imprint import Circle, fit_circle
-from gelforge.networks.balls.slopefit import SlopePress, known_slopes
 from gelforge.networks.inference.sensorprofile import USUAL, fit_gain, of_balls, read_profile
-from gelforge.networks.preprocess.slopetable import light_change
 from gelforge.records.image import read_image, write_png
 from gelforge.records.press import Press
 from gelforge.stages.ball_table import contact_radius
-from tests.benchmarks.balls import DRAWN, draw_balls, true_force
+from tests.benchmarks.balls import DRAWN, draw_balls, slope_gain, true_force
 
 GEL, BALL_MM = Gel(), 6.0
 
@@ -210,8 +208,14 @@ def test_a_real_sensor_learns_its_table_of_slopes(reference, tmp_path, capsys):
     profile, presses = read_profile(out), read_presses(folder, read_image(folder / "background.png"))
     assert profile.gain.readings > 40
     for press in presses.presses[::8]:
-        learnt = SlopePress(press.image, press.circle, press.diameter / 2 * presses.px_per_mm)
-        _, clear = light_change(press.image, profile.nocontact, presses.px_per_mm)
-        within, _, slope = known_slopes(learnt, clear)
-        found = profile.table.slopes(press.image, profile.nocontact)[:, within].T
-        assert (found * slope).sum() / (slope**2).sum() == pytest.approx(1.0, abs=0.3)
+        assert slope_gain(profile.table, press, profile.nocontact) == pytest.approx(1.0, abs=0.3)
+    deepest = max(presses.presses, key=lambda press: press.force)
+    words = [str(folder / deepest.name / "gelsight.png"), "--height", "--out", str(tmp_path / "found")]
+    with pytest.raises(BadInput, match="--height: this network does not estimate slopes"):
+        predict.main([*words, "--nocontact", str(folder / "background.png")])
+    assert not (tmp_path / "found").exists()
+    assert predict.main([*words, "--profile", str(out)]) == 0
+    height = np.load(tmp_path / "found/gelsight_height.npy")
+    lowest = np.unravel_index(height.argmin(), height.shape)
+    beside = np.hypot(2 * lowest[1] + 1 - deepest.circle.u, 2 * lowest[0] + 1 - deepest.circle.v)
+    assert height.shape == (120, 160) and -2.5 < height.min() < -0.3 and beside < deepest.circle.radius

@@ -16,11 +16,10 @@ from pathlib import Path
 
 import numpy as np
 
-from gelforge.commands.camera import camera_mode
+from gelforge.commands.sensoroptions import ENGINE, MODE, MODEL, NOCONTACT, PROFILE, SENSOR
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
-from gelforge.flow.main import command, from_zero, option, positive, renamed
-from gelforge.networks.checkpoint.graph import DEVICES
+from gelforge.flow.main import command, from_zero, option, positive
 from gelforge.records.axes import CHANNEL_OF_AXIS
 from gelforge.records.film import Film, open_source, source_name
 from gelforge.records.nocontactimage import FEWEST, find_nocontact
@@ -223,21 +222,13 @@ def draw(args: Namespace, predictor, seen, film: Film, name: str, over: threadin
 @command(
     option("--video", type=Path, help="video file", default=None),
     option("--camera", type=from_zero, help="number of the camera, if no video is given", default=None),
-    option("--mode", type=camera_mode, metavar="WxH", help="image size to request from the camera", default=None),
-    option("--model", type=Path, help="model file (default: the shipped network)", default=None),
-    option("--sensor", help="name of the sensor; refused if the model is for another one", default=None),
-    option(
-        "--nocontact",
-        type=Path,
-        metavar="IMAGE",
-        help="no-contact image: the sensor while nothing touches it",
-        default=None,
-    ),
-    renamed("--untouched", "--nocontact", type=Path, default=None),
-    option("--profile", type=Path, help="profile of the sensor, made by `gelforge sensor`", default=None),
+    MODE,
+    MODEL,
+    SENSOR,
+    *NOCONTACT,
+    PROFILE,
     option("--frames", type=positive, help="number of frames after which to stop", default=None),
-    option("--device", choices=DEVICES, default="cpu", help="device of the network (default: %(default)s)"),
-    option("--threads", type=positive, default=1),
+    *ENGINE,
     option("--web", action="store_true", help="serve a page with image, forces and flag"),
     option("--foxglove", action="store_true", help="serve image, forces and flag to Foxglove as ROS 2 messages"),
     option("--host", default="127.0.0.1", help="address to listen on; 0.0.0.0: everyone on the network"),

@@ -21,10 +21,10 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.camera import CameraPredictor
+from gelforge.commands.sensoroptions import ENGINE, MODEL, NOCONTACT, PROFILE, SENSOR
 from gelforge.errors import BadInput, printable
 from gelforge.flow.files import publish, write_csv
-from gelforge.flow.main import command, option, positive, renamed
-from gelforge.networks.checkpoint.graph import DEVICES
+from gelforge.flow.main import command, option
 from gelforge.networks.inference.predictor import Predictor, load_for_use
 from gelforge.networks.inference.sensorprofile import files_of, with_profile
 from gelforge.records.axes import CHANNELS
@@ -95,6 +95,11 @@ def predict_files(
     """
     from gelforge.reporting.forcemaps import write_maps
 
+    if height and predictor.rest_slopes is None:
+        raise BadInput(
+            "--height: this network does not estimate slopes; give a profile that `gelforge sensor --balls` wrote, or --model"
+            " with one of two stages (MODEL=geometry)"
+        )
     names = output_names(paths)
     endings = (".png", ".npy", *([HEIGHT] if height else []))
     written = [out / f"{name}{ending}" for name in names for ending in endings]
@@ -107,7 +112,8 @@ def predict_files(
     rows = []
     try:
         for path, name in zip(paths, names, strict=True):
-            found = predictor.predict(read_image(path))
+            image = read_image(path)
+            found = predictor.predict(image)
             row = totals_row(printable(path), found)
             with publish(out / f"{name}.npy") as part:
                 np.save(part, found.cells)
@@ -118,23 +124,12 @@ def predict_files(
                 )
             if height:
                 with publish(out / f"{name}{HEIGHT}") as part:
-                    np.save(part, height_map(predictor, read_image(path)))
+                    np.save(part, np.asarray(predictor.height(image), np.float32))
             rows.append(row)
             yield row
     finally:
         if rows:
             write_csv(out / "totals.csv", COLUMNS, rows)
-
-
-def height_map(predictor: Predictor, image: np.ndarray) -> np.ndarray:
-    """Height (h / 2, w / 2) mm of the gel's surface, float32; BadInput where nothing estimates it."""
-    height = predictor.height(image)
-    if height is None:
-        raise BadInput(
-            "--height: this network does not estimate slopes; give a profile that `gelforge sensor --balls` wrote, or --model"
-            " with one of two stages (MODEL=geometry)"
-        )
-    return height.astype(np.float32)
 
 
 def line_of(row: dict) -> str:
@@ -148,25 +143,13 @@ def line_of(row: dict) -> str:
 
 @command(
     option("images", nargs="+", type=Path, metavar="IMAGE"),
-    option("--model", type=Path, help="model file (default: the shipped network)", default=None),
-    option(
-        "--sensor",
-        help="name of the sensor; refused if the model is for another one",
-        default=None,
-    ),
-    option(
-        "--nocontact",
-        type=Path,
-        metavar="IMAGE",
-        help="no-contact image: the sensor while nothing touches it",
-        default=None,
-    ),
-    renamed("--untouched", "--nocontact", type=Path, default=None),
-    option("--profile", type=Path, help="profile of the sensor, made by `gelforge sensor`", default=None),
+    MODEL,
+    SENSOR,
+    *NOCONTACT,
+    PROFILE,
     option("--out", type=Path, default=Path("predictions"), help="folder (default: %(default)s)"),
     option("--height", action="store_true", help="also write the gel's height, NAME_height.npy"),
-    option("--device", choices=DEVICES, default="cpu", help="device of the network (default: %(default)s)"),
-    option("--threads", type=positive, default=1),
+    *ENGINE,
 )
 def main(args: Namespace) -> None:
     for path in args.images:
@@ -181,8 +164,6 @@ def main(args: Namespace) -> None:
     if predictor.text:
         print(predictor.text)
     kept = [*filter(None, [args.nocontact]), *files_of(args.profile)]
-    if args.height:
-        height_map(predictor, read_image(args.images[0]))  # refused before anything is written
     for row in predict_files(args.images, predictor, args.out, kept, args.height):
         print(line_of(row), flush=True)
     print(f"maps and totals.csv in {args.out}")

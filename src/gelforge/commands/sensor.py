@@ -14,18 +14,20 @@ contact counts in neither table: what is read in it is a part of the force.
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import replace
 from itertools import compress
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.camera import CameraPredictor
-from gelforge.commands.camera import camera_mode
+from gelforge.commands.sensoroptions import MODE, MODEL, NOCONTACT
 from gelforge.errors import BadInput
-from gelforge.flow.main import command, from_zero, option, renamed
+from gelforge.flow.main import command, from_zero, option
 from gelforge.networks.balls.ballpresses import BACKGROUND, BallFolder, BallPress, read_presses
 from gelforge.networks.balls.balltable import C10_MPA, THICKNESS_MM
-from gelforge.networks.balls.slopefit import SlopePress, fit_slope_table
+from gelforge.networks.balls.slopefit import fit_slope_table
 from gelforge.networks.inference.predictor import Predictor, load_for_use
 from gelforge.networks.inference.sensorprofile import (
     AS_READ,
@@ -73,16 +75,12 @@ def gain_of(readings: Path, predictor: Predictor, before: Gain = AS_READ) -> Gai
     return fit_gain(measured, read, before)
 
 
-def table_of_balls(balls: Sequence[BallPress], predictor: CameraPredictor, px_per_mm: float) -> SlopeTable:
-    """The sensor's table from colours to slopes by presses of a ball; BadInput where it cannot be fitted."""
+def nocontact_for_slopes(predictor: CameraPredictor) -> np.ndarray:
+    """The no-contact image that a table of slopes is learnt beside; BadInput where images are scaled, turned or cropped."""
     nocontact = predictor.prepare.nocontact
     if nocontact is None or not nocontact.view.whole or predictor.text:
         raise BadInput("images are not of the network's own size and scale, so no table of slopes is learnt")
-    known = [
-        SlopePress(predictor.prepare(press.image).lit, press.circle, press.diameter / 2 * px_per_mm)
-        for press in balls
-    ]
-    return fit_slope_table(known, nocontact.picture, px_per_mm)
+    return nocontact.picture
 
 
 def learnt_from_balls(balls: BallFolder, predictor: CameraPredictor) -> tuple[Gain, SlopeTable | None]:
@@ -92,18 +90,20 @@ def learnt_from_balls(balls: BallFolder, predictor: CameraPredictor) -> tuple[Ga
     """
     for name, why in balls.left_out.items():
         print(f"{name}: does not count, {why}", file=sys.stderr)
-    presses, half = balls.presses, (balls.presses[::2], balls.presses[1::2])
+    presses, scale = balls.presses, balls.px_per_mm
     try:
-        table = table_of_balls(presses, predictor, balls.px_per_mm)
+        nocontact = nocontact_for_slopes(predictor)
+        learnt = [replace(press, image=predictor.prepare(press.image).lit) for press in presses]
+        table = fit_slope_table(learnt, nocontact, scale)
     except BadInput as error:
         print(f"no table of slopes: {error}", file=sys.stderr)
         return _gain_of_balls(presses, *_normals(predictor, _images(presses))), None
-    try:
-        others = [predictor.with_table(table_of_balls(one, predictor, balls.px_per_mm)) for one in half[::-1]]
-    except BadInput:
-        others = [predictor.with_table(table)] * 2
-    read, counts = (np.concatenate(one) for one in zip(*map(_normals, others, map(_images, half)), strict=True))
-    return _gain_of_balls([*half[0], *half[1]], read, counts), table
+    others = [table, table]
+    with suppress(BadInput):  # halves may be too few
+        others = [fit_slope_table(learnt[1 - one :: 2], nocontact, scale) for one in (0, 1)]
+    found = [_normals(predictor.with_table(other), _images(presses[one::2])) for one, other in enumerate(others)]
+    read, counts = (np.concatenate(both) for both in zip(*found, strict=True))
+    return _gain_of_balls([*presses[::2], *presses[1::2]], read, counts), table
 
 
 def _images(presses: Sequence[BallPress]) -> dict[str, np.ndarray]:
@@ -280,17 +280,10 @@ def factor_replaced(out: Path, measures: bool) -> Gain:
 
 @command(
     option("--name", help="name of the sensor"),
-    option(
-        "--nocontact",
-        type=Path,
-        metavar="IMAGE",
-        help="no-contact image: the sensor while nothing touches it",
-        default=None,
-    ),
-    renamed("--untouched", "--nocontact", type=Path, default=None),
+    *NOCONTACT,
     option("--video", type=Path, help="video that begins while nothing touches the sensor", default=None),
     option("--camera", type=from_zero, help="number of the camera; nothing may touch the sensor now", default=None),
-    option("--mode", type=camera_mode, metavar="WxH", help="image size to request from the camera", default=None),
+    MODE,
     option("--readings", type=Path, help="table of images and force readings", default=None),
     option(
         "--balls",
@@ -310,7 +303,7 @@ def factor_replaced(out: Path, measures: bool) -> Gain:
     ),
     option("--opposite", type=Path, help="profile of the sensor on the opposite finger", default=None),
     option("--grasps", type=Path, help="table of images of both fingers while they hold one object", default=None),
-    option("--model", type=Path, help="model file (default: the shipped network)", default=None),
+    MODEL,
     option("--out", type=Path, help="file of the profile, .toml", default=None),
 )
 def main(args: Namespace) -> None:

@@ -5,12 +5,11 @@ regression (Hoerl and Kennard 1970, Technometrics 12) in a second or two, withou
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.networks.balls.imprint import Circle
+from gelforge.networks.balls.ballpresses import BallPress
 from gelforge.networks.preprocess.slopetable import (
     COLOUR_TERMS,
     PLACE_TERMS,
@@ -26,17 +25,11 @@ BEYOND, EVERY = 2.2, 23  # beyond so many radii the gel is taken as level, at ev
 LEAST_PRESSES = 8  # of five, slopes elsewhere were wrong by a half
 
 
-@dataclass(frozen=True)
-class SlopePress:
-    """A press to learn from: image (h, w, 3) uint8 under the no-contact image's illumination, circle and ball's radius in px."""
+def fit_slope_table(presses: Sequence[BallPress], nocontact: np.ndarray, px_per_mm: float) -> SlopeTable:
+    """The table of a sensor. BadInput where presses are fewer than LEAST_PRESSES.
 
-    image: np.ndarray
-    circle: Circle
-    ball_px: float
-
-
-def fit_slope_table(presses: Sequence[SlopePress], nocontact: np.ndarray, px_per_mm: float) -> SlopeTable:
-    """The table of a sensor; nocontact: (h, w, 3) uint8 RGB. BadInput where presses are fewer than LEAST_PRESSES."""
+    presses: their images under the illumination of the no-contact image. nocontact: (h, w, 3) uint8 RGB.
+    """
     if len(presses) < LEAST_PRESSES:
         raise BadInput(
             f"{len(presses)} presses of the ball are too few for a table of slopes: press it {LEAST_PRESSES} times at least, 40"
@@ -52,7 +45,7 @@ def fit_slope_table(presses: Sequence[SlopePress], nocontact: np.ndarray, px_per
     return SlopeTable(found.reshape(COLOUR_TERMS, PLACE_TERMS, 2), px_per_mm)
 
 
-def known_slopes(press: SlopePress, clear: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def known_slopes(press: BallPress, clear: np.ndarray, px_per_mm: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Which pixels (h, w) of a halved image have the ball's slope, which are level, and the slopes (n, 2) of the first.
 
     clear: (h, w) pixels that no marker hides.
@@ -60,15 +53,16 @@ def known_slopes(press: SlopePress, clear: np.ndarray) -> tuple[np.ndarray, np.n
     v, u = np.indices(clear.shape) * 2.0 + 1.0
     across = np.stack([u - press.circle.u, v - press.circle.v], 2)
     distance = np.hypot(across[..., 0], across[..., 1])
-    within = clear & (distance < WITHIN * min(press.circle.radius, press.ball_px))
-    slope = across[within] / np.sqrt(press.ball_px**2 - distance[within] ** 2)[:, None]
+    ball = press.diameter / 2 * px_per_mm
+    within = clear & (distance < WITHIN * min(press.circle.radius, ball))
+    slope = across[within] / np.sqrt(ball**2 - distance[within] ** 2)[:, None]
     return within, clear & (distance > BEYOND * press.circle.radius), slope
 
 
-def _known(press: SlopePress, nocontact: np.ndarray, px_per_mm: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _known(press: BallPress, nocontact: np.ndarray, px_per_mm: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Terms of colours and place where the ball dictates the slope and where there is none, and the slopes (n, 2)."""
     change, clear = light_change(press.image, nocontact, px_per_mm)
-    within, beyond, slope = known_slopes(press, clear)
+    within, beyond, slope = known_slopes(press, clear, px_per_mm)
     colours, place = colour_terms(change), place_terms(clear.shape)
     steep, level = (
         (colours[chosen][:, :, None] * place[chosen][:, None, :])

@@ -4,8 +4,10 @@ It keeps no state from one picture to the next, so the same picture gives the sa
 """
 
 from collections.abc import Callable, Mapping
+from copy import copy
 from functools import cached_property
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
@@ -89,25 +91,48 @@ class Predictor:
         """How pictures of the sensor are scaled."""
         return WHOLE if self.prepare.nocontact is None else self.prepare.nocontact.view
 
+    def with_table(self, table: SlopeTable | None) -> Self:
+        """The same with another table of slopes."""
+        other = copy(self)
+        other.table = table
+        for tare in ("rest", "rest_slopes"):
+            other.__dict__.pop(tare, None)  # cached, by the table of before
+        return other
+
     def raw(self, seen: Prepared) -> np.ndarray:
         """Forces (3, rows, cols) N of a prepared picture as the graphs predict them, without tare and factor."""
-        return np.asarray(self._known(seen)["forces"][0])
+        known = _Known(seen)
+        for name, stage in self.stages.items():
+            known.update(stage(known))
+            own = self._slopes_by_table(seen) if name == SLOPES else None
+            if own is not None:
+                known[SLOPES] = own[None]
+        return np.asarray(known["forces"][0])
 
     def slopes(self, seen: Prepared) -> np.ndarray | None:
         """Slopes (2, h / 2, w / 2) of the gel's surface along u and v in a prepared picture; None where nothing estimates them."""
-        if self.table and seen.nocontact:
-            return self.table.slopes(seen.lit, seen.nocontact.picture)
-        return self._known(seen)[SLOPES][0] if SLOPES in self.stages else None
+        own = self._slopes_by_table(seen)
+        if own is None and SLOPES in self.stages:
+            return self.stages[SLOPES](_Known(seen))[SLOPES][0]
+        return own
+
+    def _slopes_by_table(self, seen: Prepared) -> np.ndarray | None:
+        return self.table.slopes(seen.lit, seen.nocontact.picture) if self.table and seen.nocontact else None
+
+    @cached_property
+    def rest_slopes(self) -> np.ndarray | None:
+        """Slopes that are estimated in the no-contact image; None where nothing estimates slopes."""
+        rest = self.prepare.at_rest()
+        return None if rest is None else self.slopes(rest)
 
     def height(self, image: np.ndarray) -> np.ndarray | None:
         """Height (h / 2, w / 2) mm of the gel's surface above the unloaded one in an image (h, w, 3) uint8 RGB of any size.
 
         None where neither the model nor a table of the sensor estimates slopes.
         """
-        slopes, rest = self.slopes(self.prepare(image)), self.prepare.at_rest()
-        if slopes is None or rest is None:
+        if self.rest_slopes is None:
             return None
-        return height_of(slopes - self.slopes(rest), 2.0 / self.px_per_mm)
+        return height_of(self.slopes(self.prepare(image)) - self.rest_slopes, 2.0 / self.px_per_mm)
 
     @property
     def px_per_mm(self) -> float:
@@ -115,14 +140,6 @@ class Predictor:
         if self.table:
             return self.table.px_per_mm
         return sum(self.metadata["pitch_px"]) / 2 / MARKER_PITCH_MM
-
-    def _known(self, seen: Prepared) -> "_Known":
-        known = _Known(seen)
-        for name, stage in self.stages.items():
-            known.update(stage(known))
-            if name == SLOPES and self.table and seen.nocontact:
-                known[SLOPES] = self.table.slopes(seen.lit, seen.nocontact.picture)[None]
-        return known
 
     def predict(self, image: np.ndarray) -> ForceReading:
         """Read an image (h, w, 3) uint8 RGB of any size."""

@@ -86,8 +86,9 @@ def of_balls(gain: Gain) -> Gain:
 def fit_gain(measured: np.ndarray, read: np.ndarray, before: Gain = AS_READ) -> Gain:
     """Factor from normal forces (n,) N measured and read by the network, both larger where pressed more.
 
-    before: what is known of the factor without them. Normal posterior of the factor's logarithm under that prior, its scatter estimated from the readings and a prior of
-    two (Gelman et al., Bayesian Data Analysis, 3rd ed., sections 2.5 and 2.6), interval by Student's t.
+    before: what is known of the factor without them. Normal posterior of the factor's logarithm under that prior, its scatter
+    estimated from the readings and a prior of two (Gelman et al., Bayesian Data Analysis, 3rd ed., sections 2.5 and 2.6), interval
+    by Student's t.
     """
     if not len(measured):
         return before
@@ -99,9 +100,8 @@ def fit_gain(measured: np.ndarray, read: np.ndarray, before: Gain = AS_READ) -> 
     known = (2 * USUAL / math.log(before.high / before.low)) ** 2
     precision = known + weight.sum() / scatter
     mean = (known * math.log(before.value) + float(weight @ ratio) / scatter) / precision
-    wider = (
-        student_quantile(0.5 + PROBABILITY / 2, freedom) / USUAL
-    )  # of the readings' part: few do not show their scatter
+    # of the readings' part: few do not show their scatter
+    wider = student_quantile(0.5 + PROBABILITY / 2, freedom) / USUAL
     half = USUAL / math.sqrt(known + weight.sum() / scatter / wider**2)
     return Gain(math.exp(mean), math.exp(mean - half), math.exp(mean + half), before.readings + len(ratio))
 

@@ -14,10 +14,8 @@ import numpy as np
 from gelforge.records.markers import marker_mask
 
 COLOUR_ORDER, PLACE_ORDER = 3, 2  # of the two polynomials
-COLOUR_TERMS, PLACE_TERMS = (
-    19,
-    6,
-)  # products of colours up to that order without the constant, and of two coordinates with it
+# Products of colours up to that order without the constant, and of two coordinates with it.
+COLOUR_TERMS, PLACE_TERMS = 19, 6
 DARK = 20.0  # grey levels added to the light that a change is divided by
 SMOOTH_PX = 1.5  # of the halved image, over which slopes under markers are taken from their surroundings
 
