@@ -29,10 +29,10 @@ from tests.patch import consistent_loads, exact_cells, irregular_surface
 SENSORS = Path("workflow/sensors.toml")
 GRIDS = ("12x16", "24x32", "48x64", "96x128")
 ELEMENT_OF_CELL = {
-    "12x16": 0.75,
-    "24x32": 0.4,
-    "48x64": 0.2,
-}  # mm, corners moved by 0.3 of it: edges stay below a cell
+    "12x16": 0.63,
+    "24x32": 0.32,
+    "48x64": 0.16,
+}  # mm, half a cell of gelsight_mini; corners are moved by 0.3 of it
 SAMPLES, SHARD = 15_000, 8
 LARGEST_BUMP = 5.0  # mm, radius
 REFERENCE_PITCH = np.array([32.9, 31.4])

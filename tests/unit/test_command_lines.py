@@ -13,11 +13,12 @@ import gelforge.stages
 from gelforge.errors import BadInput
 from gelforge.flow.main import Command, command, group, option
 
+NO_PROGRAMS = {"gelforge", "live_readings", "live_topics", "sensoroptions"}  # the dispatcher, and what others import
 PROGRAMS = [
     module.name
     for package in (gelforge.stages, gelforge.commands)
     for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}.")
-    if module.name.rpartition(".")[2] not in ("gelforge", "live_readings", "live_topics")  # dispatcher; no programs
+    if module.name.rpartition(".")[2] not in NO_PROGRAMS
 ]
 
 
