@@ -16,7 +16,7 @@ In Python, without make:
 Importing this loads nothing else; each name is loaded when it is first used.
 """
 
-from typing import Any
+from typing import Any as _Any
 
 __version__ = "0.1.0"
 __all__ = ["Reader", "Sensor", "label", "predict", "solve"]
@@ -30,7 +30,11 @@ _HOMES = {
 }
 
 
-def __getattr__(name: str) -> Any:
+def __dir__() -> list[str]:
+    return __all__
+
+
+def __getattr__(name: str) -> _Any:
     if name not in _HOMES:
         raise AttributeError(f"module 'gelforge' has no attribute {name!r}; it has {', '.join(__all__)}")
     import importlib

@@ -150,6 +150,13 @@ class Reader:
         """Predict one image (h, w, 3) uint8 RGB. Nothing carries over from one image to the next."""
         return self._predictor.predict(check_image(image))
 
+    def height(self, image: np.ndarray) -> np.ndarray | None:
+        """Height (h / 2, w / 2) mm of the gel above the unloaded one in an image (h, w, 3) uint8 RGB (`Predictor.height`).
+
+        None without a profile that `gelforge sensor --balls` wrote and a network of two stages.
+        """
+        return self._predictor.height(check_image(image))
+
     def stream(self, images: Iterable[np.ndarray]) -> Iterator[ForceReading]:
         """Predict images (h, w, 3) uint8 RGB as they come from a camera, one reading each: the same as one by one.
 

@@ -1,4 +1,4 @@
-"""An engine that nobody here wrote: GetFEM on scenes of the open benchmark, edges and shear among them, beside the references.
+"""An independent finite element library, GetFEM, on scenes of the open benchmark, edges and shear among them, beside the references.
 
 It is a program of Debian's own Python (python3-getfem, python3-scipy). Every scene is solved once for the same program,
 scene and cells, so a run that was interrupted goes on. Without the package it says so and measures nothing.

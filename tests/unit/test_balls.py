@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import gelforge
 from gelforge.commands import predict, sensor
 from gelforge.errors import BadInput
 from gelforge.geometry.gel import Gel
@@ -124,6 +125,12 @@ def test_a_profile_is_made_from_balls_alone(drawn, tmp_path, capsys):
     assert both.readings == 6 and both.high / both.low < gain.high / gain.low
 
 
+def test_a_folder_of_another_level_is_refused(drawn, tmp_path):
+    with pytest.raises(BadInput, match="holds no background.png; give a folder with background.png and DIAMETERmm"):
+        sensor.main(["--name", "mine", "--balls", str(drawn / "6.000mm"), "--out", str(tmp_path / "mine.toml")])
+    assert not list(tmp_path.iterdir())
+
+
 def test_balls_leave_their_level_open():
     """However many presses: a quarter in nine of ten cases, as no press shows it."""
     read = np.linspace(1.0, 5.0, 200)
@@ -218,4 +225,6 @@ def test_a_real_sensor_learns_its_table_of_slopes(reference, tmp_path, capsys):
     height = np.load(tmp_path / "found/gelsight_height.npy")
     lowest = np.unravel_index(height.argmin(), height.shape)
     beside = np.hypot(2 * lowest[1] + 1 - deepest.circle.u, 2 * lowest[0] + 1 - deepest.circle.v)
+    found = gelforge.Reader(profile=out).height(read_image(Path(words[0])))
+    assert np.allclose(found, height, atol=1e-6)
     assert height.shape == (120, 160) and -2.5 < height.min() < -0.3 and beside < deepest.circle.radius

@@ -59,7 +59,9 @@ def test_predict_writes_maps_and_totals(data, models, paths, tmp_path, capsys):
         # totals.csv has four decimals.
         assert float(row["grid_z_n"]) == pytest.approx(forces[2].sum(), abs=1e-3)
         assert row["flagged"] == "0"
-        assert (tmp_path / "out" / f"{i}.png").exists()
+        assert row["map"] == f"{i}.npy" and (tmp_path / "out" / f"{i}.png").exists()
+    lines = capsys.readouterr().out.splitlines()
+    assert ["CROPPED" in line for line in lines[: len(rows)]] == [float(row["edge_peak"]) >= 0.2 for row in rows]
 
 
 def test_predict_refuses_before_it_writes(data, paths, tmp_path):

@@ -213,3 +213,10 @@ def test_reading_an_image_needs_none_of_what_the_flow_needs():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.startswith("(3, ")
+
+
+def test_names_complete_before_they_are_loaded():
+    done = subprocess.run(
+        [sys.executable, "-c", "import gelforge; print(*dir(gelforge))"], capture_output=True, check=True
+    )
+    assert done.stdout.decode().split() == sorted(gelforge.__all__)

@@ -3,7 +3,7 @@
 For every image a picture and the map as .npy, float32 (3, rows, cols) in N per cell, and one totals.csv, which Ctrl-C
 leaves with the rows of the images that were read.
 With --height also the gel's height as NAME_height.npy, float32 (rows, cols) in mm above the unloaded gel, negative where it
-is pressed in, at half of the image's size.
+is pressed in, at half of the image's size. That needs a profile that `gelforge sensor --balls` wrote.
 Columns grid_x_n, grid_y_n, grid_z_n are FEATS' channels: force along gel y, along gel x, along the normal.
 ..._half_width_n: half of the 90 % prediction interval, on sensors that training never saw, of gels as stiff as those it saw.
 ood_score: how far an image's colours, sharpness and markers are from those that the network learnt from; about 1 for an image
@@ -31,12 +31,13 @@ from gelforge.records.axes import CHANNELS
 from gelforge.records.forcereading import ForceReading
 from gelforge.records.image import read_image
 from gelforge.records.regular import FOLDER, file_fault, refuse_to_replace
-from gelforge.records.totals import TOTAL_COLUMNS, total_columns
+from gelforge.records.totals import TOTAL_COLUMNS, goes_beyond, total_columns
 
 FILMS = (".avi", ".mp4", ".mkv", ".mov", ".webm")  # names that no picture has
 HEIGHT = "_height.npy"
 COLUMNS = [
     "image",
+    "map",
     *TOTAL_COLUMNS,
     "ood_score",
     "flagged",
@@ -44,10 +45,11 @@ COLUMNS = [
 ]
 
 
-def totals_row(name: str, found: ForceReading) -> dict:
-    """One row of totals.csv."""
+def totals_row(image: str, name: str, found: ForceReading) -> dict:
+    """One row of totals.csv; name: of the map."""
     return {
-        "image": name,
+        "image": image,
+        "map": f"{name}.npy",
         **{column: "" if value is None else f"{value:.4f}" for column, value in total_columns(found).items()},
         "ood_score": f"{found.ood_score:.2f}",
         "flagged": int(found.flag),
@@ -114,7 +116,7 @@ def predict_files(
         for path, name in zip(paths, names, strict=True):
             image = read_image(path)
             found = predictor.predict(image)
-            row = totals_row(printable(path), found)
+            row = totals_row(printable(path), printable(name), found)
             with publish(out / f"{name}.npy") as part:
                 np.save(part, found.cells)
             with publish(out / f"{name}.png") as part:
@@ -135,6 +137,8 @@ def predict_files(
 def line_of(row: dict) -> str:
     """One row of totals.csv as a line for a person."""
     warning = f"  FLAGGED: {row['reason']}" if row["flagged"] else ""
+    if row["edge_peak"] and goes_beyond(float(row["edge_peak"])):
+        warning += "  CROPPED: the image shows only a part of the contact, so the total is too low"
     forces = ", ".join(
         f"{channel} {row[f'{channel}_n']}{within(row[f'{channel}_half_width_n'])}" for channel in CHANNELS
     )
@@ -148,7 +152,11 @@ def line_of(row: dict) -> str:
     *NOCONTACT,
     PROFILE,
     option("--out", type=Path, default=Path("predictions"), help="folder (default: %(default)s)"),
-    option("--height", action="store_true", help="also write the gel's height, NAME_height.npy"),
+    option(
+        "--height",
+        action="store_true",
+        help="also write the gel's height, NAME_height.npy (needs --profile made by `gelforge sensor --balls`)",
+    ),
     *ENGINE,
 )
 def main(args: Namespace) -> None:

@@ -5,6 +5,9 @@ readings.csv has a row for each press that was weighed: `image`, a picture (its 
 no-contact image alone. In place of --nocontact, --camera NUMBER or --video FILE take the no-contact image themselves:
 the mean of the first frames at rest, as `gelforge live` does. `gelforge predict` and `gelforge live` take the profile with --profile.
 
+--balls FOLDER needs no scale: presses of a ball of known diameter by hand, as FOLDER/background.png and
+FOLDER/5.000mm/1/gelsight.png, 2/gelsight.png and so on. The profile then holds the sensor's table of slopes, too.
+
 Two sensors of a gripper need no scale to agree: --opposite LEFT.toml --grasps grasps.csv brings this one to the profile
 of the other by pictures of both at the same moments, columns `image` and `opposite`, since the two fingers that hold
 one object press alike. Only readings show which of them is right in newtons. A picture that shows only a part of the
@@ -25,7 +28,7 @@ from gelforge.camera import CameraPredictor
 from gelforge.commands.sensoroptions import MODE, MODEL, NOCONTACT
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, from_zero, option
-from gelforge.networks.balls.ballpresses import BACKGROUND, BallFolder, BallPress, read_presses
+from gelforge.networks.balls.ballpresses import BACKGROUND, LAYOUT, BallFolder, BallPress, read_presses
 from gelforge.networks.balls.balltable import C10_MPA, THICKNESS_MM
 from gelforge.networks.balls.slopefit import fit_slope_table
 from gelforge.networks.inference.predictor import Predictor, load_for_use
@@ -289,7 +292,7 @@ def factor_replaced(out: Path, measures: bool) -> Gain:
         "--balls",
         type=Path,
         metavar="FOLDER",
-        help="folder of ball presses, laid out as gs_sdk's calibration writes it",
+        help="folder of ball presses: background.png and DIAMETERmm/N/gelsight.png, as gs_sdk writes them",
         default=None,
     ),
     option(
@@ -311,6 +314,8 @@ def main(args: Namespace) -> None:
     check_options(args, out)
     before = factor_replaced(out, bool(args.readings or args.grasps or args.balls))
     if args.balls and args.nocontact is args.video is args.camera is None:
+        if not (args.balls / BACKGROUND).exists():
+            raise BadInput(f"{args.balls}: holds no {BACKGROUND}; {LAYOUT}, or the no-contact image by --nocontact")
         args.nocontact = args.balls / BACKGROUND
     picture, source = nocontact_picture(args.nocontact, args.video, args.camera, args.mode)
     thickness = THICKNESS_MM if args.thickness is None else args.thickness
