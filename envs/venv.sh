@@ -4,10 +4,7 @@ set -euo pipefail
 stamp=$1
 venv=$(dirname "$stamp")
 # A linked environment belongs to another checkout, which its editable install must go on pointing at.
-if [ -L "$venv" ]; then
-    echo "using $venv as it is: it is a link"
-    exit 0
-fi
+[ ! -L "$venv" ] || exit 0
 cd "$(dirname "$0")/.."
 . envs/apt.sh
 

@@ -74,7 +74,7 @@ $(PLANNED): | $(SETUP) $(CCX_FOUND) $(DATA)/log.csv $(DATA)/dataset.toml
 	@$(PY) -m gelforge.stages.plan --data $(DATA) --ccx "$$(cat $(CCX_FOUND))" --inputs $(PLAN_INPUTS) --out $@
 
 $(DATA)/log.csv $(DATA)/dataset.toml:
-	$(error $@ not found: DATASET=$(DATASET) needs a raw log and a dataset.toml; see README.md, or write one with make rig)
+	$(error $@ not found: DATASET=$(DATASET) needs a raw log and a dataset.toml, which workflow/guide/your-data.md describes; make rig writes simulated ones)
 
 # $(call step,MODULE ARGUMENTS) is the recipe of every artifact: it writes $@.part, the wrapper publishes it.
 # Of more inputs than a shell takes as one command (128 KiB) only the parameters are named; the others' reader refuses a

@@ -3,9 +3,10 @@ PY := .venv/bin/python
 # The code of this checkout, whichever one the environment was made in.
 export PYTHONPATH := $(CURDIR)/src
 SETUP := .venv/ready
-# An environment knows the place it was made in: in a clone that was moved or copied its programs start elsewhere. A link
-# is meant to lead to another checkout's.
-VENV_HOME := $(if $(wildcard .venv/pyvenv.cfg),$(shell [ -L .venv ] || sed -n 's/^command = .* -m venv \(--[^ ]* \)*//p' .venv/pyvenv.cfg))
+# A linked environment is another checkout's: it is used as it is, and nothing here makes it out of date.
+VENV_IS_LINK := $(filter-out $(CURDIR)/.venv,$(realpath .venv))
+# An environment knows the place it was made in: in a clone that was moved or copied its programs start elsewhere.
+VENV_HOME := $(if $(VENV_IS_LINK),,$(if $(wildcard .venv/pyvenv.cfg),$(shell sed -n 's/^command = .* -m venv \(--[^ ]* \)*//p' .venv/pyvenv.cfg)))
 ifneq ($(or $(VENV_HOME),$(CURDIR)/.venv),$(CURDIR)/.venv)
 $(error .venv was made for $(VENV_HOME), not for this folder: it was moved or copied. Run `rm -rf .venv && make setup`)
 endif
@@ -29,7 +30,7 @@ HANDS_SLOTS = $(if $(strip $(foreach f,n q t,$(findstring $f,$(firstword -$(MAKE
 .PHONY: setup
 setup: $(SETUP) $(CCX_FOUND)  ## virtual environment and CalculiX, inside the project but for system packages
 
-$(SETUP): envs/requirements.lock pyproject.toml envs/venv.sh
+$(SETUP): $(if $(VENV_IS_LINK),,envs/requirements.lock pyproject.toml envs/venv.sh)
 	@envs/venv.sh $@
 
 $(CCX_FOUND): envs/ccx.sh | $(SETUP)

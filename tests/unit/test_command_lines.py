@@ -67,6 +67,9 @@ def test_gelforge_lists_its_commands(capsys):
     assert ended.value.code == 0
     said = capsys.readouterr().out
     assert all(f"gelforge {name}" in said for name in COMMANDS)
+    with pytest.raises(SystemExit) as ended:
+        main(["--version"])
+    assert ended.value.code == 0 and capsys.readouterr().out == f"gelforge {gelforge.__version__}\n"
 
 
 @pytest.mark.parametrize("words", [[], ["--help"], ["predict", "--help"], ["why"]])

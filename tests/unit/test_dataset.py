@@ -14,7 +14,7 @@ from press_records import press_record
 from pressed_dataset import SETTINGS, collect, label, write_pressed
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv, read_json, write_text
+from gelforge.flow.files import read_csv, read_json, write_csv, write_text
 from gelforge.networks.data.arrays import open_data
 from gelforge.networks.data.split import group_presses, split_presses
 from gelforge.networks.preprocess.illumination import match_light
@@ -392,5 +392,16 @@ def test_a_dataset_without_any_label_is_refused(tmp_path, root, monkeypatch):
     monkeypatch.chdir(root)
     made = write_pressed(tmp_path, count=2, failed=(0, 1))
     label(made, "4x4")
-    with pytest.raises(BadInput, match="DIVERGED"):
+    with pytest.raises(BadInput, match=r"\(left out: 2 x DIVERGED\)"):
+        collect(made, "4x4")
+
+
+def test_a_log_without_images_is_told_where_its_flow_ends(tmp_path, root, monkeypatch):
+    monkeypatch.chdir(root)
+    made = write_pressed(tmp_path, count=2)
+    label(made, "4x4")
+    for table in (made["results"] / "10_poses").glob("*.csv"):
+        rows = read_csv(table)
+        write_csv(table, list(rows[0]), [{**row, "image": ""} for row in rows])
+    with pytest.raises(BadInput, match=r"log\.csv: names no images, .* ends at labels: run make labels DATASET=made"):
         collect(made, "4x4")

@@ -96,7 +96,21 @@ def test_missing_column_is_named(column):
     row = {k: v for k, v in GOOD.items() if k != column}
     sample, wrong = parse_row(RawRow(2, row), "log.csv")
     assert sample is None
-    assert [(r.column, r.reason) for r in wrong] == [(column, "the column is missing")]
+    assert [(r.column, r.reason) for r in wrong] == [(column, "the column is missing in the header")]
+
+
+@pytest.mark.parametrize("image", ["images/a1.png", ""])
+def test_a_name_that_the_header_lost_is_reported_before_the_cells_that_are_too_many(tmp_path, image):
+    header = [name for name in COLUMNS if name != "mx_nm"]
+    cells = [{**GOOD, "image": image}[name] for name in COLUMNS]
+    (tmp_path / "log.csv").write_text(",".join(header) + "\n" + ",".join(cells) + "\n")
+    (row,) = log.read_log(tmp_path / "log.csv")
+    (tmp_path / "0000.csv").write_text(log.shard_text([row]))
+    for read in (row, *log.read_shard(tmp_path / "0000.csv")):
+        sample, wrong = parse_row(read, "log.csv")
+        assert sample is None and [(r.column, r.reason) for r in wrong] == [
+            ("mx_nm", "the column is missing in the header")
+        ]
 
 
 @pytest.mark.parametrize(

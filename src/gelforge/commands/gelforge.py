@@ -3,6 +3,7 @@
 import importlib
 import sys
 
+from gelforge import __version__
 from gelforge.flow.main import exit_with
 from gelforge.flow.renamed import COMMANDS as FORMER
 from gelforge.flow.renamed import notice
@@ -32,7 +33,10 @@ HOMES = {"rig": "gelforge.stages.rig"}
 
 
 def usage(argv) -> int:
-    """Print what commands there are; return 0 for whom asked for help, else 2."""
+    """Print the version, or what commands there are; return 0 for whom asked for either, else 2."""
+    if argv and argv[0] == "--version":
+        print(f"gelforge {__version__}")
+        return 0
     asked = bool(argv) and argv[0] in ("-h", "--help")
     wrong = [f"error: {argv[0]!r} is no command of gelforge; choose one of these"] if argv and not asked else []
     listed = [f"  gelforge {name:11s} {what}" for name, what in COMMANDS.items()]

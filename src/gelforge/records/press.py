@@ -66,6 +66,9 @@ ROW_FAULTS = {
         "shorten it; a cell holds a name, a number or a path",
     ),
 }
+# Faults of a row that is longer than its header, as where the header lost a column's name.
+TOO_LONG = ("more_cells", "end_comma")
+ABSENT = "the column is missing in the header"
 
 
 @dataclass(frozen=True)
@@ -255,6 +258,11 @@ def parse(raw: RawRow, file: str, needed: Collection[str] = COLUMNS) -> tuple[Lo
 
     Columns that are not `needed` may be missing or hold anything: what cannot be read of them stays empty.
     """
+    absent = [name for name in COLUMNS if name in needed and name not in raw.cells]
+    if raw.fault in TOO_LONG and absent:
+        return None, [
+            _rejection(raw, file, name, ABSENT, f"write {name} there again, at its place") for name in absent
+        ]
     if raw.fault:
         column, *why = ROW_FAULTS[raw.fault]
         return None, [_rejection(raw, file, column, *why)]
@@ -299,7 +307,7 @@ def judge_cell(name: str, text: str | None) -> tuple[str | float | None, tuple[s
         hint = f"add a column {name} to the log{' (its cells may be empty)' if name in FORCES else ''}"
         if name == "image":
             hint = "add a column image to the log, or set [params.poses] images = false in the dataset's dataset.toml"
-        return _nothing(name), None if name in OPTIONAL else ("the column is missing", hint)
+        return _nothing(name), None if name in OPTIONAL else (ABSENT, hint)
     if name in POSE or name in FORCES:
         value, fault = _number_cell(name, text)
         return (_nothing(name) if value is None else value), fault

@@ -37,6 +37,7 @@ from gelforge.records.status import Status
 from gelforge.records.table import numbered_rows, read_table
 
 VERSION = 4
+NO_IMAGE = "no image in the log"
 SHAPES = ("slopes.npy", "motion.npy")
 
 
@@ -72,7 +73,7 @@ def _reason(press: PressRecord | None, status: Status) -> str:
         return status.name
     if press is None:
         return "no row in the pose table"
-    return "" if press.image else "no image in the log"
+    return "" if press.image else NO_IMAGE
 
 
 def read_truth(data: Path) -> dict:
@@ -330,16 +331,29 @@ def refuse_torn_presses(path: Path, presses: list, splits: np.ndarray) -> None:
             )
 
 
+def nothing_left(args, left_out: dict) -> str:
+    """Why no sample has both a label and an image, and what to do."""
+    if left_out.keys() == {NO_IMAGE}:
+        return (
+            f"{args.data}/log.csv: names no images, so that its flow ends at labels: run"
+            f" {command_for('labels', args.out)}, or write each press's image into the column image"
+        )
+    why = f"left out: {counted(left_out)}" if left_out else "there are no labels"
+    return f"{args.data}: no sample has both a label and an image ({why}); look at {command_for('status', args.out)}"
+
+
+def counted(found: dict) -> str:
+    """Counts by name, as a person writes them."""
+    return ", ".join(f"{count} x {name}" for name, count in found.items()) or "none"
+
+
 def build(args) -> dict:
     """Write the arrays and tables of one resolution beside args.out; return the contents of dataset.json."""
     grid, settings = Grid.parse(args.resolution), read_parameters(args.params, ForDataset).dataset
     shards = list_shards(args)
     found, places, left_out, material = collect(shards, read_truth(args.data))
     if not found:
-        raise BadInput(
-            f"{args.data}: no sample has both a label and an image (left out: {left_out or 'none'});"
-            f" look at {command_for('status', args.out)}"
-        )
+        raise BadInput(nothing_left(args, left_out))
     presses = [each.press for each in found]
     size = image_size(presses, load_sensors(args.sensors), f"{args.data}/log.csv")
     folder = args.out.parent
@@ -381,7 +395,7 @@ def main(args: Namespace) -> None:
     beside = [path for path in listed(args.out.parent, "*") if path.suffix in (".npy", ".csv")]
     beside.append(args.out.with_name("normalisation.json"))
     write_json(args.out, about | {"sha256": {path.name: digest_of(path) for path in beside}})
-    print(f"{about['samples']} samples: {about['splits']}; left out: {about['left_out'] or 'none'}")
+    print(f"{about['samples']} samples: {counted(about['splits'])}; left out: {counted(about['left_out'])}")
 
 
 if __name__ == "__main__":
