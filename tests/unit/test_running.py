@@ -46,7 +46,7 @@ def test_presses_of_a_shard_that_is_being_solved_count(tmp_path):
     now = lay(tmp_path, 3)
     with at_work(tmp_path, "30_fea/0000"):
         state = look(tmp_path, now)
-    assert (state.solved, state.total, state.running, state.stage) == (3, 8, ["30_fea/0000"], "30_fea")
+    assert (state.done, state.total, state.running, state.stage) == (3, 8, ["30_fea/0000"], "30_fea")
     assert abs(state.rate - 1.0) < 0.05
     assert "3 of 8 presses solved" in str(state) and "5 s left" in str(state) and "30_fea/0000" in str(state)
 
@@ -99,37 +99,54 @@ def test_what_older_parameters_solved_is_still_to_come(tmp_path):
     now = lay(tmp_path, 8)
     for shard in ("0000", "0001"):
         write_csv(tmp_path / f"30_fea/{shard}.csv", ["sample_id"], [])
-    assert look(tmp_path, now).solved == 8
+    assert look(tmp_path, now).done == 8
     write_json(tmp_path / "00_plan/params/fea.json", {})
     os.utime(tmp_path / "00_plan/params/fea.json", (now + 10, now + 10))
     for path in (tmp_path / "30_fea/0000/s0.json", tmp_path / "30_fea/0000/s1.json"):
         os.utime(path, (now + 12, now + 12))
     state = look(tmp_path, now + 16)
     assert (
-        (state.solved, state.rate) == (2, 0.5) and "2 of 8 presses solved" in state.pace and "12 s left" in state.pace
+        (state.done, state.rate) == (2, 0.5) and "2 of 8 presses solved" in state.pace and "12 s left" in state.pace
     )
     os.utime(tmp_path / "30_fea/0000.csv", (now + 17, now + 17))
-    assert look(tmp_path, now + 18).solved == 4
+    assert look(tmp_path, now + 18).done == 4
     os.utime(tmp_path / "30_fea/0001.csv", (now + 17, now + 17))
     write_text(tmp_path / "20_meshes/ccx.npz", "")  # made for another shard's press
     os.utime(tmp_path / "20_meshes/ccx.npz", (now + 20, now + 20))
-    assert look(tmp_path, now + 21).solved == 8
+    assert look(tmp_path, now + 21).done == 8
     write_text(tmp_path / "20_meshes/0000.csv", "")
     os.utime(tmp_path / "20_meshes/0000.csv", (now + 20, now + 20))
-    assert look(tmp_path, now + 21).solved == 4
+    assert look(tmp_path, now + 21).done == 4
 
 
 def test_of_stages_after_the_solves_their_count_is_not_reported(tmp_path):
     now = lay(tmp_path, 8)
     with at_work(tmp_path, "80_evaluate/24x32/pair_8.card"):
-        assert look(tmp_path, now).summary() == "now: 80_evaluate/24x32/pair_8.card"
+        assert str(look(tmp_path, now)) == "now: 80_evaluate/24x32/pair_8.card"
         write_json(tmp_path / "metrics/80_evaluate/24x32/pair_8.json", {})  # of the evaluation, not of its card
         os.utime(tmp_path / "metrics/80_evaluate/24x32/pair_8.json", (now + 9, now + 9))
         assert look(tmp_path, now).running == ["80_evaluate/24x32/pair_8.card"]
         write_json(tmp_path / "metrics/80_evaluate/24x32/pair_8.card.json", {})
         os.utime(tmp_path / "metrics/80_evaluate/24x32/pair_8.card.json", (now + 9, now + 9))
-        ended = look(tmp_path, now)
-    assert ended.summary(["80_evaluate"]) == "" and ended.summary(["30_fea"]) == "8 of 8 presses solved"
+    assert [str(look(tmp_path, now, stage)) for stage in ("80_evaluate", "30_fea")] == ["", "8 of 8 presses solved"]
+
+
+def test_a_stage_reports_its_own_number(tmp_path):
+    """Poses and meshes of no press that was solved said "0 of 8 presses solved"."""
+    now = lay(tmp_path, 0)
+    write_csv(tmp_path / "10_poses/0000.rejected.csv", ["row", "column"], [{"row": 2, "column": "image"}])
+    said = {stage: str(look(tmp_path, now, stage)) for stage in ("10_poses", "20_meshes", "40_forces")}
+    assert said == {"10_poses": "0 of 8 rows accepted", "20_meshes": "0 of 7 presses meshed", "40_forces": ""}
+    write_text(tmp_path / "10_poses/0000.csv", "")
+    assert str(look(tmp_path, now, "10_poses")) == "3 of 8 rows accepted"
+    for made in ("10_poses/0001.csv", "20_meshes/0000.csv"):
+        write_text(tmp_path / made, "")
+    assert [str(look(tmp_path, now, s)) for s in said] == ["7 of 8 rows accepted", "3 of 7 presses meshed", ""]
+    with at_work(tmp_path, "10_poses/0001"):  # alone: the next stage waits
+        assert str(look(tmp_path, now)) == "10_poses: 7 of 8 rows accepted; now: 10_poses/0001"
+    write_json(tmp_path / "00_plan/params/poses.json", {})
+    os.utime(tmp_path / "00_plan/params/poses.json", (now + 10, now + 10))
+    assert str(look(tmp_path, now, "10_poses")) == "0 of 8 rows accepted"
 
 
 def test_a_lock_that_nobody_holds_is_not_running(tmp_path):
@@ -140,7 +157,7 @@ def test_a_lock_that_nobody_holds_is_not_running(tmp_path):
     lock.parent.mkdir(parents=True)
     lock.touch()
     state = look(tmp_path)
-    assert state.running == [] and state.solved == state.total == 8 and running_lines(tmp_path) == []
+    assert state.running == [] and state.done == state.total == 8 and running_lines(tmp_path) == []
 
 
 def test_files_that_are_being_written_do_not_count(tmp_path):
@@ -149,7 +166,7 @@ def test_files_that_are_being_written_do_not_count(tmp_path):
     for name in ("30_fea/0000/.s3.17.part.json", "metrics/30_fea/.0000.17.part.json", ".slurm/.30_fea.17.part.json"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("{")
-    assert look(tmp_path, now).solved == 3
+    assert look(tmp_path, now).done == 3
     assert running_lines(tmp_path) == [] and cost_lines(last_runs(tmp_path)) == []
 
 
@@ -182,4 +199,4 @@ def test_rejected_rows_are_no_presses_to_solve(tmp_path):
     for shard in ("0000", "0001"):
         rows = [{"row": row, "column": "image"} for row in range(4)]
         write_csv(tmp_path / f"10_poses/{shard}.rejected.csv", ["row", "column"], rows)
-    assert str(look(tmp_path, now)) == "no press to solve, 8 rows rejected"
+    assert str(look(tmp_path, now)) == "no press left, 8 rows rejected"

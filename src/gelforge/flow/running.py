@@ -1,66 +1,57 @@
-"""How far a run has come: presses solved of all, rate, time left, and what runs now, from what lies on disk.
+"""How far a run has come: presses done of all, rate, time left, and what runs now, from what lies on disk.
 
 Only the standard library, because every step of a run asks for it.
 """
 
 import fcntl
 import time
-from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
 from gelforge.flow.files import below, made_at, names_in, read_csv
 from gelforge.flow.kept import Kept
-from gelforge.flow.layout import FEA, FORCES, MESHES, POSES, Layout
+from gelforge.flow.layout import FEA, MESHES, POSES, Layout
 
 RATE_OVER_S = 600.0
-# Stages on the way to solved presses; of those after them the count of solves tells nothing.
-SOLVING = {POSES, MESHES, FEA, FORCES}
+# What stages on the way to solved presses do with the log's rows; the others have no such number.
+DOES = {POSES: "rows accepted", MESHES: "presses meshed", FEA: "presses solved"}
 
 
 @dataclass(frozen=True)
 class Progress:
-    """Presses solved of all that can be, presses a second lately (0 where none was), and the targets that run now.
+    """Presses that a stage is done with of all that it can do, presses a second lately (0 where none), and what runs now.
 
-    rejected: planned rows that stage 10 rejected, which are no presses to solve.
+    stage: one of DOES, or none where no stage with such a number is at work. rejected: rows that stage 10 rejected.
     """
 
-    solved: int
+    done: int
     total: int
     rate: float
     running: list[str]
     rejected: int = 0
-
-    @property
-    def stage(self) -> str:
-        """The stage that runs now, the latest of them; nothing where none does."""
-        return max((target.split("/")[0] for target in self.running), default="")
+    stage: str = FEA
 
     @property
     def pace(self) -> str:
-        """Presses solved of all; where some are solved and some are left, how many a second and the time left."""
+        """Presses done of all; where some are done and some are left, how many a second and the time left."""
         if not self.total and self.rejected:
-            return f"no press to solve, {self.rejected} rows rejected"
+            return f"no press left, {self.rejected} rows rejected"
         if not self.total:
             return "no press is planned yet"
-        said = f"{self.solved} of {self.total} presses solved"
-        if not self.rate or self.solved == self.total:
+        said = f"{self.done} of {self.total} {DOES[self.stage]}"
+        if not self.rate or self.done == self.total:
             return said
-        left = duration((self.total - self.solved) / self.rate)
+        left = duration((self.total - self.done) / self.rate)
         return f"{said}, {self.rate:.2g} a second, {left} left for solves"
 
-    def summary(self, stages: Iterable[str] = ()) -> str:
-        """The pace where these stages or those that run are on the way to solved presses, and what runs; "" where neither."""
-        at_work = {*stages, *(target.split("/")[0] for target in self.running)}
-        paced = self.pace if at_work & SOLVING else ""
+    def __str__(self) -> str:
+        """The pace where there is one, and what runs."""
+        paced = self.pace if self.stage else ""
         if not self.running:
             return paced
         more = f" and {len(self.running) - 4} more" if len(self.running) > 4 else ""
         now = f"now: {', '.join(self.running[:4])}{more}"
         return f"{self.stage}: {paced}; {now}" if paced else now
-
-    def __str__(self) -> str:
-        return self.summary() if self.running else self.pace
 
 
 def duration(seconds: float) -> str:
@@ -111,19 +102,45 @@ def made_since(path: str, since: float) -> float | None:
     return made if made is not None and made >= since else None
 
 
-def look(results: Path, now: float | None = None) -> Progress:
-    """The state of a dataset's run."""
+def look(results: Path, now: float | None = None, stage: str = "") -> Progress:
+    """The state of a dataset's run: of a stage, else of the latest that runs; of the solves where nothing runs."""
+    running = running_targets(results)
+    stages = [stage] if stage else [target.split("/")[0] for target in running] or [FEA]
+    stage = max((name for name in stages if name in DOES), default="")
+    if not stage:
+        return Progress(0, 0, 0.0, running, stage="")
     now, of = time.time() if now is None else now, Layout(results)
-    kept, planned, solved, lately = Kept(of.counts), of.shards, 0, []
+    kept, planned, poses = Kept(of.counts), of.shards, of.folder(POSES)
     rows = {shard: kept.of(f"{planned}/{shard}.csv", rows_in) for shard in of.names()}
     sizes = {shard: size for shard, size in rows.items() if size is not None}
-    poses = of.folder(POSES)
-    bad = {s: kept.of(f"{poses}/{s}.rejected.csv", rejected_in) or 0 for s in sizes}
+    bad = {s: min(size, kept.of(f"{poses}/{s}.rejected.csv", rejected_in) or 0) for s, size in sizes.items()}
     kept.keep()
-    rejected = {shard: min(size, bad[shard]) for shard, size in sizes.items()}
-    sizes = {shard: size - rejected[shard] for shard, size in sizes.items()}
-    running = running_targets(results)
-    busy = {target.split("/")[1] for target in running if target.startswith(f"{FEA}/")}
+    left, rejected = {shard: size - bad[shard] for shard, size in sizes.items()}, sum(bad.values())
+    total, rate = sum(left.values()), 0.0
+    if stage == FEA:
+        done, rate = solves(
+            of, left, now, {target.split("/")[1] for target in running if target.startswith(f"{FEA}/")}
+        )
+    else:
+        done = sum(size for shard, size in left.items() if is_made(of, stage, shard))
+        total += rejected if stage == POSES else 0
+    return Progress(min(done, total), total, rate, running, rejected, stage)
+
+
+def is_made(of: Layout, stage: str, shard: str) -> bool:
+    """Whether a shard's table of stage 10 or 20 is as new as what it is made from."""
+    table, source, name = (
+        (of.poses(shard), of.shard(shard), "poses")
+        if stage == POSES
+        else (of.mesh_table(shard), of.poses(shard), "meshes")
+    )
+    since = max(made_at(path) or 0.0 for path in (source, of.params / f"{name}.json"))
+    return made_since(str(table), since) is not None
+
+
+def solves(of: Layout, sizes: dict[str, int], now: float, busy: set[str]) -> tuple[int, float]:
+    """Presses solved of shards of these sizes, and how many a second lately. busy: shards that are being solved."""
+    solved, lately = 0, []
     asked, fea, meshes = made_at(of.params / "fea.json") or 0.0, of.folder(FEA), of.meshes
     for shard, size in sizes.items():
         # what other parameters or meshes solved is solved again, or found to be as asked when its table is written
@@ -138,5 +155,4 @@ def look(results: Path, now: float | None = None) -> Progress:
         solved += len(times) if table is None else size
         lately += [made for made in times if now - made <= RATE_OVER_S]
     span = now - min(lately) if lately else 0.0
-    total, rate = sum(sizes.values()), len(lately) / span if span > 1 else 0.0
-    return Progress(min(solved, total), total, rate, running, sum(rejected.values()))
+    return solved, len(lately) / span if span > 1 else 0.0

@@ -52,7 +52,7 @@ def live_line(log_path: Path) -> Iterator[None]:
 
     def show() -> None:
         while not over.wait(LIVE_EVERY_S):
-            show_line(device, " | ".join(filter(None, (look(results).summary(), last_line(log_path)))))
+            show_line(device, " | ".join(filter(None, (str(look(results)), last_line(log_path)))))
         show_line(device)
 
     printer = threading.Thread(target=show, daemon=True)
@@ -289,7 +289,7 @@ def publish_part(target: Path, part: Path, inputs: list[Path], command: list[str
     os.replace(part, target)
     show_notices(log_path)
     results = dataset_folder(target)
-    far = look(results).summary([target.relative_to(results).parts[0]]) if results and terminal() is None else ""
+    far = str(look(results, stage=target.relative_to(results).parts[0])) if results and terminal() is None else ""
     print(f"{target}  {cost['seconds']:.1f} s, {cost['peak_mib']:.0f} MiB{far and f'  [{far}]'}", flush=True)
     return 0
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from gelforge.flow.files import listed, read_csv, read_json, write_json
 from gelforge.flow.layout import Layout, log_of, metrics_of
-from gelforge.flow.running import SOLVING, look
+from gelforge.flow.running import DOES, look
 from gelforge.flow.step import TAIL_LINES
 from gelforge.flow.terminal import show_line, terminal
 
@@ -155,7 +155,7 @@ def progress(record: Record, silent: bool) -> str:
     why = Counter(task.reason for task in record.tasks if task.state == "queued" and task.reason not in ("", "None"))
     note = "the controller does not answer" if silent else why.most_common(1)[0][0] if why else ""
     said = f"{record.stage} on Slurm: {counted(record)}" + (f" ({note})" if note else "")
-    return f"{said} | {look(record.results).pace}" if record.stage in SOLVING else said
+    return f"{said} | {look(record.results, stage=record.stage).pace}" if record.stage in DOES else said
 
 
 def show(record: Record, said: float, silent: bool) -> float:
