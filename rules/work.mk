@@ -65,5 +65,5 @@ lineage: provenance
 	@echo "make $@ is called make $< now, and will be gone in the next release" >&2
 
 # Meshes that the pilots need are made, and the run finds them.
-estimate: | $(SETUP)  ## core hours, disk and time of a run before it starts
+estimate: | $(SETUP)  ## core hours, disk and time of make report before it starts; without images in the log, of labels and calibrate
 	@$(PY) -m gelforge.commands.estimate --data $(DATA) --results $D --resolution $(RES1) --model $(MODEL) --cores $(SLOTS)

@@ -31,7 +31,7 @@ from gelforge.records.press import RawRow
 from gelforge.records.solvetable import Solved, write_solves
 from gelforge.records.status import Status
 
-ROWS = [RawRow(n, {"sensor_id": "mini_a"}) for n in range(900)]
+ROWS = [RawRow(n, {"sensor_id": "mini_a", "fz_n": "-3.1"}) for n in range(900)]
 COSTS = [
     Cost("10_poses", 0.1, bytes_each=10.0),
     Cost("20_meshes", cpu_once=50.0, bytes_once=1e6),
@@ -111,13 +111,25 @@ def test_a_network_that_is_trained_is_counted_by_its_kind(tmp_path, root):
     assert heavy / (epochs.epochs_of.unet or epochs.epochs) > 2 * light / epochs.epochs
 
 
-def test_a_log_without_pictures_goes_no_farther_than_its_branches(tmp_path):
+@pytest.mark.parametrize(
+    ("images", "reading", "counted"),
+    [
+        (False, "-3.1", ["calibrate"]),
+        (False, "", []),
+        (True, "", ["60_dataset", "80_evaluate", "pareto", "90_report"]),
+        (True, "-3.1", ["60_dataset", "80_evaluate", "calibrate", "pareto", "90_report"]),
+    ],
+)
+def test_what_the_log_cannot_feed_is_not_counted(tmp_path, images, reading, counted):
     results = Layout(tmp_path)
-    branches = plain(parameters().report) | {"branches": ["calibrate"]}
+    branches = plain(parameters().report) | {"branches": ["calibrate", "pareto"]}
+    write_json(results.params / "sensors.json", {})
     write_json(results.params / "report.json", {"version": 1, "report": branches})
-    write_json(results.params / "poses.json", {"version": 1, "poses": plain(parameters().poses) | {"images": False}})
-    write_json(results.params / "calibrate.json", {"version": 1} | plain(stage_of("calibrate")))
-    assert [cost.stage for cost in later_costs(results, "24x32", "shipped", ROWS)] == ["calibrate"]
+    write_json(results.params / "poses.json", {"version": 1, "poses": plain(parameters().poses) | {"images": images}})
+    for name in ("calibrate", "pareto"):
+        write_json(results.params / f"{name}.json", {"version": 1} | plain(stage_of(name)))
+    rows = [RawRow(2, {"sensor_id": "mini_a"}), RawRow(3, {"sensor_id": "mini_a", "fz_n": reading})]
+    assert [cost.stage for cost in later_costs(results, "24x32", "shipped", rows)] == counted
 
 
 def test_what_the_pilots_do_not_run_is_counted_at_their_pace(tmp_path):
@@ -129,7 +141,7 @@ def test_what_the_pilots_do_not_run_is_counted_at_their_pace(tmp_path):
     write_json(results.params / "sensors.json", {})
     for name in ("calibrate", "pareto"):
         write_json(results.params / f"{name}.json", {"version": 1} | plain(stage_of(name)))
-    quick, slow = (later_costs(results, "24x32", "shipped", [], pace) for pace in (Pace(0.4, 2.0), Pace(1.2, 6.0)))
+    quick, slow = (later_costs(results, "24x32", "shipped", ROWS, pace) for pace in (Pace(0.4, 2.0), Pace(1.2, 6.0)))
     assert [cost.cpu(0) for cost in slow] == pytest.approx([3 * cost.cpu(0) for cost in quick]) and len(quick) == 5
 
 

@@ -1,8 +1,9 @@
-"""Core hours, disk and time of a run before it starts, from a few of its presses.
+"""Core hours, disk and time of `make report` before it starts, from a few of its presses.
 
 Presses from the middles of equal fractions of the depths, with all rows of one that was filmed, go through poses, fea, forces
 and labels, in a folder of their own that is removed afterwards. Stages after the labels are estimated from what they took
-on other datasets, branches that solve in solves of the pilots.
+on other datasets, branches that solve in solves of the pilots. A log without images is estimated as far as it goes: to its
+labels and the calibration.
 """
 
 import os
@@ -189,22 +190,26 @@ def image_bytes(results: Layout, rows: list[RawRow]) -> int:
 
 
 def later_costs(results: Layout, resolution: str, model: str, rows: list[RawRow], pace: Pace = Pace()) -> list[Cost]:
-    """What the stages after the labels take of rows with a network, from other datasets and the pace of this one's pilots."""
+    """What the stages after the labels take of rows with a network, from other datasets and the pace of this one's pilots.
+
+    A branch that the log cannot feed, as `calibrate` without force readings, is none.
+    """
     start = START * pace.start
     params, presses = results.params, len(rows)
     report = read_parameters(params / "report.json", ForReport).report
     grid = Grid.parse(resolution)
     cells = 4 * 3 * grid.rows * grid.cols
+    images = read_parameters(params / "poses.json", ForPoses).poses.images
     branches = []
-    if "calibrate" in report.branches:
+    if "calibrate" in report.branches and any(row.cells.get("fz_n") for row in rows):
         solved = read_parameters(params / "calibrate.json", ForCalibrate).calibrate.max_presses
         branches.append(Cost(layout.CALIBRATE, cpu_once=CALIBRATE_EACH * solved * pace.hex_press, bytes_once=2e7))
-    if "pareto" in report.branches:
+    if "pareto" in report.branches and images:  # the chart is of the scenes, for the report
         scenes = read_parameters(params / "pareto.json", ForPareto).pareto.quick.scenes
         cpu = CHART_EACH * len(scenes) * pace.hex_press
         branches.append(Cost(layout.PARETO, cpu_once=cpu, bytes_once=4e5 * len(scenes)))
-    if not read_parameters(params / "poses.json", ForPoses).poses.images:
-        return branches  # a log without pictures goes no farther
+    if not images:
+        return branches  # a log without pictures has no report
     return [
         Cost(layout.DATASET, 2e-3, start, image_bytes(results, rows) + cells),
         *([training(results, resolution, model, presses, start)] if model != SHIPPED else []),

@@ -18,7 +18,7 @@ COMMANDS = {
     "status": "samples of a dataset that are done, failed, pending",
     "sample": "one sample through all stages, with its log",
     "projection": "fit a sensor's projection",
-    "estimate": "core hours, disk and time of a run before it starts",
+    "estimate": "core hours, disk and time of make report before it starts",
     "why": "why make would make a target again",
     "provenance": "every file, parameter and cost behind one label",
     "export": "a dataset as MCAP, Rerun, LeRobot, WebDataset or HDF5",
