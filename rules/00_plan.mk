@@ -9,7 +9,7 @@ FROZEN := $(DATA)/calibration.toml
 IS_FROZEN := $(wildcard $(FROZEN))
 
 # What a plan is made from, beside the files that it names itself (PLAN_READS: catalogue and shapes).
-PLAN_INPUTS := $(DATA)/log.csv $(DATA)/dataset.toml $(addprefix workflow/,params.toml charted.toml models.toml scenes.toml sensors.toml gels.toml) $(wildcard $(DATA)/sensors.toml) $(IS_FROZEN) $(CCX_FOUND) $(wildcard src/gelforge/*/*.py src/gelforge/*/*/*.py)
+PLAN_INPUTS := $(DATA)/log.csv $(DATA)/dataset.toml $(addprefix workflow/,params.toml charted.toml models.toml scenes.toml sensors.toml gels.toml) $(wildcard $(DATA)/sensors.toml $(DATA)/indenters.toml) $(IS_FROZEN) $(CCX_FOUND) $(wildcard src/gelforge/*/*.py src/gelforge/*/*/*.py)
 PLAN_READS :=
 PLAN_STATE :=
 NEEDS_CALIBRATION :=

@@ -179,6 +179,23 @@ def test_a_picture_that_is_copied_to_where_a_link_led_out_is_another(tmp_path):
     assert set(plan.image_digests(data, names, kept)) == {"images/a.png"}
 
 
+def test_a_dataset_may_bring_indenters_of_its_own(tmp_path):
+    own = tmp_path / "indenters.toml"
+    own.write_text('[sphere_15]\nkind = "sphere"\n')
+    with pytest.raises(BadInput, match=r"indenters.toml: sphere_15 stands in workflow/indenters.toml, too"):
+        planned(tmp_path, "")
+    own.write_text('[mine]\nkind = "stl"\nfile = "shapes/mine.stl"\n')
+    planned(tmp_path, '[params.dataset]\nunseen_indenters = ["mine"]\n')
+    bodies = config.read_indenter_tables("workflow", tmp_path, "indenters.toml")
+    assert (
+        Path("workflow") / bodies["mine"]["file"]
+    ).resolve() == tmp_path / "shapes/mine.stl" and "sphere_15" in bodies
+    with pytest.raises(
+        BadInput, match=r"workflow/data/own/mine.toml: not found; catalogues lie in workflow/; .* go into"
+    ):
+        planned(tmp_path, 'catalogue = "data/own/mine.toml"')
+
+
 def test_rows_that_name_no_sensor_are_of_the_datasets(tmp_path):
     assert planned(tmp_path, 'sensor = "mini_c"\ngel = "gelsight_mini"\n', "") == ["mini_c", "mini_b"]
     assert planned(tmp_path, 'sensor = "mini_c"\n', "mini_a") == ["mini_a", "mini_b"]

@@ -597,16 +597,16 @@ def alone(root, tmp_path):
 
 
 def test_a_shape_that_is_put_where_it_was_missing_is_seen(alone):
-    workflow = alone / "workflow"
-    catalogue = workflow / "indenters.toml"
-    catalogue.write_text(catalogue.read_text() + '\n[mine]\nkind = "stl"\nfile = "mine.stl"\nscale = 1\n')
-    log = alone / "data/tiny/log.csv"
+    """Of an indenter of the dataset's own, beside whose table it lies."""
+    data = alone / "data/tiny"
+    (data / "indenters.toml").write_text('[mine]\nkind = "stl"\nfile = "mine.stl"\nscale = 1\n')
+    log = data / "log.csv"
     rows = read_csv(log)
     rows[0] |= {"indenter": "mine"}
     write_csv(log, list(rows[0]), rows)
     done = make(alone, "poses", "DATASET=tiny")
     assert done.returncode == 0 and "mine.stl" in done.stdout
-    block(workflow / "mine.stl", 4.0)
+    block(data / "mine.stl", 4.0)
     done = make(alone, "poses", "DATASET=tiny")
     assert done.returncode == 0 and "10_poses/0000.csv" in done.stdout and "rejected: " not in done.stdout
     assert len(read_csv(alone / "results/tiny/10_poses/0000.csv")) == 1

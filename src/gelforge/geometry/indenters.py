@@ -333,11 +333,15 @@ def load_catalogue(path, names=None, folder=None) -> dict[str, Body]:
     Without `folder` they are named from the catalogue's. Each has distance(points), surface(), radius(), name,
     height (mm), seen (whether networks train on it) and spare (left out of the standard set).
     """
-    tables = read_catalogue(path)
+    return build_all(read_catalogue(path), path, names, folder)
+
+
+def build_all(tables: dict[str, dict], source, names=None, folder=None) -> dict[str, Body]:
+    """The bodies of catalogue tables, all or those in `names`, as `load_catalogue` gives them."""
     for name in names or ():
         if name not in tables:
-            raise BadInput(f"{path}: no indenter named {name!r}; it has {', '.join(tables)}")
-    return {n: build(n, t, path, folder) for n, t in tables.items() if names is None or n in names}
+            raise BadInput(f"{source}: no indenter named {name!r}; it has {', '.join(tables)}")
+    return {n: build(n, t, source, folder) for n, t in tables.items() if names is None or n in names}
 
 
 def load_indenters(workflow: Path, catalogue: str, names: Collection[str]) -> dict[str, Body]:

@@ -25,7 +25,9 @@ OPTIONAL = ("press_id",)
 KNOWN = (*COLUMNS, *OPTIONAL)
 # Where the tables of the sensors and indenters stand that rows name.
 SENSOR_TABLES = "workflow/sensors.toml or the dataset's own sensors.toml"
-INDENTER_TABLES = "workflow/indenters.toml, or the catalogue that dataset.toml names"
+INDENTER_TABLES = (
+    "workflow/indenters.toml (or the catalogue that dataset.toml names) or the dataset's own indenters.toml"
+)
 
 ID_RULE = "1 to 100 characters, each a letter, a digit or one of . - _, beginning with a letter or digit"
 LARGEST = {

@@ -18,7 +18,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
 from gelforge.flow.layout import planned_shards
 from gelforge.flow.main import command, option, positive
-from gelforge.flow.params import DatasetFile, read_dataset_file
+from gelforge.flow.params import DatasetFile, read_dataset_file, read_indenter_tables
 from gelforge.flow.params.stages import ForCalibrate, read_parameters
 from gelforge.flow.params.tables import CalibrateSolverTable, CalibrateTable
 from gelforge.flow.progress import progress
@@ -302,7 +302,7 @@ def own_cores() -> int:
     option("--out", type=Path, help="summary.json"),
 )
 def main(args: Namespace) -> None:
-    from gelforge.geometry.indenters import load_indenters
+    from gelforge.geometry.indenters import build_all
 
     if (args.poses is None) != (args.shards is None):
         raise BadInput(
@@ -316,7 +316,8 @@ def main(args: Namespace) -> None:
     logged = read_readings(args.data / "log.csv", rejected, gels_of(load_sensors(args.sensors), of))
     check_readings(logged)
     readings = logged.take(choose_presses(logged, params.max_presses))
-    catalogue = load_indenters(args.workflow, of.catalogue, sorted(set(readings.indenters.tolist())))
+    known, named = read_indenter_tables(args.workflow, args.data, of.catalogue), set(readings.indenters.tolist())
+    catalogue = build_all(known, args.workflow / of.catalogue, sorted(named), args.workflow)
     solves = args.solves or args.work / "solves"
     readings, emulator, spent = emulate(readings, catalogue, params, nu, solves, args.jobs)
     done = calibrate(readings, emulator, params, nu, args.work / "chain.npz", say_figures, args.jobs)

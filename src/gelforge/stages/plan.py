@@ -303,14 +303,16 @@ def chart_lists(params: Params, scenes: dict) -> dict[str, list[str]]:
 
 
 def read_catalogues(
-    rows: list[RawRow], catalogue: Path, workflow: Path, known: dict, params: Params
+    rows: list[RawRow], catalogue: Path, workflow: Path, known: dict, bodies: dict, params: Params
 ) -> tuple[dict[str, dict], list[Path]]:
-    """What of the `known` sensors and the indenters a dataset and its charts use, by stage, and files this depends on."""
+    """What of the `known` sensors and indenters, `bodies`, a dataset and its charts use, by stage, and files this depends on.
+
+    catalogue: file of the indenters, beside the dataset's own.
+    """
     from gelforge.geometry.gelcatalogue import files_of
 
     sensors = named(rows, "sensor_id") | {params.pareto.sensor}
-    indenters = used(config.read_toml(catalogue), named(rows, "indenter"))
-    indenters, shapes = with_content(indenters, workflow)
+    indenters, shapes = with_content(used(bodies, named(rows, "indenter")), workflow)
     tables = {"sensors": used(known, sensors), "indenters": indenters}
     # the charts' scenes name indenters of the project's own catalogue, whichever the dataset has
     return tables, list(
@@ -384,13 +386,17 @@ def check_pictures(file: Path, params: Params, sensors: dict[str, dict], models:
 
 
 def check_dataset(
-    file: Path, of: DatasetFile, params: Params, rows: list[RawRow], workflow: Path, sensors: dict
+    file: Path,
+    of: DatasetFile,
+    params: Params,
+    rows: list[RawRow],
+    workflow: Path,
+    sensors: dict,
+    indenters: dict,
 ) -> None:
     """Refuse settings that name a sensor, an indenter or a gel that there is not, or that is not the log's."""
     where = f"{file}: [params.dataset]"
-    check_names(
-        f"{where} unseen_indenters", params.dataset.unseen_indenters, config.read_toml(workflow / of.catalogue)
-    )
+    check_names(f"{where} unseen_indenters", params.dataset.unseen_indenters, indenters)
     check_names(f"{where} unseen_sensors", params.dataset.unseen_sensors, sensors)
     check_names(f"{file}: sensor", [of.sensor] if of.sensor is not None else [], sensors)
     check_names("[pareto] sensor", [params.pareto.sensor], sensors)
@@ -452,8 +458,9 @@ def main(args: Namespace) -> None:
     of = config.read_dataset_file(dataset_toml)
     rows = logged_rows(args.data / "log.csv", of.sensor)
     sensors = config.read_sensor_tables(args.workflow, args.data)
-    tables, read = read_catalogues(rows, args.workflow / of.catalogue, args.workflow, sensors, params)
-    check_dataset(dataset_toml, of, params, rows, args.workflow, sensors)
+    indenters = config.read_indenter_tables(args.workflow, args.data, of.catalogue)
+    tables, read = read_catalogues(rows, args.workflow / of.catalogue, args.workflow, sensors, indenters, params)
+    check_dataset(dataset_toml, of, params, rows, args.workflow, sensors, indenters)
     meshes = required_meshes(params.fea, params.meshes)
     lists: dict[str, list[str]] = {"MESHES": meshes, "BRANCHES": [*params.report.branches]}
     lists |= chart_lists(params, scenes)

@@ -6,6 +6,7 @@ its own part.
 
 import hashlib
 import json
+import os
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ __all__ = [
     "parameters_of",
     "plain",
     "read_dataset_file",
+    "read_indenter_tables",
     "read_parameters",
     "read_sensor_tables",
     "read_toml",
@@ -80,13 +82,35 @@ def read_sensor_tables(workflow: Path | str, data: Path | str) -> dict[str, Any]
 
     A sensor that both name raises BadInput: what is known of it stands in one place.
     """
-    common, own = Path(workflow) / "sensors.toml", Path(data) / "sensors.toml"
+    common = Path(workflow) / "sensors.toml"
     tables = read_toml(common)
+    return tables | own_tables(Path(data) / "sensors.toml", tables, common)
+
+
+def read_indenter_tables(workflow: Path | str, data: Path | str, catalogue: str) -> dict[str, Any]:
+    """Tables of the dataset's catalogue in workflow/, and of data/DATASET/indenters.toml where a dataset brings its own.
+
+    STL files are named from the file whose table names them; here all paths start at workflow/.
+    """
+    common, own = Path(workflow) / catalogue, Path(data) / "indenters.toml"
+    hint = (
+        f"catalogues lie in {workflow}/; indenters of this dataset alone go into {own}, which needs no `catalogue =`"
+    )
+    tables = read_toml(common, hint)
+    brought = own_tables(own, tables, common)
+    for table in brought.values():
+        if isinstance(table, dict) and isinstance(table.get("file"), str):
+            table["file"] = os.path.relpath(own.parent / table["file"], workflow)
+    return tables | brought
+
+
+def own_tables(own: Path, tables: dict[str, Any], common: Path) -> dict[str, Any]:
+    """Tables of a dataset's own file, none where there is none; a name that the common tables have, too, raises BadInput."""
     brought = read_toml(own) if own.exists() else {}
     twice = sorted(set(tables) & set(brought))
     if twice:
         raise BadInput(f"{own}: {', '.join(twice)} stands in {common}, too; remove one of the two tables")
-    return tables | brought
+    return brought
 
 
 @dataclass(frozen=True)
