@@ -9,6 +9,7 @@ import pytest
 from pressed_dataset import bump, label, make_mesh, write_pressed
 
 from gelforge.errors import BadInput
+from gelforge.flow.files import write_csv
 from gelforge.flow.step import NOTICES
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import Operator, assemble, cached, operator_path
@@ -16,6 +17,8 @@ from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.records.forcefile import ForceFile, SampleForces, write_forces
 from gelforge.records.labelfile import read_labels, write_labels
+from gelforge.records.log import write_rejections
+from gelforge.records.press import COLUMNS, Rejection
 from gelforge.records.status import Status
 from gelforge.stages import labels
 
@@ -46,6 +49,25 @@ def test_a_shard_whose_presses_were_all_rejected_is_read_as_any_other(tmp_path):
     write_labels(tmp_path / "0000.npz", [], (0, 3, 24, 32), nothing | {"c10": np.float64(0.0725)})
     found = read_labels(tmp_path / "0000.npz")
     assert found.label.shape == (0, 3, 24, 32) and found.status == []
+
+
+def test_a_log_without_one_good_row_stops_before_its_labels(tmp_path, root, monkeypatch):
+    """One shard without any does not."""
+    monkeypatch.chdir(root)
+    made = write_pressed(tmp_path, count=3, shard_size=2)
+    tables = [made["results"] / "10_poses" / name for name in ("0000.csv", "0001.csv")]
+    write_rejections(
+        tables[0].with_suffix(".rejected.csv"),
+        [Rejection("log.csv", row, "", "image", "", "", "") for row in (2, 3, 3)],
+    )
+    for table in tables:
+        labels.require_good(table.parent, ["0000", "0001"])
+        write_csv(table, COLUMNS, [])
+    with pytest.raises(
+        BadInput, match=r"none of the 2 rows of log.csv is good: .*0000.rejected.csv and those beside it say"
+    ):
+        label(made, "4x4")
+    assert not list(made["results"].glob("50_labels/4x4/*"))
 
 
 def test_each_sample_is_seen_by_its_own_sensor(made):

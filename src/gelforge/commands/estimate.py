@@ -21,7 +21,7 @@ import numpy as np
 from gelforge.commands.sample import stages
 from gelforge.errors import BadInput, last_words
 from gelforge.flow import layout
-from gelforge.flow.files import bytes_of, listed, read_json, write_json, write_text
+from gelforge.flow.files import bytes_of, listed, read_csv, read_json, write_json, write_text
 from gelforge.flow.forecast import Cost, on_cores, pilots, presses_an_hour, table, wall_seconds
 from gelforge.flow.layout import Layout, shard_name
 from gelforge.flow.main import command, option, positive
@@ -142,6 +142,9 @@ def pilot(data: Path, results: Path, work: Path, rows: list[RawRow], resolution:
             once = bytes_of(Layout(results).meshes)
             written += once
         found.append(Cost(STAGES[module], each, starts, (written - once) / len(rows), once))
+        if module == "poses" and not read_csv(out):
+            command = Layout(results).command("poses STRICT=1")
+            raise BadInput(f"all {len(rows)} rows that were tried were rejected; {command} says why")
         if module == "fea":
             pace = replace(pace, hex_press=each * on_hexahedra(out))
         if module == "labels":

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import digest_of, write_json
+from gelforge.flow.files import digest_of, read_csv, write_json
 from gelforge.flow.layout import command_for, planned_shards
 from gelforge.flow.main import command, option
 from gelforge.flow.params.stages import ForLabels, read_parameters
@@ -234,6 +234,7 @@ def label_folder(args, grid: Grid, sensors: dict, channels) -> dict:
     shards = planned_shards(args.shards)
     if not shards:
         raise BadInput(f"{args.shards}: holds no shards; run make, which plans them")
+    require_good(args.poses, shards)
     totals: dict[str, Any] = {"resolution": str(grid), "shards": len(shards), "samples": 0, "failed": 0}
     worst: dict[str, Any] = {"worst_sample": "", "worst_outside_share": 0.0}
     seen: Counter[tuple[str, bool]] = Counter()
@@ -256,6 +257,21 @@ def label_folder(args, grid: Grid, sensors: dict, channels) -> dict:
     require_seen(seen, args.sensors)
     digests = {f"{shard}.npz": digest_of(folder / f"{shard}.npz") for shard in shards}
     return {**totals, **{key: worst[key] for key in ("worst_sample", "worst_outside_share")}, "sha256": digests}
+
+
+def require_good(poses: Path, shards: list[str]) -> None:
+    """Raise BadInput where stage 10 rejected all rows of all shards. poses: folder 10_poses."""
+    if any(read_csv(poses / f"{shard}.csv") for shard in shards):
+        return
+    tables = [poses / f"{shard}.rejected.csv" for shard in shards]
+    found = [row for table in tables if table.exists() for row in read_csv(table)]
+    if not found:
+        return
+    say = "and those beside it say" if len(tables) > 1 else "says"
+    raise BadInput(
+        f"none of the {len({row['row'] for row in found})} rows of {found[0]['file']} is good:"
+        f" {tables[0]} {say} what is wrong with each; correct the log and run make again"
+    )
 
 
 def require_seen(seen: Counter[tuple[str, bool]], where) -> None:
