@@ -137,6 +137,21 @@ def test_unusable_press_is_rejected_and_the_others_go_on(lab, capsys, cells, col
     assert [p.name for p in folder.iterdir()] == ["good.stl"]
 
 
+@pytest.mark.parametrize(
+    ("cells", "columns"),
+    [
+        ({"sensor_id": "", "image": ""}, ["sensor_id", "image"]),
+        ({"sensor_id": "nobody", "indenter": "spoon", "image": "b.png"}, ["sensor_id", "indenter", "image"]),
+        ({"dz_mm": 1.0, "indenter": "spoon", "image": "images/b.png"}, ["dz_mm", "indenter", "image"]),
+        ({"z0_mm": 1.5, "image": ""}, ["image", "dz_mm"]),
+        ({"fz_n": 3.0, "image": ""}, ["image", "fz_n"]),
+    ],
+)
+def test_faults_that_do_not_depend_on_each_other_are_reported_together(lab, cells, columns):
+    table, rejected, _ = lab([sample("bad", **cells), sample("good")])
+    assert [row["sample_id"] for row in table] == ["good"] and [row["column"] for row in rejected] == columns
+
+
 def test_strict_fails_after_writing_the_reasons(lab, tmp_path):
     with pytest.raises(BadInput, match="1 rows rejected"):
         lab([sample("bad", z0_mm=1.5), sample("good")], "--strict")

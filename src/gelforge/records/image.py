@@ -143,8 +143,8 @@ def as_jpeg(image: np.ndarray, quality: int) -> np.ndarray:
     return decode(encode_jpeg(image, quality), "an image just coded")
 
 
-def bad_image(press: PressRecord, file: str, folder: str | Path, size: tuple[int, int]) -> Rejection | None:
-    """Why a press's image cannot be used; `folder` is the dataset's, `size` the sensor's width and height."""
+def bad_image(press: PressRecord, file: str, folder: str | Path, size: tuple[int, int] | None) -> Rejection | None:
+    """Why a press's image cannot be used; `folder` is the dataset's, `size` the sensor's width and height where it is known."""
 
     def no(reason: str, hint: str) -> Rejection:
         return reject(press, file, "image", reason, hint)
@@ -168,7 +168,7 @@ def bad_image(press: PressRecord, file: str, folder: str | Path, size: tuple[int
     fault, seen = png_fault(data)
     if fault:
         return no(fault, "copy the file again from the source, as PNG")
-    if seen != tuple(size):
+    if size is not None and seen != tuple(size):
         return no(
             f"is {seen[0]} x {seen[1]} pixels, the sensor has {size[0]} x {size[1]}",
             f"record at that size, or correct `image` of {press.sensor_id} in {SENSOR_TABLES}",

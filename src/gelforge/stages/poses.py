@@ -156,17 +156,18 @@ def judge(rows: list[RawRow], file: str, data: Path, tables: dict, params: Poses
     """
     needed = [name for name in COLUMNS if params.images or name != "image"]
     parsed = [parse(row, file, needed) for row in rows]
-    rejections = [r for _, wrong in parsed for r in wrong]
+    rejections = []
+    for row, (_, wrong) in zip(rows, parsed, strict=True):
+        if wrong:
+            rejections += [*wrong, *beside_cells(row, wrong, file, data, tables, params)]
     samples, doubled = without_duplicates([s for s, _ in parsed if s], file)
     rejections += doubled
     good, bodies = [], Bodies(tables["indenters"], tables["folder"])
     for sample in samples:
-        wrong = unknown_names(sample, file, tables["sensors"], tables["indenters"])
-        wrong = wrong or pulling(sample, file, params)
-        if not wrong:
-            sample, wrong = yielded(sample, file, params)
-        if not wrong:
-            wrong = place_faults(sample, file, data, tables["sensors"][sample.sensor_id], bodies, params)
+        wrong = name_and_image_faults(sample, file, data, tables, params)
+        if not {"sensor_id", "indenter"} & {r.column for r in wrong}:
+            sample, faults = path_faults(sample, file, tables["sensors"][sample.sensor_id], bodies, params)
+            wrong += faults
         rejections += wrong
         if not wrong:
             good.append(sample)
@@ -174,6 +175,34 @@ def judge(rows: list[RawRow], file: str, data: Path, tables: dict, params: Poses
     lost = {r.row for r in astray}
     kept = [(sample, bodies[sample.indenter]) for sample in good if sample.row not in lost]
     return kept, sorted([*rejections, *astray], key=lambda r: r.row)
+
+
+def name_and_image_faults(sample: LoggedPress, file: str, data: Path, tables: dict, params: PosesTable):
+    """Rejections of what a press names: a sensor or an indenter that there is not, a picture that cannot be used."""
+    wrong = unknown_names(sample, file, tables["sensors"], tables["indenters"])
+    if not params.images:
+        return wrong
+    size = None
+    match tables["sensors"].get(sample.sensor_id):
+        case {"image": [int(width), int(height)]}:
+            size = (width, height)
+    fault = bad_image(sample, file, data, size)
+    return [*wrong, fault] if fault else wrong
+
+
+def beside_cells(row: RawRow, wrong: list[Rejection], file: str, data: Path, tables: dict, params: PosesTable):
+    """Rejections of what a row names where other cells are `wrong`, so that all that is to be corrected is seen at once."""
+    sample, _ = parse(row, file, ())
+    found = name_and_image_faults(sample, file, data, tables, params) if sample else []
+    return [each for each in found if each.column not in {r.column for r in wrong}]
+
+
+def path_faults(sample: LoggedPress, file: str, sensor: dict, bodies, params: PosesTable):
+    """The press with the path that its tip took, and rejections by its force, its path and its indenter's shape."""
+    wrong = pulling(sample, file, params)
+    if not wrong:
+        sample, wrong = yielded(sample, file, params)
+    return sample, wrong or place_faults(sample, file, sensor, bodies, params)
 
 
 def repeated_pictures(samples: list[LoggedPress], file: str, repeated: dict[str, str]) -> list[Rejection]:
@@ -206,10 +235,8 @@ class Bodies:
         return self.built[name]
 
 
-def place_faults(
-    sample: LoggedPress, file: str, data: Path, sensor: dict, bodies, params: PosesTable
-) -> list[Rejection]:
-    """Rejections of a press by its sensor's table, its indenter's shape, where it lies and its image."""
+def place_faults(sample: LoggedPress, file: str, sensor: dict, bodies, params: PosesTable) -> list[Rejection]:
+    """Rejections of a press by its sensor's table, its indenter's shape and where it lies."""
     try:
         known = sensor_of(SENSOR_TABLES, sample.sensor_id, sensor)
     except BadInput as error:
@@ -218,9 +245,7 @@ def place_faults(
         body = bodies[sample.indenter]
     except BadInput as error:
         return [reject(sample, file, "indenter", "its shape cannot be used", str(error))]
-    wrong = geometric_faults(sample, file, body, load_gel(known.gel), params)
-    fault = bad_image(sample, file, data, known.image) if params.images else None
-    return [*wrong, fault] if fault else wrong
+    return geometric_faults(sample, file, body, load_gel(known.gel), params)
 
 
 def write_shard(good, rejections, out: Path, params: PosesTable) -> None:
