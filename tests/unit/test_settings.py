@@ -217,7 +217,7 @@ def test_a_folder_in_place_of_a_file_of_settings_is_refused_in_a_sentence(tmp_pa
 
 def test_a_file_of_settings_that_is_not_there_is_refused_with_what_to_do(tmp_path):
     for hint, said in (
-        ((), "check the name .README.md says"),
+        ((), "check the name .workflow/guide/your-data.md and"),
         (("make it with gelforge sensor",), "make it with gel"),
     ):
         with pytest.raises(BadInput, match=f"nothere.toml: not found; {said}"):

@@ -126,7 +126,8 @@ def read_json(path: Path | str) -> Any:
 
 
 def read_toml(
-    path: Path | str, hint: str = "check the name (README.md says what a dataset and workflow/ must hold)"
+    path: Path | str,
+    hint: str = "check the name (workflow/guide/your-data.md and workflow/README.md say what must be there)",
 ) -> dict:
     """Read a TOML file; one that is not there, cannot be read or is no TOML raises BadInput with file and place.
 
