@@ -15,7 +15,7 @@ from gelforge.geometry.indenters import build
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.mesh.family import MeshFamily
 from gelforge.mechanics.scene import Scene
-from gelforge.mechanics.solvers.auto import cheapest
+from gelforge.mechanics.solvers.auto import charted_errors, cheapest
 from gelforge.mechanics.solvers.contactclass import contact_class
 from gelforge.mechanics.solvers.fidelity import Solvers
 from gelforge.records.press import Press
@@ -56,6 +56,14 @@ def test_the_choice_meets_what_was_asked_and_more_tolerance_never_costs_more(kin
     rows = [fea.charted[kind]] if kind in fea.charted else [fea.charted["pointed_deep"]]
     assert rows[0][way][0] <= total and rows[0][way][1] <= cells
     assert rows[0][looser][2] <= rows[0][way][2]
+
+
+def test_a_class_that_was_charted_on_one_scene_counts_as_the_worst_of_its_shape():
+    """A single ball at the apex says nothing of the spread of all shallow curved contacts."""
+    fea = parameters().fea
+    shallow, deep = (charted_errors(kind, fea) for kind in ("curved_shallow", "curved_deep"))
+    assert all((shallow[way] == deep[way]).all() for way in WAYS)
+    assert all((shallow[way] >= fea.charted["curved_shallow"][way]).all() for way in WAYS)
 
 
 def test_a_class_of_a_shape_never_charted_counts_as_the_worst_there_is():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from gelforge.flow.files import read_json
+from gelforge.geometry.indenters import build
 from gelforge.stages import challenge
 from tests.benchmarks.outside import PROGRAM, PYTHON, figures_of, has_getfem
 
@@ -18,6 +19,16 @@ sys.argv = [g.__file__, sys.argv[1], "sphere_1mm"]
 g.main()
 """
 
+DISTANCES = """
+import json, sys
+import numpy as np
+import getfem_edges as g
+points = np.load(sys.argv[1])
+tables = {name: json.load(open(f"scenes/{name}/scene.json"))["indenter"] for name in g.BRICKS}
+np.savez(sys.argv[2], **{name: g.KINDS[of["kind"]](of, *points.T) for name, of in tables.items()})
+"""
+OWN = pytest.mark.skipif(not has_getfem(), reason="needs Debian's python3-getfem and python3-scipy")
+
 
 @pytest.fixture(scope="module")
 def folder(root, tmp_path_factory):
@@ -27,7 +38,22 @@ def folder(root, tmp_path_factory):
     return out
 
 
-@pytest.mark.skipif(not has_getfem(), reason="needs Debian's python3-getfem and python3-scipy")
+@OWN
+def test_its_bodies_are_those_of_the_scenes(folder, tmp_path):
+    """Signed distances of two programs at places that a gel can touch."""
+    places = np.random.default_rng(0).uniform([-8.0, -8.0, -1.5], [8.0, 8.0, 0.9], (5000, 3))
+    np.save(tmp_path / "places.npy", places)
+    asked = [PYTHON, "-c", DISTANCES, str(tmp_path / "places.npy"), str(tmp_path / "found.npz")]
+    subprocess.run(asked, cwd=folder, check=True, capture_output=True)
+    with np.load(tmp_path / "found.npz") as found:
+        for name in found:
+            body = build(name, read_json(folder / f"scenes/{name}/scene.json")["indenter"], "scene")
+            distance, _ = body.distance(places)
+            near = (distance > -0.3) & (distance < 1.0)
+            np.testing.assert_allclose(found[name][near], distance[near], atol=1e-9, err_msg=name)
+
+
+@OWN
 def test_an_engine_of_others_meets_the_reference_of_a_ball(folder, tmp_path):
     """A twentieth of the mesh that the benchmark takes: total force within 3 %; a second run solves nothing again."""
     for _ in range(2):

@@ -35,14 +35,13 @@ def method_of(scene: Scene, fidelity: str, settings: FeaTable) -> SolveMethod:
 
 
 def charted_errors(kind: str, settings: FeaTable) -> dict[str, np.ndarray]:
-    """Worst benchmarked error of total force and of the cells, and cost (3,), by method, on contacts of this class.
+    """Worst benchmarked error of total force and of the cells, and cost (3,), by method, on contacts of a class's shape.
 
-    A class that was never benchmarked counts as the worst of all classes of its shape, or of all there are.
+    Of all classes of this shape, because a class alone rests on one to five scenes; of all there are for a shape without any.
     """
     charted = settings.charted
     shape, _, _ = kind.partition("_")
-    alike = [name for name in charted if name.startswith(f"{shape}_")]
-    rows = [charted[name] for name in ([kind] if kind in charted else alike or charted)]
+    rows = [row for name, row in charted.items() if name.startswith(f"{shape}_")] or list(charted.values())
     return {way: np.max([row[way] for row in rows], axis=0) for way in WAYS if all(way in row for row in rows)}
 
 

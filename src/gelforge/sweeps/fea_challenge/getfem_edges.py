@@ -19,11 +19,11 @@ from getfem_spheres import gel_top
 HERE = Path(__file__).resolve().parent
 # mm of the hexahedra under the body; scenes with planes of symmetry are solved on a half or a quarter of the gel
 BRICKS = {
-    "sphere_1mm": 0.6,
-    "cuboid_round": 0.7,
-    "cylinder": 0.65,
+    "sphere_1mm": 0.45,
+    "cuboid_round": 0.55,
+    "cylinder": 0.6,
     "pyramid": 0.5,
-    "cuboid_shear": 0.65,
+    "cuboid_shear": 0.55,
     "triple_triangle": 0.5,
     "cuboid_sharp": 0.5,
     "punch": 0.25,
@@ -90,9 +90,10 @@ def triple_triangle(of, x, y, z):
     """A triangle with rounded corners, pierced by a sharp one upside down that leaves its three corners."""
     inradius, turn = of["side"] / np.sqrt(12), of["first_corner_deg"]
     outer = polygon(triangle(inradius - of["fillet"], turn), x, y) - of["fillet"]
-    corners = triangle(inradius - of["wall"], turn + 180)
+    inner = (inradius - of["wall"]) / 2  # the hole's corners are `wall` away from the sides of the triangle
+    corners = triangle(inner, turn + 180)
     normals = -corners / np.linalg.norm(corners[0])  # each side lies opposite to a corner
-    hole = (np.stack([x, y], axis=-1) @ normals.T).max(-1) - (inradius - of["wall"])
+    hole = (np.stack([x, y], axis=-1) @ normals.T).max(-1) - inner
     return planar(np.maximum(outer, -hole), z, of["fillet"])
 
 
