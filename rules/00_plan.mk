@@ -92,6 +92,6 @@ endif
 
 # Of the plan's own files the table of shards stays: samples keep their shards by it.
 .PHONY: clean-ahead
-clean-ahead:  ## remove results dated ahead of this machine's clock, to be made again; presses solved are kept
+clean-ahead:  ## remove results dated ahead of this machine's clock, so that make makes them again; keeps solved presses
 	@$(AHEAD) -newermt now ! -path '$D/00_plan/shards.csv' -print -exec rm -f {} +
 	@touch -c $D/00_plan/shards.csv; rm -f $(PLANNED)

@@ -28,7 +28,7 @@ SLOTS = $(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),$(JOBS))
 HANDS_SLOTS = $(if $(strip $(foreach f,n q t,$(findstring $f,$(firstword -$(MAKEFLAGS))))),,+)
 
 .PHONY: setup
-setup: $(SETUP) $(CCX_FOUND)  ## virtual environment and CalculiX, inside the project but for system packages
+setup: $(SETUP) $(CCX_FOUND)  ## virtual environment and CalculiX, inside the project; only system packages go outside
 
 $(SETUP): $(if $(VENV_IS_LINK),,envs/requirements.lock pyproject.toml envs/venv.sh)
 	@envs/venv.sh $@

@@ -2,7 +2,7 @@
 POSES := $(SHARDS:%=$D/10_poses/%.csv)
 
 .PHONY: poses
-poses: $(POSES) $(call barrier,10_poses)  ## check the log, put every indenter's surface where the CNC put it
+poses: $(POSES) $(call barrier,10_poses)  ## check the log, place every indenter's surface as the CNC did
 
 $(POSES): $D/10_poses/%.csv: $D/00_plan/shards/%.csv $D/00_plan/shards/%.json $P/poses.json
 	$(call step,gelforge.stages.poses --data $(DATA) --shard $< --params $P/poses.json $(if $(STRICT),--strict) --out $@.part)

@@ -2,11 +2,11 @@
 FEA := $(SHARDS:%=$D/30_fea/%.csv)
 
 .PHONY: fea
-fea: $(FEA) $(call barrier,30_fea)  ## finite element solves of every good sample
+fea: $(FEA) $(call barrier,30_fea)  ## solve every accepted sample by finite elements
 
 $(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $P/fea.json $(if $(MESHES),$D/20_meshes/%.csv) | $(call barrier,10_poses 20_meshes)
 	$(call step,gelforge.stages.fea --poses $< --meshes $D/20_meshes $(if $(MESHES),--chosen $D/20_meshes/$*.csv) --params $P/fea.json --out $@.part)
 
 .PHONY: deck
-deck:  ## CalculiX' deck of one sample as a folder that runs by itself: make deck ID=…
+deck:  ## CalculiX' deck of one sample as a self-contained folder: make deck ID=…
 	@$(PY) -m gelforge.commands.deck --results $D --id $(call given,ID)

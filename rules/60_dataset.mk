@@ -13,7 +13,7 @@ BESIDE := $(wildcard $(DATA)/nocontact $(DATA)/splits.csv $(DATA)/truth/presses.
 BESIDE_DIGEST := $(if $(BESIDE),$(shell LC_ALL=C find -L $(BESIDE) -type f -printf '%p %s %T@\n' | LC_ALL=C sort | sha256sum | cut -c 1-32))
 
 .PHONY: dataset
-dataset: $(DATASETS)  ## images, labels, split without leaks, normalisation
+dataset: $(DATASETS)  ## images and labels, split without leaks, with normalisation
 
 $(DATASETS): $D/60_dataset/%/dataset.json: $(LABEL_SOURCE) $(if $(IMPORTED),$D/00_plan/shards.csv,$(POSES)) $D/60_dataset/beside.txt $P/dataset.json $P/indenters.json $P/sensors.json | $(call barrier,10_poses)
 	$(call step,gelforge.stages.dataset --data $(DATA) --labels $(if $(IMPORTED),$<,$(<D)) --poses $D/10_poses --shards $D/00_plan/shards --catalogue $P/indenters.json --sensors $P/sensors.json --resolution $* --params $P/dataset.json $(if $(STRICT),--strict) --out $@.part)

@@ -39,10 +39,10 @@ $(error ship RES=$(RES1): the shipped network has a grid of $(SHIPPED_RES); trai
 endif
 
 .PHONY: train models onnx
-train: $D/70_train/$(RES1)/$(LEARNT).onnx  ## one network as ONNX, which predicts: make train MODEL=grid_16 RES=24x32
+train: $D/70_train/$(RES1)/$(LEARNT).onnx  ## train one network and export it as ONNX: make train MODEL=grid_16 RES=24x32
 onnx: train
 	@echo 'make train writes ONNX by itself; make onnx will be gone in the next release'
-models: $(LEARNABLE:%=$D/70_train/$(RES1)/%.onnx)  ## every network of workflow/models.toml that learns from nothing but the dataset
+models: $(LEARNABLE:%=$D/70_train/$(RES1)/%.onnx)  ## train every network of workflow/models.toml that needs only the dataset
 
 # Other datasets that are learnt from as well ([train] also). They are made by themselves.
 LEARNT_WITH := $(LEARN_ALSO:%=results/%/60_dataset/$(RES1)/dataset.json)

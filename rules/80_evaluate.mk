@@ -2,8 +2,8 @@
 EVALUATED := $(MODELS:%=$D/80_evaluate/$(RES1)/%.json)
 
 .PHONY: evaluate evaluate-models ship
-evaluate: $D/80_evaluate/$(RES1)/$(MODEL).json $D/80_evaluate/$(RES1)/$(MODEL).card.md  ## errors of one network against labels, controls and sensors; its card
-evaluate-models: $(LEARNABLE:%=$D/80_evaluate/$(RES1)/%.json)  ## the same for every network
+evaluate: $D/80_evaluate/$(RES1)/$(MODEL).json $D/80_evaluate/$(RES1)/$(MODEL).card.md  ## errors of one network against labels, baselines and force sensors; its card
+evaluate-models: $(LEARNABLE:%=$D/80_evaluate/$(RES1)/%.json)  ## evaluate every network
 
 $(EVALUATED): $D/80_evaluate/$(RES1)/%.json: $D/70_train/$(RES1)/%.onnx $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
 	$(call step,gelforge.stages.evaluate --dataset $(dir $(word 2,$^)) --model $< --params $P/evaluate.json --out $@.part)
@@ -23,7 +23,7 @@ $(EVALUATED:.json=.card.md): $D/80_evaluate/$(RES1)/%.card.md: $D/70_train/$(RES
 # It takes the time of its copy: one that went on from the network whose place it takes is not trained again for that.
 # A network of two stages has a second graph, default.slopes.onnx. What benchmark-unseen and benchmark-real measured of this very
 # network goes into the card.
-ship: $D/70_train/$(RES1)/$(LEARNT).onnx $D/80_evaluate/$(RES1)/$(LEARNT).json  ## makes a network the one that predict and live use where none is named
+ship: $D/70_train/$(RES1)/$(LEARNT).onnx $D/80_evaluate/$(RES1)/$(LEARNT).json  ## make a network the default of predict and live
 	@$(PY) -m gelforge.stages.card --model $< --evaluation $(word 2,$^) --measured $(wildcard results/benchmarks/unseen.json results/benchmarks/real.json) --out $(SHIPPED).md.part
 	cp $< $(SHIPPED).onnx.part
 	cp $(<:.onnx=.safetensors) $(SHIPPED).safetensors

@@ -5,11 +5,11 @@ POSTERIOR := $D/calibrate/summary.json
 .PHONY: calibrate freeze calibrated-labels
 calibrate: $(POSTERIOR)  ## posterior of C10, touch offset, compliance and friction from the log's force readings
 
-freeze: $(POSTERIOR)  ## keep what calibrate found in data/DATASET/calibration.toml: labels follow it, until it is frozen anew
+freeze: $(POSTERIOR)  ## write the posterior to data/DATASET/calibration.toml: labels use these values until the next make freeze
 	@$(PY) -m gelforge.commands.freeze --summary $< --out $(FROZEN)
 
 # Another make reads what was frozen: poses and stiffness of this one are those before.
-calibrated-labels: $(if $(IS_FROZEN),labels)  ## labels by the log's own calibration, which is found and frozen first
+calibrated-labels: $(if $(IS_FROZEN),labels)  ## calibrate by the log's forces, freeze the result, make labels with it
 	$(if $(IS_FROZEN),@:,@export HAS_SLOTS=yes; $(MAKE) --no-print-directory freeze && $(MAKE) --no-print-directory labels)
 
 # It reads the path as commanded: poses that a frozen calibration moved make it no other.

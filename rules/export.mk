@@ -16,12 +16,12 @@ endif
 endif
 
 .PHONY: export
-export: $D/60_dataset/$(RES1)/dataset.json  ## a dataset for others: make export FORMAT=mcap, rerun, lerobot, webdataset or hdf5
+export: $D/60_dataset/$(RES1)/dataset.json  ## write a dataset in another format: make export FORMAT=mcap, rerun, lerobot, webdataset or hdf5
 	@$(PY) -m gelforge.commands.export --data $(DATA) --dataset $(<D) --sensors $P/sensors.json --format $(FORMAT) --out $(EXPORT)
 
 # The other way: recordings in MCAP become a dataset of pictures with total force.
 TOPICS ?=
 
 .PHONY: mcap-import
-mcap-import: $(SETUP)  ## recordings in MCAP to data/DATASET: make mcap-import FROM=folder TOPICS=topics.toml DATASET=name
+mcap-import: $(SETUP)  ## import MCAP recordings to data/DATASET: make mcap-import FROM=folder TOPICS=topics.toml DATASET=name
 	@$(PY) -m gelforge.commands.mcap --from $(call given,FROM) --topics $(call given,TOPICS) --data $(DATA)

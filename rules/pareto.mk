@@ -41,10 +41,10 @@ CHALLENGE := results/fea_challenge/challenge.json
 CHALLENGE_CODE := $(addprefix src/gelforge/,stages/challenge.py stages/pareto.py sweeps/challenge.py sweeps/methods.py)
 
 .PHONY: fea-challenge fea-references
-fea-challenge: $(CHALLENGE)  ## the scenes as an open benchmark for any simulator: results/fea_challenge
+fea-challenge: $(CHALLENGE)  ## write the scenes as an open benchmark for simulators: results/fea_challenge
 
 $(CHALLENGE): workflow/scenes.toml workflow/indenters.toml workflow/sensors.toml workflow/params.toml $(KEPT) $(CHALLENGE_CODE) $(wildcard $(SHAPES) $(REFERENCES)/*.csv src/gelforge/sweeps/fea_challenge/*) | $(SETUP)
 	@$(PY) -m gelforge.stages.challenge write --references $(REFERENCES) --out $(@D)
 
-fea-references: $(PARETO_FILES)  ## the benchmark's references anew from the large chart (hours)
+fea-references: $(PARETO_FILES)  ## make the references of fea-challenge again from the large chart (hours)
 	@$(PY) -m gelforge.stages.challenge references --scenes $^ --references $(REFERENCES)

@@ -6,16 +6,16 @@ REFERENCE := $(or $(value GELFORGE_REFERENCE),../shared/reference)
 endif
 
 .PHONY: rig rig-estimate rig-check
-rig: $(SETUP)  ## simulate the presses of a plan into data/: make rig PLAN=workflow/rig/train.toml
+rig: $(SETUP)  ## simulate the presses of a plan, write them to data/: make rig PLAN=workflow/rig/train.toml
 	@$(PY) -m gelforge.stages.rig --plan $(call given,PLAN) --data data --jobs $(SLOTS)
 
-rig-estimate: $(SETUP)  ## core hours, disk, memory and time of a plan, from a few of its presses: make rig-estimate PLAN=workflow/rig/paper.toml
+rig-estimate: $(SETUP)  ## estimate core hours, disk, memory and time of a plan from a few of its presses: make rig-estimate PLAN=workflow/rig/paper.toml
 	@$(PY) -m gelforge.stages.rigcost --plan $(call given,PLAN) --data data --cores $(SLOTS)
 
-rig-check: $(SETUP)  ## benchmark-rig with a page of the rig's pictures beside real ones: results/rig-check/index.html
+rig-check: $(SETUP)  ## run benchmark-rig, and show images of the rig beside real ones on a page: results/rig-check/index.html
 	@$(PY) -m tests.benchmarks.rig --reference $(call given,REFERENCE) --page results/rig-check/index.html
 
 # The table that ships with `gelforge sensor --balls`; to solve it anew remove it first, rows that are there stay.
 .PHONY: ball-table
-ball-table: $(SETUP)  ## solve the rows that src/gelforge/networks/balls/balls.csv lacks (three minutes for all)
+ball-table: $(SETUP)  ## solve the missing rows of src/gelforge/networks/balls/balls.csv (three minutes for all)
 	@$(PY) -m gelforge.stages.ball_table

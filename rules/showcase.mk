@@ -4,7 +4,7 @@ README_FILMS := ball_white_thread_4_camera_0.avi glass_box_1_camera_2.avi marker
 README_PICTURES := $(README)/press.png $(README)/real.png $(README)/speed.png $(README)/stability.png
 
 .PHONY: readme-pictures
-readme-pictures: $(README_PICTURES)  ## the README's pictures: a press, real sensors beside their force maps, speed and accuracy, stability
+readme-pictures: $(README_PICTURES)  ## draw the README's pictures: a press, real images beside force maps, speed and accuracy, stability
 
 $(README)/press.png: workflow/indenters.toml | $(SETUP)
 	@$(PY) -m gelforge.stages.readme press --catalogue $< --name triangle_10 --out $@

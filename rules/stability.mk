@@ -4,7 +4,7 @@ STABILITY_ROWS := depth shear place tilt ridge nu friction size steps random nat
 STABILITY_FILES := $(STABILITY_ROWS:%=$D/stability/rows/%.json)
 
 .PHONY: stability
-stability: $D/stability/map.json  ## where the mechanics converge, fail and drift: map, CSV, JSON (hours; resumes)
+stability: $D/stability/map.json  ## parameters at which the mechanics converge, fail or lose accuracy: map, CSV, JSON (hours; resumes)
 
 # Rows at label setting take meshes that ship; the others those of the chart.
 $(filter %/size.json %/steps.json %/native.json,$(STABILITY_FILES)): $(filter $D/pareto/meshes/ccx-%,$(PARETO_MESH_FILES))

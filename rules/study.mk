@@ -11,7 +11,7 @@ STUDIES := $(STUDIED:%=$(STUDY)/networks/%.onnx)
 JUDGED := $(STUDIED:%=$(STUDY)/evaluations/%.json)
 
 .PHONY: study study-with-others
-study: $(STUDY)/study.json  ## error of one network against the presses and units it learnt from, STUDIED="presses_250 units_4": chart, CSV, JSON
+study: $(STUDY)/study.json  ## error of one network against the number of training presses and units, STUDIED="presses_250 units_4": chart, CSV, JSON
 
 # The network of all presses would have learnt from other datasets too, and those of parts from none. A recipe refuses: make
 # may have read an old plan, which it makes anew before it runs one.

@@ -25,7 +25,7 @@ test benchmark-face: $(CHROMIUM_FOUND)
 LEROBOT_READY := .venv-lerobot/ready
 
 .PHONY: lerobot-env
-lerobot-env: $(LEROBOT_READY)  ## an environment with LeRobot, in which tests open an export by its own training factory
+lerobot-env: $(LEROBOT_READY)  ## an environment with LeRobot, in which tests open an export by LeRobot's training factory
 
 $(LEROBOT_READY): envs/lerobot.sh envs/lerobot.lock | $(SETUP)
 	@envs/lerobot.sh $@
@@ -39,20 +39,20 @@ test: $(SETUP) $(CCX_FOUND)  ## all tests
 test-slurm: $(SETUP) $(SLURM_FOUND)  ## tests of EXECUTOR=slurm on a real cluster of one node, started and stopped here
 	@$(PY) -m pytest $(wildcard tests/workflow/test_slurm*.py)
 
-lint: $(SETUP)  ## style, names and types of the code, as CI asks for them
+lint: $(SETUP)  ## check style, names and types of the code, as CI does
 	@$(PY) -m ruff check
 	@$(PY) -m ruff format --check
 	@$(PY) -m mypy
 
 .PHONY: stage-digests
-stage-digests: $(SETUP)  ## say that changed code changes no results, or that VERSION was raised: tests/stage_digests.json
+stage-digests: $(SETUP)  ## confirm that changed code changes no results, or that VERSION was raised: tests/stage_digests.json
 	@$(PY) -m tests.stage_digests
 
-format: $(SETUP)  ## write the code in the project's form
+format: $(SETUP)  ## format the code
 	@$(PY) -m ruff check --fix
 	@$(PY) -m ruff format
 
-lock: $(SETUP)  ## write envs/requirements.lock from what is installed
+lock: $(SETUP)  ## write envs/requirements.lock from the installed packages
 	@$(PY) -m pip freeze --exclude-editable > envs/.requirements.part
 	@sed 's/+cpu$$//' envs/.requirements.part > envs/.requirements.lock && rm envs/.requirements.part
 	@mv envs/.requirements.lock envs/requirements.lock
@@ -65,13 +65,13 @@ $(BENCHMARKS): benchmark-%: $(SETUP) $(CCX_FOUND)
 	@$(PY) -m tests.benchmarks.$* --out results/benchmarks/$*.json
 
 .PHONY: benchmark-tables
-benchmark-tables: $(SETUP)  ## write the figures of results/benchmarks/ into README and guide, name those of sources that changed
+benchmark-tables: $(SETUP)  ## write the figures of results/benchmarks/ into README and guide, name groups whose sources changed
 	@$(PY) -m tests.benchmarks.tables
 
 .PHONY: real-check
-real-check: $(SETUP)  ## benchmark-real with a page of real pictures and what is read in them: results/real-check/index.html
+real-check: $(SETUP)  ## run benchmark-real, and show real images with their predictions on a page: results/real-check/index.html
 	@$(PY) -m tests.benchmarks.real --reference $(call given,REFERENCE) --out results/benchmarks/real.json --page results/real-check/index.html
 
 .PHONY: benchmark-X
-benchmark-X:  ## measure what was promised; X is one of those listed by make benchmark-X
+benchmark-X:  ## measure a group of figures; make benchmark-X lists the names that X may take
 	@echo "$(BENCHMARKS)"

@@ -1,6 +1,6 @@
 # What people type while they work: the whole flow, its state, one sample, clean-up.
 .PHONY: demo status sample slurm-cancel
-demo:  ## the whole flow on the demo dataset: labels, what the shipped network reads, calibration, chart, report
+demo:  ## the whole flow on the demo dataset: labels, predictions of the shipped network, calibration, chart, report
 demo: $(if $(IS_FROZEN),report)
 	$(if $(IS_FROZEN),,@export HAS_SLOTS=yes; $(MAKE) --no-print-directory freeze && $(MAKE) --no-print-directory report)
 	@echo "report: $D/90_report/index.html"
@@ -8,7 +8,7 @@ demo: $(if $(IS_FROZEN),report)
 status: | $(SETUP)  ## samples done, failed with reasons and pending, per stage
 	@$(PY) -m gelforge.commands.status --results $D $(if $(PLAN_STATE),--meshes $(MESHES))
 
-sample: | $(SETUP)  ## one sample through all stages with its log: make sample ID=…
+sample: | $(SETUP)  ## run one sample through all stages and show its log: make sample ID=…
 	@$(PY) -m gelforge.commands.sample --dataset $(DATASET) --id $(call given,ID) --resolution $(RES1)
 
 ifneq ($(filter sample,$(MAKECMDGOALS)),)
@@ -17,7 +17,7 @@ $(error no sample named; say make sample DATASET=$(DATASET) ID=SAMPLE_ID)
 endif
 endif
 
-slurm-cancel: | $(SETUP)  ## cancel what was left running on Slurm (DETACH=1)
+slurm-cancel: | $(SETUP)  ## cancel jobs that still run on Slurm (DETACH=1)
 	@$(PY) -m gelforge.flow.slurm.run cancel --results $D
 
 ID ?=
@@ -39,7 +39,7 @@ $(CLEAN): clean-%:
 clean-STAGE:  ## remove a stage's artifacts, logs and metrics (clean-fea, clean-labels …)
 	@echo "one of: $(CLEAN)"
 
-clean-all:  ## remove everything made of this dataset, work on Slurm too
+clean-all:  ## remove all results of this dataset and cancel its Slurm jobs
 	@if [ -x $(PY) ] && compgen -G '$D/.slurm/*.json' >/dev/null; then $(PY) -m gelforge.flow.slurm.run cancel --results $D; fi
 	rm -rf $D
 
@@ -47,14 +47,14 @@ clean-venv:  ## remove the virtual environment
 	rm -rf .venv
 
 .PHONY: parameters
-parameters: $(SETUP)  ## workflow/guide/parameters.md anew, the page of all parameters
+parameters: $(SETUP)  ## write workflow/guide/parameters.md, the page of all parameters
 	@$(PY) -m gelforge.commands.parameters
 
 # Questions about the flow.
 .PHONY: why provenance lineage estimate
 TARGET ?=
 
-why:  ## why a target would be made again: make why TARGET=report
+why:  ## explain why a target is outdated: make why TARGET=report
 	@$(PY) -m gelforge.commands.why --target $(call given,TARGET) 'DATASET=$(DATASET)' 'RES=$(RES)' $(if $(FORMAT),'FORMAT=$(FORMAT)')
 
 provenance: | $(SETUP)  ## every file, parameter and cost behind one label: make provenance ID=…
@@ -65,5 +65,5 @@ lineage: provenance
 	@echo "make $@ is called make $< now, and will be gone in the next release" >&2
 
 # Meshes that the pilots need are made, and the run finds them.
-estimate: | $(SETUP)  ## core hours, disk and time of make report before it starts; without images in the log, of labels and calibrate
+estimate: | $(SETUP)  ## estimate core hours, disk and time of make report before it starts; for a log without images, of labels and calibrate
 	@$(PY) -m gelforge.commands.estimate --data $(DATA) --results $D --resolution $(RES1) --model $(MODEL) --cores $(SLOTS)

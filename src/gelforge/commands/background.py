@@ -1,4 +1,4 @@
-"""The background of a picture without contact, as it stands in workflow/rig/sensors.toml."""
+"""The background of a no-contact image, in the form of workflow/rig/sensors.toml."""
 
 from argparse import Namespace
 

@@ -1,7 +1,7 @@
-"""The modes of a camera, and which one to take: `gelforge camera [NUMBER]`.
+"""The modes of a camera, and the recommended one: `gelforge camera [NUMBER]`.
 
-Without a number it lists the cameras that open. Each common size is asked for, the camera's driver answers with the nearest
-that it has, and a few frames measure their rate. `gelforge live --camera NUMBER --mode WxH` takes one.
+Without a number it lists the cameras that can be opened. With a number it requests each common size; the camera's driver
+sets the nearest size that it has, and a few frames give the frame rate. `gelforge live --camera NUMBER --mode WxH` uses a mode.
 """
 
 import argparse

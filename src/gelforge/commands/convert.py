@@ -1,4 +1,4 @@
-"""A model of an earlier version (.pt) as the ONNX file that this one reads: `gelforge convert OLD.pt`. Needs gelforge[train]."""
+"""Convert a model of an earlier version (.pt) to an ONNX file of this version: `gelforge convert OLD.pt`. Needs gelforge[train]."""
 
 from argparse import Namespace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The deck of one sample as a folder of its own, which stock CalculiX runs as it is."""
+"""The deck of one sample as a self-contained folder, which stock CalculiX runs without changes."""
 
 import shutil
 from argparse import Namespace

@@ -1,9 +1,9 @@
 """Core hours, disk and time of `make report` before it starts, from a few of its presses.
 
-Presses from the middles of equal fractions of the depths, with all rows of one that was filmed, go through poses, fea, forces
-and labels, in a folder of their own that is removed afterwards. Stages after the labels are estimated from what they took
-on other datasets, branches that solve in solves of the pilots. A log without images is estimated as far as it goes: to its
-labels and the calibration.
+The presses of the log, sorted by depth, are divided into equal groups, and the middle press of each group is a pilot. Pilots
+go through poses, fea, forces and labels in a temporary folder; a filmed press takes all of its rows along. Later stages are
+estimated from their times on other datasets, branches that solve presses from the time of a pilot's solve. For a log without
+images the estimate ends at labels and calibration.
 """
 
 import os

@@ -1,8 +1,8 @@
-"""A dataset of images and labels in a format that others read.
+"""A dataset of images and labels in a format of other programs.
 
 mcap: ROS 2 messages, for Foxglove. rerun: a recording. lerobot: LeRobot's layout, version 3. webdataset: tar shards.
-hdf5: one file. FEATS' own layout is `make feats-export`. `make setup` installs what they need;
-elsewhere `pip install '.[exports]'` in this folder does.
+hdf5: one file. FEATS' own layout is `make feats-export`. `make setup` installs the packages for
+these formats; without make, `pip install '.[exports]'` in this folder does.
 """
 
 import importlib

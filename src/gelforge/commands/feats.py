@@ -1,4 +1,4 @@
-"""Datasets from FEATS' files and back: `make feats-fetch`, `make feats-import`, `make feats-export`."""
+"""Convert FEATS' files to datasets and back: `make feats-fetch`, `make feats-import`, `make feats-export`."""
 
 from argparse import Namespace
 from pathlib import Path

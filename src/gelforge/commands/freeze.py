@@ -1,4 +1,4 @@
-"""`make freeze`: keep what a calibration found as data/DATASET/calibration.toml."""
+"""`make freeze`: write the result of a calibration to data/DATASET/calibration.toml."""
 
 from argparse import Namespace
 from pathlib import Path

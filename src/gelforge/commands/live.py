@@ -1,9 +1,9 @@
-"""Force maps over a video or a camera, as it runs: `gelforge live --video FILE | --camera N`.
+"""Force maps of a video or a running camera: `gelforge live --video FILE | --camera N`.
 
---web serves a page to this machine, with recording and replay; --foxglove serves messages of ROS 2 to Foxglove, --record
-writes them as MCAP; --jsonl and --csv write what is read, without a display.
-A network that reads pairs takes the mean of the first frames at rest as no-contact image, unless one is given; the frames
-before these are not read.
+--web serves a page to this machine, with recording and replay. --foxglove serves messages of ROS 2 to Foxglove, and --record
+writes them as MCAP. --jsonl and --csv write the predictions, without a display.
+Unless a no-contact image is given, a network that needs one takes the mean of the first frames at rest; frames before these
+are skipped.
 """
 
 import itertools

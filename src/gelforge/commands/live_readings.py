@@ -1,4 +1,4 @@
-"""What `gelforge live` reads, sent to a page or written to files."""
+"""Predictions of `gelforge live`, sent to a page or written to files."""
 
 import signal
 import sys

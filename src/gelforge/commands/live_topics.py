@@ -1,4 +1,4 @@
-"""What `gelforge live` reads as messages of ROS 2: served to Foxglove, recorded as MCAP, or both."""
+"""Predictions of `gelforge live` as messages of ROS 2: served to Foxglove, recorded as MCAP, or both."""
 
 import threading
 from argparse import Namespace

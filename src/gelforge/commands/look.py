@@ -1,4 +1,4 @@
-"""Pictures and a .vtu of one sample: what was pressed, what the gel did, what the label says."""
+"""Pictures and a .vtu of one sample: the press, the deformation of the gel, the label."""
 
 from argparse import Namespace
 from dataclasses import dataclass

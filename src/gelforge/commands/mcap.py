@@ -1,4 +1,4 @@
-"""Recordings in MCAP as a dataset: `make mcap-import FROM=recordings TOPICS=topics.toml DATASET=name`."""
+"""Import MCAP recordings as a dataset: `make mcap-import FROM=recordings TOPICS=topics.toml DATASET=name`."""
 
 from argparse import Namespace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""The page of all parameters, from their tables and the comments of workflow/params.toml: workflow/guide/parameters.md."""
+"""Write workflow/guide/parameters.md, the page of all parameters, from their tables and the comments of workflow/params.toml."""
 
 import json
 import re

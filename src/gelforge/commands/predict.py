@@ -1,16 +1,16 @@
 """Force maps and totals from images: `gelforge predict IMAGE…`.
 
-For every image a picture and the map as .npy, float32 (3, rows, cols) in N per cell, and one totals.csv, which Ctrl-C
-leaves with the rows of the images that were read.
-With --height also the gel's height as NAME_height.npy, float32 (rows, cols) in mm above the unloaded gel, negative where it
-is pressed in, at half of the image's size. That needs a profile that `gelforge sensor --balls` wrote.
+Every image gives a picture and a map as .npy, float32 (3, rows, cols) in N per cell; all images give one totals.csv. After
+Ctrl-C this table has the rows of the images that were done.
+--height also writes the gel's height as NAME_height.npy, float32 (rows, cols) in mm above the unloaded gel, negative where it
+is pressed in, at half of the image's size. It needs a profile that `gelforge sensor --balls` wrote.
 Columns grid_x_n, grid_y_n, grid_z_n are FEATS' channels: force along gel y, along gel x, along the normal.
-..._half_width_n: half of the 90 % prediction interval, on sensors that training never saw, of gels as stiff as those it saw.
-ood_score: how far an image's colours, sharpness and markers are from those that the network learnt from; about 1 for an image
-like them.
-A network that reads pairs needs a picture of the sensor while nothing touches it: --nocontact FILE or --profile FILE.
-Each image is predicted by itself, so it gives the same forces here, in `gelforge live` and in Python. An image whose gel was
-moved in its holder since the no-contact image was taken is flagged: take that anew.
+..._half_width_n: half of the 90 % prediction interval, for sensors that training never saw with gels as stiff as in training.
+ood_score: distance of an image's colours, sharpness and markers from those of the training images; about 1 for an image like
+them.
+A network that reads pairs needs an image of the sensor while nothing touches it: --nocontact FILE or --profile FILE.
+Images are predicted independently, so an image gives the same forces here, in `gelforge live` and in Python. An image is
+flagged if the gel moved in its holder since the no-contact image was taken: take a new no-contact image then.
 """
 
 import tempfile

@@ -1,4 +1,4 @@
-"""Fit a sensor's projection from point correspondences, or from the markers in an image without contact."""
+"""Fit a sensor's projection from point correspondences, or from the markers in a no-contact image."""
 
 import csv
 from argparse import Namespace

@@ -1,4 +1,4 @@
-"""Where one label comes from: files, parameters, program versions and cost, as text or JSON."""
+"""The provenance of one label: files, parameters, program versions and cost, as text or JSON."""
 
 import json
 from argparse import Namespace

@@ -1,4 +1,4 @@
-"""One sample through all stages in the foreground, with its log shown; of a filmed press all frames, solved together."""
+"""Run one sample through all stages in the foreground and show its log; all frames of a filmed press are solved together."""
 
 import sys
 from argparse import Namespace

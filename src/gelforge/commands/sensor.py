@@ -1,17 +1,17 @@
-"""A profile of one's own sensor: `gelforge sensor --name MINE --nocontact PICTURE --readings readings.csv`.
+"""A profile of your own sensor: `gelforge sensor --name MINE --nocontact PICTURE --readings readings.csv`.
 
-readings.csv has a row for each press that was weighed: `image`, a picture (its path starts at the table's folder), and
-`force_n`, the force that pressed, in newtons (a kitchen scale's grams over 102). Without readings the profile holds the
-no-contact image alone. In place of --nocontact, --camera NUMBER or --video FILE take the no-contact image themselves:
-the mean of the first frames at rest, as `gelforge live` does. `gelforge predict` and `gelforge live` take the profile with --profile.
+readings.csv has one row per weighed press: `image`, the path of its image relative to the table's folder, and `force_n`, the
+pressing force in newtons (a kitchen scale's grams over 102). Without readings the profile holds the no-contact image alone.
+In place of --nocontact, --camera NUMBER or --video FILE give the no-contact image: the mean of the first frames at rest, as
+in `gelforge live`. `gelforge predict` and `gelforge live` take the profile with --profile.
 
---balls FOLDER needs no scale: presses of a ball of known diameter by hand, as FOLDER/background.png and
-FOLDER/5.000mm/1/gelsight.png, 2/gelsight.png and so on. The profile then holds the sensor's table of slopes, too.
+--balls FOLDER needs no scale. Press a ball of known diameter by hand; the images are FOLDER/background.png and
+FOLDER/5.000mm/1/gelsight.png, 2/gelsight.png and so on. The profile then also holds the sensor's table of slopes.
 
-Two sensors of a gripper need no scale to agree: --opposite LEFT.toml --grasps grasps.csv brings this one to the profile
-of the other by pictures of both at the same moments, columns `image` and `opposite`, since the two fingers that hold
-one object press alike. Only readings show which of them is right in newtons. A picture that shows only a part of the
-contact counts in neither table: what is read in it is a part of the force.
+Two sensors of a gripper need no scale to agree, since two fingers that hold one object press equally. --opposite LEFT.toml
+--grasps grasps.csv matches this sensor to the profile of the other one, by images of both at the same moments (columns
+`image` and `opposite`). Only readings show which of the two is right in newtons. An image that shows only a part of the
+contact is not used in either table, because only a part of the force is predicted from it.
 """
 
 import sys

@@ -1,4 +1,4 @@
-"""Options that commands which read images of a sensor share."""
+"""Options shared by the commands that read images of a sensor."""
 
 from pathlib import Path
 

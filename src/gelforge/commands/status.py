@@ -1,4 +1,4 @@
-"""What of a dataset is done, failed (with reasons) and pending, stage by stage."""
+"""Samples of a dataset that are done, failed (with reasons) and pending, stage by stage."""
 
 import json
 import os

@@ -1,4 +1,4 @@
-"""Why make would make a target again, in words."""
+"""The reasons why make would make a target again."""
 
 import os
 import re
