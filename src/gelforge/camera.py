@@ -11,6 +11,8 @@ from gelforge.networks.preprocess.slopetable import SlopeTable
 from gelforge.records.cameraframe import CameraFrame, camera_frame
 from gelforge.records.forcereading import ForceReading
 
+BLUE_FIRST = "red and blue seem to be exchanged in the no-contact image: give all images in RGB, not in OpenCV's BGR"
+
 
 class CameraPredictor(Predictor):
     """Predicts as `Predictor` does, from images that are brought to the network's frame first (records.cameraframe).
@@ -33,6 +35,8 @@ class CameraPredictor(Predictor):
             self.frame = camera_frame(nocontact, (rows, cols))
             nocontact = self.frame(nocontact)
         super().__init__(model, nocontact, gain, device, threads, table)
+        if self.frame and self.frame.blue_first and not self.fault:
+            self.fault = BLUE_FIRST
 
     @property
     def text(self) -> str:

@@ -70,6 +70,15 @@ def test_an_image_that_lies_otherwise_is_turned_back(picture, way):
     assert ("mirrored back" in frame.text) == way.mirrored
 
 
+def test_a_reader_flags_images_as_opencv_reads_them(root):
+    rest, pressed = (cv2.imread(str(root / "data/demo" / name)) for name in ("nocontact/mini_a.png", PRESSED))
+    found = gelforge.Reader(nocontact=rest)(pressed)
+    assert found.flag and "BGR" in found.reason
+    assert not gelforge.Reader(nocontact=rest[..., ::-1])(pressed[..., ::-1]).flag
+    mirrored = rest[:, ::-1, ::-1], pressed[:, ::-1, ::-1]
+    assert not gelforge.Reader(nocontact=mirrored[0])(mirrored[1]).flag
+
+
 def turned_so_that(way, picture):
     """An image that `way` turns into the picture."""
     made = picture[:: -1 if way.flip_v else 1, :: -1 if way.flip_u else 1]
@@ -88,10 +97,11 @@ def no_contact(path):
 
 
 def test_real_sensors_stay_as_they_are_and_are_turned_back(reference):
-    """Of 32 films, also of gels whose flat markers leave no fringes: no mirror is found there, but which way is up."""
+    """Of 32 films, also of gels whose flat markers leave no fringes: no mirror is found there, but which way is up and BGR."""
     for path in sorted((reference / "gripper_videos").glob("*.avi")):
         picture = no_contact(path)
         assert camera_frame(picture, SIZE).orientation == AS_IT_IS, path.name
+        assert camera_frame(np.ascontiguousarray(picture[..., ::-1]), SIZE).blue_first, path.name
         upside = camera_frame(np.ascontiguousarray(picture[::-1, ::-1]), SIZE).orientation
         assert upside == Orientation(False, True, True), path.name
         mirrored = camera_frame(np.ascontiguousarray(picture[:, ::-1]), SIZE).orientation

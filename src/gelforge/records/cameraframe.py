@@ -70,7 +70,8 @@ class CameraFrame:
     """From a camera's images to (rows, cols) px: orientation, and the part of the turned image that is shown.
 
     part: left, top, right and bottom as fractions of the turned image. shape: (h, w) of the image in which it was found; others may be
-    larger or smaller, but must have its shape. text: what is done, in one line, empty for nothing.
+    larger or smaller, but must have its shape. text: what is done, in one line, empty for nothing. blue_first: whether the image in
+    which it was found seems to have its colours as OpenCV reads them.
     """
 
     size: tuple[int, int]
@@ -78,6 +79,7 @@ class CameraFrame:
     orientation: Orientation
     part: tuple[float, float, float, float]
     text: str
+    blue_first: bool = False
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
         """An image (h, w, 3) uint8 in the network's frame; one of another shape than the no-contact image stays as it is."""
@@ -149,7 +151,10 @@ def camera_frame(nocontact: np.ndarray, size: tuple[int, int]) -> CameraFrame:
         done.append(f"scaled to {size[1]} x {size[0]}")
     changes = ", ".join(filter(None, done))
     text = f"images of {cols} x {rows} are {changes}" if changes else ""
-    return CameraFrame((size[0], size[1]), (rows, cols), orientation, part, text)
+    red, _, blue = small.mean(axis=(0, 1))
+    # exchanged, red and blue look like a mirrored or turned camera, but a Mini's blue light is the brighter one
+    blue_first = orientation != AS_IT_IS and bool(red > blue)
+    return CameraFrame((size[0], size[1]), (rows, cols), orientation, part, text, blue_first)
 
 
 def stand_on_a_grid(points: np.ndarray) -> bool:
