@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import gelforge
-from gelforge.commands.camera import best_mode, camera_mode, cameras, modes_of
+from gelforge.commands.camera import best_mode, camera_mode, camera_number, cameras, modes_of
 from gelforge.commands.camera import main as camera
 from gelforge.errors import BadInput
 from gelforge.records.cameraframe import AS_IT_IS, Orientation, camera_frame
@@ -174,6 +174,15 @@ def test_a_source_of_one_size_has_one_mode(tmp_path, picture):
 
 
 @pytest.mark.skipif(bool(cameras()), reason="this machine has a camera")
+def test_a_camera_is_named_by_number_or_device_file(tmp_path):
+    link = tmp_path / "usb-GelSight_Mini"
+    link.symlink_to("/dev/video12")
+    assert [camera_number(text) for text in ("3", "/dev/video4", str(link))] == [3, 4, 12]
+    for text in ("-1", "video3", "/dev/v4l/by-id/none", str(tmp_path)):
+        with pytest.raises(argparse.ArgumentTypeError):
+            camera_number(text)
+
+
 def test_no_camera_is_one_sentence():
     with pytest.raises(BadInput, match="no camera is there.*plug it in"):
         camera([])

@@ -297,6 +297,20 @@ def test_a_header_that_is_spelt_otherwise_is_read(tmp_path, name):
     assert log.read_log(path)[0].cells == GOOD
 
 
+def test_quoted_cells_behind_blanks_are_read(tmp_path):
+    path = tmp_path / "log.csv"
+    quoted = [", ".join(f'"{cell}"' for cell in cells) for cells in (GOOD, GOOD.values())]
+    path.write_text("\n".join([*quoted, ""]))
+    assert log.read_log(path)[0].cells == GOOD
+
+
+def test_a_first_line_for_excel_alone_is_named(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("sep=,\n" + log.csv_text(list(GOOD), [GOOD]))
+    with pytest.raises(BadInput, match="seen: sep=, ; remove this line"):
+        log.read_log(path)
+
+
 def test_a_column_spelt_in_two_ways_is_refused_but_not_beside_its_own_name(tmp_path):
     path = tmp_path / "log.csv"
     path.write_text(log.csv_text([*GOOD, "Image"], [{**GOOD, "Image": "other.png"}]))

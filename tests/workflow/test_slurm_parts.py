@@ -164,6 +164,8 @@ def test_a_stage_overrides_the_default_and_an_own_file_the_published_one(own):
     profile = read_profile(path, "50_labels")
     asked = profile.sbatch_options(profile.memory_mb, 3)
     assert asked[-4:] == ["--cpus-per-task=3", "--mem=7M", "--time=3", "--qos=short"]
+    of_core = dataclasses.replace(profile, memory_per_core=True)
+    assert of_core.sbatch_options(7, 3)[-4:] == ["--cpus-per-task=3", "--mem-per-cpu=3M", "--time=3", "--qos=short"]
     # A stage's own table is narrower than [default], whichever file it stands in.
     train = read_profile(path, "70_train")
     assert "--gres=gpu:1" in train.options and train.cores == 4

@@ -23,6 +23,15 @@ FAST = 20.0  # frames a second that are enough for a press by hand
 TIMED = 10  # frames that measure the rate of a mode
 
 
+def camera_number(text: str) -> int:
+    """A camera's number, as the `type` of an option: itself, or of a device file such as /dev/video2 or a link to it.
+
+    Numbers change with the order in which cameras are plugged in; links in /dev/v4l/by-id/ do not.
+    """
+    device = re.fullmatch(r"video(\d+)", Path(text).resolve().name) if "/" in text else None
+    return from_zero(device[1] if device else text)
+
+
 def camera_mode(text: str) -> tuple[int, int]:
     """A size such as 640x480 as (width, height)."""
     found = re.fullmatch(r"([1-9][0-9]{1,4})x([1-9][0-9]{1,4})", text)
@@ -64,7 +73,7 @@ def cameras() -> list[int]:
     return sorted(int(name) for name in names if name.isdigit())
 
 
-@command(option("number", type=from_zero, nargs="?", help="number of the camera", default=None))
+@command(option("number", type=camera_number, nargs="?", help="number of the camera", default=None))
 def main(args: Namespace) -> None:
     there = cameras()
     if args.number is None:

@@ -16,10 +16,11 @@ from pathlib import Path
 
 import numpy as np
 
+from gelforge.commands.camera import camera_number
 from gelforge.commands.sensoroptions import ENGINE, MODE, MODEL, NOCONTACT, PROFILE, SENSOR
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
-from gelforge.flow.main import command, from_zero, option, positive
+from gelforge.flow.main import command, option, positive
 from gelforge.records.axes import CHANNEL_OF_AXIS
 from gelforge.records.film import Film, open_source, source_name
 from gelforge.records.nocontactimage import FEWEST, find_nocontact
@@ -221,7 +222,7 @@ def draw(args: Namespace, predictor, seen, film: Film, name: str, over: threadin
 
 @command(
     option("--video", type=Path, help="video file", default=None),
-    option("--camera", type=from_zero, help="number of the camera, if no video is given", default=None),
+    option("--camera", type=camera_number, help="number of the camera, if no video is given", default=None),
     MODE,
     MODEL,
     SENSOR,

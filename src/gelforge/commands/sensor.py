@@ -25,9 +25,10 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.camera import CameraPredictor
+from gelforge.commands.camera import camera_number
 from gelforge.commands.sensoroptions import MODE, MODEL, NOCONTACT
 from gelforge.errors import BadInput
-from gelforge.flow.main import command, from_zero, option
+from gelforge.flow.main import command, option
 from gelforge.networks.balls.ballpresses import BACKGROUND, LAYOUT, BallFolder, BallPress, read_presses
 from gelforge.networks.balls.balltable import C10_MPA, THICKNESS_MM
 from gelforge.networks.balls.slopefit import fit_slope_table
@@ -285,7 +286,9 @@ def factor_replaced(out: Path, measures: bool) -> Gain:
     option("--name", help="name of the sensor"),
     *NOCONTACT,
     option("--video", type=Path, help="video that begins while nothing touches the sensor", default=None),
-    option("--camera", type=from_zero, help="number of the camera; nothing may touch the sensor now", default=None),
+    option(
+        "--camera", type=camera_number, help="number of the camera; nothing may touch the sensor now", default=None
+    ),
     MODE,
     option("--readings", type=Path, help="table of images and force readings", default=None),
     option(

@@ -156,7 +156,7 @@ def messages(path: Path, topic: str) -> Iterator[tuple[int, object]]:
             ) from error
         # a corrupt file makes mcap, the ROS definitions in it, LZ4, Zstandard and struct each raise errors of their own
         except Exception as error:
-            raise BadInput(f"{path}: cannot be read as MCAP with ROS 2 messages ({str(error) or type(error).__name__}); record it again, or mend it with `mcap recover`") from error  # fmt: skip
+            raise BadInput(f"{path}: cannot be read as MCAP with ROS 2 messages ({str(error) or type(error).__name__}); record it again, mend it with `mcap recover`, or unpack by `ros2 bag convert` what was recorded with --compression-mode") from error  # fmt: skip
 
 
 def nearest(times: np.ndarray, time: int, latest_ns: float) -> int | None:

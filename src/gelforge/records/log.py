@@ -39,6 +39,11 @@ REJECTION_COLUMNS = ("file", "row", "sample_id", "column", "value", "reason", "h
 POSED_COLUMNS = ("sample_id", "sensor_id", "gel_id", "indenter", *POSE, *FORCES, "image", "stl")
 
 
+def _reader(lines: Iterable[str], strict: bool = False) -> Any:
+    """A csv reader; blanks behind a comma are no part of a cell, so that quotation marks behind them quote."""
+    return csv.reader(lines, skipinitialspace=True, strict=strict)
+
+
 def read_log(path: str | Path) -> list[RawRow]:
     """Rows of a raw log, each numbered by the line it begins at; blank lines count and are no rows.
 
@@ -79,7 +84,7 @@ def _read(
 ) -> list[RawRow]:
     lines = list(io.StringIO(read_text(path, hint), newline=""))
     top = next((at for at, line in enumerate(lines) if line.strip()), 0)
-    cells = next(_each(csv.reader(lines[top : top + 1])), [])
+    cells = next(_each(_reader(lines[top : top + 1])), [])
     if cells is None:
         raise BadInput(
             f"{path}: its header has a cell of more than 131072 characters, so it is no table of ours; {hint}"
@@ -118,6 +123,8 @@ def _places(path: Path, header: list[str], known: tuple[str, ...]) -> dict[str, 
         seen = printable(", ".join(header))[:200] or "no header"
         other = next((mark for mark in ";\t|" if len(header) == 1 and mark in header[0]), "")
         hint = f"; separate cells by commas, not by {other!r}" if other else ""
+        if header and header[0].startswith("sep="):
+            hint = "; remove this line, which only Excel knows"
         raise BadInput(f"{path}: column sample_id is missing, so it holds no presses; seen: {seen}{hint}")
     for name in known:
         if header.count(name) > 1:
@@ -137,12 +144,12 @@ def _records(lines: list[str], start: int, free: set[int]) -> Iterator[tuple[int
     its first line is a record of its own, and reading goes on below it.
     """
     while start < len(lines):
-        reader, first = csv.reader(lines[at] for at in range(start, len(lines))), start
+        reader, first = _reader(lines[at] for at in range(start, len(lines))), start
         for cells in _each(reader):
             end = first + reader.line_num
             several = end > start + 1
             if several and not (cells and _several_lines(lines[start:end], free)):
-                own = next(_each(csv.reader([lines[start]])), None)
+                own = next(_each(_reader([lines[start]])), None)
                 yield start + 1, own or [], "open_quote"
                 start += 1
                 break
@@ -166,7 +173,7 @@ def _each(reader: Iterable[list[str]]) -> Iterator[list[str] | None]:
 def _several_lines(lines: list[str], free: set[int]) -> bool:
     """Whether lines are one record of strict CSV with its line breaks in cells that nobody reads."""
     try:
-        cells = next(csv.reader(lines, strict=True))
+        cells = next(_reader(lines, strict=True))
     except csv.Error:
         return False
     return {at for at, cell in enumerate(cells) if "\n" in cell or "\r" in cell} <= free

@@ -16,7 +16,7 @@ def read_table(path: str | Path, hint: str) -> list[dict[str, str]]:
 
 def numbered_rows(path: str | Path, hint: str) -> list[tuple[int, dict[str, str]]]:
     """`read_table` with the number of each row's line in the file, for tables that people write: some lines may be blank."""
-    lines = csv.DictReader(io.StringIO(read_text(Path(path), hint), newline=""), restval=None)
+    lines = csv.DictReader(io.StringIO(read_text(Path(path), hint), newline=""), restval=None, skipinitialspace=True)
     try:
         lines.fieldnames = [COLUMNS.get(name, name) for name in lines.fieldnames or ()]
         rows = [(lines.line_num, row) for row in lines]

@@ -28,6 +28,7 @@ class Profile(ParameterTable):
     constraint: Line
     time_minutes: FromOne
     memory_mb: FromOne
+    memory_per_core: bool
     cores: FromOne
     shards_per_task: FromOne
     array_limit: FromNone
@@ -57,7 +58,9 @@ class Profile(ParameterTable):
         named = {"partition": self.partition, "account": self.account, "constraint": self.constraint}
         asked = [f"--{name}={value}" for name, value in named.items() if value]
         asked += ["--nodes=1", "--ntasks=1", f"--cpus-per-task={self.cores}"]
-        return [*asked, f"--mem={memory_mb}M", f"--time={minutes}", *self.options]
+        of_core = f"--mem-per-cpu={math.ceil(memory_mb / self.cores)}M"
+        memory = of_core if self.memory_per_core else f"--mem={memory_mb}M"
+        return [*asked, memory, f"--time={minutes}", *self.options]
 
 
 def read_profile(path: Path | str, stage: str) -> Profile:

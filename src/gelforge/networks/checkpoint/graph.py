@@ -30,7 +30,8 @@ class Graph:
             raise
         except Exception as error:  # onnxruntime raises a dozen kinds for a graph that is none
             raise BadInput(
-                f"{where}: its graph cannot be loaded ({type(error).__name__}); the file is corrupt: copy or train it again"
+                f"{where}: its graph cannot be loaded ({type(error).__name__}); the file is corrupt, or newer than"
+                f" this onnxruntime ({onnxruntime.__version__}): update onnxruntime, or copy or train the file again"
             ) from None
         self.inputs = tuple(one.name for one in self._session.get_inputs())
         self.outputs = tuple(one.name for one in self._session.get_outputs())
