@@ -21,9 +21,9 @@ HERE = Path(__file__).resolve().parent
 BRICKS = {
     "sphere_1mm": 0.45,
     "cuboid_round": 0.55,
-    "cylinder": 0.6,
+    "cylinder": 0.65,
     "pyramid": 0.5,
-    "cuboid_shear": 0.55,
+    "cuboid_shear": 0.65,
     "triple_triangle": 0.5,
     "cuboid_sharp": 0.5,
     "punch": 0.25,
