@@ -121,7 +121,9 @@ def test_where_conjugate_gradients_fail_a_factorisation_follows(mesh, ccx, tmp_p
     whole = CcxSolver(mesh, tmp_path / "whole", settings).solve(scene())
     assert whole.status.valid and not whole.evidence["failed_attempts"]
     broken = tmp_path / "ccx"
-    broken.write_text(f'#!/bin/sh\ngrep -q "SOLVER=ITERATIVE" "$1.inp" && exit 3\nexec {shlex.quote(ccx)} "$1"\n')
+    broken.write_text(
+        f'#!/bin/sh\ngrep -q "SOLVER=ITERATIVE" "$1.inp" && echo CalculiX Version && exit 3\nexec {shlex.quote(ccx)} "$1"\n'
+    )
     broken.chmod(0o755)
     monkeypatch.setitem(os.environ, "CCX", str(broken))
     result = CcxSolver(mesh, tmp_path / "broken", settings).solve(scene())

@@ -49,12 +49,22 @@ def test_a_named_program_that_is_not_there_is_not_replaced_by_another(nowhere, m
     assert ccx_program() is None
 
 
-@pytest.mark.parametrize("ending", ["exit 3", "kill -9 $$"])
+@pytest.mark.parametrize("ending", ["echo CalculiX Version 2; exit 3", "kill -9 $$"])
 def test_a_run_that_ends_before_it_answers_leaves_no_answer_of_an_earlier_one(tmp_path, monkeypatch, ending):
     monkeypatch.setenv("CCX", program(tmp_path / "bin/ccx", ending))
     (tmp_path / "press.dat").write_text("displacements (vx,vy,vz) for set NALL and time  0.1000000E+01\n")
     job = run_ccx("press", tmp_path, 60.0)
     assert job.returncode != 0 and not (tmp_path / "press.dat").exists()
+
+
+@pytest.mark.parametrize(
+    "ending, said", [("exit 1", "code 1 and printed: nothing"), ("exit 0", "code 0"), ("echo no libspooles.so; exit 127", "no libspooles")]
+)  # fmt: skip
+def test_a_program_that_does_not_even_print_its_name_is_refused(tmp_path, monkeypatch, ending, said):
+    """Every press would be solved without it, each after some attempts."""
+    monkeypatch.setenv("CCX", program(tmp_path / "bin/ccx", ending))
+    with pytest.raises(BadInput, match=f"bin/ccx: no CalculiX that works here; it ended with .*{said}"):
+        run_ccx("press", tmp_path, 60.0)
 
 
 def test_a_table_that_cannot_be_read_is_distinguished_from_a_load_that_was_not_reached():

@@ -17,6 +17,7 @@ from gelforge.flow.orphans import die_with_parent
 from gelforge.records.status import Status
 
 _ENOUGH_BYTES = 1 << 20  # less than this left on the disk counts as full
+BANNER = "CalculiX Version"  # the first words of each run
 OVERDUE = -signal.SIGALRM  # return code of a run that was stopped because it took too long
 
 
@@ -69,7 +70,8 @@ def run_ccx(name: str, folder: Path | str, timeout_s: float) -> Job:
     """Run the deck `name`.inp in `folder` with one thread; a run past `timeout_s` is stopped.
 
     The .dat that an earlier run of that name left is removed first: a run that ends before it writes one has no answer.
-    A full disk raises OSError, because every other sample would fail for it too.
+    A full disk raises OSError and a program that does not even print its name BadInput, because every other sample would fail
+    for it too.
     """
     program = need_ccx()
     folder = Path(folder)
@@ -92,4 +94,10 @@ def run_ccx(name: str, folder: Path | str, timeout_s: float) -> Job:
             returncode = OVERDUE
     need_room(folder, _ENOUGH_BYTES)
     peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
-    return Job(returncode, log_path.read_text(errors="replace"), time.perf_counter() - started, peak)
+    said = log_path.read_text(errors="replace")
+    if returncode >= 0 and BANNER not in said:
+        words = " ".join(said.split())[:200] or "nothing"
+        raise BadInput(
+            f"{program}: no CalculiX that works here; it ended with code {returncode} and printed: {words}"
+        )
+    return Job(returncode, said, time.perf_counter() - started, peak)
