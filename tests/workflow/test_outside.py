@@ -27,7 +27,7 @@ points = np.load(sys.argv[1])
 tables = {name: json.load(open(f"scenes/{name}/scene.json"))["indenter"] for name in g.BRICKS}
 np.savez(sys.argv[2], **{name: g.KINDS[of["kind"]](of, *points.T) for name, of in tables.items()})
 """
-OWN = pytest.mark.skipif(not has_getfem(), reason="needs Debian's python3-getfem and python3-scipy")
+NEEDS_GETFEM = pytest.mark.skipif(not has_getfem(), reason="needs Debian's python3-getfem and python3-scipy")
 
 
 @pytest.fixture(scope="module")
@@ -38,7 +38,7 @@ def folder(root, tmp_path_factory):
     return out
 
 
-@OWN
+@NEEDS_GETFEM
 def test_its_bodies_are_those_of_the_scenes(folder, tmp_path):
     """Signed distances of two programs at places that a gel can touch."""
     places = np.random.default_rng(0).uniform([-8.0, -8.0, -1.5], [8.0, 8.0, 0.9], (5000, 3))
@@ -53,7 +53,7 @@ def test_its_bodies_are_those_of_the_scenes(folder, tmp_path):
             np.testing.assert_allclose(found[name][near], distance[near], atol=1e-9, err_msg=name)
 
 
-@OWN
+@NEEDS_GETFEM
 def test_an_engine_of_others_meets_the_reference_of_a_ball(folder, tmp_path):
     """A twentieth of the mesh that the benchmark takes: total force within 3 %; a second run solves nothing again."""
     for _ in range(2):
