@@ -168,6 +168,22 @@ def failing(error):
     raise error
 
 
+def working():
+    while True:
+        pass
+
+
+def begins_one_that_works():
+    subprocess.run([sys.executable, "-c", "while True: pass"], check=False)
+
+
+@pytest.mark.parametrize("work", [working, begins_one_that_works])
+def test_a_solve_is_stopped_by_its_processor_time(work):
+    before = time.monotonic()
+    found = isolated(work, 0.5)
+    assert found["status"] == "TIMED_OUT" and time.monotonic() - before < HANG
+
+
 def killed():
     os.kill(os.getpid(), signal.SIGKILL)
 
@@ -177,7 +193,7 @@ def test_a_solve_fails_in_its_own_process():
     assert isolated(partial(failing, ZeroDivisionError("by zero")), HANG)["status"] == "CRASHED"
     found = isolated(killed, HANG)
     assert found["status"] == "CRASHED" and "-9" in found["reason"]
-    assert isolated(partial(time.sleep, HANG), 0.2)["status"] == "TIMED_OUT"
+    assert isolated(partial(time.sleep, HANG), 0.02)["status"] == "TIMED_OUT"
     with pytest.raises(BadInput, match="free space"):
         isolated(partial(failing, OSError(28, "No space left on device")), HANG)
     with pytest.raises(BadInput, match="make setup"):

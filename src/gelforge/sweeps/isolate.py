@@ -6,6 +6,7 @@ import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from multiprocessing import get_context
+from multiprocessing.connection import Connection
 from multiprocessing.context import ForkContext, ForkServerContext
 from multiprocessing.forkserver import ensure_running
 from pathlib import Path
@@ -59,6 +60,8 @@ def _answer(work, pipe):
 # has set, and a server that had several could not fork without some of its children hanging.
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
 ASKED_BY = "GELFORGE_ASKED_BY"  # the process that began the server, with which it ends
+# A solve is looked at so often, and may take so many times its limit by the clock on a machine that has other work.
+LOOK_S, WAITING = 1.0, 10.0
 
 
 def fresh() -> ForkServerContext:
@@ -95,14 +98,34 @@ def surroundings(required: dict[str, str]) -> Iterator[None]:
                 os.environ[name] = value
 
 
+def running_seconds(pid: int) -> float:
+    """User and system time of a running process and of all that it began, 0 where the system does not say (no /proc)."""
+    try:
+        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
+        begun = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+    except OSError:
+        return 0.0
+    own = sum(int(ticks) for ticks in fields[11:15]) / os.sysconf("SC_CLK_TCK")
+    return own + sum(running_seconds(int(child)) for child in begun)
+
+
+def in_time(here: Connection, pid: int, limit_s: float) -> bool:
+    """Wait for an answer; False where the process has used its processor time, or hangs."""
+    end = time.monotonic() + WAITING * limit_s
+    while not here.poll(min(LOOK_S, limit_s)):
+        if running_seconds(pid) > limit_s or time.monotonic() > end:
+            return False
+    return True
+
+
 def isolated(
     work: Callable[[], dict], limit_s: float, context: ForkContext | ForkServerContext | None = None
 ) -> dict:
     """The dict that `work` returns from a process of its own, or how that process failed.
 
-    context: how the process begins; `fresh()` where none is given, for which pickle must take `work`. A failure is
-    {"status", "reason"} with status REFUSED (BadInput), CRASHED or TIMED_OUT; a full disk, a missing file or package is
-    none of these and raises BadInput.
+    limit_s: of processor time, so that a busy machine changes no result. context: how the process begins; `fresh()` where
+    none is given, for which pickle must take `work`. A failure is {"status", "reason"} with status REFUSED (BadInput),
+    CRASHED or TIMED_OUT; a full disk, a missing file or package is none of these and raises BadInput.
     """
     context = context or fresh()
     here, there = context.Pipe(duplex=False)
@@ -114,7 +137,7 @@ def isolated(
     there.close()
     answer, late = None, False
     try:
-        late = not here.poll(limit_s)
+        late = not in_time(here, child.pid or 0, limit_s)
         answer = None if late else here.recv()
     except EOFError:
         pass
@@ -125,7 +148,7 @@ def isolated(
             child.join()
         here.close()
     if late:
-        return {"status": TIMED_OUT, "reason": f"stopped after {limit_s:g} s", "limit_s": limit_s}
+        return {"status": TIMED_OUT, "reason": f"stopped after {limit_s:g} s of processor time", "limit_s": limit_s}
     if answer is None:
         return {"status": CRASHED, "reason": f"the process ended with exit code {child.exitcode}"}
     if "stopped" in answer:
