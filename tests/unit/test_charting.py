@@ -19,6 +19,7 @@ from parameters import parameters, stage_of
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
+from gelforge.flow.orphans import die_with_parent
 from gelforge.flow.params import load_params
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.mesh.family import footprint
@@ -174,7 +175,8 @@ def working():
 
 
 def begins_one_that_works():
-    subprocess.run([sys.executable, "-c", "while True: pass"], check=False)
+    ends = partial(die_with_parent, signal.SIGKILL)
+    subprocess.run([sys.executable, "-c", "while True: pass"], check=False, preexec_fn=ends)
 
 
 @pytest.mark.parametrize("work", [working, begins_one_that_works])
