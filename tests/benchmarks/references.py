@@ -13,12 +13,13 @@ from gelforge.flow.main import command, option
 from gelforge.flow.params import load_params, parameters_of
 from gelforge.flow.params.stages import ForPareto
 from gelforge.labelling.sensor import load_sensors
-from gelforge.stages.pareto import VERSION
+from gelforge.stages.pareto import VERSION, checks_of
 from gelforge.sweeps.deviation import errors
-from gelforge.sweeps.methods import LARGE_REFERENCE
+from gelforge.sweeps.keptreferences import averaged
+from gelforge.sweeps.methods import LARGE_REFERENCE, TURNED
 from gelforge.sweeps.references import reference_mesh
 from gelforge.sweeps.scenes import NamedScene, parse_scene, read_tables
-from gelforge.sweeps.symmetry import images_of, symmetrised
+from gelforge.sweeps.symmetry import images_of, turned_back
 from gelforge.sweeps.trial import ChartBench, given_reference, load_bench, measure
 from tests.benchmarks.chart_meshes import ensure_meshes
 from tests.benchmarks.figures import Figure, publish_figures
@@ -39,13 +40,13 @@ def other_bench(bench: ChartBench, work: Path) -> ChartBench:
 
 
 def solved(bench: ChartBench, scene: NamedScene) -> dict:
-    """The reference of a scene, with the mean of its forces and their mirror images where the scene has any."""
+    """The reference of a scene as it would be kept: a mean of several solves where it can be."""
     ensure_meshes(bench, [reference_mesh(bench.params, scene.fine)])
     record = measure(bench, scene, LARGE_REFERENCE)
+    others = [turned_back(measure(bench, scene, m)) for m in checks_of(scene, bench.params) if m.name == TURNED]
     if record.get("cells") is None:
         raise BadInput(f"{scene.name} on the other mesh is {record['status']}: {record['reason']}")
-    cells, outside, _ = symmetrised(record["cells"], record["outside"], images_of(scene.scene))
-    return record | {"cells": cells.tolist(), "outside": outside.tolist()}
+    return record | averaged(record, others[0] if others else None, images_of(scene.scene))
 
 
 @command(

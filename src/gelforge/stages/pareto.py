@@ -21,9 +21,10 @@ from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.solvers.contactclass import contact_class
 from gelforge.stages.meshes import publish_mesh
 from gelforge.sweeps.deviation import errors, frontier
-from gelforge.sweeps.methods import HALVED, REFERENCE, Method, every_method, quick_methods
-from gelforge.sweeps.references import build_mesh
+from gelforge.sweeps.methods import HALVED, REFERENCE, TURNED, Method, every_method, quick_methods
+from gelforge.sweeps.references import build_mesh, turns
 from gelforge.sweeps.scenes import NamedScene, parse_scene
+from gelforge.sweeps.symmetry import images_of, turned_back
 from gelforge.sweeps.trial import ChartBench, given_reference, load_bench, measure
 
 # Also of its meshes: what was solved on others is solved anew.
@@ -42,12 +43,24 @@ COLUMNS = ("method", "fidelity", "size_mm", "load_steps", "scenes", "failed", "c
            "frontier_total", "frontier_cells")  # fmt: skip
 
 
-def solve_scene(bench: ChartBench, scene: NamedScene, methods: list[Method], halved: bool) -> dict:
-    """Every method on one scene, the last of `methods` being the reference; records by method with their errors."""
-    if halved:
-        methods = [*methods, Method(HALVED, REFERENCE, halved=True)]
+def checks_of(scene: NamedScene, params: ForPareto) -> list[Method]:
+    """How else the reference of a scene is solved: on halved elements where asked, half a turn about z where it is no image."""
+    halved = [Method(HALVED, REFERENCE, halved=True)] * (scene.name in params.pareto.halved)
+    alone = turns(params, scene.fine) and not images_of(scene.scene)
+    return [*halved, *[Method(TURNED, REFERENCE)] * alone]
+
+
+def solve_scene(bench: ChartBench, scene: NamedScene, methods: list[Method], checks: list[Method]) -> dict:
+    """Every method on one scene, the last of `methods` being the reference; records by method with their errors.
+
+    checks: other solves of the reference (checks_of).
+    """
+    reference = methods[-1].name
+    methods = [*methods, *checks]
     records = {m.name: measure(bench, scene, m) for m in progress(methods, scene.name)}
-    reference = methods[-2 if halved else -1].name
+    halved = HALVED in records
+    if TURNED in records:
+        records[TURNED] = turned_back(records[TURNED])
     compared: dict[str, dict] = {}
     for method in methods:
         record = records[method.name] | {"method": asdict(method)}
@@ -67,7 +80,7 @@ def summarise(scenes: list[dict]) -> list[dict]:
     much for it.
     """
     names = dict.fromkeys(name for scene in scenes for name in scene["methods"])
-    reference = {scene["reference"] for scene in scenes} | {HALVED}
+    reference = {scene["reference"] for scene in scenes} | {HALVED, TURNED}
     rows = [_row(name, scenes) for name in names if name not in reference]
     for kind in ("total", "cells"):
         usable = [row for row in rows if row[f"{kind}_worst"] is not None and not row["failed"]]
@@ -242,14 +255,14 @@ def solve(args: Namespace) -> None:
         scenes = [parse_scene(name, table, params.material.nu) for name, table in every.items()]
         # one chart, one reference
         reference_kept = all(given_reference(bench, other) for other in scenes)
-        methods, halved = quick_methods(params.pareto.quick, with_ccx, reference_kept), False
+        methods, checks = quick_methods(params.pareto.quick, with_ccx, reference_kept), []
     else:
         from gelforge.mechanics.ccx.program import need_ccx
 
         need_ccx()
         methods = every_method(params.pareto, params.fea.hex_quality)
-        halved = args.name in params.pareto.halved
-    write_json(args.out, solve_scene(bench, scene, methods, halved))
+        checks = checks_of(scene, params)
+    write_json(args.out, solve_scene(bench, scene, methods, checks))
 
 
 @command(

@@ -13,7 +13,8 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, read_csv, read_json, write_csv, write_json
 from gelforge.records.press import FORCE
-from gelforge.sweeps.methods import REFERENCE
+from gelforge.sweeps.deviation import cell_error
+from gelforge.sweeps.methods import REFERENCE, TURNED
 from gelforge.sweeps.scenes import parse_scene
 from gelforge.sweeps.symmetry import images_of, symmetrised
 
@@ -43,7 +44,7 @@ def keep_references(charted: Iterable[dict], folder: Path, nu: float) -> None:
     """Write references from scenes of the chart (pareto/scenes/*.json), one file each; those of other scenes go.
 
     A scene that is its own mirror image gets the mean of its forces and their images, which a mesh keeps apart; by how
-    much is its `scatter`. nu: Poisson's ratio.
+    much is its `scatter`. Others get the mean with what was solved half a turn about z, where that was. nu: Poisson's ratio.
     """
     keys = {}
     for scene in charted:
@@ -55,8 +56,8 @@ def keep_references(charted: Iterable[dict], folder: Path, nu: float) -> None:
         path, scatter = folder / f"{scene['scene']}.csv", None
         if record.get("cells") is not None:
             images = images_of(parse_scene(scene["scene"], scene["table"], nu).scene)
-            cells, outside, scatter = symmetrised(record["cells"], record["outside"], images)
-            record = record | {"cells": cells, "outside": outside}
+            mean = averaged(record, scene["methods"].get(TURNED), images)
+            record, scatter = record | mean, mean["scatter"]
         write_csv(path, COLUMNS, reference_rows(record))
         keys[scene["scene"]] = {"key": record["key"], "sha256": digest_of(path), "scatter": scatter}
     for path in folder.glob("*.csv"):
@@ -65,8 +66,22 @@ def keep_references(charted: Iterable[dict], folder: Path, nu: float) -> None:
     write_json(folder / KEYS, keys)
 
 
+def averaged(record: dict, other: dict | None, images: list[tuple[int, int]]) -> dict:
+    """Cells (3, rows, columns) N, force outside (3,) N and scatter of a reference, the mean of several solves.
+
+    Of its mirror images, else of itself and `other`, solved half a turn about z. A kept one is such a mean already.
+    """
+    if record.get("scatter") is not None:
+        return {key: record[key] for key in ("cells", "outside", "scatter")}
+    cells, outside, scatter = symmetrised(record["cells"], record["outside"], images)
+    if not images and other is not None and other.get("cells") is not None:
+        scatter = cell_error(other["cells"], cells, record["total"])
+        cells, outside = (np.mean([own, other[key]], axis=0) for key, own in (("cells", cells), ("outside", outside)))
+    return {"cells": cells, "outside": outside, "scatter": scatter}
+
+
 def scatters(folder: Path) -> dict[str, float | None]:
-    """By scene, how far its reference was from its own mirror image before the mean was taken; None: it has no image."""
+    """By scene, how far the solves were apart whose mean its reference is; None: it is a single one."""
     return {name: of.get("scatter") for name, of in read_json(folder / KEYS).items()}
 
 
@@ -96,4 +111,5 @@ def kept_reference(folder: Path, scene: str, key: str, shape: tuple[int, int]) -
         "total": total.tolist(),
         "cells": cells.tolist(),
         "outside": outside.tolist(),
+        "scatter": known.get("scatter"),
     }

@@ -16,9 +16,11 @@ from gelforge.mechanics.mesh.meshstore import MeshSource
 from gelforge.mechanics.result import Result
 from gelforge.mechanics.scene import Scene
 from gelforge.sweeps import references as meshes
+from gelforge.sweeps.symmetry import turned
 
 LABEL_METHODS = ("hex", "ccx", "auto")
-REFERENCE, HALVED = "ccx-fine", "ccx-fine-halved"
+# TURNED: the reference of a scene that is no mirror image of itself, solved once more half a turn about z.
+REFERENCE, HALVED, TURNED = "ccx-fine", "ccx-fine-halved", "ccx-fine-turned"
 
 
 @dataclass(frozen=True)
@@ -174,4 +176,5 @@ def _prepare_ccx(method, scene, fine, folder, params, work):
         steps = {"press_steps": method.steps, "shear_steps": (method.steps + 1) // 2}
     settings = replace(CcxSettings.of(params.fea), **steps, step_mm=np.inf)
     solver = CcxSolver(load_mesh(folder, name), work, settings)
-    return lambda: (solver.solve(scene), solver.mesh)
+    pressed = turned(scene) if method.name == TURNED else scene
+    return lambda: (solver.solve(pressed), solver.mesh)

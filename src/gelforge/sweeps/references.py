@@ -36,6 +36,12 @@ def reference_mesh(params: ForPareto | Params, region: str, halved: bool = False
     return f"fine-{region}-{regions[region].size * (0.5 if halved else 1.0)}"
 
 
+def turns(params: ForPareto | Params, region: str) -> bool:
+    """Whether a region of [pareto.regions] is the same after half a turn about z."""
+    x_min, x_max, y_min, y_max = params.pareto.regions[region].box
+    return (x_min, y_min) == (-x_max, -y_max)
+
+
 def all_meshes(params: ForPareto | Params, tables: dict[str, dict]) -> list[str]:
     """Every mesh that the chart of these scenes (raw tables by name) needs, without repetition."""
     fine = [reference_mesh(params, tables[name]["fine"]) for name in tables]

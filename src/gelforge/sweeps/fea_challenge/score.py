@@ -83,7 +83,7 @@ def cell_of(points: np.ndarray, challenge: dict) -> np.ndarray:
 def errors(path: Path, reference: Path, challenge: dict) -> dict[str, float]:
     """Errors of one scene over the reference's total force: of the total, and summed over the cells and over 2 x 2 of them.
 
-    scatter: how far the reference was from its own mirror image, None where it has none.
+    scatter: how far the solves were apart whose mean the reference is, None where it is a single one.
     """
     cells, outside = to_cells(*read_table(path), challenge, path)
     right, beside = to_cells(*read_table(reference), challenge, reference)
