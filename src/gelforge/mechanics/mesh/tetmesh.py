@@ -19,6 +19,9 @@ FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])  # corners, outwa
 OUTLINE_STEP_MM = 1.5  # length of a side of the outline polygon; no edge of a mesh there is shorter
 ARC_SIDES = 4  # of the outline at each of its rounded corners
 SIZING_STEP_MM = 0.75
+# How far pytetwild may leave the flat pad's surface before top and base are made flat again. Half of it takes three times
+# the time, because it samples the surface that densely.
+ENVELOPE_MM = 0.016
 ANEW = "make it again, pytetwild's meshes are never the same, or give it a smaller size (the last part of its name)"
 
 
@@ -136,8 +139,9 @@ def gel_mesh(
     """
     vertices, faces = prism(outline(gel), gel.height)
     background, bg_tets, values = sizing_grid(gel, size, step)
+    envelope = ENVELOPE_MM / float(np.linalg.norm(np.ptp(vertices, axis=0)))  # of the diagonal
     nodes, tets = tetrahedralise(
-        vertices, faces, edge_length_abs=float(values.max()), epsilon=2e-4, num_threads=threads,
+        vertices, faces, edge_length_abs=float(values.max()), epsilon=envelope, num_threads=threads,
         bg_vertices=background, bg_tets=bg_tets, bg_values=values,
     )  # fmt: skip
     if hold:
@@ -203,7 +207,7 @@ def from_flat(gel: Gel, nodes: np.ndarray, tets: np.ndarray) -> GelMesh:
     tets = orient(nodes, tets)
     faces = boundary_faces(tets)
     heights = nodes[faces][..., 2]
-    tolerance = 0.02  # mm; pytetwild keeps the surface within 7 um, edges on the sides are longer than 0.2 mm
+    tolerance = 1.25 * ENVELOPE_MM  # edges on the sides are longer than 0.2 mm
     is_top = (np.abs(heights) < tolerance).all(axis=1)
     is_base = (np.abs(heights + gel.height) < tolerance).all(axis=1)
     if not is_top.any() or not is_base.any():
