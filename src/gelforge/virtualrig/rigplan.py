@@ -5,6 +5,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime, timedelta
+from functools import cached_property
 from pathlib import Path
 from typing import Annotated
 
@@ -99,9 +100,13 @@ class DrawnUnits(RigTable):
 
     def gel_of(self, name: str) -> str | None:
         """Name of a drawn unit's gel; none where it has the plan's, and for a unit that was not drawn."""
-        group, _, number = name.rpartition("_")
-        gels = {"known": self.known_gels, "unseen": self.unseen_gels}.get(group, ())
-        return gels[(int(number) - 1) % len(gels)] if gels and name in self.names else None
+        return self._gel_of_name.get(name)
+
+    @cached_property
+    def _gel_of_name(self) -> dict[str, str]:
+        gels = {"known": self.known_gels, "unseen": self.unseen_gels}
+        split = [(name, *name.rsplit("_", 1)) for name in self.names]
+        return {name: of[(int(number) - 1) % len(of)] for name, group, number in split if (of := gels[group])}
 
     @property
     def gels(self) -> tuple[str, ...]:
