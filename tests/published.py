@@ -1,6 +1,7 @@
 """Comparison of indenters and gel with published STEP solids; needs the development dependency gmsh."""
 
 from concurrent.futures import ProcessPoolExecutor
+from functools import cache
 from multiprocessing import get_context
 from pathlib import Path
 
@@ -39,8 +40,12 @@ def read_step(path, size_mm: float, per_turn: int = 32) -> dict:
     gmsh runs in a process of its own: it takes away what the process that loads it does on signals, SIGPIPE among
     them, and a web server of a later test then dies without a word when a browser closes its connection.
     """
-    with ProcessPoolExecutor(1, mp_context=get_context("spawn")) as own:
-        return own.submit(_mesh_of_step, path, size_mm, per_turn).result()
+    return _gmsh().submit(_mesh_of_step, path, size_mm, per_turn).result()
+
+
+@cache
+def _gmsh() -> ProcessPoolExecutor:
+    return ProcessPoolExecutor(1, mp_context=get_context("spawn"))
 
 
 def _mesh_of_step(path, size_mm: float, per_turn: int) -> dict:
