@@ -5,11 +5,12 @@ import re
 import shutil
 import signal
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import pytest
 
-from tests.benchmarks.slurm import cluster, lay_profile, lay_project, make, start_make
+from tests.benchmarks.slurm import Cluster, cluster, lay_profile, lay_project, make, start_make
 from tests.waiting import HANG, wait_until
 
 pytestmark = [
@@ -167,61 +168,6 @@ def test_killed_by_memory_as_often_as_the_profile_allows(project, lab):
     assert runs(project) == [(1, 1), (2, 0), (1, 1), (1, 1)] and there(project) == ["0", "2", "3"]
 
 
-def test_slurmd_killed_and_restarted_loses_no_task(project, lab):
-    for shard in range(4):
-        fault(project, f"poses-{shard}", "import time\ntime.sleep(4)\n")
-    process = start_make(project, lab, "poses")
-    await_running(project, lab, 2)
-    lab.do("kill", "slurmd")
-    time.sleep(0.5)
-    lab.do("start", "slurmd")
-    text, _ = process.communicate(timeout=HANG)
-    assert process.returncode == 0, text
-    assert runs(project) == ONCE
-
-
-def test_slurmctld_restarted_while_tasks_run(project, lab):
-    for shard in range(4):
-        fault(project, f"poses-{shard}", "import time\ntime.sleep(3)\n")
-    process = start_make(project, lab, "poses")
-    await_running(project, lab, 2)
-    # Ended by TERM: one that is killed forgets what it started in the last seconds, and drains the node for it.
-    lab.do("stop", "slurmctld")
-    time.sleep(5)  # tasks end while nobody listens
-    lab.do("start", "slurmctld")
-    text, _ = process.communicate(timeout=HANG)
-    assert process.returncode == 0, text
-    assert runs(project) == ONCE
-
-
-def test_node_lost_and_back(project, lab):
-    fault(project, "poses-0", FIRST_RUN + FOR_EVER)
-    fault(project, "poses-1", FIRST_RUN + FOR_EVER)
-    process = start_make(project, lab, "poses")
-    await_running(project, lab, 2)
-    lab.do("lose")
-    wait_until(lambda: "down" in lab.ask("sinfo", "-h", "-o", "%T"))  # Slurm itself must see that the node is gone
-    lab.do("start", "slurmd")
-    text, _ = process.communicate(timeout=HANG)
-    assert process.returncode == 0, text
-    assert runs(project) == [(2, 1), (2, 1), (1, 1), (1, 1)]
-
-
-def test_tasks_that_slurm_starts_again_while_they_still_run_are_done_once(project, lab):
-    """slurmd away until Slurm gives its node up: the tasks there go on, beside those that Slurm starts in their place."""
-    fault(project, "poses-0", FIRST_RUN + "while not os.path.exists('runs/go'): time.sleep(0.1)\n")
-    process = start_make(project, lab, "poses", "SHARDS=0 1")
-    await_running(project, lab, 1)
-    lab.do("kill", "slurmd")
-    wait_until(lambda: "down" in lab.ask("sinfo", "-h", "-o", "%T"))
-    lab.do("start", "slurmd")
-    wait_until(lambda: re.search(r"JobState=RUNNING .* Restarts=[1-9]", lab.ask("scontrol", "show", "job", "-o")))
-    (project / "runs" / "go").touch()
-    text, _ = process.communicate(timeout=HANG)
-    assert process.returncode == 0, text
-    assert [ended for _, ended in runs(project, shards=range(2))] == [1, 1]
-
-
 @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
 def test_interrupted_make_cancels(project, lab, how):
     fault(project, "poses-3", FIRST_RUN + FOR_EVER)
@@ -297,7 +243,66 @@ def test_refused_with_slurms_own_words(project, lab):
     assert make(project, lab, "poses")[0] == 0
 
 
-def test_no_controller_is_said_in_slurms_own_words(project, lab):
+def slurmd_killed(project: Path, lab: Cluster) -> None:
+    """slurmd is killed and started again."""
+    for shard in range(4):
+        fault(project, f"poses-{shard}", "import time\ntime.sleep(4)\n")
+    process = start_make(project, lab, "poses")
+    await_running(project, lab, 2)
+    lab.do("kill", "slurmd")
+    time.sleep(0.5)
+    lab.do("start", "slurmd")
+    text, _ = process.communicate(timeout=HANG)
+    assert process.returncode == 0, text
+    assert runs(project) == ONCE
+
+
+def slurmctld_restarted(project: Path, lab: Cluster) -> None:
+    """slurmctld is away while tasks end."""
+    for shard in range(4):
+        fault(project, f"poses-{shard}", "import time\ntime.sleep(3)\n")
+    process = start_make(project, lab, "poses")
+    await_running(project, lab, 2)
+    # Ended by TERM: one that is killed forgets what it started in the last seconds, and drains the node for it.
+    lab.do("stop", "slurmctld")
+    time.sleep(5)  # tasks end while nobody listens
+    lab.do("start", "slurmctld")
+    text, _ = process.communicate(timeout=HANG)
+    assert process.returncode == 0, text
+    assert runs(project) == ONCE
+
+
+def node_lost(project: Path, lab: Cluster) -> None:
+    """The node is gone with all its tasks, and comes back."""
+    fault(project, "poses-0", FIRST_RUN + FOR_EVER)
+    fault(project, "poses-1", FIRST_RUN + FOR_EVER)
+    process = start_make(project, lab, "poses")
+    await_running(project, lab, 2)
+    lab.do("lose")
+    wait_until(lambda: "down" in lab.ask("sinfo", "-h", "-o", "%T"))  # Slurm itself must see that the node is gone
+    lab.do("start", "slurmd")
+    text, _ = process.communicate(timeout=HANG)
+    assert process.returncode == 0, text
+    assert runs(project) == [(2, 1), (2, 1), (1, 1), (1, 1)]
+
+
+def started_again(project: Path, lab: Cluster) -> None:
+    """slurmd away until Slurm gives its node up: the tasks there go on, beside those that Slurm starts in their place."""
+    fault(project, "poses-0", FIRST_RUN + "while not os.path.exists('runs/go'): time.sleep(0.1)\n")
+    process = start_make(project, lab, "poses", "SHARDS=0 1")
+    await_running(project, lab, 1)
+    lab.do("kill", "slurmd")
+    wait_until(lambda: "down" in lab.ask("sinfo", "-h", "-o", "%T"))
+    lab.do("start", "slurmd")
+    wait_until(lambda: re.search(r"JobState=RUNNING .* Restarts=[1-9]", lab.ask("scontrol", "show", "job", "-o")))
+    (project / "runs" / "go").touch()
+    text, _ = process.communicate(timeout=HANG)
+    assert process.returncode == 0, text
+    assert [ended for _, ended in runs(project, shards=range(2))] == [1, 1]
+
+
+def no_controller(project: Path, lab: Cluster) -> None:
+    """No slurmctld answers."""
     lay_profile(project, memory_mb=50, poll_seconds=1.0, submit_seconds=0)
     lab.do("stop", "slurmctld")
     try:
@@ -310,7 +315,7 @@ def test_no_controller_is_said_in_slurms_own_words(project, lab):
     assert runs(project) == ONCE
 
 
-def test_a_busy_controller_takes_the_work_once(project, lab):
+def busy_controller(project: Path, lab: Cluster) -> None:
     """The controller stops answering in the middle, and may have taken what it never confirmed."""
     lay_profile(project, memory_mb=50, poll_seconds=1.0, submit_seconds=0, visible_seconds=2, array_limit=1000)
     controller = int((lab.folder / "pids" / "slurmctld").read_text())
@@ -323,6 +328,27 @@ def test_a_busy_controller_takes_the_work_once(project, lab):
     code, text = make(project, lab, "poses")
     assert code == 0, text
     assert runs(project) == ONCE
+
+
+APART = (slurmd_killed, slurmctld_restarted, node_lost, started_again, no_controller, busy_controller)
+
+
+@pytest.fixture(scope="module", autouse=True)
+def apart(tmp_path_factory):
+    """What takes daemons away waits for Slurm's own clocks: begun first, each case on a cluster of its own."""
+
+    def on_its_own(case) -> None:
+        with cluster(cpus=2) as made:
+            case(lay_project(tmp_path_factory.mktemp(case.__name__) / "p", visible_seconds=3), made)
+            wait_until(lambda: made.ask("squeue", "-h") == "")
+
+    with ThreadPoolExecutor(len(APART)) as pool:
+        yield {case: pool.submit(on_its_own, case) for case in APART}
+
+
+@pytest.mark.parametrize("case", APART)
+def test_work_outlives_daemons_that_go(case, apart):
+    apart[case].result()
 
 
 def test_killed_by_the_time_limit_comes_back_with_more(overdue):
