@@ -76,11 +76,11 @@ def test_frames_of_a_press_are_solved_labelled_and_split_together(project):
 
 def test_a_row_that_fills_up_a_labelled_shard_is_looked_at_alone(project, root):
     log = project / "data/tiny/log.csv"
-    whole = read_csv(log)
-    write_csv(log, list(whole[0]), whole[:3])
+    whole = read_csv(log)[:2]
+    write_csv(log, list(whole[0]), whole[:1])
     say(project, "labels")
     write_csv(log, list(whole[0]), whole)
-    new = whole[3]["sample_id"]
+    new = whole[1]["sample_id"]
     say(project, "sample", f"ID={new}")
     say(project, "look", f"ID={new}")
     assert (project / f"results/tiny/look/{new}-24x32.png").exists()
