@@ -217,6 +217,7 @@ def from_flat(gel: Gel, nodes: np.ndarray, tets: np.ndarray) -> GelMesh:
     nodes[np.unique(faces[is_base]), 2] = -gel.height
     nodes, elements, midside = second_order(nodes, tets)
     nodes[:, 2] = bend(gel, nodes)
+    straighten(nodes, elements)
 
     def whole(corners: np.ndarray) -> np.ndarray:
         middles = [[midside[min(a, b), max(a, b)] for a, b in ((f[0], f[1]), (f[1], f[2]), (f[2], f[0]))]
@@ -226,6 +227,19 @@ def from_flat(gel: Gel, nodes: np.ndarray, tets: np.ndarray) -> GelMesh:
     base = np.unique(whole(faces[is_base])).astype(np.int32)
     nodes[base, 2] = -gel.height
     return GelMesh("tet10", nodes, elements, whole(faces[is_top]), base)
+
+
+def straighten(nodes: np.ndarray, elements: np.ndarray, least: float = 0.2) -> None:
+    """Move midsides of elements (e, 10) whose scaled Jacobian is below `least` to the middle of their edges, in `nodes`.
+
+    Where a gel falls steeply within one edge, an edge bowed onto its surface turns the element inside out.
+    """
+    while True:
+        bowed = elements[scaled_jacobians(jacobians(nodes, elements)) < least]
+        middles = nodes[bowed[:, EDGES]].mean(axis=2)
+        if np.array_equal(nodes[bowed[:, 4:]], middles):
+            return
+        nodes[bowed[:, 4:]] = middles
 
 
 def bend(gel: Gel, nodes: np.ndarray) -> np.ndarray:
