@@ -229,8 +229,8 @@ def from_flat(gel: Gel, nodes: np.ndarray, tets: np.ndarray) -> GelMesh:
     return GelMesh("tet10", nodes, elements, whole(faces[is_top]), base)
 
 
-def straighten(nodes: np.ndarray, elements: np.ndarray, least: float = 0.2) -> None:
-    """Move midsides of elements (e, 10) whose scaled Jacobian is below `least` to the middle of their edges, in `nodes`.
+def straighten(nodes: np.ndarray, elements: np.ndarray, least: float = 0.1) -> None:
+    """Move midsides of elements (e, 10) whose scaled Jacobian is below `least` to the middle of their edges, in place.
 
     Where a gel falls steeply within one edge, an edge bowed onto its surface turns the element inside out.
     """
