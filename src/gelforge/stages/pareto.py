@@ -44,7 +44,7 @@ COLUMNS = ("method", "fidelity", "size_mm", "load_steps", "scenes", "failed", "c
 
 
 def checks_of(scene: NamedScene, params: ForPareto) -> list[Method]:
-    """How else the reference of a scene is solved: on halved elements where asked, half a turn about z where it is no image."""
+    """Further solves of a scene's reference: on halved elements where asked, half a turn about z where it has no image."""
     halved = [Method(HALVED, REFERENCE, halved=True)] * (scene.name in params.pareto.halved)
     alone = turns(params, scene.fine) and not images_of(scene.scene)
     return [*halved, *[Method(TURNED, REFERENCE)] * alone]
