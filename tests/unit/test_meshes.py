@@ -129,8 +129,8 @@ def test_a_held_mesh_is_as_fine_as_asked_and_sound():
     assert quality(mesh, GEL)["min_scaled_jacobian"] > 0.2
 
 
-def test_a_steep_rim_turns_no_element_inside_out():
-    """Edges of 4 mm across a fall of 3 mm in 2 mm: bowed onto the surface they would."""
+def test_a_steep_rim_inverts_no_element():
+    """Edges are 4 mm long where the top falls 3 mm within 2 mm; bowed onto the surface they would invert elements."""
     dome = load_gel("dome")
     assert quality(gel_mesh(dome, sizing((2.0, 2.0), 1.5, TABLE)), dome)["min_scaled_jacobian"] >= 0.1
 

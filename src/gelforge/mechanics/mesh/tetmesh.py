@@ -232,7 +232,7 @@ def from_flat(gel: Gel, nodes: np.ndarray, tets: np.ndarray) -> GelMesh:
 def straighten(nodes: np.ndarray, elements: np.ndarray, least: float = 0.1) -> None:
     """Move midsides of elements (e, 10) whose scaled Jacobian is below `least` to the middle of their edges, in place.
 
-    Where a gel falls steeply within one edge, an edge bowed onto its surface turns the element inside out.
+    Where a gel falls steeply within one edge, an edge that is bowed onto its surface inverts the element.
     """
     while True:
         bowed = elements[scaled_jacobians(jacobians(nodes, elements)) < least]
