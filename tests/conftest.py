@@ -36,6 +36,7 @@ REFERENCE = Path(os.environ.get("GELFORGE_REFERENCE", ROOT.parent / "shared" / "
 # Files that take minutes, longest first: begun at the end they would be waited for by processes with nothing to do.
 LONG = (
     "test_slurm",
+    "test_machines",
     "test_nested",
     "test_rig",
     "test_planning",

@@ -98,11 +98,11 @@ class Side:
 
 def compared(name: str, auto: dict, ccx: dict, fea: FeaTable) -> verification.Verified:
     """How far the two records of a press differ, as a dataset's own record says it."""
-    told = ("", name, auto["class"], auto["way"])
+    press = ("", name, auto["class"], auto["way"])
     if "cells" not in auto or ccx.get("fidelity") != "ccx":
-        return verification.compare(told, fea, ccx["reason"] or "no result of both", None)
+        return verification.compare(press, fea, ccx["reason"] or "no result of both", None)
     pairs = [(np.array(record["total"]), np.array(record["cells"])) for record in (auto, ccx)]
-    return verification.compare(told, fea, *pairs)
+    return verification.compare(press, fea, *pairs)
 
 
 def figures_of(autos: dict[str, dict], ccxs: dict[str, dict], fea: FeaTable) -> tuple[list[Figure], list[dict]]:

@@ -187,9 +187,9 @@ def test_refined_sideways_force_has_a_ratio_of_its_own(built, catalogue):
     refined = refine(emulator, plan, cache, fine, [MU], NU)
     deepest = plan.jobs(2, MU, NU)[0]
     end, coarse = (np.array(of.get(deepest)["end"]) for of in (fine, cache))
-    told = refined.table[2, 0, 0, -1]
-    assert np.hypot(*told[:2]) == pytest.approx(np.hypot(*end[:2]), rel=1e-6)
-    assert told[2] == pytest.approx(end[2], rel=1e-6)
+    forces = refined.table[2, 0, 0, -1]
+    assert np.hypot(*forces[:2]) == pytest.approx(np.hypot(*end[:2]), rel=1e-6)
+    assert forces[2] == pytest.approx(end[2], rel=1e-6)
     assert abs(np.hypot(*end[:2]) / np.hypot(*coarse[:2]) - end[2] / coarse[2]) > 0.005
 
 

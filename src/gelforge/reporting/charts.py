@@ -97,8 +97,8 @@ def stability_map(table: list[dict]) -> bytes:
         axis.set_axis_off()
     figure.suptitle("Error of total force, %, at label setting against the finest hexahedra; for size and steps against the "
                     "finest of the same engine", fontsize=11)  # fmt: skip
-    told = {"drifts": "drifts: error above [stability] drift"}
-    handles = [Patch(color=colour, label=told.get(verdict, verdict)) for verdict, colour in VERDICTS.items()]
+    named = {"drifts": "drifts: error above [stability] drift"}
+    handles = [Patch(color=colour, label=named.get(verdict, verdict)) for verdict, colour in VERDICTS.items()]
     figure.legend(handles=handles, loc="outside lower center", ncols=4)
     return to_png(figure)
 
@@ -111,10 +111,10 @@ def _grid(axis, row, lines):
     for line in lines:
         x, y = levels.index(line["level"]), groups.index((line["fidelity"], line["kind"]))
         axis.add_patch(_tile(x, y, VERDICTS[line["verdict"]]))
-        told = line["status"].lower().replace("_", " ") if line["verdict"] == "failed" else ""
+        text = line["status"].lower().replace("_", " ") if line["verdict"] == "failed" else ""
         if line["verdict"] in ("good", "drifts") and line["error"] is not None:
-            told = f"{100 * line['error']:.1f}"
-        axis.text(x, y, told, ha="center", va="center", fontsize=7)
+            text = f"{100 * line['error']:.1f}"
+        axis.text(x, y, text, ha="center", va="center", fontsize=7)
     axis.set(xlim=(-0.5, len(levels) - 0.5), ylim=(len(groups) - 0.5, -0.5), xticks=range(len(levels)),
              yticks=range(len(groups)), title=PANELS[row])  # fmt: skip
     axis.set_xticklabels([str(level) for level in levels])
