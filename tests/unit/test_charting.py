@@ -244,7 +244,7 @@ if __name__ == "__main__":
 
 def test_a_solve_runs_the_code_of_the_process_that_asks_for_it(root, tmp_path):
     """Whichever checkout the environment was made in."""
-    shutil.copytree(root / "src", tmp_path / "src", ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
+    shutil.copytree(root / "src", tmp_path / "src", ignore=shutil.ignore_patterns("*.pyc", "*.tmp*", "*.egg-info"))
     (tmp_path / "own.py").write_text(OWN_CODE)
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run(
