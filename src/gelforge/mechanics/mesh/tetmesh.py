@@ -19,8 +19,8 @@ FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])  # corners, outwa
 OUTLINE_STEP_MM = 1.5  # length of a side of the outline polygon; no edge of a mesh there is shorter
 ARC_SIDES = 4  # of the outline at each of its rounded corners
 SIZING_STEP_MM = 0.75
-# How far pytetwild may leave the flat pad's surface before top and base are made flat again. Half of it takes three times
-# the time, because it samples the surface that densely.
+# How far pytetwild may leave the flat pad's surface before top and base are made flat again. 0.007 takes four times the
+# time, because the surface is sampled that densely.
 ENVELOPE_MM = 0.016
 ANEW = "make it again, pytetwild's meshes are never the same, or give it a smaller size (the last part of its name)"
 
