@@ -19,7 +19,7 @@ from gelforge.sweeps.keptreferences import averaged
 from gelforge.sweeps.methods import LARGE_REFERENCE, TURNED
 from gelforge.sweeps.references import reference_mesh
 from gelforge.sweeps.scenes import NamedScene, parse_scene, read_tables
-from gelforge.sweeps.symmetry import images_of, turned_back
+from gelforge.sweeps.symmetry import images_of
 from gelforge.sweeps.trial import ChartBench, given_reference, load_bench, measure
 from tests.benchmarks.chart_meshes import ensure_meshes
 from tests.benchmarks.figures import Figure, publish_figures
@@ -43,7 +43,7 @@ def solved(bench: ChartBench, scene: NamedScene) -> dict:
     """The reference of a scene as it would be kept: a mean of several solves where it can be."""
     ensure_meshes(bench, [reference_mesh(bench.params, scene.fine)])
     record = measure(bench, scene, LARGE_REFERENCE)
-    others = [turned_back(measure(bench, scene, m)) for m in checks_of(scene, bench.params) if m.name == TURNED]
+    others = [measure(bench, scene, check) for check in checks_of(scene, bench.params) if check.name == TURNED]
     if record.get("cells") is None:
         raise BadInput(f"{scene.name} on the other mesh is {record['status']}: {record['reason']}")
     return record | averaged(record, others[0] if others else None, images_of(scene.scene))

@@ -24,7 +24,7 @@ from gelforge.sweeps.deviation import errors, frontier
 from gelforge.sweeps.methods import HALVED, REFERENCE, TURNED, Method, every_method, quick_methods
 from gelforge.sweeps.references import build_mesh, turns
 from gelforge.sweeps.scenes import NamedScene, parse_scene
-from gelforge.sweeps.symmetry import images_of, turned_back
+from gelforge.sweeps.symmetry import images_of
 from gelforge.sweeps.trial import ChartBench, given_reference, load_bench, measure
 
 # Also of its meshes: what was solved on others is solved anew.
@@ -59,8 +59,6 @@ def solve_scene(bench: ChartBench, scene: NamedScene, methods: list[Method], che
     methods = [*methods, *checks]
     records = {m.name: measure(bench, scene, m) for m in progress(methods, scene.name)}
     halved = HALVED in records
-    if TURNED in records:
-        records[TURNED] = turned_back(records[TURNED])
     compared: dict[str, dict] = {}
     for method in methods:
         record = records[method.name] | {"method": asdict(method)}

@@ -16,7 +16,7 @@ from gelforge.records.press import FORCE
 from gelforge.sweeps.deviation import cell_error
 from gelforge.sweeps.methods import REFERENCE, TURNED
 from gelforge.sweeps.scenes import parse_scene
-from gelforge.sweeps.symmetry import images_of, symmetrised
+from gelforge.sweeps.symmetry import image_of, images_of
 
 KEYS = "keys.json"
 COLUMNS = ("row", "column", *FORCE)
@@ -53,13 +53,12 @@ def keep_references(charted: Iterable[dict], folder: Path, nu: float) -> None:
             raise BadInput(
                 f"the chart of {scene['scene']} has no {REFERENCE}; the small chart's reference is none here"
             )
-        path, scatter = folder / f"{scene['scene']}.csv", None
+        path = folder / f"{scene['scene']}.csv"
         if record.get("cells") is not None:
             images = images_of(parse_scene(scene["scene"], scene["table"], nu).scene)
-            mean = averaged(record, scene["methods"].get(TURNED), images)
-            record, scatter = record | mean, mean["scatter"]
+            record = record | averaged(record, scene["methods"].get(TURNED), images)
         write_csv(path, COLUMNS, reference_rows(record))
-        keys[scene["scene"]] = {"key": record["key"], "sha256": digest_of(path), "scatter": scatter}
+        keys[scene["scene"]] = {"key": record["key"], "sha256": digest_of(path), "scatter": record.get("scatter")}
     for path in folder.glob("*.csv"):
         if path.stem not in keys:
             path.unlink()
@@ -73,11 +72,16 @@ def averaged(record: dict, other: dict | None, images: list[tuple[int, int]]) ->
     """
     if record.get("scatter") is not None:
         return {key: record[key] for key in ("cells", "outside", "scatter")}
-    cells, outside, scatter = symmetrised(record["cells"], record["outside"], images)
-    if not images and other is not None and other.get("cells") is not None:
-        scatter = cell_error(other["cells"], cells, record["total"])
-        cells, outside = (np.mean([own, other[key]], axis=0) for key, own in (("cells", cells), ("outside", outside)))
-    return {"cells": cells, "outside": outside, "scatter": scatter}
+    cells, outside = (np.asarray(record[key], float) for key in ("cells", "outside"))
+    others = [(image_of(cells, signs), outside * [*signs, 1.0]) for signs in images]
+    if not others and other is not None and other.get("cells") is not None:
+        others = [(np.asarray(other["cells"], float), np.asarray(other["outside"], float))]
+    total = cells.sum(axis=(1, 2)) + outside
+    return {
+        "cells": np.mean([cells, *(there for there, _ in others)], axis=0),
+        "outside": np.mean([outside, *(beside for _, beside in others)], axis=0),
+        "scatter": max((cell_error(there, cells, total) for there, _ in others), default=None),
+    }
 
 
 def scatters(folder: Path) -> dict[str, float | None]:

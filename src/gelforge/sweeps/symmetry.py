@@ -54,20 +54,3 @@ def turned_back(record: dict) -> dict:
     signs = np.array([*HALF_TURN, 1.0])
     cells = image_of(np.asarray(record["cells"], float), HALF_TURN).tolist()
     return record | {"cells": cells, **{key: (signs * record[key]).tolist() for key in ("outside", "total")}}
-
-
-def symmetrised(
-    cells: np.ndarray, outside: np.ndarray, images: list[tuple[int, int]]
-) -> tuple[np.ndarray, np.ndarray, float | None]:
-    """Mean of cells (3, rows, columns) and of the force outside (3,) N with their images, and their difference before.
-
-    The last: largest sum of the differences of the cells over the total force, None where there is no image.
-    """
-    cells, outside = np.asarray(cells, float), np.asarray(outside, float)
-    if not images:
-        return cells, outside, None
-    every = np.stack([cells, *(image_of(cells, signs) for signs in images)])
-    total = np.linalg.norm(cells.sum(axis=(1, 2)) + outside)
-    difference = np.linalg.norm(every - cells, axis=1).sum(axis=(1, 2)).max() / total
-    beside = np.mean([outside, *(outside * [*signs, 1.0] for signs in images)], axis=0)
-    return every.mean(axis=0), beside, float(difference)

@@ -21,8 +21,9 @@ from gelforge.labelling.sensor import Sensor
 from gelforge.mechanics.hexsettings import QUALITIES, quality
 from gelforge.sweeps.isolate import CRASHED, REFUSED, TIMED_OUT, Clock, isolated, peak_mib
 from gelforge.sweeps.keptreferences import kept_reference
-from gelforge.sweeps.methods import LARGE_REFERENCE, REFERENCE, Method, hex_settings, prepare, warm_up
+from gelforge.sweeps.methods import LARGE_REFERENCE, REFERENCE, TURNED, Method, hex_settings, prepare, warm_up
 from gelforge.sweeps.scenes import NamedScene
+from gelforge.sweeps.symmetry import turned_back
 
 GRID = Grid(24, 32)  # of FEATS' labels
 NOT_SOLVER = CHOOSING | TETRAHEDRAL | VERIFYING | {"fidelity", "timeout_s"}
@@ -171,7 +172,8 @@ def solve_method(bench: ChartBench, scene: NamedScene, method: Method, work: Pat
     """The record of a scene solved now, in a process of its own."""
     limit = limit_of(bench.params.pareto, method.fidelity)
     make = partial(prepare, method, scene.scene, scene.fine, bench.meshes, bench.params, limit_s=limit)
-    return solve_isolated(make, bench.sensor, limit, work)
+    found = solve_isolated(make, bench.sensor, limit, work)
+    return turned_back(found) if method.name == TURNED else found
 
 
 def load_bench(

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime, timedelta
 from functools import cached_property
+from itertools import cycle
 from pathlib import Path
 from typing import Annotated
 
@@ -96,7 +97,10 @@ class DrawnUnits(RigTable):
 
     @property
     def names(self) -> tuple[str, ...]:
-        return tuple(f"{group}_{k + 1:02d}" for group in ("known", "unseen") for k in range(getattr(self, group)))
+        return (*self._group("known"), *self._group("unseen"))
+
+    def _group(self, name: str) -> list[str]:
+        return [f"{name}_{k + 1:02d}" for k in range(getattr(self, name))]
 
     def gel_of(self, name: str) -> str | None:
         """Name of a drawn unit's gel; none where it has the plan's, and for a unit that was not drawn."""
@@ -104,9 +108,10 @@ class DrawnUnits(RigTable):
 
     @cached_property
     def _gel_of_name(self) -> dict[str, str]:
-        gels = {"known": self.known_gels, "unseen": self.unseen_gels}
-        split = [(name, *name.rsplit("_", 1)) for name in self.names]
-        return {name: of[(int(number) - 1) % len(of)] for name, group, number in split if (of := gels[group])}
+        in_turn = (("known", self.known_gels), ("unseen", self.unseen_gels))
+        return {
+            name: gel for group, gels in in_turn for name, gel in zip(self._group(group), cycle(gels), strict=False)
+        }
 
     @property
     def gels(self) -> tuple[str, ...]:
