@@ -74,6 +74,13 @@ def there(project: Path, stage: str = "10_poses") -> list[str]:
     )
 
 
+def ends_well(process) -> str:
+    """What a make that was begun has printed at its end."""
+    text, _ = process.communicate(timeout=HANG)
+    assert process.returncode == 0, text
+    return text
+
+
 def await_running(project: Path, lab, count: int) -> None:
     """Wait until `count` tasks of stage 10 have begun."""
     wait_until(lambda: sum(started > ended for started, ended in runs(project)) >= count)
@@ -252,8 +259,7 @@ def slurmd_killed(project: Path, lab: Cluster) -> None:
     lab.do("kill", "slurmd")
     time.sleep(0.5)
     lab.do("start", "slurmd")
-    text, _ = process.communicate(timeout=HANG)
-    assert process.returncode == 0, text
+    ends_well(process)
     assert runs(project) == ONCE
 
 
@@ -267,8 +273,7 @@ def slurmctld_restarted(project: Path, lab: Cluster) -> None:
     lab.do("stop", "slurmctld")
     time.sleep(5)  # tasks end while nobody listens
     lab.do("start", "slurmctld")
-    text, _ = process.communicate(timeout=HANG)
-    assert process.returncode == 0, text
+    ends_well(process)
     assert runs(project) == ONCE
 
 
@@ -281,8 +286,7 @@ def node_lost(project: Path, lab: Cluster) -> None:
     lab.do("lose")
     wait_until(lambda: "down" in lab.ask("sinfo", "-h", "-o", "%T"))  # Slurm itself must see that the node is gone
     lab.do("start", "slurmd")
-    text, _ = process.communicate(timeout=HANG)
-    assert process.returncode == 0, text
+    ends_well(process)
     assert runs(project) == [(2, 1), (2, 1), (1, 1), (1, 1)]
 
 
@@ -296,8 +300,7 @@ def started_again(project: Path, lab: Cluster) -> None:
     lab.do("start", "slurmd")
     wait_until(lambda: re.search(r"JobState=RUNNING .* Restarts=[1-9]", lab.ask("scontrol", "show", "job", "-o")))
     (project / "runs" / "go").touch()
-    text, _ = process.communicate(timeout=HANG)
-    assert process.returncode == 0, text
+    ends_well(process)
     assert [ended for _, ended in runs(project, shards=range(2))] == [1, 1]
 
 
@@ -353,7 +356,6 @@ def test_work_outlives_daemons_that_go(case, apart):
 
 def test_killed_by_the_time_limit_comes_back_with_more(overdue):
     project, process = overdue
-    text, _ = process.communicate(timeout=HANG)
-    assert process.returncode == 0, text
+    text = ends_well(process)
     assert "killed at its time limit of 1 min; again with 50 MiB, 2 min" in text
     assert runs(project, shards=range(2)) == [(2, 1), (1, 1)]
