@@ -182,8 +182,8 @@ def repair_all(paths: Iterable[Path]) -> int:
 def corrupt_file(path: Path) -> str | None:
     """Which file of a target is not as it was published: its own, absent too, or one beside it; None where all is well.
 
-    What has no record was made by hand or is being made for the first time; one that cannot be read tells nothing, and its
-    target is as good as corrupt.
+    A target without a record was made by hand or is being made for the first time. One whose record cannot be read counts
+    as corrupt.
     """
     metrics = metrics_of(path)
     if not metrics.exists():

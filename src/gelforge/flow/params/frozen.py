@@ -1,6 +1,6 @@
 """A calibration that was frozen: data/DATASET/calibration.toml, values that labels are made with until it is frozen anew.
 
-The file is laid over workflow/params.toml as a dataset's own tables are, so stages read it as any other parameter.
+Its values override workflow/params.toml as a dataset's own tables do, so stages read them as any other parameter.
 """
 
 import hashlib

@@ -27,7 +27,7 @@ Nu = Annotated[Number, Within(0.0, 0.4999)]
 SOFTEST, STIFFEST = 0.002, 5.0
 Stiffness = Annotated[Number, Within(SOFTEST, STIFFEST, "MPa")]
 Interval = tuple[Stiffness, Stiffness]
-NAMED = "a name of letters, digits, dots, - and _"
+NAMED = "a name of letters, digits, periods, - and _"
 Name = Annotated[str, Rule(re.compile(NAME).fullmatch, NAMED)]
 Names = tuple[Name, ...]
 Line = Annotated[str, Rule(str.isprintable, "text of one line")]
@@ -463,7 +463,7 @@ Layers = Annotated[tuple[Annotated[int, Within(1, 100)], ...], SOME]
 
 
 def uneven(sizes: tuple[float, ...], layers: tuple[int, ...]) -> str | None:
-    """What is wrong where not every brick size has its layers."""
+    """What is wrong where not each size of hexahedra has its layers."""
     if len(sizes) != len(layers):
         return f"hex_sizes_mm has {len(sizes)} sizes and hex_layers {len(layers)}: give each size its layers"
     return None
