@@ -100,7 +100,9 @@ def test_posterior_deeper_than_the_solves_is_named():
 
 def test_fewer_readings_than_vague_parameters():
     model = make_model(PARAMS, "coulomb")
-    check_enough(1, model)  # every prior is informative
+    check_enough(2, model)  # every prior is informative
+    with pytest.raises(BadInput, match="log two presses or more"):
+        check_enough(1, model)
     flat = {name: Prior("uniform", 0.0, 1.0) for name in ("c10", "offset", "mu")}
     with pytest.raises(BadInput, match=r"2 force readings cannot determine 3 parameters with flat priors \(c10"):
         check_enough(2, replace(model, free={**model.free, **flat}))

@@ -183,7 +183,10 @@ def begins_one_that_works():
 def test_a_solve_is_stopped_by_its_processor_time(work):
     before = time.monotonic()
     found = isolated(work, 0.5)
-    assert found["status"] == "TIMED_OUT" and time.monotonic() - before < HANG
+    took = time.monotonic() - before
+    assert found["status"] == "TIMED_OUT" and took < HANG
+    # of a processor that others fill it may get less than that in ten times as long
+    assert found["reason"] == "stopped after 0.5 s of processor time" or took > 5.0
 
 
 def killed():
@@ -195,7 +198,8 @@ def test_a_solve_fails_in_its_own_process():
     assert isolated(partial(failing, ZeroDivisionError("by zero")), HANG)["status"] == "CRASHED"
     found = isolated(killed, HANG)
     assert found["status"] == "CRASHED" and "-9" in found["reason"]
-    assert isolated(partial(time.sleep, HANG), 0.02)["status"] == "TIMED_OUT"
+    hung = isolated(partial(time.sleep, HANG), 0.05)
+    assert hung["status"] == "TIMED_OUT" and hung["reason"].startswith("stopped after 0.5 s by the clock")
     with pytest.raises(BadInput, match="free space"):
         isolated(partial(failing, OSError(28, "No space left on device")), HANG)
     with pytest.raises(BadInput, match="make setup"):

@@ -41,6 +41,12 @@ def test_each_frame_has_its_own_time_and_a_whole_film_is_not_called_cut(tmp_path
     assert [frame.image.mean() for frame in found] == pytest.approx([40 + 5 * k for k in range(len(times))], abs=2)
 
 
+@pytest.mark.parametrize("device", ["/dev/video0", "/dev/v4l/by-id/usb-gel-index0"])
+def test_a_camera_given_as_a_film_names_its_option(device):
+    with pytest.raises(BadInput, match=f"{device}: .*--camera {device}$"):
+        live.main(["--video", device])
+
+
 def test_a_film_whose_sound_is_longer_is_whole(tmp_path):
     """Its container lasts ten seconds; frames are announced by that."""
     times = TIMES["dropped"]

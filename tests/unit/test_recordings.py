@@ -3,6 +3,7 @@
 import cv2
 import numpy as np
 import pytest
+import zstandard
 
 from gelforge.commands.mcap import main as mcap_import
 from gelforge.errors import BadInput
@@ -251,6 +252,21 @@ def test_messages_of_ros_1_are_reported_by_what_they_are(tmp_path, sensor):
         writer.finish()
     with pytest.raises(BadInput, match="holds no ROS 2 messages .* convert the recording"):
         imported(tmp_path, tmp_path / "a.mcap", sensor)
+
+
+def test_a_recording_compressed_as_a_whole_is_named_with_its_command(tmp_path, sensor):
+    """As `ros2 bag record --compression-mode file` leaves it; in a folder it is not passed over beside others."""
+    (tmp_path / "in").mkdir()
+    whole = write(tmp_path / "in/a.mcap", filmed(FILM, lambda k: 0.0), ramp())
+    write(tmp_path / "in/b.mcap", filmed(FILM, lambda k: 0.0), ramp())
+    packed = whole.with_name("a.mcap.zstd")
+    packed.write_bytes(zstandard.compress(whole.read_bytes()))
+    whole.unlink()
+    for source in (packed, packed.parent):
+        with pytest.raises(BadInput, match=rf"zstd -d {packed} -o {whole}` "):
+            imported(tmp_path, source, sensor)
+    whole.write_bytes(zstandard.decompress(packed.read_bytes()))
+    assert imported(tmp_path, packed.parent, sensor)[0]["files"] == 2
 
 
 def test_the_largest_gap_is_that_of_all_recordings(tmp_path, sensor):

@@ -106,6 +106,15 @@ def test_wrong_sign_leaves_no_summary(root, tmp_path):
     assert not (tmp_path / "work" / "summary.json").exists()
 
 
+def test_a_single_press_is_refused_before_anything_is_solved(root, tmp_path):
+    args = stage_args(root, tmp_path)
+    log = tmp_path / "data" / "log.csv"
+    log.write_text("".join(log.read_text().splitlines(keepends=True)[:2]))
+    with pytest.raises(BadInput, match="one force reading .* log two presses or more"):
+        calibrate.main(args)
+    assert not (tmp_path / "work").exists()
+
+
 def test_unknown_solver_setting_is_named():
     with pytest.raises(BadInput, match=r"\[calibrate.solver\] sizes: unknown key; size is meant"):
         parameters(calibrate={"solver": {"sizes": 1.0}})

@@ -165,7 +165,11 @@ def check_sign(readings: Readings) -> None:
 
 
 def check_enough(count: int, model) -> None:
-    """Refuse fewer readings than parameters that nothing but the readings can bound."""
+    """Refuse fewer readings than parameters that nothing but the readings can bound, and a single one."""
+    if count < 2:
+        raise BadInput(
+            "one force reading cannot show how well a model predicts a reading that it was not given; log two presses or more"
+        )
     vague = [name for name, prior in model.free.items() if not prior.informative]
     if count < len(vague):
         raise BadInput(

@@ -47,6 +47,7 @@ DEFAULTS = {
     "sensor": "gelsight_mini",
 }
 LATEST_NS = 2**63 - 1  # in the year 2262
+ZSTD = b"\x28\xb5\x2f\xfd"  # what a Zstandard frame begins with (RFC 8878, 3.1.1)
 SPLIT_NS = 10**9  # a recorder that goes on in a new file misses less
 DATASET_TOML = """# Imported from recordings in MCAP: images with total force, no indenter known: make train RES=1x1 MODEL=resnet10
 sensor = "{sensor}"
@@ -143,6 +144,12 @@ def messages(path: Path, topic: str) -> Iterator[tuple[int, object]]:
     if fault := file_fault(path):
         raise BadInput(f"{path}: cannot be read ({fault}); give a recording in MCAP")
     with path.open("rb") as stream:
+        if stream.read(len(ZSTD)) == ZSTD:
+            whole = path.with_suffix("") if ".mcap" in path.stem else "NAME.mcap"
+            raise BadInput(
+                f"{path}: is compressed as a whole; decompress it with `zstd -d {path} -o {whole}` and import what that makes"
+            )
+        stream.seek(0)
         try:
             reader = make_reader(stream, decoder_factories=[DecoderFactory()])
             for _, _, message, said in reader.iter_decoded_messages(topics=[topic]):
@@ -218,7 +225,7 @@ def import_recordings(source: Path, data: Path, topics: Topics, sensor) -> dict:
 
     source: a file, or a folder of them. sensor: labelling.sensor.Sensor. Nothing is left behind where a file fails.
     """
-    files = sorted(source.rglob("*.mcap")) if source.is_dir() else [source]
+    files = recordings_of(source) if source.is_dir() else [source]
     if not files or not files[0].is_file():
         raise BadInput(f"{source}: holds no .mcap files; give a recording or a folder of them as FROM=…")
     rows: list[LoggedPress] = []
@@ -249,6 +256,12 @@ def import_recordings(source: Path, data: Path, topics: Topics, sensor) -> dict:
     return {
         "files": len(files), "images": len(rows), "without_wrench": alone, "largest_gap_s": largest, "notes": notes,
     }  # fmt: skip
+
+
+def recordings_of(folder: Path) -> list[Path]:
+    """The recordings in a folder, also those compressed as a whole that nobody decompressed yet: none is passed over."""
+    compressed = [path for path in folder.rglob("*.mcap.zst*") if not path.with_suffix("").exists()]
+    return sorted([*folder.rglob("*.mcap"), *compressed])
 
 
 def touching(values: np.ndarray, topics: Topics) -> np.ndarray:

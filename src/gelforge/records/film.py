@@ -30,7 +30,8 @@ def open_source(
     fault = file_fault(video) if video is not None else None
     if fault:
         fault = "no such video" if fault.startswith("No such file") else f"cannot be read as a video ({fault})"
-        raise BadInput(f"{video}: {fault}; name an AVI or MP4 file")
+        camera_there = f", or the camera by --camera {video}" if str(video).startswith("/dev/v") else ""
+        raise BadInput(f"{video}: {fault}; name an AVI or MP4 file{camera_there}")
     # OpenCV's decoder prints thousands of lines about a corrupt film, `Film` one
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     source = cv2.VideoCapture(str(video)) if camera is None else cv2.VideoCapture(camera)

@@ -82,6 +82,18 @@ def served(readings: Readings, params: CalibrateTable) -> np.ndarray:
     return observed
 
 
+def models_of(readings: Readings, params: CalibrateTable) -> list[Model]:
+    """The chosen model, then those that are compared with it; too few readings for the chosen one raise BadInput."""
+    observed = served(readings, params)
+    indenters = np.unique(readings.indenters).tolist()
+    # without sideways forces that serve, nothing shows how the bench yields sideways
+    held = () if np.isfinite(observed[:, :2]).any() else ("shear_compliance",)
+    chosen = make_model(params, params.law, held, indenters)
+    check_enough(int(np.isfinite(observed).sum()), chosen)
+    compared = compared_models(params, indenters, held) if params.compare else []
+    return [chosen, *(model for model in compared if model.name != chosen.name)]
+
+
 def score_model(posterior: Posterior, chain: Chain, rules: Rules) -> scores.Score:
     """Leave-one-out score; from a chain of its own where importance sampling would lean on few draws."""
     score = scores.loo(posterior.pointwise(chain.flat(summary.DRAWS)))
@@ -112,17 +124,12 @@ def calibrate(
     def posterior_of(model: Model) -> Posterior:
         return Posterior(emulator, model, readings.depth, observed, params.tail)
 
-    indenters = np.unique(readings.indenters).tolist()
-    # without sideways forces that serve, nothing shows how the bench yields sideways
-    held = () if np.isfinite(observed[:, :2]).any() else ("shear_compliance",)
-    headline = posterior_of(make_model(params, params.law, held, indenters))
-    check_enough(int(np.isfinite(observed).sum()), headline.model)
+    first, *others = models_of(readings, params)
+    headline = posterior_of(first)
     chain = sample(headline, rules, chain_path, say)
     refuse_beyond(headline, chain)
     tasks: list[tuple[Posterior, Chain | None, Rules]] = [(headline, chain, rules)]
-    if params.compare:
-        others = (model for model in compared_models(params, indenters, held) if model.name != headline.model.name)
-        tasks += [(posterior_of(model), None, rules) for model in others]
+    tasks += [(posterior_of(model), None, rules) for model in others]
     return Calibration(readings, headline, chain, compare(tasks, jobs))
 
 
@@ -316,6 +323,7 @@ def main(args: Namespace) -> None:
     logged = read_readings(args.data / "log.csv", rejected, gels_of(load_sensors(args.sensors), of))
     check_readings(logged)
     readings = logged.take(choose_presses(logged, params.max_presses))
+    models_of(readings, with_nu(params, nu))  # refuses too few readings before anything is solved
     known, named = read_indenter_tables(args.workflow, args.data, of.catalogue), set(readings.indenters.tolist())
     catalogue = build_all(known, args.workflow / of.catalogue, sorted(named), args.workflow)
     solves = args.solves or args.work / "solves"

@@ -109,13 +109,15 @@ def running_seconds(pid: int) -> float:
     return own + sum(running_seconds(int(child)) for child in begun)
 
 
-def in_time(here: Connection, pid: int, limit_s: float) -> bool:
-    """Wait for an answer; False where the process has used its processor time, or hangs."""
+def why_late(here: Connection, pid: int, limit_s: float) -> str | None:
+    """Wait for an answer and return None, or why to wait no longer: the process has used its processor time, or hangs."""
     end = time.monotonic() + WAITING * limit_s
     while not here.poll(min(LOOK_S, limit_s)):
-        if running_seconds(pid) > limit_s or time.monotonic() > end:
-            return False
-    return True
+        if running_seconds(pid) > limit_s:
+            return f"stopped after {limit_s:g} s of processor time"
+        if time.monotonic() > end:
+            return f"stopped after {WAITING * limit_s:g} s by the clock, before it had used {limit_s:g} s of processor time"
+    return None
 
 
 def isolated(
@@ -135,9 +137,9 @@ def isolated(
     except (EOFError, ConnectionError) as error:
         raise GelforgeError("the process that solves are begun from ended; what it printed above says why") from error
     there.close()
-    answer, late = None, False
+    answer, late = None, None
     try:
-        late = not in_time(here, child.pid or 0, limit_s)
+        late = why_late(here, child.pid or 0, limit_s)
         answer = None if late else here.recv()
     except EOFError:
         pass
@@ -148,7 +150,7 @@ def isolated(
             child.join()
         here.close()
     if late:
-        return {"status": TIMED_OUT, "reason": f"stopped after {limit_s:g} s of processor time", "limit_s": limit_s}
+        return {"status": TIMED_OUT, "reason": late, "limit_s": limit_s}
     if answer is None:
         return {"status": CRASHED, "reason": f"the process ended with exit code {child.exitcode}"}
     if "stopped" in answer:
