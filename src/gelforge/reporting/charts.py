@@ -75,7 +75,7 @@ def pareto_chart(rows: list[dict], scenes: list[dict], note: str) -> bytes:
     return to_png(figure)
 
 
-PANELS = {"depth": "depth of the press, mm", "shear": "way sideways, fraction of the depth", "place": "where on the gel",
+PANELS = {"depth": "depth of the press, mm", "shear": "sideways travel, fraction of the depth", "place": "where on the gel",
           "tilt": "slope of a tilted block, degrees", "ridge": "width of a ridge, mm", "friction": "friction coefficient",
           "nu": "Poisson's ratio of the gel", "size": "size of elements, mm", "steps": "load steps",
           "native": "CalculiX' own contact, by depth in mm"}  # fmt: skip
@@ -83,51 +83,73 @@ VERDICTS = {"good": "#9bc995", "drifts": "#f0c05a", "failed": "#c8553d", "not ru
 
 
 def stability_map(table: list[dict]) -> bytes:
-    """One panel per row of the map: its levels against fidelity and kind of indenter, coloured by verdict."""
+    """One panel per row of the map: its levels against fidelity and kind of indenter, coloured by verdict.
+
+    The press around which one factor at a time is varied has a black frame.
+    """
     from matplotlib.patches import Patch
 
     rows = list(dict.fromkeys(line["row"] for line in table))
     columns = 2
     height = -(-len(rows) // columns)
     figure, axes = canvas_with_axes(height, columns, 15, 3.6 * height)
+    shared = _shared(table)
     for axis, row in zip(axes.ravel(), rows, strict=False):
         lines = [line for line in table if line["row"] == row]
-        (_scatter if row == "random" else _grid)(axis, row, lines)
+        if row == "random":
+            _scatter(axis, lines)
+        else:
+            _grid(axis, row, lines, shared)
     for axis in axes.ravel()[len(rows) :]:
         axis.set_axis_off()
     figure.suptitle("Error of total force, %, at label setting against the finest hexahedra; for size and steps against the "
                     "finest of the same engine", fontsize=11)  # fmt: skip
     named = {"drifts": "drifts: error above [stability] drift"}
     handles = [Patch(color=colour, label=named.get(verdict, verdict)) for verdict, colour in VERDICTS.items()]
-    figure.legend(handles=handles, loc="outside lower center", ncols=4)
+    frame = Patch(facecolor="white", edgecolor="black", label="the press around which one factor is varied")
+    figure.legend(handles=[*handles, frame], loc="outside lower center", ncols=5)
     return to_png(figure)
 
 
-def _grid(axis, row, lines):
+def _case(line):
+    """What is solved in a line of the map: lines of two rows may be one case."""
+    return tuple(line[name] for name in ("fidelity", "kind", "shape", "depth", "shear", "place", "nu", "friction", "size",
+                                    "steps"))  # fmt: skip
+
+
+def _shared(table):
+    """Cases that stand in several rows that vary one factor: the press around which they vary it."""
+    rows: dict[tuple, set] = {}
+    for line in table:
+        if line["row"] not in ("native", "random"):
+            rows.setdefault(_case(line), set()).add(line["row"])
+    return {case for case, found in rows.items() if len(found) > 1}
+
+
+def _grid(axis, row, lines, shared):
     """Cells of levels by fidelity and kind; numbers are the error in per cent, words how a solve failed."""
+    from matplotlib.patches import Rectangle
+
     levels = list(dict.fromkeys(line["level"] for line in lines))
     levels = levels if row == "place" else sorted(levels, reverse=row == "size")
     groups = list(dict.fromkeys((line["fidelity"], line["kind"]) for line in lines))
     for line in lines:
         x, y = levels.index(line["level"]), groups.index((line["fidelity"], line["kind"]))
-        axis.add_patch(_tile(x, y, VERDICTS[line["verdict"]]))
+        axis.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=VERDICTS[line["verdict"]], edgecolor="white"))
         text = line["status"].lower().replace("_", " ") if line["verdict"] == "failed" else ""
         if line["verdict"] in ("good", "drifts") and line["error"] is not None:
             text = f"{100 * line['error']:.1f}"
         axis.text(x, y, text, ha="center", va="center", fontsize=7)
+    for level in {line["level"] for line in lines if row != "native" and _case(line) in shared}:
+        corner = levels.index(level) - 0.5, -0.5
+        axis.add_patch(Rectangle(corner, 1, len(groups), fill=False, edgecolor="black", lw=2, clip_on=False))
     axis.set(xlim=(-0.5, len(levels) - 0.5), ylim=(len(groups) - 0.5, -0.5), xticks=range(len(levels)),
              yticks=range(len(groups)), title=PANELS[row])  # fmt: skip
     axis.set_xticklabels([str(level) for level in levels])
     axis.set_yticklabels([" ".join(group) for group in groups], fontsize=8)
 
 
-def _tile(x, y, colour):
-    from matplotlib.patches import Rectangle
-
-    return Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=colour, edgecolor="white")
-
-
-def _scatter(axis, _row, lines):
+def _scatter(axis, lines):
     """Random combinations over depth and shear; circles hex, squares ccx."""
     for fidelity, shift in (("hex", -0.012), ("ccx", 0.012)):
         own = [line for line in lines if line["fidelity"] == fidelity]
