@@ -8,8 +8,11 @@ demo: $(if $(IS_FROZEN),report)
 status: | $(SETUP)  ## samples done, failed with reasons and pending, per stage
 	@$(PY) -m gelforge.commands.status --results $D $(if $(PLAN_STATE),--meshes $(MESHES))
 
+# What takes one shard from its rows to labels, a word of the shell each; its folder stands as @.
+SHARD_STEPS = $(foreach s,poses $(if $(MESHES),meshes) fea forces,'$(call $s_of,@,0000)') '$(call labels_of,@,$(RES1))'
+
 sample: | $(SETUP)  ## run one sample through all stages and show its log: make sample ID=…
-	@$(PY) -m gelforge.commands.sample --dataset $(DATASET) --id $(call given,ID) --resolution $(RES1)
+	@$(PY) -m gelforge.commands.sample --dataset $(DATASET) --id $(call given,ID) --steps $(SHARD_STEPS)
 
 ifneq ($(filter sample,$(MAKECMDGOALS)),)
 ifeq ($(strip $(value ID)),)
@@ -66,4 +69,4 @@ lineage: provenance
 
 # Meshes that the pilots need are made, and the run finds them.
 estimate: | $(SETUP)  ## estimate core hours, disk and time of make report before it starts; for a log without images, of labels and calibrate
-	@$(PY) -m gelforge.commands.estimate --data $(DATA) --results $D --resolution $(RES1) --model $(MODEL) --cores $(SLOTS)
+	@$(PY) -m gelforge.commands.estimate --data $(DATA) --results $D --resolution $(RES1) --model $(MODEL) --cores $(SLOTS) --steps $(SHARD_STEPS)

@@ -4,10 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gelforge.networks.checkpoint.modelfile import ForceModel
 from gelforge.networks.inference.predictor import Predictor
-from gelforge.networks.inference.sensorprofile import AS_READ, Gain
-from gelforge.networks.preprocess.slopetable import SlopeTable
 from gelforge.records.cameraframe import CameraFrame, camera_frame
 from gelforge.records.forcereading import ForceReading
 
@@ -20,23 +17,18 @@ class CameraPredictor(Predictor):
     frame: how they are turned and cropped, found in the no-contact image; None beside a network that reads none.
     """
 
-    def __init__(
-        self,
-        model: ForceModel,
-        nocontact: np.ndarray | None = None,
-        gain: Gain = AS_READ,
-        device: str = "cpu",
-        threads: int = 1,
-        table: SlopeTable | None = None,
-    ) -> None:
-        self.frame: CameraFrame | None = None
-        if nocontact is not None and model.needs_nocontact:
-            rows, cols = model.metadata["image"]
-            self.frame = camera_frame(nocontact, (rows, cols))
-            nocontact = self.frame(nocontact)
-        super().__init__(model, nocontact, gain, device, threads, table)
-        if self.frame and self.frame.blue_first and not self.fault:
-            self.fault = BLUE_FIRST
+    frame: CameraFrame | None = None
+
+    def framed(self, nocontact: np.ndarray | None) -> np.ndarray | None:
+        """The no-contact image in the network's frame, which is found in it."""
+        if nocontact is None or not self.model.needs_nocontact:
+            return nocontact
+        rows, cols = self.metadata["image"]
+        self.frame = camera_frame(nocontact, (rows, cols))
+        return self.frame(nocontact)
+
+    def _nocontact_fault(self) -> str:
+        return super()._nocontact_fault() or (BLUE_FIRST if self.frame and self.frame.blue_first else "")
 
     @property
     def text(self) -> str:

@@ -3,6 +3,7 @@
 import json
 import os
 import resource
+import shlex
 import shutil
 import subprocess
 import sys
@@ -157,7 +158,8 @@ def run_of_demo(results: Path) -> list[Figure]:
     seconds = max(r["started"] + r["seconds"] for r in records) - min(r["started"] for r in records)
     took = {"cpu": sum(r["cpu_seconds"] for r in records), "disk": bytes_of(results), "wall": seconds}
     rows = planned_rows(results)
-    costs = estimated(Path("data") / results.name, results, "24x32", "shipped", rows)
+    command = shlex.split(make(Path(), f"DATASET={results.name}", "-n", "estimate").stdout)
+    costs = estimated(results, "24x32", "shipped", rows, command[command.index("--steps") + 1 :])
     wall = wall_seconds(costs, len(rows), os.cpu_count() or 1, len(Layout(results).names()))
     expected = {
         "cpu": sum(c.cpu(len(rows)) for c in costs),

@@ -273,6 +273,6 @@ def test_rows_without_a_press_id_are_presses_of_their_own():
 def test_all_rows_of_the_pilots_are_solved_together(tmp_path, monkeypatch):
     """Moments of a press are solved one after another: alone, each would cost its whole path."""
     solved = []
-    monkeypatch.setattr(estimate, "pilot", lambda *given: solved.extend(given[3]) or [])
-    measured(tmp_path, tmp_path, "24x32", filmed(20, 6))
+    monkeypatch.setattr(estimate, "pilot", lambda *given: solved.extend(given[2]) or [])
+    measured(tmp_path, filmed(20, 6), [])
     assert len(solved) == 30 and len({row.row for row in solved}) == 30

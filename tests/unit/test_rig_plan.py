@@ -17,7 +17,7 @@ from gelforge.stages.rig import by_press, check, run
 from gelforge.virtualrig import streams
 from gelforge.virtualrig.appearance import read_appearances
 from gelforge.virtualrig.bench import load_cell_error
-from gelforge.virtualrig.rigplan import generator, kind_of, orders, read_plan
+from gelforge.virtualrig.rigplan import generator, kind_of, orders, read_plan, with_indenters
 from gelforge.virtualrig.writer import Dataset, describe, image_name, surface_name
 from tests.conftest import ROOT
 
@@ -135,8 +135,8 @@ def test_shapes_that_are_there_to_be_learnt_from_are_in_no_other_plan():
 
     known = [body(table) for table in standard.values()]
     assert [name for name, table in shapes.items() if body(table) in known] == []
-    plan = read_plan(SHAPES)
-    assert {name for kind in plan.kinds for name in kind.indenters} == set(shapes)
+    plan = with_indenters(read_plan(SHAPES), shapes)
+    assert {kind.indenters for kind in plan.kinds} == {tuple(shapes)}
     assert not any("unseen" in name for kind in plan.kinds for name in kind.sensors)
 
 

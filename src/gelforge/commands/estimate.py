@@ -12,13 +12,14 @@ import shutil
 import subprocess
 import sys
 from argparse import Namespace
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import isnan
 from pathlib import Path
 
 import numpy as np
 
-from gelforge.commands.sample import stages
+from gelforge.commands.sample import STEPS, in_folder
 from gelforge.errors import BadInput, last_words
 from gelforge.flow import layout
 from gelforge.flow.files import bytes_of, listed, read_csv, read_json, write_json, write_text
@@ -80,11 +81,11 @@ def pilot_presses(rows: list[RawRow]) -> list[list[RawRow]]:
     return [presses[k] for k in pilots([max(map(depth, press)) for press in presses])]
 
 
-def spend(module: str, arguments: list) -> float:
+def spend(module: str, arguments: list[str]) -> float:
     """Run a stage in a process of its own; return its processor seconds, children included."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     ran = subprocess.run(
-        [sys.executable, "-m", f"gelforge.stages.{module}", *map(str, arguments)], capture_output=True, text=True, check=False
+        [sys.executable, "-m", f"gelforge.stages.{module}", *arguments], capture_output=True, text=True, check=False
     )  # fmt: skip
     if ran.returncode:
         raise BadInput(f"a pilot press failed in stage {module}: {last_words(ran.stderr, ran.returncode)}")
@@ -92,7 +93,7 @@ def spend(module: str, arguments: list) -> float:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def row_and_start(module: str, arguments: list, rows: int) -> tuple[float, float]:
+def row_and_start(module: str, arguments: list[str], rows: int) -> tuple[float, float]:
     """Run a stage on a shard of so many rows; processor seconds of each of them, and of the process's start."""
     cpu = spend(module, arguments)
     # a second run of the solves finds every press solved, and only starts
@@ -118,16 +119,16 @@ def on_hexahedra(table: Path) -> float:
     return own / whole if whole else 1.0
 
 
-def pilot(data: Path, results: Path, work: Path, rows: list[RawRow], resolution: str) -> tuple[list[Cost], Pace]:
+def pilot(results: Path, work: Path, rows: list[RawRow], steps: Sequence[str]) -> tuple[list[Cost], Pace]:
     """What each stage takes of a row, from a shard of the rows given, and what starting its processes takes; its pace."""
     shards = len(Layout(results).names())
     shutil.rmtree(work, ignore_errors=True)
     write_text(Layout(work).shard(shard_name(0)), shard_text(rows))
     found, pace = [], Pace()
     own = None if Layout(results).calibration.exists() else uncalibrated(Layout(results).params, work)
-    for module, arguments in stages(data, results, work, resolution):
+    for module, arguments in in_folder(steps, work):
         if module == "forces" and own:
-            arguments = [own if Path(str(word)).name == own.name else word for word in arguments]
+            arguments = [str(own) if Path(word).name == own.name else word for word in arguments]
         out = Path(arguments[-1])
         out.parent.mkdir(parents=True, exist_ok=True)
         # the first run makes the meshes that are missing, once for all shards
@@ -152,14 +153,14 @@ def pilot(data: Path, results: Path, work: Path, rows: list[RawRow], resolution:
     return found, pace
 
 
-def measured(data: Path, results: Path, resolution: str, rows: list[RawRow]) -> tuple[list[Cost], Pace]:
+def measured(results: Path, rows: list[RawRow], steps: Sequence[str]) -> tuple[list[Cost], Pace]:
     """What stages 10 to 50 take of each row, from a shard of pilots, and their pace."""
     presses = pilot_presses(rows)
     print(f"solving {len(presses)} of {len(presses_of(rows))} presses to see what they take", flush=True)
     chosen = [row for press in presses for row in press]
     work = results / layout.ESTIMATE
     try:
-        return pilot(data, results, work, chosen, resolution)
+        return pilot(results, work, chosen, steps)
     finally:
         shutil.rmtree(work, ignore_errors=True)
 
@@ -222,11 +223,11 @@ def later_costs(results: Layout, resolution: str, model: str, rows: list[RawRow]
     ]
 
 
-def estimated(data: Path, results: Path, resolution: str, model: str, rows: list[RawRow]) -> list[Cost]:
-    """What every stage of a dataset takes of a row, the rows given being all that it has."""
+def estimated(results: Path, resolution: str, model: str, rows: list[RawRow], steps: Sequence[str]) -> list[Cost]:
+    """What every stage of a dataset takes of a row, the rows given being all that it has. steps: STEPS."""
     # first: a wrong word must not wait for the pilots
     later_costs(Layout(results), resolution, model, rows)
-    costs, pace = measured(data, results, resolution, rows)
+    costs, pace = measured(results, rows, steps)
     return [*costs, *later_costs(Layout(results), resolution, model, rows, pace)]
 
 
@@ -236,13 +237,14 @@ def estimated(data: Path, results: Path, resolution: str, model: str, rows: list
     option("--resolution", default="24x32"),
     option("--model", default=SHIPPED, help="network of the run; `shipped` is not trained"),
     option("--cores", type=positive, default=os.cpu_count(), help="cores that the run may use"),
+    STEPS,
 )
 def main(args: Namespace) -> None:
     rows = planned_rows(args.results)
     if not rows:
         command = Layout(args.results).command("estimate")
         raise BadInput(f"{args.data}/log.csv: no press is planned; log at least one, then {command}")
-    costs = estimated(args.data, args.results, args.resolution, args.model, rows)
+    costs = estimated(args.results, args.resolution, args.model, rows, args.steps)
     shards = len(Layout(args.results).names())
     print("\n".join(table(costs, len(rows))))
     an_hour = presses_an_hour(costs, args.cores) * len(presses_of(rows)) / len(rows)

@@ -16,9 +16,7 @@ COMMANDS = {
     "sensor": "a profile of your sensor, from a no-contact image and force readings",
     "convert": "a model of an earlier version as an ONNX file",
     "status": "samples of a dataset that are done, failed, pending",
-    "sample": "one sample through all stages, with its log",
     "projection": "fit a sensor's projection",
-    "estimate": "core hours, disk and time of make report before it starts",
     "why": "why make would make a target again",
     "provenance": "every file, parameter and cost behind one label",
     "export": "a dataset as MCAP, Rerun, LeRobot, WebDataset or HDF5",
@@ -28,6 +26,8 @@ COMMANDS = {
     "background": "illumination of a sensor, from its no-contact image",
 }
 
+# Former commands whose recipes only make knows.
+MADE = ("sample", "estimate")
 # Commands whose module is a stage.
 HOMES = {"rig": "gelforge.stages.rig"}
 
@@ -38,7 +38,8 @@ def usage(argv) -> int:
         print(f"gelforge {__version__}")
         return 0
     asked = bool(argv) and argv[0] in ("-h", "--help")
-    wrong = [f"error: {argv[0]!r} is no command of gelforge; choose one of these"] if argv and not asked else []
+    made = f"; say make {argv[0]}, or" if argv and argv[0] in MADE else ";"
+    wrong = [f"error: {argv[0]!r} is no command of gelforge{made} choose one of these"] if argv and not asked else []
     listed = [f"  gelforge {name:11s} {what}" for name, what in COMMANDS.items()]
     lines = [*wrong, "usage: gelforge COMMAND …", *listed, "Everything else is a make target: make help."]
     print("\n".join(lines), file=sys.stdout if asked else sys.stderr)

@@ -1,15 +1,16 @@
 """Run one sample through all stages in the foreground and show its log; all frames of a filmed press are solved together."""
 
+import re
 import sys
 from argparse import Namespace
+from collections.abc import Sequence
 from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_text
 from gelforge.flow.layout import Layout, shard_name
 from gelforge.flow.main import command, option
-from gelforge.flow.params.stages import ForFea, ForForces, read_parameters
-from gelforge.flow.params.tables import IN_PROCESS
+from gelforge.flow.params.stages import ForForces, read_parameters
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses, read_shard, shard_text
 from gelforge.records.press import RawRow, check_id
@@ -28,48 +29,15 @@ def find_rows(results: Path, sample_id: str) -> list[RawRow]:
     return next(press for press in presses_of(rows) if found in press)
 
 
-def stages(data: Path, results: Path, work: Path, resolution: str) -> list[tuple[str, list]]:
-    """The stages' modules and arguments for a shard of a sample's rows in the folder `work`; the last argument is the output."""
-    params, meshes = Layout(results).params, Layout(results).meshes
-    own, only = Layout(work), shard_name(0)
-    chosen = own.mesh_table(only)
-    shard, poses, fea, forces = own.shard(only), own.poses(only), own.fea(only), own.forces(only)
-    labels = own.labelled(resolution)
-    posterior = Layout(results).calibration
-    calibrated = ["--calibration", posterior] if posterior.exists() else []
-    needed = read_parameters(params / "fea.json", ForFea).fea.fidelity not in IN_PROCESS
-    mesh = ["--poses", poses, "--params", params / "meshes.json", "--meshes", meshes, "--out", chosen]
-    solve = ["--poses", poses, "--meshes", meshes, "--params", params / "fea.json"]
-    return [
-        ("poses", ["--data", data, "--shard", shard, "--params", params / "poses.json", "--out", poses]),
-        *[("meshes", mesh)] * needed,
-        ("fea", [*solve, *["--chosen", chosen] * needed, "--out", fea]),
-        (
-            "forces",
-            ["--fea", fea, "--meshes", meshes, "--params", params / "forces.json", *calibrated, "--out", forces],
-        ),
-        (
-            "labels",
-            [
-                "--forces",
-                forces.parent,
-                "--poses",
-                poses.parent,
-                "--meshes",
-                meshes,
-                "--shards",
-                shard.parent,
-                "--sensors",
-                params / "sensors.json",
-                "--resolution",
-                resolution,
-                "--params",
-                params / "labels.json",
-                "--out",
-                labels,
-            ],
-        ),
-    ]
+STEPS = option(
+    "--steps", nargs="+", help="what takes a shard to labels (SHARD_STEPS of rules/work.mk); @ is its folder"
+)
+
+
+def in_folder(steps: Sequence[str], work: Path) -> list[tuple[str, list[str]]]:
+    """Stage and arguments of each step for a shard in the folder `work`; the last argument is the output."""
+    words = ([re.sub(r"^@(?=/)", str(work), word) for word in step.split()] for step in steps)
+    return [(module.removeprefix("gelforge.stages."), arguments) for module, *arguments in words]
 
 
 def require_stiffness(results: Path) -> None:
@@ -84,7 +52,7 @@ def require_stiffness(results: Path) -> None:
 @command(
     option("--dataset"),
     option("--id", help="sample_id in the raw log"),
-    option("--resolution", default="24x32"),
+    STEPS,
 )
 def main(args: Namespace) -> int:
     import importlib
@@ -95,10 +63,10 @@ def main(args: Namespace) -> int:
     require_stiffness(results)
     work = Layout(results).sample(check_id(args.id)).root
     write_text(Layout(work).shard(shard_name(0)), shard_text(find_rows(results, args.id)))
-    for stage, arguments in stages(data, results, work, args.resolution):
+    for stage, arguments in in_folder(args.steps, work):
         Path(arguments[-1]).parent.mkdir(parents=True, exist_ok=True)
         print(f"== {stage}", file=sys.stderr, flush=True)
-        code = importlib.import_module(f"gelforge.stages.{stage}").main([str(a) for a in arguments])
+        code = importlib.import_module(f"gelforge.stages.{stage}").main(arguments)
         if code:
             return code
         if stage == "poses" and args.id not in {press.sample_id for press in read_poses(arguments[-1])}:

@@ -25,7 +25,7 @@ from gelforge.geometry.indenters import load_indenters, read_catalogue
 from gelforge.labelling.sensor import Sensor, load_sensors
 from gelforge.virtualrig import streams
 from gelforge.virtualrig.appearance import Appearance, read_appearances
-from gelforge.virtualrig.rigplan import Order, Plan, check_names, generator, orders, read_plan
+from gelforge.virtualrig.rigplan import Order, Plan, check_names, generator, orders, read_plan, with_indenters
 from gelforge.virtualrig.units import draw_units
 from gelforge.virtualrig.writer import (
     Dataset,
@@ -169,8 +169,10 @@ def by_press(dataset: Dataset, every: list[Order]) -> list[tuple[list[Order], bo
 def check(plan_path, workflow: Path) -> Plan:
     """Everything that can be refused before a file is written."""
     plan = read_plan(plan_path)
+    catalogue = read_catalogue(workflow / plan.catalogue)
+    plan = with_indenters(plan, catalogue)
     appearances, sensors = units_of(plan, workflow)
-    check_names(plan, read_catalogue(workflow / plan.catalogue), sensors, appearances, plan_path)
+    check_names(plan, catalogue, sensors, appearances, plan_path)
     load_indenters(workflow, plan.catalogue, plan.indenters)
     overlaid(workflow, plan.params, str(plan_path))
     return plan

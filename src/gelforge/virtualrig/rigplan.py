@@ -2,7 +2,7 @@
 
 import fnmatch
 import json
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from datetime import datetime, timedelta
 from functools import cached_property
@@ -62,6 +62,7 @@ class Truth(RigTable):
 class Kind(RigTable):
     """One kind of press: `weight` of all presses, drawn evenly from these ranges.
 
+    indenters: names of the plan's catalogue, or patterns of them: "*" is all of it.
     seen_by: how many of `sensors` see a press, a row of the log each; which ones is drawn anew for every press unless
     all do. A press takes a second, a further picture of it a hundredth.
     shear: range of the sideways path as a fraction of the depth. max_force_n: depth is cut where the
@@ -201,7 +202,7 @@ class Order:
 
 
 def read_plan(path) -> Plan:
-    """Read and check a plan's own values; names are checked by `check_names`."""
+    """Read and check a plan's own values; names are checked by `check_names`, after `with_indenters`."""
     path = Path(path)
     raw, whole = read_toml(path), Place(str(path))
     kinds = raw.pop("kind", [])
@@ -218,9 +219,16 @@ def read_plan(path) -> Plan:
     return plan
 
 
-def _matching(asked: tuple[str, ...], drawn: tuple[str, ...]) -> tuple[str, ...]:
-    """Names of sensors, a pattern such as "known_*" replaced by the drawn ones that it matches."""
-    found = [fnmatch.filter(drawn, name) or [name] for name in asked]
+def with_indenters(plan: Plan, catalogue: Iterable[str]) -> Plan:
+    """The plan with each pattern among its indenters replaced by the names of its catalogue that it matches."""
+    return replace(
+        plan, kinds=tuple(replace(kind, indenters=_matching(kind.indenters, catalogue)) for kind in plan.kinds)
+    )
+
+
+def _matching(asked: tuple[str, ...], known: Iterable[str]) -> tuple[str, ...]:
+    """Names, a pattern such as "known_*" replaced by the known ones that it matches, in their order."""
+    found = [fnmatch.filter(known, name) or [name] for name in asked]
     return tuple(dict.fromkeys(name for names in found for name in names))
 
 

@@ -71,7 +71,7 @@ class Predictor:
         table: SlopeTable | None = None,
     ) -> None:
         self.model, self.metadata, self.gain = model, model.metadata, gain
-        self.prepare = Preprocessor(model.metadata, nocontact)
+        self.prepare = Preprocessor(model.metadata, self.framed(nocontact))
         where = f"model {self.metadata['name']}"
         self.stages: dict[str, Stage] = {
             name: Graph(graph, where, device, threads) for name, graph in model.stages.items()
@@ -79,6 +79,10 @@ class Predictor:
         self.table = table
         self.statistics = as_arrays(self.metadata["statistics"])
         self.fault = self._nocontact_fault()
+
+    def framed(self, nocontact: np.ndarray | None) -> np.ndarray | None:
+        """The no-contact image (h, w, 3) uint8 RGB as it is compared with others; here as it is given."""
+        return nocontact
 
     @cached_property
     def rest(self) -> np.ndarray:
