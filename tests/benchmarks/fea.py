@@ -253,7 +253,7 @@ def solve_envelope(bench: ChartBench, catalogue: dict, folder: Path, count: int,
         if record is None:
             scene = envelope_scene(number, catalogue, gel)
 
-            make = partial(prepare, method, scene, "", bench.meshes, bench.params, limit_s=limit)
+            make = partial(prepare, method, scene, "", bench.meshes, bench.params)
             found = solve_isolated(make, None, limit, folder)
             asked = {"number": number, "indenter": scene.indenter.name, "press": vars(scene.press)}
             record = {"key": key} | asked | found

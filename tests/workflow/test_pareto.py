@@ -107,7 +107,7 @@ def test_every_fidelity_of_the_map_solves_with_what_its_branch_is_given(fidelity
 def test_a_press_beside_the_middle_is_solved_on_its_densitys_mesh_moved_there(ccx, tmp_path):
     params, folder = coarse_mesh("spot", 2.0, tmp_path)
     pressed = scene("ball", {"indenter": {"kind": "sphere", "diameter": 5, "height": 5}, "x0": 2.0, "y0": -1.5}).scene
-    solve = prepare(Method("ccx-2-2", "ccx", 2.0, steps=2), pressed, "", folder, params, tmp_path, 3000.0)
+    solve = prepare(Method("ccx-2-2", "ccx", 2.0, steps=2), pressed, "", folder, params, tmp_path)
     result, mesh = solve()
     assert result.status is Status.OK, result.evidence
     name = choose_mesh(pressed, MeshFamily(folder, ["ccx-spot-2.0"]))

@@ -103,19 +103,17 @@ def prepare(
     folder: Path,
     params: ForPareto | ForStability,
     work: Path,
-    limit_s: float,
 ) -> Callable[[], tuple[Result, GelMesh]]:
     """Read meshes and set up solvers, which many presses share; the function returned solves the scene.
 
-    fine: region of the reference mesh. folder: meshes. work: an empty folder for CalculiX' files. limit_s: when the
-    whole solve is stopped from outside; CalculiX' own contact gives up before, so that it can say how far it came.
+    fine: region of the reference mesh. folder: meshes. work: an empty folder for CalculiX' files.
     """
     if method.fidelity == "hex" and method.name != "hex-label":
         return _prepare_hex(method, scene, params.fea)
     if method.size is None and method.fidelity in LABEL_METHODS:
         return _prepare_label(method, scene, folder, params, work)
     if method.fidelity == "ccx-native":
-        return _prepare_native(method, scene, folder, params, work, 0.9 * limit_s)
+        return _prepare_native(method, scene, folder, params, work)
     return _prepare_ccx(method, scene, fine, folder, params, work)
 
 
@@ -157,11 +155,11 @@ def _prepare_label(method, scene, folder, params, work):
     return run
 
 
-def _prepare_native(method, scene, folder, params, work, limit_s):
+def _prepare_native(method, scene, folder, params, work):
     from gelforge.mechanics.solvers.ccx_native import solve_native
 
     mesh = load_mesh(folder, meshes.density_mesh(scene, folder, params, method.size))
-    return lambda: (solve_native(scene, mesh, work / "native", limit_s), mesh)
+    return lambda: (solve_native(scene, mesh, work / "native", params.fea.timeout_s), mesh)
 
 
 def _prepare_ccx(method, scene, fine, folder, params, work):

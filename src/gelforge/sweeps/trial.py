@@ -134,7 +134,7 @@ def kept(path: Path, key: str, limit_s: float) -> dict | None:
 
 
 def limit_of(table: ParetoTable | StabilityTable, fidelity: str) -> float:
-    """Seconds that one solve may take; CalculiX' own contact has a limit of its own."""
+    """Processor seconds that one solve may take; CalculiX' own contact has a limit of its own."""
     return table.native_limit_s if fidelity == "ccx-native" else table.limit_s
 
 
@@ -170,9 +170,8 @@ def given_reference(bench: ChartBench, scene: NamedScene) -> dict | None:
 
 def solve_method(bench: ChartBench, scene: NamedScene, method: Method, work: Path) -> dict:
     """The record of a scene solved now, in a process of its own."""
-    limit = limit_of(bench.params.pareto, method.fidelity)
-    make = partial(prepare, method, scene.scene, scene.fine, bench.meshes, bench.params, limit_s=limit)
-    found = solve_isolated(make, bench.sensor, limit, work)
+    make = partial(prepare, method, scene.scene, scene.fine, bench.meshes, bench.params)
+    found = solve_isolated(make, bench.sensor, limit_of(bench.params.pareto, method.fidelity), work)
     return turned_back(found) if method.name == TURNED else found
 
 
