@@ -1,6 +1,7 @@
 """What tests share: where the reference data lie, and skipping where they do not."""
 
 import os
+import sys
 from pathlib import Path
 
 import pytest
@@ -23,6 +24,9 @@ LEFT_OVER = (
 )  # fmt: skip
 for name in LEFT_OVER:
     os.environ.pop(name, None)
+# Python keeps what it compiled: else every worker, and every stage that a test starts, compiles all of it again.
+os.environ.pop("PYTHONDONTWRITEBYTECODE", None)
+sys.dont_write_bytecode = False
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, [str(ROOT / "src"), os.environ.get("PYTHONPATH")]))
 os.environ["LC_ALL"] = "C.UTF-8"
 # Training is held to the last bit, which graphics cards do not keep; one thread sums in one order.

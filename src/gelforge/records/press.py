@@ -9,12 +9,13 @@ import re
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass, replace
 from datetime import datetime
-from typing import Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any
 
 from gelforge.errors import BadInput, printable
 from gelforge.flow.layout import command_for
+
+if TYPE_CHECKING:  # a plan reads logs without arrays: numpy would double its start
+    import numpy as np
 
 POSE = ("x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg")
 FORCE = ("fx_n", "fy_n", "fz_n")
@@ -89,8 +90,10 @@ class Press:
     dz: float
     rot_deg: float = 0.0
 
-    def pose(self, press: float, shear: float) -> tuple[np.ndarray, np.ndarray]:
+    def pose(self, press: float, shear: float) -> "tuple[np.ndarray, np.ndarray]":
         """Rotation (3, 3) and translation (3,) of the indenter frame at fractions of the path."""
+        import numpy as np
+
         angle = np.deg2rad(self.rot_deg)
         c, s = np.cos(angle), np.sin(angle)
         rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
@@ -147,8 +150,10 @@ class PressRecord:
         return all(math.isfinite(getattr(self, name)) for name in POSE)
 
     @property
-    def force(self) -> np.ndarray:
+    def force(self) -> "np.ndarray":
         """Force on the gel along its axes, (3,) N; NaN where it was not measured."""
+        import numpy as np
+
         return np.array([self.fx_n, self.fy_n, self.fz_n], dtype=float)
 
     def cells(self) -> dict[str, str]:
