@@ -1,8 +1,6 @@
 """A scene of the chart through real solves: kept, resumed, drawn; figures of the fea benchmark's deck reader."""
 
 import json
-import subprocess
-import sys
 from dataclasses import replace
 
 import numpy as np
@@ -12,10 +10,13 @@ from parameters import stage_of
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
 from gelforge.flow.params import plain
-from gelforge.geometry.gel import Gel
+from gelforge.geometry.gel import GELS, Gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.mesh.family import MeshFamily, choose_mesh, load_mesh
+from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.mesh.meshstore import SHIPPED
+from gelforge.mechanics.mesh.moved import reach
 from gelforge.records.status import Status
 from gelforge.stages import pareto, stability
 from gelforge.sweeps import cases
@@ -23,7 +24,9 @@ from gelforge.sweeps.methods import Method, hex_method, prepare
 from gelforge.sweeps.scenes import parse_scene
 from gelforge.sweeps.trial import load_bench
 from tests.benchmarks.fea import deck_force, envelope_scene
+from tests.blocks import symmetric_block
 
+GEL = GELS["gelsight_mini"]
 METHODS = [hex_method(2.0, 2, 1), hex_method(1.4, 3, 2), hex_method(1.0, 4, 4)]
 
 
@@ -34,21 +37,25 @@ def bench(tmp_path):
     )
 
 
-@pytest.fixture(scope="module")
-def coarse(tmp_path_factory):
-    """The parameters of the stability branch, nothing more, and one coarse mesh to solve its cases on."""
-    return coarse_mesh("wide", 3.0, tmp_path_factory.mktemp("meshes"))
-
-
 def coarse_mesh(region, size, folder):
-    """The parameters of the stability branch with one region of meshes, and the folder, where one of that size is made."""
+    """The parameters of the stability branch with one region of meshes, and the folder, where a coarse one of it lies."""
     params = stage_of("stability")
     own = replace(params.meshes, hold={}, regions={region: params.meshes.regions[region]})
-    write_json(folder / "params.json", plain(replace(stage_of("pareto_meshes"), meshes=own)))
-    name = f"ccx-{region}-{size}"
-    command = [sys.executable, "-m", "gelforge.stages.pareto", "mesh", "--name", name, "--params", "params.json"]
-    subprocess.run([*command, "--out", f"{name}.npz"], cwd=folder, check=True)
+    half, mesh = own.regions[region], symmetric_block(GEL, 2.0, 2)
+    mesh.save(folder / f"ccx-{region}-{size}.npz")
+    report = {"half_mm": list(half), "reach_mm": list(reach(mesh, GEL, half)), "gel": GEL.name, "size": size}
+    write_json(folder / f"ccx-{region}-{size}.json", report)
     return replace(params, meshes=own), folder
+
+
+def test_a_mesh_that_ships_is_made_by_nobody_again(tmp_path):
+    """pytetwild's are never the same, and all presses of the chart on another one would be solved again."""
+    write_json(tmp_path / "params.json", plain(stage_of("pareto_meshes")))
+    made = tmp_path / "ccx-disc-0.4.npz"
+    command = ["mesh", "--name", "ccx-disc-0.4", "--params", str(tmp_path / "params.json"), "--out", str(made)]
+    assert pareto.main(command) == 0
+    (ships,) = SHIPPED.glob("ccx-disc-0.4-*.npz")
+    assert GelMesh.load(made).digest == GelMesh.load(ships).digest
 
 
 def scene(name, table):
@@ -91,8 +98,8 @@ def test_a_scene_that_cannot_be_solved_is_listed_with_its_reason(bench, tmp_path
 
 
 @pytest.mark.parametrize("fidelity", ["hex", "ccx", "ccx-native"])
-def test_every_fidelity_of_the_map_solves_with_what_its_branch_is_given(fidelity, ccx, coarse, tmp_path):
-    params, folder = coarse
+def test_every_fidelity_of_the_map_solves_with_what_its_branch_is_given(fidelity, ccx, tmp_path):
+    params, folder = coarse_mesh("wide", 3.0, tmp_path)
     # how long a case may take is the chart's matter: a loaded machine is no fault
     params = replace(params, stability=replace(params.stability, limit_s=3000.0, native_limit_s=3000.0))
     size = 0.7 if fidelity == "hex" else 3.0
