@@ -38,3 +38,11 @@ def project(root, tmp_path):
     project = link_project(root, tmp_path / "project")
     lay_dataset(project, root, "tiny", 4)
     return project
+
+
+@pytest.fixture
+def alone(root, tmp_path):
+    """A sandbox of one press of its own, for what changes it beyond repair."""
+    project = link_project(root, tmp_path / "project")
+    lay_dataset(project, root, "tiny", 1)
+    return project

@@ -25,10 +25,43 @@ def pressed(root, tmp_path_factory):
     return project
 
 
+def copy(project, folder):
+    """A copy of a sandbox, of which nothing is outdated."""
+    return shutil.copytree(project, folder / "project", symlinks=True)
+
+
+@pytest.fixture(scope="module")
+def made(pressed, tmp_path_factory):
+    """That sandbox with labels of two resolutions, which tests copy and leave as it is."""
+    project = copy(pressed, tmp_path_factory.mktemp("made"))
+    assert built(run(project, "labels", "RES=4x4 6x8")) == {
+        f"results/made/50_labels/{name}/labels.json" for name in ("4x4", "6x8")
+    }
+    return project
+
+
+@pytest.fixture(scope="module")
+def exported(made, tmp_path_factory):
+    """That with a dataset and its export, and another dataset that is made of the export."""
+    project = copy(made, tmp_path_factory.mktemp("exported"))
+    assert built(run(project, "feats-export", "RES=4x4")) == {
+        f"results/made/{name}" for name in ("60_dataset/4x4/dataset.json", "feats/4x4/normalization_gelforge.npy")
+    }
+    back = make(project, "DATASET=back", "feats-import", "FROM=results/made/feats/4x4")
+    assert back.returncode == 0 and "16 presses" in back.stdout, back.stdout
+    return project
+
+
 @pytest.fixture
-def folder(pressed, tmp_path):
-    """A sandbox whose stages up to 40 are done."""
-    return shutil.copytree(pressed, tmp_path / "project", symlinks=True)
+def labelled(made, tmp_path):
+    """A copy of the sandbox with labels."""
+    return copy(made, tmp_path)
+
+
+@pytest.fixture
+def folder(exported, tmp_path):
+    """A copy of the sandbox with a dataset and its export."""
+    return copy(exported, tmp_path)
 
 
 def run(project, *arguments) -> str:
@@ -42,25 +75,19 @@ def built(text) -> set[str]:
     return set(re.findall(r"^(results/\S+)  [0-9.]+ s", text, re.MULTILINE))
 
 
-def test_resolutions_are_built_beside_each_other(folder):
-    targets = {name: f"results/made/50_labels/{name}/labels.json" for name in ("6x8", "12x16", "24x32")}
-    assert built(run(folder, "labels", "RES=6x8 12x16")) == {targets["6x8"], targets["12x16"]}
-    assert built(run(folder, "labels", "RES=6x8 12x16 24x32")) == {targets["24x32"]}
-    assert not built(run(folder, "labels", "RES=6x8 12x16 24x32"))
+def test_resolutions_are_built_beside_each_other(labelled):
+    targets = {name: f"results/made/50_labels/{name}/labels.json" for name in ("6x8", "12x16")}
+    assert built(run(labelled, "labels", "RES=6x8 12x16")) == {targets["12x16"]}
+    assert not built(run(labelled, "labels", "RES=4x4 6x8 12x16"))
     for name, target in targets.items():
-        assert json.loads((folder / target).read_text())["samples"] == 16
+        assert json.loads((labelled / target).read_text())["samples"] == 16
         rows, cols = map(int, name.split("x"))
-        assert read_labels((folder / target).parent / "0001.npz").label.shape == (8, 3, rows, cols)
+        assert read_labels((labelled / target).parent / "0001.npz").label.shape == (8, 3, rows, cols)
 
 
-def test_dataset_export_and_pictures_follow(folder):
-    text = run(folder, "feats-export", "RES=4x4")
-    assert built(text) == {f"results/made/{name}" for name in (
-        "50_labels/4x4/labels.json", "60_dataset/4x4/dataset.json", "feats/4x4/normalization_gelforge.npy")}  # fmt: skip
+def test_pictures_and_a_dataset_of_the_export_follow(folder):
     run(folder, "look", "ID=s003", "RES=4x4")
     assert (folder / "results/made/look/s003.vtu").stat().st_size > 1000
-    back = make(folder, "DATASET=back", "feats-import", "FROM=results/made/feats/4x4")
-    assert back.returncode == 0 and "16 presses" in back.stdout, back.stdout
     assert "results/back/60_dataset/4x4/dataset.json" in built(
         make(folder, "DATASET=back", "dataset", "RES=4x4").stdout
     )
@@ -69,7 +96,7 @@ def test_dataset_export_and_pictures_follow(folder):
 def test_a_dataset_follows_what_lies_beside_its_log(folder):
     """A split or a picture that comes, goes, or is replaced by an older one makes the dataset anew, nothing else does."""
     target, data = {"results/made/60_dataset/4x4/dataset.json"}, folder / "data/made"
-    run(folder, "dataset", "RES=4x4")
+    assert not built(run(folder, "dataset", "RES=4x4"))
     splits = data / "splits.csv"
     splits.write_text(
         "sample_id,split\n" + "".join(f"s{k:03d},{('train', 'val', 'test')[k % 3]}\n" for k in range(16))
@@ -94,8 +121,6 @@ def test_a_dataset_follows_what_lies_beside_its_log(folder):
 def test_a_dataset_follows_labels_that_are_imported(folder):
     """They come, an older file takes their place, and they go: the dataset is made anew of what there is."""
     target, labels = {"results/made/60_dataset/4x4/dataset.json"}, folder / "data/made/labels/4x4.npz"
-    run(folder, "feats-export", "RES=4x4")
-    assert make(folder, "DATASET=back", "feats-import", "FROM=results/made/feats/4x4").returncode == 0
     come = folder / "data/back/labels/4x4.npz"
     os.utime(come, (1e9, 1e9))
     labels.parent.mkdir()
@@ -107,71 +132,64 @@ def test_a_dataset_follows_labels_that_are_imported(folder):
     assert built(run(folder, "dataset", "RES=4x4")) == target and not built(run(folder, "dataset", "RES=4x4"))
 
 
-def test_resolutions_made_side_by_side_share_their_pictures(folder):
-    names = ("4x4", "6x8", "12x16")
-    run(folder, "dataset", f"RES={' '.join(names)}", "-j3")
-    files = [folder / f"results/made/60_dataset/{name}/images.npy" for name in names]
-    assert len({path.stat().st_ino for path in files}) == 1 and files[0].stat().st_nlink == 4  # and the shared name
+def test_resolutions_made_side_by_side_share_their_pictures(labelled):
+    names = ("4x4", "6x8")
+    run(labelled, "dataset", f"RES={' '.join(names)}", "-j2")
+    files = [labelled / f"results/made/60_dataset/{name}/images.npy" for name in names]
+    assert len({path.stat().st_ino for path in files}) == 1 and files[0].stat().st_nlink == 3  # and the shared name
 
 
-def test_a_bad_resolution_fails_and_leaves_nothing(folder):
-    done = make(folder, "DATASET=made", "labels", "RES=24by32")
+def test_a_bad_resolution_fails_and_leaves_nothing(made):
+    done = make(made, "DATASET=made", "labels", "RES=24by32")
     assert done.returncode != 0 and "RES=24by32: give resolutions as ROWSxCOLUMNS" in done.stdout
-    assert not (folder / "results/made/50_labels/24by32").exists()
+    assert not (made / "results/made/50_labels/24by32").exists()
 
 
-def test_a_deleted_shard_is_made_again(folder):
-    run(folder, "labels", "RES=6x8")
-    shards = [folder / f"results/made/50_labels/6x8/{name}.npz" for name in ("0000", "0001")]
+def test_a_deleted_shard_is_made_again(labelled):
+    shards = [labelled / f"results/made/50_labels/6x8/{name}.npz" for name in ("0000", "0001")]
     kept, stamp = shards[0].read_bytes(), shards[1].stat().st_mtime_ns
     shards[0].unlink()
-    assert built(run(folder, "labels", "RES=6x8")) == {"results/made/50_labels/6x8/labels.json"}
+    assert built(run(labelled, "labels", "RES=6x8")) == {"results/made/50_labels/6x8/labels.json"}
     assert shards[0].read_bytes() == kept and shards[1].stat().st_mtime_ns == stamp
-    assert not built(run(folder, "labels", "RES=6x8"))
+    assert not built(run(labelled, "labels", "RES=6x8"))
     for path in shards:
         path.unlink()
-    assert built(run(folder, "labels", "RES=6x8")) == {"results/made/50_labels/6x8/labels.json"}
+    assert built(run(labelled, "labels", "RES=6x8")) == {"results/made/50_labels/6x8/labels.json"}
     assert shards[0].read_bytes() == kept
 
 
-def test_labels_are_as_old_as_what_they_are_made_from(folder):
+def test_labels_are_as_old_as_what_they_are_made_from(made):
     """So a source that is replaced while they are made is newer, and they are made again."""
-    run(folder, "labels", "RES=6x8")
-    results = folder / "results/made"
+    results = made / "results/made"
     for shard in ("0000", "0001"):
         read = [results / f"{name}/{shard}{end}" for name, end in (("40_forces", ".npz"), ("10_poses", ".csv"))]
         read += [results / f"00_plan/params/{name}.json" for name in ("labels", "sensors")]
-        made = results / f"50_labels/6x8/{shard}.npz"
-        assert made.stat().st_mtime_ns == max(path.stat().st_mtime_ns for path in read)
+        label = results / f"50_labels/6x8/{shard}.npz"
+        assert label.stat().st_mtime_ns == max(path.stat().st_mtime_ns for path in read)
 
 
-def test_a_setting_that_changes_labels_changes_every_shard(folder):
+def test_a_setting_that_changes_labels_changes_every_shard(labelled):
     """Shards that were there are not taken for those of the new setting."""
-    run(folder, "labels", "RES=6x8")
-    shards = [folder / f"results/made/50_labels/6x8/000{k}.npz" for k in (0, 1)]
+    shards = [labelled / f"results/made/50_labels/6x8/000{k}.npz" for k in (0, 1)]
     old = [shard.read_bytes() for shard in shards]
-    params = folder / "workflow/params.toml"
+    params = labelled / "workflow/params.toml"
     params.write_text(params.read_text().replace('channels = ["force"]', 'channels = ["force", "traction"]'))
-    run(folder, "labels", "RES=6x8")
+    run(labelled, "labels", "RES=6x8")
     assert all(shard.read_bytes() != was for shard, was in zip(shards, old, strict=True))
 
 
-@pytest.mark.parametrize(
-    "corrupt", [lambda data: b"", lambda data: data[: len(data) // 2], lambda data: data[:-9] + b"!" + data[-8:]]
-)
-def test_a_corrupt_shard_is_made_again_by_who_reads_it(folder, corrupt):
-    run(folder, "labels", "RES=6x8")
-    shard = folder / "results/made/50_labels/6x8/0000.npz"
+@pytest.mark.parametrize("corrupt", [lambda data: data[: len(data) // 2], lambda data: data[:-9] + b"!" + data[-8:]])
+def test_a_corrupt_shard_is_made_again_by_who_reads_it(labelled, corrupt):
+    shard = labelled / "results/made/50_labels/6x8/0000.npz"
     kept = shard.read_bytes()
     shard.write_bytes(corrupt(kept))
-    assert "0000.npz: not as it was when it was made; making it again" in run(folder, "dataset", "RES=6x8")
+    assert "0000.npz: not as it was when it was made; making it again" in run(labelled, "dataset", "RES=6x8")
     assert shard.read_bytes() == kept
 
 
-def test_a_changed_value_remakes_labels_only(folder):
-    run(folder, "labels", "RES=6x8")
-    params = folder / "workflow/params.toml"
+def test_a_changed_value_remakes_labels_only(labelled):
+    params = labelled / "workflow/params.toml"
     params.write_text(params.read_text().replace("largest_outside_share = 0.02", "largest_outside_share = 0.03"))
-    assert built(run(folder, "labels", "RES=6x8")) == {"results/made/50_labels/6x8/labels.json"}
+    assert built(run(labelled, "labels", "RES=6x8")) == {"results/made/50_labels/6x8/labels.json"}
     params.write_text(params.read_text() + "\n# a comment rebuilds nothing\n")
-    assert not built(run(folder, "labels", "RES=6x8"))
+    assert not built(run(labelled, "labels", "RES=6x8"))
