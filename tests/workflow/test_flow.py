@@ -128,6 +128,7 @@ def bad_row(row, **changes):
 
 
 def test_bad_rows_are_rejected_by_name_and_the_rest_goes_on(project, root):
+    edit(project, "shard_size = 2", "shard_size = 8", "data/tiny/dataset.toml")
     path = project / "data/tiny/log.csv"
     rows = read_csv(path)
     good = rows[0]

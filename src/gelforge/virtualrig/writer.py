@@ -7,6 +7,7 @@ import time
 import tomllib
 from dataclasses import asdict
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -18,8 +19,10 @@ from gelforge.records.log import fixed, read_presses, write_log
 from gelforge.records.press import FORCE, FORCES, MOMENT, POSE, LoggedPress
 from gelforge.records.status import VALID
 from gelforge.records.table import read_table
-from gelforge.virtualrig.bench import Pressing
 from gelforge.virtualrig.rigplan import Order, Plan
+
+if TYPE_CHECKING:  # a plan is read, refused or found complete without what presses
+    from gelforge.virtualrig.bench import Pressing
 
 # Lengths to 0.1 micrometre, forces to 0.1 mN, moments to 1 mN mm.
 DECIMALS = {**dict.fromkeys((*POSE, *FORCE), 4), **dict.fromkeys(MOMENT, 6)}
@@ -186,7 +189,7 @@ def save_image(path, image: np.ndarray) -> None:
     write_png(path, image, compression=4)
 
 
-def logged(pressing: Pressing) -> LoggedPress:
+def logged(pressing: "Pressing") -> LoggedPress:
     """The bench's record: what it was asked to do and what its load cell read."""
     order, log = pressing.order, pressing.log
     path = (log.x0, log.y0, log.z0, log.dx, log.dy, log.dz, log.rot_deg)
@@ -197,7 +200,7 @@ def logged(pressing: Pressing) -> LoggedPress:
     )  # fmt: skip
 
 
-def truth_row(pressing: Pressing) -> dict:
+def truth_row(pressing: "Pressing") -> dict:
     """What the press really was."""
     real, evidence = pressing.real, pressing.result.evidence
     values = [real.x0, real.y0, real.z0, real.dx, real.dy, real.dz, real.rot_deg, *pressing.force, *pressing.moment]

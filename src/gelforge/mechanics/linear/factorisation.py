@@ -45,11 +45,11 @@ def _report_superlu(why: str) -> None:
 @lru_cache(maxsize=1)
 def _mkl() -> Any:
     """PARDISO's entry in mkl_rt, made once a process."""
-    from pypardiso.pardiso_wrapper import PyPardisoSolver
-
-    # where pip puts it; pypardiso looks through every folder of the environment, which takes half a second
+    # where pip puts it; pypardiso, as it is imported, looks through every folder of the environment: half a second
     for library in (Path(sys.prefix) / "lib").glob("libmkl_rt.so*"):
         os.environ.setdefault("PYPARDISO_MKL_RT", str(library))
+    from pypardiso.pardiso_wrapper import PyPardisoSolver
+
     return PyPardisoSolver(mtype=_INDEFINITE)  # its own calls are not used
 
 
