@@ -122,15 +122,36 @@ def boolean(first: tuple, second: tuple, how: str) -> tuple[np.ndarray, np.ndarr
 
 
 def below(vertices: np.ndarray, faces: np.ndarray, height: float) -> tuple[np.ndarray, np.ndarray]:
-    """What of a closed mesh lies below a plane z = height, closed by that plane (vtkClipClosedSurface by pyvista).
+    """What of a closed mesh lies below a plane z = height, closed by that plane (vtkClipClosedSurface).
 
-    Fifty times faster than an exact intersection with a box, and the same to rounding.
+    Fifty times faster than an exact intersection with a box, and the same to rounding. VTK's own modules: to import
+    pyvista takes longer than to crop a body.
     """
-    import pyvista
+    from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray, vtk_to_numpy
+    from vtkmodules.vtkCommonCore import vtkPoints
+    from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPlane, vtkPlaneCollection, vtkPolyData
+    from vtkmodules.vtkFiltersCore import vtkTriangleFilter
+    from vtkmodules.vtkFiltersGeneral import vtkClipClosedSurface
 
-    mesh = pyvista.PolyData.from_regular_faces(vertices, faces)
-    kept = mesh.clip_closed_surface("-z", origin=(0.0, 0.0, height)).triangulate()
-    return cleaned(np.array(kept.points, float), kept.regular_faces)
+    if not is_watertight(faces):
+        raise ValueError("a surface that is not closed has no inside to cut")
+    points, cells, mesh = vtkPoints(), vtkCellArray(), vtkPolyData()
+    points.SetData(numpy_to_vtk(np.ascontiguousarray(vertices, float), deep=True))
+    cells.SetData(3, numpy_to_vtkIdTypeArray(np.ravel(faces).astype(np.int64), deep=True))
+    mesh.SetPoints(points)
+    mesh.SetPolys(cells)
+    plane, planes = vtkPlane(), vtkPlaneCollection()
+    plane.SetNormal(0.0, 0.0, -1.0)
+    plane.SetOrigin(0.0, 0.0, height)
+    planes.AddItem(plane)
+    clipped, triangles = vtkClipClosedSurface(), vtkTriangleFilter()
+    clipped.SetInputData(mesh)
+    clipped.SetClippingPlanes(planes)
+    triangles.SetInputConnection(clipped.GetOutputPort())
+    triangles.Update()
+    kept = triangles.GetOutput()
+    nodes, corners = kept.GetPoints().GetData(), kept.GetPolys().GetConnectivityArray()
+    return cleaned(np.array(vtk_to_numpy(nodes), float), np.array(vtk_to_numpy(corners)).reshape(-1, 3))
 
 
 def write_stl(path, vertices: np.ndarray, faces: np.ndarray) -> None:
