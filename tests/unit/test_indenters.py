@@ -211,7 +211,7 @@ def test_catalogue_faults_name_the_file(tmp_path):
     path.write_text("[a\n")
     with pytest.raises(BadInput, match="not valid TOML"):
         load_catalogue(path)
-    with pytest.raises(BadInput, match="cannot read"):
+    with pytest.raises(BadInput, match="not found; name an existing catalogue"):
         load_catalogue(tmp_path / "none.toml")
 
 

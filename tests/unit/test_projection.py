@@ -167,11 +167,14 @@ def test_the_reference_correspondences(reference):
     "text, reason",
     [
         ("x_mm,y_mm,u_px\n1,2,3\n", "v_px"),
-        ("x_mm,y_mm,u_px,v_px\n1,2,3,abc\n", "point 1, v_px"),
+        ("x_mm,y_mm,u_px,v_px\n1,2,3,abc\n", "line 2: v_px is 'abc'"),
         ("", "x_mm"),
-        ("x_mm,y_mm,u_px,v_px\n1,2,3,\n", "point 1"),
+        ("# by hand\nx_mm,y_mm,u_px,v_px\n1,2,3,\n", "line 3: its v_px is empty"),
         # decimal commas shift what follows: x would be 1, y 5, u 2 and v 5
-        ("x_mm,y_mm,u_px,v_px\n1,2,3,4\n1,5,2,5,160,120\n", "point 2 has more cells .* decimals with a point"),
+        (
+            "x_mm,y_mm,u_px,v_px\n1,2,3,4\n1,5,2,5,160,120\n",
+            "row 3 has another number of cells .* decimals with a point",
+        ),
     ],
 )
 def test_broken_correspondences_name_point_and_field(tmp_path, text, reason):

@@ -1,6 +1,5 @@
 """Fit a sensor's projection from point correspondences, or from the markers in a no-contact image."""
 
-import csv
 from argparse import Namespace
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,8 +13,9 @@ from gelforge.labelling.homography import Fit, fit_homography
 from gelforge.labelling.sensor import Sensor, check_projection, find_sensor, load_sensors, transform
 from gelforge.records.image import read_image, write_png
 from gelforge.records.markers import MarkerGrid, find_markers
-from gelforge.records.press import check_id
+from gelforge.records.press import check_id, parse_number
 from gelforge.records.regular import refuse_to_replace
+from gelforge.records.table import filled_rows
 
 POINT_COLUMNS = ["x_mm", "y_mm", "u_px", "v_px"]
 EXACT = 4  # points that a projection meets whatever they are: its eight numbers
@@ -39,32 +39,16 @@ class FittedProjection:
 
 def read_points(path) -> tuple[np.ndarray, np.ndarray]:
     """Gel points (n, 2) mm and pixels (n, 2) of a CSV with columns x_mm, y_mm, u_px, v_px; # starts a comment."""
-    try:
-        lines = [line for line in Path(path).read_text(encoding="utf-8-sig").splitlines() if not line.startswith("#")]
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadInput(
-            f"{path}: cannot be read ({error}); give a CSV with columns {', '.join(POINT_COLUMNS)}"
-        ) from error
-    reader = csv.DictReader(lines, skipinitialspace=True)
-    reader.fieldnames = [name.strip() for name in reader.fieldnames or ()]
-    rows = list(reader)
-    missing = [name for name in POINT_COLUMNS if not rows or name not in rows[0]]
-    if missing:
-        raise BadInput(f"{path}: has no column {missing[0]} or no rows; it needs {', '.join(POINT_COLUMNS)}")
-    long = next((at for at, row in enumerate(rows, 1) if None in row), None)
-    if long is not None:
-        raise BadInput(f"{path}: point {long} has more cells than there are columns; write decimals with a point")
-    values = np.array([[_number(path, at, row, name) for name in POINT_COLUMNS] for at, row in enumerate(rows, 1)])
+    hint = f"give a CSV with columns {', '.join(POINT_COLUMNS)} and decimals with a point"
+    rows = filled_rows(Path(path), POINT_COLUMNS, "points", hint)
+    values = np.array([[_number(f"{path} line {at}", row, name) for name in POINT_COLUMNS] for at, row in rows])
     return values[:, :2], values[:, 2:]
 
 
-def _number(path, at, row, name) -> float:
-    try:
-        value = float(row[name])
-    except (TypeError, ValueError):
-        value = np.nan
-    if not np.isfinite(value):
-        raise BadInput(f"{path}: point {at}, {name} is {row[name]!r}; write a number")
+def _number(where: str, row: dict[str, str], name: str) -> float:
+    value = parse_number(row[name])
+    if value is None:
+        raise BadInput(f"{where}: {name} is {row[name]!r}; write a number")
     return value
 
 

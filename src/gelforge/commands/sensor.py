@@ -58,13 +58,15 @@ from gelforge.records.markers import pitch_of
 from gelforge.records.nocontactimage import nocontact_of
 from gelforge.records.press import check_id, parse_number
 from gelforge.records.regular import real_place, refuse_to_replace
-from gelforge.records.table import numbered_rows
+from gelforge.records.table import filled_rows
 from gelforge.records.totals import goes_beyond
+
+ASKED = "give the columns {}, a row for each {}"
 
 
 def gain_of(readings: Path, predictor: Predictor, before: Gain = AS_READ) -> Gain:
     """The factor that a table of readings gives, and `before` without them; BadInput names the row that cannot be used."""
-    rows = _rows(readings, ("image", "force_n"), "readings", "press")
+    rows = filled_rows(readings, ("image", "force_n"), "readings", ASKED.format("image and force_n", "press"))
     pictures = _pictures(readings, rows, "image")
     measured = np.array([_force(name, row["force_n"]) for name, (_, row) in zip(pictures, rows, strict=True)])
     read, whole = _normals(predictor, pictures)
@@ -146,28 +148,6 @@ def _pictures(table: Path, rows: list[tuple[int, dict[str, str]]], column: str) 
     return found
 
 
-def _rows(table: Path, columns: tuple[str, str], what: str, each: str) -> list[tuple[int, dict[str, str]]]:
-    """Rows of a table that a person wrote, with their lines' numbers; BadInput where a column, all rows or a cell lack."""
-    asked = f"give the columns {' and '.join(columns)}"
-    rows = [
-        (number, {name.strip(): cell.strip() for name, cell in row.items()})
-        for number, row in numbered_rows(table, asked)
-    ]
-    if not rows:
-        raise BadInput(f"{table}: holds no {what}; {asked}, a row for each {each}")
-    missing = [column for column in columns if column not in rows[0][1]]
-    if missing:
-        seen = ", ".join(rows[0][1])
-        raise BadInput(
-            f"{table}: column {missing[0]} is missing, seen: {seen}; {asked}, with commas between the cells"
-        )
-    for number, row in rows:
-        empty = [column for column in columns if not row[column]]
-        if empty:
-            raise BadInput(f"{table} line {number}: its {empty[0]} is empty; {asked}, a row for each {each}")
-    return rows
-
-
 def _force(name: str, text: str) -> float:
     """A measured force in N; BadInput for what is no number."""
     value = parse_number(text)
@@ -180,7 +160,7 @@ def _force(name: str, text: str) -> float:
 
 def gain_beside(grasps: Path, predictor: Predictor, opposite: Path) -> Gain:
     """The factor by which grasps bring this sensor to the profile of the finger opposite."""
-    rows = _rows(grasps, ("image", "opposite"), "grasps", "moment")
+    rows = filled_rows(grasps, ("image", "opposite"), "grasps", ASKED.format("image and opposite", "moment"))
     other = read_profile(opposite)
     check_same_network(other, predictor.metadata)
     facing = CameraPredictor(predictor.model, other.nocontact, other.gain)

@@ -30,13 +30,13 @@ class Cost:
         return self.bytes_once + self.bytes_each * presses
 
 
-def pilots(strength: list[float], count: int = PILOTS) -> list[int]:
+def pilots(strength: list[float]) -> list[int]:
     """Presses that stand for all, by their numbers: the middles of equal shares of the presses, ordered by strength; each once.
 
     strength: (n,), what the cost rises with, such as the depth.
     """
     order = sorted(range(len(strength)), key=strength.__getitem__)
-    count = min(count, len(order))
+    count = min(PILOTS, len(order))
     return [order[int((k + 0.5) * len(order) / count)] for k in range(count)]
 
 

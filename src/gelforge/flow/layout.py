@@ -38,13 +38,8 @@ def planned_shards(folder: Path) -> list[str]:
 
 def mirror(target: Path, kind: str, suffix: str) -> Path:
     """Where the log or the metrics of a target lie: results/DATASET/KIND/STAGE/stem.suffix."""
-    parts = target.parts
-    at = (
-        parts.index("results") + 2
-        if "results" in parts and len(parts) > parts.index("results") + 3
-        else len(parts) - 1
-    )
-    return Path(*parts[:at], kind, *parts[at:]).with_suffix(suffix)
+    root = dataset_folder(target) or target.parent
+    return (root / kind / target.relative_to(root)).with_suffix(suffix)
 
 
 def dataset_folder(path: Path) -> Path | None:

@@ -1,14 +1,12 @@
 """The indenter catalogue: tables of a TOML file become rigid bodies."""
 
-import hashlib
-import json
-import tomllib
 from collections.abc import Callable, Collection
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.files import digest_of, read_toml
 from gelforge.geometry.profiles import (
     Annulus,
     Ellipse,
@@ -235,7 +233,7 @@ def _stl(t: _Table, **common) -> Body:
     if not path.is_file():
         t.fail("file", file, f"there is no file {path}; the path starts at the catalogue's folder")
     planned = t.take("sha256", None)
-    if planned is not None and planned != hashlib.sha256(path.read_bytes()).hexdigest():
+    if planned is not None and planned != digest_of(path):
         t.fail("file", file, f"{path} changed while this was planned; run make again")
     return sampled_from_stl(path, scale=scale, spacing=spacing, reach=reach, **common)
 
@@ -313,14 +311,8 @@ def fold(table: dict) -> int:
 
 
 def read_catalogue(path) -> dict[str, dict]:
-    """The raw tables of a catalogue file (.toml, or its canonical .json) by name, not built yet."""
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-        tables = json.loads(text) if Path(path).suffix == ".json" else tomllib.loads(text)
-    except (OSError, UnicodeDecodeError) as error:
-        raise BadInput(f"{path}: cannot read the indenter catalogue ({error}); name an existing file") from None
-    except (tomllib.TOMLDecodeError, json.JSONDecodeError) as error:
-        raise BadInput(f"{path}: not valid TOML or JSON ({error}); correct the line it names") from None
+    """The raw tables of a catalogue file by name, not built yet."""
+    tables = read_toml(path, "name an existing catalogue of indenters")
     for name, table in tables.items():
         if not isinstance(table, dict):
             raise BadInput(f"{path}: {name} = {table!r} stands outside a table; write [{name}] with its `kind`")

@@ -114,12 +114,12 @@ def same_shape(one: tuple[int, int], other: tuple[int, int]) -> bool:
     return abs(one[1] * other[0] - one[0] * other[1]) <= SAME_SHAPE * one[0] * other[1]
 
 
-def reduced(image: np.ndarray, most: int = MOST_SIDE) -> np.ndarray:
-    """An image (h, w, 3) uint8 whose longer side has at most so many px."""
+def reduced(image: np.ndarray) -> np.ndarray:
+    """An image (h, w, 3) uint8 whose longer side has at most MOST_SIDE px."""
     import cv2
 
     height, width = image.shape[:2]
-    scale = most / max(height, width)
+    scale = MOST_SIDE / max(height, width)
     if scale >= 1.0:
         return image
     size = max(1, round(width * scale)), max(1, round(height * scale))

@@ -159,9 +159,9 @@ class Film:
             )
 
 
-def numbered(images: Iterable[np.ndarray], rate: float = 25.0) -> Iterator[Frame]:
-    """Images (h, w, 3) uint8 as the frames of a film of an even rate."""
-    return (Frame(number, number / rate, image) for number, image in enumerate(images))
+def numbered(images: Iterable[np.ndarray]) -> Iterator[Frame]:
+    """Images (h, w, 3) uint8 as the frames of a film of 25 a second."""
+    return (Frame(number, number / 25.0, image) for number, image in enumerate(images))
 
 
 def frames(source: Any, announced: int, name: str, limit: int | None) -> Iterator[np.ndarray]:

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from gelforge.errors import BadInput, printable
-from gelforge.flow.files import write_csv
+from gelforge.flow.files import csv_text, write_csv
 from gelforge.flow.layout import command_for
 from gelforge.records.press import (
     COLUMNS,
@@ -31,7 +31,7 @@ from gelforge.records.press import (
     reject,
 )
 from gelforge.records.regular import read_text
-from gelforge.records.table import read_table
+from gelforge.records.table import read_table, write_table
 
 P = TypeVar("P", bound=PressRecord)
 
@@ -65,15 +65,6 @@ def shard_text(rows: list[RawRow]) -> str:
     return csv_text(
         columns, [{"row": row.row, **row.cells, **({"fault": row.fault} if row.fault else {})} for row in rows]
     )
-
-
-def csv_text(columns: list[str], rows: list[dict[str, Any]]) -> str:
-    """Dict rows as CSV text; a missing cell is empty."""
-    text = io.StringIO()
-    writer = csv.DictWriter(text, columns, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
 
 
 def _read(
@@ -235,15 +226,11 @@ def _write(
     presses: list[LoggedPress] | list[PosedPress],
     decimals: dict[str, int],
 ) -> None:
-    """One row a press; optional columns only where a press has one, so that other tables stay as they were."""
-    used = [name for name in OPTIONAL if any(getattr(press, name) for press in presses)]
-    columns = (*columns, *used)
-    rows = []
-    for press in presses:
-        cells = press.cells()
+    """One row a press."""
+    rows = [press.cells() for press in presses]
+    for cells in rows:
         cells |= {name: fixed(float(cells[name]), places) for name, places in decimals.items() if cells[name]}
-        rows.append({name: cells[name] for name in columns})
-    write_csv(path, columns, rows)
+    write_table(path, columns, rows)
 
 
 def fixed(value: float, places: int) -> str:

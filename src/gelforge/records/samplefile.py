@@ -8,9 +8,8 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import write_csv
 from gelforge.records.press import FORCE, KNOWN, POSE, PressRecord, RawRow, parse, parse_number
-from gelforge.records.table import read_table
+from gelforge.records.table import read_table, write_table
 
 HINT = "remove the folder and make the dataset again"
 NAMES = ("sample_id", "indenter", "sensor_id", "gel_id")
@@ -72,10 +71,8 @@ def _rounded(force: float) -> float | str:
 
 
 def write_samples(path: str | Path, samples: Sequence[DatasetSample]) -> None:
-    """Write the table, whole or not at all; press_id only where a press has one."""
-    columns = [*COLUMNS, *["press_id"] * any(sample.press.press_id for sample in samples)]
-    rows = [sample.cells() for sample in samples]
-    write_csv(path, columns, [{name: row[name] for name in columns} for row in rows])
+    """Write the table, whole or not at all."""
+    write_table(path, COLUMNS, [sample.cells() for sample in samples])
 
 
 def read_samples(path: str | Path) -> list[DatasetSample]:

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import Any
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import digest_of, read_json, write_csv
+from gelforge.flow.files import digest_of, read_json
 from gelforge.flow.layout import command_for
 from gelforge.records.press import FORCE, parse_number
 from gelforge.records.status import Status
-from gelforge.records.table import read_table
+from gelforge.records.table import read_table, write_table
 
 EVIDENCE = (
     "attempt", "rounds", "newton_iterations", "load_steps", "seconds", "kinematics_seconds", "peak_mib",
@@ -52,10 +52,8 @@ class Solved:
 
 
 def write_solves(path: str | Path, solves: Sequence[Solved]) -> None:
-    """Write the table, whole or not at all; press_id only where a press has one."""
-    columns = [*COLUMNS, *["press_id"] * any(solve.press_id for solve in solves)]
-    rows = [solve.cells() for solve in solves]
-    write_csv(path, columns, [{name: row[name] for name in columns} for row in rows])
+    """Write the table, whole or not at all."""
+    write_table(path, COLUMNS, [solve.cells() for solve in solves])
 
 
 def _force(text: str) -> float | None:

@@ -70,14 +70,18 @@ def _intervals(result: dict) -> dict:
     )
 
 
-def _controls(result: dict) -> dict:
-    rows = [
+def control_rows(result: dict) -> list[list[str]]:
+    """One row per split and control: the mean absolute error of total force that it reaches."""
+    return [
         [name, what.replace("_", " "), *(f"{values[a]:.3f}" for a in CHANNELS)]
         for name, split in result["splits"].items()
         for what, values in split["controls"].items()
     ]
+
+
+def _controls(result: dict) -> dict:
     title = "What knows less than the network: mean absolute error of total force, N"
-    return _table(title, ["split", "control", *CHANNELS], rows)
+    return _table(title, ["split", "control", *CHANNELS], control_rows(result))
 
 
 def _groups(result: dict, key: str, title: str) -> dict:

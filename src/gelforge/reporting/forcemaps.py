@@ -51,13 +51,12 @@ def signed_colours(values) -> np.ndarray:
     return np.rint(255 + strength * (ends - 255)).astype(np.uint8)
 
 
-def draw_component(axis, force, channel: int, note: str = "", least: float = 1e-6, **placed) -> None:
+def draw_component(axis, force, channel: int, note: str = "", **placed) -> None:
     """Draw the map (rows, cols) of one component of force, N per cell, under its name and total.
 
-    note: what is said behind the total. least: force per cell that full colour stands for at least. placed: where and
-    how the map lies, as matplotlib's imshow takes it.
+    note: what is said behind the total. placed: where and how the map lies, as matplotlib's imshow takes it.
     """
-    span = max(float(np.abs(force).max()), least)
+    span = max(float(np.abs(force).max()), 1e-6)
     shown = axis.imshow(force, cmap=SIGNED, vmin=-span, vmax=span, **placed)
     axis.set_title(f"{TITLES[channel]}: {force.sum():+.3f} N{note}", fontsize=9)
     axis.figure.colorbar(shown, ax=axis, shrink=0.85, label="N per cell")

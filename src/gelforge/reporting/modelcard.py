@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 
 from gelforge.records.axes import CHANNELS
-from gelforge.reporting.errortables import contacts_text
+from gelforge.reporting.errortables import contacts_text, control_rows
 
 FEW = 12  # sensors that are named one by one
 COLUMNS = [
@@ -110,15 +110,6 @@ def error_rows(evaluation: dict) -> list[list[str]]:
         row.append(contacts_text(split["contacts"]))
         rows.append(row)
     return rows
-
-
-def control_rows(evaluation: dict) -> list[list[str]]:
-    """One row per split and control: the total MAE that it reaches."""
-    return [
-        [split_name, control.replace("_", " "), *(f"{values[axis]:.3f}" for axis in CHANNELS)]
-        for split_name, split in evaluation["splits"].items()
-        for control, values in split["controls"].items()
-    ]
 
 
 def measured_rows(figures: list[dict]) -> list[str]:

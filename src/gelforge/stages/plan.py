@@ -12,19 +12,20 @@ from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from hashlib import blake2b, sha256
 from pathlib import Path
-from stat import S_ISREG
 from types import MappingProxyType
 
 from gelforge.errors import BadInput, printable
 from gelforge.flow import params as config
 from gelforge.flow.catalogue import with_content
-from gelforge.flow.files import read_json, write_if_changed, write_text
+from gelforge.flow.files import csv_text, write_if_changed, write_text
+from gelforge.flow.kept import Kept
 from gelforge.flow.layout import LOGGED, planned_shards, shard_name
 from gelforge.flow.main import command, option
 from gelforge.flow.params import DatasetFile, Params
 from gelforge.flow.params.tables import IN_PROCESS, SHIPPED, SHIPPED_IMAGE
-from gelforge.records.log import csv_text, read_log, shard_text
+from gelforge.records.log import read_log, shard_text
 from gelforge.records.press import SENSOR_TABLES, RawRow
+from gelforge.records.regular import bytes_or_fault
 from gelforge.records.repeats import repeats
 from gelforge.records.table import read_table
 
@@ -176,31 +177,18 @@ def image_digests(data: Path, names: set[str], kept: Path) -> dict[str, str]:
     """Digest of each picture that rows name: one that was replaced is another picture, one that was touched is not.
 
     One that stage 10 refuses for its place, outside the dataset's folder, has none: a copy of it inside is another.
-    kept: a JSON file of digests by name, time and size, so that a picture is read once.
+    kept: a JSON file of digests, so that a picture is read once.
     """
     from gelforge.records.image import MOST_BYTES, stays_inside
 
-    try:
-        known = read_json(kept)
-    except (OSError, ValueError):  # there is none yet, or it was corrupted: pictures are read once more
-        known = {}
-    seen, found = {}, {}
-    for name in sorted(names):
-        if not name or not stays_inside(data, name):
-            continue
-        path = data / name
-        try:
-            state = path.stat()
-            if not S_ISREG(state.st_mode) or state.st_size > MOST_BYTES:  # stage 10 refuses it
-                continue
-            old = known.get(name, [None] * 3)
-            same = old[:2] == [state.st_mtime_ns, state.st_size]
-            digest = old[2] if same else blake2b(path.read_bytes(), digest_size=8).hexdigest()
-        except (OSError, ValueError):
-            continue
-        seen[name], found[name] = [state.st_mtime_ns, state.st_size, digest], digest
-    write_if_changed(kept, config.canonical(seen))
-    return found
+    def read(path: Path) -> str | None:
+        content, fault = bytes_or_fault(path, MOST_BYTES)
+        return None if fault else blake2b(content, digest_size=8).hexdigest()  # stage 10 refuses what has a fault
+
+    pictures = Kept(kept)
+    found = {name: pictures.of(data / name, read) for name in sorted(names) if name and stays_inside(data, name)}
+    pictures.keep()
+    return {name: digest for name, digest in found.items() if digest}
 
 
 def write_parameters(params: Params, workflow: Path, out: Path, tables: dict[str, dict], scenes: dict) -> None:

@@ -251,11 +251,8 @@ def network_section(results: Path, resolution: str, model: str) -> Section:
         return section.text(f"Not made: {Layout(results).command('evaluate')}.", absent=True)
     metrics = read_json(path)
     section.text(learnt_from(metrics, model))
-    for title, columns, rows in evaluation_tables(metrics):
-        section.table(columns, rows, folded=title)
     ours = published_here(path.parent)
-    if ours:
-        table = feats_tables.comparison(ours)
+    for table in [*metrics["tables"], *([feats_tables.comparison(ours)] if ours else [])]:
         section.table(table["columns"], table["rows"], folded=table["title"])
     curve, picture = Layout(results).curve(resolution, model), path.with_suffix(".png")
     learning = {curve.name: "Loss, learning rate and validation error while it learnt."}
@@ -278,11 +275,6 @@ def learnt_from(metrics: dict, model: str) -> str:
         f"{who} learnt from {images}, {these}. A useful network must clearly beat the controls below, which"
         " see only the mean colours of an image."
     )
-
-
-def evaluation_tables(metrics: dict) -> list[tuple[str, list[str], list[list]]]:
-    """Tables of an evaluation file: title, columns, rows."""
-    return [(t["title"], t["columns"], t["rows"]) for t in metrics["tables"]]
 
 
 def calculix_version() -> str:
