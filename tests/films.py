@@ -1,10 +1,21 @@
-"""Films of variable frame rate, written byte by byte, as OpenCV writes none: Matroska and MP4."""
+"""Films: as OpenCV writes them, and of variable frame rate, written byte by byte: Matroska and MP4."""
 
 import struct
 from pathlib import Path
 
 import cv2
 import numpy as np
+
+
+def write_film(path: Path, images, rate: float = 25.0) -> Path:
+    """Images (h, w, 3) uint8 BGR as a film of an even rate: motion JPEG in .avi, MPEG-4 in .mp4."""
+    writer, kind = None, "mp4v" if Path(path).suffix == ".mp4" else "MJPG"
+    for image in images:
+        if writer is None:
+            writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*kind), rate, image.shape[1::-1])
+        writer.write(np.ascontiguousarray(image))
+    writer.release()
+    return path
 
 
 def write_matroska(path: Path, images, times_ms, quality: int = 95, duration_ms: float | None = None) -> Path:
@@ -42,12 +53,7 @@ def element(name: int, body: bytes) -> bytes:
 
 def write_mp4(path: Path, images, steps_ms) -> Path:
     """Images as MPEG-4 in MP4, each shown for so many milliseconds, in all as long as OpenCV's own time table, 0.1 s each."""
-    height, width = images[0].shape[:2]
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter.fourcc(*"mp4v"), 10.0, (width, height))
-    for image in images:
-        writer.write(image)
-    writer.release()
-    content = path.read_bytes()
+    content = write_film(path, images, 10.0).read_bytes()
     at = content.index(b"mdhd") + 4
     (scale,) = struct.unpack(">I", content[at + 12 : at + 16])
     entries = b"".join(struct.pack(">II", 1, round(step * scale / 1000)) for step in steps_ms)

@@ -34,6 +34,7 @@ from gelforge.records.solvetable import read_solves
 from gelforge.records.table import numbered_rows
 from gelforge.stages.calibrate import load_rejected
 from gelforge.stages.plan import write_shards
+from tests.films import write_film
 from tests.memory import PEAK_KIB
 from tests.npy_files import npy
 
@@ -207,13 +208,7 @@ def test_a_git_lfs_pointer_is_reported_under_any_name(tmp_path, name):
 
 @pytest.mark.parametrize("left", ["no index", "half", "whole"])
 def test_a_film_without_its_index_is_reported(tmp_path, left):
-    import cv2
-
-    path = tmp_path / "a.mp4"
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"mp4v"), 25, (320, 240))
-    for shade in range(10):
-        writer.write(np.full((240, 320, 3), 20 * shade, np.uint8))
-    writer.release()
+    path = write_film(tmp_path / "a.mp4", [np.full((240, 320, 3), 20 * shade, np.uint8) for shade in range(10)])
     data = path.read_bytes()
     cut = {"no index": data.find(b"moov") - 4, "half": len(data) // 4, "whole": len(data)}[left]
     path.write_bytes(data[:cut])
@@ -265,6 +260,8 @@ def test_a_giant_picture_is_refused_before_it_is_decoded(tmp_path, data):
     (tmp_path / "giant.png").write_bytes(data)
     with pytest.raises(BadInput, match="4096 x 4096"):
         read_image(tmp_path / "giant.png")
+    logged = bad_image(press_record(image="giant.png"), "log.csv", tmp_path, (320, 240)).reason
+    assert ("has a size of" if data.startswith(b"\x89PNG") else "is not a PNG") in logged
 
 
 @pytest.mark.parametrize("suffix", [".png", ".jpg", ".bmp", ".tiff", ".webp", ".ppm"])
@@ -497,7 +494,3 @@ def test_a_file_whose_metadata_are_no_model_is_refused(tmp_path, model, content)
     (tmp_path / "m.onnx").write_bytes(model.stages["forces"] + _property(content.encode()))
     with pytest.raises(BadInput, match="not a gelforge model"):
         load_model(tmp_path / "m.onnx")
-
-
-def test_the_model_that_ships_is_read(root):
-    assert load_model(root / "src/gelforge/networks/weights/default.onnx").metadata["grid"] == [24, 32]

@@ -9,8 +9,10 @@ import tomllib
 import zipfile
 from importlib.metadata import version
 
-import numpy as np
+import cv2
 import pytest
+
+from tests.films import write_film
 
 # Reading with only the base dependencies importable: a package of the flow or of the exports is as if not installed.
 ALONE = """
@@ -40,22 +42,12 @@ def test_pictures_are_read_with_the_base_packages_alone(root, tmp_path, goal):
         "predict": ["predict", str(picture), "--nocontact", str(rest), "--out", str(tmp_path / "out")],
         "sensor": ["sensor", "--name", "mine", "--nocontact", str(rest), "--readings", str(tmp_path / "r.csv"),
                    "--out", str(tmp_path / "mine.toml")],
-        "live": ["live", "--video", str(film(tmp_path / "f.avi", picture)), "--nocontact", str(rest), "--csv",
+        "live": ["live", "--video", str(write_film(tmp_path / "f.avi", [cv2.imread(str(picture))] * 3)), "--nocontact", str(rest), "--csv",
                  str(tmp_path / "live.csv")],
     }[goal]  # fmt: skip
     program = ALONE.format(blocked=flow_modules(root), words=words)
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr[-1500:]
-
-
-def film(path, picture):
-    import cv2
-
-    writer = cv2.VideoWriter(str(path), cv2.VideoWriter_fourcc(*"MJPG"), 25, (320, 240))
-    for _ in range(3):
-        writer.write(np.ascontiguousarray(cv2.imread(str(picture))))
-    writer.release()
-    return path
 
 
 @pytest.fixture(scope="module")

@@ -25,6 +25,7 @@ from gelforge.live.topics import RosMessages
 from gelforge.networks.inference.predictor import load_for_use
 from gelforge.records.forcereading import ForceReading
 from gelforge.records.image import decode
+from tests.films import write_film
 from tests.foxglove_client import FoxgloveClient
 from tests.limited import limited_python
 from tests.waiting import HANG, wait_until
@@ -211,11 +212,10 @@ def test_recording_beside_lines_is_asked_about(tmp_path):
 
 
 def test_the_command_serves_a_film_and_records_it(root, tmp_path):
-    film = tmp_path / "film.avi"
-    writer = cv2.VideoWriter(str(film), cv2.VideoWriter_fourcc(*"MJPG"), 25, (320, 240))
-    for name in ["nocontact/mini_a.png"] * 16 + ["images/demo-000000.png"] * 4:
-        writer.write(cv2.imread(str(root / "data/demo" / name)))
-    writer.release()
+    rest, press = (
+        cv2.imread(str(root / "data/demo" / name)) for name in ("nocontact/mini_a.png", "images/demo-000000.png")
+    )
+    film = write_film(tmp_path / "film.avi", [rest] * 16 + [press] * 4)
     command = [sys.executable, "-m", "gelforge.commands.live", "--video", film, "--foxglove", "--port", "0"]
     child = subprocess.Popen(
         [*command, "--record", tmp_path / "kept"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
