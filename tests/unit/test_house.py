@@ -5,6 +5,8 @@ import tomllib
 from graphlib import TopologicalSorter
 from pathlib import Path
 
+import pytest
+
 ROOT = Path(__file__).parents[2]
 PACKAGE = ROOT / "src" / "gelforge"
 
@@ -23,7 +25,8 @@ ALLOWED = {
     "reporting": {"flow", "records", "geometry", "mechanics", "labelling", "calibration"},
     "live": {"records", "reporting", "formats"},
 }
-# The rooms of mechanics and the rooms they may import from; scene, material and their like above them are for all.
+# Rooms of a folder, and the rooms that each may import from. Of mechanics scene, material and their like above them are for
+# all; of networks `pipeline.py` above them puts them together.
 MECHANICS = {
     "linear": set(),
     "mesh": set(),
@@ -33,6 +36,19 @@ MECHANICS = {
     "ccx": {"mesh"},
     "solvers": {"ccx", "contact", "elements", "linear", "mesh", "path"},
 }
+NETWORKS = {
+    "models": set(),
+    "preprocess": {"models"},
+    "balls": {"preprocess"},
+    "uncertainty": {"preprocess", "inference"},
+    "checkpoint": {"models", "uncertainty"},
+    "inference": {"checkpoint", "preprocess", "uncertainty"},
+    "data": {"models", "preprocess"},
+    "training": {"models", "data", "checkpoint", "preprocess"},
+    "evaluation": {"models", "data", "checkpoint", "preprocess", "uncertainty", "inference"},
+}
+TORCH = {"models", "training", "data/loader.py", "data/augment.py", "checkpoint/weights.py", "checkpoint/onnxexport.py",
+         "checkpoint/convert.py", "pipeline.py"}  # fmt: skip
 ON_TOP = {"stages", "commands"}  # thin mains, which may use all of the above
 
 
@@ -65,17 +81,31 @@ def test_folders_use_only_what_they_may():
     assert wrong == []
 
 
-def test_rooms_of_mechanics_use_only_what_they_may():
-    home = PACKAGE / "mechanics"
-    assert {path.name for path in home.iterdir() if any(path.glob("*.py"))} == MECHANICS.keys()
+@pytest.mark.parametrize(
+    ("folder", "rooms", "for_all"), [("mechanics", MECHANICS, True), ("networks", NETWORKS, False)]
+)
+def test_rooms_use_only_what_they_may(folder, rooms, for_all):
+    home = PACKAGE / folder
+    assert {path.name for path in home.iterdir() if any(path.glob("*.py"))} == rooms.keys()
+    above = {path.stem for path in home.glob("*.py")} if for_all else set()
     wrong = [
         f"{path.relative_to(home)} imports {name}"
-        for room, allowed in MECHANICS.items()
+        for room, allowed in rooms.items()
         for path in (home / room).rglob("*.py")
         for name in imports(path)
-        if name.startswith("gelforge.mechanics.") and name.split(".")[2] in MECHANICS.keys() - allowed - {room}
+        if name.startswith(f"gelforge.{folder}.") and name.split(".")[2] not in {*allowed, *above, room}
     ]
     assert wrong == []
+
+
+def test_torch_stays_where_it_is_needed():
+    home = PACKAGE / "networks"
+    found = {
+        path.relative_to(home)
+        for path in home.rglob("*.py")
+        if any(m.split(".")[0] == "torch" for m in imports(path))
+    }
+    assert {str(path) for path in found if not {str(path), path.parts[0]} & TORCH} == set()
 
 
 def test_no_stage_uses_a_command():
