@@ -1,5 +1,6 @@
 """Small datasets in a project folder of their own."""
 
+import os
 import shutil
 
 import pytest
@@ -7,6 +8,13 @@ import pytest
 from gelforge.flow.files import read_csv, write_csv, write_text
 from tests.benchmarks.sandbox import link_project
 
+NEEDS_SLURM = [
+    pytest.mark.slurm,
+    pytest.mark.skipif(
+        not shutil.which("slurmd", path=f"{os.environ.get('PATH', '')}:/usr/sbin"),
+        reason="Slurm is absent; make test-slurm installs slurm-wlm and munge where it may",
+    ),
+]
 # Coarse and in-process: the flow is on trial here, not the mechanics.
 FAST = """
 [params.plan]

@@ -2,7 +2,6 @@
 
 import os
 import re
-import shutil
 import signal
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -12,14 +11,9 @@ import pytest
 
 from tests.benchmarks.slurm import Cluster, cluster, lay_profile, lay_project, make, start_make
 from tests.waiting import HANG, wait_until
+from tests.workflow.conftest import NEEDS_SLURM
 
-pytestmark = [
-    pytest.mark.slurm,
-    pytest.mark.skipif(
-        not shutil.which("slurmd", path=f"{os.environ.get('PATH', '')}:/usr/sbin"),
-        reason="Slurm is absent; make test-slurm installs slurm-wlm and munge where it may",
-    ),
-]
+pytestmark = NEEDS_SLURM
 # A task sleeps in its first run only: what is lost while it sleeps is quick when it is brought back.
 FIRST_RUN = "import os, time\nif open(f'runs/{name}').read().count('started') == 1:\n    "
 FOR_EVER = f"time.sleep({2 * HANG})\n"  # of what is to be ended: were it not, no busy machine may pass that by

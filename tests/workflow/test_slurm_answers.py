@@ -17,14 +17,9 @@ from gelforge.flow.slurm.cluster import read_profile
 from gelforge.flow.slurm.record import Record, Results, Task, load
 from tests.benchmarks.slurm import cluster, lay_project, start_make
 from tests.waiting import HANG, wait_until
+from tests.workflow.conftest import NEEDS_SLURM
 
-pytestmark = [
-    pytest.mark.slurm,
-    pytest.mark.skipif(
-        not shutil.which("slurmd", path=f"{os.environ.get('PATH', '')}:/usr/sbin"),
-        reason="Slurm is absent; make test-slurm installs slurm-wlm and munge where it may",
-    ),
-]
+pytestmark = NEEDS_SLURM
 REAL_SQUEUE = shutil.which("squeue") or "squeue"
 ONCE = "[ -e once ] || { touch once; "
 

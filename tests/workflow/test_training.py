@@ -41,20 +41,10 @@ def place(tmp_path_factory):
     return folder
 
 
-def train_command(place, out) -> list[str]:
-    return command(
-        "train",
-        "--dataset",
-        place / "6x8",
-        "--model",
-        "small",
-        "--models",
-        place / "models.json",
-        "--params",
-        place / "train.json",
-        "--out",
-        out,
-    )
+def train_command(place, out, dataset=None) -> list[str]:
+    names = {"dataset": dataset or place / "6x8", "model": "small", "models": place / "models.json",
+             "params": place / "train.json", "out": out}  # fmt: skip
+    return command("train", *(word for name, value in names.items() for word in (f"--{name}", value)))
 
 
 @pytest.fixture(scope="module")
@@ -113,21 +103,7 @@ def test_a_study_reports_errors_against_presses_and_units(place, whole, tmp_path
 
 def test_unusable_dataset_is_one_line_and_leaves_nothing(place, tmp_path):
     ran = subprocess.run(
-        command(
-            "train",
-            "--dataset",
-            tmp_path,
-            "--model",
-            "small",
-            "--models",
-            place / "models.json",
-            "--params",
-            place / "train.json",
-            "--out",
-            tmp_path / "x.onnx.part",
-        ),
-        capture_output=True,
-        text=True,
+        train_command(place, tmp_path / "x.onnx.part", tmp_path), capture_output=True, text=True, check=False
     )
     assert ran.returncode == 2 and ran.stderr.startswith("error: ") and ran.stderr.count("\n") == 1
     assert list(tmp_path.iterdir()) == []
