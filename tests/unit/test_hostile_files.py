@@ -143,7 +143,7 @@ def test_a_table_that_lost_all_its_bytes_is_not_one_without_rows(tmp_path, read)
 @pytest.mark.parametrize("name", ["..", "../../../x", "a/b", "$(touch f)", "", "-rf", "a" * 101, ESCAPES])
 def test_a_sample_id_that_may_name_no_file_never_does(tmp_path, name, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    for run in (lambda: sample.main(["--dataset", "demo", f"--id={name}"]),
+    for run in (lambda: sample.main(["--dataset", "demo", f"--id={name}", "--steps", "x"]),
                 lambda: look.main(["--data", "data/demo", "--results", "results/demo", f"--id={name}"])):  # fmt: skip
         with pytest.raises(BadInput) as refused:
             run()
