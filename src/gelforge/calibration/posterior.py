@@ -65,8 +65,13 @@ class Posterior:
         total = self.model.log_prior(coordinates)
         inside = np.isfinite(total)
         if inside.any():
-            total[inside] += self.pointwise(coordinates[inside]).sum(axis=1)
+            total[inside] += self.summed(self.pointwise(coordinates[inside]))
         return np.where(np.isnan(total), -np.inf, total)
+
+    @staticmethod
+    def summed(terms: np.ndarray) -> np.ndarray:
+        """What the log-likelihoods (w, r) of readings add to the log-probability, (w,)."""
+        return terms.sum(axis=1)
 
 
 @dataclass(frozen=True)
@@ -81,11 +86,6 @@ class LeaveOneOut(Posterior):
     def identity(self) -> list:
         return ["leave one out", *super().identity]
 
-    def __call__(self, coordinates) -> np.ndarray:
-        coordinates = np.atleast_2d(coordinates)
-        total = self.model.log_prior(coordinates)
-        inside = np.isfinite(total)
-        if inside.any():
-            terms = self.pointwise(coordinates[inside])
-            total[inside] += terms.sum(axis=1) + np.logaddexp.reduce(-terms, axis=1)
-        return np.where(np.isnan(total), -np.inf, total)
+    @staticmethod
+    def summed(terms: np.ndarray) -> np.ndarray:
+        return terms.sum(axis=1) + np.logaddexp.reduce(-terms, axis=1)

@@ -2,6 +2,7 @@
 
 import mmap
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -50,8 +51,29 @@ def write_rows(path: Path, dtype: type, shape: tuple[int, ...], rows: Iterable[n
     mapped.flush()
 
 
-class RowFile:
-    """An array of a .npy file whose rows are read from the file, each time anew: a number, a slice or a list of them.
+class Rows(ABC):
+    """An array whose rows are read when they are asked for, each time anew: a number, a slice or a list of them."""
+
+    shape: tuple[int, ...]
+    dtype: np.dtype
+    ndim: int
+
+    def __len__(self) -> int:
+        return self.shape[0]
+
+    def __getitem__(self, rows: int | np.integer | slice | Sequence[int] | np.ndarray) -> np.ndarray:
+        required = np.arange(len(self))[rows]
+        found = np.empty((*required.shape, *self.shape[1:]), self.dtype)
+        self._read(required.ravel(), found.reshape(-1, *self.shape[1:]))
+        return found
+
+    @abstractmethod
+    def _read(self, rows: np.ndarray, into: np.ndarray) -> None:
+        """Read rows (k,) by their numbers into an array (k, …)."""
+
+
+class RowFile(Rows):
+    """An array of a .npy file whose rows are read from the file.
 
     Of an array that is mapped instead, every page that was ever looked at counts as memory of the process, up to the whole
     file. Raises BadInput for what is no such file, and for one that was cut short since it was opened.
@@ -65,47 +87,28 @@ class RowFile:
         self._first, self._size = mapped.offset, mapped.nbytes // max(len(mapped), 1)
         self._file = path.open("rb", buffering=0)
 
-    def __len__(self) -> int:
-        return self.shape[0]
-
-    def __getitem__(self, rows: int | np.integer | slice | Sequence[int] | np.ndarray) -> np.ndarray:
-        required = np.arange(len(self))[rows]
-        found = np.empty((*required.shape, *self.shape[1:]), self.dtype)
-        for row, into in zip(required.ravel().tolist(), found.reshape(-1, *self.shape[1:]), strict=True):
-            if (
-                os.preadv(self._file.fileno(), [memoryview(into).cast("B")], self._first + row * self._size)
-                != self._size
-            ):
+    def _read(self, rows: np.ndarray, into: np.ndarray) -> None:
+        for row, one in zip(rows.tolist(), into, strict=True):
+            place = self._first + row * self._size
+            if os.preadv(self._file.fileno(), [memoryview(one).cast("B")], place) != self._size:
                 raise BadInput(f"{self.path}: ends before its row {row}; {HINT}")
-        return found
 
 
-class ChainedRows:
-    """Rows of several arrays, one behind the other: a number, a slice or a list of them, read when they are asked for.
+class ChainedRows(Rows):
+    """Rows of several arrays, one behind the other.
 
     arrays: of shape (n_i, …), alike but for n_i.
     """
 
-    shape: tuple[int, ...]
-    dtype: np.dtype
-    ndim: int
-
-    def __init__(self, arrays: Sequence["np.ndarray | RowFile | ChainedRows"]):
+    def __init__(self, arrays: Sequence[np.ndarray | Rows]):
         self._arrays = tuple(arrays)
         self._ends = np.cumsum([len(array) for array in arrays])
         first = self._arrays[0]
         self.shape, self.dtype, self.ndim = (int(self._ends[-1]), *first.shape[1:]), first.dtype, first.ndim
 
-    def __len__(self) -> int:
-        return self.shape[0]
-
-    def __getitem__(self, rows: int | np.integer | slice | Sequence[int] | np.ndarray) -> np.ndarray:
-        required = np.arange(len(self))[rows]
-        found = np.empty((*required.shape, *self.shape[1:]), self.dtype)
-        flat, into = required.ravel(), found.reshape(-1, *self.shape[1:])
-        of = np.searchsorted(self._ends, flat, side="right")
+    def _read(self, rows: np.ndarray, into: np.ndarray) -> None:
+        of = np.searchsorted(self._ends, rows, side="right")
         for number in np.unique(of):
             mine = np.flatnonzero(of == number)
             array = self._arrays[number]
-            into[mine] = array[flat[mine] - (self._ends[number] - len(array))]
-        return found
+            into[mine] = array[rows[mine] - (self._ends[number] - len(array))]

@@ -12,7 +12,7 @@ from gelforge.flow.layout import command_for
 from gelforge.networks.models.inputs import needs_nocontact
 from gelforge.networks.preprocess.illumination import Light, match_light
 from gelforge.records.press import PressRecord
-from gelforge.records.rowfile import ChainedRows, RowFile, map_array
+from gelforge.records.rowfile import RowFile, Rows, map_array
 from gelforge.records.samplefile import DatasetSample, read_samples
 from gelforge.records.splits import TRAINING, UNSEEN_BOTH, UNSEEN_SENSOR, VALIDATION
 
@@ -28,8 +28,8 @@ SMALLEST = {TRAINING: 4, VALIDATION: 1}
 class Shapes:
     """The gel's shape in each image: slopes (n, 2, rows, cols) int8 and motion (n, 2, rows, cols) float16 of `records.geometryfile`."""
 
-    slopes: np.ndarray | RowFile | ChainedRows
-    motion: np.ndarray | RowFile | ChainedRows
+    slopes: np.ndarray | Rows
+    motion: np.ndarray | Rows
 
 
 @dataclass(frozen=True)
@@ -43,8 +43,8 @@ class Data:
     """
 
     folder: Path
-    images: np.ndarray | RowFile | ChainedRows
-    labels: np.ndarray | ChainedRows
+    images: np.ndarray | Rows
+    labels: np.ndarray | Rows
     table: list[DatasetSample]
     splits: dict[str, np.ndarray]
     info: dict
