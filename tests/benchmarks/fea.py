@@ -447,15 +447,15 @@ def chart_figures(rows: list[dict]) -> list[Figure]:
     for row in (row for row in rows if row["method"].startswith(STATED)):
         ended = row["scenes"] - row["failed"]
         figures.append(
-            Figure(f"chart, {row['method']}, scenes with a result", ended, ">=", 0, "", f"of {row['scenes']}")
+            Figure(f"chart, {row['method']}, scenes with a result", ended, "", 0, "", f"of {row['scenes']}")
         )
         for kind, what in (("total", "total force"), ("cells", "cells")):
             for which in ("median", "worst"):
                 value = row[f"{kind}_{which}"]
                 shown = np.inf if value is None else 100 * value
-                figures.append(Figure(f"chart, {row['method']}, {what}, {which}", shown, ">=", 0, "%"))
+                figures.append(Figure(f"chart, {row['method']}, {what}, {which}", shown, "", 0, "%"))
         seconds = row["cpu_seconds_median"]
-        figures.append(Figure(f"chart, {row['method']}, median processor time", seconds or 0.0, ">=", 0, "s"))
+        figures.append(Figure(f"chart, {row['method']}, median processor time", seconds or 0.0, "", 0, "s"))
     return figures
 
 

@@ -22,12 +22,12 @@ def _spot(axis, row, kind, slowest):
     axis.plot([x], [worst], "_", color=colour, ms=7, zorder=2)
     size = 11 if row["fidelity"] == "auto" else 8 if ship else 5
     inside, edge = "white" if row["failed"] else colour, "black" if ship else colour
-    # auto lies on the fidelity that it takes: drawn over it, and named on the other side, as what stands at the frame
+    # auto lies on the fidelity that it takes, and is drawn over it; the names of label settings stand to their right
     auto = row["fidelity"] == "auto"
-    above = 4 if auto else 3
+    left, above = auto or not ship or x > slowest / 2, 4 if auto else 3
     axis.plot([x], [middle], MARKERS[row["fidelity"]], ms=size, mfc=inside, mec=edge, mew=1.2, zorder=above)
     if ship or row["fidelity"] == "ccx-native" or row["method"].endswith("-quality"):
-        place = {"xytext": (-7, -9), "ha": "right"} if auto or x > slowest / 2 else {"xytext": (6, -9)}
+        place = {"xytext": (-7, -9), "ha": "right"} if left else {"xytext": (6, -9)}
         axis.annotate(row["method"], (x, middle), textcoords="offset points", fontsize=7, **place)
 
 
@@ -47,7 +47,7 @@ def _plain_ticks(axis):
         side.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
         side.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         side.set_minor_formatter(NullFormatter())
-    axis.margins(x=0.12, y=0.08)
+    axis.margins(x=0.15, y=0.08)
 
 
 def pareto_chart(rows: list[dict], scenes: list[dict], note: str) -> bytes:
