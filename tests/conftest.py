@@ -37,19 +37,22 @@ for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 REFERENCE = Path(os.environ.get("GELFORGE_REFERENCE", ROOT.parent / "shared" / "reference"))
 
 
-# Files that take minutes, longest first: begun at the end they would be waited for by processes with nothing to do.
+# Files that take minutes, longest first: begun at the end they would be waited for by processes with nothing to do. Of the
+# first three one solves presses: in a fresh clone its kernels are compiled once, and not by each process for itself.
 LONG = (
     "test_slurm",
-    "test_machines",
     "test_nested",
-    "test_rig",
+    "test_live_web",
+    "test_machines",
     "test_planning",
     "test_benchmarks",
-    "test_calibrate",
     "test_hex",
-    "test_rig_forces",
-    "test_live_web",
     "test_flow",
+    "test_rig_forces",
+    "test_training",
+    "test_labels_flow",
+    "test_calibrate",
+    "test_rig",
 )
 
 
