@@ -382,16 +382,21 @@ def test_each_file_that_a_word_asks_for_is_a_cause(tmp_path, monkeypatch):
 def test_results_follow_the_version_of_their_stage(root, stage):
     """What a newer version of the code makes otherwise is made again: the version is a prerequisite of one of its rules."""
     slices = {f"$P/{name}.json" for name, of in SOURCES.items() if of.module == stage}
-    rules = re.findall(
-        r"^(\S.*)\n\t(?:\$\(HANDS_SLOTS\))?\$\(call step,(\S+) ", "".join(rules_of(root)), re.MULTILINE
-    )
+    rules = re.findall(r"^(\S.*)\n\t(?:\$\(HANDS_SLOTS\))?\$\(call step,(\S+?)[ ,]", spelt_out(root), re.MULTILINE)
     of_stage = [head for head, module in rules if module in (f"gelforge.stages.{stage}", "$(PARETO_SCENE)")]
     assert any(slices & set(head.split()) for head in of_stage)
 
 
 def test_every_stage_that_make_runs_has_a_version(root):
-    run = set(re.findall(r"call step,gelforge\.stages\.(\w+)", "".join(rules_of(root))))
+    run = set(re.findall(r"call step,gelforge\.stages\.(\w+)", spelt_out(root)))
     assert run == {of.module for of in SOURCES.values()}
+
+
+def spelt_out(root):
+    """The text of all rules, with the module in place of a macro that names a stage's command (poses_of = MODULE ...)."""
+    text = "".join(rules_of(root))
+    modules = dict(re.findall(r"^(\w+_of) = (gelforge\.stages\.\w+) ", text, re.MULTILINE))
+    return re.sub(r"call step,\$\(call (\w+_of),", lambda found: f"call step,{modules[found[1]]} ", text)
 
 
 def rules_of(root):

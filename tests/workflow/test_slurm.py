@@ -339,6 +339,7 @@ def apart(tmp_path_factory):
             case(lay_project(tmp_path_factory.mktemp(case.__name__) / "p", visible_seconds=3), made)
             wait_until(lambda: made.ask("squeue", "-h") == "")
 
+    tmp_path_factory.getbasetemp()  # made on the first call, which must not be that of two threads
     with ThreadPoolExecutor(len(APART)) as pool:
         yield {case: pool.submit(on_its_own, case) for case in APART}
 
