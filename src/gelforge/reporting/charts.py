@@ -24,7 +24,8 @@ def _spot(axis, row, kind, slowest):
     inside, edge = "white" if row["failed"] else colour, "black" if ship else colour
     # auto lies on the fidelity that it takes, and is drawn over it; the names of label settings stand to their right
     auto = row["fidelity"] == "auto"
-    left, above = auto or not ship or x > slowest / 2, 4 if auto else 3
+    left = auto or not ship or x > slowest / 2
+    above = 4 if auto else 3
     axis.plot([x], [middle], MARKERS[row["fidelity"]], ms=size, mfc=inside, mec=edge, mew=1.2, zorder=above)
     if ship or row["fidelity"] == "ccx-native" or row["method"].endswith("-quality"):
         place = {"xytext": (-7, -9), "ha": "right"} if left else {"xytext": (6, -9)}
