@@ -1,6 +1,6 @@
 """Presses of a ball by hand into a real sensor: the imprint's radius and finite elements give the force that was pressed.
 
-The level is sure to a quarter (circles are marked by hand, the diameter is a catalogue's); spread and correlation are surer.
+The level is uncertain by a quarter (circles are marked by hand, the diameter is a catalogue's); spread and correlation are less so.
 """
 
 from collections.abc import Callable, Sequence
@@ -51,7 +51,7 @@ def ball_figures(presses: list[BallPress], read: Read) -> list[Figure]:
         np.array([-forces[2].sum(dtype=float) for forces, _ in found]),
         np.array([p.force for p in presses]),
     )
-    note = f"{len(presses)} presses that lie wholly in the picture; the level is sure to a quarter"
+    note = f"{len(presses)} presses that lie completely in the image; the level is uncertain by a quarter"
     gain = fit_gain(force[::2], normal[::2])
     fitted = (
         f"{len(force[1::2])} presses; factor {gain.value:.2f} ({gain.low:.2f} to {gain.high:.2f}) from the others"
@@ -135,7 +135,7 @@ def circle_figures(folder: Path, nocontact: np.ndarray, px_per_mm: float) -> lis
     pairs = [(found[name], marked[name]) for name in marked.keys() & found.keys()]
     ratio = np.array([one.radius / other.radius for one, other in pairs])
     beside = np.array([np.hypot(one.u - other.u, one.v - other.v) for one, other in pairs])
-    note = "10 to 90 % {:.2f} to {:.2f}; centres {:.1f} px beside in the median".format(
+    note = "10 to 90 % {:.2f} to {:.2f}; median distance of centres {:.1f} px".format(
         *np.quantile(ratio, [0.1, 0.9]), np.median(beside)
     )
     return [Figure("real balls: found circles against marked ones, radius, median error", 100 * abs(float(np.median(ratio)) - 1), "<=", 5.0, "%",

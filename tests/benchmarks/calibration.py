@@ -240,7 +240,7 @@ def four_point_figures(folder: Path, jobs: int) -> list[Figure]:
     fewest, said = min(least.values()), ", ".join(f"{law} {error:.3f}" for law, error in least.items())
     return [
         Figure("four real points, predictive mean at these presses", found["own_touch_mae_n"]["fz"], "<=", 0.05, "N",
-               "each keeps its error of touch, of micrometres, inferred with the rest; the paper: 0.5166"),
+               "an error of touch of micrometres is estimated for each; the paper: 0.5166"),
         Figure("four real points, predictive mean of a press repeated", found["predictive_mae_n"]["fz"], "<=", 0.05,
                "N", f"a new error of touch; best of all models {best:.3f}; parameters chosen for it {fewest:.3f}"),
         Figure("the least that any parameters leave, stated without a goal", fewest, ">=", 0.0, "N",
@@ -261,7 +261,7 @@ def demo_figures(folder: Path, jobs: int) -> list[Figure]:
     return [
         Figure("demo, hidden C10 inside the 95 % interval", float(low <= truth <= high), "==", 1, "",
                f"{low:.4f} to {high:.4f}, truth {truth:.4f} MPa"),
-        Figure("demo, median off the hidden C10", 100 * abs(c10["median"] / truth - 1), "<=", 3, "%",
+        Figure("demo, median, difference from the hidden C10", 100 * abs(c10["median"] / truth - 1), "<=", 3, "%",
                f"median {c10['median']:.4f} MPa"),
         Figure("demo, friction coefficient, median of the posterior", friction["median"], "", friction["median"], "",
                "95 %: {:.1f} to {:.1f}".format(*friction["interval95"])),

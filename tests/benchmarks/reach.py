@@ -83,7 +83,7 @@ def time_fetch(folder: Path, presses: int) -> list[Figure]:
     return [
         Figure(f"fetch of {samples} samples", seconds, "<=", 60.0, "s", note),
         Figure(f"import of a folder of {samples} samples", copied, "<=", 60.0, "s"),
-        Figure("whole files that are loaded again after a kill", twice, "==", 0, "", f"of {len(there)}; those in flight begin anew"),
+        Figure("complete files that are downloaded again after a kill", twice, "==", 0, "", f"of {len(there)}; partial files start again"),
         Figure(f"memory of {PUBLISHED} samples", all_of_it, "<=", 4.0, "GiB", f"from {small:.0f} MiB of {few} and {large:.0f} MiB of {samples}"),
     ]  # fmt: skip
 
@@ -137,7 +137,7 @@ def time_live(folder: Path, presses: int) -> list[Figure]:
     ]
     each = 1e3 * (spent[1] - spent[0]) / (frames - frames // 2)
     return [
-        Figure("frames that a Foxglove client lost", lost, "==", 0, "", f"of {frames} of a film, from frame {numbers[0]} on, which the client joined at"),
+        Figure("frames that a Foxglove client lost", lost, "==", 0, "", f"of {frames} of a film, the client joined at frame {numbers[0]}"),
         Figure("frames a second at the client, one core", rate, ">=", 0.98 * RATE, "1/s", "by the clock; the film has 25"),
         Figure("processor time of a frame, read and encoded", each, "<=", 1e3 / RATE, "ms", "start-up is not in it"),
     ]  # fmt: skip

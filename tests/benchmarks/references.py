@@ -1,4 +1,4 @@
-"""References of the chart solved once more on other meshes: how far two references of one scene are apart.
+"""References of the chart solved once more on other meshes: how much two references of one scene differ.
 
 The other mesh has elements a little larger, so pytetwild makes all of its tetrahedra anew. Every solve is kept under its
 key in --work, so a run that was interrupted goes on.
