@@ -10,7 +10,7 @@ import sys
 import tempfile
 import time
 from argparse import Namespace
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -147,8 +147,8 @@ def untrained(model: dict, threads: int) -> "Predictor":
 
     norm = {"image_mean": [0.4] * 3, "image_std": [0.2] * 3, "label": [1.0] * 3, "reads": model.get("reads", "image")}
     metadata = load_for_use(None).metadata | {"normalisation": norm, "tta": False}
-    graph = export(build(model, IMAGE, GRID).eval(), metadata)
-    return Predictor(ForceModel(metadata, {"forces": graph}), np.zeros((*IMAGE, 3), np.uint8), threads=threads)
+    stages = export(build(model, IMAGE, GRID).eval(), metadata)
+    return Predictor(ForceModel(metadata, stages), np.zeros((*IMAGE, 3), np.uint8), threads=threads)
 
 
 def train_apart(dataset: Path, name: str, settings: TrainTable, folder: Path):
@@ -179,10 +179,11 @@ def train_apart(dataset: Path, name: str, settings: TrainTable, folder: Path):
     return load_model(out)
 
 
-def training_figures(settings: TrainTable, folder: Path, dataset: Path) -> list[Figure]:
-    """Peak memory and waiting for data, for the U-net and the light net; the export itself compares graph and network."""
+def training_figures(settings: TrainTable, folder: Path, dataset: Path, names: Iterable[str]) -> list[Figure]:
+    """Peak memory and waiting for data of networks by their names; the export itself compares graph and network."""
     figures = []
-    for name, epochs in ((BASELINE, 1), (LIGHT, 6)):
+    for name in names:
+        epochs = 1 if name == BASELINE else 6
         trained = train_apart(dataset, name, replace(settings, epochs=epochs), folder)
         cost = trained.metadata["cost"]
         figures.append(
@@ -321,6 +322,7 @@ def training_cost_figures(result: dict) -> list[Figure]:
     option("--results", type=Path, default=Path("results") / os.environ.get("DATASET", "train")),
     option("--resolution", default=os.environ.get("RES", "24x32").split()[0]),
     option("--seconds", type=float, default=4.0, help="of timed runs per network and thread count"),
+    option("--trained", nargs="*", default=(BASELINE, LIGHT), help="networks to train; fewer only to try it out"),
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:
@@ -329,8 +331,9 @@ def main(args: Namespace) -> None:
         folder = Path(scratch)
         dataset = write_made_up(folder / "dataset")
         figures = [*speed_figures(models, args.seconds), chain_figure(args.seconds)]
-        figures += training_figures(settings, folder, dataset)
-        figures.append(resume_figure(models, settings, folder, dataset))
+        if args.trained:
+            figures += training_figures(settings, folder, dataset, args.trained)
+            figures.append(resume_figure(models, settings, folder, dataset))
     chart = args.results / "pareto_models" / f"{args.resolution}.json"
     evaluation = args.results / "80_evaluate" / args.resolution / f"{LIGHT}.json"
     if chart.exists():

@@ -48,6 +48,7 @@ TUBE_MM = 8.6
 TUBES = (9, 31, 45, 49)  # frames of FEATS' film in which the whole ring of that tube presses
 FOOT = 0.35  # fraction of a map's largest force from which a cell counts as pressed
 NEWTONS = 0.30, 0.17  # a cell at the end of FEATS' colour scale: its code knows both
+PARTS = ("films", "maps", "balls", "drawn", "cuboid")
 SLIPPED = {
     "a zoom of 4 thousandths": {"zoom": 1.004},
     "a shift of 0.5 px": {"shift": (0.4, 0.3)},
@@ -232,6 +233,7 @@ def need_pictures(reference: Path) -> None:
 @command(
     option("--reference", type=Path, default=PUBLISHED_DATA),
     option("--model", type=Path, default=None, help="model file; the one that ships if not named"),
+    option("--parts", nargs="+", choices=PARTS, default=PARTS, help="fewer only to try it out; a page needs all"),
     option("--out", type=Path, default=Path("results/benchmarks/real.json")),
     option("--page", type=Path, default=None, help="write the pictures and what is read in them to this page"),
 )
@@ -239,20 +241,25 @@ def main(args: Namespace) -> None:
     need_pictures(args.reference)
     model = load_for_use(args.model)
     films = sorted((args.reference / "gripper_videos").glob("*.avi"))
-    read = {path.stem: read_film(path, model) for path in progress(films, "films", len(films))}
     nocontact = read_npy(args.reference / "feats/images/nocontact_train_sensor.npy")["gs_img"]
-    figures = [*released_figures(read), *finger_figures(read), *sideways_figures(read)]
-    presses = feats_maps(args.reference / "feats/images/demo.gif", nocontact)
-    for measure in (gif_figures, tube_figures):
-        figures += measure(presses, model, nocontact)
-    figures += newton_figures(presses, args.reference / "feats/images/demo_maps.npz", model, nocontact)
-    figures += slipped_figures("FEATS' presses", [picture for picture, _ in presses][::3], model, nocontact)
-    figures += ball_flow(args.reference / BALLS, model)
-    with TemporaryDirectory() as folder:
-        figures += drawn_figures(Path(folder))
-    figures += cuboid_figures(args.reference, model, nocontact)
+    figures = []
+    if "films" in args.parts:
+        read = {path.stem: read_film(path, model) for path in progress(films, "films", len(films))}
+        figures += [*released_figures(read), *finger_figures(read), *sideways_figures(read)]
+    if "maps" in args.parts:
+        presses = feats_maps(args.reference / "feats/images/demo.gif", nocontact)
+        figures += [*gif_figures(presses, model, nocontact), *tube_figures(presses, model, nocontact)]
+        figures += newton_figures(presses, args.reference / "feats/images/demo_maps.npz", model, nocontact)
+        figures += slipped_figures("FEATS' presses", [picture for picture, _ in presses][::3], model, nocontact)
+    if "balls" in args.parts:
+        figures += ball_flow(args.reference / BALLS, model)
+    if "drawn" in args.parts:
+        with TemporaryDirectory() as folder:
+            figures += drawn_figures(Path(folder))
+    if "cuboid" in args.parts:
+        figures += cuboid_figures(args.reference, model, nocontact)
     publish_figures(args.out, figures, fingerprint(model.metadata))
-    if args.page:
+    if args.page and len(args.parts) == len(PARTS):
         from tests.benchmarks.real_page import write_page
 
         write_page(args.page, model, args.reference, films, figures)
