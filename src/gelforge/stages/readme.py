@@ -129,7 +129,7 @@ def drawn_parts(body, solved) -> tuple:
     mesh, moved = solved.mesh, solved.mesh.nodes + solved.displacement
     corners = mesh.faces[:, :4] if mesh.kind == "hex8" else mesh.faces[:, :3]
     gel = pv.PolyData.from_regular_faces(moved, corners)
-    gel.point_data["pushed in, mm"] = -solved.displacement[:, 2]
+    gel.point_data["downward motion, mm"] = -solved.displacement[:, 2]
     # a force points where it pushes and ends on the gel
     acting = np.flatnonzero(solved.forces.any(axis=1))
     longest = np.linalg.norm(solved.forces, axis=1).max()
@@ -153,8 +153,8 @@ def view_of(gel, arrows, tool) -> np.ndarray:
         "position_x": 0.68,
         "position_y": 0.03,
         "width": 0.28,
-        "height": 0.12,
-        "n_labels": 4,
+        "height": 0.14,
+        "n_labels": 3,
         "fmt": "%.1f",
     }
     view.add_mesh(gel, cmap="viridis", scalar_bar_args=bar, show_edges=True, edge_color="#4a5568", line_width=0.5)
