@@ -44,18 +44,26 @@ class Rig:
 
     plan: Plan
     bench: Bench
-    cameras: dict[str, Renderer]
+    units: tuple[dict, dict]  # appearances and sensors by name
     kept: tempfile.TemporaryDirectory  # the bench's force factors; gone with the rig
 
     @classmethod
     def of(cls, plan_path, workflow: Path) -> "Rig":
         plan = read_plan(plan_path)
-        gel, (appearances, sensors) = Gel(), units_of(plan, workflow)
-        names = dict.fromkeys([REFERENCE_UNIT, *plan.sensors])
-        cameras = {name: Renderer(appearances[name], sensors[name].projection, gel) for name in names}
         kept = tempfile.TemporaryDirectory(prefix="factors-")
-        bench = Bench(plan, load_catalogue(workflow / plan.catalogue), gel, Path(kept.name))
-        return cls(plan, bench, cameras, kept)
+        bench = Bench(plan, load_catalogue(workflow / plan.catalogue), Gel(), Path(kept.name))
+        return cls(plan, bench, units_of(plan, workflow), kept)
+
+    def camera(self, name: str) -> Renderer:
+        """The camera of a unit, made at its first use."""
+        if name not in self._cameras:
+            appearances, sensors = self.units
+            self._cameras[name] = Renderer(appearances[name], sensors[name].projection, self.bench.gel)
+        return self._cameras[name]
+
+    @cached_property
+    def _cameras(self) -> dict[str, Renderer]:
+        return {}
 
     @cached_property
     def cuboid(self) -> Pressing:
@@ -71,7 +79,7 @@ class Rig:
     def picture(self, pressing: Pressing, purpose: int = streams.camera(0, 0)) -> np.ndarray:
         """Image of a press by its sensor."""
         noise = generator(self.plan, pressing.order.index, purpose)
-        return self.cameras[pressing.order.sensor].image(*self.view(pressing), noise)
+        return self.camera(pressing.order.sensor).image(*self.view(pressing), noise)
 
 
 def pressed(rig: Rig, count: int = 24) -> tuple[list[Pressing], list[float], list[float]]:
@@ -97,7 +105,7 @@ def speed(rig: Rig, pressings: list[Pressing], seconds: list[float], firsts: lis
     worst = pressings[int(np.argmax(seconds))]
     note = f"processor time on one core, {len(seconds)} presses of {rig.plan.dataset}.toml, "
     slowest = f"{worst.order.indenter}, {-worst.real.dz:.2f} mm, {-worst.force[2]:.0f} N"
-    camera, view = rig.cameras[pressings[0].order.sensor], rig.view(pressings[0])
+    camera, view = rig.camera(pressings[0].order.sensor), rig.view(pressings[0])
     start, rounds = time.process_time(), 60
     for k in range(rounds):
         camera.image(*view, np.random.default_rng(k))
@@ -140,7 +148,7 @@ def likeness(rig: Rig, reference: Path) -> list[Figure]:
 def no_contact_pair(rig: Rig, reference: Path) -> tuple[np.ndarray, np.ndarray]:
     """The real no-contact image and the rig's, RGB."""
     real = read_sample(reference / "feats" / "images" / "nocontact_train_sensor.npy").image
-    return real, rig.cameras[REFERENCE_UNIT].image(rng=np.random.default_rng(rig.plan.seed))
+    return real, rig.camera(REFERENCE_UNIT).image(rng=np.random.default_rng(rig.plan.seed))
 
 
 def real_cuboid(reference: Path) -> np.ndarray:
@@ -151,7 +159,7 @@ def real_cuboid(reference: Path) -> np.ndarray:
 def cuboid(rig: Rig, reference: Path) -> list[Figure]:
     """The pressed cuboid against the real picture of one."""
     pressing = rig.cuboid
-    camera = rig.cameras[REFERENCE_UNIT]
+    camera = rig.camera(REFERENCE_UNIT)
     # FEATS marked these corners at 14 px/mm; in gel mm they are the cuboid's own, which this camera shows elsewhere, and
     # larger by what half of a flank is nearer to it.
     marked, _ = read_points(reference / "feats" / "point_correspondences.csv")
@@ -215,13 +223,14 @@ def tracking(rig: Rig, pressings: list[Pressing]) -> list[Figure]:
 
     The lights show no slopes here: a flank across a marker pulls its dark-weighted centre, though the marker is in place.
     """
+    lights = {name: rig.camera(name) for name in {pressing.order.sensor for pressing in pressings}}
     plain = {
         name: Renderer(replace(camera.appearance, slope_gain=np.zeros(3)), camera.projection, camera.gel)
-        for name, camera in rig.cameras.items()
+        for name, camera in lights.items()
     }
     error, moved = tracking_errors(rig, plain, pressings)
-    lit, _ = tracking_errors(rig, rig.cameras, pressings)
-    note = f"{len(error)} markers in {len(pressings)} pairs that moved up to {moved:.1f} px, lit without slopes; "
+    lit, _ = tracking_errors(rig, lights, pressings)
+    note = f"{len(error)} markers in {len(pressings)} pairs that moved up to {moved:.1f} px, illuminated without slopes; "
     note += f"median {np.median(error):.3f}, 95 % below {np.quantile(error, 0.95):.3f}, largest {error.max():.2f}; "
     note += f"in full light, where flanks mislead the tracker, {np.sqrt((lit**2).mean()):.2f}"
     rms = float(np.sqrt((error**2).mean()))

@@ -265,13 +265,15 @@ def gain_figures(left: list[dict]) -> list[Figure]:
 # -- the flag
 
 
-def faulty_pairs(units: Units) -> Iterator[tuple[str, np.ndarray, np.ndarray, np.ndarray]]:
-    """Name of a fault, no-contact image, image, and true total (3,) N: each press once with each fault."""
-    names = list(units.nocontact)
+def faulty_pairs(
+    units: Units, readers: dict[str, Predictor]
+) -> Iterator[tuple[str, Predictor, np.ndarray, np.ndarray]]:
+    """Name of a fault, predictor with its no-contact image, image, and true total (3,) N: each press once with each fault."""
+    names = list(readers)
     for k, seen in enumerate(units.seen):
-        rest = units.nocontact[seen.unit]
-        other = units.nocontact[names[(names.index(seen.unit) + 1 + k % (len(names) - 1)) % len(names)]]
-        touched = units.seen[(k + len(names) * 5) % len(units.seen)].image
+        rest = readers[seen.unit]
+        other = readers[names[(names.index(seen.unit) + 1 + k % (len(names) - 1)) % len(names)]]
+        touched = Predictor(rest.model, units.seen[(k + len(names) * 5) % len(units.seen)].image)
         yield "none", rest, seen.image, seen.total
         yield "another unit's no-contact image", other, seen.image, seen.total
         yield "contact in the no-contact image", touched, seen.image, seen.total
@@ -285,11 +287,11 @@ def faulty_pairs(units: Units) -> Iterator[tuple[str, np.ndarray, np.ndarray, np
         yield "mirrored", rest, np.ascontiguousarray(seen.image[:, ::-1]), seen.total
 
 
-def flag_figures(units: Units, model: ForceModel) -> list[Figure]:
+def flag_figures(units: Units, readers: dict[str, Predictor]) -> list[Figure]:
     """How many pairs that are read wrong are flagged, fault by fault, and how many good ones are."""
     found: dict[str, list[tuple[float, bool]]] = {}
-    for fault, rest, image, true in progress(list(faulty_pairs(units)), "pairs"):
-        read = Predictor(model, rest).predict(np.ascontiguousarray(image))
+    for fault, reader, image, true in progress(faulty_pairs(units, readers), "pairs", 11 * len(units.seen)):
+        read = reader.predict(np.ascontiguousarray(image))
         off = np.abs(read.total - true) / [RANGE[name] for name in CHANNELS]
         found.setdefault(fault, []).append((float(off.max()), read.flag))
     bad = [flag for pairs in found.values() for off, flag in pairs if off > WRONG]
@@ -318,7 +320,7 @@ def main(args: Namespace) -> None:
     left = readings_left(units, read)
     figures = error_figures(units, read) + interval_figure(units, model, read)
     figures += sensitivity_figures(units, readers, read)
-    figures += [drift_figure(units, readers), *gain_figures(left), *flag_figures(units, model)]
+    figures += [drift_figure(units, readers), *gain_figures(left), *flag_figures(units, readers)]
     publish_figures(args.out, figures, fingerprint(model.metadata), readings=left)
 
 

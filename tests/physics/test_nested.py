@@ -160,7 +160,7 @@ def test_nested_and_whole_path_come_together_as_hexahedra_shrink(law, body, pres
 def test_extrapolation_brings_wide_hexahedra_closer_to_small_ones():
     """Forces are too large on wide hexahedra; one factor, found from two sizes, takes most of that back."""
     scene = Scene(Gel(), Material(), BALL, Press(0, 0, 0, 0, 0, -1.0))
-    fine = np.linalg.norm(solve_hex(scene, replace(PATH, size=0.3, layers=9)).total)
+    fine = np.linalg.norm(solve_hex(scene, replace(PATH, size=0.4, layers=7)).total)
     wide = replace(PATH, size=0.5, layers=5)
     plain = solve_hex(scene, replace(wide, nested=Nested(layers=3)))
     better = solve_hex(scene, replace(wide, nested=Nested(layers=3, extrapolation=1 / 3)))
