@@ -122,11 +122,22 @@ def test_pictures_and_card_are_written(data, models, tmp_path):
     for name in ("curve", "predictions"):
         assert cv2.imread(str(tmp_path / f"{name}.png")).std() > 5
     assert "virtual rig" in write_card(about, result) and f"dataset {data.name}" in write_card(about, result)
-    over = f"in a split of {FEWEST_DRAWN} sensors or more, none of which it learnt from, from drawing sensors anew"
+    over = f"in a split of {FEWEST_DRAWN} sensors or more, none of which it learnt from, over sensors"
     assert over in write_card(about, result) and "interval over presses" not in write_card(about, result)
     left = [{"readings": 5, "factor_percent": 1.62, "factor_between": [0.3, 3.1], "force_n": 0.7, "force_between": [0.4, 1.1],
              "held_percent": 99.6}]  # fmt: skip
     assert "| 5 | 1.6 (0.3 to 3.1) | 0.70 (0.40 to 1.10) | 100 |" in write_card(about, result, readings=left)
+    missed = {
+        "name": "slope",
+        "value": 1.234,
+        "unit": "%",
+        "compare": "<=",
+        "goal": 1.0,
+        "met": False,
+        "note": "of 3",
+    }
+    card = write_card(about, result, [missed, missed | {"name": "noted", "compare": ""}])
+    assert "| slope | 1.23 % | <= 1, **missed** | of 3 |" in card and "| noted | 1.23 % |  | of 3 |" in card
     real = about | {"data": about["data"] | {"simulated": False}}
     assert "virtual rig" not in write_card(real, result)
     assert "Fine-tuned from" not in write_card(about, result)

@@ -80,8 +80,8 @@ def control_rows(result: dict) -> list[list[str]]:
 
 
 def _controls(result: dict) -> dict:
-    title = "What knows less than the network: mean absolute error of total force, N"
-    return _table(title, ["split", "control", *CHANNELS], control_rows(result))
+    title = "Baselines: mean absolute error of total force, N"
+    return _table(title, ["split", "baseline", *CHANNELS], control_rows(result))
 
 
 def _groups(result: dict, key: str, title: str) -> dict:

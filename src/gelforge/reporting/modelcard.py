@@ -74,7 +74,7 @@ def origin_of(metadata: dict) -> str:
 
 
 def start_lines(metadata: dict) -> list[str]:
-    """The network that it went on from, where it was not trained from weights drawn at random."""
+    """The network that it was fine-tuned from, where it was not trained from weights drawn at random."""
     start = metadata.get("start")
     if not start:
         return []
@@ -116,13 +116,17 @@ def measured_rows(figures: list[dict]) -> list[str]:
     """Figures of benchmarks as lines, none where nothing was measured."""
     if not figures:
         return []
-    rows = [
-        [f["name"], f"{f['value']:.3g} {f['unit']}".strip(), f"{f['compare']} {f['goal']:g}", f["note"]]
-        for f in figures
-    ]
-    title = ["## Elsewhere: units of the rig that it never saw, and real sensors", ""]
-    aim = "Aim: what the project wants; not every aim is met. Bare: the network alone, without photometric normalisation and tare."
-    return [*title, aim, "", *table(["figure", "measured", "aim", "note"], rows), ""]
+    rows = [[f["name"], f"{f['value']:.3g} {f['unit']}".strip(), goal_of(f), f["note"]] for f in figures]
+    title = ["## Benchmarks: units of the rig that it never saw, and real sensors", ""]
+    terms = "Bare: the network alone, without photometric normalisation and tare."
+    return [*title, terms, "", *table(["figure", "measured", "goal", "note"], rows), ""]
+
+
+def goal_of(figure: dict) -> str:
+    """The goal of a benchmark's figure; empty for none."""
+    if not figure["compare"]:
+        return ""
+    return f"{figure['compare']} {figure['goal']:g}{'' if figure['met'] else ', **missed**'}"
 
 
 def readings_rows(left: list[dict]) -> list[str]:
@@ -136,7 +140,13 @@ def readings_rows(left: list[dict]) -> list[str]:
     ]  # fmt: skip
     title = ["## A gel up to 15 % softer or harder, by readings of a scale or force sensor (`gelforge sensor`)", ""]
     columns = ["readings", "error of its factor, %", "error of normal force, N", "intervals hold it, %"]
-    return [*title, *table(columns, rows), "", "In brackets: what four of five draws of readings lie between.", ""]
+    return [
+        *title,
+        *table(columns, rows),
+        "",
+        "In brackets: the range of four of five random choices of readings.",
+        "",
+    ]
 
 
 def between(mean: float, bounds: Sequence[float], digits: int) -> str:
@@ -190,18 +200,18 @@ def write_card(metadata: dict, evaluation: dict, figures: Sequence[dict] = (), r
         "",
         *about_lines(metadata),
         "",
-        f"Errors are those on the pictures of dataset {evaluation['judged_on']}. Their intervals come from drawing"
-        f" presses anew; in a split of {evaluation['fewest_drawn']} sensors or more, none of which it learnt from, from drawing sensors anew.",
+        f"Errors are those on the images of dataset {evaluation['judged_on']}. Their intervals are bootstrapped over presses; in a"
+        f" split of {evaluation['fewest_drawn']} sensors or more, none of which it learnt from, over sensors.",
         "",
         "## As `predict` uses it: error of total force (mean absolute, N; 95 % interval), per cell, and coverage of intervals",
         "",
         *table(COLUMNS, error_rows(evaluation)),
         "",
-        "## What knows less (mean absolute error, N)",
+        "## Baselines (mean absolute error, N)",
         "",
-        "Guesses that know no more of a picture than its mean colours; a network must be far better.",
+        "A useful network must clearly beat these baselines, which see only the mean colours of an image.",
         "",
-        *table(["split", "control", *CHANNELS], control_rows(evaluation)),
+        *table(["split", "baseline", *CHANNELS], control_rows(evaluation)),
         "",
         *measured_rows(list(figures)),
         *readings_rows(list(readings)),

@@ -7,7 +7,7 @@ from gelforge.flow.files import read_json, write_text
 from gelforge.flow.main import command, option
 from gelforge.reporting.modelcard import write_card
 
-VERSION = 4
+VERSION = 5
 
 
 @command(

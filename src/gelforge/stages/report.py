@@ -37,7 +37,7 @@ from gelforge.reporting.parts import PART, forget_parts, in_parts, place_parts
 from gelforge.reporting.presses import as_columns, press_rows
 from gelforge.sweeps import verification
 
-VERSION = 4
+VERSION = 5
 ABSENT = "not installed"
 PACKAGES = (
     "gelforge", "numpy", "scipy", "torch", "pymeshlab", "pytetwild", "pyvista", "emcee", "opencv-contrib-python-headless",
