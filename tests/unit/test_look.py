@@ -122,6 +122,11 @@ def seen_of(made):
     return replace(seen, label=np.concatenate([np.full((3, 24, 16), 0.1), np.full((3, 24, 16), -0.1)], axis=2))
 
 
+def test_a_circle_is_round_where_a_log_has_no_images(made):
+    panels = look.draw(replace(seen_of(made), image=None)).axes[:4]
+    assert all(panel.get_aspect() == 1.0 for panel in panels)
+
+
 def is_red(rgb) -> bool:
     return float(rgb[0]) > 2 * float(rgb[2])
 

@@ -149,7 +149,7 @@ def draw(look: Pictured):
         beyond = f", outside {look.outside[channel]:+.3f} N" if abs(look.outside[channel]) > 5e-4 else ""
         draw_component(axis, grid, channel, beyond, extent=extent, alpha=strength, interpolation="nearest")
     for axis in axes.ravel():
-        axis.set(xlim=(0, width), ylim=(height, 0), xlabel="u, px", ylabel="v, px")
+        axis.set(xlim=(0, width), ylim=(height, 0), xlabel="u, px", ylabel="v, px", aspect="equal")
     press = look.press
     figure.suptitle(
         f"{press.sample_id}: {press.indenter} on {press.sensor_id}, {-press.dz_mm:.2f} mm deep,"
