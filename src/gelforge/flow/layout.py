@@ -216,7 +216,7 @@ class Layout:
         """The error of a sample that no planned shard holds."""
         return BadInput(
             f"sample {sample_id!r} is not in the log of {self.root.name}; ID=… takes a sample_id of "
-            f"data/{self.root.name}/log.csv"
+            f"data/{self.root.name}/log.csv; for another dataset add DATASET=…"
         )
 
     def sample(self, sample_id: str) -> "Layout":

@@ -36,7 +36,7 @@ class _Table:
 
     def take(self, key, default=DEFAULT):
         if key not in self._left and default is DEFAULT:
-            self.fail(key, None, f"this kind of indenter needs `{key}`")
+            raise BadInput(f"{self.source}: indenter {self.name}: `{key}` is missing; this kind of indenter needs it")
         return self._left.pop(key, default)
 
     def has(self, key) -> bool:

@@ -312,8 +312,8 @@ def report(summary: dict, largest_share: float) -> None:
     print(f"labels {summary['resolution']}: {summary['samples'] - summary['failed']} of {summary['samples']} samples")
     if summary["worst_outside_share"] > largest_share:
         print(
-            f"force outside the image: at most {summary['worst_outside_share']:.1%} of a press"
-            f" ({summary['worst_sample']}); each sample's is in `outside`"
+            f"note: up to {summary['worst_outside_share']:.1%} of the force of a press ({summary['worst_sample']}) lies outside the"
+            " image; labels leave it out, the array `outside` holds it"
         )
 
 

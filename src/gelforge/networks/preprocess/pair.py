@@ -100,7 +100,7 @@ class Preprocessor:
         if needs_nocontact(metadata["normalisation"]["reads"]):
             if nocontact is None:
                 raise BadInput(
-                    f"this network (trained as {metadata['name']}) reads a picture beside a no-contact image of the same sensor:"
+                    "this network compares an image with a no-contact image of the same sensor:"
                     " give it with --nocontact PICTURE or --profile FILE (in Python nocontact=, and profile= of Reader)"
                 )
             self.nocontact = NoContact(nocontact, metadata)
