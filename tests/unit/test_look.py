@@ -13,6 +13,7 @@ import pytest
 from pressed_dataset import label, write_pressed
 
 from gelforge.commands import look
+from gelforge.commands.deck import solve_of
 from gelforge.commands.look import outdated_causes, shard_paths
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_csv, write_json
@@ -174,6 +175,8 @@ def test_of_a_rejected_row_the_reason_is_reported_and_its_hint(tmp_path):
     reported = "row 9 of the log: dz_mm = 'deep': is no number; write millimetres; then run make labels DATASET=lab"
     with pytest.raises(BadInput, match=reported):
         run({"data": tmp_path, "results": tmp_path / "lab"}, "s7", "24x32")
+    with pytest.raises(BadInput, match=reported):
+        solve_of(tmp_path / "lab", "s7")
 
 
 @pytest.mark.parametrize(

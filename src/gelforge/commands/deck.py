@@ -10,6 +10,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import write_text
 from gelforge.flow.layout import DECK, Layout, shard_name
 from gelforge.flow.main import command, option
+from gelforge.flow.provenance import refuse_rejected
 from gelforge.mechanics.ccx.deck import INCLUDES, include_of
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.records.forcefile import ForceFile
@@ -27,6 +28,7 @@ def solve_of(results: Path, sample_id: str) -> tuple[dict, Path, Path]:
     """Record of a sample's solve, its folder and its shard's forces: of its shard, or of `make sample`."""
     of = Layout(results)
     shard = of.shard_of(sample_id)
+    refuse_rejected(results, shard, sample_id)
     for own, name in ((of, shard), (of.sample(sample_id), shard_name(0))):
         if record := read_record(own.solve(name, sample_id)):
             return record, own.solves(name), own.forces(name)

@@ -11,7 +11,7 @@ from gelforge.flow.files import publish
 from gelforge.flow.layout import LOOK, Layout, command_for, shard_name
 from gelforge.flow.ledger import causes, changed_since
 from gelforge.flow.main import command, option
-from gelforge.flow.provenance import imported_labels, rejections_of, steps_of_label
+from gelforge.flow.provenance import imported_labels, refuse_rejected, steps_of_label
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors, transform
 from gelforge.mechanics.mesh.family import load_mesh
@@ -46,10 +46,7 @@ def shard_paths(results: Path, sample_id: str, resolution: str) -> dict[str, Pat
             f"the label of {sample_id} came with the dataset, in {imported}: a press that was not solved here has no gel to look"
             f" at; {of.command('report')} shows what a network reads of its picture"
         )
-    if rejected := rejections_of(results, shard, sample_id):
-        raise BadInput(
-            f"sample {sample_id} was rejected and gets no label: {'. '.join(rejected)}; then run {of.command('labels')}"
-        )
+    refuse_rejected(results, shard, sample_id)
     for own, name in ((of, shard), (of.sample(sample_id), shard_name(0))):
         paths = {
             "poses": own.poses(name),

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from gelforge.errors import printable
+from gelforge.errors import BadInput, printable
 from gelforge.flow.files import read_csv
 from gelforge.flow.layout import Layout
 
@@ -88,6 +88,15 @@ def rejections_of(results: Path, shard: str, sample_id: str) -> list[str]:
         )
         for cells in wrong
     ]
+
+
+def refuse_rejected(results: Path, shard: str, sample_id: str) -> None:
+    """BadInput with the reasons for a sample whose row of the log stage 10 rejected."""
+    if rejected := rejections_of(results, shard, sample_id):
+        command = Layout(results).command("labels")
+        raise BadInput(
+            f"sample {sample_id} was rejected and gets no label: {'. '.join(rejected)}; then run {command}"
+        )
 
 
 def concerning(parameters: dict[str, dict], pose: dict) -> dict[str, dict]:
