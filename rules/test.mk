@@ -1,8 +1,8 @@
 # Tests, and benchmarks of what was promised.
 TESTS ?= tests
 # A process of tests that dies is not started again: with --dist loadfile the others would wait for it for ever. Files keep
-# the order of tests/conftest.py. Two more processes than cores, because those of the cluster and of the browser mostly wait.
-SIDE_BY_SIDE = -n $$(($(SLOTS) + 2)) --dist loadfile --no-loadscope-reorder --max-worker-restart=0
+# the order of tests/conftest.py. One more process than cores, because those of the cluster and of the browser mostly wait.
+SIDE_BY_SIDE = -n $$(($(SLOTS) + 1)) --dist loadfile --no-loadscope-reorder --max-worker-restart=0
 
 # Tests of pages need a browser.
 CHROMIUM_FOUND := .venv/chromium.found

@@ -38,7 +38,7 @@ REFERENCE = Path(os.environ.get("GELFORGE_REFERENCE", ROOT.parent / "shared" / "
 
 
 # Files that take minutes, longest first: begun at the end they would be waited for by processes with nothing to do. Of the
-# first four one solves presses at once: in a fresh clone its kernels are compiled once, and not by each process for itself.
+# first three one solves presses: in a fresh clone its kernels are compiled once, and not by each process for itself.
 LONG = (
     "test_slurm",
     "test_nested",

@@ -16,7 +16,7 @@ def test_reference_unit_looks_like_the_real_one(reference):
 
 def test_a_dent_is_lit_from_the_three_sides():
     rig = Rig.of(ROOT / "workflow/rig/demo.toml", ROOT / "workflow")
-    eye = rig.cameras["mini_a"]
+    eye = rig.camera("mini_a")
     field = unloaded(Gel())
     y, x = np.mgrid[: field.values.shape[0], : field.values.shape[1]]
     r2 = (field.x0 + STEP * x) ** 2 + (field.y0 + STEP * y) ** 2
