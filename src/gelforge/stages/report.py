@@ -272,7 +272,7 @@ def learnt_from(metrics: dict, model: str) -> str:
     images = " and ".join(f"{count} images of dataset {name}" for name, count in metrics["lessons"].items())
     these = "this one among them" if metrics["knows"] else "none of them from this one"
     return (
-        f"{who} learnt from {images}, {these}. A useful network must clearly beat the controls below, which"
+        f"{who} learnt from {images}, {these}. A useful network must clearly beat the baselines below, which"
         " see only the mean colours of an image."
     )
 
