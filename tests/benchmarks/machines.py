@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 from argparse import Namespace
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -120,11 +120,9 @@ def difference(results: list[dict]) -> tuple[float, float]:
     return 100 * total / size, 100 * cell / size
 
 
-def compare(
-    way: str, folder: Path, workflow: Path, names: list[str] | None = None, cases: Iterable[str] = CASES
-) -> dict[str, tuple[float, float]]:
+def compare(way: str, folder: Path, workflow: Path, names: list[str] | None = None) -> dict[str, tuple[float, float]]:
     """Differences between the machines by scene, in one of WAYS; infinite where they end in another status."""
-    machines = [on_machine(case, way, names, folder, workflow) for case in cases]
+    machines = [on_machine(case, way, names, folder, workflow) for case in CASES]
     found = {}
     for name in machines[0]:
         results = [machine[name] for machine in machines]

@@ -10,7 +10,7 @@ import sys
 import tempfile
 import time
 from argparse import Namespace
-from collections.abc import Callable, Iterable
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -34,6 +34,7 @@ if TYPE_CHECKING:
 IMAGE, GRID = (240, 320), (24, 32)
 BASELINE, LIGHT = "unet", "pair_24_mirrored"
 SHIPS = "tuned"  # as the shipped network is built, which is deeper than LIGHT
+PARTS = ("speed", "training", "resuming")
 PROBED = 24  # presses of the made-up dataset: three batches an epoch
 ABLATION = ("unet", "unet_single", "resnet34")
 # The paper's shapes that its training never saw; all others that training does not see are of no catalogue.
@@ -179,11 +180,10 @@ def train_apart(dataset: Path, name: str, settings: TrainTable, folder: Path):
     return load_model(out)
 
 
-def training_figures(settings: TrainTable, folder: Path, dataset: Path, names: Iterable[str]) -> list[Figure]:
-    """Peak memory and waiting for data of networks by their names; the export itself compares graph and network."""
+def training_figures(settings: TrainTable, folder: Path, dataset: Path) -> list[Figure]:
+    """Peak memory and waiting for data, for the U-net and the light net; the export itself compares graph and network."""
     figures = []
-    for name in names:
-        epochs = 1 if name == BASELINE else 6
+    for name, epochs in ((BASELINE, 1), (LIGHT, 6)):
         trained = train_apart(dataset, name, replace(settings, epochs=epochs), folder)
         cost = trained.metadata["cost"]
         figures.append(
@@ -322,17 +322,19 @@ def training_cost_figures(result: dict) -> list[Figure]:
     option("--results", type=Path, default=Path("results") / os.environ.get("DATASET", "train")),
     option("--resolution", default=os.environ.get("RES", "24x32").split()[0]),
     option("--seconds", type=float, default=4.0, help="of timed runs per network and thread count"),
-    option("--trained", nargs="*", default=(BASELINE, LIGHT), help="networks to train; fewer only to try it out"),
+    option("--parts", nargs="+", choices=PARTS, default=PARTS, help="fewer only to try it out"),
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:
     models, settings = load_workflow()
     with tempfile.TemporaryDirectory() as scratch:
         folder = Path(scratch)
-        dataset = write_made_up(folder / "dataset")
-        figures = [*speed_figures(models, args.seconds), chain_figure(args.seconds)]
-        if args.trained:
-            figures += training_figures(settings, folder, dataset, args.trained)
+        dataset, figures = write_made_up(folder / "dataset"), []
+        if "speed" in args.parts:
+            figures += [*speed_figures(models, args.seconds), chain_figure(args.seconds)]
+        if "training" in args.parts:
+            figures += training_figures(settings, folder, dataset)
+        if "resuming" in args.parts:
             figures.append(resume_figure(models, settings, folder, dataset))
     chart = args.results / "pareto_models" / f"{args.resolution}.json"
     evaluation = args.results / "80_evaluate" / args.resolution / f"{LIGHT}.json"

@@ -5,7 +5,7 @@ import sys
 import tempfile
 import time
 from argparse import Namespace
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 
@@ -46,6 +46,7 @@ class Rig:
     bench: Bench
     units: tuple[dict, dict]  # appearances and sensors by name
     kept: tempfile.TemporaryDirectory  # the bench's force factors; gone with the rig
+    cameras: dict[str, Renderer] = field(default_factory=dict)  # those that were asked for
 
     @classmethod
     def of(cls, plan_path, workflow: Path) -> "Rig":
@@ -56,14 +57,10 @@ class Rig:
 
     def camera(self, name: str) -> Renderer:
         """The camera of a unit, made at its first use."""
-        if name not in self._cameras:
+        if name not in self.cameras:
             appearances, sensors = self.units
-            self._cameras[name] = Renderer(appearances[name], sensors[name].projection, self.bench.gel)
-        return self._cameras[name]
-
-    @cached_property
-    def _cameras(self) -> dict[str, Renderer]:
-        return {}
+            self.cameras[name] = Renderer(appearances[name], sensors[name].projection, self.bench.gel)
+        return self.cameras[name]
 
     @cached_property
     def cuboid(self) -> Pressing:

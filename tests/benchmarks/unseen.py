@@ -270,7 +270,7 @@ def faulty_pairs(
 ) -> Iterator[tuple[str, Predictor, np.ndarray, np.ndarray]]:
     """Name of a fault, predictor with its no-contact image, image, and true total (3,) N: each press once with each fault."""
     names = list(readers)
-    for k, seen in enumerate(units.seen):
+    for k, seen in enumerate(progress(units.seen, "presses with faults")):
         rest = readers[seen.unit]
         other = readers[names[(names.index(seen.unit) + 1 + k % (len(names) - 1)) % len(names)]]
         touched = Predictor(rest.model, units.seen[(k + len(names) * 5) % len(units.seen)].image)
@@ -290,7 +290,7 @@ def faulty_pairs(
 def flag_figures(units: Units, readers: dict[str, Predictor]) -> list[Figure]:
     """How many pairs that are read wrong are flagged, fault by fault, and how many good ones are."""
     found: dict[str, list[tuple[float, bool]]] = {}
-    for fault, reader, image, true in progress(faulty_pairs(units, readers), "pairs", 11 * len(units.seen)):
+    for fault, reader, image, true in faulty_pairs(units, readers):
         read = reader.predict(np.ascontiguousarray(image))
         off = np.abs(read.total - true) / [RANGE[name] for name in CHANNELS]
         found.setdefault(fault, []).append((float(off.max()), read.flag))
