@@ -46,7 +46,7 @@ lint: $(SETUP)  ## check style, names and types of the code, as CI does
 
 .PHONY: stage-digests
 stage-digests: $(SETUP)  ## confirm that changed code changes no results, or that VERSION was raised: tests/stage_digests.json
-	@$(PY) -m tests.stage_digests
+	@$(PY) -m tests.support.stage_digests
 
 format: $(SETUP)  ## format the code
 	@$(PY) -m ruff check --fix

@@ -25,10 +25,10 @@ from gelforge.formats.export.samples import Samples
 from tests.benchmarks.figures import Figure, publish_figures
 from tests.benchmarks.reach import time_camera, time_fetch, time_lerobot, time_live, time_recordings
 from tests.benchmarks.sandbox import make
-from tests.browser import WIDTHS, browser, console_errors, wait_for
-from tests.explored import write_page
-from tests.exported import READERS, lay
-from tests.unit.test_questions import lay as lay_flow
+from tests.support.browser import WIDTHS, browser, console_errors, wait_for
+from tests.support.explored import write_page
+from tests.support.exported import READERS, lay
+from tests.unit.commands.test_questions import lay as lay_flow
 
 PRESSES = 15_000
 CHOICES = 20

@@ -27,7 +27,7 @@ from tests.benchmarks.figures import Figure, publish_figures
 from tests.benchmarks.flow_faults import flow_cases
 from tests.benchmarks.neighbour_faults import NEIGHBOURS
 from tests.benchmarks.sandbox import link_project, make
-from tests.press_records import COLUMNS, log_line, write_lines
+from tests.support.press_records import COLUMNS, log_line, write_lines
 
 INJECTED = (
     f"$(shell touch {CANARY})",
@@ -324,7 +324,7 @@ def key_cases() -> Iterator[Case]:
     from gelforge.geometry.indenters import build
     from gelforge.records.press import PosedPress
     from gelforge.stages.fea import VERSION, press_keys, scene_of
-    from tests.press_records import press_record
+    from tests.support.press_records import press_record
 
     params = config.parameters_of(config.load_params(ROOT / "workflow"), config.SOURCES["fea"].kind, VERSION)
     tables = {

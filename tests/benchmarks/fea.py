@@ -353,7 +353,7 @@ def block_shear(folder: Path, table: FeaTable) -> dict[str, float]:
     from gelforge.mechanics.hexsettings import HexSettings
     from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver
     from gelforge.mechanics.solvers.hex import HexSolver
-    from tests.blocks import symmetric_block
+    from tests.support.blocks import symmetric_block
 
     gel = Block()
     bodies = {"plate": {"kind": "cuboid", "size": [12, 12], "fillet": 0.5, "height": 10},

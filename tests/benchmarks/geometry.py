@@ -12,7 +12,7 @@ from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
 from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
-from tests.published import compare_gel_top, compare_indenter, published_names, step_file
+from tests.support.published import compare_gel_top, compare_indenter, published_names, step_file
 
 
 def solid_figures(catalogue: dict, reference: Path) -> list[Figure]:

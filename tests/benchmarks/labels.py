@@ -23,8 +23,8 @@ from gelforge.records.labelfile import read_labels, to_float32
 from gelforge.records.markers import find_markers
 from gelforge.records.press import POSE
 from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
-from tests.parameters import write_stage
-from tests.patch import consistent_loads, exact_cells, irregular_surface
+from tests.support.parameters import write_stage
+from tests.support.patch import consistent_loads, exact_cells, irregular_surface
 
 SENSORS = Path("workflow/sensors.toml")
 GRIDS = ("12x16", "24x32", "48x64", "96x128")

@@ -19,13 +19,13 @@ from gelforge.errors import BadInput
 from gelforge.labelling.sensor import load_sensors
 from gelforge.records.image import read_image
 from tests.benchmarks.figures import ROOT, Figure
-from tests.crops import CROPS, SIX
-from tests.exported import LEROBOT, lay, opened_by_lerobot
-from tests.feats_published import DEMO, publish
-from tests.foxglove_client import FoxgloveClient
-from tests.hub_server import hub
-from tests.unit.test_recordings import FILM, filmed, imported, moments, ramp, write
-from tests.waiting import HANG, wait_until
+from tests.support.crops import CROPS, SIX
+from tests.support.exported import LEROBOT, lay, opened_by_lerobot
+from tests.support.feats_published import DEMO, publish
+from tests.support.foxglove_client import FoxgloveClient
+from tests.support.hub_server import hub
+from tests.support.waiting import HANG, wait_until
+from tests.unit.formats.test_recordings import FILM, filmed, imported, moments, ramp, write
 
 SAMPLES, PUBLISHED = 1000, 14_279
 FRAMES = 250  # ten seconds of a film

@@ -30,7 +30,7 @@ from tests.benchmarks.balls import ball_figures, circle_figures, drawn_figures, 
 from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.benchmarks.films import finger_figures, frames_of, read_film, released_figures, sideways_figures
 from tests.benchmarks.ways import as_used, bare
-from tests.pictures import moved
+from tests.support.pictures import moved
 
 PANEL = 200  # px of width of each of the four panels of FEATS' film: x, y, normal map, picture
 CUT = 1  # px of height that it lacks at its top: cells of its maps are 6.25 px along both axes, the first row's 5.6 px high

@@ -27,9 +27,9 @@ from gelforge.virtualrig.bench import Bench, Pressing
 from gelforge.virtualrig.fields import field_of, surface_of
 from gelforge.virtualrig.render import Pressed, Renderer
 from gelforge.virtualrig.rigplan import Order, Plan, generator, orders, read_plan
-from tests import likeness as measure
 from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
-from tests.published import compare_indenter, step_file
+from tests.support import likeness as measure
+from tests.support.published import compare_indenter, step_file
 
 REFERENCE_UNIT = "mini_a"
 # The real cuboid's log is not published: its depth is; the sideways path is read off its markers (3 px in u).

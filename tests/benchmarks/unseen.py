@@ -37,7 +37,7 @@ from gelforge.virtualrig.fields import field_of, surface_of
 from gelforge.virtualrig.render import Pressed, Renderer
 from gelforge.virtualrig.rigplan import Order, generator, orders, read_plan
 from tests.benchmarks.figures import Figure, publish_figures
-from tests.pictures import moved
+from tests.support.pictures import moved
 
 RANGE = {"grid_x": 10.0, "grid_y": 10.0, "grid_z": 40.0}  # N, of the FEATS paper
 SOFTER_HARDER = 0.15  # fraction by which gels of one kind differ in stiffness

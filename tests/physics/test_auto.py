@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from parameters import parameters
 
 from gelforge.errors import BadInput
 from gelforge.flow.params.tables import CLASSES, WAYS
@@ -19,6 +18,7 @@ from gelforge.mechanics.solvers.auto import charted_errors, cheapest
 from gelforge.mechanics.solvers.contactclass import contact_class
 from gelforge.mechanics.solvers.fidelity import Solvers
 from gelforge.records.press import Press
+from tests.support.parameters import parameters
 
 BODIES = {
     "curved": build("ball", {"kind": "sphere", "diameter": 15, "height": 10}),

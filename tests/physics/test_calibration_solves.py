@@ -5,8 +5,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from calibration_law import true_values
-from parameters import parameters
 
 from gelforge.calibration.readings import Readings
 from gelforge.calibration.solves import (
@@ -28,6 +26,8 @@ from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvers.hex import solve_hex
 from gelforge.records.press import POSE, Press
 from gelforge.records.status import Status
+from tests.support.calibration_law import true_values
+from tests.support.parameters import parameters
 
 SETTINGS = HexSettings(size=1.2, layers=3, press_steps=8, shear_steps=3, final_tolerance=1e-7)
 SOLVER = 1  # version of the solver; any will do

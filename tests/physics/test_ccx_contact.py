@@ -4,7 +4,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from parameters import parameters
 
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.contact.facecontact import SLIDE, STICK, Contact, contact_blocks, contact_forces, judge
@@ -22,8 +21,9 @@ from gelforge.mechanics.solvers.hex import solve_hex
 from gelforge.mechanics.solvers.tet import follow
 from gelforge.records.press import Press
 from gelforge.records.status import Status
-from tests.blocks import symmetric_block
-from tests.flat_pad import FlatPad
+from tests.support.blocks import symmetric_block
+from tests.support.flat_pad import FlatPad
+from tests.support.parameters import parameters
 
 
 @dataclass(frozen=True)

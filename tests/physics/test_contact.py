@@ -18,7 +18,7 @@ from gelforge.mechanics.mesh.hexmesh import (
     surface_lines,
 )
 from gelforge.mechanics.pose import Pose, on_surface, touch_fraction
-from tests.surface_values import interpolate_surface
+from tests.support.surface_values import interpolate_surface
 
 NO_SLIP = Penalty(50.0, 5.0, contact_law("no_slip"))
 # Every law, with several numbers where it has one.

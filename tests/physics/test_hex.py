@@ -18,7 +18,7 @@ from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvers.hex import MOST_BELOW_MM, MOST_INSIDE_MM, HexSolver, solve_hex
 from gelforge.records.press import Press
 from gelforge.records.status import Status
-from tests.flat_pad import FlatPad
+from tests.support.flat_pad import FlatPad
 
 COARSE = HexSettings(size=1.2, layers=3, press_steps=3, shear_steps=2)
 

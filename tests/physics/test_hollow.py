@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from parameters import parameters
 
 import gelforge
 from gelforge.geometry.indenters import build
@@ -11,8 +10,9 @@ from gelforge.mechanics.material import Material
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver
 from gelforge.records.press import Press
-from tests.blocks import symmetric_block
-from tests.flat_pad import FlatPad
+from tests.support.blocks import symmetric_block
+from tests.support.flat_pad import FlatPad
+from tests.support.parameters import parameters
 
 PAD = FlatPad(name="pad", width=7.0, length=7.0, corner_radius=0.0, height=4.0)
 

@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from parameters import parameters
 
 from gelforge.errors import SolveFailed
 from gelforge.geometry.indenters import build
@@ -24,8 +23,9 @@ from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.mechanics.solvers.tet import arrive, follow
 from gelforge.records.press import Press
 from gelforge.records.status import Status
-from tests.blocks import symmetric_block
-from tests.flat_pad import FlatPad
+from tests.support.blocks import symmetric_block
+from tests.support.flat_pad import FlatPad
+from tests.support.parameters import parameters
 
 CCX = CcxSettings.of(parameters().fea)
 PAD = FlatPad(name="pad", width=7.0, length=7.0, corner_radius=0.0, height=4.0)

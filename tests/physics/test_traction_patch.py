@@ -6,7 +6,7 @@ import pytest
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import assemble
 from gelforge.labelling.sensor import load_sensors
-from tests.patch import consistent_loads, exact_cells, irregular_surface
+from tests.support.patch import consistent_loads, exact_cells, irregular_surface
 
 CASES = [
     (kind, sensor, size, text)

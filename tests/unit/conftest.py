@@ -1,30 +1,25 @@
 """What tests of networks share: small networks, trained once."""
 
-import sys
-from pathlib import Path
-
 import pytest
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 
 @pytest.fixture(scope="session")
 def data(tmp_path_factory):
-    from small_networks import small_dataset
+    from tests.support.small_networks import small_dataset
 
     return small_dataset(tmp_path_factory.mktemp("dataset"))
 
 
 @pytest.fixture(scope="session")
 def models(data):
-    from small_networks import small_models
+    from tests.support.small_networks import small_models
 
     return small_models(data)
 
 
 @pytest.fixture(scope="session")
 def paths(models, tmp_path_factory):
-    from small_networks import small_files
+    from tests.support.small_networks import small_files
 
     return small_files(models, tmp_path_factory.mktemp("models"))
 
@@ -32,14 +27,14 @@ def paths(models, tmp_path_factory):
 @pytest.fixture(scope="session")
 def folder(tmp_path_factory):
     """A dataset of 96 presses of one law, which `trained` learnt from."""
-    from small_networks import GRID, IMAGE
-    from synthetic_presses import write_dataset
+    from tests.support.small_networks import GRID, IMAGE
+    from tests.support.synthetic_presses import write_dataset
 
     return write_dataset(tmp_path_factory.mktemp("learning") / "6x8", 96, IMAGE, GRID)
 
 
 @pytest.fixture(scope="session")
 def trained(folder):
-    from small_networks import learnt
+    from tests.support.small_networks import learnt
 
     return learnt(folder)

@@ -23,7 +23,7 @@ from gelforge.records.film import numbered
 from gelforge.records.image import read_image, write_png
 from gelforge.records.log import read_presses
 from gelforge.records.markers import pitch_of
-from tests.pictures import moved
+from tests.support.pictures import moved
 
 BALL = {"kind": "sphere", "diameter": 10, "height": 10}
 

@@ -12,7 +12,7 @@ from importlib.metadata import version
 import cv2
 import pytest
 
-from tests.films import write_film
+from tests.support.films import write_film
 
 # Reading with only the base dependencies importable: a package of the flow or of the exports is as if not installed.
 ALONE = """

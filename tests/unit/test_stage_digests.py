@@ -3,7 +3,8 @@
 import json
 
 import pytest
-from stage_digests import PYTHON, STAGES, TABLE, closure, imports, today
+
+from tests.support.stage_digests import PYTHON, STAGES, TABLE, closure, imports, today
 
 HINT = (
     "where results change, raise VERSION in src/gelforge/stages/STAGE.py; where none do, leave it; then run make"

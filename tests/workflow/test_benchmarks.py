@@ -10,7 +10,7 @@ import pytest
 from gelforge.flow.files import read_json
 from tests.benchmarks.fea import chart_figures
 from tests.benchmarks.sandbox import clean_environment
-from tests.browser import needs_browser
+from tests.support.browser import needs_browser
 from tests.workflow.test_slurm import pytestmark as of_slurm
 
 # What is measured in these depends on the machine and its load.
@@ -33,7 +33,7 @@ LEFT_OUT = {
     "machines": "solves scenes in six processes: tests/physics/test_machines.py",
     "fea": "solves with CalculiX, FEATS' deck for hours: tests/physics/test_ccx_contact.py and test_ccx_closed_forms.py",
     "calibration": "an emulator takes minutes: tests/workflow/test_calibrate.py",
-    "references": "solves the finest meshes: tests/unit/test_challenge.py",
+    "references": "solves the finest meshes: tests/unit/sweeps/test_challenge.py",
     "outside": "GetFEM takes minutes for a scene: tests/workflow/test_outside.py",
 }
 # Of networks: what they predict from so few images says nothing, so no goal is asked for.

@@ -5,11 +5,11 @@ import shutil
 
 import numpy as np
 import pytest
-from parameters import parameters, write_stage
 
 from gelforge.errors import BadInput
 from gelforge.stages import calibrate
 from gelforge.stages.report import calibration_section
+from tests.support.parameters import parameters, write_stage
 
 SOLVER = {
     "size": 1.2,

@@ -15,9 +15,9 @@ from gelforge.flow.files import read_csv, read_json, write_csv
 from gelforge.formats.export import lerobot
 from gelforge.formats.export.samples import Samples
 from gelforge.records.image import decode
-from tests.exported import LEROBOT, READERS, lay, opened_by_lerobot
-from tests.limited import limited, small_disk
-from tests.no_locks import without_locks
+from tests.support.exported import LEROBOT, READERS, lay, opened_by_lerobot
+from tests.support.limited import limited, small_disk
+from tests.support.no_locks import without_locks
 
 
 @pytest.mark.parametrize("form", FORMATS)
@@ -45,7 +45,7 @@ WRITES_ALL = """
 from pathlib import Path
 import sys
 from gelforge.commands.export import FORMATS, export
-from tests.exported import LEROBOT, READERS, lay, opened_by_lerobot
+from tests.support.exported import LEROBOT, READERS, lay, opened_by_lerobot
 samples = lay(Path(sys.argv[1]), 4)
 for form in FORMATS:
     export(samples, form, Path(sys.argv[1]) / f"{form}{READERS[form][0]}")

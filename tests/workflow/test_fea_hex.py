@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from parameters import parameters, write_stage
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, write_csv, write_json
@@ -18,6 +17,7 @@ from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import read_labels
 from gelforge.records.press import Press
 from gelforge.stages import fea, forces, labels
+from tests.support.parameters import parameters, write_stage
 
 SENSOR = "gelsight_mini"
 BALL = {"kind": "sphere", "diameter": 15, "height": 10}

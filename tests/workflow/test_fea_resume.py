@@ -11,7 +11,6 @@ import sys
 
 import numpy as np
 import pytest
-from parameters import write_stage
 
 from gelforge.commands import deck
 from gelforge.errors import BadInput
@@ -22,8 +21,9 @@ from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.mechanics.mesh.meshstore import source_of
 from gelforge.records.forcefile import ForceFile
 from gelforge.stages import fea, forces, meshes
-from tests.blocks import symmetric_block
-from tests.waiting import HANG, wait_until
+from tests.support.blocks import symmetric_block
+from tests.support.parameters import write_stage
+from tests.support.waiting import HANG, wait_until
 
 GEL = GELS["gelsight_mini"]
 HEADER = "sample_id,sensor_id,gel_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg\n"

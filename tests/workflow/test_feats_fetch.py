@@ -18,9 +18,9 @@ from gelforge.labelling.sensor import load_sensors
 from gelforge.records.image import read_image
 from gelforge.records.labelfile import read_labels
 from gelforge.records.splits import SPLITS
-from tests.feats_published import publish
-from tests.hub_server import hub
-from tests.waiting import HANG, wait_until
+from tests.support.feats_published import publish
+from tests.support.hub_server import hub
+from tests.support.waiting import HANG, wait_until
 
 COUNT = 20
 

@@ -12,7 +12,7 @@ import pytest
 
 from gelforge.flow.files import read_csv, write_csv
 from tests.benchmarks.sandbox import clean_environment, link_project, make
-from tests.waiting import wait_until
+from tests.support.waiting import wait_until
 
 from .conftest import lay_dataset
 

@@ -22,7 +22,7 @@ from gelforge.stages import fea, forces, labels, plan, poses
 from gelforge.virtualrig.appearance import read_appearances
 from gelforge.virtualrig.fields import unloaded
 from gelforge.virtualrig.render import Renderer
-from tests.blocks import symmetric_block
+from tests.support.blocks import symmetric_block
 
 OWN = ("flat_2mm", "dome")
 DATASET = """

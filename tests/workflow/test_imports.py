@@ -5,8 +5,6 @@ import json
 import cv2
 import numpy as np
 import pytest
-from parameters import write_stage
-from synthetic_presses import SETTINGS
 
 from gelforge.commands.mcap import main as mcap_import
 from gelforge.errors import BadInput
@@ -21,6 +19,8 @@ from gelforge.networks.checkpoint.modelfile import load_model
 from gelforge.records.labelfile import read_labels
 from gelforge.records.splits import SPLITS
 from gelforge.stages.plan import logged_rows, write_shards
+from tests.support.parameters import write_stage
+from tests.support.synthetic_presses import SETTINGS
 
 TURN = [[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]
 TOML = """image = "/gel/image"

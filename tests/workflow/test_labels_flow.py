@@ -6,10 +6,10 @@ import re
 import shutil
 
 import pytest
-from pressed_dataset import write_pressed
 
 from gelforge.records.labelfile import read_labels
 from tests.benchmarks.sandbox import link_project, make
+from tests.support.pressed_dataset import write_pressed
 
 DATASET = 'sensor = "mini_a"\ngel = "gelsight_mini"\ncatalogue = "indenters.toml"\n'
 

@@ -25,10 +25,10 @@ from gelforge.live.topics import RosMessages
 from gelforge.networks.inference.predictor import load_for_use
 from gelforge.records.forcereading import ForceReading
 from gelforge.records.image import decode
-from tests.films import write_film
-from tests.foxglove_client import FoxgloveClient
-from tests.limited import limited_python
-from tests.waiting import HANG, wait_until
+from tests.support.films import write_film
+from tests.support.foxglove_client import FoxgloveClient
+from tests.support.limited import limited_python
+from tests.support.waiting import HANG, wait_until
 
 TYPES = {
     "image/compressed": "sensor_msgs/msg/CompressedImage",

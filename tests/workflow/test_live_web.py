@@ -30,10 +30,10 @@ from gelforge.records.film import Film, open_source
 from gelforge.records.forcereading import ForceReading
 from gelforge.records.nocontactimage import SETTLING
 from gelforge.reporting.forcemaps import FULL_COLOUR_N
-from tests.browser import WIDTHS, browser, console_errors, needs_browser, wait_for
-from tests.films import write_film
-from tests.limited import limited
-from tests.waiting import HANG, wait_until
+from tests.support.browser import WIDTHS, browser, console_errors, needs_browser, wait_for
+from tests.support.films import write_film
+from tests.support.limited import limited
+from tests.support.waiting import HANG, wait_until
 
 HAS_INTERVALS = bool(load_for_use(None).metadata.get("intervals", {}).get("total"))  # of the shipped network
 

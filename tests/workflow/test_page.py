@@ -5,8 +5,8 @@ import json
 import pytest
 from selenium.webdriver import ActionChains
 
-from tests.browser import WIDTHS, browser, console_errors, needs_browser, wait_for
-from tests.explored import write_page
+from tests.support.browser import WIDTHS, browser, console_errors, needs_browser, wait_for
+from tests.support.explored import write_page
 
 pytestmark = needs_browser
 

@@ -5,7 +5,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from parameters import stage_of
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
@@ -24,7 +23,8 @@ from gelforge.sweeps.methods import Method, hex_method, prepare
 from gelforge.sweeps.scenes import parse_scene
 from gelforge.sweeps.trial import load_bench
 from tests.benchmarks.fea import deck_force, envelope_scene
-from tests.blocks import symmetric_block
+from tests.support.blocks import symmetric_block
+from tests.support.parameters import stage_of
 
 GEL = GELS["gelsight_mini"]
 METHODS = [hex_method(2.0, 2, 1), hex_method(1.4, 3, 2), hex_method(1.0, 4, 4)]

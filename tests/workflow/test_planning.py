@@ -10,7 +10,6 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
-from parameters import parameters
 
 from gelforge.commands.why import ask_make, reasons
 from gelforge.commands.why import lines as why_lines
@@ -24,7 +23,8 @@ from gelforge.records.press import RawRow
 from gelforge.stages.fea import shape_of
 from gelforge.stages.plan import check_count, picture_folders, used
 from tests.benchmarks.sandbox import comma_language, link_project, make
-from tests.waiting import HANG
+from tests.support.parameters import parameters
+from tests.support.waiting import HANG
 
 from .conftest import lay_dataset
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import pytest
 
 from tests.benchmarks.slurm import Cluster, cluster, lay_profile, lay_project, make, start_make
-from tests.waiting import HANG, wait_until
+from tests.support.waiting import HANG, wait_until
 from tests.workflow.conftest import NEEDS_SLURM
 
 pytestmark = NEEDS_SLURM

@@ -16,7 +16,7 @@ from gelforge.flow.slurm.client import SlurmRefused, array_limit, elements, find
 from gelforge.flow.slurm.cluster import read_profile
 from gelforge.flow.slurm.record import Record, Results, Task, load
 from tests.benchmarks.slurm import cluster, lay_project, start_make
-from tests.waiting import HANG, wait_until
+from tests.support.waiting import HANG, wait_until
 from tests.workflow.conftest import NEEDS_SLURM
 
 pytestmark = NEEDS_SLURM

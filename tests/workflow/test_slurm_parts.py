@@ -19,7 +19,7 @@ from gelforge.flow.slurm.client import Element, cause_of
 from gelforge.flow.slurm.cluster import read_profile
 from gelforge.flow.slurm.record import Batch, Record, Results, Task, show
 from tests.benchmarks.sandbox import link_project, make
-from tests.waiting import HANG
+from tests.support.waiting import HANG
 
 ROOT = Path(__file__).resolve().parents[2]
 PROFILE = ROOT / "workflow" / "slurm.toml"

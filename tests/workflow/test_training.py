@@ -9,14 +9,12 @@ from pathlib import Path
 
 import pytest
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from parameters import write_stage
-from synthetic_presses import SETTINGS, write_dataset
-
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.params import plain
 from gelforge.networks.checkpoint.modelfile import load_model
-from tests.waiting import wait_until
+from tests.support.parameters import write_stage
+from tests.support.synthetic_presses import SETTINGS, write_dataset
+from tests.support.waiting import wait_until
 
 EPOCHS = 10
 

@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from parameters import parameters, write_stage
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, read_toml, write_json
@@ -15,7 +14,8 @@ from gelforge.stages.report import verified_section
 from gelforge.sweeps import verification
 from gelforge.sweeps.verification import Verified
 from tests.benchmarks.auto import figures_of
-from tests.blocks import symmetric_block
+from tests.support.blocks import symmetric_block
+from tests.support.parameters import parameters, write_stage
 
 GEL = GELS["gelsight_mini"]
 HEADER = "sample_id,sensor_id,gel_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg\n"

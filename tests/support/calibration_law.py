@@ -1,0 +1,92 @@
+"""A smooth force law in place of finite element curves, for tests of the inference alone."""
+
+import numpy as np
+
+from gelforge.calibration.emulator import Curve, Emulator, curve_table, friction_table
+from gelforge.calibration.friction import friction_axis
+from gelforge.calibration.parameters import make_model, with_nu
+from gelforge.calibration.posterior import Posterior
+from gelforge.calibration.readings import Readings
+from gelforge.geometry.gel import USUAL_GEL
+from gelforge.mechanics.material import REFERENCE_C10
+from tests.support.parameters import parameters
+
+TOP = 2.4
+MUS = (0.0, 0.4, np.inf)
+PARAMS = with_nu(parameters().calibrate, 0.475)
+TRUTH = {
+    "c10": 0.085,
+    "offset": 0.03,
+    "compliance": 0.006,
+    "shear_compliance": 0.0,
+    "mu": 0.7,
+    "nu": 0.475,
+    "discretisation": 0.0,
+}
+
+
+def normal_force(depth, mu, stiffness=4.0):
+    """Normal force at REFERENCE_C10, like a sphere on a thin layer: stiffer with depth and with friction."""
+    depth = np.clip(depth, 0.0, None)
+    return -stiffness * (1 + 0.2 * friction_axis(mu)) * depth**1.5 * (1 + 0.25 * depth)
+
+
+def law_curve(mu, stiffness=4.0, ratio=0.0) -> Curve:
+    """Fourteen points of the law, with a sideways force of `ratio` times the normal one."""
+    depth = np.linspace(0.0, TOP, 15)[1:]
+    force = np.zeros((len(depth), 3))
+    force[:, 2] = normal_force(depth, mu, stiffness)
+    force[:, 0] = ratio * force[:, 2]
+    return Curve(depth, force)
+
+
+def law_emulator(stiffness=(4.0,)) -> Emulator:
+    """Emulator with one press per stiffness."""
+    tables = [friction_table(MUS, [curve_table(law_curve(mu, k), TOP) for mu in MUS]) for k in stiffness]
+    return Emulator(
+        np.array(tables)[:, None],
+        np.full(len(stiffness), TOP),
+        np.array([0.475]),
+        np.zeros(len(stiffness), int),
+        np.zeros(len(stiffness)),
+    )
+
+
+def make_readings(depth, force, sheared=False) -> Readings:
+    """Straight presses of one sphere at the apex."""
+    n = len(depth)
+    pose = np.zeros((n, 7))
+    pose[:, 5] = -np.asarray(depth)
+    pose[:, 3] = 0.3 if sheared else 0.0
+    ids = np.array([f"p{i:03d}" for i in range(n)])
+    full = np.full((n, 3), np.nan)
+    full[:, 2] = force
+    return Readings(
+        "log.csv", np.arange(2, n + 2), ids, np.array(["sphere_15"] * n), pose, full, np.array([USUAL_GEL] * n)
+    )
+
+
+def true_values(**changes) -> dict:
+    values = {name: np.array([value]) for name, value in {**TRUTH, **changes}.items()}
+    return {**values, "indenter": np.zeros((1, 1))}
+
+
+def law_posterior(rng, depth, stiffness=None, law="coulomb", noise=0.03, without=(), **truth) -> Posterior:
+    """Posterior for readings of the law with normal noise."""
+    depth = np.asarray(depth, float)
+    emulator = law_emulator(stiffness or [4.0] * len(depth))
+    forces, _, _ = emulator.forces(depth, true_values(**truth))
+    observed = np.full((len(depth), 3), np.nan)
+    observed[:, 2] = forces[0, :, 2] + noise * rng.standard_normal(len(depth))
+    return Posterior(emulator, make_model(PARAMS, law, (*without, "shear_compliance")), depth, observed, 4.0)
+
+
+__all__ = [
+    "REFERENCE_C10",
+    "law_curve",
+    "law_emulator",
+    "law_posterior",
+    "make_readings",
+    "normal_force",
+    "true_values",
+]

@@ -1,0 +1,178 @@
+"""A small dataset of stage 60 with real picture files, and every export read back by its format's own library."""
+
+import io
+import json
+import os
+import subprocess
+from pathlib import Path
+
+import cv2
+import numpy as np
+
+from gelforge.flow.files import write_csv, write_json
+from gelforge.formats.export.samples import Samples
+
+ROOT = Path(__file__).resolve().parents[2]
+LEROBOT = ROOT / ".venv-lerobot" / "ready"  # there where `make lerobot-env` made it
+GRID = (6, 8)
+SENSORS = {name: {"gel": "gelsight_mini", "image": [32, 24], "projection": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
+           for name in ("mini_a", "mini_e")}  # fmt: skip
+
+
+def lay(folder, count: int, grid=GRID, image=(32, 24)):
+    """A dataset of so many samples, two frames a press, of two sensors; returns it opened."""
+    rng = np.random.default_rng(5)
+    data, dataset = folder / "data" / "lab", folder / "results" / "lab" / "60_dataset" / "6x8"
+    (data / "images").mkdir(parents=True)
+    dataset.mkdir(parents=True)
+    labels, rows = rng.normal(0, 0.1, (count, 3, *grid)).astype(np.float32), []
+    for k in range(count):
+        suffix = "jpg" if k % 5 == 4 else "png"
+        picture = rng.integers(0, 255, (image[1], image[0], 3), np.uint8)
+        cv2.imwrite(str(data / "images" / f"s{k}.{suffix}"), picture)
+        split = ("train", "train", "val", "test")[k // 2 % 4]
+        pose = {
+            name: round(float(rng.normal()), 4) for name in ("x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "rot_deg")
+        }
+        rows.append({"sample_id": f"s{k}", "indenter": "ball, 3 mm", "sensor_id": ("mini_a", "mini_e")[k // 2 % 2],
+                     "gel_id": "g", "split": split, "group": str(k // 2), "fx_n": 0.1 * k, "fy_n": -0.25, "fz_n": -1.5 * k,
+                     "dz_mm": -0.5 - (k % 2), **pose, "image": f"images/s{k}.{suffix}"})  # fmt: skip
+    write_csv(dataset / "samples.csv", list(rows[0]), rows)
+    np.save(dataset / "labels.npy", labels)
+    write_json(dataset / "dataset.json", {"name": "lab", "image": list(image), "grid": list(grid), "c10": 0.08})
+    write_json(folder / "sensors.json", SENSORS)
+    return Samples.open(data, dataset, folder / "sensors.json")
+
+
+def read_mcap(path):
+    """{sample_id: (row, picture, label, total)}, and the facts, with mcap's reader and its ROS 2 decoder."""
+    from mcap_ros2.reader import read_ros2_messages
+
+    found, facts, place = {}, None, {"along_y": 0, "along_x": 1, "normal": 2}
+    for message in read_ros2_messages(str(path)):
+        topic, said = message.channel.topic, message.ros_msg
+        if topic == "/facts":
+            facts = json.loads(said.data)
+            continue
+        sample = found.setdefault(message.log_time_ns, {"maps": {}})
+        if topic.endswith("/image/compressed"):
+            sample["picture"] = bytes(said.data)
+            assert message.schema.name == "sensor_msgs/msg/CompressedImage" and said.format in ("png", "jpeg")
+        elif topic.endswith("/wrench"):
+            sample["total"] = [said.wrench.force.x, said.wrench.force.y, said.wrench.force.z]
+        elif topic.endswith("/sample"):
+            sample["row"] = json.loads(said.data)
+        else:
+            grid = np.frombuffer(bytes(said.data), "<f4").reshape(said.height, said.width)
+            sample["maps"][place[topic.rsplit("/", 1)[1]]] = grid
+    return {s["row"]["sample_id"]: (s["row"], s["picture"], np.stack([s["maps"][k] for k in range(3)]), s["total"])
+            for s in found.values()}, facts  # fmt: skip
+
+
+def read_rerun(path):
+    """The same with Rerun's reader."""
+    from rerun.chunk import RrdReader
+
+    parts, facts = {}, None
+    for chunk in RrdReader(str(path)).stream():
+        batch = chunk.to_record_batch()
+        kind = chunk.entity_path.rsplit("/", 1)[1]
+        if kind == "facts":
+            facts = json.loads(batch.column("TextDocument:text")[0].as_py()[0])
+        if "sample" not in batch.schema.names:
+            continue
+        column = {
+            "image": "EncodedImage:blob",
+            "forces": "Tensor:data",
+            "total": "Scalars:scalars",
+            "row": "TextDocument:text",
+        }[kind]
+        for at, value in zip(batch.column("sample").to_pylist(), batch.column(column).to_pylist(), strict=True):
+            parts.setdefault(at, {})[kind] = value if kind == "total" else value[0]
+    found = {}
+    for part in parts.values():
+        row, tensor = json.loads(part["row"]), part["forces"]
+        label = np.array(tensor["buffer"], np.float32).reshape(tensor["shape"])
+        found[row["sample_id"]] = (row, bytes(part["image"]), label, part["total"])
+    return found, facts
+
+
+def read_webdataset(folder):
+    """The same with webdataset's reader."""
+    import webdataset
+
+    found = {}
+    for path in sorted(folder.glob("*.tar")):
+        for sample in webdataset.WebDataset(str(path), shardshuffle=False, empty_check=False):
+            row = json.loads(sample["json"])
+            label = np.load(io.BytesIO(sample["forces.npy"]), allow_pickle=False)
+            found[row["sample_id"]] = (
+                row,
+                sample.get("png") or sample["jpg"],
+                label,
+                [float(row[a]) for a in ("fx_n", "fy_n", "fz_n")],
+            )
+    return found, json.loads((folder / "facts.json").read_text())
+
+
+def read_hdf5(path):
+    """The same with h5py."""
+    import h5py
+
+    with h5py.File(path) as file:
+        names = list(file["samples"])
+        columns = {name: file[f"samples/{name}"].asstr()[:] for name in names}
+        facts = {
+            name: value if name in ("dataset", "signs", "frame") else json.loads(value)
+            for name, value in file.attrs.items()
+        }
+        return {
+            str(columns["sample_id"][k]): ({name: columns[name][k] for name in names}, bytes(file["picture"][k]),
+                                           file["forces"][k], file["total"][k].tolist())
+            for k in range(len(columns["sample_id"]))
+        }, facts  # fmt: skip
+
+
+def read_lerobot(folder):
+    """The same with pyarrow, along the paths that meta/info.json and meta/episodes name."""
+    import pyarrow.parquet as pq
+
+    info = json.loads((folder / "meta" / "info.json").read_text())
+    episodes = pq.read_table(folder / "meta/episodes").to_pylist()
+    found = {}
+    for episode in episodes:
+        path = info["data_path"].format(
+            chunk_index=episode["data/chunk_index"], file_index=episode["data/file_index"]
+        )
+        rows = pq.read_table(folder / path, filters=[("episode_index", "=", episode["episode_index"])]).to_pylist()
+        assert [row["index"] for row in rows] == list(
+            range(episode["dataset_from_index"], episode["dataset_to_index"])
+        )
+        assert [row["frame_index"] for row in rows] == list(range(episode["length"]))
+        for row in rows:
+            kept = {name: row[name] for name in ("sample_id", "indenter", "sensor_id", "split")}
+            label = np.array(row["observation.forces"], np.float32).reshape(3, *info["gelforge"]["grid"])
+            found[row["sample_id"]] = (
+                kept,
+                row["observation.images.gelsight"]["bytes"],
+                label,
+                row["observation.wrench"],
+            )
+    return found, info["gelforge"]
+
+
+READERS = {
+    "mcap": (".mcap", read_mcap), "rerun": (".rrd", read_rerun), "webdataset": ("", read_webdataset),
+    "hdf5": (".h5", read_hdf5), "lerobot": ("", read_lerobot),
+}  # fmt: skip
+
+
+def opened_by_lerobot(folder: Path, home: Path) -> dict:
+    """What LeRobot's training factory finds in an export, in an environment of its own (tests/support/lerobot_opens.py); home: its caches."""
+    env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    env |= {"HF_HUB_OFFLINE": "1", "HF_HOME": str(home / "hub"), "HOME": str(home)}
+    command = [LEROBOT.parent / "bin" / "python", ROOT / "tests" / "support" / "lerobot_opens.py", folder]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False, env=env, cwd=home)
+    if ran.returncode:
+        raise RuntimeError(ran.stderr[-3000:])
+    return json.loads(ran.stdout.splitlines()[-1])

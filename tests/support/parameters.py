@@ -1,0 +1,32 @@
+"""Parameters for tests: those of workflow/params.toml, with values laid over them."""
+
+from pathlib import Path
+from typing import Any
+
+from gelforge.flow.files import write_json
+from gelforge.flow.params import SOURCES, Params, laid_over, load_params, parameters_of, plain
+from gelforge.flow.params.schema import ParameterTable, Place, parse
+
+WORKFLOW = Path(__file__).resolve().parents[2] / "workflow"
+
+
+def parameters(**tables: dict[str, Any]) -> Params:
+    """All tables, with some values changed: parameters(fea={"rounds": 4})."""
+    return parse(Params, laid_over(plain(load_params(WORKFLOW)), tables), Place("a test"))
+
+
+def with_values(table: ParameterTable, **values: Any) -> Any:
+    """One table with some values changed."""
+    return parse(type(table), laid_over(plain(table), values), Place("a test"))
+
+
+def stage_of(stage: str, **tables: dict[str, Any]) -> Any:
+    """What a stage reads, with some values changed."""
+    return parameters_of(parameters(**tables), SOURCES[stage].kind, 1)
+
+
+def write_stage(folder: Path, stage: str, **tables: dict[str, Any]) -> Path:
+    """Write what a stage reads to FOLDER/STAGE.json; return the path."""
+    path = Path(folder) / f"{stage}.json"
+    write_json(path, plain(stage_of(stage, **tables)))
+    return path

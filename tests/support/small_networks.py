@@ -1,0 +1,41 @@
+"""Small networks of every family, trained on a made-up dataset: what evaluation and use are tried on."""
+
+from gelforge.networks.data.arrays import open_data
+from gelforge.networks.pipeline import save_trained
+from gelforge.stages.train import train
+from tests.support.parameters import parameters, with_values
+from tests.support.synthetic_presses import SETTINGS, write_dataset
+
+IMAGE, GRID = (48, 64), (6, 8)
+SMALL = {"kind": "grid", "width": 8, "blocks": 1}
+LEARNING = {"epochs": 40, "learning_rate": 4e-3, "schedule": "cosine", "total_weight": 1.0}
+MODELS = {
+    "unet": {"kind": "unet", "widths": [4, 8]},
+    "small": {"kind": "grid", "width": 8, "blocks": 2},
+    "difference": {**SMALL, "reads": "difference"},
+    "pair": {**SMALL, "reads": "pair"},
+    "resnet": {"kind": "resnet", "blocks": [1, 1], "widths": [4, 8]},
+}
+EVALUATE = with_values(parameters().evaluate, force_edges=[0.0, 5.0, 20.0], bootstrap=50)
+
+
+def learnt(folder):
+    """SMALL, trained by LEARNING on a dataset's folder until it reads its pictures."""
+    return train(open_data(folder), "small", SMALL, with_values(SETTINGS, **LEARNING))
+
+
+def small_dataset(folder):
+    """48 presses of all splits (networks.data.Data), their pictures of IMAGE and labels of GRID."""
+    return open_data(write_dataset(folder / "6x8", 48, IMAGE, GRID))
+
+
+def small_models(data) -> dict:
+    """The networks of MODELS, two epochs each."""
+    return {name: train(data, name, model, with_values(SETTINGS, epochs=2)) for name, model in MODELS.items()}
+
+
+def small_files(models: dict, folder) -> dict:
+    """The files of networks, by their names."""
+    for name, trained in models.items():
+        save_trained(folder / f"{name}.onnx", trained)
+    return {name: folder / f"{name}.onnx" for name in models}

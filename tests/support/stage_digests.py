@@ -1,0 +1,75 @@
+"""Digests of the code that each stage's results are made by: tests/stage_digests.json, written by `make stage-digests`."""
+
+import ast
+import hashlib
+import json
+import re
+import sys
+from functools import cache
+from pathlib import Path
+
+from gelforge.flow.params import SOURCES
+
+ROOT = Path(__file__).resolve().parents[2]
+CODE, TABLE = ROOT / "src", ROOT / "tests" / "stage_digests.json"
+PYTHON = f"{sys.version_info.major}.{sys.version_info.minor}"  # a tree is written otherwise by another version
+STAGES = sorted({of.module for of in SOURCES.values()})
+
+
+def path_of(module: str) -> Path | None:
+    """The file of a module; None where there is none of that name."""
+    at = CODE / module.replace(".", "/")
+    return next((path for path in (at.with_suffix(".py"), at / "__init__.py") if path.is_file()), None)
+
+
+@cache
+def tree_of(module: str) -> ast.Module:
+    """The syntax tree of a module, which has no comments, without docstrings."""
+    path = path_of(module)
+    tree = ast.parse(path.read_bytes()) if path else ast.Module([], [])
+    for node in ast.walk(tree):
+        match node:
+            case ast.Module() | ast.ClassDef() | ast.FunctionDef() if (
+                ast.get_docstring(node, clean=False) is not None
+            ):
+                node.body = node.body[1:]
+    return tree
+
+
+def imports(module: str) -> set[str]:
+    """Modules of the project that a module imports, wherever in it."""
+    found: set[str] = set()
+    for node in ast.walk(tree_of(module)):
+        if isinstance(node, ast.Import):
+            found |= {alias.name for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module:
+            found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
+    return {name for name in found if name.startswith("gelforge.") and path_of(name)}
+
+
+@cache
+def closure(stage: str) -> frozenset[str]:
+    """All modules that a stage imports, itself and those of its imports included."""
+    found, ahead = set(), [f"gelforge.stages.{stage}"]
+    while ahead:
+        module = ahead.pop()
+        if module not in found:
+            found.add(module)
+            ahead += imports(module)
+    return frozenset(found)
+
+
+def version_of(stage: str) -> int:
+    """VERSION of a stage."""
+    return int(re.findall(r"^VERSION = (\d+)$", (CODE / f"gelforge/stages/{stage}.py").read_text(), re.M)[0])
+
+
+def today() -> dict:
+    """The table as the sources are now."""
+    modules = sorted(set().union(*map(closure, STAGES)))
+    digests = {name: hashlib.sha256(ast.dump(tree_of(name)).encode()).hexdigest()[:12] for name in modules}
+    return {"python": PYTHON, "versions": {stage: version_of(stage) for stage in STAGES}, "modules": digests}
+
+
+if __name__ == "__main__":
+    TABLE.write_text(json.dumps(today(), indent=1, sort_keys=True) + "\n")

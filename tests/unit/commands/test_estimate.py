@@ -1,0 +1,278 @@
+"""An estimate adds up, and its pilots stand for all presses."""
+
+import tomllib
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gelforge.commands import estimate
+from gelforge.commands.estimate import (
+    ROW_EACH,
+    Pace,
+    image_bytes,
+    later_costs,
+    measured,
+    on_hexahedra,
+    pilot_presses,
+    row_and_start,
+    training,
+    uncalibrated,
+)
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_json, write_json
+from gelforge.flow.forecast import Cost, on_cores, pilots, presses_an_hour, size, table, wall_seconds
+from gelforge.flow.layout import Layout
+from gelforge.flow.params import plain
+from gelforge.records.press import RawRow
+from gelforge.records.solvetable import Solved, write_solves
+from gelforge.records.status import Status
+from tests.support.parameters import parameters, stage_of
+from tests.support.synthetic_presses import write_dataset
+
+ROWS = [RawRow(n, {"sensor_id": "mini_a", "fz_n": "-3.1"}) for n in range(900)]
+COSTS = [
+    Cost("10_poses", 0.1, bytes_each=10.0),
+    Cost("20_meshes", cpu_once=50.0, bytes_once=1e6),
+    Cost("30_fea", 7.0),
+]
+
+
+@given(st.lists(st.floats(0, 2), min_size=1, max_size=200))
+def test_pilots_are_different_presses_of_every_strength(depths):
+    chosen = pilots(depths)
+    assert len(set(chosen)) == len(chosen) == min(5, len(depths))
+    assert [depths[k] for k in chosen] == sorted(depths[k] for k in chosen)
+
+
+def test_the_mean_of_the_pilots_is_that_of_all_where_cost_rises_with_depth():
+    depths = np.random.default_rng(1).uniform(0.2, 1.5, 500).tolist()
+    cost = [3 + 4 * depth for depth in depths]
+    assert abs(np.mean([cost[k] for k in pilots(depths)]) / np.mean(cost) - 1) < 0.05
+
+
+@given(st.integers(1, 20000), st.integers(1, 64))
+def test_more_cores_never_take_longer_and_never_less_than_their_share(presses, cores):
+    one, many = (wall_seconds(COSTS, presses, n, 1000) for n in (1, cores))
+    total = sum(cost.cpu(presses) for cost in COSTS)
+    assert many <= one * (1 + 1e-12) and many >= total / cores * (1 - 1e-12) and one == total
+
+
+def test_the_table_sums_its_stages():
+    text = table(COSTS, 100)
+    assert text[-1].split() == ["all", f"{(50 + 710) / 3600:.3f}", "1", "MB"]
+    assert [size(n) for n in (0, 999, 2.5e9)] == ["0 B", "999 B", "2.5 GB"]
+
+
+def test_one_core_is_no_cores():
+    assert on_cores(1) == "on 1 core like this one" and on_cores(2) == "on 2 cores like these"
+
+
+@given(st.floats(0, 9e17))
+def test_a_size_is_reported_in_the_unit_of_its_three_digits(count):
+    number, unit = size(count).split()
+    reported = float(number) * 1000 ** ["B", "kB", "MB", "GB", "TB", "PB"].index(unit)
+    assert reported == pytest.approx(count, rel=0.0051) or count < 1  # three digits
+    assert "e" not in number or float(number) < 1
+
+
+def test_a_thousand_of_a_unit_is_one_of_the_next():
+    """999.6 kB with three digits was 1e+03 kB."""
+    assert [size(n) for n in (1e3, 999.6, 999_600, 1e9)] == ["1 kB", "1 kB", "1 MB", "1 GB"]
+
+
+def test_presses_an_hour_fall_with_what_each_takes_and_rise_with_the_cores():
+    """What is spent once, or after the label, has no part in it."""
+    costs = [Cost("30_fea", 3.0, 100.0), Cost("50_labels", 1.0), Cost("70_train", 50.0)]
+    assert presses_an_hour(costs, 2) == 2 * 900.0
+    assert presses_an_hour([*costs, Cost("10_poses", 4.0)], 2) == 900.0
+    assert presses_an_hour([], 1) == float("inf")
+
+
+def test_a_network_that_is_trained_is_counted_by_its_kind(tmp_path, root):
+    """The shipped network learns nothing; a U-net takes several times a light network's time."""
+    results = Layout(tmp_path)
+    params = results.params
+    write_json(params / "sensors.json", {})
+    write_json(params / "poses.json", {"version": 1, "poses": plain(parameters().poses)})
+    models = tomllib.loads((root / "workflow/models.toml").read_text(encoding="utf-8"))
+    for name in ("grid_16", "unet", "pair_24_mirrored"):
+        write_json(params / "models" / f"{name}.json", {name: models[name]})
+    write_json(params / "train.json", {"version": 1, "train": plain(stage_of("train").train)})
+    write_json(params / "report.json", {"version": 1, "report": plain(parameters().report) | {"branches": []}})
+    costs = {
+        name: {c.stage: c for c in later_costs(results, "24x32", name, ROWS)}
+        for name in ("shipped", "grid_16", "unet")
+    }
+    assert "70_train" not in costs["shipped"]
+    light, heavy = (costs[name]["70_train"].cpu_each for name in ("grid_16", "unet"))
+    epochs = stage_of("train").train
+    assert heavy / (epochs.epochs_of.unet or epochs.epochs) > 2 * light / epochs.epochs
+
+
+@pytest.mark.parametrize(
+    ("images", "reading", "counted"),
+    [
+        (False, "-3.1", ["calibrate"]),
+        (False, "", []),
+        (True, "", ["60_dataset", "80_evaluate", "pareto", "90_report"]),
+        (True, "-3.1", ["60_dataset", "80_evaluate", "calibrate", "pareto", "90_report"]),
+    ],
+)
+def test_what_the_log_cannot_feed_is_not_counted(tmp_path, images, reading, counted):
+    results = Layout(tmp_path)
+    branches = plain(parameters().report) | {"branches": ["calibrate", "pareto"]}
+    write_json(results.params / "sensors.json", {})
+    write_json(results.params / "report.json", {"version": 1, "report": branches})
+    write_json(results.params / "poses.json", {"version": 1, "poses": plain(parameters().poses) | {"images": images}})
+    for name in ("calibrate", "pareto"):
+        write_json(results.params / f"{name}.json", {"version": 1} | plain(stage_of(name)))
+    rows = [RawRow(2, {"sensor_id": "mini_a"}), RawRow(3, {"sensor_id": "mini_a", "fz_n": reading})]
+    assert [cost.stage for cost in later_costs(results, "24x32", "shipped", rows)] == counted
+
+
+def test_what_the_pilots_do_not_run_is_counted_at_their_pace(tmp_path):
+    """Whatever the machine: solves of a calibration and a chart are as slow as the pilots' own."""
+    results = Layout(tmp_path)
+    branches = plain(parameters().report) | {"branches": ["calibrate", "pareto"]}
+    write_json(results.params / "report.json", {"version": 1, "report": branches})
+    write_json(results.params / "poses.json", {"version": 1, "poses": plain(parameters().poses)})
+    write_json(results.params / "sensors.json", {})
+    for name in ("calibrate", "pareto"):
+        write_json(results.params / f"{name}.json", {"version": 1} | plain(stage_of(name)))
+    quick, slow = (later_costs(results, "24x32", "shipped", ROWS, pace) for pace in (Pace(0.4, 2.0), Pace(1.2, 6.0)))
+    assert [cost.cpu(0) for cost in slow] == pytest.approx([3 * cost.cpu(0) for cost in quick]) and len(quick) == 5
+
+
+def test_of_a_press_by_calculix_the_part_on_hexahedra_counts(tmp_path):
+    def solved(name, seconds, kinematics):
+        evidence = {"seconds": seconds, "kinematics_seconds": kinematics}
+        return Solved(name, Status.OK, "", "ccx", "", "", (0.0, 0.0, -1.0), evidence)
+
+    write_solves(tmp_path / "0.csv", [solved("a", 4.0, 1.0), solved("b", 1.0, "")])
+    assert on_hexahedra(tmp_path / "0.csv") == pytest.approx(0.4)
+    write_solves(tmp_path / "1.csv", [solved("a", "", "")])
+    assert on_hexahedra(tmp_path / "1.csv") == 1.0
+
+
+def test_pictures_count_by_the_size_that_their_sensor_takes(tmp_path, root):
+    results = Layout(tmp_path)
+    sensors = tomllib.loads((root / "workflow/sensors.toml").read_text(encoding="utf-8"))
+    named = {
+        name: sensors["mini_a"] | {"image": size} for name, size in (("mini_a", [320, 240]), ("own", [640, 480]))
+    }
+    write_json(results.params / "sensors.json", named)
+    of = {name: image_bytes(results, [RawRow(1, {"sensor_id": name})]) for name in (*named, "unknown")}
+    assert of == {"mini_a": 320 * 240 * 3, "own": 640 * 480 * 3, "unknown": 0}
+
+
+def test_an_epoch_of_a_part_of_the_presses_costs_that_part(tmp_path):
+    """Where epochs visit fewer presses than there are; where they would visit more, they visit all."""
+    train = plain(stage_of("train").train)
+    cpu = {}
+    for images in (0, 300, 1200):
+        results = Layout(tmp_path / str(images))
+        params = results.params
+        write_json(params / "models" / "net.json", {"net": {"kind": "unet", "widths": [4, 8]}})
+        write_json(params / "train.json", {"version": 1, "train": train | {"epoch_images": images}})
+        cpu[images] = training(results, "24x32", "net", 900).cpu_each
+    assert cpu[300] == pytest.approx(cpu[0] / 3)
+    assert cpu[1200] == cpu[0]
+
+
+def test_a_network_that_is_being_written_is_none(tmp_path):
+    """What a plan that was killed left beside the tables of the networks."""
+    params = Layout(tmp_path).params
+    write_json(params / "train.json", {"version": 1, "train": plain(stage_of("train").train)})
+    write_json(params / "models" / "net.json", {"net": {"kind": "unet", "widths": [4, 8]}})
+    (params / "models" / ".net.4711.part.json").write_text('{"net": {"ki')
+    assert training(Layout(tmp_path), "24x32", "net", 900).cpu_each > 0.0
+
+
+def test_a_network_that_there_is_not_is_named(tmp_path):
+    params = Layout(tmp_path).params
+    write_json(params / "train.json", {"version": 1, "train": plain(stage_of("train").train)})
+    with pytest.raises(BadInput, match="MODEL=grid16"):
+        training(Layout(tmp_path), "24x32", "grid16", 900)
+    write_json(params / "models" / "net.json", {"net": {"kind": "transformer"}})
+    with pytest.raises(BadInput, match="'transformer': use one of geometry, grid"):
+        training(Layout(tmp_path), "24x32", "net", 900)
+
+
+@pytest.mark.parametrize("table", [{"kind": "unet"}, {"kind": "grid", "start": "shipped", "train": {"epochs": 5}}])
+def test_presses_of_other_datasets_cost_what_its_own_do(tmp_path, table):
+    """90 presses and 45 of [train] also take as long as 135; a dataset that is not made yet is named."""
+    results, alone = Layout(tmp_path / "one"), plain(stage_of("train").train)
+    write_json(results.params / "models" / "net.json", {"net": table})
+
+    def cost(presses, also):
+        write_json(results.params / "train.json", {"version": 1, "train": alone | {"also": also}})
+        return training(results, "24x32", "net", presses).cpu(presses)
+
+    with pytest.raises(BadInput, match="make dataset DATASET=other RES=24x32 first"):
+        cost(90, ["other"])
+    write_dataset(Layout(tmp_path / "other").dataset("24x32"), n=45, image=(24, 32), grid=(6, 8))
+    assert cost(90, ["other"]) == pytest.approx(cost(135, []))
+
+
+@pytest.mark.parametrize("resolution", ["24", "24x", "fine", "24x32x3"])
+def test_a_resolution_that_is_none_is_refused_before_the_pilots(tmp_path, resolution):
+    write_json(Layout(tmp_path).params / "report.json", {"version": 1, "report": plain(parameters().report)})
+    with pytest.raises(BadInput, match="write ROWSxCOLS"):
+        later_costs(Layout(tmp_path), resolution, "shipped", ROWS)
+
+
+def test_a_calibration_fills_the_cores_whatever_the_number_of_shards():
+    assert wall_seconds([Cost("calibrate", cpu_once=100.0)], 5, 4, 1) == 25.0
+
+
+def test_pilots_need_no_posterior(tmp_path):
+    """c10 = "calibrated" is found by the very run that is estimated."""
+    write_json(
+        tmp_path / "params/forces.json", {"version": 1, "forces": {}, "material": {"c10": "calibrated", "nu": 0.475}}
+    )
+    made = read_json(uncalibrated(tmp_path / "params", tmp_path / "work"))
+    assert made["material"]["nu"] == 0.475 and isinstance(made["material"]["c10"], float)
+
+
+@pytest.mark.parametrize("module", ["poses", "fea", "forces", "labels"])
+def test_the_start_of_a_process_is_no_cost_of_a_row(monkeypatch, module):
+    """A hundred pilots of a stage that starts for 2 s cost what five do, and 95 rows."""
+    each = ROW_EACH.get(module, 0.7)
+
+    def estimated(rows: int) -> tuple[float, float]:
+        spent = iter([2.0 + each * rows, 2.0])  # a press that is solved is not solved again
+        monkeypatch.setattr(estimate, "spend", lambda *_: next(spent))
+        return row_and_start(module, [], rows)
+
+    assert estimated(5) == pytest.approx((each, 2.0)) == estimated(100)
+
+
+def filmed(presses: int, frames: int) -> list[RawRow]:
+    """Rows of presses that end one deeper than the other, shuffled, each seen at frames of equal steps."""
+    rows = [
+        RawRow(row, {"press_id": f"p{press}", "dz_mm": f"{-(press + 1) / presses * (frame + 1) / frames}"})
+        for row, (press, frame) in enumerate((p, f) for p in range(presses) for f in range(frames))
+    ]
+    return [rows[k] for k in np.random.default_rng(2).permutation(len(rows))]
+
+
+def test_pilots_of_a_film_are_whole_presses_of_every_depth():
+    chosen = pilot_presses(filmed(20, 6))
+    assert [len(press) for press in chosen] == [6] * 5
+    ids = [{row.cells["press_id"] for row in press} for press in chosen]
+    assert ids == [{f"p{n}"} for n in (2, 6, 10, 14, 18)]
+
+
+def test_rows_without_a_press_id_are_presses_of_their_own():
+    rows = [RawRow(n, {"dz_mm": f"-0.{n}", **press}) for n in range(1, 10) for press in ({}, {"press_id": ""})]
+    assert [len(press) for press in pilot_presses(rows)] == [1] * 5
+
+
+def test_all_rows_of_the_pilots_are_solved_together(tmp_path, monkeypatch):
+    """Moments of a press are solved one after another: alone, each would cost its whole path."""
+    solved = []
+    monkeypatch.setattr(estimate, "pilot", lambda *given: solved.extend(given[2]) or [])
+    measured(tmp_path, filmed(20, 6), [])
+    assert len(solved) == 30 and len({row.row for row in solved}) == 30

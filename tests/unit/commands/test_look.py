@@ -1,0 +1,194 @@
+"""Pictures and .vtu of a sample."""
+
+import os
+import re
+import shutil
+import time
+from dataclasses import replace
+
+import cv2
+import matplotlib as mpl
+import numpy as np
+import pytest
+
+from gelforge.commands import look
+from gelforge.commands.deck import solve_of
+from gelforge.commands.look import outdated_causes, shard_paths
+from gelforge.errors import BadInput
+from gelforge.flow.files import write_csv, write_json
+from gelforge.flow.layout import Layout
+from gelforge.formats.vtu import write_vtu
+from gelforge.records.log import write_rejections
+from gelforge.records.press import Rejection
+from gelforge.reporting.forcemaps import SIGNED, write_maps
+from gelforge.reporting.page import COLOURS
+from tests.support.limited import small_disk
+from tests.support.pressed_dataset import label, write_pressed
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory, root):
+    import os
+
+    os.chdir(root)
+    made = write_pressed(tmp_path_factory.mktemp("made"), count=6, failed=(2,))
+    label(made, "24x32")
+    label(made, "48x64")
+    return made
+
+
+def run(made, sample_id, *resolutions):
+    return look.main(
+        [
+            "--data",
+            str(made["data"]),
+            "--results",
+            str(made["results"]),
+            "--id",
+            sample_id,
+            "--resolution",
+            *resolutions,
+        ]
+    )
+
+
+def test_vtu_opens_and_holds_the_press(made):
+    import pyvista as pv
+
+    run(made, "s001", "24x32", "48x64")
+    grid = pv.read(made["results"] / "look/s001.vtu")
+    mesh, force = made["mesh"], made["loads"]["s001"]
+    assert grid.n_points == len(mesh.nodes) and grid.n_cells == len(mesh.elements)
+    assert np.allclose(grid.points, mesh.nodes) and np.allclose(grid["force"], force)
+    assert np.allclose(grid["displacement"][mesh.surface_nodes], -0.1 * np.abs(force[mesh.surface_nodes]), atol=1e-7)
+    assert not grid["displacement"][mesh.base].any()
+    # A solid whose node order were wrong would have inverted elements.
+    assert grid.compute_cell_sizes()["Volume"].min() > 0
+    for resolution in ("24x32", "48x64"):
+        assert cv2.imread(str(made["results"] / f"look/s001-{resolution}.png")).shape[1] > 1000
+
+
+def test_a_disk_without_room_for_the_gel_is_a_sentence(made, tmp_path):
+    mesh = made["mesh"]
+    still, known = np.zeros_like(mesh.nodes), np.ones(len(mesh.nodes), bool)
+    with small_disk(tmp_path / "disk") as disk:
+        with pytest.raises(OSError, match="the disk is full"):
+            write_vtu(disk / "s.vtu", mesh, still, still, known)
+        assert not list(disk.iterdir())
+
+
+def test_second_order_tetrahedra_keep_their_order(tmp_path):
+    import pyvista as pv
+
+    from gelforge.mechanics.mesh.gelmesh import GelMesh
+
+    corners = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    middles = [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)]
+    nodes = np.vstack([corners, [corners[list(pair)].mean(axis=0) for pair in middles]])
+    mesh = GelMesh("tet10", nodes, np.arange(10)[None], np.array([[0, 2, 1, 6, 5, 4]]), np.array([3]))
+    write_vtu(tmp_path / "t.vtu", mesh, np.zeros((10, 3)), np.zeros((10, 3)), np.ones(10, bool))
+    grid = pv.read(tmp_path / "t.vtu")
+    assert grid.celltypes.tolist() == [24]
+    assert grid.compute_cell_sizes()["Volume"][0] == pytest.approx(1 / 6)
+    with pytest.raises(BadInput, match="another mesh"):
+        write_vtu(tmp_path / "t.vtu", mesh, np.zeros((9, 3)), np.zeros((10, 3)), np.ones(10, bool))
+
+
+def test_arrows_follow_the_image(made):
+    """A force along gel x points up the image, one along gel y to the left, as the projection says."""
+    paths = look.shard_paths(made["results"], "s001", "24x32")
+    seen = look.load(made["data"], paths, "s001", look.load_sensors("workflow/sensors.toml"), "24x32")
+    seen.label[:] = 0.0
+    seen.label[1, 5, 6], seen.label[0, 15, 20] = 0.3, 0.2
+    place, force = look.arrows(seen)
+    first, second = (np.flatnonzero(np.isclose(np.hypot(*force.T), size))[0] for size in (0.3, 0.2))
+    assert force[first] == pytest.approx([0, -0.3], abs=1e-6) and force[second] == pytest.approx([-0.2, 0], abs=1e-6)
+    # Cells are merged two by two to be seen: rows 4 and 5, columns 6 and 7.
+    assert place[first] == pytest.approx([70, 50]) and place[second] == pytest.approx([210, 150])
+
+
+def test_an_arrow_of_fewer_cells_stands_in_their_middle(made):
+    """Cells of 48x64 are merged three by three, and one column is left; its arrows stood at the image's edge."""
+    label = np.zeros((3, 48, 64))
+    label[1, 47, 63] = 0.3
+    place, force = look.arrows(replace(seen_of(made), label=label))
+    (at,) = np.flatnonzero(np.hypot(*force.T) > 0.1)
+    assert place[at] == pytest.approx([63.5 * 320 / 64, 46.5 * 240 / 48])
+
+
+def seen_of(made):
+    """The first sample with a label that pushes along every axis on the left and against it on the right."""
+    paths = look.shard_paths(made["results"], "s001", "24x32")
+    seen = look.load(made["data"], paths, "s001", look.load_sensors("workflow/sensors.toml"), "24x32")
+    return replace(seen, label=np.concatenate([np.full((3, 24, 16), 0.1), np.full((3, 24, 16), -0.1)], axis=2))
+
+
+def test_a_circle_is_round_where_a_log_has_no_images(made):
+    panels = look.draw(replace(seen_of(made), image=None)).axes[:4]
+    assert all(panel.get_aspect() == 1.0 for panel in panels)
+
+
+def is_red(rgb) -> bool:
+    return float(rgb[0]) > 2 * float(rgb[2])
+
+
+def is_blue(rgb) -> bool:
+    return float(rgb[2]) > 2 * float(rgb[0])
+
+
+def test_a_force_along_its_axis_is_red_in_every_picture(made, tmp_path):
+    """And one against it blue: in the pictures of `look` and of `predict`, and on the pages of the explorer and `live`."""
+    seen = seen_of(made)
+    shown = [axis.images[-1] for axis in look.draw(seen).axes[1:4]]
+    assert all(is_red(each.cmap(each.norm(0.1))) and is_blue(each.cmap(each.norm(-0.1))) for each in shown)
+    write_maps(tmp_path / "maps.png", np.zeros((24, 32, 3), np.uint8), seen.label, "")
+    picture = cv2.imread(str(tmp_path / "maps.png"))[..., ::-1]
+    middle = picture[picture.shape[0] // 2].astype(int)
+    red, blue = (np.array([of(pixel) for pixel in middle]) for of in (is_red, is_blue))
+    left, right = (int(np.flatnonzero(pixels)[0]) for pixels in (red, blue))
+    assert left < right  # of the first map
+    stops = re.findall(r"\d+", re.search(r"DIVERGING = \[(.*)\];", COLOURS.read_text(encoding="utf-8"))[1])
+    ends = [*mpl.colormaps[SIGNED](0, bytes=True)[:3], *mpl.colormaps[SIGNED](255, bytes=True)[:3]]
+    assert [int(stop) for stop in stops[:3] + stops[-3:]] == ends
+
+
+def test_a_label_of_older_parameters_is_reported(made, tmp_path, capsys):
+    results = tmp_path / "results/lab"
+    shutil.copytree(made["results"], results)
+    assert outdated_causes(results, shard_paths(results, "s001", "24x32"), "24x32") == []
+    of, fea = Layout(results), Layout(results).params / "fea.json"
+    write_json(of.metrics / "40_forces/0000.json", {"inputs": [str(fea)]})
+    write_json(fea, {})
+    os.utime(fea, (time.time() + 9, time.time() + 9))
+    run(made | {"results": results}, "s001", "24x32")
+    reported = "the label of s001 is an older one: parameters of fea changed since; make labels RES=24x32 DATASET=lab"
+    assert capsys.readouterr().out.startswith(reported)
+
+
+def test_of_a_rejected_row_the_reason_is_reported_and_its_hint(tmp_path):
+    """make sample could never have helped."""
+    write_csv(tmp_path / "lab/00_plan/shards.csv", ["sample_id", "shard"], [{"sample_id": "s7", "shard": 0}])
+    write_rejections(
+        tmp_path / "lab/10_poses/0000.rejected.csv",
+        [Rejection("log.csv", 9, "s7", "dz_mm", "deep", "is no number", "write millimetres")],
+    )
+    reported = "row 9 of the log: dz_mm = 'deep': is no number; write millimetres; then run make labels DATASET=lab"
+    with pytest.raises(BadInput, match=reported):
+        run({"data": tmp_path, "results": tmp_path / "lab"}, "s7", "24x32")
+    with pytest.raises(BadInput, match=reported):
+        solve_of(tmp_path / "lab", "s7")
+
+
+@pytest.mark.parametrize(
+    "sample_id, resolution, reason",
+    [
+        ("", "24x32", "ID=SAMPLE_ID"),
+        ("zzz", "24x32", "not in the log"),
+        ("s001", "5x5", "make labels RES=5x5"),
+        ("s002", "24x32", "DIVERGED"),
+        ("s001", "big", "RES=24x32"),
+    ],
+)
+def test_refusals_say_what_to_do(made, sample_id, resolution, reason):
+    with pytest.raises(BadInput, match=reason):
+        run(made, sample_id, resolution)

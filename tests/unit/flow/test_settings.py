@@ -1,0 +1,273 @@
+"""Settings of a dataset: what has no meaning is refused in a sentence that names table, key, value, hint and file."""
+
+import json
+from dataclasses import fields
+from functools import cache
+from typing import Any, Literal, get_args, get_origin
+
+import pytest
+
+from gelforge.commands.parameters import page
+from gelforge.errors import BadInput
+from gelforge.flow.params import (
+    SOURCES,
+    canonical,
+    laid_over,
+    load_params,
+    parameters_of,
+    plain,
+    read_dataset_file,
+    read_parameters,
+    read_toml,
+    with_charted,
+)
+from gelforge.flow.params import tables as t
+from gelforge.flow.params.schema import Number, ParameterTable, Place, Within, kinds_of, parse, split
+from gelforge.flow.params.tables import FIDELITIES
+from gelforge.mechanics.hexsettings import QUALITIES
+from tests.support.parameters import parameters
+
+
+def load(root, tmp_path, text):
+    path = tmp_path / "dataset.toml"
+    path.write_text(text, encoding="utf-8")
+    return load_params(root / "workflow", path)
+
+
+@cache
+def raw(root):
+    return with_charted(read_toml(root / "workflow" / "params.toml"), root / "workflow")
+
+
+def test_the_schema_and_params_toml_hold_the_same_keys(root):
+    """Both name the same keys, and there is no second default: every key stands in params.toml but those that may be left out."""
+
+    def compare(kind, table, name):
+        known = kinds_of(kind)
+        assert not table.keys() - known.keys(), name
+        for key, hint in known.items():
+            may_miss = type(None) in get_args(hint)
+            assert key in table or may_miss, f"{name}.{key}"
+            inner = split(hint)[0]
+            if key in table and isinstance(inner, type) and issubclass(inner, ParameterTable):
+                compare(inner, table[key], f"{name}.{key}")
+
+    compare(t.Params, raw(root), "params")
+
+
+def test_a_value_is_kept_digit_for_digit(root):
+    """Keys of solves are digests of what stages are given: it is what the file holds, whole numbers whole."""
+    assert canonical(plain(load_params(root / "workflow"))) == canonical(raw(root))
+    odd = parameters(material={"nu": 0}, interface={"mu": 2}, poses={"touch_offset_mm": 1e-2})
+    assert canonical(plain(parameters_of(odd, SOURCES["fea"].kind, 7))) == canonical(
+        {"version": 7, "fea": raw(root)["fea"], "interface": {"law": "no_slip", "mu": 2}, "material": {"nu": 0}}
+    )
+
+
+@pytest.mark.parametrize("stage", SOURCES)
+def test_stage_parameters_reads_back_as_it_was(stage, tmp_path):
+    made = parameters_of(parameters(), SOURCES[stage].kind, 3)
+    path = tmp_path / f"{stage}.json"
+    path.write_text(canonical(plain(made)))
+    assert read_parameters(path, SOURCES[stage].kind) == made
+    path.write_text(json.dumps(plain(made) | {"more": 1}))
+    with pytest.raises(BadInput, match=r"json: cannot be read .*'more'"):
+        read_parameters(path, SOURCES[stage].kind)
+
+
+def test_stage_parameters_that_cannot_be_read_names_its_file(tmp_path):
+    (tmp_path / "fea.json").write_text("{")
+    with pytest.raises(BadInput, match=r"fea\.json: cannot be read .* run make again"):
+        read_parameters(tmp_path / "fea.json", SOURCES["fea"].kind)
+
+
+def leaves(kind: type[ParameterTable], path: tuple[str, ...] = ()) -> list[tuple[tuple[str, ...], Any]]:
+    """Every key of every table with its kind."""
+    found = []
+    for key, hint in kinds_of(kind).items():
+        inner = split(hint)[0]
+        if isinstance(inner, type) and issubclass(inner, ParameterTable):
+            found += leaves(inner, (*path, key))
+        else:
+            found.append(((*path, key), hint))
+    return found
+
+
+def meaningless(hint: Any) -> list[Any]:
+    """Values that no key of this kind can take."""
+    kind, rules = split(hint)
+    always: list[Any] = [{"a": 1}] if get_origin(kind) is not dict else [3, "text", []]
+    bounds = [value for rule in rules if isinstance(rule, Within)
+              for value in (rule.low - 1 - abs(rule.low), rule.high * 2 + 1)]  # fmt: skip
+    if kind is bool:
+        return [*always, "no", 3, []]
+    if kind is int:
+        return [*always, True, "8", 1.5, float("nan"), float("inf"), [], *bounds]
+    if kind == Number:
+        return [*always, True, "0.4", float("nan"), float("-inf"), [], *bounds]
+    if kind is str:
+        return [*always, 3, True, []]
+    if get_origin(kind) is Literal:
+        return [*always, 3, True, [], "no such word"]
+    if get_origin(kind) is tuple:
+        return [*always, 3, "text", True, [[]], [{}], [True], [None]]
+    if get_origin(kind) is dict:
+        return [*always, {"a": "text"}, {"a": {}}, {"hex": True}]
+    return [*always, True, "soft", -1.0, 0, []]
+
+
+CASES = [(path, value) for path, hint in leaves(t.Params) for value in meaningless(hint)]
+
+
+def test_there_are_more_cases_than_were_once_tried():
+    assert len(CASES) > 800 and len({path for path, _ in CASES}) > 130
+
+
+@pytest.mark.parametrize(("path", "value"), CASES, ids=lambda each: str(each)[:60])
+def test_every_key_refuses_what_has_no_meaning(root, path, value):
+    """In one sentence: file, table, key, what was given, what is allowed."""
+    given = value
+    for key in reversed(path):
+        given = {key: given}
+    with pytest.raises(BadInput) as error:
+        parse(t.Params, laid_over(raw(root), given), Place("dataset.toml", ("params",)))
+    said = str(error.value)
+    assert said.startswith("dataset.toml: [params.") and "\n" not in said
+    assert path[-1] in said and path[0] in said
+    assert any(word in said for word in ("give", "unknown key", "unknown name", "is missing"))
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("[params.fea]\nrounds = '8'", r"\[params.fea\] rounds = '8': give a whole number from 1 to 1000"),
+        ("[params.fea]\nrounds = 8.0", r"rounds = 8.0: give a whole number"),
+        ("[params.fea]\nfidelity = 'cxx'", r"fidelity = 'cxx': give \"hex\", \"ccx\""),
+        ("[params.fea]\nfidelty = 'ccx'", r"\[params.fea\] fidelty: unknown key; fidelity is meant"),
+        ("[params.fea]\nmeshes = []", "meshes = .*: give a list of 1 or more"),
+        ("[params.fae]\nrounds = 8", "fae: unknown key; fea is meant"),
+        ("[params]\nposes = 7", r"\[params\] poses = 7: give a table"),
+        ("[params]\nfea = 'hex'", "fea = 'hex': give a table"),
+        ("[[params]]", "params = .*: give tables"),
+        ("params = 5", "params = 5: give tables"),
+        ("[param.fea]\nrounds = 8", "param is unknown; params is meant"),
+        ("catalog = 'x.toml'", "catalogue is meant"),
+        ("catalogue = 5", "catalogue = 5: give text"),
+        ("catalogue = '.'", r"catalogue = '\.': give the name of a \.toml file"),
+        ("catalogue = '../indenters.toml'", "catalogue = .*: give the name"),
+        ("sensor = 4", "sensor = 4: give text"),
+        ("gel = []", r"gel = \[\]: give text"),
+        ("meshes = 4", "meshes is unknown"),
+        ("[params.material]\nnu = 0.5", "nu = 0.5: give a number from 0 to 0.4999"),
+        ("[params.material]\nc10 = true", "c10 = True: give a number from 0.002 to 5 MPa or \"calibrated\""),
+        ("[params.material]\nc10 = 'soft'", "c10 = 'soft'"),
+        ("[params.material]\nc10 = 72.5", "c10 = 72.5: give a number from 0.002 to 5 MPa"),
+        ("[params.interface]\nlaw = 'coulomb'\nmu = inf", "mu = inf: give a number from 0 to 1000"),
+        (f"[params.interface]\nmu = 1{'0' * 400}", "mu = 1000.*: give a number from 0 to 1000"),
+        ("[params.poses]\nband_mm = 0", "band_mm = 0: give a number from 0.001"),
+        ("[params.poses]\nimages = 'no'", "images = 'no': give true or false"),
+        ("[params.report]\nbranches = ['nope']", "branches = .*: give a list of 0 or more, each \"calibrate\" or"),
+        ("[params.evaluate]\nforce_edges = [2.0, 1.0]", "force_edges = .*: give a list of 2 or more, .* rising"),
+        ("[params.evaluate]\nforce_edges = [0.0, inf]", "force_edges = "),
+        ("[params.dataset]\nvalidation = 0.6\ntest = 0.5", "validation = 0.6 and test = 0.5"),
+        ("[params.labels]\nchannels = ['traction']", "channels = .*\"force\" first"),
+        ("[params.labels]\nchannels = []", "channels = "),
+        ("[params.meshes]\nregions = {spot = [1.0]}", r"\[params.meshes.regions\] spot = \[1.0\]: give a list of 2"),
+        ("[params.meshes.hold]\nspt = 1.0", "hold.spt: is no region"),
+        ("[params.pareto.regions.spot]\nbox = [1, 0, 0, 1]", "box = .* rising"),
+        ("[params.pareto]\nhex_layers = [3]", "hex_sizes_mm has 5 sizes and hex_layers 1"),
+        ("[params.stability.sizes]\nhx = [1.0]", "hx: unknown name; hex is meant"),
+        ("[params.stability]\nlayers = {}\nsizes = {hex = [2.0, 1.0, 0.7, 0.5]}", "layers has no \"2.0\""),
+        ("[params.calibrate]\nacceptance = [0.6, 0.15]", "acceptance = .* rising"),
+        ("[params.calibrate]\nrefine = 'lable'", "refine = 'lable'.*label"),
+        ("[params.calibrate.priors.c10]\nkind = 'uniform'", "low is missing: a prior of kind \"uniform\""),
+        ("[params.calibrate.priors.c10]\nspread = 0", "has no width"),
+        ("[params.calibrate.priors.c10]\nmedian = -1", "needs a positive one"),
+        ("[params.calibrate.priors.c10]\nmedian = 80.0", "c10: median = 80.0: give a number from 0.002 to 5 MPa"),
+        ("[params.calibrate.priors.c10]\nkind = 'uniform'\nlow = 10\nhigh = 150", "c10: high = 150: give a number .* MPa"),
+        ("[params.calibrate.priors.mu]\nfree = false", "mu: free = false needs `fixed`"),
+        ("[params.calibrate.priors.c10]\nfree = false\nfixed = 0.08", "c10: free = false; it is what calibrate finds"),
+        ("[params.calibrate]\nwalkers = 33", "walkers = 33: give an even number"),
+        ("[params.train]\nleast_rate = 1.0", "least_rate = 1.0 is above learning_rate"),
+        ("[params.train]\naveraged_share = 0.3", "averaged_share = 0.3 is above frozen_share = 0.25"),
+        ("[params.report]\nmodel = '$(shell touch x)'", "model = .*: give a name of letters"),
+        ("[params.train.epochs_of]\nuet = 3", "uet: unknown key; unet is meant"),
+    ],
+)  # fmt: skip
+def test_what_has_no_meaning_is_refused(root, tmp_path, text, named):
+    with pytest.raises(BadInput, match=named):
+        load(root, tmp_path, text)
+
+
+def test_a_bad_value_of_the_project_blames_its_own_file(root, tmp_path):
+    text = (root / "workflow" / "params.toml").read_text().replace("shard_size = 8", "shard_size = 0")
+    (tmp_path / "params.toml").write_text(text)
+    with pytest.raises(BadInput, match=r"params\.toml: \[plan\] shard_size = 0: give a whole number from 1"):
+        load_params(tmp_path)
+    (tmp_path / "params.toml").write_text(text.replace("shard_size = 0", ""))
+    with pytest.raises(BadInput, match=r"params\.toml: \[plan\] shard_size is missing"):
+        load_params(tmp_path)
+
+
+def test_a_folder_in_place_of_a_file_of_settings_is_refused_in_a_sentence(tmp_path):
+    """As `make rig PLAN=workflow/rig` names one."""
+    with pytest.raises(BadInput, match=r"cannot be read \(Is a directory\); name a TOML file"):
+        read_toml(tmp_path)
+
+
+def test_a_file_of_settings_that_is_not_there_is_refused_with_what_to_do(tmp_path):
+    for hint, said in (
+        ((), "check the name .workflow/guide/your-data.md and"),
+        (("make it with gelforge sensor",), "make it with gel"),
+    ):
+        with pytest.raises(BadInput, match=f"nothere.toml: not found; {said}"):
+            read_toml(tmp_path / "nothere.toml", *hint)
+
+
+def test_settings_that_mean_something_are_taken(root, tmp_path):
+    params = load(
+        root, tmp_path, "[params.material]\nc10 = 'calibrated'\nnu = 0\n[params.interface]\nlaw = 'coulomb'\nmu = 2\n"
+        "[params.meshes.regions]\nmine = [3, 4.0]\n[params.calibrate.priors.c10]\nkind = 'uniform'\nlow = 0.01\nhigh = 1",
+    )  # fmt: skip
+    assert plain(params.material) == {"c10": "calibrated", "nu": 0} and params.interface.mu == 2
+    assert params.meshes.regions["mine"] == (3, 4.0) and params.meshes.regions["wide"] == (9.4, 11.6)
+    assert params.calibrate.priors.c10.numbers == {"low": 0.01, "high": 1}
+
+
+@pytest.mark.parametrize("name", ["demo", "feats_sphere15"])
+def test_the_datasets_that_come_along_are_sound(root, name):
+    assert load_params(root / "workflow", root / "data" / name / "dataset.toml")
+    assert read_dataset_file(root / "data" / name / "dataset.toml").catalogue == "indenters.toml"
+
+
+def test_the_page_of_parameters_is_current(root):
+    """Else run make parameters."""
+    made = (root / "workflow" / "guide" / "parameters.md").read_text(encoding="utf-8")
+    assert made == page(root / "workflow" / "params.toml")
+
+
+def test_words_of_the_schema_are_those_of_the_code():
+    from gelforge.calibration.parameters import LAWS, NAMES
+    from gelforge.records.labelfile import FIELDS
+
+    assert (
+        set(t.QUALITIES) == set(QUALITIES)
+        and FIDELITIES is t.FIDELITIES
+        and set(t.PRIOR_KEYS) == set(get_args(kinds_of(t.PriorTable)["kind"]))
+    )
+    assert set(LAWS) == set(t.LAWS)
+    assert set(NAMES) | {"indenter"} == {field.name for field in fields(t.PriorsTable)}
+    channels = get_args(get_args(split(kinds_of(t.LabelsTable)["channels"])[0])[0])
+    assert set(channels) - {"force"} <= set(FIELDS)
+
+
+def test_benchmarked_errors_stand_in_their_own_file_alone(root, tmp_path):
+    """One that params.toml has, too, would be read or not read without a word; none at all leaves auto nothing to choose by."""
+    text = (root / "workflow" / "params.toml").read_text(encoding="utf-8")
+    (tmp_path / "params.toml").write_text(text, encoding="utf-8")
+    assert load_params(tmp_path).fea.charted == {}
+    (tmp_path / "charted.toml").write_text("[flat_deep]\nccx = [0.01, 0.05, 3.0]\n", encoding="utf-8")
+    assert load_params(tmp_path).fea.charted == {"flat_deep": {"ccx": (0.01, 0.05, 3.0)}}
+    (tmp_path / "params.toml").write_text(text + "\n[fea.charted.flat_deep]\nccx = [0, 0, 1]\n", encoding="utf-8")
+    with pytest.raises(BadInput, match=r"\[fea.charted\]: is read from .*charted.toml; move the tables there"):
+        load_params(tmp_path)

@@ -1,0 +1,132 @@
+"""STL files as programs write them, and files of other kinds under the name .stl."""
+
+import zipfile
+
+import numpy as np
+import pytest
+
+from gelforge.errors import BadInput
+from gelforge.geometry.stlfile import read_stl
+from gelforge.geometry.triangles import cleaned, is_watertight, joined, write_stl
+from tests.unit.geometry.test_shells import box
+
+BODY = box([-2.0, -2.0, 0.0], [4.0, 4.0, 6.0])
+
+
+def text_stl(mesh=BODY, name="probe", end="\n", indent="  ") -> str:
+    """A text STL as CAD programs write it."""
+    lines = [f"solid {name}"]
+    for triangle in mesh[0][mesh[1]]:
+        lines += [f"{indent}facet normal 0 0 0", f"{indent * 2}outer loop"]
+        lines += [f"{indent * 3}vertex {x:e} {y:e} {z:e}" for x, y, z in triangle]
+        lines += [f"{indent * 2}endloop", f"{indent}endfacet"]
+    return end.join([*lines, f"endsolid {name}", ""])
+
+
+TEXTS = {
+    "plain": text_stl().encode(),
+    "CR": text_stl(end="\r").encode(),
+    "CR LF": text_stl(end="\r\n").encode(),
+    "LF CR mixed": text_stl(end="\n\r").encode(),
+    "one line": text_stl(end=" ").encode(),
+    "no indent": text_stl(indent="").encode(),
+    "capitals": text_stl().upper().encode(),
+    "a byte-order mark": b"\xef\xbb\xbf" + text_stl().encode(),
+    "two byte-order marks": 2 * b"\xef\xbb\xbf" + text_stl().encode(),
+    "UTF-16": text_stl(name="Fühler").encode("utf-16"),
+    "an umlaut": text_stl(name="Fühler").encode(),
+    "an umlaut of Latin-1": text_stl(name="Fühler").encode("latin-1"),
+    "an umlaut with CR": text_stl(name="Fühler", end="\r").encode(),
+    "blank lines before": b"\n\n  " + text_stl().encode(),
+    "no name": text_stl(name="").encode(),
+    "a name of its own words": text_stl(name="vertex 1 2 endfacet solid").encode(),
+    "two solids": text_stl((BODY[0], BODY[1][:5])).encode() + text_stl((BODY[0], BODY[1][5:])).encode(),
+    "cut after a triangle": text_stl().encode()[: text_stl().rindex("endsolid")],
+}
+
+
+@pytest.mark.parametrize("kind", TEXTS)
+def test_a_text_file_is_read_whatever_its_lines_and_name(tmp_path, kind):
+    (tmp_path / "b.stl").write_bytes(TEXTS[kind])
+    vertices, faces = read_stl(tmp_path / "b.stl")
+    expected = cleaned(*BODY)
+    np.testing.assert_array_equal(vertices, expected[0])
+    np.testing.assert_array_equal(faces, expected[1])
+
+
+@pytest.mark.parametrize(
+    "header", [b"gelforge", b"solid from a program", b"\xef\xbb\xbfsolid", b"<xml", b"ply", b"{"]
+)
+@pytest.mark.parametrize("behind", [b"", b"\x00" * 7, b"what the program adds"])
+def test_a_binary_file_is_reported_by_its_size_whatever_its_header(tmp_path, header, behind):
+    write_stl(tmp_path / "b.stl", *BODY)
+    data = bytearray((tmp_path / "b.stl").read_bytes())
+    data[:80] = header.ljust(80)
+    (tmp_path / "b.stl").write_bytes(bytes(data) + behind)
+    if behind and header[:1] in b"<p{":
+        with pytest.raises(BadInput, match="it is a"):
+            read_stl(tmp_path / "b.stl")
+        return
+    np.testing.assert_array_equal(read_stl(tmp_path / "b.stl")[0], cleaned(*BODY)[0])
+
+
+POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a2146\nsize 12345\n"
+OTHERS = {
+    "Git LFS pointer": (POINTER, "it is a Git LFS pointer.*git lfs pull"),
+    "HTML": (b"<!DOCTYPE html>\n<html><body>404</body></html>", "it is a page of HTML"),
+    "HTML after a mark": (b"\xef\xbb\xbf\r\n<html>solid</html>", "it is a page of HTML"),
+    "OBJ": (b"# Blender\no probe\nv 0 0 0\nv 1.0 -2e-3 0\nf 1 2 3\n", "it is an OBJ file"),
+    "OBJ with CR": (b"v 0 0 0\rv 1 0 0\rv 0 1 0\rf 1 2 3\r", "it is an OBJ file"),
+    "PLY": (b"ply\nformat ascii 1.0\nelement vertex 3\n", "it is a PLY file"),
+    "OFF": (b"OFF\n8 6 12\n", "it is an OFF file"),
+    "STEP": (b"ISO-10303-21;\nHEADER;\n", "it is a STEP file"),
+    "picture": (b"\x89PNG\r\n\x1a\n" + bytes(200), "it is a picture"),
+    "gzip": (b"\x1f\x8b\x08" + bytes(100), "it is a compressed file"),
+    "nothing": (b"", "it is empty"),
+    "blanks": (b" \n\r\n", "it is empty"),
+    "decimal commas": (text_stl().replace(".", ",").encode(), "is no number, write decimals with a point"),
+    "words for numbers": (text_stl().replace("vertex", "vertex x", 1).encode(), "'x' is no number"),
+    "not finite": (text_stl().replace("vertex -2.000000e+00", "vertex nan", 1).encode(), "no finite number"),
+    "cut within a triangle": (text_stl().encode()[:300], "corners and .* ends of triangles"),
+    "without triangles": (b"solid x\nendsolid x\n", "holds no triangles"),
+    "binary without triangles": (bytes(84), "holds no triangles"),
+    "binary cut short": (bytes(80) + b"\x0c\x00\x00\x00" + bytes(99), "12 triangles would take 684"),
+}
+
+
+@pytest.mark.parametrize("kind", OTHERS)
+def test_a_file_of_another_kind_is_refused_by_what_it_is(tmp_path, kind):
+    data, says = OTHERS[kind]
+    (tmp_path / "b.stl").write_bytes(data)
+    with pytest.raises(BadInput, match=rf"b\.stl: .*{says}"):
+        read_stl(tmp_path / "b.stl")
+
+
+def test_an_archive_and_a_folder_are_refused_by_what_they_are(tmp_path):
+    with zipfile.ZipFile(tmp_path / "b.stl", "w") as archive:
+        archive.writestr("3D/3dmodel.model", "<model/>")
+    with pytest.raises(BadInput, match="it is a ZIP archive, as 3MF"):
+        read_stl(tmp_path / "b.stl")
+    (tmp_path / "folder.stl").mkdir()
+    with pytest.raises(BadInput, match=r"folder\.stl: cannot be read \(it is a folder\)"):
+        read_stl(tmp_path / "folder.stl")
+
+
+@pytest.mark.parametrize("place", [[0.0, 0.0, 0.0], [30.0, -20.0, 5.0]])
+def test_corners_that_single_precision_parts_are_one(tmp_path, place):
+    """Programs compute a corner once for each triangle that meets in it."""
+    corners = (BODY[0] + place)[BODY[1]]
+    rng = np.random.default_rng(2)
+    for size in (0.0, 2e-8, 1e-7):
+        moved = corners * (1.0 + rng.uniform(-size, size, corners.shape))
+        write_stl(tmp_path / "b.stl", moved.reshape(-1, 3), np.arange(moved.size // 3).reshape(-1, 3))
+        vertices, faces = read_stl(tmp_path / "b.stl")
+        assert len(vertices) == 8 and is_watertight(faces)
+        assert np.linalg.norm(vertices[:, None] - (BODY[0] + place), axis=2).min(axis=1).max() < 2e-5
+
+
+def test_corners_that_a_body_has_apart_stay_apart(tmp_path):
+    """A slot of a hundredth of a millimetre is far wider than what single precision parts."""
+    left, right = box([-2.0, -2.0, 0.0], [1.995, 4.0, 6.0]), box([0.005, -2.0, 0.0], [1.995, 4.0, 6.0])
+    write_stl(tmp_path / "b.stl", *joined([left, right]))
+    assert len(read_stl(tmp_path / "b.stl")[0]) == 16

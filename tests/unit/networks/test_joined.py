@@ -1,0 +1,143 @@
+"""A network that learns from several datasets: what it is given of each, and what it is judged on."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gelforge.errors import BadInput
+from gelforge.networks.data.arrays import data_version, open_data, scales
+from gelforge.networks.data.concatenate import concatenate
+from gelforge.networks.evaluation.evaluation import evaluate, known_rows
+from gelforge.networks.training.loop import predict_rows
+from gelforge.records.rowfile import ChainedRows
+from gelforge.reporting.modelcard import data_lines, origin_of
+from gelforge.stages.train import train
+from tests.support.parameters import with_values
+from tests.support.small_networks import EVALUATE, GRID, IMAGE, LEARNING, SMALL
+from tests.support.synthetic_presses import SETTINGS, write_dataset
+
+SPLITS = {"own": 48, "other": 64, "third": 32}
+
+
+@pytest.fixture(scope="module")
+def datasets(tmp_path_factory):
+    """Three datasets of other presses, each of a sensor of the same name."""
+    folder = tmp_path_factory.mktemp("joined")
+    opened = [
+        open_data(write_dataset(folder / name, n, IMAGE, GRID, seed))
+        for seed, (name, n) in enumerate(SPLITS.items(), 1)
+    ]
+    return [replace(one, info=one.info | {"name": name}) for one, name in zip(opened, SPLITS, strict=True)]
+
+
+@given(
+    st.lists(st.integers(0, 8), max_size=3),
+    st.one_of(st.integers(-8, 7), st.slices(8), st.lists(st.integers(-8, 7), max_size=9)),
+)
+def test_chained_rows_are_those_of_one_array(cuts, rows):
+    whole = np.arange(6 * 8, dtype=np.uint16).reshape(8, 2, 3)
+    chained = ChainedRows(np.split(whole, sorted(cuts)))
+    assert (chained.shape, chained.dtype, len(chained)) == (whole.shape, whole.dtype, len(whole))
+    expected = whole[np.array(rows, int) if isinstance(rows, list) else rows]
+    assert chained[rows].dtype == expected.dtype and np.array_equal(chained[rows], expected)
+
+
+def test_every_press_is_what_it_was_in_its_own_dataset(datasets):
+    joined, at = concatenate(datasets[0], datasets[1:]), 0
+    assert len(joined.table) == sum(SPLITS.values())
+    for one in datasets:
+        rows = range(len(one.table))
+        there = [at + row for row in rows]
+        assert np.array_equal(joined.seen(there, "pair"), one.seen(rows, "pair"))
+        assert np.array_equal(joined.totals(there), one.totals(rows))
+        at += len(rows)
+
+
+def test_only_what_trains_and_validates_is_taken_of_others(datasets):
+    own, *others = datasets
+    joined = concatenate(own, others)
+    assert joined.splits.keys() == own.splits.keys()
+    for name, rows in joined.splits.items():
+        taken = datasets if name in ("train", "val") else [own]
+        assert len(rows) == len(set(rows.tolist())) == sum(len(one.splits[name]) for one in taken)
+        assert {joined.table[row].split for row in rows} == {name}
+
+
+def test_one_name_in_two_datasets_is_two_sensors(datasets):
+    joined = concatenate(datasets[0], datasets[1:])
+    assert sorted(joined.nocontact) == ["mini0", "other/mini0", "third/mini0"]
+    grouped = [replace(one, table=[replace(row, group="g") for row in one.table]) for one in datasets]
+    assert len(set(concatenate(grouped[0], grouped[1:]).presses(range(sum(SPLITS.values()))))) == 3
+
+
+def test_scales_are_those_of_all_presses(datasets):
+    joined = concatenate(datasets[0], datasets[1:])
+    labels = np.concatenate([one.labels[one.splits["train"]] for one in datasets]).astype(float)
+    found = scales(joined, total_only=False, reads="pair")
+    assert np.allclose(found["label"], np.sqrt((labels**2).mean((0, 2, 3))), rtol=1e-6)
+
+
+def test_what_cannot_be_learnt_from_together_is_refused(datasets, tmp_path):
+    own, other = datasets[:2]
+    coarse = open_data(write_dataset(tmp_path / "coarse", 16, IMAGE, (3, 4)))
+    small = open_data(write_dataset(tmp_path / "small", 16, (24, 32), GRID))
+    for wrong, word in ((coarse, "grid of 3 x 4"), (small, "images of 32 x 24"), (own, "own is given twice")):
+        with pytest.raises(BadInput, match=word):
+            concatenate(own, [other, wrong])
+
+
+def test_a_network_reads_both_that_it_learnt_from_and_says_so(datasets):
+    own, other = datasets[0], datasets[1]
+    # their forces mean opposite things, so only who learnt from the other one reads it
+    turned = replace(other, labels=-other.labels[:])
+    settings = with_values(SETTINGS, **LEARNING)
+    alone, both = (train(own, "small", SMALL, settings, also=also) for also in ((), [turned]))
+    rows = other.splits["train"]
+    errors = [
+        np.abs(
+            predict_rows(one.net, turned, rows, one.metadata["normalisation"]).sum((2, 3)) - turned.totals(rows)
+        ).mean()
+        for one in (alone, both)
+    ]
+    assert errors[1] < 0.8 * errors[0]
+    assert alone.metadata["also"] == []
+    reported = both.metadata["also"][0]
+    assert both.metadata["data"] == alone.metadata["data"]
+    assert (reported["name"], reported["version"], reported["simulated"]) == ("other", data_version(turned), True)
+    assert reported["samples"] == {name: len(other.splits[name]) for name in ("train", "val")}
+    assert [line.split(",")[0] for line in data_lines(both.metadata)] == ["- Data: own", "- Also learnt from: other"]
+
+
+def test_presses_that_a_dataset_gained_are_new_to_a_network_and_the_others_stay_known(datasets):
+    """A plan that grows changes its dataset's version, and no press of before."""
+    own, other = datasets[0], datasets[1]
+    model = train(own, "small", SMALL, with_values(SETTINGS, epochs=1)).model
+    grown = concatenate(own, [other])
+    table = [
+        replace(one, press=replace(one.press, x0_mm=one.press.x0_mm + 50.0)) if n >= len(own.table) else one
+        for n, one in enumerate(grown.table)
+    ]
+    known = known_rows(model, replace(grown, table=table, info=own.info))
+    assert known[own.splits["train"]].all() and not known[len(own.table) :].any()
+    assert not known[own.splits["test"]].all()
+
+
+def test_no_network_is_judged_on_presses_that_it_learnt_from(datasets):
+    own, other = datasets[0], datasets[1]
+    both = train(own, "small", SMALL, with_values(SETTINGS, epochs=1), also=[other])
+    assert "train" not in evaluate(other, both.model, EVALUATE)[0]["splits"]
+    only = replace(other, splits={"train": other.splits["train"]})
+    with pytest.raises(BadInput, match="which it learnt from"):
+        evaluate(only, both.model, EVALUATE)
+
+
+@pytest.mark.parametrize(
+    ("simulated", "said"),
+    [((True, True), "no real sensor"), ((False, False), "recorded presses."), ((False, True), "and from simulated")],
+)
+def test_a_card_says_whether_presses_were_simulated(simulated, said):
+    data, other = ({"simulated": one} for one in simulated)
+    assert said in origin_of({"data": data, "also": [other]})

@@ -1,0 +1,327 @@
+"""Training: its loss, its order, that it learns, goes on and is resumed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from gelforge.errors import BadInput
+from gelforge.networks.data.arrays import open_data, scales
+from gelforge.networks.data.loader import Prefetch, epoch_order, images_to_tensor, target, training_batches
+from gelforge.networks.models.inputs import network_input
+from gelforge.networks.pipeline import Start
+from gelforge.networks.training.loop import (
+    FRACTIONS,
+    Training,
+    between,
+    fit,
+    loss_of,
+    predict_rows,
+    resume,
+    save_checkpoint,
+    validate,
+)
+from gelforge.records.axes import CHANNELS
+from gelforge.stages.train import resolve, train
+from tests.support.parameters import parameters, with_values
+from tests.support.small_networks import GRID, IMAGE, LEARNING, SMALL
+from tests.support.synthetic_presses import SETTINGS, write_dataset
+
+
+def start_of(trained) -> Start:
+    """A network to fine-tune."""
+    return Start(trained.net, trained.metadata)
+
+
+def test_total_force_loss_is_blind_to_where_the_force_is():
+    expected = torch.zeros(1, 3, 2, 2)
+    expected[0, :, 0, 0] = 1
+    moved = expected.roll(1, 3)
+    scale = torch.ones(3)
+    off, square, linear = (
+        replace(SETTINGS, total_weight=w, total_huber=h) for w, h in ((0.0, 0.0), (1.0, 0.0), (1.0, 0.1))
+    )
+    only_cells = loss_of(moved, expected, scale, scale, off)
+    assert loss_of(moved, expected, scale, scale, square) == only_cells == 0.5
+    assert loss_of(moved, expected, scale, scale, linear) == 0.5
+    assert loss_of(2 * expected, expected, scale, scale, square) == pytest.approx(0.25 + 1.0)
+    # an error of one scale: one beyond the corner at 0.1, less half of it
+    assert loss_of(2 * expected, expected, scale, scale, linear) == pytest.approx(0.25 + 1.0 - 0.05)
+
+
+def test_epochs_visit_every_press_once_in_their_own_order():
+    rows = np.arange(100, 140)
+    first, second = epoch_order(rows, 1, 0), epoch_order(rows, 1, 1)
+    assert sorted(first) == sorted(second) == list(rows)
+    assert list(first) != list(second) and list(first) == list(epoch_order(rows, 1, 0))
+
+
+@pytest.mark.parametrize("most", [1, 7, 39, 40, 60])
+def test_epochs_that_share_a_pass_visit_every_press_once_in_it(most):
+    rows = np.arange(100, 140)
+    size = min(most, 40)
+    epochs = [epoch_order(rows, 1, epoch, most) for epoch in range(3 * 40 // size + 1)]
+    assert {len(epoch) for epoch in epochs} == {size}
+    seen = np.concatenate(epochs)
+    for number in range(len(seen) // 40):
+        assert sorted(seen[40 * number : 40 * (number + 1)]) == list(rows)
+        assert list(seen[40 * number : 40 * (number + 1)]) == list(epoch_order(rows, 1, number))
+
+
+def test_reading_ahead_keeps_order_and_hands_on_errors():
+    assert list(Prefetch(iter(range(20)))) == list(range(20))
+
+    def broken():
+        yield 1
+        raise BadInput("the second one is missing")
+
+    with pytest.raises(BadInput, match="second"):
+        list(Prefetch(broken()))
+
+
+@pytest.mark.parametrize("batch", [1, 3, 7, 64])
+def test_batches_hold_the_pictures_of_an_epoch_each_beside_its_own_label(folder, batch):
+    data = open_data(folder)
+    still = with_values(SETTINGS, batch=batch, shift_cells=0, augment={"probability": 0.0})
+    norm, rows = scales(data, False), data.splits["train"]
+    batches = list(training_batches(data, norm, still, 3, False))
+    assert [len(pictures) for pictures, _ in batches[:-1]] == [batch] * (len(batches) - 1)
+    order = [np.sort(part) for part in np.split(epoch_order(rows, still.seed, 3), range(batch, len(rows), batch))]
+    rows = np.concatenate(order)
+    expected = network_input(images_to_tensor(data.seen(rows, norm["reads"])), norm)
+    assert torch.equal(torch.cat([pictures for pictures, _ in batches]), expected)
+    assert torch.equal(torch.cat([labels for _, labels in batches]), target(data.labels[rows], norm, False))
+
+
+def test_training_learns(folder, trained):
+    data = open_data(folder)
+    guess = np.abs(data.totals(data.splits["val"]) - np.median(data.totals(data.splits["train"]), axis=0)).mean(0)
+    curve = trained.metadata["curve"]
+    best = curve[trained.metadata["best_epoch"] - 1]
+    # Forty epochs bring the loss on 48 small images to a tenth, whichever way rounding sends the weights; how well
+    # unseen ones are read is another matter, but better than by guessing.
+    assert curve[-1]["loss"] < 0.25 * curve[0]["loss"]
+    assert best["val_total"] < guess.sum() and best["val_grid_x"] < guess[0]
+    assert best["val_score"] == min(row["val_score"] for row in trained.metadata["curve"])
+
+
+def test_shear_counts_as_much_as_normal_force_where_weights_are_chosen(folder, trained):
+    """An error of a tenth of its own scale is the same step of the score, whichever component has it."""
+    data, norm = open_data(folder), trained.metadata["normalisation"]
+    plain = validate(trained.net, data, norm, 8, "cpu")
+    expected = np.mean([plain[f"val_{name}"] / scale for name, scale in zip(CHANNELS, norm["total"], strict=True)])
+    assert plain["val_score"] == pytest.approx(expected)
+
+
+def test_same_seed_same_curve_other_seed_other_curve(folder):
+    data = open_data(folder)
+    curves = [
+        train(data, "small", SMALL, with_values(SETTINGS, epochs=2, seed=seed)).metadata["curve"]
+        for seed in (5, 5, 6)
+    ]
+    assert curves[0] == curves[1] != curves[2]
+
+
+@pytest.mark.parametrize(
+    "kind, schedule, most, averaged",
+    [
+        ("grid", "cosine", 0, 0.0), ("grid", "plateau", 11, 0.0), ("grid", "cosine", 0, 0.8),
+        ("unet", "plateau", 0, 0.0), ("resnet", "plateau", 0, 0.0),
+    ],
+)  # fmt: skip
+def test_resumed_training_has_the_same_curve_and_weights(folder, tmp_path, kind, schedule, most, averaged):
+    model = {
+        "grid": SMALL,
+        "unet": {"kind": "unet", "widths": [4, 8]},
+        "resnet": {"kind": "resnet", "blocks": [1, 1], "widths": [4, 8]},
+    }[kind]
+    data = open_data(folder)
+    norm = scales(data, kind == "resnet")
+    grid = (1, 1) if kind == "resnet" else GRID
+
+    def start():
+        settings = with_values(
+            SETTINGS, epochs=5, schedule=schedule, mirrored_share=0.8, epoch_images=most, averaged_share=averaged,
+            frozen_share=max(averaged, SETTINGS.frozen_share),
+        )  # fmt: skip
+        return Training(model, settings, norm, IMAGE, grid, "cpu")
+
+    whole, cut, rest = start(), start(), start()
+    fit(whole, data)
+    fit(cut, data, tmp_path / "c.safetensors", "same", epochs=2)
+    fit(rest, data, tmp_path / "c.safetensors", "same")
+    assert rest.cost["resumed"] == 1 and rest.curve == whole.curve
+    assert len(rest.cost["epoch_seconds"]) == 5 and (np.diff(rest.cost["epoch_seconds"]) > 0).all()
+    for a, b in zip(whole.net.state_dict().values(), rest.net.state_dict().values()):
+        assert torch.equal(a, b)
+
+
+@pytest.mark.parametrize("fraction", [0.5, 0.4])
+def test_the_last_epochs_train_the_network_that_is_used(folder, fraction, monkeypatch):
+    """Frozen statistics stay, the weights go on; before, each epoch has its own."""
+    data = open_data(folder)
+    settings = with_values(SETTINGS, epochs=4, frozen_share=fraction)
+    frozen = [False, False, True, True] if fraction == 0.5 else [False, False, False, True]
+    settled = []
+    monkeypatch.setattr(
+        "gelforge.networks.training.loop.settle_batch_norm", lambda net, *_: settled.append(training.epochs_done)
+    )
+    training = Training(SMALL, settings, scales(data, False), IMAGE, GRID, "cpu")
+    seen = []
+    for _ in range(4):
+        training.close_epoch(data, training.train_epoch(training.batches(data)))
+        state = training.net.state_dict()
+        seen.append((state["stem_norm.running_mean"].clone(), state["stem.weight"].clone()))
+    assert [torch.equal(a[0], b[0]) for a, b in zip(seen, seen[1:])] == frozen[1:]
+    assert settled == [epoch + 1 for epoch in range(4) if not frozen[epoch]]
+    assert not any(torch.equal(a[1], b[1]) for a, b in zip(seen, seen[1:]))
+
+
+def test_averaged_weights_are_the_mean_over_the_steps_of_the_last_epochs(folder):
+    """The network that is validated and kept has them; the one that trains goes its own way."""
+    data = open_data(folder)
+    settings = with_values(SETTINGS, epochs=3, frozen_share=0.7, averaged_share=0.7, learning_rate=1e-2)
+    training = Training(SMALL, settings, scales(data, False), IMAGE, GRID, "cpu")
+    passed, step = [], training.step
+
+    def noting(images, expected):
+        loss = step(images, expected)
+        passed.append((training.epochs_done, training.net.state_dict()["stem.weight"].clone()))
+        return loss
+
+    training.step = noting
+    for _ in range(3):
+        row = training.close_epoch(data, training.train_epoch(training.batches(data)))
+    mean = torch.stack([weights for epoch, weights in passed if epoch >= 1]).mean(0)
+    net = training.judged
+    assert torch.allclose(net.state_dict()["stem.weight"], mean, atol=1e-6)
+    assert not torch.allclose(training.net.state_dict()["stem.weight"], mean, atol=1e-4)
+    assert torch.equal(
+        net.state_dict()["stem_norm.running_mean"], training.net.state_dict()["stem_norm.running_mean"]
+    )
+    assert validate(net, data, training.norm, settings.batch, "cpu")["val_total"] == row["val_total"]
+
+
+@pytest.fixture(scope="module")
+def few(tmp_path_factory):
+    """Twenty presses to train on, of the same law as `folder`."""
+    return open_data(write_dataset(tmp_path_factory.mktemp("few") / "6x8", 40, IMAGE, GRID, seed=7))
+
+
+def test_a_network_that_goes_on_begins_as_the_one_it_goes_on_from(few, trained):
+    still = with_values(SETTINGS, epochs=1, learning_rate=1e-12, frozen_share=1.0, least_rate=0.0)
+    found = train(few, "tuned", SMALL, still, start=start_of(trained))
+    norm, before = found.metadata["normalisation"], trained.metadata["normalisation"]
+    assert all(norm[key] == before[key] for key in ("image_mean", "image_std", "label", "total"))
+    rows = few.splits["test"]
+    assert np.allclose(
+        predict_rows(found.net, few, rows, norm), predict_rows(trained.net, few, rows, before), atol=1e-4
+    )
+    assert found.metadata["start"]["name"] == "small" and "start" not in trained.metadata["model"]
+
+
+@pytest.mark.parametrize("added", [1, 3])
+def test_a_deeper_network_begins_as_the_one_it_goes_on_from(few, trained, added):
+    deeper = {**SMALL, "blocks": SMALL["blocks"] + added}
+    spoilt = with_values(SETTINGS, epochs=1, learning_rate=1.0, schedule="cosine")
+    begun = train(
+        few, "deeper", deeper, spoilt, start=start_of(trained)
+    )  # spoilt at once, so what it began as is kept
+    rows, norm = few.splits["test"], trained.metadata["normalisation"]
+    reported = [predict_rows(found.net, few, rows, norm) for found in (begun, trained)]
+    assert np.array_equal(*reported)
+    training = Training(deeper, SETTINGS, norm, IMAGE, GRID, "cpu")
+    training.go_on_from(trained.net.state_dict(), few)
+    last = training.net.late[-1].second_norm.weight
+    assert not last.any()
+    training.train_epoch(training.batches(few))
+    assert last.any()
+    with pytest.raises(BadInput, match=f"blocks = {SMALL['blocks']}, there {deeper['blocks']}"):
+        train(few, "shallower", SMALL, SETTINGS, start=start_of(begun))
+
+
+def test_a_network_that_goes_on_never_ends_worse_than_it_began(few, trained):
+    spoilt = with_values(SETTINGS, epochs=1, learning_rate=1.0, schedule="cosine")
+    found = train(few, "tuned", SMALL, spoilt, start=start_of(trained))
+    assert found.metadata["best_epoch"] == 0 < found.metadata["curve"][0]["val_total"]
+    weights = trained.net.state_dict()
+    assert all(torch.equal(value, weights[name]) for name, value in found.net.state_dict().items())
+
+
+def test_weights_between_first_and_last_are_tried(few, trained):
+    """They lie on the straight way from one to the other, and the finished network is what validation likes best of it."""
+    settings = with_values(SETTINGS, epochs=3, learning_rate=2e-3, frozen_share=1.0)
+    training = Training(SMALL, settings, trained.metadata["normalisation"], IMAGE, GRID, "cpu")
+    training.go_on_from(trained.net.state_dict(), few)
+    fit(training, few)
+    first, last = training.start["weights"], training.best["weights"]
+    judged = {}
+    for fraction in (0.0, *FRACTIONS, 1.0):
+        training.net.load_state_dict(between(first, last, fraction))
+        judged[fraction] = validate(training.net, few, training.norm, 8, "cpu")["val_score"]
+    assert judged[0.0] == pytest.approx(training.start["val_score"])
+    assert judged[1.0] == pytest.approx(training.best["val_score"])
+    assert training.fraction == min(judged, key=lambda fraction: judged[fraction])
+    assert training.best_epoch == (training.best["epoch"] if training.fraction else 0)
+    middle = between(first, last, 0.5)
+    assert all(
+        torch.allclose(2 * value, first[name] + last[name], atol=1e-5)
+        for name, value in middle.items()
+        if value.is_floating_point()
+    )
+
+
+def test_few_presses_teach_more_to_a_network_that_goes_on(few, trained, tmp_path):
+    alone = with_values(SETTINGS, **LEARNING)
+    further = with_values(alone, learning_rate=2e-4, frozen_share=1.0)
+    others = open_data(write_dataset(tmp_path / "6x8", 96, IMAGE, GRID, seed=9))
+    few = replace(few, splits=few.splits | {"train": few.splits["train"][:12]})
+    rows, errors = np.arange(96), []
+    for settings, start in ((further, start_of(trained)), (alone, None)):
+        found = train(few, "tuned", SMALL, settings, start=start)
+        reported = predict_rows(found.net, others, rows, found.metadata["normalisation"]).sum((2, 3), dtype=float)
+        errors.append(np.abs(reported - others.totals(rows)).mean())
+    assert errors[0] < 0.7 * errors[1]
+
+
+def test_a_network_is_not_fine_tuned_where_hardly_a_press_shows_whether_it_became_better(trained, tmp_path):
+    data = open_data(write_dataset(tmp_path / "6x8", 24, IMAGE, GRID))
+    with pytest.raises(BadInput, match="of its presses 3 validate, too few .* raise .params.dataset. validation"):
+        train(data, "tuned", SMALL, SETTINGS, start=start_of(trained))
+
+
+def test_a_network_goes_on_from_one_of_its_own_kind_only(few, trained, folder, tmp_path):
+    with pytest.raises(BadInput, match="width = 16, there 8"):
+        train(few, "tuned", {**SMALL, "width": 16}, SETTINGS, start=start_of(trained))
+    finer = open_data(write_dataset(tmp_path / "12x16", 16, IMAGE, (12, 16)))
+    with pytest.raises(BadInput, match="grid"):
+        train(finer, "tuned", SMALL, SETTINGS, start=start_of(trained))
+    with pytest.raises(BadInput, match="only 'shipped'"):
+        resolve({"tuned": {**SMALL, "start": "mine"}}, "tuned", parameters().train)
+
+
+def test_checkpoint_of_another_training_is_not_used(folder, tmp_path):
+    data = open_data(folder)
+    for name in ("one", "other"):
+        training = Training(SMALL, with_values(SETTINGS, epochs=1), scales(data, False), IMAGE, GRID, "cpu")
+        fit(training, data, tmp_path / "c.safetensors", name)
+        assert training.cost["resumed"] == 0
+
+
+def test_a_dataset_without_the_nocontact_image_is_named(folder):
+    data = replace(open_data(folder), nocontact={})
+    with pytest.raises(BadInput, match="nocontact/mini0.png"):
+        train(data, "pair", {**SMALL, "reads": "pair"}, with_values(SETTINGS, epochs=1))
+
+
+@pytest.mark.parametrize("corrupt", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b"no tensors at all"])
+def test_a_corrupt_checkpoint_starts_the_training_over(folder, tmp_path, corrupt, capsys):
+    data, path = open_data(folder), tmp_path / "c.safetensors"
+    first = Training(SMALL, with_values(SETTINGS, epochs=1), scales(data, False), IMAGE, GRID, "cpu")
+    fit(first, data, None, "one")
+    save_checkpoint(path, first, "one")
+    path.write_bytes(corrupt(path.read_bytes()))
+    again = Training(SMALL, with_values(SETTINGS, epochs=1), scales(data, False), IMAGE, GRID, "cpu")
+    assert not resume(path, again, "one")
+    assert "starting over" in capsys.readouterr().out

@@ -1,0 +1,247 @@
+"""Markers of a gel, where optical flow finds them; totals and their columns; a network that is fine-tuned from another."""
+
+import csv
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from gelforge.errors import BadInput
+from gelforge.networks.checkpoint.weights import load_weights
+from gelforge.networks.data.arrays import open_data
+from gelforge.networks.evaluation.fitting import ENOUGH_PAIRS, usual_rows
+from gelforge.networks.inference.predictor import SHIPPED, load_for_use
+from gelforge.networks.pipeline import Start
+from gelforge.networks.preprocess.illumination import match_light
+from gelforge.networks.preprocess.markertracks import FAR, HOME, MarkerTracker
+from gelforge.networks.preprocess.scale import View
+from gelforge.networks.training.warmstart import require_scale, scales_before
+from gelforge.records.axes import CHANNELS
+from gelforge.records.forcereading import ForceReading
+from gelforge.records.image import read_image
+from gelforge.records.markers import pitch_of
+from gelforge.records.totals import TOTAL_COLUMNS, edge_peak, goes_beyond, total_columns
+from gelforge.reporting.modelcard import interval_lines
+from gelforge.stages.train import train
+from tests.support.parameters import with_values
+from tests.support.pictures import moved
+from tests.support.synthetic_presses import SETTINGS, write_dataset
+
+
+@pytest.fixture(scope="module")
+def rest(root):
+    return read_image(root / "data/demo/nocontact/mini_a.png")[..., :3]
+
+
+@pytest.fixture(scope="module")
+def presses(root, rest):
+    """Pictures of mini_a in its no-contact image's light, and their forces (3,) N along the gel."""
+    with (root / "data/demo/log.csv").open() as stream:
+        rows = [row for row in csv.DictReader(stream) if row["sensor_id"] == "mini_a"][::4]
+    pictures = [read_image(root / "data/demo" / row["image"])[..., :3] for row in rows]
+    return [match_light(picture, rest).undo(picture) for picture in pictures]
+
+
+def motion_of(markers, image):
+    return markers.on_lattice(markers.track(image))
+
+
+def test_markers_at_rest_have_not_moved(rest):
+    markers = MarkerTracker(rest)
+    motion = motion_of(markers, rest)
+    assert markers.known and motion[2].sum() == (markers.at[:, 0] >= 0).sum() >= 60
+    assert np.abs(motion[:2]).max() < 1e-3
+
+
+@given(u=st.floats(-6, 6), v=st.floats(-6, 6))
+@settings(max_examples=20)
+def test_all_markers_of_a_moved_picture_have_moved_as_it_did(rest, u, v):
+    motion = motion_of(MarkerTracker(rest), moved(rest, (u, v)))
+    seen = motion[2] > 0
+    assert seen.sum() >= 45  # a picture that moved does not show them all
+    assert np.median(np.hypot(motion[0][seen] - u, motion[1][seen] - v)) < 0.2
+
+
+def test_a_covered_dot_is_not_seen_and_the_others_stay(rest):
+    markers = MarkerTracker(rest)
+    covered, (u, v) = rest.copy(), markers.points[len(markers.points) // 2].astype(int)
+    covered[v - 14 : v + 14, u - 14 : u + 14] = np.random.default_rng(0).integers(0, 255, (28, 28, 3))
+    motion = motion_of(markers, covered)
+    row, col = markers.at[len(markers.points) // 2]
+    assert motion[2, row, col] == 0
+    assert (motion[2] > 0).sum() >= len(markers.points) - 3
+
+
+def test_light_moves_no_dot(rest, presses):
+    """A picture at eight tenths of its light, brought back to that of the no-contact image, shows the same motion."""
+    markers = MarkerTracker(rest)
+    for picture in presses:
+        dark = np.rint(picture * 0.8).astype(np.uint8)
+        motion, again = motion_of(markers, picture), motion_of(markers, match_light(dark, rest).undo(dark))
+        both = (motion[2] > 0) & (again[2] > 0)
+        assert both.sum() > 0.9 * motion[2].sum()
+        assert np.abs(motion[:2] - again[:2])[:, both].mean() < 0.05
+
+
+@pytest.mark.parametrize("picture", [np.zeros((240, 320, 3), np.uint8), np.full((240, 320, 3), 130, np.uint8)])
+def test_a_gel_without_print_has_no_markers(picture):
+    markers = MarkerTracker(picture)
+    assert not markers.known and not motion_of(markers, picture).any()
+
+
+def test_markers_that_are_found_close_at_home_are_found_in_the_pyramid(rest, presses):
+    """On presses: what is looked for near where it should be is what the whole way back finds."""
+    markers = MarkerTracker(rest)
+    start = markers.points.astype(np.float32)[:, None]
+    for image in [rest, *presses, moved(rest, (4.0, -3.0))]:
+        before, after = markers.grey, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
+        there, seen, _ = cv2.calcOpticalFlowPyrLK(before, after, start, None, **FAR)
+        back, _, _ = cv2.calcOpticalFlowPyrLK(after, before, there, None, **FAR)
+        expected = (seen[:, 0] > 0) & (np.hypot(*(back - start)[:, 0].T) < HOME)
+        tracks = markers.track(image)
+        np.testing.assert_array_equal(tracks.found, expected)
+        np.testing.assert_array_equal(tracks.motion[expected], (there - start)[expected, 0])
+
+
+def reading(forces, half_width=None, edge=0.0):
+    """A reading of forces (3, rows, cols) N."""
+    return ForceReading(forces, forces.sum((1, 2)), half_width, "", edge, 1.0, np.zeros((2, 2, 3), np.uint8))
+
+
+def test_totals_are_written_with_what_is_known_of_them():
+    forces = np.zeros((3, 24, 32))
+    forces[:, 3, 4] = 0.5, -0.25, -7.0
+    row = total_columns(reading(forces, np.array([0.1, 0.2, 0.3])))
+    assert tuple(row) == TOTAL_COLUMNS
+    assert [row[f"{name}_n"] for name in CHANNELS] == [0.5, -0.25, -7.0]
+    assert row["grid_z_half_width_n"] == 0.3
+    assert row["edge_peak"] == 0.0
+    total = total_columns(reading(forces.sum((1, 2), keepdims=True), edge=np.nan))
+    assert total["grid_z_n"] == -7.0 and total["edge_peak"] is None  # one cell is no edge
+
+
+@pytest.mark.parametrize("grid", [(12, 16), (24, 32), (48, 64), (3, 3)])
+def test_what_touches_beyond_the_picture_shows_at_its_edge(grid):
+    rows, cols = grid
+    forces, whole = np.zeros((3, *grid)), (slice(rows), slice(cols))
+    forces[2, 0, cols // 2] = -0.1  # what a released gel may read
+    assert edge_peak(forces, whole) == 0.0
+    forces[2, 0, cols // 2] = -1.0
+    assert edge_peak(forces, whole) == 1.0
+    forces[2, :, 0] = 5.0  # what pulls is no press
+    assert edge_peak(forces, whole) == 1.0
+    forces[2, rows // 2, cols // 2] -= 3.0
+    assert edge_peak(forces, whole) == pytest.approx(1 / 3)
+
+
+@pytest.mark.parametrize("grid", [(1, 1), (2, 2), (2, 32), (24, 1)])
+def test_a_map_that_is_all_edge_says_nothing_of_it(grid):
+    forces = np.full((3, *grid), -1.0)
+    whole = slice(grid[0]), slice(grid[1])
+    assert np.isnan(edge_peak(forces, whole)) and total_columns(reading(forces, edge=np.nan))["edge_peak"] is None
+    assert not goes_beyond(np.nan)
+
+
+@pytest.mark.parametrize("zoom", [0.55, 0.71, 1.0, 1.4])
+def test_the_edge_is_that_of_what_a_camera_shows(zoom):
+    """A contact at the border of a narrow view is cropped by it, although the map has room there."""
+    view, grid = View(zoom, (0.0, 0.0, 0.0)), (24, 32)
+    rows, cols = view.cells_shown(grid)
+    assert rows.start == 24 - rows.stop and cols.start == 32 - cols.stop
+    assert (rows.stop - rows.start) / 24 == pytest.approx(min(zoom, 1.0), abs=1 / 24)
+    forces = np.zeros((3, *grid))
+    forces[2, rows.start, 15] = -3.0
+    assert edge_peak(forces, (rows, cols)) == 1.0
+    forces[2, 12, 15] = -4.0
+    assert edge_peak(forces, (rows, cols)) == 0.75
+
+
+@pytest.mark.parametrize("zoom", [0.55, 0.71, 1.0])
+@pytest.mark.parametrize("side", ["top", "bottom", "left", "right"])
+def test_a_contact_that_the_picture_cuts_goes_on_beyond_it(zoom, side):
+    """However much force lies inside; one that ends a cell before the edge does not."""
+    grid = 24, 32
+    shown = View(zoom, (0.0, 0.0, 0.0)).cells_shown(grid)
+
+    def contact(gap: int) -> np.ndarray:
+        """A block that begins `gap` cells within the picture's edge on that side, and ends in the map's middle."""
+        forces = np.zeros((3, *grid))
+        rows, cols = (gap, 4) if side in ("top", "bottom") else (4, gap)
+        forces[2, shown[0].start + rows : 16, shown[1].start + cols : 20] = -1.0
+        return forces if side in ("top", "left") else forces[:, ::-1, ::-1]
+
+    cut = contact(0)
+    assert goes_beyond(edge_peak(cut, shown))
+    assert zoom == 1.0 or goes_beyond(edge_peak(contact(-1), shown))  # a whole view has nothing beyond it
+    assert not goes_beyond(edge_peak(contact(1), shown))
+    assert not goes_beyond(edge_peak(-cut, shown))  # what pulls is no press
+    assert not goes_beyond(edge_peak(1e-4 * cut, shown))  # what a released gel may read
+
+
+@pytest.fixture(scope="module")
+def seen(rest, presses, tmp_path_factory):
+    """A few pictures that have markers, all of one sensor."""
+    data = open_data(write_dataset(tmp_path_factory.mktemp("dataset") / "24x32", 40, rest.shape[:2], (24, 32)))
+    pictures = np.stack([presses[k % len(presses)] for k in range(len(data.images))])
+    return replace(data, images=pictures, nocontact=dict.fromkeys(data.nocontact, rest))
+
+
+STILL = with_values(SETTINGS, epochs=1, learning_rate=1e-12, least_rate=0.0, frozen_share=1.0)
+
+
+def test_a_fine_tuned_network_holds_the_range_of_all_that_it_learnt_from(seen):
+    about = load_for_use(None).metadata
+    before = np.array(about["normalisation"]["range"])
+    new = before * [0.5, 1.5, 2.0]
+    found = scales_before(about, about["model"], seen, {"range": new.tolist()})["range"]
+    np.testing.assert_array_equal(found, np.maximum(before, new))
+
+
+def test_a_network_does_not_go_on_from_another_scale(seen):
+    shipped = Start(*load_weights(SHIPPED.with_suffix(".safetensors")))
+    nearer = {name: cv2.resize(picture[24:-24, 32:-32], (320, 240)) for name, picture in seen.nocontact.items()}
+    with pytest.raises(BadInput, match="px apart"):
+        train(replace(seen, nocontact=nearer), "tuned", shipped.metadata["model"], STILL, start=shipped)
+
+
+def test_a_network_goes_on_to_scales_a_little_beyond_those_it_knows(seen):
+    """Units drawn from the same ranges as those that it learnt from stand a little beyond them."""
+    pitches = [pitch_of(picture) for picture in seen.nocontact.values()]
+    require_scale({"name": "other", "pitch_px": [1.03 * max(pitches), 1.1 * max(pitches)]}, seen)
+    with pytest.raises(BadInput, match="px apart"):
+        require_scale({"name": "other", "pitch_px": [1.1 * max(pitches), 1.2 * max(pitches)]}, seen)
+
+
+@pytest.mark.parametrize(("val", "train"), [(1, 30), (3, 500), (ENOUGH_PAIRS, 500), (2 * ENOUGH_PAIRS, 30)])
+def test_a_picture_that_trained_shows_what_good_pairs_are_like_where_few_validate(seen, val, train):
+    """Limits of one validation picture flagged pictures that the network had learnt from."""
+    data = replace(seen, splits={"val": np.arange(val), "train": 1000 + np.arange(train)})
+    rows = usual_rows(data)
+    assert len(set(rows.tolist())) == len(rows) == max(val, min(ENOUGH_PAIRS, val + train))
+    assert set(range(val)) <= set(rows.tolist())
+
+
+def test_a_network_that_hardly_learnt_predicts_as_the_one_that_ships(seen, rest, presses):
+    """Its limits are as wide as the new pictures want them; its intervals are not those of the other."""
+    from gelforge.networks.inference.predictor import Predictor
+
+    start = Start(*load_weights(SHIPPED.with_suffix(".safetensors")))
+    found = train(seen, "tuned", start.metadata["model"], STILL, start=start)
+    limits, before = found.metadata["statistics"], start.metadata["statistics"]
+    assert limits["mean"] == before["mean"] and limits["threshold"] >= before["threshold"]
+    assert limits["least_share"] <= before["least_share"] and limits["largest_rim_px"] >= before["largest_rim_px"]
+    assert found.metadata["tta"]
+    predictors = [Predictor(model, rest) for model in (found.model, load_for_use(None))]
+    for picture in presses[:3]:
+        one, other = (predictor.predict(picture).total for predictor in predictors)
+        assert one == pytest.approx(other, abs=1e-3)
+
+
+def test_the_card_states_intervals_where_there_are_any():
+    known = {"total": dict.fromkeys(CHANNELS, [0.1, 0.1, 0.01]), "sensors": ["a"], "data": "d"}
+    (reported,) = interval_lines({"intervals": known})
+    assert all(f"{name} " in reported for name in CHANNELS) and "% of the whole force" in reported
+    assert interval_lines({"intervals": {}}) == []

@@ -1,0 +1,149 @@
+"""Families of networks: their shapes and what they read."""
+
+import subprocess
+import sys
+
+import pytest
+import torch
+
+from gelforge.errors import BadInput
+from gelforge.networks.models.gridnet import strides
+from gelforge.networks.models.inputs import channels, network_input
+from gelforge.networks.models.registry import build, parameter_count
+from gelforge.networks.models.resnet import BasicBlock, ResNetTotal
+from gelforge.networks.models.unet import UNet
+from gelforge.records.networkkind import KINDS
+from gelforge.stages.train import resolve
+from tests.support.parameters import parameters
+from tests.support.small_networks import GRID, IMAGE, SMALL
+
+
+def test_unet_is_the_papers():
+    net = UNet((24, 32)).eval()
+    seen = {}
+    net.head.register_forward_hook(lambda module, inputs, output: seen.update(size=tuple(output.shape[2:])))
+    with torch.inference_mode():
+        assert net(torch.zeros(1, 3, 240, 320)).shape == (1, 3, 24, 32)
+    # Four halvings and 18 unpadded convolutions of 240 x 320 by hand: 7 x 12 at the bottom, 52 x 132 at the top.
+    assert seen["size"] == (52, 132)
+    pairs = [(3, 16), (16, 32), (32, 64), (64, 128), (128, 256)]
+    down = sum(9 * a * b + b + 9 * b * b + b for a, b in pairs)
+    up = sum(4 * a * b + b + 9 * a * b + b + 9 * b * b + b for b, a in pairs[1:])
+    assert parameter_count(net) == down + up + 16 * 3 + 3
+
+
+def test_resnet34_has_its_known_size():
+    # ResNet-34 has 21 797 672 values with its 513 000 of 1000 classes; ours ends in three outputs.
+    assert parameter_count(ResNetTotal()) == 21_797_672 - 513_000 + 512 * 3 + 3
+
+
+@pytest.mark.parametrize("grid", [(12, 16), (24, 32), (48, 64), (30, 40)])
+def test_grid_net_writes_any_grid_that_divides_the_image(grid):
+    with torch.inference_mode():
+        assert build(SMALL, (240, 320), grid).eval()(torch.zeros(1, 3, 240, 320)).shape == (1, 3, *grid)
+
+
+def test_a_thinned_shortcut_is_the_strided_convolution():
+    block, x = BasicBlock(6, 10, stride=2).eval(), torch.randn(3, 6, 11, 14)
+    convolution, norm = block.shortcut
+    strided = norm(torch.nn.functional.conv2d(x, convolution.weight, stride=2))
+    rest = torch.relu(block.first_norm(block.first(x)))
+    expected = torch.relu(block.second_norm(block.second(rest)) + strided)
+    torch.testing.assert_close(block(x), expected, rtol=1e-5, atol=1e-6)
+
+
+NARROW = """
+import torch
+from gelforge.networks.models.resnet import BasicBlock
+
+for before in (3, 4, 8):
+    block = BasicBlock(before, 2 * before, stride=2).to(memory_format=torch.channels_last)
+    for step in range(40):
+        x = torch.randn(8, before, 48, 64).to(memory_format=torch.channels_last).requires_grad_()
+        block(x).square().sum().backward()
+        beside = [torch.randn(7, step + 1) for _ in range(5)]
+"""
+
+
+def test_narrow_networks_train_without_corrupting_memory():
+    ran = subprocess.run([sys.executable, "-c", NARROW], capture_output=True, text=True, check=False)
+    assert ran.returncode == 0, ran.stderr[-500:]
+
+
+def test_every_network_of_the_table_builds(root):
+    from gelforge.flow.files import read_toml
+
+    models = read_toml(root / "workflow" / "models.toml")
+    settings = parameters().train
+    assert len(models) >= 10
+    for name in models:
+        model, own = resolve(models, name, settings)
+        assert build(model, (240, 320), (24, 32)) is not None
+        assert own.epochs == models[name].get("train", {}).get("epochs", settings.epochs)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_kind_writes_one_cell_exactly_where_it_knows_totals_only(kind):
+    reads = "pair" if kind == "geometry" else "image"
+    net = build({"kind": kind, "reads": reads}, (240, 320), (24, 32)).eval()
+    with torch.inference_mode():
+        reported = net(torch.zeros(1, channels(reads), 240, 320))
+    assert reported.shape == ((1, 3, 1, 1) if KINDS[kind].totals_only else (1, 3, 24, 32))
+
+
+def test_a_kind_may_get_epochs_of_its_own():
+    settings = parameters(train={"epochs_of": {"resnet": 7}}).train
+    assert resolve({"small": SMALL}, "small", settings)[1].epochs == settings.epochs
+    assert resolve({"total": {"kind": "resnet"}}, "total", settings)[1].epochs == 7
+    assert resolve({"total": {"kind": "resnet", "train": {"epochs": 9}}}, "total", settings)[1].epochs == 9
+
+
+@pytest.mark.parametrize("image, grid", [((240, 320), (7, 9)), ((240, 320), (24, 24)), ((24, 32), (24, 32))])
+def test_grid_net_refuses_cells_of_uneven_size(image, grid):
+    with pytest.raises(BadInput, match="a light net: "):
+        strides(image, grid)
+
+
+@pytest.mark.parametrize("widths", [[2], [2, 2], [2, 2, 2], [2, 2, 2, 2]])
+def test_a_unet_is_refused_exactly_the_images_that_it_cannot_read(widths):
+    read = []
+    for side in range(1, 100):
+        try:
+            with torch.inference_mode():
+                UNet(GRID, widths)(torch.zeros(1, 3, side, 100))
+            read.append(side)
+        except RuntimeError:  # torch: nothing is left to convolve
+            with pytest.raises(BadInput, match=f"leaves nothing of an image of 100 x {side}"):
+                build({"kind": "unet_single", "widths": widths}, (side, 100), GRID)
+        else:
+            assert build({"kind": "unet_single", "widths": widths}, (side, 100), GRID)
+    assert 1 not in read and 99 in read
+
+
+def test_unknown_kind_and_wrong_size_are_named():
+    with pytest.raises(BadInput, match="transformer"):
+        build({"kind": "transformer"}, IMAGE, GRID)
+    with pytest.raises(BadInput, match="'depth': its sizes are width, blocks"):
+        build({"kind": "grid", "depth": 3}, IMAGE, GRID)
+    with pytest.raises(BadInput, match="widths is '24', it must be a list of 1 to 16 whole numbers from 1 to 4096"):
+        build({"kind": "unet", "widths": 24}, IMAGE, GRID)
+    with pytest.raises(BadInput, match="one number of each"):
+        build({"kind": "resnet", "blocks": [1, 1, 1], "widths": [16, 32]}, IMAGE, GRID)
+    with pytest.raises(BadInput, match=r"reads = \['pair'\]; use one of image"):
+        build({"kind": "grid", "reads": ["pair"]}, IMAGE, GRID)
+    with pytest.raises(BadInput, match="MODEL=nothing"):
+        resolve({"grid": SMALL}, "nothing", parameters().train)
+    with pytest.raises(BadInput, match=r"models.toml: \[grid.train\] epoch: unknown key; epochs is meant"):
+        resolve({"grid": {**SMALL, "train": {"epoch": 3}}}, "grid", parameters().train)
+
+
+def test_differences_forget_the_picture_they_are_taken_from():
+    pictures = torch.rand(2, 6, 4, 4, generator=torch.Generator().manual_seed(0))
+    brighter = pictures + torch.rand(2, 3, 4, 4, generator=torch.Generator().manual_seed(1)).repeat(1, 2, 1, 1)
+    norm = {"image_mean": [0.3, 0.4, 0.5], "image_std": [0.1, 0.2, 0.3], "reads": "difference"}
+    torch.testing.assert_close(network_input(pictures, norm), network_input(brighter, norm))
+    both = network_input(pictures, norm | {"reads": "pair"})
+    torch.testing.assert_close(both[:, 3:], network_input(pictures, norm))
+    torch.testing.assert_close(both[:, :3], network_input(pictures[:, :3], norm | {"reads": "image"}))
+    with pytest.raises(BadInput, match="reads = 'sound'"):
+        build({**SMALL, "reads": "sound"}, IMAGE, GRID)

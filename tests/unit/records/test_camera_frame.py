@@ -1,0 +1,190 @@
+"""Frames of a Mini's camera of any size, crop and orientation are brought to the frame that networks read."""
+
+import argparse
+import itertools
+
+import cv2
+import numpy as np
+import pytest
+
+import gelforge
+from gelforge.commands.camera import best_mode, camera_mode, camera_number, cameras, modes_of
+from gelforge.commands.camera import main as camera
+from gelforge.errors import BadInput
+from gelforge.records.cameraframe import AS_IT_IS, Orientation, camera_frame
+from gelforge.records.film import open_source
+from gelforge.records.image import read_image
+from gelforge.records.markers import find_blobs, pitch_of
+from tests.support.crops import CROPS, SIX, raw, resized
+from tests.support.films import write_matroska
+
+SIZE = (240, 320)
+WAYS = [Orientation(*flags) for flags in itertools.product((False, True), repeat=3)]
+UNITS = ["mini_a", "mini_e"]
+PRESSED = "images/demo-000000.png"
+
+
+@pytest.fixture(params=UNITS)
+def picture(root, request):
+    return read_image(root / f"data/demo/nocontact/{request.param}.png")
+
+
+@pytest.mark.parametrize("crop", CROPS)
+def test_every_size_and_crop_shows_the_same_markers_in_the_same_places(picture, crop):
+    made = CROPS[crop](picture)
+    frame = camera_frame(made, SIZE)
+    shown = frame(made)
+    assert shown.shape == (*SIZE, 3) and shown.flags.c_contiguous
+    pitch, expected = pitch_of(shown), pitch_of(picture)
+    # as the maker's driver shows it
+    assert pitch == pytest.approx(expected, rel=0.01)
+    grown = cv2.warpAffine(
+        picture, cv2.getRotationMatrix2D((159.5, 119.5), 0, pitch / expected), SIZE[::-1], borderMode=1
+    )
+    (found, _), (places, _) = find_blobs(shown), find_blobs(grown)
+    found, places = found - np.median(found, axis=0), places - np.median(places, axis=0)
+    apart = np.hypot(*(found[:, None] - places[None]).transpose(2, 0, 1)).min(axis=1)
+    assert np.median(apart) < 0.5
+    assert ("" if crop == "as it is" else f"{made.shape[1]} x {made.shape[0]}") in frame.text
+    assert bool(frame.text) == (crop != "as it is")
+
+
+@pytest.mark.parametrize("crop", SIX)
+def test_one_press_reads_the_same_force_at_six_sizes_and_crops(root, crop):
+    """Within 3 %, and not flagged for what is not flagged as the maker's driver gives it."""
+    rest, pressed = (read_image(root / "data/demo" / name) for name in ("nocontact/mini_a.png", PRESSED))
+    as_it_is, made = gelforge.Reader(nocontact=rest)(pressed), CROPS[crop]
+    found = gelforge.Reader(nocontact=made(rest))(made(pressed))
+    assert found.total[2] == pytest.approx(as_it_is.total[2], rel=0.03)
+    assert np.abs(found.total - as_it_is.total).max() < 0.03 * np.abs(as_it_is.total).max()
+    assert found.flag == as_it_is.flag
+
+
+@pytest.mark.parametrize("way", WAYS, ids=str)
+def test_an_image_that_lies_otherwise_is_turned_back(picture, way):
+    """Bright sides of the light show which way is up, coloured fringes of the markers whether a mirror is between."""
+    made = turned_so_that(way, picture)
+    frame = camera_frame(made, SIZE)
+    assert frame.orientation == way
+    assert np.array_equal(frame(made), picture)
+    assert ("mirrored back" in frame.text) == way.mirrored
+
+
+def test_a_reader_flags_images_as_opencv_reads_them(root):
+    rest, pressed = (cv2.imread(str(root / "data/demo" / name)) for name in ("nocontact/mini_a.png", PRESSED))
+    found = gelforge.Reader(nocontact=rest)(pressed)
+    assert found.flag and "BGR" in found.reason
+    assert not gelforge.Reader(nocontact=rest[..., ::-1])(pressed[..., ::-1]).flag
+    mirrored = rest[:, ::-1, ::-1], pressed[:, ::-1, ::-1]
+    assert not gelforge.Reader(nocontact=mirrored[0])(mirrored[1]).flag
+
+
+def turned_so_that(way, picture):
+    """An image that `way` turns into the picture."""
+    made = picture[:: -1 if way.flip_v else 1, :: -1 if way.flip_u else 1]
+    return np.ascontiguousarray(made.transpose(1, 0, 2) if way.transposed else made)
+
+
+# Grasps by the camera_0 whose gel has flat markers.
+FLAT = ("cheese_tube", "glass_box", "marker_pen", "nylon_thread", "tin_box", "usb_hub", "wooden_statue")
+
+
+def no_contact(path):
+    capture = cv2.VideoCapture(str(path))
+    *_, frame = (capture.read()[1] for _ in range(13))
+    capture.release()
+    return np.ascontiguousarray(frame[..., ::-1])
+
+
+def test_real_sensors_stay_as_they_are_and_are_turned_back(reference):
+    """Of 32 films, also of gels whose flat markers leave no fringes: no mirror is found there, but which way is up and BGR."""
+    for path in sorted((reference / "gripper_videos").glob("*.avi")):
+        picture = no_contact(path)
+        assert camera_frame(picture, SIZE).orientation == AS_IT_IS, path.name
+        assert camera_frame(np.ascontiguousarray(picture[..., ::-1]), SIZE).blue_first, path.name
+        upside = camera_frame(np.ascontiguousarray(picture[::-1, ::-1]), SIZE).orientation
+        assert upside == Orientation(False, True, True), path.name
+        mirrored = camera_frame(np.ascontiguousarray(picture[:, ::-1]), SIZE).orientation
+        flat = path.stem.startswith(FLAT) and path.stem.endswith("camera_0")
+        assert mirrored == (AS_IT_IS if flat else Orientation(False, True, False)), path.name
+
+
+def test_feats_sensor_is_turned_back_whichever_way(reference):
+    sample = np.load(reference / "feats/images/nocontact_train_sensor.npy", allow_pickle=True).item()
+    picture = np.ascontiguousarray(sample["gs_img"])
+    for way in WAYS:
+        assert camera_frame(turned_so_that(way, picture), SIZE).orientation == way
+
+
+def test_an_image_without_markers_or_of_a_part_of_the_gel_is_resized_whole(picture):
+    blank = cv2.GaussianBlur(picture, (0, 0), 25)
+    assert camera_frame(blank, SIZE).text == ""
+    part = resized(picture[40:200, 50:263], 640, 480)
+    frame = camera_frame(part, SIZE)
+    assert frame.text == "images of 640 x 480 are scaled to 320 x 240"
+    assert np.abs(frame(part).astype(int) - cv2.resize(part, (320, 240), interpolation=cv2.INTER_AREA)).max() == 0
+
+
+def test_a_square_crop_keeps_the_gels_shape(picture):
+    square = resized(picture[:, 40:280], 480, 480)
+    shown = camera_frame(square, SIZE)(square)
+    points, _ = find_blobs(shown)
+    across, along = (np.abs(np.subtract.outer(points[:, k], points[:, k])) for k in (0, 1))
+    right = np.where((along < 6) & (across > 6), across, np.inf).min(axis=1)
+    down = np.where((across < 6) & (along > 6), along, np.inf).min(axis=1)
+    assert np.median(right) == pytest.approx(np.median(down), rel=0.06)
+
+
+def test_an_image_of_another_mode_than_the_no_contact_image_stays_as_it_is_and_is_flagged(picture):
+    frame = camera_frame(resized(picture, 640, 480), SIZE)
+    assert frame(raw(picture)).shape == (*SIZE, 3)  # the same shape
+    for other in (resized(picture, 640, 360), np.ascontiguousarray(np.rot90(picture))):
+        assert frame(other) is other
+
+
+def test_modes_are_written_as_sizes():
+    assert camera_mode("3280x2464") == (3280, 2464)
+    for text in ("640", "640 x 480", "0x480", "640x", "axb", "-640x480"):
+        with pytest.raises(argparse.ArgumentTypeError, match="such as 640x480"):
+            camera_mode(text)
+
+
+@pytest.mark.parametrize(
+    ("modes", "best"),
+    [
+        ({(640, 480): 25.0, (3280, 2464): 5.0}, (640, 480)),
+        ({(1280, 720): 30.0, (1640, 1232): 25.0}, (1640, 1232)),
+        ({(1280, 720): 30.0, (3280, 2464): 5.0}, (1280, 720)),
+        ({(3280, 2464): 5.0, (1640, 1232): 12.0}, (1640, 1232)),
+        ({(160, 120): 60.0, (640, 480): 25.0}, (640, 480)),
+        ({(640, 480): 0.0}, None),
+        ({}, None),
+    ],
+)
+def test_the_smallest_mode_that_is_large_and_fast_enough_is_taken(modes, best):
+    assert best_mode(modes) == best
+
+
+def test_a_source_of_one_size_has_one_mode(tmp_path, picture):
+    """A film in a camera's place, which no driver sets to another size."""
+    path = write_matroska(tmp_path / "a.mkv", [picture[..., ::-1]] * 30, list(range(0, 1200, 40)))
+    with open_source(path, None) as (source, _):
+        modes = modes_of(source)
+    assert list(modes) == [(320, 240)] and modes[320, 240] > 0 and best_mode(modes) == (320, 240)
+
+
+@pytest.mark.skipif(bool(cameras()), reason="this machine has a camera")
+def test_a_camera_is_named_by_number_or_device_file(tmp_path):
+    link = tmp_path / "usb-GelSight_Mini"
+    link.symlink_to("/dev/video12")
+    assert [camera_number(text) for text in ("3", "/dev/video4", str(link))] == [3, 4, 12]
+    for text in ("-1", "video3", "/dev/v4l/by-id/none", str(tmp_path)):
+        with pytest.raises(argparse.ArgumentTypeError):
+            camera_number(text)
+
+
+def test_no_camera_is_one_sentence():
+    with pytest.raises(BadInput, match="no camera is there.*plug it in"):
+        camera([])
+    with pytest.raises(BadInput, match="camera 97 cannot be opened"):
+        camera(["97"])

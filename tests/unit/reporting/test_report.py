@@ -1,0 +1,192 @@
+"""The page holds everything itself, and nothing that data says becomes markup."""
+
+import base64
+import json
+import re
+import zlib
+from dataclasses import replace
+from importlib.metadata import version
+
+import numpy as np
+
+from gelforge.geometry.gel import USUAL_GEL, load_gel
+from gelforge.mechanics.mesh.hexmesh import FineBox
+from gelforge.mechanics.mesh.hexname import HexMeshName
+from gelforge.records.forcefile import SampleForces, write_forces
+from gelforge.records.solvetable import Solved
+from gelforge.records.status import Status
+from gelforge.reporting.costs import stages, target_costs
+from gelforge.reporting.explorer import Explorer, Shard
+from gelforge.reporting.page import Section, render
+from gelforge.reporting.parts import forget_parts, pack, place_parts, script_json
+from gelforge.reporting.presses import as_columns, press_rows
+from gelforge.reporting.surfacegrid import Resampler, grid_points
+from gelforge.stages import report
+from gelforge.stages.report import branch_section, calibration_section, failures_section, network_section, with_forces
+from tests.support.explored import GELS, tables, write_page
+from tests.support.pressed_dataset import write_pressed
+
+
+def test_a_corrupt_record_of_a_target_keeps_no_page_from_being_written(tmp_path):
+    """What the target cost is lost with it, and nothing else."""
+    folder = tmp_path / "results/lab/metrics/10_poses"
+    folder.mkdir(parents=True)
+    (folder / "0000.json").write_text('{"seconds": 1.0}')
+    for name, content in (("0001", b""), ("0002", b'{"seconds": 1'), ("0003", b"\xff\xfe")):
+        (folder / f"{name}.json").write_bytes(content)
+    assert target_costs(tmp_path / "results/lab") == {"10_poses/0000": {"seconds": 1.0}}
+
+
+def test_an_indenter_is_drawn_as_far_up_as_the_gel_can_reach(tmp_path):
+    """Beside the apex a press begins lower: where its tip ends shows how much of the indenter is there, not its way down."""
+    rows = [
+        {"id": name, "indenter": "ball", "stl": f"{name}.stl", "z0_mm": z0, "dz_mm": dz}
+        for name, z0, dz in (("apex", 0.0, -1.5), ("rim", -1.0, -1.2), ("light", -1.0, -0.3))
+    ]
+    assert Explorer(tmp_path, "4x5", rows, {}, load_gel(USUAL_GEL)).deepest()["ball"]["id"] == "rim"
+
+
+def test_text_from_data_is_escaped():
+    section = Section("Failures").table(["sample"], [["<script>alert(1)</script>"]]).text("a < b & c")
+    page = render("<b>lab</b>", "lead", [section])
+    assert "<script>alert" not in page and "<b>lab" not in page
+    assert "&lt;script&gt;" in page and "a &lt; b &amp; c" in page
+
+
+def test_the_page_states_the_materials_forces_and_what_stage_40_refused(tmp_path):
+    """A press without a picture has no place in the dataset: its force is the one that its label would have."""
+    solves = [Solved(name, Status.OK, "", "hex", "mesh", "", (0.0, 0.0, -10.0), {}) for name in "abc"]
+    nodes, force = np.array([0]), np.array([[0.0, 0.0, -20.0]])
+    sound = SampleForces("a", "OK", "mesh", nodes, force, np.zeros((1, 3)))
+    write_forces(tmp_path / "0000.npz", [sound, SampleForces.failed("b", "UNBALANCED", "mesh")], 0.145)
+    a, b, c = with_forces(solves, tmp_path / "0000.npz")
+    assert a.total == (0.0, 0.0, -20.0) and a.status is Status.OK and not a.reason
+    assert b.status is Status.UNBALANCED and b.reason == Status.UNBALANCED.value
+    assert c == solves[2]
+
+
+def test_the_page_asks_nothing_from_outside(tmp_path):
+    page = write_page(tmp_path, 20).read_text(encoding="utf-8")
+    sources = re.findall(r'<[^>]*(?:src|href)="([^"]{0,30})', page)
+    assert sources and all(source.startswith(("data:", "#")) for source in sources)
+    assert "fetch(" not in page and "XMLHttpRequest" not in page.split("var THREE")[0]
+
+
+def test_text_in_a_script_cannot_end_it():
+    text = "</script><!-- \u2028 &amp;"
+    held = script_json({"a": text})
+    assert not set("<>&\u2028") & set(held) and json.loads(held) == {"a": text}
+
+
+def unpacked(packed: dict) -> dict:
+    """What the page's `unpack` reads."""
+    planes = np.frombuffer(zlib.decompress(base64.b64decode(packed["data"])), np.uint8).reshape(2, -1)
+    values, at, found = (planes[0] | planes[1].astype(np.uint16) << 8).view(np.int16), 0, {}
+    for name, length, unit in packed["arrays"]:
+        found[name], at = values[at : at + length] * unit, at + length
+    return found
+
+
+def test_packed_arrays_come_back_to_half_a_unit():
+    rng = np.random.default_rng(1)
+    maps, points = rng.normal(0, 0.1, (3, 24, 32)), rng.uniform(-12, 12, (50, 3))
+    found = unpacked(pack({"maps": maps, "points": (points, 1e-3), "none": np.zeros((0, 3))}))
+    assert np.abs(found["maps"] - maps.ravel()).max() <= np.abs(maps).max() / 32767
+    assert np.abs(found["points"] - points.ravel()).max() <= 0.5e-3 + 1e-9
+    assert found["none"].size == 0 and unpacked(pack({})) == {}
+
+
+def test_parts_lie_beside_the_page_only_where_they_are_large(tmp_path):
+    texts = [(k, "x" * 100) for k in range(5)]
+    assert place_parts(tmp_path, texts, 1000) == ("", ["x" * 100] * 5) and not list(tmp_path.iterdir())
+    folder, held = place_parts(tmp_path, texts, 250)
+    assert not held and sorted(path.name for path in (tmp_path / folder).iterdir()) == [f"{k}.js" for k in range(5)]
+    other, _ = place_parts(tmp_path, [(0, "y" * 900)], 250)
+    forget_parts(tmp_path, other)
+    assert [path.name for path in tmp_path.iterdir()] == [other] != [folder]
+
+
+def test_a_linear_displacement_is_carried_to_the_grid_exactly():
+    gel = load_gel("gelsight_mini")
+    mesh = HexMeshName(gel.name, FineBox(-3, 3, -4, 4, 0.8), 3, 1.2, 1.3, 2.0).mesh()
+    resampler = Resampler(mesh, gel)
+    slope = np.array([[0.01, 0.02, -0.03], [0.0, -0.01, 0.02]])
+    moved = resampler(resampler.places[:, :2] @ slope)
+    points = grid_points(gel)[2]
+    inside = gel.edge_distance(points[:, 0], points[:, 1]) < -0.5
+    assert np.abs(moved - points[:, :2] @ slope)[inside].max() < 1e-6
+
+
+def test_every_press_and_every_rejected_row_is_in_the_table():
+    rows = press_rows(*tables(25))
+    table = as_columns(rows)
+    assert len(table["id"]) == 26 and table["id"][-1] == "row 7"
+    reason = table["reason"]["names"][table["reason"]["at"][-1]]
+    assert reason == "dz_mm: not a number; write a number of millimetres"
+    assert table["label_fz"][9] is None and table["label_fz"][-1] is None
+    # The network's first channel runs along gel y.
+    assert table["network_fx"][0] == 0.3 and table["network_fy"][0] == -0.08
+    json.dumps(table, allow_nan=False)
+
+
+def test_a_rejected_row_shows_nothing_of_the_press_whose_name_it_bears(tmp_path):
+    """A log may name two presses alike: the later one is rejected, and has neither mesh nor label."""
+    results = write_pressed(tmp_path, count=2)["results"]
+    shard = replace(Shard.read(results, "4x5", "0000"), labels={"s000": np.zeros((3, 4, 5), np.float32)})
+    twin = {"id": "s000", "status": "REJECTED", "reason": "sample_id: stands twice", "shard": "0000"}
+    explorer = Explorer(results, "4x5", [twin], {}, load_gel(USUAL_GEL))
+    assert explorer.press(twin, shard) == pack({}) != explorer.press(twin | {"status": "OK"}, shard)
+
+
+def test_a_press_is_drawn_on_the_mesh_of_its_forces(tmp_path):
+    """The table of its shard's solves may be gone or not made again yet; one that failed has nothing to draw."""
+    made = write_pressed(tmp_path, count=2, failed=[1])
+    good, failed = ({"id": name, "status": "PENDING", "shard": "0000"} for name in ("s000", "s001"))
+    one, other = Explorer(made["results"], "4x5", [good, failed], {}, load_gel(USUAL_GEL)).presses()
+    assert {name for name, _, _ in one["arrays"]} == {"gel", "points", "forces"} and other == pack({})
+
+
+def test_every_press_names_the_gel_of_its_sensor(tmp_path):
+    rows = press_rows(*tables(12))
+    assert {(row["sensor"], row["gel"]) for row in rows if "sensor" in row} == set(GELS.items())
+    assert Explorer(tmp_path, "4x5", rows, {}, load_gel(USUAL_GEL)).shared()["heights"] == {
+        "gelsight_mini": 4.0,
+        "gelsight_mini-2.6mm": 2.6,
+    }
+
+
+def test_stages_know_what_they_read(tmp_path):
+    cost = {"started": 1.0, "seconds": 2.0, "cpu_seconds": 1.0, "peak_mib": 10.0, "inputs": []}
+    inputs = [str(tmp_path / "10_poses" / "0000.csv"), str(tmp_path / "00_plan" / "params" / "fea.json")]
+    costs = {"10_poses/0000": cost, "30_fea/0000": cost | {"started": 2.0, "inputs": inputs, "peak_mib": 99.0},
+             "30_fea/0001": cost | {"started": 3.0}}  # fmt: skip
+    poses, fea = stages(tmp_path, costs)
+    assert fea["reads"] == ["10_poses"] and fea["targets"] == 2 and fea["seconds"] == 4.0 and fea["peak_mib"] == 99.0
+    assert poses["reads"] == []
+
+
+def test_failures_are_listed_with_their_reasons(tmp_path):
+    failed = Solved("s1", Status.DIVERGED, "why", "ccx", "", "", (0.0, 0.0, 0.0), {})
+    section = failures_section(tmp_path, {"s1": failed})
+    assert any(["s1", "DIVERGED", "why", "ccx"] in item.get("rows", []) for item in section.items)
+    assert "None" in failures_section(tmp_path, {}).items[0]["text"]
+
+
+def test_versions_are_reported_where_a_package_is_missing_and_of_the_calculix_that_solves(tmp_path, monkeypatch):
+    monkeypatch.setattr(report, "PACKAGES", (*report.PACKAGES, "no-such-package"))
+    monkeypatch.setenv("CCX", str(tmp_path / "no_such_ccx"))
+    found = dict(report.versions_section(tmp_path).items[0]["rows"])
+    name = "opencv-contrib-python-headless"
+    assert found[name] == version(name)
+    assert found["no-such-package"] == found["CalculiX"] == "not installed"
+
+
+def test_what_was_not_made_is_reported_with_what_makes_it_of_this_dataset(tmp_path):
+    of = tmp_path / "results/mylab"
+    sections = [
+        calibration_section(of),
+        network_section(of, "24x32", "grid_16"),
+        branch_section(of, "", "pareto", ""),
+    ]
+    for section, goal in zip(sections, ("calibrate", "evaluate", "pareto"), strict=True):
+        assert f"make {goal} DATASET=mylab" in str(vars(section))

@@ -1,0 +1,284 @@
+"""Stage 50: any resolution beside the others, nothing lost, nothing half-written."""
+
+import json
+import os
+import tomllib
+
+import numpy as np
+import pytest
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import write_csv
+from gelforge.flow.step import NOTICES
+from gelforge.labelling.grid import Grid
+from gelforge.labelling.operator import Operator, assemble, cached, operator_path
+from gelforge.labelling.sensor import load_sensors
+from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.records.forcefile import ForceFile, SampleForces, write_forces
+from gelforge.records.labelfile import read_labels, write_labels
+from gelforge.records.log import write_rejections
+from gelforge.records.press import COLUMNS, Rejection
+from gelforge.records.status import Status
+from gelforge.stages import labels
+from tests.support.pressed_dataset import bump, label, make_mesh, write_pressed
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory, root):
+    os.chdir(root)
+    return write_pressed(tmp_path_factory.mktemp("made"), failed=(5,), sensors=("mini_a", "mini_c"))
+
+
+def test_labels_hold_the_forces_in_feats_order(made):
+    folder = label(made, "24x32")
+    for shard in ("0000", "0001", "0002"):
+        found = read_labels(folder / f"{shard}.npz")
+        assert found.label.shape == (8, 3, 24, 32) and found.label.dtype == np.float32
+        assert found.material == {"c10": 0.0725, "c10_interval68": [0.07, 0.075]}
+        for at, name in enumerate(found.sample_id):
+            total = made["loads"][str(name)].sum(axis=0)[[1, 0, 2]]
+            seen = found.label[at].astype(float).sum(axis=(1, 2)) + found.outside[at]
+            if name == "s005":
+                assert found.status[at] is Status.DIVERGED and np.isnan(seen).all()
+            else:
+                assert seen == pytest.approx(total, rel=1e-9, abs=1e-9 * np.abs(total).sum())
+
+
+def test_a_shard_whose_presses_were_all_rejected_is_read_as_any_other(tmp_path):
+    nothing = {"sample_id": np.array([], "<U4"), "status": np.array([], "<U2"), "outside": np.zeros((0, 3))}
+    write_labels(tmp_path / "0000.npz", [], (0, 3, 24, 32), nothing | {"c10": np.float64(0.0725)})
+    found = read_labels(tmp_path / "0000.npz")
+    assert found.label.shape == (0, 3, 24, 32) and found.status == []
+
+
+def test_a_log_without_one_good_row_stops_before_its_labels(tmp_path, root, monkeypatch):
+    """One shard without any does not."""
+    monkeypatch.chdir(root)
+    made = write_pressed(tmp_path, count=3, shard_size=2)
+    tables = [made["results"] / "10_poses" / name for name in ("0000.csv", "0001.csv")]
+    write_rejections(
+        tables[0].with_suffix(".rejected.csv"),
+        [Rejection("log.csv", row, "", "image", "", "", "") for row in (2, 3, 3)],
+    )
+    for table in tables:
+        labels.require_good(table.parent, ["0000", "0001"])
+        write_csv(table, COLUMNS, [])
+    with pytest.raises(
+        BadInput, match=r"none of the 2 rows of log.csv is good: .*0000.rejected.csv and those beside it say"
+    ):
+        label(made, "4x4")
+    assert not list(made["results"].glob("50_labels/4x4/*"))
+
+
+def test_each_sample_is_seen_by_its_own_sensor(made):
+    found = read_labels(label(made, "12x16") / "0000.npz")
+    sensors = load_sensors("workflow/sensors.toml")
+    for at, name in ((0, "mini_a"), (1, "mini_c")):
+        force = made["loads"][f"s00{at}"]
+        node = np.flatnonzero(force.any(axis=1))
+        operator = assemble(made["mesh"], sensors[name], Grid(12, 16))
+        cells, _ = operator.apply(np.array([0, len(node)]), node, force[node])
+        assert np.abs(found.label[at] - cells[0][[1, 0, 2]]).max() < 1e-6  # float32 of some newtons
+
+
+def test_stored_resolutions_nest(made):
+    coarse = read_labels(label(made, "12x16") / "0001.npz").label
+    fine = read_labels(label(made, "48x64") / "0001.npz").label.astype(float)
+    summed = fine.reshape(8, 3, 12, 4, 16, 4).sum(axis=(3, 5))
+    assert np.abs(summed - coarse).max() < 1e-6 * np.abs(coarse).max()  # what float32 of a cell can hold
+
+
+def test_only_what_is_older_than_its_sources_is_made_again(made):
+    folder = label(made, "6x8")
+    stamps = {path.name: path.stat().st_mtime_ns for path in folder.glob("0*.npz")}
+    forces = made["results"] / "40_forces" / "0001.npz"
+    later = max(stamps.values()) + 10**9
+    os.utime(forces, ns=(later, later))
+    summary = json.loads((label(made, "6x8") / "labels.json").read_text())
+    again = {path.name for path in folder.glob("0*.npz") if path.stat().st_mtime_ns != stamps[path.name]}
+    assert again == {"0001.npz"}
+    assert summary["samples"] == 24 and summary["failed"] == 1 and summary["resolution"] == "6x8"
+    assert len(list((folder / "operators").glob("*.npz"))) == 2
+
+
+def test_blocks_do_not_change_labels(made, monkeypatch):
+    whole = read_labels(label(made, "9x11") / "0000.npz").label
+    monkeypatch.setattr(labels, "BLOCK_BYTES", 3 * 3 * 8 * 99)
+    for path in (made["results"] / "50_labels/9x11").glob("0*.npz"):
+        path.unlink()
+    assert np.array_equal(read_labels(label(made, "9x11") / "0000.npz").label, whole, equal_nan=True)
+
+
+def test_a_press_over_the_rim_reports_what_it_lost(tmp_path, capsys):
+    made = write_pressed(tmp_path, count=1)
+    mesh, force = made["mesh"], bump(make_mesh(), 0.0, 11.0, 3.0, (0, 0, -4.0))
+    surface = mesh.surface_nodes
+    sample = SampleForces("s000", "OK", "hexahedra", surface, force[surface], np.zeros((len(surface), 3)))
+    write_forces(made["results"] / "40_forces/0000.npz", [sample], 0.0725)
+    found = read_labels(label(made, "24x32") / "0000.npz")
+    outside = found.outside[0, 2]
+    assert -4.0 < outside < -0.5
+    assert found.label.astype(float)[0, 2].sum() + outside == pytest.approx(-4.0, rel=1e-9)
+    assert "s000" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("shift_mm", [0.0, 15.0, -15.0])
+def test_a_sensor_that_does_not_look_where_it_is_pressed_is_refused(tmp_path, root, shift_mm):
+    """Of two sensors one by a projection that is moved aside."""
+    table = tomllib.loads((root / "workflow/sensors.toml").read_text())
+    moved = np.array(table["mini_c"]["projection"]) @ [[1, 0, shift_mm], [0, 1, 0], [0, 0, 1]]
+    names = ("mini_a", "mini_c")
+    sensors = {name: {key: table[name][key] for key in ("image", "projection", "gel")} for name in names}
+    sensors["mini_c"]["projection"] = moved.tolist()
+    path = tmp_path / "sensors.json"
+    path.write_text(json.dumps(sensors))
+    made = write_pressed(tmp_path, sensors=names)
+    if shift_mm:
+        for _ in range(2):  # its shards are up to date the second time
+            with pytest.raises(BadInput, match="sensor mini_c 12 of its 12 samples"):
+                label(made, "6x8", path)
+    else:
+        assert json.loads((label(made, "6x8", path) / "labels.json").read_text())["samples"] == 24
+
+
+@pytest.mark.parametrize(("resolution", "odd"), [("240x320", False), ("241x320", True), ("240x321", True)])
+def test_cells_smaller_than_a_pixel_are_made_with_a_note(tmp_path, capsys, resolution, odd):
+    assert len(read_labels(label(write_pressed(tmp_path, count=2), resolution) / "0000.npz").label) == 2
+    said = capsys.readouterr().out
+    assert said.count("smaller than the pixels of mini_") == odd and all(
+        line.startswith(NOTICES) for line in said.splitlines() if "smaller than" in line
+    )
+
+
+def test_no_contact_is_zero_and_not_missing(tmp_path):
+    made = write_pressed(tmp_path, count=1)
+    surface = made["mesh"].surface_nodes
+    still = np.zeros((len(surface), 3))
+    write_forces(
+        made["results"] / "40_forces/0000.npz", [SampleForces("s000", "NO_CONTACT", "", surface, still, still)], 0.07
+    )
+    assert not read_labels(label(made, "4x4") / "0000.npz").label.any()
+
+
+def broken(made, breaking):
+    breaking(made["results"])
+    with pytest.raises(BadInput) as error:
+        label(made, "10x10")
+    folder = made["results"] / "50_labels/10x10"
+    assert (
+        not (folder / "labels.json").exists() and not list(folder.glob(".*")) and not (folder / "0000.npz").exists()
+    )
+    return str(error.value)
+
+
+def spoil_forces(results):
+    """A forces shard whose author did not look: NaN in a force."""
+    path = results / "40_forces/0000.npz"
+    with np.load(path) as file:
+        arrays = dict(file)
+    arrays["force"][3, 1] = np.nan
+    np.savez(path, **arrays)
+
+
+def rewrite(path, old, new):
+    path.write_text(path.read_text().replace(old, new))
+
+
+BROKEN = {
+    "NaN forces": (spoil_forces, ["0000.npz", "s000", "not finite"]),
+    "truncated forces": (
+        lambda r: (r / "40_forces/0000.npz").write_bytes(b"PK\x03\x04half"),
+        ["0000.npz", "delete it"],
+    ),
+    "no mesh": (lambda r: (r / "20_meshes/hexahedra.npz").unlink(), ["hexahedra.npz", "make meshes"]),
+    "truncated mesh": (
+        lambda r: (r / "20_meshes/hexahedra.npz").write_bytes(b"junk"),
+        ["hexahedra.npz", "not a gel mesh"],
+    ),
+    "no pose": (lambda r: (r / "10_poses/0000.csv").write_text("sample_id,sensor_id\n"), ["0000.csv", "s000"]),
+    "unknown sensor": (
+        lambda r: rewrite(r / "10_poses/0000.csv", "mini_a", "zzz"),
+        ["zzz", "mini_a"],
+    ),
+    "other mesh": (lambda r: make_mesh(2.5).save(r / "20_meshes/hexahedra.npz"), ["node", "make"]),
+}
+
+
+@pytest.mark.parametrize("name", BROKEN)
+def test_broken_inputs_are_named_and_nothing_is_half_written(tmp_path, name):
+    breaking, words = BROKEN[name]
+    message = broken(write_pressed(tmp_path, count=2), breaking)
+    assert all(word in message for word in words), message
+
+
+def test_resolutions_are_checked_before_any_work(made):
+    with pytest.raises(BadInput, match="24by32"):
+        label(made, "24by32")
+
+
+def test_operators_are_cached_by_content(tmp_path):
+    sensors = load_sensors("workflow/sensors.toml")
+    make_mesh(2.0).save(tmp_path / "m.npz")
+    unit, grid = sensors["mini_a"], Grid(6, 8)
+
+    def path_of(name, unit):
+        return operator_path(tmp_path / "ops", tmp_path, name, unit, grid)
+
+    first, path = cached(tmp_path / "ops", tmp_path, "m", unit, grid), path_of("m", unit)
+    assert np.array_equal(Operator.load(path).weight, first.weight)
+    assert path_of("m", sensors["mini_c"]) != path and path_of("m@1:0", unit) != path
+    make_mesh(2.5).save(tmp_path / "m.npz")
+    assert path_of("m", unit) != path
+    path.write_bytes(b"junk")
+    with pytest.raises(BadInput, match="delete it"):
+        Operator.load(path)
+
+
+def test_forces_come_back(tmp_path):
+    mesh = make_mesh(2.5)
+    surface, rng = mesh.surface_nodes, np.random.default_rng(0)
+    force = rng.normal(size=(len(surface), 3)) * (rng.random(len(surface)) < 0.2)[:, None]
+    samples = [
+        SampleForces("a", "OK", "m", surface, force, 0.1 * force),
+        SampleForces.failed("b", "DIVERGED"),
+        SampleForces("c", "OK", "m", surface, -force, force),
+    ]
+    write_forces(tmp_path / "f.npz", samples, 0.08)
+    with ForceFile(tmp_path / "f.npz") as file:
+        assert file.index("c") == 2 and file.c10 == 0.08 and not file.intervals
+        back = file.sample(2, surface)
+        assert np.array_equal(back.force, -force) and np.abs(back.displacement - force).max() < 1e-6
+        assert not len(file.sample(1, surface).nodes)
+        assert np.allclose(file.total, [force.sum(0), np.zeros(3), -force.sum(0)])
+        with pytest.raises(BadInput, match="no sample 'z'"):
+            file.index("z")
+        with pytest.raises(BadInput, match="surface nodes"):
+            file.sample(0, surface[:-1])
+
+
+@pytest.mark.parametrize(
+    "change, reason",
+    [
+        ({"status": "FINE"}, "FINE"),
+        ({"force": np.full((2, 3), np.nan)}, "finite"),
+        ({"force": np.zeros((3, 3))}, "3 forces"),
+    ],
+)
+def test_forces_that_are_none_are_refused(tmp_path, change, reason):
+    good = {
+        "sample_id": "a",
+        "status": "OK",
+        "mesh": "m",
+        "nodes": np.arange(2),
+        "force": np.zeros((2, 3)),
+        "displacement": np.zeros((2, 3)),
+    }
+    with pytest.raises(BadInput, match=reason):
+        write_forces(tmp_path / "f.npz", [SampleForces(**{**good, **change})], 0.07)
+    assert not list(tmp_path.iterdir())
+
+
+def test_meshes_survive(tmp_path):
+    mesh = make_mesh(2.5)
+    mesh.save(tmp_path / "m.npz")
+    assert np.array_equal(GelMesh.load(tmp_path / "m.npz").faces, mesh.faces)

@@ -1,0 +1,322 @@
+"""Shards: every sample has one, keeps it, and appending changes the last one only."""
+
+import json
+import shutil
+import tomllib
+from contextlib import nullcontext
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from gelforge.commands.sample import find_rows
+from gelforge.errors import BadInput
+from gelforge.flow import params as config
+from gelforge.flow.files import read_csv, write_if_changed
+from gelforge.flow.layout import PLAN, Layout
+from gelforge.flow.params.stages import ForPoses
+from gelforge.geometry.gel import GELS
+from gelforge.records.log import read_shard
+from gelforge.stages import plan
+from gelforge.stages.plan import assign_shards, image_digests, logged_rows, networks, write_shards
+from tests.support.parameters import parameters
+
+NAMES = st.lists(st.integers(0, 200).map(str), unique=True, max_size=60)
+
+
+@given(NAMES, NAMES, st.integers(1, 9))
+def test_a_sample_keeps_its_shard_when_the_log_grows(first, second, size):
+    before = assign_shards(first, {}, size)
+    after = assign_shards(first + second, before, size)
+    assert {name: after[name] for name in first} == before
+    assert set(after) == set(first) | set(second)
+
+
+@given(NAMES, st.integers(1, 9))
+def test_shards_hold_at_most_their_size_and_fill_in_order(names, size):
+    counts = {}
+    for shard in assign_shards(names, {}, size).values():
+        counts[shard] = counts.get(shard, 0) + 1
+    assert all(count <= size for count in counts.values())
+    assert sorted(counts) == list(range(len(counts)))
+
+
+def write_log(path, ids):
+    path.write_text("sample_id,x0_mm\n" + "".join(f"{i},0.5\n" for i in ids), encoding="utf-8")
+
+
+def test_appending_rewrites_only_the_last_shard(tmp_path):
+    log = tmp_path / "log.csv"
+    write_log(log, range(10))
+    assert write_shards(log.parent, logged_rows(log, None), tmp_path, 4) == ["0000", "0001", "0002"]
+    before = {p.name: p.stat().st_mtime_ns for p in (tmp_path / "shards").glob("*.csv")}
+    write_log(log, range(13))
+    assert write_shards(log.parent, logged_rows(log, None), tmp_path, 4) == ["0000", "0001", "0002", "0003"]
+    after = {p.name: p.stat().st_mtime_ns for p in (tmp_path / "shards").glob("*.csv")}
+    assert [name for name in before if after[name] != before[name]] == ["0002.csv"]
+
+
+def test_a_log_that_lost_rows_leaves_no_shard_behind(tmp_path):
+    log = tmp_path / "log.csv"
+    write_log(log, range(10))
+    write_shards(log.parent, logged_rows(log, None), tmp_path, 4)
+    write_log(log, range(4))
+    assert write_shards(log.parent, logged_rows(log, None), tmp_path, 4) == ["0000"]
+    assert [path.name for path in (tmp_path / "shards").glob("*.csv")] == ["0000.csv"]
+
+
+def test_rows_that_come_back_find_their_shards_again(tmp_path):
+    """What was solved of them is still there: a log cut off for one make costs no solve."""
+    log, shards = tmp_path / "log.csv", tmp_path / "shards"
+    write_log(log, range(10))
+    write_shards(log.parent, logged_rows(log, None), tmp_path, 4)
+    before = {path.name: path.read_text() for path in shards.glob("*.csv")}
+    write_log(log, range(5))
+    write_shards(log.parent, logged_rows(log, None), tmp_path, 4)
+    assert [row["logged"] for row in read_csv(tmp_path / "shards.csv")] == ["1"] * 5 + ["0"] * 5
+    write_log(log, range(10))
+    assert write_shards(log.parent, logged_rows(log, None), tmp_path, 4) == ["0000", "0001", "0002"]
+    assert {path.name: path.read_text() for path in shards.glob("*.csv")} == before
+
+
+@pytest.mark.parametrize(
+    "harm", [lambda text: text[:-5], lambda text: "", lambda text: text.replace("shard", "sherd")]
+)
+def test_a_corrupt_table_of_shards_is_refused_in_a_sentence(tmp_path, harm):
+    """Without it samples may come into other shards, and be solved again: nobody but a person may say so."""
+    log, table = tmp_path / "log.csv", tmp_path / "shards.csv"
+    write_log(log, range(5))
+    write_shards(log.parent, logged_rows(log, None), tmp_path, 4)
+    table.write_text(harm(table.read_text()))
+    with pytest.raises(BadInput, match="shards.csv: .*remove it: samples that come into another shard"):
+        write_shards(log.parent, logged_rows(log, None), tmp_path, 4)
+
+
+def test_a_row_without_a_name_is_planned_again_and_again(tmp_path):
+    """Stage 10 rejects it and names the cell; what the plan wrote of it the next plan reads."""
+    log = tmp_path / "log.csv"
+    write_log(log, ["a", "", "b"])
+    for _ in range(2):
+        assert write_shards(log.parent, logged_rows(log, None), tmp_path, 4) == ["0000"]
+    assert [row.cells["sample_id"] for row in read_shard(tmp_path / "shards/0000.csv")] == ["a", "", "b"]
+
+
+def test_a_frame_alone_goes_through_the_stages_with_its_whole_press(tmp_path):
+    """Frames of a press are solved together: alone, one would get other forces than in its dataset."""
+    log, plan = tmp_path / "log.csv", Layout(tmp_path).folder(PLAN)
+    log.write_text("sample_id,press_id\na,film\nb,\nc,film\nd,\ne,film\n", encoding="utf-8")
+    write_shards(tmp_path, logged_rows(log, None), plan, 4)
+    reported = {name: [row.cells["sample_id"] for row in find_rows(tmp_path, name)] for name in "abcde"}
+    assert reported == {**dict.fromkeys("ace", ["a", "c", "e"]), "b": ["b"], "d": ["d"]}
+
+
+def test_corrupt_digests_of_pictures_are_made_anew(tmp_path):
+    (tmp_path / "a.png").write_bytes(b"picture")
+    found = image_digests(tmp_path, {"a.png"}, tmp_path / "pictures.json")
+    whole = (tmp_path / "pictures.json").read_text()
+    (tmp_path / "pictures.json").write_text(whole[:9])
+    assert image_digests(tmp_path, {"a.png"}, tmp_path / "pictures.json") == found
+    assert (tmp_path / "pictures.json").read_text() == whole
+
+
+def test_a_network_that_make_would_miss_is_refused(tmp_path):
+    models = tmp_path / "models.toml"
+    models.write_text('[grid_8] # small\nkind = "grid"\n')
+    assert set(networks(tmp_path)) == {"grid_8"}
+    models.write_text('[grid-8]\nkind = "grid"\n')
+    with pytest.raises(BadInput, match=r"\[grid-8\].*underscores"):
+        networks(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [("", "sample_id"), ("a,b\n1,2\n", "sample_id"), ("sample_id,x0_mm\n", "no rows")],
+)
+def test_a_log_that_cannot_be_sharded_is_refused(tmp_path, text, named):
+    log = tmp_path / "log.csv"
+    log.write_text(text, encoding="utf-8")
+    with pytest.raises(BadInput, match=named):
+        write_shards(log.parent, logged_rows(log, None), tmp_path, 4)
+
+
+def test_a_log_that_is_not_text_is_refused(tmp_path):
+    log = tmp_path / "log.csv"
+    log.write_bytes(b"sample_id\n\xff\xfe\x00")
+    with pytest.raises(BadInput, match="UTF-8"):
+        write_shards(log.parent, logged_rows(log, None), tmp_path, 4)
+
+
+def test_a_misspelt_override_is_refused(tmp_path, root):
+    dataset = tmp_path / "dataset.toml"
+    dataset.write_text("[params.fea]\nfidelty = 'ccx'\n")
+    with pytest.raises(BadInput, match="fidelty"):
+        config.load_params(root / "workflow", dataset)
+
+
+LOG = "sample_id,sensor_id,indenter\ns1,{},sphere_15\ns2,mini_b,sphere_15\n"
+
+
+def planned(tmp_path, text, sensor="mini_a", ccx="none"):
+    """Plan a log of two rows under a dataset.toml; the sensors of the rows as the shard has them."""
+    (tmp_path / "dataset.toml").write_text(text)
+    (tmp_path / "log.csv").write_text(LOG.format(sensor))
+    plan.main(["--data", str(tmp_path), "--ccx", ccx, "--out", str(tmp_path / "00_plan" / "plan.mk")])
+    return [row.cells["sensor_id"] for row in read_shard(tmp_path / "00_plan" / "shards" / "0000.csv")]
+
+
+def test_a_picture_that_is_copied_to_where_a_link_led_out_is_another(tmp_path):
+    """Stage 10 refuses the row because of the link, so its shard must be made again for the copy."""
+    data, kept = tmp_path / "data", tmp_path / "pictures.json"
+    (tmp_path / "elsewhere").mkdir()
+    data.mkdir()
+    (tmp_path / "elsewhere/a.png").write_bytes(b"a picture")
+    (data / "images").symlink_to(tmp_path / "elsewhere")
+    names = {"images/a.png", "../elsewhere/a.png", str(tmp_path / "elsewhere/a.png")}
+    assert plan.image_digests(data, names, kept) == {}
+    (data / "images").unlink()
+    shutil.copytree(tmp_path / "elsewhere", data / "images")
+    assert set(plan.image_digests(data, names, kept)) == {"images/a.png"}
+
+
+def test_a_dataset_may_bring_indenters_of_its_own(tmp_path):
+    own = tmp_path / "indenters.toml"
+    own.write_text('[sphere_15]\nkind = "sphere"\n')
+    with pytest.raises(BadInput, match=r"indenters.toml: sphere_15 stands in workflow/indenters.toml, too"):
+        planned(tmp_path, "")
+    own.write_text('[mine]\nkind = "stl"\nfile = "shapes/mine.stl"\n')
+    planned(tmp_path, '[params.dataset]\nunseen_indenters = ["mine"]\n')
+    bodies = config.read_indenter_tables("workflow", tmp_path, "indenters.toml")
+    assert (
+        Path("workflow") / bodies["mine"]["file"]
+    ).resolve() == tmp_path / "shapes/mine.stl" and "sphere_15" in bodies
+    with pytest.raises(
+        BadInput, match=r"workflow/data/own/mine.toml: not found; catalogues lie in workflow/; .* go into"
+    ):
+        planned(tmp_path, 'catalogue = "data/own/mine.toml"')
+
+
+def test_rows_that_name_no_sensor_are_of_the_datasets(tmp_path):
+    assert planned(tmp_path, 'sensor = "mini_c"\ngel = "gelsight_mini"\n', "") == ["mini_c", "mini_b"]
+    assert planned(tmp_path, 'sensor = "mini_c"\n', "mini_a") == ["mini_a", "mini_b"]
+    assert planned(tmp_path, "", "") == ["", "mini_b"]
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ('sensor = "mini_x"', r"dataset\.toml: sensor: 'mini_x' is unknown; mini_e is meant\?|sensor: 'mini_x'"),
+        ('gel = "digit"', r"gel = 'digit', but \[meshes\] gel = 'gelsight_mini'"),
+        ('[params.meshes]\ngel = "digit"', r"dataset\.toml: \[params.meshes\] gel 'digit' is unknown"),
+        ('[params.report]\nmodel = "tunedd"', r"dataset\.toml: \[params.report\] model = 'tunedd': choose"),
+        ('gel = "soft"', r"gel = 'soft', but"),
+        ('[params.meshes]\ngel = "soft"', "sensor 'mini_a' of the log has gel 'gelsight_mini'"),
+        ('[params.dataset]\nunseen_sensors = ["mini_f"]', "unseen_sensors: 'mini_f' is unknown"),
+        (
+            '[params.dataset]\nunseen_indenters = ["spere_15"]',
+            "unseen_indenters: 'spere_15' is unknown; sphere_15 is",
+        ),
+        ('[params.pareto]\nhalved = ["sphere"]', r"\[pareto\] halved: 'sphere' is unknown"),
+        ('[params.pareto.quick]\nscenes = ["none"]', r"\[pareto.quick\] scenes: 'none' is unknown"),
+        ('[params.pareto]\nsensor = "none"', r"\[pareto\] sensor: 'none' is unknown"),
+        ('[params.fea]\nfidelity = "hex"\n[params.stability]\nseed = -1', "seed = -1"),
+        ('catalogue = "none.toml"', "none.toml: not found"),
+    ],
+)
+def test_names_that_are_none_are_refused_at_the_plan(tmp_path, monkeypatch, text, named):
+    monkeypatch.setitem(GELS, "soft", GELS["gelsight_mini"])
+    with pytest.raises(BadInput, match=named):
+        planned(tmp_path, text)
+
+
+def test_sensors_sit_on_gels_of_their_own_where_bricks_follow_them(tmp_path):
+    (tmp_path / "sensors.toml").write_text(
+        '[thin]\ngel = "gelsight_mini-3.6mm"\nimage = [320, 240]\n'
+        "projection = [[0.0, -14.0, 160.0], [-14.0, 0.0, 120.0], [0.0, 0.0, 1.0]]\n"
+    )
+    hexahedra = '[params.fea]\nfidelity = "hex"\n'
+    assert planned(tmp_path, hexahedra, "thin") == ["thin", "mini_b"]
+    off = r"sensor '{}' of the log has gel '{}'.*hexahedra .*follow the thickness"
+    with pytest.raises(BadInput, match=off.format("thin", "gelsight_mini-3.6mm")):
+        planned(tmp_path, '[params.fea]\nfidelity = "auto"\n', "thin", ccx="/usr/bin/ccx")
+    # of a thickness for all presses nobody has to guess whether it serves sensors that state none
+    with pytest.raises(BadInput, match=off.format("mini_b", "gelsight_mini")):
+        planned(tmp_path, hexahedra + '[params.meshes]\ngel = "gelsight_mini-3.6mm"\n', "thin")
+
+
+LARGE = """[large]
+gel = "gelsight_mini"
+image = [640, 480]
+projection = [[0.0, -28.0, 320.0], [-28.0, 0.0, 240.0], [0.0, 0.0, 1.0]]
+"""
+
+
+def test_pictures_of_several_sizes_are_refused_before_anything_is_solved(tmp_path):
+    (tmp_path / "sensors.toml").write_text(LARGE)
+    with pytest.raises(BadInput, match=r"several sizes \(large 640 x 480, mini_b 320 x 240\): make one dataset"):
+        planned(tmp_path, "", "large")
+    assert planned(tmp_path, "[params.poses]\nimages = false\n", "large") == ["large", "mini_b"]
+
+
+@pytest.mark.parametrize(("model", "fits"), [("shipped", False), ("tuned", False), ("pair_24", True), ("", True)])
+def test_a_network_that_does_not_read_the_pictures_is_refused_before_anything_is_solved(root, model, fits):
+    """Also one that is fine-tuned from the shipped network."""
+    params, sensors = parameters(report={"model": model}), tomllib.loads(LARGE)
+    refused = pytest.raises(BadInput, match=f"{model}.*pictures of 320 x 240, .*large 640 x 480")
+    with nullcontext() if fits else refused:
+        plan.check_pictures(Path("dataset.toml"), params, sensors, networks(root / "workflow"))
+    plan.check_pictures(Path("dataset.toml"), params, {"mini": {"image": [320, 240]}, "broken": {"image": 4}}, {})
+
+
+@pytest.mark.parametrize("text", ["Gerät\n", "a\r\nb\rc\n"])
+def test_a_planned_file_is_written_anew_where_its_bytes_differ_and_there_alone(tmp_path, text):
+    """Cut within a letter it is no text; line endings that a reader of text would turn are bytes too."""
+    path = tmp_path / "slice.json"
+    assert write_if_changed(path, text) and not write_if_changed(path, text)
+    path.write_bytes("Gerä".encode()[:-1])
+    assert write_if_changed(path, text) and path.read_bytes() == text.encode()
+
+
+def test_a_comment_does_not_touch_a_slice(tmp_path):
+    path = tmp_path / "poses.json"
+
+    def text(version):
+        return config.canonical(config.plain(config.parameters_of(parameters(), ForPoses, version)))
+
+    assert write_if_changed(path, text(1))
+    assert not write_if_changed(path, text(1))
+    assert write_if_changed(path, text(2))
+
+
+@pytest.mark.parametrize("fidelity", ["ccx", "ccx-fine", "ccx-native"])
+def test_a_dataset_that_asks_for_calculix_itself_is_not_solved_by_something_else(tmp_path, fidelity):
+    dataset = tmp_path / "dataset.toml"
+    dataset.write_text(f'[params.fea]\nfidelity = "{fidelity}"\n')
+    with pytest.raises(BadInput, match=f"'{fidelity}' needs CalculiX.*make setup"):
+        plan.without_ccx(config.load_params("workflow", dataset), dataset)
+
+
+@pytest.mark.parametrize("text", ["", '[params.fea]\nfidelity = "auto"\n', '[params.fea]\nfidelity = "hex"\n'])
+def test_where_a_dataset_leaves_it_open_presses_are_solved_in_process_without_calculix(tmp_path, text):
+    dataset = tmp_path / "dataset.toml"
+    dataset.write_text(text)
+    assert plan.without_ccx(config.load_params("workflow", dataset), dataset).fea.fidelity == "hex"
+
+
+def test_presses_that_show_one_picture_are_planned_as_such(tmp_path):
+    """By name and by content, over shards; frames of one press may share theirs."""
+    columns = "sample_id,press_id,image"
+    pictures = {"a.png": b"1", "b.png": b"2", "copy.png": b"1", "c.png": b"3"}
+    for name, content in pictures.items():
+        (tmp_path / name).write_bytes(content)
+    rows = ["s0,,a.png", "s1,,b.png", "s2,,copy.png", "s3,p,c.png", "s4,p,c.png", "s5,,gone.png", "s6,,gone.png",
+            "s7,,a.png"]  # fmt: skip
+    log = tmp_path / "log.csv"
+    log.write_text("\n".join([columns, *rows]) + "\n")
+    write_shards(tmp_path, logged_rows(log, None), tmp_path, 3)
+    found = {
+        name: json.loads((tmp_path / f"shards/{name}.json").read_text()).get("repeated")
+        for name in ("0000", "0001", "0002")
+    }
+    assert found["0000"] == {"2": "row 4, s2,", "4": "row 2, s0,"} and found["0001"] is None
+    assert found["0002"] == {"9": "row 2, s0,"}

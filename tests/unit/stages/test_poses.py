@@ -1,0 +1,424 @@
+"""Stage 10 on small logs: what is written, what is refused."""
+
+import csv
+import json
+import subprocess
+import sys
+import tomllib
+from dataclasses import replace
+
+import cv2
+import numpy as np
+import pytest
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import write_csv
+from gelforge.geometry import touch, triangles
+from gelforge.geometry.cropping import cropped
+from gelforge.geometry.gel import Gel
+from gelforge.geometry.indenters import load_catalogue
+from gelforge.geometry.stlfile import read_stl
+from gelforge.records import log
+from gelforge.records.press import FORCES, LoggedPress, Press, Rejection, parse, summarised
+from gelforge.stages import poses
+from tests.support.parameters import parameters, write_stage
+
+
+@pytest.fixture
+def lab(tmp_path, root):
+    """A dataset folder, parameter files, and a function that runs the stage over rows."""
+    (tmp_path / "data" / "images").mkdir(parents=True)
+    cv2.imwrite(str(tmp_path / "data" / "images" / "a.png"), np.full((240, 320, 3), 90, np.uint8))
+    (tmp_path / "params").mkdir()
+    for name in ("sensors", "indenters"):
+        table = tomllib.loads((root / "workflow" / f"{name}.toml").read_text())
+        (tmp_path / "params" / f"{name}.json").write_text(json.dumps(table))
+    write_stage(tmp_path / "params", "poses")
+
+    def run(rows, *flags, without=()):
+        shard = tmp_path / "0000.csv"
+        log.write_log(shard, rows)
+        lines = [{name: cell for name, cell in row.items() if name not in without} for row in read(shard)]
+        write_csv(shard, list(lines[0]), lines)
+        out = tmp_path / "out" / "0000.csv.part"
+        code = poses.main(
+            [
+                "--data",
+                str(tmp_path / "data"),
+                "--shard",
+                str(shard),
+                "--params",
+                str(tmp_path / "params" / "poses.json"),
+                "--out",
+                str(out),
+                *flags,
+            ]
+        )
+        assert code == 0
+        return read(out), read(out.parent / "0000.rejected.csv"), out.parent / "0000"
+
+    run.sensors = lambda tables: (tmp_path / "params/sensors.json").write_text(json.dumps(tables))
+    return run
+
+
+def read(path):
+    with path.open(newline="") as stream:
+        return list(csv.DictReader(stream))
+
+
+def sample(sample_id="a", **cells):
+    plain = dict.fromkeys(FORCES) | {
+        "x0_mm": 0.0,
+        "y0_mm": 0.0,
+        "z0_mm": 0.0,
+        "dx_mm": 0.0,
+        "dy_mm": 0.0,
+        "dz_mm": -1.0,
+        "rot_deg": 0.0,
+    }
+    words = {
+        "time_utc": "",
+        "sensor_id": "gelsight_mini",
+        "gel_id": "g",
+        "indenter": "sphere_15",
+        "image": "images/a.png",
+    }
+    return LoggedPress(row=0, sample_id=sample_id, **{**plain, **words, **cells})
+
+
+def test_table_and_surfaces_are_written(lab):
+    table, rejected, folder = lab([sample("a", x0_mm=1.0, rot_deg=30.0, fz_n=-5.5), sample("b", indenter="bar_5")])
+    assert not rejected
+    assert [row["stl"] for row in table] == ["0000/a.stl", "0000/b.stl"]
+    assert tuple(table[0]) == log.POSED_COLUMNS
+    assert (float(table[0]["fz_n"]), table[0]["fx_n"]) == (-5.5, "")
+    vertices, faces = read_stl(folder / "a.stl")
+    # STL holds float32: 1e-6 of a few mm
+    assert vertices[:, 2].min() == pytest.approx(0.0, abs=1e-5)
+    assert vertices[vertices[:, 2].argmin(), 0] == pytest.approx(1.0, abs=1e-5)
+    # 1 mm of travel, 0.5 mm of bulge: the rest of the sphere cannot be reached
+    assert vertices[:, 2].max() == pytest.approx(1.5, abs=1e-5)
+    assert triangles.is_watertight(faces)
+
+
+def test_posed_surface_is_the_body_turned_and_moved(lab, root):
+    _, _, folder = lab([sample("a", indenter="cross_15_10_3", x0_mm=1.5, y0_mm=-2.0, z0_mm=0.1, rot_deg=77.0)])
+    vertices, _ = read_stl(folder / "a.stl")
+    body = load_catalogue(root / "workflow" / "indenters.toml", ["cross_15_10_3"])["cross_15_10_3"]
+    rotation, shift = Press(1.5, -2.0, 0.1, 0, 0, -1, 77.0).pose(0.0, 0.0)
+    local = (vertices - shift) @ rotation
+    low = local[:, 2] < 1.3
+    # chords and float32; the boolean cut puts corners on chords
+    assert np.abs(body.distance(local[low])[0]).max() < 0.006
+
+
+@pytest.mark.parametrize(
+    ("cells", "column", "says"),
+    [
+        ({"z0_mm": 1.5}, "dz_mm", "never touches"),
+        ({"x0_mm": 25.0}, "dz_mm", "never touches"),
+        ({"x0_mm": 10.0, "y0_mm": 12.0, "dz_mm": -0.2}, "dz_mm", "never touches"),
+        ({"dz_mm": -3.5}, "dz_mm", "deeper than the gel"),
+        ({"dz_mm": -900.0}, "dz_mm", "deeper than the gel"),
+        ({"dx_mm": 30.0}, "dx_mm", "too far sideways"),
+        ({"sensor_id": "nobody"}, "sensor_id", "no such sensor"),
+        ({"indenter": "spoon"}, "indenter", "no such indenter"),
+        ({"image": "images/b.png"}, "image", "cannot be read"),
+        ({"image": "../a.png"}, "image", "leaves the dataset"),
+    ],
+)
+def test_unusable_press_is_rejected_and_the_others_go_on(lab, capsys, cells, column, says):
+    table, rejected, folder = lab([sample("bad", **cells), sample("good")])
+    assert [row["sample_id"] for row in table] == ["good"]
+    assert [(r["sample_id"], r["column"], r["row"]) for r in rejected] == [("bad", column, "2")]
+    assert says in rejected[0]["reason"]
+    assert rejected[0]["file"].endswith("data/log.csv")
+    assert f"row 2, bad: {column}" in capsys.readouterr().err
+    assert [p.name for p in folder.iterdir()] == ["good.stl"]
+
+
+@pytest.mark.parametrize(
+    ("cells", "columns"),
+    [
+        ({"sensor_id": "", "image": ""}, ["sensor_id", "image"]),
+        ({"sensor_id": "nobody", "indenter": "spoon", "image": "b.png"}, ["sensor_id", "indenter", "image"]),
+        ({"dz_mm": 1.0, "indenter": "spoon", "image": "images/b.png"}, ["dz_mm", "indenter", "image"]),
+        ({"z0_mm": 1.5, "image": ""}, ["image", "dz_mm"]),
+        ({"fz_n": 3.0, "image": ""}, ["image", "fz_n"]),
+    ],
+)
+def test_faults_that_do_not_depend_on_each_other_are_reported_together(lab, cells, columns):
+    table, rejected, _ = lab([sample("bad", **cells), sample("good")])
+    assert [row["sample_id"] for row in table] == ["good"] and [row["column"] for row in rejected] == columns
+
+
+def test_strict_fails_after_writing_the_reasons(lab, tmp_path):
+    with pytest.raises(BadInput, match="1 rows rejected"):
+        lab([sample("bad", z0_mm=1.5), sample("good")], "--strict")
+    assert read(tmp_path / "out" / "0000.rejected.csv")
+
+
+def test_strict_run_can_be_followed_by_a_good_one(lab):
+    lab([sample("a"), sample("b")])
+    table, _, folder = lab([sample("b")])
+    assert len(table) == 1
+    assert [p.name for p in folder.iterdir()] == ["b.stl"]
+
+
+def test_a_log_without_images_can_be_allowed(lab, tmp_path):
+    write_stage(tmp_path / "params", "poses", poses={"images": False})
+    table, rejected, _ = lab([sample("a", image="")])
+    assert len(table) == 1
+    assert not rejected
+
+
+def test_a_log_without_a_column_of_images_is_reported_once_and_can_be_allowed(lab, tmp_path, capsys):
+    rows = [sample(f"s{n}") for n in range(9)]
+    table, rejected, _ = lab(rows, without=["image"])
+    assert not table and len(rejected) == 9
+    lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("rejected: ")]
+    assert len(lines) == 1 and "[params.poses] images = false" in lines[0]
+    assert lines[0].endswith("the same reason against 8 more rows: 3, 4, 5, 6, 7, …")
+    write_stage(tmp_path / "params", "poses", poses={"images": False})
+    table, rejected, _ = lab(rows, without=["image"])
+    assert not rejected and len(table) == 9
+
+
+def test_rows_that_want_something_else_done_are_distinguished():
+    expected = ["write 1", "write 2", "write 1"]
+    kept_out = [
+        Rejection("log.csv", 2 + k, f"s{k}", "x0_mm", "", "is empty", hint) for k, hint in enumerate(expected)
+    ]
+    lines = summarised(kept_out)
+    assert lines == [f"{kept_out[0]}; the same reason against 1 more row: 4", str(kept_out[1])]
+
+
+def test_users_shape_goes_through(lab, tmp_path, root):
+    catalogue = load_catalogue(root / "workflow" / "indenters.toml", ["cuboid_7"])
+    path = tmp_path / "params" / "indenters.json"
+    path.write_text(json.dumps({"mine": {"kind": "stl", "file": "shapes/mine.stl", "spacing": 0.3}}))
+    (tmp_path / "shapes").mkdir()
+    mine = tmp_path / "shapes" / "mine.stl"
+    triangles.write_stl(mine, *catalogue["cuboid_7"].surface())
+    table, rejected, folder = lab(
+        [sample("a", indenter="mine"), sample("b", indenter="mine", z0_mm=3.0)], "--workflow", str(tmp_path)
+    )
+    assert [row["sample_id"] for row in table] == ["a"]
+    assert [row["column"] for row in rejected] == ["dz_mm"]
+    assert read_stl(folder / "a.stl")[0][:, 2].max() == pytest.approx(1.5, abs=1e-5)
+    mine.write_bytes(mine.read_bytes()[:500])
+    table = json.loads(path.read_text()) | {"ball": {"kind": "sphere", "diameter": 15.0, "height": 10.0}}
+    path.write_text(json.dumps(table))
+    table, rejected, _ = lab(
+        [sample("a", indenter="mine"), sample("b", indenter="ball")], "--workflow", str(tmp_path)
+    )
+    assert [row["sample_id"] for row in table] == ["b"]  # a broken shape keeps out its own presses alone
+    assert [(row["column"], "mine.stl" in row["hint"]) for row in rejected] == [("indenter", True)]
+
+
+@pytest.mark.parametrize(
+    ("table", "says"),
+    [
+        ({"image": None}, "image"),
+        ({"gel": None}, "gel"),
+        ({"gel": "jelly"}, "jelly"),
+        ({"image": "320x240"}, "image"),
+        ({"projection": [[0.0, 14.0, 160.0], [-14.0, 0.0, 120.0], [0.0, 0.0, 1.0]]}, "mirrored"),
+    ],
+)
+def test_sensor_without_its_facts_keeps_out_its_presses(lab, root, table, says):
+    """What labels need of a sensor is asked before anything is solved, and one sensor's fault is its own presses'."""
+    path = root / "workflow/sensors.toml"
+    tables = tomllib.loads(path.read_text())
+    changed = {key: value for key, value in (tables["gelsight_mini"] | table).items() if value is not None}
+    lab.sensors(tables | {"mini_z": changed})
+    good, rejected, _ = lab([sample("a", sensor_id="mini_z"), sample("b")])
+    assert [row["sample_id"] for row in good] == ["b"]
+    assert [row["column"] for row in rejected] == ["sensor_id"]
+    assert says in rejected[0]["hint"] and "workflow/sensors.toml" in rejected[0]["hint"]
+
+
+def test_strict_leaves_with_two(lab, tmp_path, root):
+    with pytest.raises(BadInput):
+        lab([sample("bad", z0_mm=1.5)], "--strict")
+    done = subprocess.run(
+        [
+            sys.executable,
+            "-m",
+            "gelforge.stages.poses",
+            "--data",
+            tmp_path / "data",
+            "--shard",
+            tmp_path / "0000.csv",
+            "--params",
+            tmp_path / "params" / "poses.json",
+            "--out",
+            tmp_path / "x.csv",
+            "--strict",
+        ],
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert done.returncode == 2
+    assert "error: " in done.stderr
+    assert "Traceback" not in done.stderr
+    assert read(tmp_path / "x.rejected.csv")
+
+
+def test_nearest_finds_a_grazing_touch(root):
+    sphere = load_catalogue(root / "workflow" / "indenters.toml", ["sphere_10"])["sphere_10"]
+    # at the apex the tip is the only point to touch; the finer samples miss it by 0.0125 mm at most, which is
+    # 2e-5 mm of height
+    for depth in (-0.01, -0.001):
+        assert touch.nearest(Gel(), sphere, Press(0.07, 0.11, 0.0, 0, 0, depth - 0.001)) < 0.0
+    assert touch.nearest(Gel(), sphere, Press(0.0, 0.0, 0.02, 0, 0, -0.01)) == pytest.approx(0.01, abs=1e-4)
+
+
+def test_nearest_sees_a_touch_that_only_the_shear_brings(root):
+    bar = load_catalogue(root / "workflow" / "indenters.toml", ["bar_5"])["bar_5"]
+    aside = Press(0.0, 15.5, 0.0, 0.0, -3.0, -1.5)
+    assert touch.nearest(Gel(), bar, Press(0.0, 15.5, 0.0, 0.0, 0.0, -1.5)) > 0.0
+    assert touch.nearest(Gel(), bar, aside) < 0.0
+
+
+def test_cropped_is_closed_ends_where_asked_and_is_what_an_exact_cut_leaves(root):
+    """Of every kind of indenter; the exact cut is libigl's, with a box."""
+    catalogue = load_catalogue(root / "workflow" / "indenters.toml")
+    for name, body in catalogue.items():
+        whole = body.surface()
+        for height in (0.5, 1.5, 2.5):
+            vertices, faces = cropped(body, height)
+            assert triangles.is_watertight(faces), name
+            assert vertices[:, 2].max() == pytest.approx(min(height, whole[0][:, 2].max()), abs=1e-9)
+            assert 0.0 < triangles.volume(vertices, faces) <= triangles.volume(*whole)
+    box = triangles.stacked(
+        [np.array([[[-50, -50], [50, -50], [50, 50], [-50, 50]]] * 2, float)], np.array([-1.0, 1.5])
+    )
+    for name in ("zelda_15", "pyramid_10", "cylinder_10_7", "cuboid_2_5_3", "solid_01", "key"):
+        exact = triangles.boolean(catalogue[name].surface(), box, "intersection")
+        assert triangles.volume(*cropped(catalogue[name], 1.5)) == pytest.approx(
+            triangles.volume(*exact), rel=1e-9
+        ), name
+
+
+RIGID = replace(parameters().poses, touch_offset_mm=0.0, compliance_mm_per_n=0.0, shear_compliance_mm_per_n=0.0)
+YIELDING = replace(RIGID, compliance_mm_per_n=0.01, shear_compliance_mm_per_n=0.02)
+
+
+def test_the_paths_of_a_yielding_bench_are_those_the_tip_took(root):
+    """The rig's own truth: with its compliance and touch offset, logged paths are the real ones to its tolerances."""
+    bench = json.loads((root / "data/demo/truth/truth.json").read_text())["truth"]
+    params = {name: bench[name] for name in ("compliance_mm_per_n", "shear_compliance_mm_per_n")}
+    params["touch_offset_mm"] = -bench["touch_offset_mm"]  # the rig counts heights, [poses] depths
+    table = replace(parameters().poses, **params)
+    real = {row["sample_id"]: row for row in read(root / "data/demo/truth/presses.csv")}
+    off, uncorrected = [], []
+    for row in log.read_log(root / "data/demo/log.csv"):
+        logged, _ = parse(row, "log.csv")
+        path, wrong = poses.yielded(logged, "log.csv", table)
+        assert not wrong
+        true = real[path.sample_id]
+        away = [getattr(path, name) - float(true[name]) for name in ("dx_mm", "dy_mm")]
+        away.append(path.z0_mm + path.dz_mm - float(true["z0_mm"]) - float(true["dz_mm"]))
+        off.append(away)
+        uncorrected.append(logged.z0_mm + logged.dz_mm - float(true["z0_mm"]) - float(true["dz_mm"]))
+    spread = 4 * (bench["touch_scatter_mm"] + 3 * bench["cnc_um"] * 1e-3) + 1e-3
+    assert np.abs(off).max() < spread
+    assert np.abs(uncorrected).max() > 5 * spread
+
+
+def test_a_rigid_bench_moves_nothing():
+    press = sample(dx_mm=0.1, fx_n=3.0, fz_n=-20.0)
+    assert poses.yielded(press, "log.csv", RIGID) == (press, [])
+
+
+@pytest.mark.parametrize(("column", "readings"), [("fz_n", {"fx_n": 1.0, "fy_n": 1.0}), ("fx_n", {"fz_n": -9.0})])
+def test_a_press_without_the_reading_that_compliance_takes_is_rejected(column, readings):
+    _, wrong = poses.yielded(sample(**readings), "log.csv", YIELDING)
+    assert (wrong[0].column, wrong[0].value) == (column, "")
+    assert "force reading" in wrong[0].reason
+
+
+def test_a_touch_found_too_high_is_a_deeper_press():
+    path, _ = poses.yielded(sample(), "log.csv", replace(RIGID, touch_offset_mm=0.05))
+    assert (path.z0_mm, path.dz_mm) == (-0.05, -1.0)
+
+
+def test_a_broken_sensor_keeps_out_its_own_presses_alone(lab, tmp_path):
+    path = tmp_path / "params" / "sensors.json"
+    tables = json.loads(path.read_text())
+    tables["broken"] = {**tables["gelsight_mini"], "image": "320x240"}
+    path.write_text(json.dumps(tables))
+    table, rejected, _ = lab([sample("a", sensor_id="broken"), sample("b")])
+    assert [row["sample_id"] for row in table] == ["b"]
+    assert [(row["column"], "image" in row["hint"]) for row in rejected] == [("sensor_id", True)]
+
+
+def test_a_bench_that_gives_way_by_more_than_the_press_is_rejected():
+    _, wrong = poses.yielded(sample(dz_mm=-0.2, fx_n=0.0, fy_n=0.0, fz_n=-40.0), "log.csv", YIELDING)
+    assert [(r.column, "gives way" in r.reason) for r in wrong] == [("dz_mm", True)]
+
+
+@pytest.mark.parametrize(
+    ("way", "force", "column"),
+    [((0.1, 0.0), (6.0, 0.0), "dx_mm"), ((0.0, -0.1), (0.0, -5.0), "dy_mm"), ((0.3, 0.1), (20.0, 0.0), "dx_mm")],
+)
+def test_a_bench_that_gives_way_sideways_by_more_than_the_press_moves_is_rejected(way, force, column):
+    """The path that is left would go the other way: no press goes there, whatever drags the gel."""
+    forces = {"fx_n": force[0], "fy_n": force[1], "fz_n": -9.0}
+    _, wrong = poses.yielded(sample(dx_mm=way[0], dy_mm=way[1], **forces), "log.csv", YIELDING)
+    assert [(r.column, "gives way sideways" in r.reason) for r in wrong] == [(column, True)]
+    assert "shear_compliance_mm_per_n = 0.02" in wrong[0].hint and "sign of fx_n, fy_n" in wrong[0].hint
+    # a third of it leaves a press, and a way that no axis can distinguish from none is none
+    half = {"fx_n": force[0] / 3, "fy_n": force[1] / 3, "fz_n": -9.0}
+    assert poses.yielded(sample(dx_mm=way[0], dy_mm=way[1], **half), "log.csv", YIELDING)[1] == []
+    assert poses.yielded(sample(dx_mm=0.005, dy_mm=0.0, **forces), "log.csv", YIELDING)[1] == []
+
+
+def test_frames_that_go_back_are_rejected_and_the_table_says_which_press(lab):
+    film = [sample(f"f{k}", press_id="film", dz_mm=depth) for k, depth in enumerate((-0.4, -0.8, -0.6, -1.0))]
+    table, rejected, _ = lab([*film, sample("alone")])
+    assert [(row["sample_id"], row["press_id"]) for row in table] == [
+        ("f0", "film"), ("f1", "film"), ("f3", "film"), ("alone", ""),
+    ]  # fmt: skip
+    assert [(row["sample_id"], row["row"]) for row in rejected] == [("f2", "4")]
+
+
+@pytest.mark.parametrize(("fz_n", "rejected"), [(-3.0, False), (0.1, False), (3.0, True)])
+@pytest.mark.parametrize("params", [YIELDING, RIGID])
+def test_a_press_whose_reading_pulls_is_rejected(params, fz_n, rejected):
+    """With its sign turned round it would mislead whoever compares with it, whatever the bench does."""
+    wrong = poses.pulling(sample(fx_n=0.0, fy_n=0.0, fz_n=fz_n), "log.csv", params)
+    assert [r.column for r in wrong] == ["fz_n"] * rejected
+    assert all("multiply the force columns by -1" in r.hint for r in wrong)
+
+
+@pytest.mark.parametrize(("params", "rejected"), [(YIELDING, True), (RIGID, False)])
+def test_near_touch_a_reading_that_pulls_counts_only_where_it_moves_the_tip(params, rejected):
+    """A force sensor's own error may be larger than the force there."""
+    near = sample(z0_mm=0.5, dz_mm=-0.7, fx_n=0.0, fy_n=0.0, fz_n=0.8)
+    assert bool(poses.pulling(near, "log.csv", params)) == rejected
+
+
+def test_a_log_with_its_forces_turned_round_says_so_once_with_the_likely_cause(lab, capsys):
+    turned = [sample(name, x0_mm=x, fz_n=5.5 + x) for x, name in enumerate("abc")]
+    table, rejected, _ = lab(turned)
+    assert not table and [(r["column"], float(r["value"])) for r in rejected] == [("fz_n", 5.5 + x) for x in range(3)]
+    said = capsys.readouterr().err
+    assert said.count("multiply the force columns by -1") == 1 and "2 more rows: 3, 4" in said
+
+
+def test_presses_that_show_one_picture_are_named_and_refused_where_strict(lab, tmp_path, capsys):
+    rows = [sample("a"), sample("b", image="images/b.png", y0_mm=1.0), sample("c", y0_mm=2.0)]
+    cv2.imwrite(str(tmp_path / "data/images/b.png"), np.full((240, 320, 3), 91, np.uint8))
+    (tmp_path / "0000.json").write_text(json.dumps({"repeated": {"2": "row 4, c,", "4": "row 2, a,"}}))
+    good, rejected, _ = lab(rows)
+    said = capsys.readouterr().err
+    assert [row["sample_id"] for row in good] == ["a", "b", "c"] and rejected == []
+    assert said.count("kept, in one split") == 2 and "a: image = 'images/a.png': row 4, c, shows a picture" in said
+    with pytest.raises(BadInput, match="2 rows rejected"):
+        lab(rows, "--strict")
+    folder = tmp_path / "out"
+    assert [row["sample_id"] for row in read(folder / "0000.csv.part")] == ["b"]
+    assert [row["row"] for row in read(folder / "0000.rejected.csv")] == ["2", "4"]

@@ -1,0 +1,310 @@
+"""The open benchmark of scenes: what it holds, and that its script scores as the chart does, without gelforge."""
+
+import csv
+import json
+import re
+import shutil
+import subprocess
+import sys
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_json
+from gelforge.geometry.stlfile import read_stl
+from gelforge.labelling.sensor import load_sensors
+from gelforge.stages import challenge as stage
+from gelforge.stages import pareto
+from gelforge.sweeps.challenge import write_challenge
+from gelforge.sweeps.deviation import errors
+from gelforge.sweeps.keptreferences import COLUMNS, KEYS, keep_references, kept_reference, reference_rows, scatters
+from gelforge.sweeps.methods import LARGE_REFERENCE, REFERENCE, TURNED
+from gelforge.sweeps.scenes import parse_scene, read_tables
+from gelforge.sweeps.symmetry import image_of, images_of, turned, turned_back
+from gelforge.sweeps.trial import GRID, load_bench, measure
+from tests.support.parameters import stage_of
+
+
+@pytest.fixture(scope="module")
+def folder(root, tmp_path_factory):
+    out = tmp_path_factory.mktemp("challenge") / "out"
+    given = ["write", "--workflow", str(root / "workflow"), "--references", str(root / "data" / "fea_challenge")]
+    assert stage.main([*given, "--out", str(out)]) == 0
+    return out
+
+
+def score(folder, submission):
+    """The script in an interpreter that sees neither gelforge nor this test's folders."""
+    done = subprocess.run(
+        [sys.executable, "-I", str(folder / "score.py"), str(submission), "--out", str(submission / "score.json")],
+        capture_output=True, text=True, check=False, cwd=folder,
+    )  # fmt: skip
+    return done, (read_json(submission / "score.json") if done.returncode == 0 else None)
+
+
+def record(folder, name) -> dict:
+    """The reference of a scene as a record of the chart."""
+    cells, outside = np.zeros((3, 24, 32)), np.zeros(3)
+    for row in csv.DictReader((folder / "references" / f"{name}.csv").open()):
+        at, force = (int(row["row"]), int(row["column"])), [float(row[key]) for key in COLUMNS[2:]]
+        if at == (-1, -1):
+            outside[:] = force
+        else:
+            cells[:, *at] = force
+    return {
+        "cells": cells,
+        "outside": outside,
+        "total": cells.sum(axis=(1, 2)) + outside,
+        "status": "OK",
+        "scene": name,
+    }
+
+
+def charted_scene(name: str, found: dict) -> dict:
+    """A scene of the chart with nothing but its reference."""
+    return {"scene": name, "table": read_tables("workflow")[name], "methods": {REFERENCE: found}}
+
+
+def submit(folder, rows, columns=COLUMNS):
+    folder.mkdir(exist_ok=True)
+    with (folder / "bar.csv").open("w", newline="") as stream:
+        csv.writer(stream).writerows([columns, *rows])
+    return folder
+
+
+def test_the_folder_holds_every_scene_and_reads_back(folder, root):
+    challenge = read_json(folder / "challenge.json")
+    tables = read_tables(root / "workflow")
+    assert challenge["scenes"] == sorted(tables)
+    assert {path.stem for path in (folder / "references").glob("*.csv")} == set(tables)
+    for name, table in tables.items():
+        press = parse_scene(name, table, 0.475).scene.press
+        reported = read_json(folder / "scenes" / name / "scene.json")
+        assert np.sum(reported["legs_mm"], axis=0) == pytest.approx([press.dx, press.dy, press.dz])
+        vertices, _ = read_stl(folder / "scenes" / name / "indenter.stl")
+        assert vertices[:, 2].min() == pytest.approx(press.z0, abs=0.02)  # the tip is where the path starts
+
+
+def test_references_score_nothing_against_themselves(folder, tmp_path):
+    found, reported = score(folder, folder / "references")
+    assert (
+        found.returncode == 0
+        and reported["total_worst"] == reported["cells_worst"] == 0.0
+        and reported["missing"] == []
+    )
+
+
+def test_the_script_gives_the_errors_of_the_chart(folder, tmp_path):
+    right = record(folder, "bar")
+    rng = np.random.default_rng(3)
+    cells = right["cells"] * rng.uniform(0.9, 1.1, right["cells"].shape)
+    wrong = right | {"cells": cells, "total": cells.sum(axis=(1, 2)) + right["outside"]}
+    done, reported = score(folder, submit(tmp_path / "mine", [[*row.values()] for row in reference_rows(wrong)]))
+    assert done.returncode == 0, done.stderr
+    expected = errors(wrong, right)
+    assert reported["scenes"]["bar"]["total"] == pytest.approx(expected["total"], abs=1e-6)
+    assert reported["scenes"]["bar"]["cells"] == pytest.approx(expected["cells"], abs=1e-5)
+    larger = (cells - right["cells"]).reshape(3, 12, 2, 16, 2).sum(axis=(2, 4))
+    wide = np.linalg.norm(larger, axis=0).sum() / np.linalg.norm(right["total"])
+    assert reported["scenes"]["bar"]["cells_2x2"] == pytest.approx(wide, abs=1e-5)
+
+
+def test_points_count_for_the_cell_they_lie_in(folder, root, tmp_path):
+    """Points in the middles of the cells, and one outside of the picture, are the cells themselves."""
+    right = record(folder, "bar")
+    sensor = load_sensors(root / "workflow" / "sensors.toml")["feats_mini"]
+    held = np.argwhere(np.abs(right["cells"]).max(axis=0) > 0)
+    points = sensor.unproject(10.0 * (held[:, ::-1] + 0.5))
+    rows = [[*at, *right["cells"][:, *cell]] for at, cell in zip(points, held, strict=True)]
+    rows.append([0.0, 12.6, *right["outside"]])
+    done, reported = score(folder, submit(tmp_path / "points", rows, ("x_mm", "y_mm", *COLUMNS[2:])))
+    assert done.returncode == 0, done.stderr
+    assert reported["scenes"]["bar"]["cells"] == pytest.approx(0.0, abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("columns", "rows", "says"),
+    [
+        (("x", "y"), [], "columns are"),
+        (COLUMNS, [[1, 2, 0.1, 0.2, "much"]], "line 2: not five numbers"),
+        (COLUMNS, [[1, 2, 0.1, 0.2, "nan"]], "NaN or infinity"),
+        (COLUMNS, [[1.5, 2, 0.1, 0.2, 0.3]], "whole numbers"),
+        (COLUMNS, [[24, 0, 0.1, 0.2, 0.3]], "outside of 24 x 32"),
+    ],
+)
+def test_what_cannot_be_scored_is_named(folder, tmp_path, columns, rows, says):
+    done, _ = score(folder, submit(tmp_path / "bad", rows, columns))
+    assert done.returncode == 2 and says in done.stderr and "Traceback" not in done.stderr
+
+
+NO_TABLES = {
+    "as a spreadsheet saves it for Unicode": ",".join(COLUMNS).encode("utf-16"),
+    "a cell without end": ",".join(COLUMNS).encode() + b"\n" + b"1" * 200_000,
+}
+
+
+@pytest.mark.parametrize("name", NO_TABLES)
+def test_a_file_that_is_no_table_is_named(folder, tmp_path, name):
+    (tmp_path / "bar.csv").write_bytes(NO_TABLES[name])
+    done, _ = score(folder, tmp_path)
+    assert done.returncode == 2 and "bar.csv: " in done.stderr and "Traceback" not in done.stderr
+
+
+def test_an_empty_submission_is_named(folder, tmp_path):
+    done, _ = score(folder, tmp_path)
+    assert done.returncode == 2 and "no SCENE.csv" in done.stderr
+
+
+def test_scenes_without_reference_are_refused(root, tmp_path):
+    tables = read_tables(root / "workflow")
+    scenes = [parse_scene(name, tables[name], 0.475) for name in ("bar", "punch")]
+    sensor = load_sensors(root / "workflow" / "sensors.toml")["feats_mini"]
+    (tmp_path / "bar.csv").touch()
+    with pytest.raises(BadInput, match="references of bar and the scenes are bar, punch; run make fea-references"):
+        write_challenge(scenes, sensor, tmp_path, tmp_path / "out")
+    assert not (tmp_path / "out" / "challenge.json").exists()
+
+
+def test_a_symmetric_scene_has_a_symmetric_reference_and_its_scatter_beside_it(folder, root, tmp_path):
+    """A press that moves sideways has no image, a turned block that of half a turn alone, a ball at the apex all three."""
+    tables = read_tables(root / "workflow")
+    images = {name: images_of(parse_scene(name, table, 0.475).scene) for name, table in tables.items()}
+    assert images["cuboid_shear"] == images["sphere_off_centre"] == [] and images["cuboid_round"] == [(-1, -1)]
+    assert images["triangle"] == [(-1, 1)] and len(images["sphere_1mm"]) == len(images["punch"]) == 3
+    reported = read_json(folder / "challenge.json")["scatter"]
+    for name, signs in images.items():
+        one = record(folder, name)
+        for image in signs:
+            np.testing.assert_allclose(image_of(one["cells"], image), one["cells"], atol=2e-7)
+        assert reported[name] is None or 0.001 < reported[name] < 0.1
+    assert [name for name in images if reported[name] is None] == ["sphere_off_centre"]
+    noisy = record(folder, "cross")
+    noisy["cells"] = noisy["cells"] * np.random.default_rng(1).uniform(0.9, 1.1, noisy["cells"].shape)
+    keep_references([charted_scene("cross", {**noisy, "key": "k"})], tmp_path, 0.475)
+    difference = np.linalg.norm(image_of(noisy["cells"], (-1, 1)) - noisy["cells"], axis=0).sum()
+    size = np.linalg.norm(noisy["cells"].sum(axis=(1, 2)) + noisy["outside"])
+    assert scatters(tmp_path)["cross"] == pytest.approx(difference / size)
+    kept = np.array(kept_reference(tmp_path, "cross", "k", GRID.shape)["cells"])
+    np.testing.assert_allclose(image_of(kept, (-1, 1)), kept, atol=2e-7)
+
+
+def test_half_a_turn_is_the_scene_elsewhere_on_the_mesh(root):
+    """Its body, turned, reaches the turned points; its forces, turned back, are the scene's own."""
+    scene = parse_scene(
+        "cylinder", read_tables(root / "workflow")["cuboid_shear"] | {"rot_deg": 20.0, "x0": 0.5}, 0.475
+    ).scene
+    points = np.random.default_rng(3).uniform(-4.0, 4.0, (50, 3))
+
+    def gaps(of, at):
+        rotation, start = of.press.pose(1.0, 1.0)
+        return of.indenter.distance((at - start) @ rotation)[0]
+
+    np.testing.assert_allclose(gaps(turned(scene), points * [-1, -1, 1]), gaps(scene, points), atol=1e-9)
+    forces = np.random.default_rng(4).normal(size=(3, *GRID.shape))
+    there = {
+        "cells": image_of(forces, (-1, -1)),
+        "outside": np.array([1.0, 2.0, 3.0]),
+        "total": forces.sum(axis=(1, 2)),
+    }
+    back = turned_back(there)
+    np.testing.assert_allclose(back["cells"], forces)
+    assert back["outside"] == [-1.0, -2.0, 3.0]
+
+
+def test_a_reference_without_image_is_the_mean_with_half_a_turn_once(folder, tmp_path):
+    one = {**record(folder, "cylinder"), "key": "k"}
+    one["total"], scene = one["cells"].sum(axis=(1, 2)) + one["outside"], charted_scene("cylinder", one)
+    scene["methods"][TURNED] = {"cells": 1.1 * one["cells"], "outside": 1.1 * one["outside"]}
+    keep_references([scene], tmp_path, 0.475)
+    kept = kept_reference(tmp_path, "cylinder", "k", GRID.shape)
+    np.testing.assert_allclose(kept["cells"], 1.05 * one["cells"], atol=1e-7)
+    scene["methods"][REFERENCE] = {**kept, "key": "k", "scene": "cylinder"}
+    keep_references([scene], tmp_path, 0.475)
+    again = kept_reference(tmp_path, "cylinder", "k", GRID.shape)
+    assert (again["cells"], again["scatter"]) == (kept["cells"], kept["scatter"])
+
+
+def test_a_failed_reference_is_refused():
+    with pytest.raises(BadInput, match="reference of bar is DIVERGED"):
+        reference_rows({"scene": "bar", "status": "DIVERGED", "reason": "no equilibrium"})
+
+
+def test_the_gel_is_reported_as_numbers(folder):
+    reported = json.loads((folder / "challenge.json").read_text())
+    assert reported["d1_per_mpa"] == pytest.approx(2 / (4 * 0.0725 * 1.475 / (3 * 0.05)))
+    assert (reported["gel"]["width"], reported["gel"]["length"]) == (20.75, 25.25)
+
+
+@pytest.fixture
+def bench(root, tmp_path):
+    """A bench that has no mesh to solve a reference on, only those that are kept."""
+    sensors, kept = load_sensors(root / "workflow" / "sensors.toml"), root / "data" / "fea_challenge"
+    params = replace(stage_of("pareto"), version=pareto.VERSION)
+    return load_bench(params, sensors, tmp_path / "meshes", tmp_path / "records", kept)
+
+
+def test_the_references_that_are_kept_are_those_of_todays_scenes_and_settings(bench, root):
+    """Where this fails, `make fea-references` solves them anew, or what changed did not mean to change them."""
+    keys = read_json(bench.references / KEYS)
+    for name, table in read_tables(root / "workflow").items():
+        scene = parse_scene(name, table, bench.params.material.nu)
+        assert keys[name]["key"] == bench.key(scene, LARGE_REFERENCE), name
+
+
+def test_a_kept_reference_is_not_solved_again_and_is_none_under_other_settings(bench, root):
+    scene = parse_scene("bar", read_tables(root / "workflow")["bar"], bench.params.material.nu)
+    found = measure(bench, scene, LARGE_REFERENCE)
+    assert found["status"] == "OK" and found["total"] == pytest.approx([0.0, 0.0, -17.015], abs=0.005)
+    assert np.array(found["cells"]).sum(axis=(1, 2)) + found["outside"] == pytest.approx(found["total"])
+    assert measure(bench, scene, LARGE_REFERENCE) == found
+    assert kept_reference(bench.references, "bar", "another key", GRID.shape) is None
+    assert kept_reference(bench.references, "nothing", "", GRID.shape) is None
+
+
+def test_references_come_back_as_they_were_kept(folder, tmp_path):
+    one = {**record(folder, "cross"), "key": "k"}
+    plain = {**one, "cells": one["cells"].tolist(), "outside": one["outside"].tolist()}
+    keep_references([charted_scene("cross", plain)], tmp_path, 0.475)
+    again = kept_reference(tmp_path, "cross", "k", GRID.shape)
+    np.testing.assert_allclose(again["cells"], one["cells"], atol=1e-7)
+    np.testing.assert_allclose(again["total"], one["total"], atol=1e-5)
+
+
+@pytest.mark.parametrize(
+    "name, text", [("cross.csv", "row,column,fx_n,fy_n,fz_n\n99,1,0,0,-1\n"), ("keys.json", "{"), ("keys.json", "[]")]
+)
+def test_a_corrupt_reference_is_none(folder, tmp_path, name, text):
+    one = {**record(folder, "cross"), "key": "k"}
+    keep_references([charted_scene("cross", one)], tmp_path, 0.475)
+    (tmp_path / name).write_text(text)
+    assert kept_reference(tmp_path, "cross", "k", GRID.shape) is None
+
+
+def test_the_folder_is_not_written_with_forces_of_other_scenes(root, tmp_path, capsys):
+    workflow = shutil.copytree(root / "workflow", tmp_path / "workflow")
+    scenes = workflow / "scenes.toml"
+    text = scenes.read_text(encoding="utf-8")
+    changed = re.sub(r"^depth = .*$", "depth = 0.77", text, count=1, flags=re.MULTILINE)
+    assert changed != text
+    scenes.write_text(changed, encoding="utf-8")
+    given = ["write", "--workflow", str(workflow), "--references", str(root / "data" / "fea_challenge")]
+    with pytest.raises(BadInput, match="run make fea-references"):
+        stage.main([*given, "--out", str(tmp_path / "out")])
+
+
+def test_references_of_scenes_that_are_gone_go(folder, tmp_path):
+    def charted(*names):
+        return [charted_scene(n, {**record(folder, n), "key": "k"}) for n in names]
+
+    keep_references(charted("cross", "bar"), tmp_path, 0.475)
+    keep_references(charted("cross"), tmp_path, 0.475)
+    assert {path.name for path in tmp_path.iterdir()} == {"cross.csv", KEYS}
+
+
+def test_times_that_are_no_table_are_one_sentence(folder, tmp_path):
+    shutil.copy(folder / "references" / "bar.csv", tmp_path / "bar.csv")
+    (tmp_path / "seconds.csv").write_text("scene,seconds\nbar,3.0\nscene,seconds\ncross,2.0\n")
+    done, _ = score(folder, tmp_path)
+    assert done.returncode == 2 and "seconds.csv" in done.stderr + done.stdout and "Traceback" not in done.stderr

@@ -1,0 +1,415 @@
+"""Errors, frontiers, keys and verdicts behind the charts of the mechanics; solves in processes of their own."""
+
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import write_json
+from gelforge.flow.orphans import die_with_parent
+from gelforge.flow.params import load_params
+from gelforge.labelling.sensor import load_sensors
+from gelforge.mechanics.mesh.family import footprint
+from gelforge.stages import stability
+from gelforge.stages.pareto import charted, keep_charted, summarise
+from gelforge.sweeps import cases
+from gelforge.sweeps.deviation import cell_error, errors, frontier, total_error
+from gelforge.sweeps.isolate import isolated
+from gelforge.sweeps.methods import Method, every_method, quick_methods
+from gelforge.sweeps.scenes import parse_scene, read_tables, resolve
+from gelforge.sweeps.trial import kept, load_bench
+from tests.support.parameters import parameters, stage_of
+from tests.support.waiting import HANG, wait_until
+
+NUMBERS = st.floats(-50, 50, allow_nan=False)
+CELLS = arrays(float, (3, 4, 5), elements=NUMBERS)
+
+
+@pytest.fixture(scope="module")
+def params():
+    return stage_of("pareto")
+
+
+@pytest.fixture(scope="module")
+def scenes(params):
+    nu = params.material.nu
+    return {name: parse_scene(name, table, nu) for name, table in read_tables("workflow").items()}
+
+
+@given(CELLS, CELLS)
+def test_cells_err_at_least_as_much_as_their_sum(cells, reference):
+    """Errors of cells may cancel in the total, never the other way round."""
+    total = np.array([0.0, 0.0, -10.0])
+    difference = np.linalg.norm((cells - reference).sum(axis=(1, 2))) / 10.0
+    # rounding of 20 summed cells of size 50
+    assert cell_error(cells, reference, total) >= difference - 1e-12
+    assert cell_error(cells, cells, total) == 0.0
+
+
+@given(arrays(float, 3, elements=NUMBERS), st.floats(0.1, 10))
+def test_total_error_has_no_unit(total, scale):
+    reference = np.array([1.0, -2.0, -30.0])
+    assert total_error(scale * total, scale * reference) == pytest.approx(total_error(total, reference), abs=1e-12)
+
+
+def test_no_error_where_either_is_no_result():
+    good = {"total": [0, 0, -1.0], "cells": np.ones((3, 2, 2))}
+    assert errors(good, {"total": [0, 0, 0], "cells": None}) is None
+    assert errors({"status": "DIVERGED"}, good) is None
+    assert errors(good, good) == {"total": 0.0, "cells": 0.0}
+
+
+@given(st.lists(st.tuples(st.integers(1, 9), st.integers(1, 9)), min_size=1, max_size=12))
+def test_frontier_beats_every_other_point(points):
+    best = [p for p, good in zip(points, frontier(points), strict=True) if good]
+    assert best
+    for p in points:
+        assert any(q[0] <= p[0] and q[1] <= p[1] for q in best)
+
+
+def test_a_point_that_another_beats_is_not_on_the_frontier():
+    assert frontier([(1, 3), (2, 2), (3, 2.5), (4, 1)]) == [True, True, False, True]
+
+
+def test_a_method_that_failed_on_a_scene_takes_no_other_off_the_frontier():
+    def record(seconds, error):
+        return {
+            "method": {"fidelity": "hex", "size": 1.0, "steps": 10},
+            "cpu_seconds": seconds,
+            "errors": error and {"total": error, "cells": error},
+        }
+
+    scenes = [
+        {
+            "scene": name,
+            "reference": "fine",
+            "methods": {"sound": record(2.0, 0.02), "failing": record(1.0, error)},
+        }
+        for name, error in (("easy", 0.01), ("hard", None))
+    ]
+    found = {
+        row["method"]: (row["failed"], row["frontier_total"], row["frontier_cells"]) for row in summarise(scenes)
+    }
+    assert found == {"sound": (0, True, True), "failing": (1, False, False)}
+
+
+def test_scenes_are_many_shapes_inside_their_reference_mesh(scenes, params):
+    assert len(scenes) >= 12
+    assert len({str(scene.table["indenter"]) for scene in scenes.values()}) >= 10
+    for name, scene in scenes.items():
+        x_min, x_max, y_min, y_max = params.pareto.regions[scene.fine].box
+        foot = footprint(scene.scene)
+        assert x_min <= foot.low[0] and foot.high[0] <= x_max, name
+        assert y_min <= foot.low[1] and foot.high[1] <= y_max, name
+
+
+@pytest.mark.parametrize(
+    "change, named",
+    [
+        ({"indenter": "spheer"}, "spheer"),
+        ({"indenter": ["ball"]}, "ball"),
+        ({"gel": 5}, "gel '5'"),
+        ({"detph": 1.0}, "detph"),
+        ({"depth": -1.0}, "depth"),
+        ({"x0": "1"}, "x0"),
+    ],
+)
+def test_a_scene_that_is_wrong_is_named(change, named):
+    table = {"indenter": {"kind": "sphere", "diameter": 15, "height": 10}, "depth": 1.0, "fine": "disc"} | change
+    with pytest.raises(BadInput, match=named):
+        parse_scene("wrong", resolve("wrong", table, {}), 0.475)
+
+
+def test_the_chart_holds_what_was_asked(params):
+    methods = every_method(params.pareto, params.fea.hex_quality)
+    assert len({m.name for m in methods}) == len(methods)
+    for fidelity in ("hex", "ccx"):
+        own = [m for m in methods if m.fidelity == fidelity and m.size]
+        # one factor at a time: a full product would be hours
+        assert len({m.size for m in own}) >= 4 and len({m.steps for m in own}) >= 3
+        assert len(own) == len({m.size for m in own}) + len({m.steps for m in own}) - 1
+    assert {"hex", "ccx", "ccx-native", "auto", "ccx-fine"} <= {m.fidelity for m in methods}
+    quick = params.pareto.quick
+    assert all(m.fidelity == "hex" for m in quick_methods(quick, with_ccx=False, reference_kept=False))
+    assert quick_methods(quick, with_ccx=True, reference_kept=True)[-1].fidelity == "ccx-fine"
+
+
+def test_a_key_follows_what_the_method_depends_on_and_nothing_else(params, scenes, tmp_path):
+    def key(method, **changed):
+        bench = load_bench(replace(params, **changed), load_sensors("workflow/sensors.toml"), tmp_path, tmp_path)
+        return bench.key(scenes["punch"], method)
+
+    stiffer = replace(params.fea, stiffness=1.0)
+    charted = replace(params.fea, charted={}, tolerance=0.5)
+    hexahedron, ccx = Method("hex-1-8", "hex", 1.0, 4, 8), Method("ccx-1-8", "ccx", 1.0, steps=8)
+    auto, label, tets = Method("auto-label", "auto"), Method("hex-label", "hex"), Method("ccx-label", "ccx")
+    rough = replace(params.fea, hex_quality="demo")
+    assert key(hexahedron) == key(hexahedron, fea=stiffer)
+    assert key(ccx) != key(ccx, fea=stiffer)
+    assert key(ccx) == key(ccx, fea=charted)
+    assert key(auto) != key(auto, fea=charted)
+    assert key(hexahedron) != key(hexahedron, material=replace(params.material, nu=0.49))
+    assert key(label) != key(label, fea=rough)
+    assert key(tets) == key(tets, fea=rough) and key(hexahedron) == key(hexahedron, fea=rough)
+
+
+def failing(error):
+    raise error
+
+
+def working():
+    while True:
+        pass
+
+
+def begins_one_that_works():
+    ends = partial(die_with_parent, signal.SIGKILL)
+    subprocess.run([sys.executable, "-c", "while True: pass"], check=False, preexec_fn=ends)
+
+
+@pytest.mark.parametrize("work", [working, begins_one_that_works])
+def test_a_solve_is_stopped_by_its_processor_time(work):
+    before = time.monotonic()
+    found = isolated(work, 0.5)
+    took = time.monotonic() - before
+    assert found["status"] == "TIMED_OUT" and took < HANG
+    # of a processor that others fill it may get less than that in ten times as long
+    assert found["reason"] == "stopped after 0.5 s of processor time" or took > 5.0
+
+
+def killed():
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_a_solve_fails_in_its_own_process():
+    assert isolated(partial(failing, BadInput("too deep")), HANG) == {"status": "REFUSED", "reason": "too deep"}
+    assert isolated(partial(failing, ZeroDivisionError("by zero")), HANG)["status"] == "CRASHED"
+    found = isolated(killed, HANG)
+    assert found["status"] == "CRASHED" and "-9" in found["reason"]
+    hung = isolated(partial(time.sleep, HANG), 0.05)
+    assert hung["status"] == "TIMED_OUT" and hung["reason"].startswith("stopped after 0.5 s by the clock")
+    with pytest.raises(BadInput, match="free space"):
+        isolated(partial(failing, OSError(28, "No space left on device")), HANG)
+    with pytest.raises(BadInput, match="make setup"):
+        isolated(partial(failing, ModuleNotFoundError("No module named 'numba'")), HANG)
+
+
+BESIDE_TORCH = """
+import torch
+from gelforge.sweeps.isolate import isolated
+from gelforge.sweeps.methods import warm_up
+
+def solved():
+    warm_up.__wrapped__()
+    return {"status": "OK"}
+
+if __name__ == "__main__":
+    torch.set_num_threads(2)
+    (torch.rand(2000, 2000) @ torch.rand(2000, 2000)).exp()
+    print(isolated(solved, 600))  # tests.support.waiting.HANG
+"""
+
+
+def test_a_solve_does_not_hang_where_torch_has_run(tmp_path):
+    """A process that is forked beside torch's threads waits for ever at its first factorisation with two threads."""
+    (tmp_path / "beside.py").write_text(BESIDE_TORCH)
+    environment = os.environ | {"OMP_NUM_THREADS": "2", "MKL_NUM_THREADS": "2"}
+    done = subprocess.run(
+        [sys.executable, "beside.py"], cwd=tmp_path, env=environment, check=True, capture_output=True, text=True
+    )
+    assert done.stdout == "{'status': 'OK'}\n"
+
+
+OWN_CODE = """
+import sys
+sys.path.insert(0, "src")
+import gelforge
+from gelforge.sweeps.isolate import isolated
+
+def report():
+    return {"status": gelforge.__file__, "loaded": "gelforge.sweeps.warm" in sys.modules}
+
+if __name__ == "__main__":
+    print(isolated(report, 600))
+"""
+
+
+def test_a_solve_runs_the_code_of_the_process_that_asks_for_it(root, tmp_path):
+    """Whichever checkout the environment was made in."""
+    shutil.copytree(root / "src", tmp_path / "src", ignore=shutil.ignore_patterns("*.pyc", "*.tmp*", "*.egg-info"))
+    (tmp_path / "own.py").write_text(OWN_CODE)
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    done = subprocess.run(
+        [sys.executable, "own.py"], cwd=tmp_path, env=environment, check=True, capture_output=True, text=True
+    )
+    assert str(tmp_path / "src/gelforge") in done.stdout and "'loaded': True" in done.stdout
+
+
+ASKING = """
+from gelforge.sweeps.isolate import isolated
+
+if __name__ == "__main__":
+    isolated(dict, 600)
+"""
+
+
+def test_a_folder_whose_name_is_too_long_for_a_socket_is_named(tmp_path):
+    long = tmp_path / ("t" * 120)
+    long.mkdir()
+    (tmp_path / "asking.py").write_text(ASKING)
+    environment = os.environ | {"TMPDIR": str(long)}
+    done = subprocess.run(
+        [sys.executable, "asking.py"], cwd=tmp_path, env=environment, capture_output=True, text=True
+    )
+    assert done.returncode != 0 and "set TMPDIR to a shorter path" in done.stderr
+
+
+WAITING = """
+import os
+import time
+from pathlib import Path
+from gelforge.sweeps.isolate import isolated
+
+def wait():
+    Path("started").write_text(str(os.getpid()))
+    os.rename("started", "pid")
+    time.sleep(3600)
+
+if __name__ == "__main__":
+    isolated(wait, 3600)
+"""
+
+
+def test_a_solve_dies_with_the_process_that_asked_for_it(tmp_path):
+    (tmp_path / "waiting.py").write_text(WAITING)
+    asking = subprocess.Popen([sys.executable, "waiting.py"], cwd=tmp_path)
+    pid = tmp_path / "pid"
+    wait_until(pid.exists, of=asking)
+    asking.kill()
+    asking.wait()
+    wait_until(lambda: not Path(f"/proc/{pid.read_text()}").exists())
+
+
+def test_the_clock_counts_work_not_sleep():
+    """In a process of its own: threads that another test's solves left behind may still spin in this one."""
+    program = (
+        "import time\nfrom gelforge.sweeps.isolate import Clock\nwith Clock() as clock: time.sleep(1.0)\n"
+        "print(clock.seconds, clock.cpu_seconds)"
+    )
+    done = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
+    seconds, cpu_seconds = map(float, done.stdout.split())
+    assert seconds >= 1.0 and cpu_seconds < 0.5
+
+
+def _record(case, status="OK", fz=-5.0):
+    return {"case": case.describe(), "status": status, "total": [0, 0, fz], "reason": "" if status == "OK" else "why"}
+
+
+def test_verdicts_against_the_finest_of_the_row():
+    base = cases.Case("hex", "round", 1.0, 0.0, "centre", 0.475, 1.0, 8)
+    sizes = [cases.Case(**(base.describe() | {"size": size})) for size in (1.4, 1.0, 0.5)]
+    records = [_record(sizes[0], fz=-6.0), _record(sizes[1], fz=-5.1), _record(sizes[2])]
+    judged = stability.judge_row("size", records, stage_of("stability", stability={"drift": 0.05}))
+    assert [line["verdict"] for line in judged] == ["drifts", "good", "good"]
+    assert judged[0]["error"] == pytest.approx(0.2)
+    records[0] = _record(sizes[0], "DIVERGED", 0.0)
+    judged = stability.judge_row("size", records, stage_of("stability", stability={"drift": 0.05}))
+    assert judged[0]["verdict"] == "failed" and judged[0]["reason"] == "why"
+    assert "DIVERGED" in "\n".join(stability.reading(judged))
+
+
+def test_a_place_at_label_setting_stands_beside_the_finest_hexahedra():
+    press = {"kind": "flat", "depth": 3.5, "shear": 0.0, "place": "rim", "nu": 0.475}
+    fidelities = ("hex", "ccx", cases.FINEST)
+    records = [
+        _record(cases.Case(fidelity, **press), fz=fz) for fidelity, fz in zip(fidelities, (-5.1, -6, -5), strict=True)
+    ]
+    judged = stability.judge_row("depth", records, stage_of("stability", stability={"drift": 0.05}))
+    assert [(line["level"], line["against"], line["verdict"]) for line in judged] == [
+        (3.5, "finest", "good"), (3.5, "finest", "drifts"), (3.5, None, "good")]  # fmt: skip
+    assert judged[0]["error"] == pytest.approx(0.02)
+
+
+def test_bodies_and_laws_of_the_map_are_those_of_its_rows():
+    table = parameters().stability
+    tilt, ridge, friction = (cases.row_cases(table, row) for row in ("tilt", "ridge", "friction"))
+    assert {case.scene.interface.law for case in friction} == {"frictionless", "coulomb"}
+    # a ridge is as wide as its level says; the steeper the tilt, the farther is the gel from the block's middle
+    assert min(case.scene.indenter.radius() for case in ridge) == pytest.approx(np.hypot(3.0, 0.1), rel=0.02)
+    gaps = [case.scene.indenter.distance(np.zeros((1, 3)))[0][0] for case in tilt if case.fidelity == "hex"]
+    assert gaps == sorted(gaps) and gaps[0] < 0.2 < gaps[-1]
+
+
+def test_the_map_covers_what_was_asked():
+    table = parameters().stability
+    rows = {row: cases.row_cases(table, row) for row in (*cases.FACTORS, "random", "native")}
+    every = [case for row in rows.values() for case in row]
+    assert {case.kind for case in every} == {"round", "flat", "sharp", "several", "tilted", "ridge"}
+    depths, shears, nus = ([getattr(c, f) for c in every] for f in ("depth", "shear", "nu"))
+    steps = [c.steps for c in rows["steps"]]
+    assert (min(depths), max(depths)) == (0.02, 3.5) and (min(shears), max(shears)) == (0.0, 0.5)
+    assert (min(nus), max(nus)) == (0.45, 0.499) and (min(steps), max(steps)) == (1, 40)
+    assert rows["random"] == cases.row_cases(table, "random")
+    rim = next(c for c in every if c.place == "rim" and c.kind == "flat")
+    assert min(case.shape for case in rows["ridge"]) < 0.5
+    assert rim.scene.press.x0 + rim.scene.indenter.radius() > rim.scene.gel.width / 2
+
+
+def test_records_of_what_may_be_mended_are_made_again(tmp_path):
+    path = tmp_path / "record.json"
+    for record, limit, stays in (
+        ({"status": "OK"}, 9.0, True),
+        ({"status": "DIVERGED"}, 9.0, True),
+        ({"status": "REFUSED"}, 9.0, False),  # a mesh that was missing, a disk that was full
+        ({"status": "CRASHED"}, 9.0, False),
+        ({"status": "TIMED_OUT", "limit_s": 9.0}, 9.0, True),
+        ({"status": "TIMED_OUT", "limit_s": 9.0}, 10.0, False),
+        ({"status": "TIMED_OUT"}, 9.0, False),
+    ):
+        write_json(path, {"key": "k"} | record)
+        assert (kept(path, "k", limit) is not None) == stays, record
+        assert kept(path, "another", limit) is None
+
+
+def test_bricks_of_label_quality_are_charted_as_such_whatever_fea_uses():
+    def record(cost):
+        return {"errors": {"total": 0.01, "cells": 0.05}, "cpu_seconds": cost}
+
+    methods = {
+        "hex-draft-quality": record(1.0),
+        "hex-label": record(0.5),
+        "hex-label-quality": record(2.0),
+        "ccx-label": record(6.0),
+    }
+    scenes = [{"class": "flat_deep", "methods": methods}]
+    assert charted(scenes)["flat_deep"]["hex-label"][2] == 1.0 and charted(scenes)["flat_deep"]["ccx"][2] == 3.0
+    del methods["hex-label-quality"]
+    assert charted(scenes)["flat_deep"]["ccx"][2] == 12.0
+
+
+def test_the_chart_writes_what_auto_chooses_by(root, tmp_path):
+    """The tracked file comes back from its own numbers, and only a chart of the project's own parameters changes it."""
+    workflow = shutil.copytree(root / "workflow", tmp_path / "workflow")
+    path = workflow / "charted.toml"
+    before, params = path.read_text(encoding="utf-8"), stage_of("pareto")
+    found = {kind: {way: list(row) for way, row in of.items()} for kind, of in params.fea.charted.items()}
+    assert "says the same" in keep_charted(found, params, workflow) and path.read_text(encoding="utf-8") == before
+    found["flat_deep"]["ccx"][0] = 0.5
+    own = replace(params, fea=replace(params.fea, meshes=("wide-1.0",)))
+    assert "parameters of its own" in keep_charted(found, own, workflow)
+    assert "not every method" in keep_charted({}, params, workflow)
+    assert path.read_text(encoding="utf-8") == before
+    assert "this chart now" in keep_charted(found, params, workflow)
+    assert load_params(workflow).fea.charted["flat_deep"]["ccx"][0] == 0.5
