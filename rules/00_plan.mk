@@ -26,14 +26,14 @@ MAKE_RESTARTS ?=
 # Goals that need no dataset do not read one.
 NO_DATASET := help setup parameters stage-digests lint format test test-% rig rig-% benchmark-% lock clean-% slurm-cancel feats-fetch feats-import mcap-import projection real-check
 # What was made of a dataset whose data are gone can still be seen.
-NO_DATASET += $(if $(wildcard $(DATA)/log.csv),,$(if $(wildcard $D),status provenance lineage))
-# Results dated ahead of this machine's clock, by another one's or its own of before: what is edited until then looks older
+NO_DATASET += $(if $(wildcard $(DATA)/log.csv),,$(if $(wildcard $D),status provenance))
+# Results dated ahead of this machine's clock, by another machine or before its clock was set back: what is edited until then looks older
 # than they are and would stay unread. A second look passes over what others write meanwhile, and clocks a moment apart.
 AHEAD = find -H $D \( -path '$D/.*' -o -path '$D/30_fea/*/*' $(patsubst %,-o -path '$D/%',logs metrics samples estimate export feats look) \) -prune -o -type f
 ahead = $(if $(wildcard $D),$(if $(shell $(AHEAD) -newermt now -print -quit),$(shell sleep 2; $(AHEAD) -newermt '1 second' -printf '%p is dated %TF %.8TT, ' -quit && date '+and here it is %F %T')))
 
 ifneq ($(filter-out $(NO_DATASET),$(or $(MAKECMDGOALS),help)),)
-ifneq ($(and $(if $(MAKE_RESTARTS),,first),$(filter-out status why provenance lineage look,$(MAKECMDGOALS))),)
+ifneq ($(and $(if $(MAKE_RESTARTS),,first),$(filter-out status why provenance look,$(MAKECMDGOALS))),)
 DATED_AHEAD := $(ahead)
 ifneq ($(findstring is dated,$(DATED_AHEAD)),)
 $(error $(DATED_AHEAD): make goes by dates, so what is edited before that time would stay unread. Set the clocks of all machines that write here alike and wait until then, or make DATASET=$(DATASET) clean-ahead, which removes what is dated ahead, but for solved presses, to be made again)

@@ -15,15 +15,15 @@ endif
 ifneq ($(and $(filter $(TUNED),$(MODEL)),$(filter-out $(SHIPPED_RES),$(RES1))),)
 $(error MODEL=$(MODEL) fine-tunes the shipped network, whose grid is $(SHIPPED_RES): say RES=$(SHIPPED_RES), or name another network)
 endif
-ifneq ($(and $(filter shipped,$(MODEL)),$(filter train onnx ship,$(MAKECMDGOALS))),)
-$(error MODEL=shipped: the shipped network was trained elsewhere; to $(firstword $(filter train onnx ship,$(MAKECMDGOALS))), name one of $(MODELS))
+ifneq ($(and $(filter shipped,$(MODEL)),$(filter train ship,$(MAKECMDGOALS))),)
+$(error MODEL=shipped: the shipped network was trained elsewhere; to $(firstword $(filter train ship,$(MAKECMDGOALS))), name one of $(MODELS))
 endif
 endif
 
 # Networks that read a picture beside a no-contact image. Without such pictures none of them can be judged, which
 # is said here, and not after the presses are solved.
 WITH_NOCONTACT := shipped $(NEED_NOCONTACT)
-ASKED = $(if $(filter evaluate report demo study,$(MAKECMDGOALS)),$(MODEL)) $(if $(filter train onnx ship,$(MAKECMDGOALS)),$(LEARNT)) \
+ASKED = $(if $(filter evaluate report demo study,$(MAKECMDGOALS)),$(MODEL)) $(if $(filter train ship,$(MAKECMDGOALS)),$(LEARNT)) \
     $(if $(filter models evaluate-models,$(MAKECMDGOALS)),$(LEARNABLE)) $(if $(filter pareto-models,$(MAKECMDGOALS)),$(or $(call by_hand,CHARTED),$(LEARNABLE)))
 UNREADABLE = $(firstword $(filter $(WITH_NOCONTACT),$(ASKED)))
 ifneq ($(and $(wildcard $(DATA)),$(if $(wildcard $(DATA)/nocontact),,no),$(UNREADABLE)),)
@@ -38,10 +38,8 @@ ifneq ($(and $(filter ship,$(MAKECMDGOALS)),$(filter-out $(SHIPPED_RES),$(RES1))
 $(error ship RES=$(RES1): the shipped network has a grid of $(SHIPPED_RES); train one of it, RES=$(SHIPPED_RES))
 endif
 
-.PHONY: train models onnx
+.PHONY: train models
 train: $D/70_train/$(RES1)/$(LEARNT).onnx  ## train one network and export it as ONNX: make train MODEL=grid_16 RES=24x32
-onnx: train
-	@echo 'make train writes ONNX by itself; make onnx will be gone in the next release'
 models: $(LEARNABLE:%=$D/70_train/$(RES1)/%.onnx)  ## train every network of workflow/models.toml that needs only the dataset
 
 # Other datasets that are learnt from as well ([train] also). They are made by themselves.

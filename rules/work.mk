@@ -54,7 +54,7 @@ parameters: $(SETUP)  ## write workflow/guide/parameters.md, the page of all par
 	@$(PY) -m gelforge.commands.parameters
 
 # Questions about the flow.
-.PHONY: why provenance lineage estimate
+.PHONY: why provenance estimate
 TARGET ?=
 
 why:  ## explain why a target is outdated: make why TARGET=report
@@ -62,10 +62,6 @@ why:  ## explain why a target is outdated: make why TARGET=report
 
 provenance: | $(SETUP)  ## every file, parameter and cost behind one label: make provenance ID=…
 	@$(PY) -m gelforge.commands.provenance --results $D --id $(call given,ID) --resolution $(RES1)
-
-# Former names of targets, each with its name of today; they go with the next release.
-lineage: provenance
-	@echo "make $@ is called make $< now, and will be gone in the next release" >&2
 
 # Meshes that the pilots need are made, and the run finds them.
 estimate: | $(SETUP)  ## estimate core hours, disk and time of make report before it starts; for a log without images, of labels and calibrate

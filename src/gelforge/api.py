@@ -1,6 +1,5 @@
 """What gelforge offers to a Python program: solve a press, label it, read images."""
 
-import warnings
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -9,7 +8,6 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput, GelforgeError
-from gelforge.flow.renamed import notice
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.solids import Indenter
 from gelforge.labelling.grid import Grid
@@ -108,15 +106,15 @@ def gelsight_mini() -> Sensor:
 
 
 def predict(
-    image: np.ndarray, nocontact: np.ndarray | None = None, model: Any = None, untouched: np.ndarray | None = None
+    image: np.ndarray, nocontact: np.ndarray | None = None, model: Any = None
 ) -> tuple[np.ndarray, dict[str, Any]]:
     """Predict forces from one image (h, w, 3) uint8 RGB; return (3, rows, cols) N and how far to trust it.
 
-    nocontact: a picture of the same sensor while nothing touches it; untouched: its former name. model: path; the network that
-    ships where None. The second value has what `ForceReading` has, by the same names: its `flag` is True where something is
-    wrong with the pictures, and `reason` says what.
+    nocontact: a picture of the same sensor while nothing touches it. model: path; the network that ships where None.
+    The second value has what `ForceReading` has, by the same names: its `flag` is True where something is wrong with the
+    pictures, and `reason` says what.
     """
-    found = Reader(_nocontact(nocontact, untouched), model=model)(image)
+    found = Reader(nocontact, model=model)(image)
     return found.cells, vars(found) | {"flag": found.flag}
 
 
@@ -124,9 +122,9 @@ class Reader:
     """Predicts forces from images of one sensor, NumPy in and out.
 
     nocontact: picture (h, w, 3) uint8 RGB of the sensor while nothing touches it; may be left out with a profile, which holds
-    one; untouched: its former name. profile: path of a profile that `gelforge sensor` wrote, whose factor the forces are
-    multiplied by. model: path of a model; the shipped network where None. device: "cpu", or "cuda" where onnxruntime has
-    it. threads: that one image is predicted with. Raises BadInput for pictures that are none of this sensor.
+    one. profile: path of a profile that `gelforge sensor` wrote, whose factor the forces are multiplied by. model:
+    path of a model; the shipped network where None. device: "cpu", or "cuda" where onnxruntime has it. threads: that one
+    image is predicted with. Raises BadInput for pictures that are none of this sensor.
     """
 
     def __init__(
@@ -136,14 +134,14 @@ class Reader:
         model: Any = None,
         device: str = "cpu",
         threads: int = 1,
-        untouched: np.ndarray | None = None,
     ):
         from gelforge.camera import CameraPredictor
         from gelforge.networks.inference.predictor import load_for_use
         from gelforge.networks.inference.sensorprofile import with_profile
 
+        picture = None if nocontact is None else check_image(nocontact)
         path, loaded = None if profile is None else Path(profile), load_for_use(model)
-        picture, gain, table = with_profile(path, _nocontact(nocontact, untouched), loaded.metadata)
+        picture, gain, table = with_profile(path, picture, loaded.metadata)
         self._predictor = CameraPredictor(loaded, picture, gain, device, threads, table)
 
     def __call__(self, image: np.ndarray) -> ForceReading:
@@ -167,14 +165,6 @@ class Reader:
     def batch(self, images: Iterable[np.ndarray]) -> list[ForceReading]:
         """Predict images (h, w, 3) uint8 RGB, one reading each: the same as one by one."""
         return [self(image) for image in images]
-
-
-def _nocontact(nocontact: np.ndarray | None, untouched: np.ndarray | None) -> np.ndarray | None:
-    """The no-contact image under its name or its former one."""
-    if untouched is not None:
-        warnings.warn(notice("untouched=", "nocontact="), DeprecationWarning, 3)
-    picture = untouched if nocontact is None else nocontact
-    return None if picture is None else check_image(picture)
 
 
 def check_image(image: np.ndarray) -> np.ndarray:

@@ -92,13 +92,6 @@ def test_reading_an_image():
     assert verdict.keys() == reported
 
 
-def test_the_former_name_of_an_argument_still_works_and_names_the_new_one(root):
-    rest = read_image(root / "data/demo/nocontact/mini_a.png")
-    with pytest.warns(DeprecationWarning, match="untouched= is called nocontact= now"):
-        old = gelforge.predict(rest, untouched=rest)[0]
-    assert np.array_equal(old, gelforge.predict(rest, nocontact=rest)[0])
-
-
 def test_reading_many_images_of_one_sensor(root):
     """One object for a sensor: totals, cells, intervals; the same as the function, and as many readings as images."""
     folder = root / "data/demo"

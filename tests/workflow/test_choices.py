@@ -124,12 +124,6 @@ def test_make_expands_nothing_that_it_is_given(root, tmp_path, executor, given):
         assert f"{option} '{text}'" in done.stdout
 
 
-def test_a_target_runs_by_its_former_name_too(planned):
-    new, old = (make(planned, "-n", name, "DATASET=tiny", "ID=s000").stdout for name in ("provenance", "lineage"))
-    (command,) = [line for line in new.splitlines() if "gelforge.commands.provenance" in line]
-    assert command in old.splitlines() and "make lineage is called make provenance now" in old
-
-
 @pytest.mark.parametrize(("word", "strict"), [("0", False), ("no", False), ("", False), ("1", True)])
 def test_strict_can_be_said_not_to_be(planned, word, strict):
     said = make(planned, "-n", "poses", "DATASET=tiny", f"STRICT={word}").stdout

@@ -5,8 +5,6 @@ import sys
 
 from gelforge import __version__
 from gelforge.flow.main import exit_with
-from gelforge.flow.renamed import COMMANDS as FORMER
-from gelforge.flow.renamed import notice
 
 COMMANDS = {
     "predict": "force maps and totals from images",
@@ -26,8 +24,6 @@ COMMANDS = {
     "background": "illumination of a sensor, from its no-contact image",
 }
 
-# Former commands whose recipes only make knows.
-MADE = ("sample", "estimate")
 # Commands whose module is a stage.
 HOMES = {"rig": "gelforge.stages.rig"}
 
@@ -38,8 +34,7 @@ def usage(argv) -> int:
         print(f"gelforge {__version__}")
         return 0
     asked = bool(argv) and argv[0] in ("-h", "--help")
-    made = f"; say make {argv[0]}, or" if argv and argv[0] in MADE else ";"
-    wrong = [f"error: {argv[0]!r} is no command of gelforge{made} choose one of these"] if argv and not asked else []
+    wrong = [f"error: {argv[0]!r} is no command of gelforge; choose one of these"] if argv and not asked else []
     listed = [f"  gelforge {name:11s} {what}" for name, what in COMMANDS.items()]
     lines = [*wrong, "usage: gelforge COMMAND …", *listed, "Everything else is a make target: make help."]
     print("\n".join(lines), file=sys.stdout if asked else sys.stderr)
@@ -49,9 +44,6 @@ def usage(argv) -> int:
 def main(argv=None) -> None:
     """Dispatch `gelforge COMMAND …` to the module of that name."""
     argv = sys.argv[1:] if argv is None else argv
-    if argv and argv[0] in FORMER:
-        print(notice(f"gelforge {argv[0]}", f"gelforge {FORMER[argv[0]]}"), file=sys.stderr)
-        argv = [FORMER[argv[0]], *argv[1:]]
     if not argv or argv[0] not in COMMANDS:
         exit_with(usage, argv)
     module = importlib.import_module(HOMES.get(argv[0], f"gelforge.commands.{argv[0]}"))

@@ -226,7 +226,7 @@ def draw(args: Namespace, predictor, seen, film: Film, name: str, over: threadin
     MODE,
     MODEL,
     SENSOR,
-    *NOCONTACT,
+    NOCONTACT,
     PROFILE,
     option("--frames", type=positive, help="number of frames after which to stop", default=None),
     *ENGINE,

@@ -149,7 +149,7 @@ def line_of(row: dict) -> str:
     option("images", nargs="+", type=Path, metavar="IMAGE"),
     MODEL,
     SENSOR,
-    *NOCONTACT,
+    NOCONTACT,
     PROFILE,
     option("--out", type=Path, default=Path("predictions"), help="folder (default: %(default)s)"),
     option(

@@ -60,9 +60,7 @@ def lines(found: dict, results: Path) -> list[str]:
         )
         text += [f"    reads {path}" for path in step.inputs if not Path(path).is_relative_to(Layout(results).params)]
         text += [f"    parameters {name} {json.dumps(values)}" for name, values in step.parameters.items()]
-        text += [
-            f"    by {', '.join(f'{name} {version}' for name, version in sorted(step.programs.items()))}"
-        ] * bool(step.programs)
+        text.append(f"    by {', '.join(f'{name} {version}' for name, version in sorted(step.programs.items()))}")
         if Path(step.target).is_relative_to(Layout(results).folder(FEA)) and found["solve"]:
             text += solve_lines(found["solve"], step.target)
     if not found["steps"]:

@@ -264,7 +264,7 @@ def factor_replaced(out: Path, measures: bool) -> Gain:
 
 @command(
     option("--name", help="name of the sensor"),
-    *NOCONTACT,
+    NOCONTACT,
     option("--video", type=Path, help="video that begins while nothing touches the sensor", default=None),
     option(
         "--camera", type=camera_number, help="number of the camera; nothing may touch the sensor now", default=None

@@ -14,7 +14,6 @@ from pathlib import Path
 from typing import IO, Any
 
 from gelforge.errors import BadInput
-from gelforge.flow.renamed import COLUMNS
 
 
 def listed(folder: Path, pattern: str, below: bool = False) -> list[Path]:
@@ -170,8 +169,6 @@ def write_csv(path: Path | str, columns: Collection[str], rows: Iterable[Mapping
 
 
 def read_csv(path: Path | str) -> list[dict]:
-    """Read a CSV file with a header as a list of dicts of strings; a renamed column has its name of today."""
+    """Read a CSV file with a header as a list of dicts of strings."""
     with Path(path).open(newline="", encoding="utf-8-sig") as stream:
-        rows = csv.DictReader(stream)
-        rows.fieldnames = [COLUMNS.get(name, name) for name in rows.fieldnames or ()]
-        return list(rows)
+        return list(csv.DictReader(stream))

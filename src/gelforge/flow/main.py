@@ -23,7 +23,6 @@ from dataclasses import dataclass
 from typing import Any, NoReturn
 
 from gelforge.errors import GelforgeError, printable, unwritable
-from gelforge.flow.renamed import notice
 
 # Of a disk or a folder that takes nothing: no fault of the program.
 UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT)
@@ -86,22 +85,6 @@ class Group(Command):
         for word, member in self.members.items():
             about = inspect.getdoc(member.run)
             member.extend(words.add_parser(word, help=about, description=about))
-
-
-class Renamed(argparse.Action):
-    """An option under the name that it had before; `const` is the one that it has now, which it prints."""
-
-    def __call__(
-        self, _parser: Any, namespace: argparse.Namespace, values: Any, option_string: str | None = None
-    ) -> None:
-        print(notice(str(option_string), str(self.const)), file=sys.stderr)
-        setattr(namespace, self.dest, values)
-
-
-def renamed(old: str, new: str, **about: Any) -> Option:
-    """The option `new` under its former name `old`, which is no longer listed."""
-    dest = new.lstrip("-").replace("-", "_")
-    return option(old, action=Renamed, const=new, dest=dest, help=argparse.SUPPRESS, **about)
 
 
 def positive(text: str) -> int:

@@ -25,7 +25,7 @@ class Step:
     peak_mib: float
     started: float
     parameters: dict
-    programs: dict[str, str]  # versions; empty where an older step did not record them
+    programs: dict[str, str]  # versions
 
 
 def read_record(path: Path) -> dict:
@@ -127,6 +127,6 @@ def steps_to(results: Path, target: str, shard: str) -> Iterator[Step]:
             Path(path).stem: read_record(Path(path)) for path in inputs if Path(path).is_relative_to(params)
         }
         costs = {key: record.get(key, 0.0) for key in ("seconds", "cpu_seconds", "peak_mib", "started")}
-        yield Step(name, inputs, **costs, parameters=parameters, programs=record.get("programs", {}))
+        yield Step(name, inputs, **costs, parameters=parameters, programs=record["programs"])
 
     yield from walk(target)

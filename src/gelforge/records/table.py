@@ -8,7 +8,6 @@ from typing import Any
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_csv
-from gelforge.flow.renamed import COLUMNS
 from gelforge.records.press import OPTIONAL
 from gelforge.records.regular import read_text
 
@@ -35,7 +34,6 @@ def numbered_rows(path: str | Path, hint: str, comments: bool = False) -> list[t
     top = next((at for at, line in enumerate(text) if line.strip()), 0)
     lines = csv.DictReader(text[top:], restval=None, skipinitialspace=True)
     try:
-        lines.fieldnames = [COLUMNS.get(name, name) for name in lines.fieldnames or ()]
         rows = [(top + lines.line_num, row) for row in lines]
     except csv.Error as error:
         raise BadInput(f"{path}: row {top + lines.line_num}: {error}; {hint}") from error

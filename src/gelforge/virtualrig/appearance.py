@@ -1,14 +1,12 @@
 """Appearance of each virtual sensor: illumination, camera, ink; read from workflow/rig/sensors.toml."""
 
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_toml
-from gelforge.flow.renamed import APPEARANCE, with_names_of_today
 
 COLOURS = ("red", "green", "blue")
 WIDTH, HEIGHT = 320, 240
@@ -90,11 +88,6 @@ class Appearance:
     shade: np.ndarray | None = None
     jpeg: int = 0
 
-    def content(self) -> dict[str, Any]:
-        """Values for the digest that folders of the rig keep; the key `dots` stays, so that older folders still match."""
-        values = asdict(self)
-        return values | {"dots": values.pop("markers")}
-
     def fault(self) -> str:
         """What no sensor can look like, as the start of a sentence; empty where nothing is."""
         for name, shape in SHAPES.items():
@@ -134,7 +127,6 @@ def read_appearances(path) -> dict[str, Appearance]:
         )
         if loose:
             raise BadInput(f"{path}: {loose[0]} stands outside of a table; compare it with [mini_a]")
-    tables = {name: with_names_of_today(table, APPEARANCE, f"{path}: [{name}]") for name, table in tables.items()}
     return {name: _appearance(name, _merged(name, tables, path), path) for name in tables}
 
 

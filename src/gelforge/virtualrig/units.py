@@ -10,7 +10,6 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_toml
 from gelforge.flow.params.schema import SOME, Number, ParameterTable, Place, Span, Within, parse
-from gelforge.flow.renamed import UNITS, with_names_of_today
 from gelforge.labelling.sensor import Sensor
 from gelforge.virtualrig.appearance import HEIGHT, WIDTH, Appearance, Drift, marker_centres, read_appearances
 from gelforge.virtualrig.rigplan import DrawnUnits
@@ -93,7 +92,7 @@ def draw_units(units: DrawnUnits, gel: str, rig: Path, seed: int) -> tuple[dict[
 
 def read_ranges(path: Path) -> UnitRanges:
     """Read a file of ranges; one that is incomplete or has unknown keys raises BadInput."""
-    return parse(UnitRanges, with_names_of_today(read_toml(path), UNITS, str(path)), Place(str(path)))
+    return parse(UnitRanges, read_toml(path), Place(str(path)))
 
 
 class Draw:

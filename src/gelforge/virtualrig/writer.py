@@ -56,8 +56,8 @@ class Dataset:
             before = read_json(self.plan_path)
         except (OSError, ValueError) as error:
             raise self._unknown_plan(str(error)) from error
-        if not isinstance(before, dict) or not isinstance(before.get("plan"), str):
-            raise self._unknown_plan("it names no plan")
+        if not isinstance(before, dict) or not {"plan", "shapes", "looks"} <= before.keys():
+            raise self._unknown_plan("it names no plan, no shapes or no looks")
         return before
 
     def _unknown_plan(self, fault: str) -> BadInput:
@@ -84,17 +84,13 @@ class Dataset:
                 f"{self.folder}: was written by another plan (only `presses` may change); "
                 "name another `dataset` in the plan or remove the folder"
             )
-        if self.log and "shapes" not in before:
-            print(
-                f"{self.folder}: what its indenters and sensors were was not recorded when it was begun; today's are taken"
-            )
-        changed = differing(before.get("shapes", {}), shapes) if self.log else []
+        changed = differing(before["shapes"], shapes) if self.log else []
         if changed:
             raise BadInput(
                 f"{self.folder}: indenter {changed[0]} had another shape when presses were made with it; "
                 "give the new shape a name of its own, or remove the folder"
             )
-        changed = differing(before.get("looks", {}), appearances) if self._has_pictures() else []
+        changed = differing(before["looks"], appearances) if self._has_pictures() else []
         if changed:
             raise BadInput(
                 f"{self.folder}: sensor {changed[0]} looked otherwise when pictures were taken with it; "

@@ -67,11 +67,6 @@ def test_a_file_that_is_none_is_refused_in_a_sentence(root, tmp_path, change, sa
         load_params(root / "workflow", path.parent / "dataset.toml")
 
 
-def test_a_summary_of_an_earlier_version_is_refused(tmp_path):
-    with pytest.raises(BadInput, match="'bench'; it is of an earlier version: run make calibrate DATASET=lab"):
-        frozen(tmp_path, {key: value for key, value in SUMMARY.items() if key != "bench"})
-
-
 def rows(sensor, label):
     return [{"id": f"s{i}", "indenter": "ball", "z0_mm": 0.0, "dz_mm": -1.0, "measured_fz": s, "label_fz": v}
             for i, (s, v) in enumerate(zip(sensor, label, strict=True))]  # fmt: skip

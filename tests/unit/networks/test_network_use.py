@@ -175,17 +175,8 @@ def test_a_corrupt_film_is_reported_by_one_line_and_not_by_its_decoder(data, tmp
     assert quiet.stderr == "" and quiet.stdout.count("\n") == 1 < reported.stdout.count("\n")
 
 
-def test_a_former_name_of_an_option_still_works_and_names_the_new_one(data, paths, tmp_path, capsys):
-    image, rest = (
-        write_png(tmp_path / "p.png", data.images[0]),
-        write_png(tmp_path / "own.png", data.nocontact["mini0"]),
-    )
-    rows = []
-    for name in ("--nocontact", "--untouched"):
-        predict.main([str(image), "--model", str(paths["pair"]), "--out", str(tmp_path / "out"), name, str(rest)])
-        rows.append((tmp_path / "out" / "totals.csv").read_text())
-        assert ("--untouched is called --nocontact now" in capsys.readouterr().err) == (name != "--nocontact")
-    assert rows[0] == rows[1]
+def test_a_network_that_compares_with_a_nocontact_image_asks_for_it(data, paths, tmp_path):
+    image = write_png(tmp_path / "p.png", data.images[0])
     with pytest.raises(BadInput, match="give it with --nocontact"):
         predict.main([str(image), "--model", str(paths["pair"]), "--out", str(tmp_path / "out")])
 

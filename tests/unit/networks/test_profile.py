@@ -118,13 +118,6 @@ def test_a_factor_found_with_another_network_is_refused(root, tmp_path):
     )  # no factor, so none that is wrong
 
 
-def test_a_profile_of_an_earlier_version_still_opens(root, tmp_path):
-    picture, path = read_image(root / "data/demo/nocontact/mini_a.png"), tmp_path / "mine.toml"
-    write_profile(path, make_profile("mine", picture, pitch_of(picture), Gain(), NET))
-    path.write_text(path.read_text().replace("nocontact = ", "untouched = "))
-    np.testing.assert_array_equal(read_profile(path).nocontact, picture)
-
-
 def test_a_picture_that_cannot_be_written_is_named_by_its_own_name(tmp_path):
     (tmp_path / "mine.png").mkdir()
     profile = make_profile("mine", np.zeros((24, 32, 3), np.uint8), 0.0, Gain(), NET)

@@ -10,6 +10,7 @@ import pytest
 
 from gelforge.errors import BadInput
 from gelforge.flow.catalogue import with_content
+from gelforge.flow.files import read_json
 from gelforge.geometry import triangles
 from gelforge.geometry.indenters import build, load_catalogue, load_indenters, read_catalogue
 from gelforge.stages import rig
@@ -235,6 +236,15 @@ def test_a_press_whose_truth_was_lost_is_repeated(tmp_path):
     assert by_press(dataset, [order]) == []
     (tmp_path / image_name(order)).unlink()
     assert by_press(dataset, [order]) == [([order], True)]
+
+
+def test_the_shipped_demo_is_of_the_plan_the_indenters_and_the_sensors_of_today(root):
+    """Else `make rig` would refuse the folder, or draw all its images anew."""
+    plan = read_plan(DEMO)
+    shapes, looks = rig.contents_of(plan, root / "workflow", *rig.units_of(plan, root / "workflow"))
+    Dataset(root / "data/demo", plan).check_same_plan(shapes, looks)
+    truth = read_json(root / "data/demo/truth/truth.json")
+    assert (truth["shapes"], truth["looks"]) == (shapes, looks)
 
 
 @pytest.mark.parametrize("content", ["", '{"plan": "x', "[]", "{}"])

@@ -84,17 +84,12 @@ def controls(
 def known_rows(model: ForceModel, data: Data) -> np.ndarray:
     """Which rows of a dataset (n,) bool show presses that a model learnt from, in whatever dataset these were.
 
-    Each press is identified by itself, so a dataset that has grown holds both. Models of before, which name no presses, are taken to
-    know those of the datasets that they name.
+    Each press is identified by itself, so a dataset that has grown holds both.
     """
-    lessons = datasets_of(model.metadata)
-    pressed = {key for one in lessons for key in one.get("pressed", [])}
-    found = (
-        np.isin(press_keys(data, range(len(data.table))), sorted(pressed))
-        if pressed
-        else np.zeros(len(data.table), bool)
-    )
-    return found | any("pressed" not in one and one["name"] == data.name for one in lessons)
+    pressed = {key for one in datasets_of(model.metadata) for key in one["pressed"]}
+    if not pressed:
+        return np.zeros(len(data.table), bool)
+    return np.isin(press_keys(data, range(len(data.table))), sorted(pressed))
 
 
 def learnt_sensors(model: ForceModel, data: Data) -> set[str]:

@@ -17,7 +17,6 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_toml, write_text
-from gelforge.flow.renamed import PROFILE, with_names_of_today
 from gelforge.networks.checkpoint.modelfile import fingerprint
 from gelforge.networks.preprocess.slopetable import COLOUR_TERMS, PLACE_TERMS, SlopeTable
 from gelforge.records.image import read_image, write_png
@@ -263,7 +262,7 @@ def gain_there(path: Path) -> Gain | None:
 
 def _picture_of(path: Path, table: dict) -> Path:
     """Where the no-contact image of a profile lies; BadInput where it does not lie beside it."""
-    beside = with_names_of_today(table, PROFILE, str(path)).get("nocontact")
+    beside = table.get("nocontact")
     if not isinstance(beside, str) or not beside or "\0" in beside or Path(beside).name != beside:
         raise BadInput(f"{path}: nocontact = {beside!r}: name a picture that lies beside the profile")
     return path.with_name(beside)
