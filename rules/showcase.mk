@@ -1,4 +1,4 @@
-# Pictures of the README. A test fails where press.png or real.png is older than what it shows; these targets draw all again.
+# Pictures of the README. `make lint` fails where press.png or real.png is older than what it shows; these targets draw all again.
 README := results/readme
 README_FILMS := ball_white_thread_4_camera_0.avi glass_box_1_camera_2.avi marker_pen_1_camera_0.avi
 README_PICTURES := $(README)/press.png $(README)/real.png $(README)/speed.png $(README)/stability.png

@@ -1,8 +1,10 @@
 # Tests, and benchmarks of what was promised.
 TESTS ?= tests
+# What pytest's -m chooses of test-all: `slow` is what `make test` leaves out.
+MARKED ?=
 # A process of tests that dies is not started again: with --dist loadfile the others would wait for it for ever. Files keep
-# the order of tests/conftest.py. One more process than cores, because those of the cluster and of the browser mostly wait.
-SIDE_BY_SIDE = -n $$(($(SLOTS) + 1)) --dist loadfile --no-loadscope-reorder --max-worker-restart=0
+# the order of tests/conftest.py.
+PYTEST = $(PY) -m pytest -n $(SLOTS) --dist loadfile --no-loadscope-reorder --max-worker-restart=0 --durations=20
 
 # Tests of pages need a browser.
 CHROMIUM_FOUND := .venv/chromium.found
@@ -14,12 +16,12 @@ SLURM_FOUND := .venv/slurm.found
 $(SLURM_FOUND): envs/slurm.sh | $(SETUP) $(CCX_FOUND)
 	@envs/slurm.sh $@
 
-test benchmark-slurm: $(SLURM_FOUND)
+test test-all benchmark-slurm: $(SLURM_FOUND)
 
 $(CHROMIUM_FOUND): envs/chromium.sh | $(SETUP) $(CCX_FOUND) $(SLURM_FOUND)
 	@envs/chromium.sh $@
 
-test benchmark-face: $(CHROMIUM_FOUND)
+test test-all benchmark-face: $(CHROMIUM_FOUND)
 
 # LeRobot's package wants other versions than ours; minutes of downloads, so tests take it where it is and do not make it.
 LEROBOT_READY := .venv-lerobot/ready
@@ -32,25 +34,26 @@ $(LEROBOT_READY): envs/lerobot.sh envs/lerobot.lock | $(SETUP)
 
 benchmark-face: $(LEROBOT_READY)
 
-.PHONY: test test-slurm lint format lock
-test: $(SETUP) $(CCX_FOUND)  ## all tests
-	@$(PY) -m pytest $(SIDE_BY_SIDE) $(TESTS)
+.PHONY: test test-all test-slurm lint format lock
+test: $(SETUP) $(CCX_FOUND)  ## the tests of every change, in minutes: all but the slow ones
+	@$(PYTEST) -m 'not slow' $(TESTS)
+
+test-all: $(SETUP) $(CCX_FOUND)  ## all tests, in a quarter of an hour; MARKED=slow: those that `make test` leaves out
+	@$(PYTEST) $(if $(MARKED),-m '$(MARKED)') $(TESTS)
 
 test-slurm: $(SETUP) $(SLURM_FOUND)  ## tests of EXECUTOR=slurm on a real cluster of one node, started and stopped here
 	@$(PY) -m pytest $(wildcard tests/workflow/test_slurm*.py)
 
-lint: $(SETUP)  ## check style, names and types of the code, as CI does
+lint: $(SETUP)  ## check style, names, types and imports of the code, and that generated files are those of today, as CI does
 	@$(PY) -m ruff check
 	@$(PY) -m ruff format --check
 	@$(PY) -m mypy
+	@$(PY) -m tests.support.repository
 
-.PHONY: stage-digests
-stage-digests: $(SETUP)  ## confirm that changed code changes no results, or that VERSION was raised: tests/stage_digests.json
-	@$(PY) -m tests.support.stage_digests
-
-format: $(SETUP)  ## format the code
+format: $(SETUP)  ## format the code, and write what is generated: tables of figures, parameters.md, digests of stages' code
 	@$(PY) -m ruff check --fix
 	@$(PY) -m ruff format
+	@$(PY) -m tests.support.repository --fix
 
 lock: $(SETUP)  ## write envs/requirements.lock from the installed packages
 	@$(PY) -m pip freeze --exclude-editable > envs/.requirements.part

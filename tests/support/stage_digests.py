@@ -1,4 +1,4 @@
-"""Digests of the code that each stage's results are made by: tests/stage_digests.json, written by `make stage-digests`."""
+"""Digests of the code that each stage's results are made by: tests/stage_digests.json, written by `make format`."""
 
 import ast
 import hashlib
@@ -71,5 +71,24 @@ def today() -> dict:
     return {"python": PYTHON, "versions": {stage: version_of(stage) for stage in STAGES}, "modules": digests}
 
 
-if __name__ == "__main__":
-    TABLE.write_text(json.dumps(today(), indent=1, sort_keys=True) + "\n")
+def kept() -> dict:
+    """The table as it is kept."""
+    return json.loads(TABLE.read_text(encoding="utf-8"))
+
+
+def text() -> str:
+    """The table's file as it should be; as it is where the digests are of another Python."""
+    if kept()["python"] != PYTHON:
+        return TABLE.read_text(encoding="utf-8")
+    return json.dumps(today(), indent=1, sort_keys=True) + "\n"
+
+
+def unsaid() -> dict[str, list[str]]:
+    """Modules that changed, by each stage that uses them and whose VERSION is as before."""
+    before, now = kept(), today()
+    if before["python"] != PYTHON:
+        return {}
+    names = now["modules"].keys() | before["modules"].keys()
+    changed = {name for name in names if now["modules"].get(name) != before["modules"].get(name)}
+    same = [stage for stage in STAGES if now["versions"][stage] == before["versions"].get(stage)]
+    return {stage: sorted(changed & closure(stage)) for stage in same if changed & closure(stage)}

@@ -3,7 +3,6 @@
 import io
 import json
 import os
-import signal
 import struct
 import subprocess
 import sys
@@ -162,12 +161,10 @@ def test_what_is_shown_obeys_no_text_of_others(text):
 
 @pytest.fixture
 def pipe(tmp_path):
-    """A named pipe that nobody writes into: whoever opens it waits for ever, here until the alarm rings."""
+    """A named pipe that nobody writes into: whoever opens it waits until the time limit of tests."""
     os.mkfifo(tmp_path / "pipe.png")
     os.link(tmp_path / "pipe.png", tmp_path / "pipe.npy")
-    signal.alarm(60)
-    yield tmp_path / "pipe.png"
-    signal.alarm(0)
+    return tmp_path / "pipe.png"
 
 
 def test_a_pipe_is_no_file(pipe, tmp_path):
@@ -379,7 +376,7 @@ def test_an_archive_that_would_fill_the_memory_is_refused(tmp_path):
         read_labels(path)
 
 
-@pytest.mark.parametrize("data", [b"", b"PK\x03\x04", b"not a zip", os.urandom(500)])
+@pytest.mark.parametrize("data", [b"", b"PK\x03\x04", b"not a zip", bytes(range(256))])
 def test_what_is_no_archive_is_refused(tmp_path, data):
     (tmp_path / "24x32.npz").write_bytes(data)
     with pytest.raises(BadInput, match="not a label shard"):

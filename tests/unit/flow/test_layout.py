@@ -1,41 +1,13 @@
 """Where results lie is said in one place: flow.layout; make's rules spell folders of it and no others."""
 
-import ast
 import re
 from pathlib import Path
 
 import pytest
 
-import gelforge
 from gelforge.errors import BadInput
 from gelforge.flow import layout
 from gelforge.flow.layout import FOLDERS, STAGES, Layout, command_for, log_of, metrics_of, shard_name
-
-PACKAGE = Path(gelforge.__file__).parent
-NUMBERED = [name for name in FOLDERS if name[0].isdigit()]
-SPELT = re.compile(rf"[^\s]*(?<![\w])({'|'.join(NUMBERED)})(?![\w])[^\s]*")
-
-
-def spelt(tree: ast.Module) -> list[str]:
-    """Texts of a module that are a path with a stage's folder: no docstring, no sentence, no help of an option."""
-    reported = {id(word.value) for node in ast.walk(tree) if isinstance(node, ast.Call)
-            for word in node.keywords if word.arg == "help"}  # fmt: skip
-    return [
-        node.value
-        for node in ast.walk(tree)
-        if isinstance(node, ast.Constant) and isinstance(node.value, str) and id(node) not in reported
-        if SPELT.fullmatch(node.value)
-    ]
-
-
-def test_no_other_module_spells_a_folder_of_results():
-    modules = [path for path in PACKAGE.rglob("*.py") if path.name != "layout.py"]
-    found = {path.name: names for path in modules if (names := spelt(ast.parse(path.read_text(encoding="utf-8"))))}
-    assert len(modules) > 150 and found == {}
-    assert sorted(spelt(ast.parse('x = root / "30_fea" / name\ny = f"10_poses/{name}.csv"'))) == [
-        "10_poses/",
-        "30_fea",
-    ]
 
 
 def test_every_folder_that_make_spells_is_one_of_the_layout(root):

@@ -7,7 +7,6 @@ from typing import Any, Literal, get_args, get_origin
 
 import pytest
 
-from gelforge.commands.parameters import page
 from gelforge.errors import BadInput
 from gelforge.flow.params import (
     SOURCES,
@@ -238,12 +237,6 @@ def test_settings_that_mean_something_are_taken(root, tmp_path):
 def test_the_datasets_that_come_along_are_sound(root, name):
     assert load_params(root / "workflow", root / "data" / name / "dataset.toml")
     assert read_dataset_file(root / "data" / name / "dataset.toml").catalogue == "indenters.toml"
-
-
-def test_the_page_of_parameters_is_current(root):
-    """Else run make parameters."""
-    made = (root / "workflow" / "guide" / "parameters.md").read_text(encoding="utf-8")
-    assert made == page(root / "workflow" / "params.toml")
 
 
 def test_words_of_the_schema_are_those_of_the_code():

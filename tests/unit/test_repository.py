@@ -1,0 +1,93 @@
+"""What `make lint` looks at beyond style: a planted fault of each kind is reported; figures and pictures know their sources."""
+
+import re
+from pathlib import Path
+
+from gelforge.flow.files import read_json
+from gelforge.stages.readme import outdated, publish_picture
+from tests.benchmarks import tables
+from tests.benchmarks.figures import Figure, digest_of_sources, publish_figures, sources
+from tests.support import repository
+from tests.support.stage_digests import closure, imports
+
+PLANTED = {
+    "records/a.py": ("import gelforge.geometry.gel", "records/a.py imports geometry"),
+    "api.py": ("from gelforge.commands import look", "api.py imports commands"),
+    "stages/b.py": ("def main():\n    from gelforge.commands import look", "stages/b.py imports a command"),
+    "geometry/c.py": ("from tests import support", "geometry/c.py imports tests"),
+    "mechanics/linear/d.py": ("import gelforge.mechanics.mesh.family", "mechanics/linear/d.py imports"),
+    "networks/inference/e.py": ("import torch", "networks/inference/e.py imports torch"),
+    "labelling/f.py": ("class Gel: ...", "class Gel stands in"),
+    "labelling/gel.py": ("class Gel: ...", "module gel stands in"),
+    "geometry/gel.py": ("x = cv2.imread(name)", "geometry/gel.py codes pictures"),
+    "geometry/g.py": ("with ProcessPoolExecutor(2): ...", "geometry/g.py makes a pool of processes"),
+    "geometry/h.py": ("x = ('fx_n', 'fy_n', 'fz_n')", "geometry/h.py lists columns of a press"),
+    "geometry/i.py": ("x = float(row['fx_n'])", "geometry/i.py parses cells of a press"),
+    "geometry/j.py": ("x = data.splits['test']", "geometry/j.py names splits"),
+    "geometry/k.py": ("axis.imshow(x, cmap='viridis')", "geometry/k.py chooses colours of values"),
+    "geometry/l.py": ("x = root / '30_fea'", "geometry/l.py spells a folder of results"),
+    "geometry/m.py": ("import matplotlib.pyplot", "geometry/m.py draws with matplotlib"),
+}
+
+
+def test_a_planted_fault_of_every_kind_is_reported(tmp_path, monkeypatch):
+    for path in repository.PACKAGE.rglob("*.py"):
+        folder = tmp_path / path.relative_to(repository.PACKAGE).parent
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "__init__.py").touch()
+    monkeypatch.setattr(repository, "PACKAGE", tmp_path)
+    checks = (repository.wrong_imports, repository.same_names, repository.facts_twice)
+    assert [fault for check in checks for fault in check()] == []
+    for name, (code, _) in PLANTED.items():
+        (tmp_path / name).write_text(code)
+    found = "\n".join(fault for check in checks for fault in check())
+    assert [said for _, said in PLANTED.values() if said not in found] == []
+
+
+def test_a_closure_reaches_what_is_imported_inside_functions():
+    assert "gelforge.mechanics.solvekey" in closure("fea") and "gelforge.errors" in closure("poses")
+    assert "gelforge.networks.pipeline" in imports("gelforge.stages.train")
+    assert "gelforge.networks.pipeline" not in closure("fea")
+
+
+def test_a_figure_that_changes_changes_the_page(root, monkeypatch):
+    text = (root / "README.md").read_text(encoding="utf-8")
+    read = tables.read_figures
+    monkeypatch.setattr(tables, "read_figures", lambda name: [f | {"value": f["value"] + 1.0} for f in read(name)])
+    changed = tables.rendered(text)
+    assert changed != text and re.sub(r"[\d.]+", "", changed) == re.sub(r"[\d.]+", "", text)
+
+
+def test_a_part_that_is_measured_again_leaves_the_others(tmp_path):
+    path = tmp_path / "dag.json"
+    publish_figures(path, [Figure("one", 1.0, "<=", 2.0), Figure("two", 2.0, "<=", 1.0)], "net")
+    publish_figures(path, [Figure("two", 0.5, "<=", 1.0)], "net")
+    found = {figure["name"]: figure for figure in read_json(path)["figures"]}
+    assert (found["one"]["value"], found["two"]["value"], found["two"]["met"]) == (1.0, 0.5, True)
+    assert found["one"].keys() >= {"measured", "commit", "machine"}
+    assert found["one"]["sources"] == digest_of_sources("dag")
+    publish_figures(path, [Figure("two", 0.5, "<=", 1.0)], "another network")
+    assert [figure["name"] for figure in read_json(path)["figures"]] == ["two"]
+
+
+def test_sources_are_what_is_imported_and_what_that_imports(root):
+    found = {str(path.relative_to(root)) for path in sources(root / "tests/benchmarks/labels.py")}
+    assert {"tests/benchmarks/labels.py", "tests/benchmarks/figures.py", "src/gelforge/labelling/grid.py"} <= found
+    assert "src/gelforge/flow/files.py" in found and not any("live/" in path for path in found)
+
+
+def test_changed_data_make_a_picture_old(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    catalogue = Path("indenters.toml")
+    catalogue.write_text('[ball]\nkind = "sphere"\n')
+    Path("data.json").write_text("1")
+    publish_picture(Path("readme/chart.png"), b"drawn", [Path("data.json"), f"{catalogue}#ball"])
+    catalogue.write_text(
+        '[mine]\nkind = "stl"\n\n[ball]  # another table leaves the picture as it is\nkind = "sphere"\n'
+    )
+    assert outdated(Path("readme/chart.png")) == []
+    Path("data.json").write_text("2")
+    catalogue.write_text('[ball]\nkind = "cone"\n')
+    assert outdated(Path("readme/chart.png")) == ["data.json", f"{catalogue}#ball"]
+    Path("data.json").unlink()
+    assert outdated(Path("readme/chart.png")) == [f"{catalogue}#ball"]
