@@ -1,1 +1,1 @@
-"""Files in other people's layouts, read as data and never executed."""
+"""Files in other people's layouts, read as data: nothing in them is called."""

@@ -48,15 +48,17 @@ class LabelSample:
 def read_sample(path) -> RawSample | LabelSample:
     """Read one press, raw or labelled; what is missing, of another kind or not finite raises BadInput."""
     found = read_npy(path)
-    if not isinstance(found, dict):
-        raise BadInput(f"{path}: holds {type(found).__name__}, FEATS' files hold a dict; is it from another program?")
+    if not isinstance(found, dict) or not all(isinstance(name, str) for name in found):
+        raise BadInput(
+            f"{path}: holds {type(found).__name__}, FEATS' files hold a dict of named fields; is it from another program?"
+        )
     image = _image(path, found)
     if all(name in found for name in CHANNELS):
         return LabelSample(image, _label(path, found))
     missing = [name for name in ("indenter", *POSE_FIELDS, *FORCE_FIELDS) if name not in found]
     if missing:
         raise BadInput(
-            f"{path}: field {missing[0]} is missing (it has {', '.join(map(str, found))[:120]});"
+            f"{path}: field {missing[0]} is missing (it has {', '.join(found)[:120]});"
             " a raw sample needs all of FEATS' fields, a label file grid_x, grid_y and grid_z"
         )
     names = {**POSE_FIELDS, **FORCE_FIELDS}

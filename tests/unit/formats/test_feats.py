@@ -127,7 +127,7 @@ def test_missing_fields_are_named(tmp_path):
     path = save(tmp_path / "bad.npy", {name: value for name, value in RAW.items() if name != "x_0"})
     with pytest.raises(BadInput, match="bad.npy: field x_0 is missing"):
         read_sample(path)
-    with pytest.raises(BadInput, match="hold a dict"):
+    with pytest.raises(BadInput, match="hold a dict of named fields"):
         read_sample(save(tmp_path / "list.npy", np.zeros(3)))
 
 
@@ -203,7 +203,7 @@ def test_a_hostile_file_stops_the_import(tmp_path, sensor):
 
     save(tmp_path / "feats/a.npy", RAW)
     save(tmp_path / "feats/evil.npy", np.array({"gs_img": Trap()}, dtype=object))
-    with pytest.raises(BadInput, match="evil.npy: refused, it holds the name posix.mkdir"):
+    with pytest.raises(BadInput, match="evil.npy: refused, it holds the name"):
         import_folder(tmp_path / "feats", tmp_path / "data", sensor)
     assert not (tmp_path / "ran").exists() and not (tmp_path / "data").exists()
 
