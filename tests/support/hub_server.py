@@ -72,7 +72,8 @@ class Handler(BaseHTTPRequestHandler):
         if url.path.startswith(f"{api}/tree/"):
             self.tree(int(parse_qs(url.query).get("cursor", ["0"])[0]))
         elif url.path in (api, f"{api}/revision/main"):
-            self.answer({"_id": "1", "id": self.server.name, "sha": self.server.commit(), "siblings": []})
+            self.answer({"_id": "1", "id": self.server.name, "sha": self.server.commit(),
+                         "siblings": [{"rfilename": name} for name in self.server.files()]})  # fmt: skip
         elif url.path.startswith(files):
             revision, _, name = url.path.removeprefix(files).partition("/")
             self.file(name, self.server.commit() if revision == "main" else revision)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, group, option
-from gelforge.formats.feats_folder import export_dataset, import_folder
+from gelforge.formats.feats_folder import export_dataset, import_folder, refuse_existing
 from gelforge.formats.featsfile import write_normalisation
 from gelforge.labelling.sensor import find_sensor, load_sensors
 
@@ -40,8 +40,9 @@ def bring_in(args: Namespace) -> None:
 )
 def fetch(args: Namespace) -> None:
     """FEATS' published dataset, from the hub or a copy of it, to data/DATASET."""
-    from gelforge.formats import feats_hub
+    from gelforge.formats.feats_hub import fetch as fetch_from_hub
 
+    refuse_existing(args.data)
     sensors = load_sensors(args.sensors)
     sensor, other = (
         find_sensor(sensors, name, "SENSOR", str(args.sensors)) for name in ("feats_mini", "feats_mini_2")
@@ -49,13 +50,8 @@ def fetch(args: Namespace) -> None:
     splits = args.split.split()
     if args.source and not Path(args.source).is_dir():
         raise BadInput(f"FROM={args.source}: not a folder; give a copy of the dataset's folders, or leave FROM out")
-    source = Path(args.source) if args.source else feats_hub.fetch(args.downloads, splits)
-    if not args.source and feats_hub.is_imported(args.downloads, args.data):
-        print(f"{args.data}: up to date")
-        return
+    source = Path(args.source) if args.source else fetch_from_hub(args.downloads, splits)
     found = import_folder(source, args.data, sensor, other, splits)
-    if not args.source:
-        feats_hub.note_imported(args.downloads, args.data)
     print(f"{args.data}: {found['presses']} presses from {found['files']} files; labels: {found['labels'] or 'none'}")
 
 

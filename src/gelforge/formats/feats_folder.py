@@ -47,11 +47,16 @@ shard_size = 500
 LABELS_ALONE = "[params.report]\nbranches = []\n"
 
 
+def refuse_existing(path: Path) -> None:
+    """BadInput where the folder of a dataset that is to be made is there already."""
+    if path.exists():
+        raise BadInput(f"{path} exists already; remove it, or give another name (DATASET=...)")
+
+
 @contextmanager
 def new_folder(path: Path):
     """Yield a temporary folder beside `path`, renamed to `path` if the block succeeds; BadInput if it exists."""
-    if path.exists():
-        raise BadInput(f"{path} exists already; remove it, or give another name (DATASET=...)")
+    refuse_existing(path)
     part = path.with_name(f".{path.name}.part")
     shutil.rmtree(part, ignore_errors=True)
     part.mkdir(parents=True)
