@@ -12,42 +12,90 @@ from importlib.metadata import version
 import cv2
 import pytest
 
+from gelforge.commands.gelforge import COMMANDS
+from gelforge.flow.main import EXTRAS
 from tests.support.films import write_film
 
-# Reading with only the base dependencies importable: a package of the flow or of the exports is as if not installed.
+# Several commands with only the base dependencies importable: a package of an extra is as if not installed.
 ALONE = """
 import sys
 for name in {blocked!r}:
     sys.modules[name] = None
 from gelforge.commands import gelforge
-gelforge.main({words!r})
+for words in {runs!r}:
+    print("RUN", *words, flush=True)
+    try:
+        gelforge.main(words)
+    except SystemExit as ended:
+        print("ENDED", ended.code, flush=True)
 """
-MODULES = {"pymeshlab": "pymeshlab", "mcap-ros2-support": "mcap_ros2", "rerun-sdk": "rerun", "emcee": "emcee"}
+# Import names that are not the package's own.
+MODULES = {
+    "mcap-ros2-support": ["mcap_ros2"],
+    "rerun-sdk": ["rerun"],
+    "foxglove-sdk": ["foxglove"],
+    "vtk": ["vtk", "vtkmodules"],
+}
+ONE_SENTENCE = re.compile(
+    r"error: this needs the package \w+, which is not installed: pip install '\.\[\w+\]' in a clone.*"
+)
 
 
-def flow_modules(root):
-    """Import names of what only the extras ask for."""
+def alone(*runs):
+    """[(exit code, lines)] of commands run one after the other without the extras' packages."""
+    program = ALONE.format(blocked=sorted(EXTRAS), runs=[list(map(str, words)) for words in runs])
+    done = subprocess.run(
+        [sys.executable, "-c", program], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True
+    )
+    parts = [part.splitlines()[1:] for part in done.stdout.split("RUN ")[1:]]
+    assert "Traceback" not in done.stdout and len(parts) == len(runs), done.stdout[-1500:]
+    return [(int(lines[-1].removeprefix("ENDED ")), lines[:-1]) for lines in parts]
+
+
+def test_every_package_of_an_extra_is_known_with_an_extra_that_brings_it(root):
     project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    extras = project["optional-dependencies"]
-    asked = {re.split(r"[\[<>= ]", name)[0] for key in ("flow", "exports") for name in extras[key]}
     base = {re.split(r"[\[<>= ]", name)[0] for name in project["dependencies"]}
-    return sorted(MODULES.get(name, name.replace("-", "_")) for name in asked - base)
+    brought = {}
+    for extra in ("flow", "train", "exports", "live", "hub"):
+        for package in project["optional-dependencies"][extra]:
+            for name in MODULES.get(package, [package.replace("-", "_")]):
+                brought.setdefault(name, set()).add(extra)
+    assert not base & brought.keys() and EXTRAS.keys() == brought.keys()
+    assert all(extra in brought[name] for name, extra in EXTRAS.items())
 
 
-@pytest.mark.parametrize("goal", ["predict", "sensor", "live"])
-def test_pictures_are_read_with_the_base_packages_alone(root, tmp_path, goal):
+def test_every_command_works_without_the_extras_or_names_the_one_that_it_needs(root, tmp_path):
+    out = tmp_path / "out"
+    work = [
+        ["feats", "fetch", "--downloads", out, "--data", out / "data", "--sensors", root / "workflow/sensors.toml"],
+        ["mcap", "--from", root / "README.md", "--topics", tmp_path / "topics.toml", "--data", out,
+         "--sensors", root / "workflow/sensors.toml"],
+    ]  # fmt: skip
+    (tmp_path / "topics.toml").write_text('image = "/a"\nwrench = "/b"\n')
+    runs = [[name, "--help"] for name in COMMANDS] + work
+    for words, (code, lines) in zip(runs, alone(*runs), strict=True):
+        helped = "--help" in words and code == 0 and any("usage: gelforge" in line for line in lines)
+        assert helped or (code == 2 and ONE_SENTENCE.fullmatch(lines[-1]) and len(lines) == 1), (words, code, lines)
+
+
+def test_pictures_are_read_with_the_base_packages_alone(root, tmp_path):
     picture, rest = root / "data/demo/images/demo-000000.png", root / "data/demo/nocontact/mini_a.png"
     (tmp_path / "r.csv").write_text(f"image,force_n\n{picture},3.0\n")
-    words = {
-        "predict": ["predict", str(picture), "--nocontact", str(rest), "--out", str(tmp_path / "out")],
-        "sensor": ["sensor", "--name", "mine", "--nocontact", str(rest), "--readings", str(tmp_path / "r.csv"),
-                   "--out", str(tmp_path / "mine.toml")],
-        "live": ["live", "--video", str(write_film(tmp_path / "f.avi", [cv2.imread(str(picture))] * 3)), "--nocontact", str(rest), "--csv",
-                 str(tmp_path / "live.csv")],
-    }[goal]  # fmt: skip
-    program = ALONE.format(blocked=flow_modules(root), words=words)
+    film = write_film(tmp_path / "f.avi", [cv2.imread(str(picture))] * 3)
+    runs = [
+        ["predict", picture, "--nocontact", rest, "--out", tmp_path / "out"],
+        ["sensor", "--name", "mine", "--nocontact", rest, "--readings", tmp_path / "r.csv", "--out", tmp_path / "mine.toml"],
+        ["live", "--video", film, "--nocontact", rest, "--csv", tmp_path / "live.csv"],
+    ]  # fmt: skip
+    found = alone(*runs)
+    assert [code for code, _ in found] == [0, 0, 0], found
+
+
+def test_the_example_that_reads_a_film_needs_no_extra(root):
+    program = f"import runpy, sys\nfor name in {sorted(EXTRAS)!r}:\n    sys.modules[name] = None\n"
+    program += f"runpy.run_path({str(root / 'workflow/examples/06_read_a_film.py')!r}, run_name='__main__')"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
-    assert done.returncode == 0, done.stderr[-1500:]
+    assert done.returncode == 0 and len(done.stdout.splitlines()) == 6, done.stderr[-1500:]
 
 
 @pytest.fixture(scope="module")

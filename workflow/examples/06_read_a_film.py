@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 
 import cv2
-import torch
 
 import gelforge
 
@@ -28,7 +27,6 @@ def demo():
 
 film, still = (sys.argv[1:] + [None, None])[:2]
 without = cv2.cvtColor(cv2.imread(still or str(DEMO / "nocontact" / "mini_a.png")), cv2.COLOR_BGR2RGB)
-torch.set_num_threads(1)  # one picture is too little for several
 
 read = gelforge.Reader(without)
 for number, found in enumerate(read.stream(frames(film))):

@@ -64,12 +64,7 @@ def export(samples: Samples, form: str, path: Path) -> None:
     refuse_full_disk(path, least + samples.labels.nbytes)
     writer = importlib.import_module(f"gelforge.formats.export.{FORMATS[form]}")
     with whole_or_absent(path) as part:
-        try:
-            writer.write(part, samples)
-        except ModuleNotFoundError as error:
-            raise BadInput(
-                f"format {form} needs the package {error.name}: pip install '.[exports]' in a clone of gelforge"
-            ) from error
+        writer.write(part, samples)
         if part.is_dir():
             (part / MARK).touch()
         # Not every library says that the disk was full.

@@ -46,9 +46,9 @@ def main(argv=None) -> None:
     argv = sys.argv[1:] if argv is None else argv
     if not argv or argv[0] not in COMMANDS:
         exit_with(usage, argv)
-    module = importlib.import_module(HOMES.get(argv[0], f"gelforge.commands.{argv[0]}"))
     sys.argv[0] = f"gelforge {argv[0]}"
-    module.main.exit(argv[1:])
+    home = HOMES.get(argv[0], f"gelforge.commands.{argv[0]}")
+    exit_with(lambda words: importlib.import_module(home).main(words), argv[1:])
 
 
 if __name__ == "__main__":

@@ -26,6 +26,17 @@ from gelforge.errors import GelforgeError, printable, unwritable
 
 # Of a disk or a folder that takes nothing: no fault of the program.
 UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT)
+# Packages that only an extra of pyproject.toml installs, by the name of their import.
+EXTRAS = {
+    **dict.fromkeys(
+        ("scipy", "numba", "pypardiso", "pymeshlab", "pytetwild", "pyvista", "vtk", "vtkmodules", "emcee", "corner", "jinja2",
+         "tqdm", "matplotlib", "torch", "safetensors", "pydantic", "annotated_types"),
+        "flow",
+    ),
+    **dict.fromkeys(("mcap_ros2", "rerun", "pyarrow", "webdataset", "h5py"), "exports"),
+    **dict.fromkeys(("foxglove", "mcap"), "live"),
+    "huggingface_hub": "hub",
+}  # fmt: skip
 # Of a name that no file can have.
 UNNAMEABLE = (errno.ENAMETOOLONG, errno.ELOOP)
 
@@ -153,6 +164,13 @@ def code_of(main: Callable[[Sequence[str] | None], int], argv: Sequence[str] | N
         return ended.code
     except GelforgeError as error:
         print(f"error: {error}", file=sys.stderr)
+        return 2
+    except ModuleNotFoundError as error:
+        package = (error.name or "").partition(".")[0]
+        if package not in EXTRAS:
+            raise
+        hint = f"pip install '.[{EXTRAS[package]}]' in a clone of gelforge"
+        print(f"error: this needs the package {package}, which is not installed: {hint}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130

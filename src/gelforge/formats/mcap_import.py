@@ -133,14 +133,10 @@ def wrenches(path: Path, topics: Topics) -> tuple[MessageTimes, np.ndarray]:
 
 def messages(path: Path, topic: str) -> Iterator[tuple[int, object]]:
     """(log time in ns, message) of one topic; BadInput for a file that cannot be read."""
-    try:
-        from mcap.exceptions import DecoderNotFoundError
-        from mcap.reader import make_reader
-        from mcap_ros2.decoder import DecoderFactory
-    except ModuleNotFoundError as error:
-        raise BadInput(
-            f"recordings in MCAP need the package {error.name}: pip install '.[exports]' in a clone of gelforge"
-        ) from error
+    from mcap_ros2.decoder import DecoderFactory  # isort: skip, it brings mcap
+    from mcap.exceptions import DecoderNotFoundError
+    from mcap.reader import make_reader
+
     if fault := file_fault(path):
         raise BadInput(f"{path}: cannot be read ({fault}); give a recording in MCAP")
     with path.open("rb") as stream:

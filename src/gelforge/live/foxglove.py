@@ -12,16 +12,12 @@ from gelforge.live.topics import Encoded
 class FoxgloveServer:
     """Serves messages to any number of viewers; one that is slow misses the oldest of its own.
 
-    BadInput where the library is not installed or the port cannot be served.
+    BadInput where the port cannot be served.
     """
 
     def __init__(self, host: str, port: int):
-        try:
-            import foxglove
-        except ModuleNotFoundError as error:
-            raise BadInput(
-                "--foxglove needs the package foxglove-sdk: pip install '.[live]' in a clone of gelforge"
-            ) from error
+        import foxglove
+
         self.context = foxglove.Context()
         self.channels: dict[str, foxglove.Channel] = {}
         viewers: Any = Viewers()  # of the listener it has what is called where clients may only subscribe
