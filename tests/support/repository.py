@@ -36,6 +36,7 @@ ALLOWED: dict[str, set[str]] = {
     "sweeps": {"flow", "records", "geometry", "mechanics", "labelling"},
     "reporting": {"flow", "records", "geometry", "mechanics", "labelling", "calibration"},
     "live": {"records", "reporting", "formats"},
+    "evidence": {"flow", "records", "geometry", "labelling", "networks"},
 }
 ON_TOP = {"stages", "commands"}  # thin mains, which may use all of the above
 # Rooms of a folder, and the rooms that each may import from. Of mechanics scene, material and their like above them are for

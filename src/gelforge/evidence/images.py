@@ -1,0 +1,400 @@
+"""Whether the images of a log show what its rows describe: one judgement of each image, and one of all of them together.
+
+An image is judged by its light: the lamps of a sensor give the gel a pattern of colours that no press hides, and that another unit, a
+mirrored or a covered camera does not show. All images of a sensor together are judged by their imprints (`evidence.imprints`): where
+they lie, how large they are, and whether they follow the poses of the rows.
+"""
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gelforge.evidence.imprints import COLS, ROWS, Rest, displaced, likeness
+from gelforge.networks.preprocess.illumination import Light, match_light
+from gelforge.networks.uncertainty.ood import distance, relief
+from gelforge.records.image import is_monochrome
+
+# Limits of the light. Of 240 frames of real films, 51 real presses of a ball and 48 of the rig, beside their own no-contact images, the
+# pattern is alike to 0.59 and more (0.9 in the median); beside that of another unit to 0.49 to 0.64.
+OTHER_PATTERN = 0.65  # likeness below which an image is of another unit, if its light is otherwise, too
+NO_PATTERN = 0.4  # likeness below which an image whose light cannot be compared shows no gel of the sensor
+OWN_PATTERN = 0.75  # likeness above which a turned or mirrored no-contact image fits
+FLIPPED = 0.1  # by which it then fits better
+OTHER_DISTANCE, OTHER_RESIDUAL = 9.0, 16.0  # levels
+PRESSED = 20.0  # levels by which the light of a no-contact image is uneven where something touches the gel
+# Limits of the imprints. Of the rig's presses 0.79 to 0.97 are alike to what is expected (median 0.91), of real presses of a ball 0.9 to
+# 0.97; contacts lie within 0.2 mm of their poses in the median, and are 1.04 to 1.09 times as large as expected.
+FEWEST = 6  # images of a sensor that are judged together
+SHOWN = 3.0  # levels of change that an imprint has at least
+BETTER, OFTEN = (
+    0.15,
+    0.8,
+)  # likeness that another explanation gains in the median, and fraction of images that it suits better
+FITS = 0.5  # likeness from which an imprint is where it was expected
+MOVED_MM = 3.0  # beside its pose, from where on a single imprint is named
+TURNED_DEG, SCALED, OFFSET_MM = 3.0, 0.1, 0.7  # of a projection
+SPREAD_MM = 2.0  # of the poses, from which on a turn and a scale are known
+SIZES = np.geomspace(0.7, 1.4, 15)
+# Of imprints over what is expected: usual one, and by which fraction that of an indenter and that of all may differ.
+USUAL_SIZE, OTHER_SIZE, OTHER_SCALE = 1.05, 0.1, 0.14
+FEWEST_ALIKE = 3  # images of one indenter that show another size or another shape
+# Likeness below the usual from which other indenters' shapes are tried, that such a shape gains over any size of its own, and reaches.
+DOUBTFUL, OTHER_SHAPE, THAT_SHAPE = 0.08, 0.08, 0.8
+LOOKED_AT = 12  # images of an indenter whose shape is compared with other indenters'
+GHOST = 0.5  # of the usual change, that most images show where their poses put nothing
+
+FLIPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
+    "mirrored left to right": lambda image: image[:, ::-1],
+    "mirrored top to bottom": lambda image: image[::-1],
+    "turned by 180 degrees": lambda image: image[::-1, ::-1],
+}
+
+
+def nocontact_fault(picture: np.ndarray) -> str:
+    """What is wrong with a no-contact image (h, w, 3) uint8 RGB by itself; empty where nothing is."""
+    if is_monochrome(picture):
+        return "is monochrome; record it in colour, as the images of the log"
+    if int(picture.max()) - int(picture.min()) < 30:
+        return "shows no gel: it is dark, covered or of one colour"
+    uneven = relief(picture)
+    if uneven > PRESSED:
+        return f"shows something that touches the gel: its light is uneven by {uneven:.0f} levels, at most {PRESSED:.0f} are usual"
+    return ""
+
+
+def light_pattern(image: np.ndarray) -> np.ndarray:
+    """Colours (30, 40, 3) float32 of an image (h, w, 3) uint8, each without its mean."""
+    import cv2
+
+    small = cv2.resize(image, (COLS, ROWS), interpolation=cv2.INTER_AREA).astype(np.float32)
+    return small - small.mean(axis=(0, 1))
+
+
+def image_fault(image: np.ndarray, rest: Rest, light: Light) -> str:
+    """Why an image (h, w, 3) uint8 is not of the sensor whose no-contact image is `rest`; empty where it may be.
+
+    light: of the image against the no-contact image.
+    """
+    if is_monochrome(image) and not is_monochrome(rest.picture):
+        return "the image is monochrome, the no-contact image is not"
+    pattern, own = light_pattern(image), light_pattern(rest.picture)
+    alike = likeness(pattern, own)
+    if alike >= OWN_PATTERN:
+        return ""
+    for how, flip in FLIPS.items():
+        flipped = np.ascontiguousarray(flip(rest.picture))
+        fits = likeness(pattern, flip(own))
+        if fits > max(OWN_PATTERN, alike + FLIPPED) and _same_light(image, flipped, match_light(image, flipped)):
+            return f"the image is {how} against the no-contact image"
+    if not light.known:
+        return (
+            ""
+            if alike >= NO_PATTERN
+            else "the image shows nothing of this sensor: it is dark, covered or of something else"
+        )
+    if alike >= OTHER_PATTERN or _same_light(image, rest.picture, light):
+        return ""
+    return "the image and the no-contact image are of two sensors: their light comes from other sides"
+
+
+def _same_light(image: np.ndarray, nocontact: np.ndarray, light: Light) -> bool:
+    if not light.known:
+        return False
+    return light.residual <= OTHER_RESIDUAL and distance(light.undo(image), nocontact) <= OTHER_DISTANCE
+
+
+@dataclass(frozen=True)
+class Seen:
+    """What is kept of a press whose image is judged beside others: maps (30, 40) of its imprint (`evidence.imprints`).
+
+    measured: zero where the image cannot be used. centre: (2,) columns and rows of the maps at which the tip ends. mm: size of a place.
+    """
+
+    row: int
+    sample_id: str
+    sensor: str
+    indenter: str
+    measured: np.ndarray
+    expected: np.ndarray
+    centre: np.ndarray
+    mm: float
+
+    @property
+    def telling(self) -> bool:
+        """Whether there is an imprint, and one to expect."""
+        return bool(np.ptp(self.measured) > SHOWN and np.ptp(self.expected) > 0.0)
+
+    @property
+    def likeness(self) -> float:
+        """Likeness of what is measured and what is expected, from -1 to 1."""
+        return likeness(self.measured, self.expected)
+
+
+@dataclass(frozen=True)
+class Finding:
+    """A sentence about images, and the rows of the log that it is about: all of a sensor or an indenter, or a single one.
+
+    wrong: whether no label of these rows can be right; else the sentence asks for a look.
+    """
+
+    text: str
+    rows: tuple[int, ...]
+    wrong: bool = False
+
+
+@dataclass(frozen=True)
+class Shapes:
+    """The indenters that a log may have used: their names, and the map (30, 40) that a press is expected to give with one of them."""
+
+    names: Sequence[str]
+    expected: Callable[[Seen, str], np.ndarray]
+
+
+def findings(presses: Sequence[Seen], shapes: Shapes | None = None) -> list[Finding]:
+    """What is wrong with the images of a log, each kind in one sentence with its number; nothing where they suit their rows.
+
+    presses: in the order of the log, all that have a pose.
+    """
+    found = []
+    for sensor in sorted({one.sensor for one in presses}):
+        mine = [one for one in presses if one.sensor == sensor and one.telling]
+        if len(mine) >= FEWEST:
+            found += [replace(one, text=f"sensor {sensor}: {one.text}") for one in _of_sensor(mine, presses, shapes)]
+    return found
+
+
+def _of_sensor(mine: list[Seen], presses: Sequence[Seen], shapes: Shapes | None) -> list[Finding]:
+    rows = tuple(one.row for one in mine)
+    wrong = _ghost(mine) or _other_order(mine, presses) or _other_axes(mine)
+    if wrong:
+        return [Finding(wrong, rows, wrong=True)]
+    scale = _all_sizes(mine)
+    if scale:
+        return [Finding(scale, rows)]
+    found = _other_shapes(mine, shapes) if shapes else []
+    found += _sizes([one for one in mine if not _about(one, found)])
+    left = [one for one in mine if not _about(one, found)]
+    projection = _projection(left) if len(left) >= FEWEST else ""
+    return [*found, Finding(projection, rows)] if projection else [*found, *_single(left)]
+
+
+def _about(one: Seen, found: Sequence[Finding]) -> bool:
+    return any(one.row in each.rows for each in found)
+
+
+def _ghost(seen: Sequence[Seen]) -> str:
+    """A change that most images show at one place where their poses put nothing: it stems from the no-contact image."""
+    shown = np.array([one.measured / np.percentile(one.measured, 99) for one in seen])
+    free = np.array([one.expected < 0.02 * one.expected.max() for one in seen])
+    enough = free.sum(axis=0) >= max(FEWEST // 2, len(seen) // 3)
+    if not enough.any():
+        return ""
+    common = np.nanquantile(np.where(free, shown, np.nan)[:, enough], 0.3, axis=0)
+    if (common > GHOST).sum() < 8:
+        return ""
+    row, col = np.argwhere(enough)[common > GHOST].mean(axis=0)
+    return (
+        f"most images change alike around {(col + 0.5) / COLS:.0%} of their width and {(row + 0.5) / ROWS:.0%} of their height, where no"
+        " pose puts a contact: something touched the gel in the no-contact image, or it is of another unit"
+    )
+
+
+def _gains(base: np.ndarray, other: np.ndarray) -> bool:
+    """Whether another explanation suits most images better."""
+    return bool(np.median(other - base) > BETTER and (other > base).mean() >= OFTEN and np.median(other) > FITS)
+
+
+def _other_order(mine: list[Seen], presses: Sequence[Seen]) -> str:
+    place = {one.row: at for at, one in enumerate(presses)}
+    base = np.array([one.likeness for one in mine])
+    for step, what in ((1, "next"), (-1, "previous")):
+        beside = [place[one.row] + step for one in mine]
+        there = np.array([0 <= at < len(presses) for at in beside])
+        other = np.array([
+            likeness(one.measured, presses[at].expected) for one, at in zip(mine, beside, strict=True) if 0 <= at < len(presses)
+        ])  # fmt: skip
+        if there.sum() >= FEWEST and _gains(base[there], other):
+            return (
+                f"the images suit the pose of the {what} row (likeness {np.median(other):.2f}) better than that of their own"
+                f" ({np.median(base):.2f}): the column `image` is shifted by one row"
+            )
+    return ""
+
+
+AXES = {
+    "mirrored left to right": (0.0, True),
+    "mirrored top to bottom": (180.0, True),
+    "turned by 180 degrees": (180.0, False),
+    "turned by 90 degrees": (90.0, False),
+    "turned by -90 degrees": (-90.0, False),
+    "mirrored, with x and y exchanged": (90.0, True),
+    "mirrored, with x and y exchanged and both signs": (-90.0, True),
+}
+
+
+def _other_axes(mine: list[Seen]) -> str:
+    base = np.array([one.likeness for one in mine])
+    best, how = base, ""
+    for what, (degrees, mirrored) in AXES.items():
+        other = np.array([likeness(one.measured, _turned(one.expected, degrees, mirrored)) for one in mine])
+        if _gains(base, other) and np.median(other) > np.median(best):
+            best, how = other, what
+    if not how:
+        return ""
+    return (
+        f"the contacts lie where the poses put them, but {how} (likeness {np.median(best):.2f}, as logged {np.median(base):.2f}):"
+        " check the projection, the axes and signs of x0_mm and y0_mm, and whether the camera mirrors"
+    )
+
+
+def _turned(expected: np.ndarray, degrees: float, mirrored: bool) -> np.ndarray:
+    import cv2
+
+    turn = cv2.getRotationMatrix2D(((COLS - 1) / 2, (ROWS - 1) / 2), degrees, 1.0)
+    return cv2.warpAffine(expected[:, ::-1] if mirrored else expected, turn, (COLS, ROWS))
+
+
+def _best_size(one: Seen) -> tuple[float, float]:
+    """Factor by which the expected imprint is to be scaled about the tip to be most like the measured one, and that likeness."""
+    import cv2
+
+    def scaled(size: float) -> np.ndarray:
+        about = np.column_stack([np.eye(2) * size, (1.0 - size) * one.centre])
+        return cv2.warpAffine(one.expected, about, (COLS, ROWS))
+
+    fits = [likeness(one.measured, scaled(size)) for size in SIZES]
+    return float(SIZES[int(np.argmax(fits))]), max(fits)
+
+
+def _size_by_indenter(mine: list[Seen]) -> dict[str, float]:
+    names = sorted({one.indenter for one in mine})
+    every = {name: [_best_size(one)[0] for one in mine if one.indenter == name] for name in names}
+    return {name: float(np.median(sizes)) for name, sizes in every.items() if len(sizes) >= FEWEST_ALIKE}
+
+
+def _all_sizes(mine: list[Seen]) -> str:
+    """The scale of the projection, where all indenters' imprints are larger or smaller alike."""
+    sizes = np.array(list(_size_by_indenter(mine).values())) / USUAL_SIZE
+    if len(sizes) < 2 or abs(np.median(sizes) - 1.0) < OTHER_SCALE or np.ptp(sizes) > 2.0 * OTHER_SIZE:
+        return ""
+    return (
+        f"the imprints of all indenters are {np.median(sizes):.2f} times as large as expected: check the scale of `projection` in"
+        " sensors.toml (make projection)"
+    )
+
+
+def _sizes(mine: list[Seen]) -> list[Finding]:
+    """Indenters whose imprints are larger or smaller than their shapes say, beside those of the other indenters."""
+    sizes = _size_by_indenter(mine)
+    found = []
+    for name, own in sizes.items():
+        others = [value for other, value in sizes.items() if other != name]
+        usual = float(np.median([*others, USUAL_SIZE]))
+        limit = OTHER_SIZE if len(others) >= 2 else 2.0 * OTHER_SIZE
+        if max(own / usual, usual / own) - 1.0 > limit:
+            rows = tuple(one.row for one in mine if one.indenter == name)
+            text = (
+                f"imprints of {name} are {own / usual:.2f} times as large as its shape says: check its size and unit in the catalogue,"
+                " and the column `indenter`"
+            )
+            found.append(Finding(text, rows))
+    return found
+
+
+def _other_shapes(mine: list[Seen], shapes: Shapes) -> list[Finding]:
+    """Images that show the shape of another indenter than the one that their row names."""
+    usual = float(np.median([one.likeness for one in mine]))
+    better: dict[tuple[str, str], list[tuple[Seen, float]]] = {}
+    for name in sorted({one.indenter for one in mine}):
+        doubtful = [one for one in mine if one.indenter == name and one.likeness < usual - DOUBTFUL]
+        for at in np.unique(np.linspace(0, len(doubtful) - 1, min(LOOKED_AT, len(doubtful))).astype(int)):
+            one = doubtful[at]
+            fits = {
+                other: likeness(one.measured, shapes.expected(one, other)) for other in shapes.names if other != name
+            }
+            best = max(fits, key=lambda other: fits[other], default="")
+            if best and fits[best] > max(THAT_SHAPE, _best_size(one)[1] + OTHER_SHAPE):
+                better.setdefault((name, best), []).append((one, fits[best]))
+    found = []
+    for (name, other), those in better.items():
+        if len(those) >= FEWEST_ALIKE:
+            rows = tuple(one.row for one, _ in those)
+            text = (
+                f"images of {name} show the shape of {other} (likeness {np.median([fit for _, fit in those]):.2f}, of {name}"
+                f" {np.median([one.likeness for one, _ in those]):.2f}) in rows {listed(rows)}: check the column `indenter` and the"
+                " catalogue"
+            )
+            found.append(Finding(text, rows))
+    return found
+
+
+def listed(rows: Iterable[int]) -> str:
+    """The first numbers of rows as text."""
+    rows = list(rows)
+    return ", ".join(map(str, rows[:5])) + (" …" if len(rows) > 5 else "")
+
+
+def _projection(mine: list[Seen]) -> str:
+    """What a similarity says that takes the expected places of contacts to those seen."""
+    placed = [(one, *displaced(one.measured, one.expected)) for one in mine]
+    good = [(one.centre, move) for one, fit, move in placed if fit > FITS]
+    if len(good) < FEWEST:
+        return ""
+    at, move, mm = np.array([at for at, _ in good]), np.array([move for _, move in good]), mine[0].mm
+    at -= (COLS - 1) / 2, (ROWS - 1) / 2
+    for _ in range(3):  # without the places that fit worst: single wrong rows are named by themselves
+        turn, scale, offset, left = _similarity(at, move)
+        near = left <= max(0.5, 3.0 * float(np.median(left)))
+        if near.all() or near.sum() < FEWEST:
+            break
+        at, move = at[near], move[near]
+    said = []
+    if np.hypot(*np.ptp(at, axis=0)) * mm >= SPREAD_MM:
+        if abs(scale - 1.0) > SCALED:
+            said.append(f"{scale:.2f} times as far from the image's middle")
+        if abs(turn) > TURNED_DEG:
+            said.append(f"turned by {turn:.1f} degrees about it")
+    if np.hypot(*offset) * mm > OFFSET_MM:
+        said.append(f"moved by {np.hypot(*offset) * mm:.1f} mm")
+    if not said:
+        return ""
+    return (
+        f"the contacts lie {' and '.join(said)}, against where the poses and the projection put them: check `projection` in sensors.toml"
+        " (make projection), and the origin of x0_mm and y0_mm"
+    )
+
+
+def _similarity(at: np.ndarray, move: np.ndarray) -> tuple[float, float, np.ndarray, np.ndarray]:
+    """Turn in degrees, scale and offset (2,) of the similarity that moves places (n, 2) by `move` (n, 2), and what is left (n,)."""
+    ones, zeros = np.ones(len(at)), np.zeros(len(at))
+    along, across = at.T
+    design = np.stack([np.column_stack([along, -across, ones, zeros]), np.column_stack([across, along, zeros, ones])])
+    found = np.linalg.lstsq(design.reshape(-1, 4), (at + move).T.ravel(), rcond=None)[0]
+    left = np.hypot(*((at + move).T - design @ found))
+    return float(np.degrees(np.arctan2(found[1], found[0]))), float(np.hypot(*found[:2])), found[2:], left
+
+
+def _single(mine: list[Seen]) -> list[Finding]:
+    """Rows whose contact lies elsewhere than their pose, or has another shape, where those of the others are right."""
+    base = np.array([one.likeness for one in mine])
+    usual = float(np.median(base)) if len(mine) >= FEWEST else 0.0
+    if usual < FITS:
+        return []
+    found = []
+    for one, own in zip(mine, base, strict=True):
+        if own >= FITS:
+            continue
+        fit, move = displaced(one.measured, one.expected)
+        away = float(np.hypot(*move)) * one.mm
+        where = f"row {one.row} ({one.sample_id})"
+        if fit > max(FITS, own + BETTER) and away > MOVED_MM:
+            text = f"{where}: the contact in its image lies {away:.1f} mm beside its pose: is it the image of another row?"
+            found.append(Finding(text, (one.row,), wrong=True))
+        elif own < usual - 2.0 * BETTER:
+            text = (
+                f"{where}: its image shows no contact of the shape of {one.indenter} at its pose (likeness {own:.2f}, of the others"
+                f" {usual:.2f}): is it the image of another row?"
+            )
+            found.append(Finding(text, (one.row,), wrong=True))
+    return found

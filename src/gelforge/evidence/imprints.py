@@ -1,0 +1,136 @@
+"""Where an image shows a contact, and where the pose of its press puts one: two small maps that should look alike.
+
+Both maps are (30, 40) float32 over the whole image. The measured one is the change of colour against the no-contact image, under the
+same light and without the markers; the expected one is the slope of the undeformed gel where the indenter cuts into it. Only their
+pattern is compared, by normalised cross-correlation, so neither has a unit.
+"""
+
+from functools import cached_property
+
+import numpy as np
+
+from gelforge.geometry import touch
+from gelforge.geometry.gel import load_gel
+from gelforge.geometry.solids import Indenter
+from gelforge.labelling.sensor import Sensor
+from gelforge.networks.preprocess.illumination import Light, Reference
+from gelforge.records.press import Press
+
+ROWS, COLS = 30, 40
+HALF = (160, 120)  # width and height in px at which the change of colour is measured
+MARKER = 13  # px at that size: larger than a marker is wide
+INK = 0.15  # of the largest level, by which a marker is darker than what surrounds it
+SMOOTH = 2.5  # px at that size: standard deviation of the average between markers
+STEEPEST = 0.5  # slope of the gel around an edge that is pressed into it
+
+
+class Rest:
+    """A sensor's no-contact image (h, w, 3) uint8 RGB, as images of a log are compared with it."""
+
+    def __init__(self, picture: np.ndarray) -> None:
+        self.picture = picture
+        self.reference = Reference(picture)
+        self._half = _half(picture)
+        self._gel = _between_markers(self._half)
+
+    def imprint(self, image: np.ndarray) -> tuple[np.ndarray, Light]:
+        """Change of colour (30, 40) of an image (h, w, 3) uint8 of the same size, and the light that it was taken under."""
+        import cv2
+
+        lit, light = self.reference.normalised(image)
+        half = _half(lit)
+        change = cv2.transform(cv2.absdiff(half, self._half), np.full((1, 3), 1 / 3, np.float32)).astype(np.float32)
+        gel = _between_markers(half) * self._gel
+        mean = cv2.GaussianBlur(change * gel, (0, 0), SMOOTH) / (cv2.GaussianBlur(gel, (0, 0), SMOOTH) + 1e-3)
+        return cv2.resize(mean, (COLS, ROWS), interpolation=cv2.INTER_AREA), light
+
+
+def _half(image: np.ndarray) -> np.ndarray:
+    import cv2
+
+    return cv2.resize(image, HALF, interpolation=cv2.INTER_AREA)
+
+
+def _between_markers(half: np.ndarray) -> np.ndarray:
+    """1 where an image (120, 160, 3) uint8 shows gel, 0 where it shows a marker, float32 (120, 160)."""
+    import cv2
+
+    brightest = half.max(axis=2)
+    around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (MARKER, MARKER))
+    darker = cv2.subtract(cv2.morphologyEx(brightest, cv2.MORPH_CLOSE, around), brightest)
+    ink = cv2.dilate((darker > INK * int(brightest.max())).astype(np.uint8), np.ones((3, 3), np.uint8))
+    return 1.0 - ink.astype(np.float32)
+
+
+class Window:
+    """What a sensor's image shows of its gel, at the places of the maps."""
+
+    def __init__(self, sensor: Sensor) -> None:
+        self.sensor = sensor
+        self._px = np.array([sensor.image[0] / COLS, sensor.image[1] / ROWS])
+        u, v = (np.arange(COLS) + 0.5) * self._px[0], (np.arange(ROWS) + 0.5) * self._px[1]
+        places = np.stack(np.meshgrid(u, v), axis=-1)  # (30, 40, 2) px
+        step = sensor.unproject(places[ROWS // 2, COLS // 2 : COLS // 2 + 2])
+        self.mm = float(np.hypot(*(step[1] - step[0])))  # from one place to the next
+        self._xy = sensor.unproject(places.reshape(-1, 2)).T
+
+    @cached_property
+    def _gel(self) -> tuple[np.ndarray, np.ndarray]:
+        gel = load_gel(self.sensor.gel)
+        return np.column_stack([*self._xy, gel.top(*self._xy)]), gel.inside(*self._xy)
+
+    def place(self, press: Press) -> np.ndarray:
+        """Column and row (2,) of the maps at which the tip ends."""
+        return np.asarray(self.sensor.project(np.array([press.x0 + press.dx, press.y0 + press.dy])) / self._px - 0.5)
+
+    def expected(self, indenter: Indenter, press: Press) -> np.ndarray:
+        """Slope (30, 40) of the gel's undeformed surface where the indenter cuts into it at the end of a press."""
+        import cv2
+
+        points, inside = self._gel
+        depth = np.minimum(touch.gap(indenter, press, points, press.end), 0.0)
+        depth = _draped(np.where(inside, depth, 0.0).reshape(ROWS, COLS).astype(np.float32), STEEPEST * self.mm)
+        slope = np.hypot(*np.gradient(depth)) / self.mm
+        return cv2.GaussianBlur(slope, (0, 0), SMOOTH * COLS / HALF[0])
+
+
+def _draped(depth: np.ndarray, steepest: float) -> np.ndarray:
+    """The lowest surface (30, 40) that is nowhere above `depth`, at most 0, and falls by at most `steepest` from one place to the next."""
+    import cv2
+
+    straight = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
+    for _ in range(int(-depth.min() / steepest) + 1):
+        depth = np.minimum(depth, cv2.erode(depth, straight) + steepest)
+        depth = np.minimum(depth, cv2.erode(depth, np.ones((3, 3), np.uint8)) + np.float32(np.sqrt(2.0)) * steepest)
+    return depth
+
+
+def likeness(one: np.ndarray, other: np.ndarray) -> float:
+    """Normalised cross-correlation of two maps of one shape, from -1 to 1; 0 where one of them is flat."""
+    one, other = one - one.mean(), other - other.mean()
+    size = float(np.sqrt((one**2).sum() * (other**2).sum()))
+    return float((one * other).sum()) / size if size > 0.0 else 0.0
+
+
+def displaced(measured: np.ndarray, expected: np.ndarray) -> tuple[float, np.ndarray]:
+    """Largest likeness of two maps (30, 40) when the expected one is moved, and by how much, (2,) columns and rows.
+
+    What leaves the image counts as flat. Fractions come from a parabola through the largest values.
+    """
+    one, other = measured - measured.mean(), expected - expected.mean()
+    size = float(np.sqrt((one**2).sum() * (other**2).sum()))
+    if size <= 0.0:
+        return 0.0, np.zeros(2)
+    shape = 2 * ROWS, 2 * COLS
+    product = np.fft.irfft2(np.fft.rfft2(one, shape) * np.conj(np.fft.rfft2(other, shape)), shape) / size
+    row, col = np.unravel_index(product.argmax(), shape)
+    along = _vertex(*product[row, [col - 1, col, (col + 1) % shape[1]]])
+    across = _vertex(*product[[row - 1, row, (row + 1) % shape[0]], col])
+    place = np.array([col + along, row + across])
+    return float(product.max()), np.where(place > np.array([COLS, ROWS]), place - (shape[1], shape[0]), place)
+
+
+def _vertex(before: float, middle: float, after: float) -> float:
+    """Where a parabola through three neighbouring values is largest, from the middle one, in steps."""
+    bend = before - 2.0 * middle + after
+    return 0.5 * (before - after) / bend if bend < 0.0 else 0.0
