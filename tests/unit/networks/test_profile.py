@@ -2,6 +2,7 @@
 
 import csv
 import shutil
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -29,6 +30,7 @@ from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
 from gelforge.records.nocontactimage import FEWEST
 from tests.benchmarks.real import feats_maps
+from tests.support.refused import refused
 
 
 @given(st.floats(0.5, 2.0), st.integers(1, 20), st.integers(0, 2**32 - 1))
@@ -41,28 +43,32 @@ def test_units_and_sign_of_a_factor(factor, count, seed):
     assert abs(np.log(gain.value) - np.log(factor)) <= abs(np.log(factor)) / (1 + 3 * count) + 1e-9
 
 
-@pytest.mark.parametrize("scatter", [0.03, 0.1, 0.2])
-def test_the_interval_holds_what_it_says(scatter):
+def test_the_interval_holds_what_it_says():
     """Over 600 made sensors of 15 % softer to harder gels and 5 readings each: nine in ten, within chance; too wide is safe."""
-    rng, inside, left = np.random.default_rng(3), 0, []
-    for _ in range(600):
-        truth = np.exp(rng.normal(0.0, 0.15))
-        read = rng.uniform(3.0, 30.0, 5)
-        gain = fit_gain(truth * read * np.exp(rng.normal(0.0, scatter, 5)), read)
-        inside += gain.low <= truth <= gain.high
-        left.append(abs(np.log(gain.value / truth)))
-    assert inside / 600 >= 0.86
-    assert np.median(left) < 1.2 * 0.6745 * np.hypot(scatter / np.sqrt(5), 0.02)
-
-
-def test_more_readings_narrow_the_interval():
-    rng = np.random.default_rng(1)
+    for scatter in (0.03, 0.1, 0.2):
+        rng, inside, left = np.random.default_rng(3), 0, []
+        for _ in range(600):
+            truth = np.exp(rng.normal(0.0, 0.15))
+            read = rng.uniform(3.0, 30.0, 5)
+            gain = fit_gain(truth * read * np.exp(rng.normal(0.0, scatter, 5)), read)
+            inside += gain.low <= truth <= gain.high
+            left.append(abs(np.log(gain.value / truth)))
+        assert inside / 600 >= 0.86, scatter
+        assert np.median(left) < 1.2 * 0.6745 * np.hypot(scatter / np.sqrt(5), 0.02), scatter
     widths = []
-    for count in (0, 1, 2, 5, 10, 20):
+    for count in (0, 1, 2, 5, 10, 20):  # more readings narrow it
         read = rng.uniform(5.0, 30.0, count)
         gain = fit_gain(1.1 * read, read)
         widths.append(np.log(gain.high / gain.low))
     assert widths == sorted(widths, reverse=True) and widths[-1] < 0.3 * widths[0]
+
+
+def test_quantiles_are_students():
+    from scipy.stats import t
+
+    for freedom in (2, 3, 6, 20, 200):
+        for fraction in (0.6, 0.9, 0.95):
+            assert student_quantile(fraction, freedom) == pytest.approx(t.ppf(fraction, freedom), rel=0.012)
 
 
 def test_a_reading_says_the_less_the_weaker_it_is():
@@ -118,13 +124,6 @@ def test_a_factor_found_with_another_network_is_refused(root, tmp_path):
     )  # no factor, so none that is wrong
 
 
-def test_a_picture_that_cannot_be_written_is_named_by_its_own_name(tmp_path):
-    (tmp_path / "mine.png").mkdir()
-    profile = make_profile("mine", np.zeros((24, 32, 3), np.uint8), 0.0, Gain(), NET)
-    with pytest.raises(GelforgeError, match=r"/mine\.png: the image could not be written"):
-        write_profile(tmp_path / "mine.toml", profile)
-
-
 def test_a_profile_comes_back_from_its_file(root, tmp_path):
     picture = read_image(root / "data/demo/nocontact/mini_a.png")
     profile = make_profile("mine", picture, pitch_of(picture), Gain(1.2, 1.1, 1.3, 5), NET)
@@ -139,35 +138,21 @@ def test_a_profile_comes_back_from_its_file(root, tmp_path):
         check_same_sensor(found, pitch_of(larger))
 
 
-@pytest.mark.parametrize(
-    ("line", "said"),
-    [
-        (f"pitch_px = {10**400}", "not a sensor's profile"),
-        ("pitch_px = -32.0", "not a sensor's profile"),
-        ('nocontact = ""', "lies beside"),
-        (r'nocontact = "a\u0000.png"', "lies beside"),
-        ('nocontact = "../a.png"', "lies beside"),
-    ],
-)
-def test_a_profile_with_a_line_that_cannot_be_is_refused(tmp_path, line, said):
-    path = tmp_path / "a.toml"
-    write_profile(path, SensorProfile("a", "2026-01-01", np.zeros((24, 32, 3), np.uint8), 32.0, Gain(), "m", "n"))
-    key = line.split(" = ")[0]
-    lines = [line if text.startswith(f"{key} = ") else text for text in path.read_text().splitlines()]
-    path.write_text("\n".join(lines))
-    with pytest.raises(BadInput, match=said):
-        read_profile(path)
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["", "name = 3", 'name = "a"\nmodel = "m"\nnocontact = "a.png"\npitch_px = 1', "[gain]\nvalue = -1",
-     'name = "a"\nmodel = "m"\nnocontact = "../a.png"\npitch_px = 1.0\n[gain]\nvalue = 1\nlow = 1\nhigh = 1'],
-)  # fmt: skip
-def test_what_is_no_profile_is_refused(tmp_path, text):
-    (tmp_path / "p.toml").write_text(text)
-    with pytest.raises(BadInput, match=r"not a sensor's profile|lies beside"):
-        read_profile(tmp_path / "p.toml")
+def test_what_is_no_profile_is_refused(tmp_path):
+    path, good = tmp_path / "a.toml", np.zeros((24, 32, 3), np.uint8)
+    write_profile(path, SensorProfile("a", "2026-01-01", good, 32.0, Gain(), "m", "n"))
+    lines = path.read_text().splitlines()
+    for line in (f"pitch_px = {10**400}", "pitch_px = -32.0", "name = 3", "value = -1",
+                 'nocontact = ""', r'nocontact = "a\u0000.png"', 'nocontact = "../a.png"'):  # fmt: skip
+        key = line.split(" = ")[0]
+        assert any(text.startswith(f"{key} = ") for text in lines)
+        path.write_text("\n".join(line if text.startswith(f"{key} = ") else text for text in lines))
+        refused("lies beside" if key == "nocontact" else "not a sensor's profile", read_profile, path)
+    path.write_text("")
+    refused("not a sensor's profile", read_profile, path)
+    (tmp_path / "mine.png").mkdir()
+    with pytest.raises(GelforgeError, match=r"/mine\.png: the image could not be written"):
+        write_profile(tmp_path / "mine.toml", make_profile("mine", good, 0.0, Gain(), NET))
 
 
 @pytest.fixture
@@ -195,15 +180,9 @@ def table(path, rows):
 
 
 def make(folder, rows, *more):
-    words = [
-        "--name",
-        "mine",
-        "--nocontact",
-        str(folder / "rest.png"),
-        "--readings",
-        str(table(folder / "r.csv", rows)),
-    ]
-    return sensor.main([*words, "--out", str(folder / "mine.toml"), *more])
+    readings = ["--readings", str(table(folder / "r.csv", rows))]
+    out = ["--out", str(folder / "mine.toml")]
+    return sensor.main(["--name", "mine", "--nocontact", str(folder / "rest.png"), *readings, *out, *more])
 
 
 def test_weighed_presses_make_a_profile_that_predict_uses(weighed, capsys):
@@ -211,15 +190,8 @@ def test_weighed_presses_make_a_profile_that_predict_uses(weighed, capsys):
     assert make(folder, rows) == 0
     gain = read_profile(folder / "mine.toml").gain
     assert gain.readings == len(rows)
-    predict.main(
-        [
-            *(str(folder / row[0]) for row in rows),
-            "--out",
-            str(folder / "all"),
-            "--nocontact",
-            str(folder / "rest.png"),
-        ]
-    )
+    pictures = [str(folder / row[0]) for row in rows]
+    predict.main([*pictures, "--out", str(folder / "all"), "--nocontact", str(folder / "rest.png")])
     with (folder / "all/totals.csv").open() as stream:
         read = [-float(row["grid_z_n"]) for row in csv.DictReader(stream)]
     assert gain.low < np.median([float(row[1]) for row in rows] / np.array(read)) < gain.high
@@ -249,11 +221,16 @@ def test_a_profile_that_was_weighed_is_not_replaced_by_one_that_was_not(weighed,
     assert f"from {len(rows) - 1} readings, in place of" in capsys.readouterr().out
 
 
-def test_a_weighed_picture_that_predict_would_flag_is_named(weighed, capsys):
-    """One with swapped colours and every fourth pixel turned round is; the others are not."""
+def test_a_reading_that_cannot_be_right_is_named_by_its_picture(weighed, capsys):
+    """One that is three times what the others give, as of a scale that was read wrongly; one that predict would flag."""
     folder, rows = weighed
-    assert make(folder, rows) == 0 and "FLAGGED" not in capsys.readouterr().err
-    spoilt = read_image(folder / rows[0][0])[..., ::-1].copy()
+    assert make(folder, rows) == 0
+    said = capsys.readouterr().err
+    assert "is usual here" not in said and "FLAGGED" not in said
+    make(folder, [[rows[0][0], f"{3 * float(rows[0][1]):.2f}"], *rows[1:]])
+    reported = [line for line in capsys.readouterr().err.splitlines() if "is usual here" in line]
+    assert len(reported) == 1 and rows[0][0] in reported[0]
+    spoilt = read_image(folder / rows[0][0])[..., ::-1].copy()  # swapped colours, every fourth pixel turned round
     spoilt[::2, ::2] = 255 - spoilt[::2, ::2]
     cv2.imwrite(str(folder / rows[0][0]), spoilt)
     make(folder, [[rows[0][0], "5.0"], *rows[1:]])
@@ -261,45 +238,25 @@ def test_a_weighed_picture_that_predict_would_flag_is_named(weighed, capsys):
     assert len(reported) == 1 and rows[0][0] in reported[0]
 
 
-def test_a_reading_unlike_the_others_is_named(weighed, capsys):
-    """Three times what the others give: a scale that was read wrongly, most likely."""
+def test_readings_that_cannot_be_are_refused(weighed):
     folder, rows = weighed
-    assert make(folder, rows) == 0 and "is usual here" not in capsys.readouterr().err
-    make(folder, [[rows[0][0], f"{3 * float(rows[0][1]):.2f}"], *rows[1:]])
-    reported = [line for line in capsys.readouterr().err.splitlines() if "is usual here" in line]
-    assert len(reported) == 1 and rows[0][0] in reported[0]
-
-
-@pytest.mark.parametrize(
-    ("change", "says"),
-    [
-        (lambda rows: [[rows[0][0], f"-{rows[0][1]}"]], "above 0 N"),
-        (lambda rows: [["rest.png", "5.0"]], "shows no contact"),
-        (lambda rows: [[rows[0][0], f"{102 * float(rows[0][1]):.1f}"]], "are they newtons"),
-        (lambda rows: [[rows[0][0], "0"]], "force_n = 0: .*above 0 N"),
-        (lambda rows: [[rows[0][0], "much"]], "'much' is no number"),
-        (lambda rows: [[rows[0][0], '"3,5"']], "'3,5' is no number; write newtons with a decimal point"),
-        (lambda rows: [["", "5.0"]], "line 2: its image is empty"),
-        (lambda rows: [rows[0], [], [], ["gone.png", "x"]], "line 5: .*gone.png: not found"),
-        (lambda rows: [rows[0], rows[1], rows[0]], "line 4: .* again, as in line 2"),
-        (lambda rows: [["gone.png", "5.0"]], "gone.png"),
-        (lambda rows: [], "no readings"),
-        (lambda rows: [["a;b", "1"]], "a;b"),
-    ],
-)
-def test_readings_that_cannot_be_are_refused(weighed, change, says):
-    folder, rows = weighed
-    with pytest.raises(BadInput, match=says):
-        make(folder, change(rows))
+    image, newtons = rows[0]
+    for changed, said in (
+        ([[image, f"-{newtons}"]], "above 0 N"),
+        ([["rest.png", "5.0"]], "shows no contact"),
+        ([[image, f"{102 * float(newtons):.1f}"]], "are they newtons"),
+        ([[image, "0"]], "force_n = 0: .*above 0 N"),
+        ([[image, "much"]], "'much' is no number"),
+        ([[image, '"3,5"']], "'3,5' is no number; write newtons with a decimal point"),
+        ([["", "5.0"]], "line 2: its image is empty"),
+        ([rows[0], [], [], ["gone.png", "x"]], "line 5: .*gone.png: not found"),
+        ([rows[0], rows[1], rows[0]], "line 4: .* again, as in line 2"),
+        ([], "no readings"),
+    ):
+        refused(said, make, folder, changed)
+    cv2.imwrite(str(folder / "rest.png"), cv2.medianBlur(cv2.imread(str(folder / "rest.png")), 61))
+    refused("shows no markers.*take a sharp one", make, folder, rows)
     assert not (folder / "mine.toml").exists()
-
-
-@pytest.mark.parametrize("freedom", [2, 3, 6, 20, 200])
-def test_quantiles_are_students(freedom):
-    from scipy.stats import t
-
-    for fraction in (0.6, 0.9, 0.95):
-        assert student_quantile(fraction, freedom) == pytest.approx(t.ppf(fraction, freedom), rel=0.012)
 
 
 def test_fingers_that_grasp_one_object_read_alike_with_their_profiles(weighed):
@@ -314,17 +271,6 @@ def test_fingers_that_grasp_one_object_read_alike_with_their_profiles(weighed):
     asked = ["--name", "right", "--nocontact", str(folder / "rest.png"), "--out", str(folder / "right.toml")]
     assert sensor.main([*asked, "--opposite", str(folder / "left.toml"), "--grasps", str(grasps)]) == 0
     assert read_profile(folder / "right.toml").gain.value == pytest.approx(1.3, rel=1e-3)
-
-
-@pytest.mark.parametrize(
-    "more, says",
-    [(["--grasps", "g.csv"], "--opposite and --grasps go together"),
-     (["--opposite", "l.toml", "--grasps", "g.csv", "--readings", "r.csv"], "either --readings or --grasps")],
-)  # fmt: skip
-def test_half_of_what_grasps_need_is_refused(weighed, more, says):
-    folder, _ = weighed
-    with pytest.raises(BadInput, match=says):
-        sensor.main(["--name", "a", "--nocontact", str(folder / "rest.png"), *more])
 
 
 @pytest.mark.parametrize("taken", ["renamed", "other"])
@@ -358,32 +304,38 @@ def filmed(path, pictures):
 
 
 def test_a_film_gives_the_nocontact_image_by_itself(weighed):
-    """The first frames, in which a camera sets its exposure, and those of a press are none of it."""
+    """The first frames, in which a camera sets its exposure, and those of a press are none of it; a film cut short serves."""
     folder, rows = weighed
     rest, press = read_image(folder / "rest.png"), read_image(folder / rows[0][0])
     dark = [np.clip(rest * (0.5 + k / 16), 0, 255).astype(np.uint8) for k in range(8)]
-    film = filmed(folder / "film.avi", [*dark, *[rest] * 12, *[press] * 12])
-    assert sensor.main(["--name", "mine", "--video", film, "--out", str(folder / "mine.toml")]) == 0
-    found = read_profile(folder / "mine.toml").nocontact.astype(int)
-    assert np.abs(found - rest).mean() < 1.0 < np.abs(press.astype(int) - rest).mean()
-
-
-def test_a_film_that_is_cut_short_serves_where_it_begins_at_rest(weighed):
-    folder, rows = weighed
-    rest, press = read_image(folder / "rest.png"), read_image(folder / rows[0][0])
-    film = folder / "film.avi"
-    filmed(film, [*[rest] * 20, *[press] * 40])
+    film = Path(filmed(folder / "film.avi", [*dark, *[rest] * 20, *[press] * 40]))
     whole = film.read_bytes()
-    film.write_bytes(whole[: len(whole) // 2])
-    assert sensor.main(["--name", "mine", "--video", str(film), "--out", str(folder / "mine.toml")]) == 0
+    for content in (whole, whole[: len(whole) // 2]):
+        film.write_bytes(content)
+        assert sensor.main(["--name", "mine", "--video", str(film), "--out", str(folder / "mine.toml")]) == 0
+        found = read_profile(folder / "mine.toml").nocontact.astype(int)
+        assert np.abs(found - rest).mean() < 1.0 < np.abs(press.astype(int) - rest).mean()
 
 
-def test_a_profile_of_a_picture_without_markers_is_refused(weighed):
-    folder, rows = weighed
-    blurred = cv2.medianBlur(cv2.imread(str(folder / "rest.png")), 61)
-    cv2.imwrite(str(folder / "rest.png"), blurred)
-    with pytest.raises(BadInput, match="shows no markers.*take a sharp one"):
-        make(folder, rows)
+def test_one_source_of_the_nocontact_image_and_of_the_factor_is_asked_for(weighed):
+    folder, _ = weighed
+    rest, moving = (
+        ["--nocontact", str(folder / "rest.png")],
+        [np.full((60, 80, 3), 18 * k, np.uint8) for k in range(FEWEST)],
+    )
+    for more, said in (
+        ([], "give one of --nocontact IMAGE"),
+        ([*rest, "--camera", "0"], "give one of --nocontact IMAGE"),
+        (["--video", str(folder / "gone.avi")], "no such video"),
+        (["--video", filmed(folder / "moving.avi", moving)], "without movement"),
+        ([*rest, "--grasps", "g.csv"], "--opposite and --grasps go together"),
+        (
+            [*rest, "--opposite", "l.toml", "--grasps", "g.csv", "--readings", "r.csv"],
+            "either --readings or --grasps",
+        ),
+    ):
+        refused(said, sensor.main, ["--name", "mine", "--out", str(folder / "mine.toml"), *more])
+    assert not (folder / "mine.toml").exists()
 
 
 def test_a_table_with_blanks_beside_its_commas_is_read_and_one_of_semicolons_named(weighed):
@@ -396,20 +348,6 @@ def test_a_table_with_blanks_beside_its_commas_is_read_and_one_of_semicolons_nam
     path.write_text("\n".join(line.replace(",", ";") for line in lines) + "\n")
     with pytest.raises(BadInput, match="column image is missing, seen: image;force_n; .*with commas"):
         sensor.main([*asked, "--out", str(folder / "other.toml")])
-
-
-def test_one_source_of_the_nocontact_image_is_asked_for(weighed):
-    folder, _ = weighed
-    moving = [np.full((60, 80, 3), 18 * k, np.uint8) for k in range(FEWEST)]
-    for more, says in (
-        ([], "give one of --nocontact IMAGE"),
-        (["--nocontact", str(folder / "rest.png"), "--camera", "0"], "give one of --nocontact IMAGE"),
-        (["--video", str(folder / "gone.avi")], "no such video"),
-        (["--video", filmed(folder / "moving.avi", moving)], "without movement"),
-    ):
-        with pytest.raises(BadInput, match=says):
-            sensor.main(["--name", "mine", "--out", str(folder / "mine.toml"), *more])
-    assert not (folder / "mine.toml").exists()
 
 
 def test_a_picture_that_shows_a_part_of_the_contact_does_not_count(reference, tmp_path, capsys):
