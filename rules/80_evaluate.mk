@@ -21,14 +21,11 @@ $(EVALUATED:.json=.card.md): $D/80_evaluate/$(RES1)/%.card.md: $D/70_train/$(RES
 	$(call step,gelforge.stages.card --model $< --evaluation $(word 2,$^) --out $@.part)
 
 # It takes the time of its copy: one that went on from the network whose place it takes is not trained again for that.
-# A network of two stages has a second graph, default.slopes.onnx. What benchmark-unseen and benchmark-real measured of this very
-# network goes into the card.
+# What benchmark-unseen and benchmark-real measured of this very network goes into the card.
 ship: $D/70_train/$(RES1)/$(LEARNT).onnx $D/80_evaluate/$(RES1)/$(LEARNT).json  ## make a network the default of predict and live
 	@$(PY) -m gelforge.stages.card --model $< --evaluation $(word 2,$^) --measured $(wildcard results/benchmarks/unseen.json results/benchmarks/real.json) --out $(SHIPPED).md.part
 	cp $< $(SHIPPED).onnx.part
 	cp $(<:.onnx=.safetensors) $(SHIPPED).safetensors
-	rm -f $(SHIPPED).*.onnx
-	for stage in $(<:.onnx=).*.onnx; do [ ! -f "$$stage" ] || cp "$$stage" "$(SHIPPED)$${stage#$(<:.onnx=)}"; done
 	mv $(SHIPPED).onnx.part $(SHIPPED).onnx
 	mv $(SHIPPED).md.part $(SHIPPED).md
 	touch -r $(SHIPPED).onnx $^ $(SHIPPED).safetensors

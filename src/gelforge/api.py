@@ -151,7 +151,7 @@ class Reader:
     def height(self, image: np.ndarray) -> np.ndarray | None:
         """Height (h / 2, w / 2) mm of the gel above the unloaded one in an image (h, w, 3) uint8 RGB (`Predictor.height`).
 
-        None with neither a profile that `gelforge sensor --balls` wrote nor a network of two stages.
+        None without a profile that `gelforge sensor --balls` wrote.
         """
         return self._predictor.height(check_image(image))
 

@@ -18,8 +18,6 @@ from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.networks.balls.ballpresses import BACKGROUND, BallPress, read_presses
 from gelforge.networks.balls.balltable import ball_table
 from gelforge.networks.balls.slopefit import fit_slope_table, known_slopes
-from gelforge.networks.checkpoint.modelfile import ForceModel
-from gelforge.networks.inference.predictor import SLOPES, Predictor
 from gelforge.networks.inference.sensorprofile import fit_gain
 from gelforge.networks.preprocess.illumination import match_light
 from gelforge.networks.preprocess.slopetable import SlopeTable, light_change
@@ -77,10 +75,8 @@ def _level(what: str, normal: np.ndarray, force: np.ndarray, note: str) -> list[
     ]  # fmt: skip
 
 
-def table_figures(
-    presses: list[BallPress], nocontact: np.ndarray, px_per_mm: float, model: ForceModel
-) -> list[Figure]:
-    """Slopes by the sensor's own table in presses that it did not learn from, and forces by way of them."""
+def table_figures(presses: list[BallPress], nocontact: np.ndarray, px_per_mm: float) -> list[Figure]:
+    """Slopes by the sensor's own table in presses that it did not learn from."""
     learnt = [replace(one, image=match_light(one.image, nocontact).undo(one.image)) for one in presses]
     figures = []
     for count, low, high in ((40, 0.93, 1.08), (10, 0.85, 1.15)):
@@ -91,18 +87,7 @@ def table_figures(
             Figure(f"{what}, 10 %", least, ">=", low, "", f"median {middle:.2f}; {len(gains)} presses"),
             Figure(f"{what}, 90 %", most, "<=", high),
         ]
-    if SLOPES not in model.stages:
-        return figures
-    force, normal = np.array([press.force for press in presses]), np.zeros(len(presses))
-    for one in (0, 1):
-        table = fit_slope_table(learnt[1 - one :: 2], nocontact, px_per_mm)
-        predictor = Predictor(model, nocontact, table=table)
-        normal[one::2] = [-predictor.predict(press.image).total[2] for press in presses[one::2]]
-    gain = np.array([fit_gain(force[1 - one :: 2], normal[1 - one :: 2]).value for one in (0, 1)])
-    note = f"{len(presses)} presses, table and factor ({gain[0]:.2f} and {gain[1]:.2f}) of every other one"
-    return figures + _level(
-        "real balls, the sensor's own table and factor", normal * gain[np.arange(len(presses)) % 2], force, note
-    )
+    return figures
 
 
 def slope_gains(presses: Sequence[BallPress], count: int, nocontact: np.ndarray, px_per_mm: float) -> np.ndarray:

@@ -265,7 +265,7 @@ def array_cases(folder: Path) -> Iterator[Case]:
         return [found.sample_id.tolist(), float(np.asarray(found.label[...]).sum(dtype=float)), found.material]
 
     def weights_of(path):
-        return digest_of_graph(load_model(path).stages["forces"])
+        return digest_of_graph(load_model(path).graph)
 
     for area, path, read, count in (("labels", labels, labels_of, 24), ("networks", network, weights_of, 24)):
         clean = read(path)

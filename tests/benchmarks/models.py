@@ -148,8 +148,8 @@ def untrained(model: dict, threads: int) -> "Predictor":
 
     norm = {"image_mean": [0.4] * 3, "image_std": [0.2] * 3, "label": [1.0] * 3, "reads": model.get("reads", "image")}
     metadata = load_for_use(None).metadata | {"normalisation": norm, "tta": False}
-    stages = export(build(model, IMAGE, GRID).eval(), metadata)
-    return Predictor(ForceModel(metadata, stages), np.zeros((*IMAGE, 3), np.uint8), threads=threads)
+    graph = export(build(model, IMAGE, GRID).eval(), metadata)
+    return Predictor(ForceModel(metadata, graph), np.zeros((*IMAGE, 3), np.uint8), threads=threads)
 
 
 def train_apart(dataset: Path, name: str, settings: TrainTable, folder: Path):
@@ -216,8 +216,8 @@ def resume_figure(models: dict, settings: TrainTable, folder: Path, dataset: Pat
     norm = scales(data, False, model["reads"])
     whole, cut, rest = (Training(model, settings, norm, IMAGE, GRID, "cpu") for _ in range(3))
     fit(whole, data)
-    fit(cut, data, folder / "cut.checkpoint.safetensors", "one", epochs=2)
-    fit(rest, data, folder / "cut.checkpoint.safetensors", "one")
+    fit(cut, data, folder / "cut.checkpoint.pt", "one", epochs=2)
+    fit(rest, data, folder / "cut.checkpoint.pt", "one")
     worst = max(abs(a[key] - b[key]) for a, b in zip(whole.curve, rest.curve, strict=True) for key in a)
     return Figure(
         "validation curve, interrupted and resumed against whole",

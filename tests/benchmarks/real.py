@@ -172,7 +172,7 @@ def ball_flow(folder: Path, model: ForceModel) -> list[Figure]:
         return found.cells, found.flag
 
     slipped = slipped_figures("real balls", [press.image for press in presses[::3]], model, background)
-    table = table_figures(presses, background, PX_PER_MM, model)
+    table = table_figures(presses, background, PX_PER_MM)
     return [*ball_figures(presses, read), *table, *circle_figures(folder, background, PX_PER_MM), *slipped]
 
 

@@ -65,7 +65,7 @@ ROOMS: dict[str, dict[str, set[str]]] = {
 }
 FOR_ALL = {"mechanics"}  # folders whose modules above the rooms may be used in them
 TORCH = {"models", "training", "data/loader.py", "data/augment.py", "checkpoint/weights.py", "checkpoint/onnxexport.py",
-         "checkpoint/convert.py", "pipeline.py"}  # fmt: skip
+         "pipeline.py"}  # fmt: skip
 APART = "fea_challenge"  # scripts that run where nothing of gelforge is
 # What one module alone may do or say; besides, a picture in grey, and a surface coloured by how far it moved.
 HOMES = {
@@ -197,7 +197,7 @@ def said_in(path: Path) -> Iterator[str]:
             case ast.Constant(value=str(word)):
                 if word in set(SPLITS) - {TRAINING, TEST}:  # these are words of other meanings, too
                     yield "names splits"
-                if word in KINDS.keys() - {"grid", "unet", "geometry"}:  # likewise
+                if word in KINDS.keys() - {"grid", "unet"}:  # likewise
                     yield "names kinds of networks"
                 if id(node) not in helps and RESULTS.fullmatch(word):
                     yield "spells a folder of results"

@@ -52,7 +52,7 @@ def whole(place):
 
 
 def test_killed_training_ends_with_the_same_curve(place, whole):
-    out, checkpoint = place / "killed.onnx.part", place / "killed.checkpoint.safetensors"
+    out, checkpoint = place / "killed.onnx.part", place / "killed.checkpoint.pt"
     killed = False
     while not killed:  # a machine that looks too late finds the training at its end
         out.unlink(missing_ok=True)

@@ -12,7 +12,6 @@ COMMANDS = {
     "camera": "modes of a camera, and the one to use",
     "rig": "simulate presses and write a raw log with images",
     "sensor": "a profile of your sensor, from a no-contact image and force readings",
-    "convert": "a model of an earlier version as an ONNX file",
     "status": "samples of a dataset that are done, failed, pending",
     "projection": "fit a sensor's projection",
     "why": "why make would make a target again",

@@ -97,10 +97,9 @@ def predict_files(
     """
     from gelforge.reporting.forcemaps import write_maps
 
-    if height and predictor.rest_slopes is None:
+    if height and not predictor.measures_height:
         raise BadInput(
-            "--height: this network does not estimate slopes; give a profile that `gelforge sensor --balls` wrote, or --model"
-            " with one of two stages (MODEL=geometry)"
+            "--height: no table of the sensor's slopes is there; give --profile, one that `gelforge sensor --balls` wrote"
         )
     names = output_names(paths)
     endings = (".png", ".npy", *([HEIGHT] if height else []))

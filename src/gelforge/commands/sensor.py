@@ -17,7 +17,6 @@ contact is not used in either table, because only a part of the force is predict
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import replace
 from itertools import compress
 from pathlib import Path
@@ -90,30 +89,18 @@ def nocontact_for_slopes(predictor: CameraPredictor) -> np.ndarray:
 
 
 def learnt_from_balls(balls: BallFolder, predictor: CameraPredictor) -> tuple[Gain, SlopeTable | None]:
-    """Factor on forces and table of slopes by presses of a ball; those that do not count are named on the terminal.
-
-    For the factor, each half of the presses is read with the table of the other half.
-    """
+    """Factor on forces and table of slopes by presses of a ball; those that do not count are named on the terminal."""
     for name, why in balls.left_out.items():
         print(f"{name}: does not count, {why}", file=sys.stderr)
-    presses, scale = balls.presses, balls.px_per_mm
+    table = None
     try:
         nocontact = nocontact_for_slopes(predictor)
-        learnt = [replace(press, image=predictor.prepare(press.image).lit) for press in presses]
-        table = fit_slope_table(learnt, nocontact, scale)
+        learnt = [replace(press, image=predictor.prepare(press.image).lit) for press in balls.presses]
+        table = fit_slope_table(learnt, nocontact, balls.px_per_mm)
     except BadInput as error:
         print(f"no table of slopes: {error}", file=sys.stderr)
-        return _gain_of_balls(presses, *_normals(predictor, _images(presses))), None
-    others = [table, table]
-    with suppress(BadInput):  # halves may be too few
-        others = [fit_slope_table(learnt[1 - one :: 2], nocontact, scale) for one in (0, 1)]
-    found = [_normals(predictor.with_table(other), _images(presses[one::2])) for one, other in enumerate(others)]
-    read, counts = (np.concatenate(both) for both in zip(*found, strict=True))
-    return _gain_of_balls([*presses[::2], *presses[1::2]], read, counts), table
-
-
-def _images(presses: Sequence[BallPress]) -> dict[str, np.ndarray]:
-    return {press.name: press.image for press in presses}
+    read, counts = _normals(predictor, {press.name: press.image for press in balls.presses})
+    return _gain_of_balls(balls.presses, read, counts), table
 
 
 def _gain_of_balls(presses: Sequence[BallPress], read: np.ndarray, counts: np.ndarray) -> Gain:
@@ -314,7 +301,6 @@ def main(args: Namespace) -> None:
     if balls:
         gain, table = learnt_from_balls(balls, predictor)
         note = f"; {balls.px_per_mm:.2f} px per mm; gel of C10 {C10_MPA:g} MPa assumed, which balls cannot measure"
-        predictor = predictor.with_table(table)
     if args.readings:
         gain = gain_of(args.readings, predictor, gain)
     elif args.grasps:

@@ -15,7 +15,7 @@ from gelforge.flow.files import publish
 from gelforge.flow.layout import beside
 from gelforge.flow.params import plain
 from gelforge.flow.params.tables import TrainingTable
-from gelforge.networks.checkpoint.modelfile import ForceModel, save_model, with_digests
+from gelforge.networks.checkpoint.modelfile import ForceModel, model_of, save_model
 from gelforge.networks.checkpoint.onnxexport import export
 from gelforge.networks.checkpoint.weights import save_weights
 from gelforge.networks.data.arrays import Data, data_version, press_keys, require_splits, scales, split_validation
@@ -181,8 +181,7 @@ def judged(
     learnt: what it learnt from. own: the one dataset of it whose unseen sensors measure how wrong it is.
     """
     metadata = metadata | set_limits(metadata, learnt, settings, None if start is None else start.metadata)
-    stages = export(net, metadata)
-    model = ForceModel(with_digests(metadata, stages), stages)
+    model = model_of(metadata, export(net, metadata))
     return Trained(net, replace(model, metadata=model.metadata | set_intervals(model, own)))
 
 

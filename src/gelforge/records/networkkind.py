@@ -33,7 +33,6 @@ KINDS = {
         {"blocks": list, "widths": list}, totals_only=True, image_seconds=0.08, colour="tab:orange"
     ),
     "grid": NetworkKind({"width": int, "blocks": int}, totals_only=False, image_seconds=0.014, colour="tab:green"),
-    "geometry": NetworkKind({"width": int, "blocks": int}, totals_only=False, image_seconds=0.06, colour="tab:red"),
 }
 
 

@@ -79,7 +79,6 @@ def start_lines(metadata: dict) -> list[str]:
     if not start:
         return []
     digest = start.get("sha256", "unknown")
-    digest = digest if isinstance(digest, str) else digest["forces"]
     learnt = "simulated presses" if start["simulated"] else "recorded presses"
     return [
         f"- Fine-tuned from the network {start['name']}, which learnt from {learnt} ({start['data']}), SHA-256"

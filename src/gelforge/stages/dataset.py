@@ -24,7 +24,6 @@ from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import find_sensor, load_sensors
 from gelforge.networks.data.split import split_presses
 from gelforge.records.axes import CHANNEL_OF_AXIS
-from gelforge.records.geometryfile import load_geometry
 from gelforge.records.image import read_logged_image
 from gelforge.records.labelfile import FIELDS, open_labels, read_labels
 from gelforge.records.log import read_poses, read_shard, without_duplicates
@@ -38,7 +37,6 @@ from gelforge.records.table import numbered_rows, read_table
 
 VERSION = 4
 NO_IMAGE = "no image in the log"
-SHAPES = ("slopes.npy", "motion.npy")
 
 
 def collect(shards: list[tuple[Path, list]], truth: dict) -> tuple[list[DatasetSample], list, dict, dict]:
@@ -113,26 +111,6 @@ def write_nocontact(path, data: Path, names: list[str], size: tuple[int, int]) -
     with publish(path) as part, part.open("wb") as stream:
         np.save(stream, np.array(pictures, np.uint8).reshape(len(there), size[1], size[0], 3))
     return there
-
-
-def write_shapes(folder: Path, data: Path, presses: list[PressRecord]) -> None:
-    """Write the gel's shape in each image (`records.geometryfile`) where the virtual rig left all of them, whole or not at all."""
-    paths = [data / "truth" / "geometry" / f"{press.sample_id}.npz" for press in presses]
-    if not all(path.exists() for path in paths):
-        for name in SHAPES:
-            (folder / name).unlink(missing_ok=True)
-        return
-    first = load_geometry(paths[0])
-    with publish(folder / SHAPES[0]) as slopes, publish(folder / SHAPES[1]) as motion:
-        arrays = [
-            array_on_disk(part, one.dtype.type, (len(paths), *one.shape))
-            for part, one in ((slopes, first.slopes), (motion, first.motion))
-        ]
-        for at, path in progress(list(enumerate(paths)), "shapes"):
-            shape = load_geometry(path)
-            arrays[0][at], arrays[1][at] = shape.slopes, shape.motion
-        for array in arrays:
-            array.flush()
 
 
 def share_images(folder: Path, data: Path, presses: list[PressRecord], size) -> None:
@@ -366,7 +344,6 @@ def build(args) -> dict:
     )  # fmt: skip
     splits = published_splits(args.data, presses, splits, repeated)
     write_label_array(folder / "labels.npy", shards, places, grid)
-    write_shapes(folder, args.data, presses)
     write_fields(folder, shards, places, grid)
     found = [replace(each, split=str(s), group=str(g)) for each, s, g in zip(found, splits, groups, strict=True)]
     write_samples(folder / "samples.csv", found)

@@ -29,7 +29,6 @@ from gelforge.virtualrig.rigplan import Order, Plan, check_names, generator, ord
 from gelforge.virtualrig.units import draw_units
 from gelforge.virtualrig.writer import (
     Dataset,
-    geometry_name,
     image_name,
     logged,
     nocontact_name,
@@ -105,9 +104,7 @@ class Worker:
         for order in orders:
             noise = generator(self.plan, order.index, streams.camera(order.unit, order.frame))
             camera = self.camera(order.sensor)
-            shown = camera.shown(field, body)
-            save_image(self.folder / image_name(order), camera.picture(shown, noise))
-            camera.geometry(shown).save(self.folder / geometry_name(order))
+            save_image(self.folder / image_name(order), camera.image(field, body, noise))
 
 
 @lru_cache(maxsize=1)

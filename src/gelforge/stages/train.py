@@ -72,7 +72,7 @@ def main(args: Namespace) -> None:
     from gelforge.reporting.networkcharts import draw_curve
 
     model, settings = resolve(read_models(args.models), args.model, read_parameters(args.params, ForTrain).train)
-    checkpoint = beside(args.out, ".checkpoint.safetensors")
+    checkpoint = beside(args.out, ".checkpoint.pt")
     data = open_data(args.dataset)
     if args.part:
         whole, data = data, take_subset(data, parse_subset(args.part), settings.seed)

@@ -7,7 +7,6 @@ import cv2
 import numpy as np
 
 from gelforge.geometry.gel import Gel
-from gelforge.records.geometryfile import Geometry
 from gelforge.records.image import as_jpeg
 from gelforge.records.press import Press
 from gelforge.virtualrig.appearance import HEIGHT, WIDTH, Appearance, Drift, normalised_pixels
@@ -17,8 +16,6 @@ from gelforge.virtualrig.paint import MARGIN, printed, sample_position
 TOUCH = 0.05  # mm between the computed surface and the body within which the picture lays one on the other
 RIPPLE_MM = 0.2
 RELAXATION, ROUNDS = 0.65, 9
-SLOPES, MOTION = (120, 160), (30, 40)  # rows and columns of the maps of a `Geometry`
-SLOPE_BLUR = 1.0  # px by which the height is smoothed before its slope is taken, as a lens does
 
 
 @dataclass(frozen=True)
@@ -27,15 +24,6 @@ class Pressed:
 
     body: RoughBody
     press: Press
-
-
-@dataclass(frozen=True)
-class Shown:
-    """What each pixel of a picture shows: the pixel (u, v) at which its gel point lies unloaded, and its height in mm, all (240, 320)."""
-
-    source_u: np.ndarray
-    source_v: np.ndarray
-    height: np.ndarray
 
 
 class Renderer:
@@ -59,31 +47,20 @@ class Renderer:
         self.inner_xy, self.inner_top = (x[inner], y[inner]), self.top[inner].copy()
         self.flat_shade = self._shade(self.inner_top)
 
-    def shown(self, field: Field | None = None, pressed: Pressed | None = None) -> Shown:
-        """What the camera sees of a gel that is displaced by `field` and touched by `pressed`."""
+    def image(self, field: Field | None = None, pressed: Pressed | None = None, rng=None) -> np.ndarray:
+        """Picture of a gel that is displaced by `field` and touched by `pressed`, (240, 320, 3) uint8 RGB.
+
+        Without `rng` it is free of noise.
+        """
         source_u, source_v, height = (
             (self.pixel_u, self.pixel_v, self.inner_top) if field is None else self._trace(field)
         )
-        return Shown(source_u, source_v, height if pressed is None else self._against(height, pressed))
-
-    def geometry(self, shown: Shown) -> Geometry:
-        """Slopes and apparent motion of what is shown."""
-        sunk = cv2.GaussianBlur(shown.height - self.inner_top, (0, 0), SLOPE_BLUR)
-        slopes = [cv2.Sobel(sunk, cv2.CV_32F, *axes, scale=self.scale / 8) for axes in ((1, 0), (0, 1))]
-        motion = [self.pixel_u - shown.source_u, self.pixel_v - shown.source_v]
-        return Geometry.of(_reduced(slopes, SLOPES), _reduced(motion, MOTION))
-
-    def image(self, field: Field | None = None, pressed: Pressed | None = None, rng=None) -> np.ndarray:
-        """Picture of the deformed gel, (240, 320, 3) uint8 RGB; without `rng` it is free of noise."""
-        return self.picture(self.shown(field, pressed), rng)
-
-    def picture(self, shown: Shown, rng=None) -> np.ndarray:
-        """Picture of what is shown, (240, 320, 3) uint8 RGB; without `rng` it is free of noise."""
-        height = shown.height
+        if pressed is not None:
+            height = self._against(height, pressed)
         ink = cv2.remap(
             self.paint,
-            sample_position(shown.source_u),
-            sample_position(shown.source_v),
+            sample_position(source_u),
+            sample_position(source_v),
             cv2.INTER_LINEAR,
             borderMode=cv2.BORDER_REFLECT,
         )
@@ -192,11 +169,6 @@ def drifted(picture: np.ndarray, drift: Drift, rng: np.random.Generator) -> np.n
     s, t = normalised_pixels()
     shapes = np.stack([s, t, s * t, s**2, t**2], axis=-1) @ field
     return picture * (1.0 + gain + shapes).astype(np.float32) + offset.astype(np.float32)
-
-
-def _reduced(maps: list[np.ndarray], size: tuple[int, int]) -> np.ndarray:
-    """Maps (240, 320) as means over areas, (k, *size) float32."""
-    return np.stack([cv2.resize(one, size[::-1], interpolation=cv2.INTER_AREA) for one in maps])
 
 
 def _pixels(margin: int) -> tuple[np.ndarray, np.ndarray]:

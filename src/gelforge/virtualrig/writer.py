@@ -175,11 +175,6 @@ def surface_name(order: Order) -> str:
     return f"truth/surfaces/{order.press_id}{frame}.npz"
 
 
-def geometry_name(order: Order) -> str:
-    """Path of the shape that a press's image shows, below the dataset's folder."""
-    return f"truth/geometry/{order.sample_id}.npz"
-
-
 def save_image(path, image: np.ndarray) -> None:
     """Write an RGB image as PNG, whole or not at all."""
     write_png(path, image, compression=4)

@@ -218,7 +218,7 @@ def test_a_real_sensor_learns_its_table_of_slopes(reference, tmp_path, capsys):
         assert slope_gain(profile.table, press, profile.nocontact) == pytest.approx(1.0, abs=0.3)
     deepest = max(presses.presses, key=lambda press: press.force)
     words = [str(folder / deepest.name / "gelsight.png"), "--height", "--out", str(tmp_path / "found")]
-    with pytest.raises(BadInput, match="--height: this network does not estimate slopes"):
+    with pytest.raises(BadInput, match="--height: no table of the sensor's slopes"):
         predict.main([*words, "--nocontact", str(folder / "background.png")])
     assert not (tmp_path / "found").exists()
     assert predict.main([*words, "--profile", str(out)]) == 0

@@ -149,8 +149,8 @@ def test_resumed_training_has_the_same_curve_and_weights(folder, tmp_path, kind,
 
     whole, cut, rest = start(), start(), start()
     fit(whole, data)
-    fit(cut, data, tmp_path / "c.safetensors", "same", epochs=2)
-    fit(rest, data, tmp_path / "c.safetensors", "same")
+    fit(cut, data, tmp_path / "c.pt", "same", epochs=2)
+    fit(rest, data, tmp_path / "c.pt", "same")
     assert rest.cost["resumed"] == 1 and rest.curve == whole.curve
     assert len(rest.cost["epoch_seconds"]) == 5 and (np.diff(rest.cost["epoch_seconds"]) > 0).all()
     for a, b in zip(whole.net.state_dict().values(), rest.net.state_dict().values()):
@@ -305,7 +305,7 @@ def test_checkpoint_of_another_training_is_not_used(folder, tmp_path):
     data = open_data(folder)
     for name in ("one", "other"):
         training = Training(SMALL, with_values(SETTINGS, epochs=1), scales(data, False), IMAGE, GRID, "cpu")
-        fit(training, data, tmp_path / "c.safetensors", name)
+        fit(training, data, tmp_path / "c.pt", name)
         assert training.cost["resumed"] == 0
 
 
@@ -317,7 +317,7 @@ def test_a_dataset_without_the_nocontact_image_is_named(folder):
 
 @pytest.mark.parametrize("corrupt", [lambda b: b[: len(b) // 2], lambda b: b"", lambda b: b"no tensors at all"])
 def test_a_corrupt_checkpoint_starts_the_training_over(folder, tmp_path, corrupt, capsys):
-    data, path = open_data(folder), tmp_path / "c.safetensors"
+    data, path = open_data(folder), tmp_path / "c.pt"
     first = Training(SMALL, with_values(SETTINGS, epochs=1), scales(data, False), IMAGE, GRID, "cpu")
     fit(first, data, None, "one")
     save_checkpoint(path, first, "one")

@@ -10,27 +10,17 @@ import onnxruntime
 import pytest
 import torch
 
-from gelforge.commands import convert
 from gelforge.errors import BadInput
-from gelforge.networks.checkpoint.graph import Graph, provider_of
-from gelforge.networks.checkpoint.modelfile import (
-    FORMAT,
-    ForceModel,
-    load_model,
-    save_model,
-    split_metadata,
-    with_digests,
-)
+from gelforge.networks.checkpoint.modelfile import FORMAT, Graph, load_model, provider_of, save_model
 from gelforge.networks.checkpoint.onnxexport import Exported, export, sample_pictures
-from gelforge.networks.checkpoint.weights import load_weights, read_tree, write_tree
+from gelforge.networks.checkpoint.weights import load_weights
 from gelforge.networks.data.arrays import open_data
 from gelforge.networks.evaluation.predicted import require_fit
-from gelforge.networks.inference.height import height_of
 from gelforge.networks.inference.predictor import Predictor
 from gelforge.networks.models.registry import build
 from gelforge.networks.pipeline import save_trained
 from gelforge.networks.preprocess.pair import Preprocessor
-from gelforge.networks.preprocess.slopetable import COLOUR_TERMS, PLACE_TERMS, SlopeTable
+from gelforge.networks.training.loop import Training, resume
 from gelforge.stages.train import train
 from tests.support.limited import limited_python
 from tests.support.parameters import with_values
@@ -42,7 +32,7 @@ def test_a_model_and_its_weights_come_back_from_their_files(trained, tmp_path):
     save_trained(tmp_path / "m.onnx", trained)
     again = load_model(tmp_path / "m.onnx")
     assert again.metadata == json.loads(json.dumps(trained.metadata)) and again.metadata["format"] == FORMAT
-    assert again.stages == trained.model.stages
+    assert again.graph == trained.model.graph
     net, metadata = load_weights(tmp_path / "m.safetensors")
     assert metadata["name"] == trained.metadata["name"]
     x = torch.rand(2, 3, *IMAGE, generator=torch.Generator().manual_seed(0))
@@ -63,7 +53,7 @@ def test_the_documented_lines_around_a_graph_give_what_predict_gives(models, dat
     model, rest = models["pair"].model, data.nocontact["mini0"]
     image = np.clip(np.rint(0.93 * np.asarray(data.images[3]).astype(float) + 3), 0, 255).astype(np.uint8)
     prepare = Preprocessor(model.metadata, rest)
-    session = onnxruntime.InferenceSession(model.stages["forces"], providers=["CPUExecutionProvider"])
+    session = onnxruntime.InferenceSession(model.graph, providers=["CPUExecutionProvider"])
 
     def run(seen):
         return session.run(["forces"], {one.name: seen.feature(one.name) for one in session.get_inputs()})[0][0]
@@ -79,7 +69,7 @@ def test_a_graph_predicts_what_its_network_does(models, name, data):
     trained = models[name]
     names = ["image", "nocontact"] if trained.model.needs_nocontact else ["image"]
     pictures = dict(zip(names, sample_pictures(IMAGE, len(names)), strict=True))
-    found = Graph(trained.model.stages["forces"], name)(pictures)["forces"]
+    found = Graph(trained.model.graph, name)(pictures)["forces"]
     with torch.inference_mode():
         expected = Exported(trained.net.eval(), trained.metadata)(
             *(torch.from_numpy(one) for one in pictures.values())
@@ -90,57 +80,12 @@ def test_a_graph_predicts_what_its_network_does(models, name, data):
 def test_a_picture_rotated_by_180_degrees_has_the_rotated_force(models):
     """Where the graph takes the mean over both: whatever the weights."""
     metadata = models["pair"].metadata | {"tta": True}
-    graph = Graph(export(models["pair"].net.eval(), metadata)["forces"], "m")
+    graph = Graph(export(models["pair"].net.eval(), metadata), "m")
     image, nocontact = sample_pictures(IMAGE, 2)
     found = graph({"image": image, "nocontact": nocontact})["forces"]
     rotated = graph({"image": image[:, ::-1, ::-1].copy(), "nocontact": nocontact[:, ::-1, ::-1].copy()})["forces"]
     signs = np.array([-1.0, -1.0, 1.0])[:, None, None]
     np.testing.assert_allclose(rotated[:, :, ::-1, ::-1] * signs, found, atol=1e-5 * np.abs(found).max())
-
-
-def test_a_chain_of_graphs_gives_each_stage_what_those_before_it_made(models, data, tmp_path):
-    """And slopes of a sensor's own table take the place of those that the first stage estimates."""
-
-    class Difference(torch.nn.Module):
-        def forward(self, image, nocontact):
-            apart = (image.float() - nocontact.float()).permute(0, 3, 1, 2)[:, :2]
-            return torch.nn.functional.avg_pool2d(apart, 2)
-
-    class Sum(torch.nn.Module):
-        def forward(self, slopes):
-            normal = slopes.mean((2, 3))
-            return torch.cat([normal, normal[:, :1]], 1).view(-1, 3, 1, 1)
-
-    def graph(module, inputs, output, example):
-        path = tmp_path / f"{output}.onnx"
-        torch.onnx.export(
-            module, example, str(path), dynamo=False, opset_version=17, input_names=inputs, output_names=[output]
-        )
-        return path.read_bytes()
-
-    picture = torch.zeros(1, *IMAGE, 3, dtype=torch.uint8)
-    stages = {
-        "slopes": graph(Difference(), ["image", "nocontact"], "slopes", (picture, picture)),
-        "forces": graph(Sum(), ["slopes"], "forces", (torch.zeros(1, 2, IMAGE[0] // 2, IMAGE[1] // 2),)),
-    }
-    model = ForceModel(with_digests(models["pair"].metadata | {"grid": [1, 1]}, stages), stages)
-    save_model(tmp_path / "chain.onnx", model)
-    again = load_model(tmp_path / "chain.onnx")
-    assert list(again.stages) == ["slopes", "forces"] and (tmp_path / "chain.slopes.onnx").exists()
-    rest, image = data.nocontact["mini0"], np.ascontiguousarray(data.images[0])
-    plain = Predictor(again, rest)
-    seen = plain.prepare(image)
-    target = (seen.lit.astype(np.float32) - seen.nocontact.picture).mean((0, 1))[[0, 1, 0]]
-    np.testing.assert_allclose(plain.predict(image).total, target, atol=1e-3)
-    table = SlopeTable(np.random.default_rng(0).normal(size=(COLOUR_TERMS, PLACE_TERMS, 2)), 16.0)
-    own = table.slopes(seen.lit, seen.nocontact.picture)
-    assert np.abs(own).max() > 0
-    found = Predictor(again, rest, table=table)
-    np.testing.assert_allclose(found.predict(image).total, own.mean((1, 2))[[0, 1, 0]], rtol=1e-3, atol=1e-5)
-    np.testing.assert_allclose(found.height(image), height_of(own, 2 / 16.0), atol=1e-6)
-    (tmp_path / "chain.slopes.onnx").write_bytes(stages["forces"])
-    with pytest.raises(BadInput, match="its graph `slopes` is not the one that was trained"):
-        load_model(tmp_path / "chain.onnx")
 
 
 @pytest.mark.parametrize("reads", ["image", "difference", "pair"])
@@ -162,9 +107,9 @@ WRITES_A_MODEL = """
 import sys
 from pathlib import Path
 import torch
-from gelforge.networks.checkpoint.weights import write_tree
+from gelforge.networks.checkpoint.weights import save_weights
 
-write_tree({"weights": torch.zeros(100_000)}, Path(sys.argv[1]))
+save_weights(Path(sys.argv[1]), torch.nn.Linear(400, 250), {})
 """
 
 
@@ -173,24 +118,13 @@ def test_weights_for_which_there_is_no_room_are_an_error_of_the_disk(tmp_path):
     assert ran.returncode and ran.stderr.splitlines()[-1].startswith("OSError"), ran.stderr
 
 
-def test_a_tree_of_tensors_and_values_comes_back(tmp_path):
-    tree = {"a": {3: torch.arange(4), "b": [1.5, None, "x", {"c": torch.ones(2, 2)}]}, "inf": float("inf"), "d": {}}
-    write_tree(tree, tmp_path / "t.safetensors")
-    again = read_tree(tmp_path / "t.safetensors")
-    assert torch.equal(again["a"][3], tree["a"][3]) and torch.equal(again["a"]["b"][3]["c"], torch.ones(2, 2))
-    assert again["a"]["b"][:3] == [1.5, None, "x"] and again["inf"] == float("inf") and again["d"] == {}
-    (tmp_path / "t.safetensors").write_bytes((tmp_path / "t.safetensors").read_bytes()[:40])
-    with pytest.raises(BadInput, match="holds no weights of gelforge"):
-        read_tree(tmp_path / "t.safetensors")
-
-
 def test_corrupt_and_foreign_model_files_are_refused(trained, tmp_path):
     path = tmp_path / "m.onnx"
     save_model(path, trained.model)
     whole = path.read_bytes()
-    for content in (whole[: len(whole) // 2], b"", b"no model", trained.model.stages["forces"]):
+    for content in (whole[: len(whole) // 2], b"", b"no model", trained.model.graph):
         path.write_bytes(content)
-        with pytest.raises(BadInput, match=r"m.onnx: not a gelforge model"):
+        with pytest.raises(BadInput, match=r"m.onnx: not (a gelforge model|an ONNX graph that can be loaded)"):
             load_model(path)
     with pytest.raises(BadInput, match="not found; train one"):
         load_model(tmp_path / "absent.onnx")
@@ -203,16 +137,15 @@ def test_a_changed_weight_is_noticed(trained, tmp_path):
     path = tmp_path / "m.onnx"
     save_model(path, trained.model)
     content = bytearray(path.read_bytes())
-    graph, _ = split_metadata(bytes(content), "m")
-    content[len(graph) // 2] ^= 1
+    content[len(trained.model.graph) // 2] ^= 1
     path.write_bytes(content)
-    with pytest.raises(BadInput, match="the file is corrupt: copy it again"):
+    with pytest.raises(BadInput, match="the file is corrupt: copy it"):
         load_model(path)
 
 
 def test_a_graph_that_is_none_is_refused_where_it_is_used(trained):
-    model = replace(trained.model, stages={"forces": b"no graph"})
-    with pytest.raises(BadInput, match="its graph cannot be loaded"):
+    model = replace(trained.model, graph=b"no graph")
+    with pytest.raises(BadInput, match="not an ONNX graph that can be loaded"):
         Predictor(model)
 
 
@@ -227,41 +160,6 @@ def test_a_device_that_is_not_there_is_refused():
         provider_of("tpu")
 
 
-def old_file(path: Path, trained) -> None:
-    """A model as the version before wrote it, without what stood beside its network."""
-    metadata = {
-        name: value
-        for name, value in trained.metadata.items()
-        if name not in ("stages", "sha256", "tta", "intervals")
-    }
-    about = metadata | {
-        "format": 4,
-        "both_ways": True,
-        "sha256": 64 * "0",
-        "start": {},
-        "dots": None,
-        "places": None,
-        "stacking": None,
-    }
-    torch.save({"about": json.dumps(about), "tensors": trained.net.state_dict(), "untouched": {}}, path)
-
-
-def test_a_model_of_an_earlier_version_says_how_it_is_converted_and_then_predicts(models, data, tmp_path):
-    path = tmp_path / "old.pt"
-    old_file(path, models["pair"])
-    with pytest.raises(BadInput, match=f"convert it once with `gelforge convert {path}`"):
-        load_model(path)
-    assert convert.main([str(path)]) == 0
-    found, rest = load_model(tmp_path / "old.onnx"), data.nocontact["mini0"]
-    both = ForceModel(
-        models["pair"].metadata,
-        export(models["pair"].net.eval(), models["pair"].metadata | {"tta": True}),
-    )
-    expected = Predictor(both, rest).predict(data.images[0])
-    np.testing.assert_allclose(Predictor(found, rest).predict(data.images[0]).cells, expected.cells, atol=1e-6)
-    assert Predictor(found, rest).predict(data.images[0]).half_width is None
-
-
 class WritesWhenLoaded:
     """A pickle of this object writes a file as it is loaded."""
 
@@ -272,15 +170,20 @@ class WritesWhenLoaded:
         return Path.write_text, (self.path, "executed")
 
 
-def test_code_in_a_model_file_is_never_run(tmp_path):
+@pytest.mark.parametrize("name", ["m.onnx", "m.safetensors", "checkpoint"])
+def test_code_in_a_file_is_never_run(trained, data, tmp_path, name):
     mark = tmp_path / "mark"
     pickle.loads(pickle.dumps(WritesWhenLoaded(mark)))
     assert mark.exists(), "the trap must work for the test to mean something"
     mark.unlink()
-    torch.save(WritesWhenLoaded(mark), tmp_path / "m.pt")
-    with pytest.raises(BadInput, match="not a gelforge model of format 4"):
-        convert.main([str(tmp_path / "m.pt")])
-    assert not mark.exists() and not (tmp_path / "m.onnx").exists()
+    torch.save(WritesWhenLoaded(mark), tmp_path / name)
+    if name == "checkpoint":
+        norm = trained.metadata["normalisation"]
+        assert not resume(tmp_path / name, Training(SMALL, SETTINGS, norm, IMAGE, (6, 8), "cpu"), "one")
+    else:
+        with pytest.raises(BadInput, match=f"{name}: "):
+            (load_model if name.endswith("onnx") else load_weights)(tmp_path / name)
+    assert not mark.exists()
 
 
 def test_model_of_another_sensor_grid_or_size_is_refused(folder, trained):

@@ -8,7 +8,7 @@ import torch
 
 from gelforge.errors import BadInput
 from gelforge.networks.models.gridnet import strides
-from gelforge.networks.models.inputs import channels, network_input
+from gelforge.networks.models.inputs import network_input
 from gelforge.networks.models.registry import build, parameter_count
 from gelforge.networks.models.resnet import BasicBlock, ResNetTotal
 from gelforge.networks.models.unet import UNet
@@ -84,10 +84,9 @@ def test_every_network_of_the_table_builds(root):
 
 @pytest.mark.parametrize("kind", KINDS)
 def test_a_kind_writes_one_cell_exactly_where_it_knows_totals_only(kind):
-    reads = "pair" if kind == "geometry" else "image"
-    net = build({"kind": kind, "reads": reads}, (240, 320), (24, 32)).eval()
+    net = build({"kind": kind}, (240, 320), (24, 32)).eval()
     with torch.inference_mode():
-        reported = net(torch.zeros(1, channels(reads), 240, 320))
+        reported = net(torch.zeros(1, 3, 240, 320))
     assert reported.shape == ((1, 3, 1, 1) if KINDS[kind].totals_only else (1, 3, 24, 32))
 
 

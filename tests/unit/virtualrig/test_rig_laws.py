@@ -3,7 +3,6 @@
 from dataclasses import replace
 from functools import cache
 
-import cv2
 import numpy as np
 from hypothesis import assume, example, given, settings
 from hypothesis import strategies as st
@@ -11,7 +10,6 @@ from hypothesis import strategies as st
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
 from gelforge.labelling.sensor import load_sensors
-from gelforge.records.geometryfile import STEP as SLOPE_STEP
 from gelforge.records.press import Press
 from gelforge.virtualrig.appearance import TERMS, Appearance, read_appearances
 from gelforge.virtualrig.fields import STEP, body_of, unloaded
@@ -170,40 +168,3 @@ def test_a_body_shows_where_the_gel_that_it_presses_shows(name, x, y, down):
     assume(inside_image(seen[weight > 0.0], 2.0 * RIPPLE_MM * eye.scale).all())
     expected = (weight[:, None] * seen).sum(axis=0) / weight.sum()
     assert np.abs(found - expected).max() < 0.03
-
-
-def slope_of_moved_top(shift: tuple[float, float]) -> float:
-    """Largest change of the unloaded top's slope at any place of the gel, when the top moves sideways by `shift` mm."""
-    gel, at = Gel(), np.arange(-11.0, 11.01, 0.05)
-    x, y = np.meshgrid(at[np.abs(at) < 8.5], at)
-    change = gel.top(x - shift[0], y - shift[1]) - gel.top(x, y)
-    return max(np.abs(slope).max() for slope in np.gradient(change, 0.05))
-
-
-@given(
-    name=st.sampled_from(UNITS), shift=st.tuples(st.floats(-0.3, 0.3), st.floats(-0.3, 0.3)), sunk=st.floats(0.0, 1.5)
-)
-@example(name="mini_c", shift=(0.0, 0.25), sunk=0.0)
-@settings(max_examples=10)
-def test_a_shape_says_how_far_the_gel_appears_moved(name, shift, sunk):
-    """A gel that moves as a whole slopes as its curved top now stands, and appears moved by shift and perspective."""
-    eye, sensor = camera(name), load_sensors(ROOT / "workflow/sensors.toml")[name]
-    field = unloaded(Gel())
-    field.values[..., :2] = shift
-    level = eye.geometry(eye.shown(field))
-    field.values[..., 2] = -sunk
-    shape = eye.geometry(eye.shown(field))
-    gel = np.array([[-4.3, -6.2], [-1.1, 0.4], [3.7, 5.1], [4.2, -4.0]])
-    moved = np.broadcast_to([*shift, -sunk], (4, 3))
-    before, after = sensor.project(gel), eye.seen(gel, moved)
-    inside = ((after > [12, 12]) & (after < [308, 228])).all(axis=1)
-    assume(inside.any())
-    for old, new in zip(before[inside], after[inside], strict=True):
-        column, row = ((new - 4.0) / 8.0).tolist()
-        at = (
-            cv2.getRectSubPix(shape.motion[0].astype(np.float32), (1, 1), (column, row)),
-            cv2.getRectSubPix(shape.motion[1].astype(np.float32), (1, 1), (column, row)),
-        )
-        # nine rounds of the fixed point, float16 of some px
-        assert np.abs(np.ravel(at) - (new - old)).max() < 0.1
-    assert np.abs(level.slopes[:, 8:-8, 8:-8]).max() * SLOPE_STEP <= slope_of_moved_top(shift) + SLOPE_STEP

@@ -54,14 +54,6 @@ def _intervals(value: Any) -> bool:
     return isinstance(value, dict) and (not value.get("total") or _half_widths(value["total"]))
 
 
-def _digests(value: Any) -> bool:
-    return isinstance(value, dict) and all(isinstance(one, str) for one in value.values())
-
-
-def _stages(value: Any) -> bool:
-    return _names(value) and len(value) > 0 and value[-1] == "forces" and all(name.isidentifier() for name in value)
-
-
 def _reads(value: Any) -> bool:
     return isinstance(value, str) and value in INPUT_CHANNELS
 
@@ -77,8 +69,7 @@ def _pitches(value: Any) -> bool:
 # Every part of a model's metadata that use relies on, and what it must be.
 PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "name": ("a name", lambda v: isinstance(v, str) and 0 < len(v) <= 200),
-    "stages": ('names of its graphs, the last one "forces"', _stages),
-    "sha256": ("digests of its graphs", _digests),
+    "sha256": ("the digest of its graph", lambda v: isinstance(v, str)),
     "model": ("a table of its network", lambda v: isinstance(v, dict)),
     "model.kind": (f"one of {', '.join(KINDS)}", lambda v: isinstance(v, str) and v in KINDS),
     "model.reads": (f"one of {', '.join(INPUT_CHANNELS)}, or absent", lambda v: v is ABSENT or _reads(v)),

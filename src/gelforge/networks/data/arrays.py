@@ -25,21 +25,12 @@ SMALLEST = {TRAINING: 4, VALIDATION: 1}
 
 
 @dataclass(frozen=True)
-class Shapes:
-    """The gel's shape in each image: slopes (n, 2, rows, cols) int8 and motion (n, 2, rows, cols) float16 of `records.geometryfile`."""
-
-    slopes: np.ndarray | Rows
-    motion: np.ndarray | Rows
-
-
-@dataclass(frozen=True)
 class Data:
     """One dataset of stage 60, its arrays on disk.
 
     images (n, height, width, 3) uint8 RGB; labels (n, 3, rows, cols) float32 N per cell, channels and
     signs as FEATS; table has one record per sample; splits gives row numbers by name; nocontact
-    has the no-contact image (height, width, 3) uint8 RGB of each sensor that has one; shapes those of the gel, where the virtual rig
-    gave them.
+    has the no-contact image (height, width, 3) uint8 RGB of each sensor that has one.
     """
 
     folder: Path
@@ -50,7 +41,6 @@ class Data:
     info: dict
     normalisation: dict
     nocontact: dict[str, np.ndarray]
-    shapes: Shapes | None = None
     # Lights of the rows that were looked at: they are found once, not in every epoch.
     _lights: dict[int, Light] = field(default_factory=dict, init=False, repr=False, compare=False)
 
@@ -146,19 +136,7 @@ def open_data(folder) -> Data:
         match_pictures(folder, info, pictures, images),
         read_json(folder / "normalisation.json"),
     )
-    shapes = open_shapes(folder, len(images)) if (folder / "slopes.npy").exists() else None
-    return Data(folder, images, labels, table, splits, info, normalisation, nocontact, shapes)
-
-
-def open_shapes(folder: Path, count: int) -> Shapes:
-    """The shapes of a dataset's images; BadInput where they are of another number."""
-    shapes = Shapes(*(RowFile(folder / f"{name}.npy") for name in ("slopes", "motion")))
-    if not len(shapes.slopes) == len(shapes.motion) == count:
-        raise BadInput(
-            f"{folder}: {count} images, {len(shapes.slopes)} slopes and {len(shapes.motion)} motions; they must be as many: remove"
-            " the folder and make the dataset again"
-        )
-    return shapes
+    return Data(folder, images, labels, table, splits, info, normalisation, nocontact)
 
 
 def check_shapes(folder, images, labels, table, info) -> None:

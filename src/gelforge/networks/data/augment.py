@@ -81,47 +81,19 @@ def misplace_nocontact(pairs: np.ndarray, narrow: np.ndarray, settings: AugmentT
     Where the gel is held its markers do not move under any force, so these show the network what to take back. narrow: (n,)
     pairs that are left alone because they do not show these markers: there a common motion is sideways force.
     """
-    return _misplaced(pairs, narrow, settings, generator)[0]
-
-
-def misplace_shapes(pairs: np.ndarray, motion: np.ndarray, settings: AugmentTable, generator):
-    """Shift, turn and zoom the no-contact image of a fraction of the pairs (n, h, w, 6) uint8, and let their motion show it.
-
-    motion: (n, 2, rows, cols) px of what appears moved in the image against the no-contact one. Returns both, changed.
-    """
-    motion, (h, w), (rows, cols) = motion.astype(np.float32), pairs.shape[1:3], motion.shape[2:]
-    v, u = np.meshgrid(
-        (np.arange(rows) + 0.5) * h / rows - 0.5, (np.arange(cols) + 0.5) * w / cols - 0.5, indexing="ij"
-    )
-    place = np.stack([u, v]).astype(np.float32)
-    pairs, moves = _misplaced(pairs, np.zeros(len(pairs), bool), settings, generator)
-    for k, matrix in moves.items():
-        source = place - motion[k]
-        motion[k] = place - (np.einsum("ij,jrc->irc", matrix[:, :2], source) + matrix[:, 2, None, None])
-    return pairs, motion
-
-
-def _misplaced(
-    pairs: np.ndarray, spared: np.ndarray, settings: AugmentTable, generator
-) -> tuple[np.ndarray, dict[int, np.ndarray]]:
-    """Pairs (n, h, w, 6) uint8 some of whose no-contact images are moved, and the similarities (2, 3) that moved them by number.
-
-    spared: (n,) bool, pairs that are left as they are.
-    """
     import cv2
 
     pairs, (h, w) = np.array(pairs), pairs.shape[1:3]
-    chosen = (torch.rand(len(pairs), generator=generator) < settings.misplaced_share) & ~torch.from_numpy(spared)
+    chosen = (torch.rand(len(pairs), generator=generator) < settings.misplaced_share) & ~torch.from_numpy(narrow)
     drawn = torch.stack([uniform(len(pairs), width, generator) for width in (
         settings.misplaced_px, settings.misplaced_px, settings.misplaced_deg, settings.misplaced_zoom)], 1)  # fmt: skip
-    moves = {}
     for k in torch.nonzero(chosen).flatten().tolist():
         right, down, turn, zoom = drawn[k].tolist()
-        moves[k] = cv2.getRotationMatrix2D((w / 2, h / 2), turn, 1.0 + zoom)
-        moves[k][:, 2] += right, down
+        move = cv2.getRotationMatrix2D((w / 2, h / 2), turn, 1.0 + zoom)
+        move[:, 2] += right, down
         behind = np.ascontiguousarray(pairs[k, ..., 3:])
-        pairs[k, ..., 3:] = cv2.warpAffine(behind, moves[k], (w, h), borderMode=cv2.BORDER_REPLICATE)
-    return pairs, moves
+        pairs[k, ..., 3:] = cv2.warpAffine(behind, move, (w, h), borderMode=cv2.BORDER_REPLICATE)
+    return pairs
 
 
 def narrow_views(pairs, labels, settings: AugmentTable, generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.networks.data.arrays import Data, Shapes
+from gelforge.networks.data.arrays import Data
 from gelforge.records.rowfile import ChainedRows
 from gelforge.records.samplefile import DatasetSample
 from gelforge.records.splits import TRAINING, VALIDATION
@@ -34,18 +34,7 @@ def concatenate(own: Data, others: Sequence[Data]) -> Data:
     every = [own, *others]
     images, labels = ChainedRows([one.images for one in every]), ChainedRows([one.labels for one in every])
     info = own.info | {"name": ", ".join(one.name for one in every)}
-    shapes = chained_shapes(every)
-    return replace(
-        own, images=images, labels=labels, table=table, splits=splits, info=info, nocontact=pictures, shapes=shapes
-    )
-
-
-def chained_shapes(every: Sequence[Data]) -> Shapes | None:
-    """The shapes of all images of several datasets; None where one of these has none."""
-    known = [one.shapes for one in every if one.shapes is not None]
-    if len(known) < len(every):
-        return None
-    return Shapes(ChainedRows([one.slopes for one in known]), ChainedRows([one.motion for one in known]))
+    return replace(own, images=images, labels=labels, table=table, splits=splits, info=info, nocontact=pictures)
 
 
 def carrying(dataset: str, sample: DatasetSample) -> DatasetSample:

@@ -12,12 +12,10 @@ from gelforge.networks.data.augment import (
     augment,
     mirror_together,
     misplace_nocontact,
-    misplace_shapes,
     narrow_views,
     shift_together,
 )
 from gelforge.networks.models.inputs import needs_nocontact, network_input
-from gelforge.records.geometryfile import STEP
 from gelforge.records.splits import TRAINING
 
 STREAMS = {
@@ -28,7 +26,6 @@ STREAMS = {
     "mirror": 4,
     "seat": 5,
     "view": 6,
-    "shape": 7,
 }
 VARIED = ("augment", "shift", "mirror", "seat", "view")  # what an epoch's pictures draw from
 
@@ -107,28 +104,6 @@ def _varied(data, rows: np.ndarray, reads: str, settings: TrainingTable, mirrors
     if mirrors:
         pictures, labels = mirror_together(pictures, labels, draws["mirror"])
     return augment(images_to_tensor(pictures), settings.augment, draws["augment"]), labels
-
-
-def shaped_batches(data, norm: dict, settings: TrainingTable, epoch: int):
-    """Yield (input, target, slopes, motion) of one epoch of pairs whose shapes are known.
-
-    Shapes (k, 6, h, w), (k, 3, rows, cols), and those of `networks.data.arrays.Shapes` in mm per mm and px. Colours are varied and
-    no-contact images misplaced as [train.augment] says; coloured light does not mirror or shift, so images are not.
-    """
-    order = epoch_order(data.splits[TRAINING], settings.seed, epoch, settings.epoch_images)
-    draws = {stream: generator(settings.seed, stream, epoch) for stream in ("seat", "augment")}
-    for start in range(0, len(order), settings.batch):
-        rows = np.sort(order[start : start + settings.batch])
-        pairs, motion = data.seen(rows, norm["reads"]), data.shapes.motion[rows]
-        pairs, motion = misplace_shapes(pairs, motion, settings.augment, draws["seat"])
-        pictures = augment(images_to_tensor(pairs), settings.augment, draws["augment"])
-        slopes = torch.from_numpy(data.shapes.slopes[rows].astype(np.float32)) * STEP
-        yield (
-            network_input(pictures, norm),
-            target(data.labels[rows], norm, False),
-            slopes,
-            torch.from_numpy(motion),
-        )
 
 
 class Prefetch:

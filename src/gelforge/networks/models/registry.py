@@ -10,7 +10,6 @@ from torch import nn
 
 from gelforge.errors import BadInput
 from gelforge.networks.models import inputs
-from gelforge.networks.models.geometry import GeometryNet
 from gelforge.networks.models.gridnet import GridNet
 from gelforge.networks.models.resnet import ResNetTotal
 from gelforge.networks.models.unet import SingleChannelUNets, UNet, side_at_top
@@ -29,7 +28,6 @@ def build(config: dict, image, grid) -> nn.Module:
         "unet_single": lambda: SingleChannelUNets(grid, **sizes),
         "resnet": lambda: ResNetTotal(**sizes),
         "grid": lambda: GridNet(image, grid, **sizes),
-        "geometry": lambda: GeometryNet(image, grid, **sizes),
     }
     net = kinds[config["kind"]]()
     levels = max((len(part.down) for part in net.modules() if isinstance(part, UNet)), default=0)

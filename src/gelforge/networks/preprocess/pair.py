@@ -1,4 +1,4 @@
-"""From a picture to what the graphs of a model read: all that ONNX cannot hold, on one page of numpy and OpenCV.
+"""From a picture to what the graph of a model reads: all that ONNX cannot hold, on one page of numpy and OpenCV.
 
     prepare = Preprocessor(metadata, nocontact)  # metadata: of the model's file (networks.checkpoint.modelfile)
     session = onnxruntime.InferenceSession("model.onnx")
@@ -8,7 +8,7 @@
 `Predictor` does this, subtracts what is predicted for the no-contact image itself, and multiplies by the factor of a profile.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -22,6 +22,8 @@ from gelforge.networks.preprocess.markertracks import MarkerTracker, Tracks
 from gelforge.networks.preprocess.registration import rim_shift, shifted_back
 from gelforge.networks.preprocess.scale import WHOLE, fit_size, view_of
 from gelforge.records.markers import pitch_of
+
+INPUTS = ("image", "nocontact")  # what the inputs of a graph may be named
 
 
 class NoContact:
@@ -49,7 +51,7 @@ class NoContact:
 
 @dataclass(frozen=True)
 class Prepared:
-    """A picture as the graphs of a model read it, and what was measured on the way.
+    """A picture as the graph of a model reads it, and what was measured on the way.
 
     image: (h, w, 3) uint8 at the model's size and scale, registered; lit: under the light of the no-contact image, too, from which its
     own differed by `light`. fault: what is wrong with its shape. nocontact and light are None beside a model of one picture.
@@ -67,8 +69,13 @@ class Prepared:
         return self._reference().markers.track(self.lit)
 
     def feature(self, name: str) -> np.ndarray:
-        """What a graph's input of that name is given, with a first axis of one picture; FEATURES says which there are."""
-        return np.ascontiguousarray(FEATURES[name](self)[None])
+        """What a graph's input is given, (1, h, w, 3) uint8 RGB: `image`, or `nocontact`; BadInput for another name."""
+        if name not in INPUTS:
+            raise BadInput(
+                f"the graph of the model reads {name!r}, only {' and '.join(INPUTS)} are there; train it again"
+            )
+        picture = self.lit if name == "image" else self._reference().picture
+        return np.ascontiguousarray(picture[None])
 
     def _reference(self) -> NoContact:
         if self.nocontact is None:
@@ -76,15 +83,6 @@ class Prepared:
                 "this network reads one picture alone, and no markers: there is no no-contact image to compare with"
             )
         return self.nocontact
-
-
-# What a graph's inputs may be named. image, nocontact: (h, w, 3) uint8 RGB; displacement: (3, ROWS, COLS) float32 of the
-# markers on their lattice, px along u and v and whether one was found (networks.preprocess.markertracks).
-FEATURES: dict[str, Callable[[Prepared], np.ndarray]] = {
-    "image": lambda seen: seen.lit,
-    "nocontact": lambda seen: seen._reference().picture,
-    "displacement": lambda seen: seen._reference().markers.on_lattice(seen.tracks),
-}
 
 
 class Preprocessor:

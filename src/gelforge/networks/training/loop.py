@@ -1,6 +1,7 @@
 """The training loop: seeded, resumable to the same curve, best epoch by validation."""
 
 import copy
+import io
 import math
 import resource
 import time
@@ -16,12 +17,9 @@ from gelforge.errors import BadInput, GelforgeError
 from gelforge.flow.files import publish
 from gelforge.flow.params.tables import TrainingTable
 from gelforge.flow.progress import progress
-from gelforge.networks.checkpoint.weights import read_tree, write_tree
-from gelforge.networks.data.loader import Prefetch, generator, images_to_tensor, shaped_batches, training_batches
-from gelforge.networks.models.geometry import GeometryNet
+from gelforge.networks.data.loader import Prefetch, generator, images_to_tensor, training_batches
 from gelforge.networks.models.inputs import network_input
 from gelforge.networks.models.registry import begin_as, build
-from gelforge.networks.training.geometryloss import taught
 from gelforge.records.axes import CHANNELS
 from gelforge.records.networkkind import kind_of
 from gelforge.records.splits import TRAINING, VALIDATION
@@ -160,7 +158,7 @@ class Training:
         self.schedule, self.by_validation = make_schedule(self.optimiser, settings)
         self.mean: AveragedModel | None = None  # of the weights, once they are averaged
         self.mixed = mixes_precision(settings, device)
-        self.epochs_done = self.steps_in_epoch = 0
+        self.epochs_done = 0
         self.curve: list[dict] = []
         self.best: dict[str, Any] = {"epoch": 0, "val_score": float("inf"), "weights": None}
         self.start: dict[str, Any] | None = None  # weights that it is fine-tuned from, and their validation
@@ -244,22 +242,14 @@ class Training:
         self.epochs_done = len(self.curve)
         self.cost["resumed"] += 1
 
-    def step(self, images, target, *shape) -> float:
-        """One step of the optimiser on inputs (k, channels, h, w) and targets (k, 3, rows, cols); return the loss.
-
-        shape: slopes and motion of the gel in these images, where the network is taught them.
-        """
+    def step(self, images, target) -> float:
+        """One step of the optimiser on inputs (k, channels, h, w) and targets (k, 3, rows, cols); return the loss."""
         images, target = images.to(self.device), target.to(self.device)
         scale, total = (torch.tensor(self.norm[key], device=self.device).float() for key in ("label", "total"))
         self.optimiser.zero_grad(set_to_none=True)
-        if shape:
-            drawn = generator(self.settings.seed, "shape", self.cost["steps"] + self.steps_in_epoch)
-            slopes, motion = (one.to(self.device) for one in shape)
-            loss = taught(self.net, images, target, slopes, motion, scale, drawn)
-        else:
-            with torch.autocast(self.device, dtype=torch.bfloat16, enabled=self.mixed):
-                output = self.net(images)
-            loss = loss_of(output.float(), target, scale, total, self.settings)
+        with torch.autocast(self.device, dtype=torch.bfloat16, enabled=self.mixed):
+            output = self.net(images)
+        loss = loss_of(output.float(), target, scale, total, self.settings)
         loss.backward()
         self.optimiser.step()
         if self.averages(self.epochs_done):
@@ -277,8 +267,6 @@ class Training:
 
     def batches(self, data) -> Prefetch:
         """Start preparing the batches of the next epoch."""
-        if isinstance(self.net, GeometryNet) and data.shapes is not None:
-            return Prefetch(shaped_batches(data, self.norm, self.settings, self.epochs_done))
         return Prefetch(training_batches(data, self.norm, self.settings, self.epochs_done, self.total_only))
 
     def train_epoch(self, batches: Prefetch) -> float:
@@ -290,7 +278,6 @@ class Training:
                 layer.eval()
         losses: list[float] = []
         for batch in batches:
-            self.steps_in_epoch = len(losses)
             losses.append(self.step(*batch))
         self.cost["wait_seconds"] += batches.waited - waited
         seconds = time.perf_counter() - started
@@ -326,9 +313,11 @@ class Training:
 
 
 def save_checkpoint(path, training: Training, identity: str) -> None:
-    """Write a checkpoint, whole or not at all."""
+    """Write a checkpoint, whole or not at all; OSError where there is no room for it."""
+    content = io.BytesIO()  # torch's own error of a full disk is none of the system's
+    torch.save(training.state(identity), content)
     with publish(path) as part:
-        write_tree(training.state(identity), part)
+        part.write_bytes(content.getvalue())
 
 
 def resume(path, training: Training, identity: str) -> bool:
@@ -336,9 +325,9 @@ def resume(path, training: Training, identity: str) -> bool:
     if path is None or not Path(path).exists():
         return False
     try:
-        state = read_tree(path)
-    except BadInput as error:
-        print(f"{error}: starting over", flush=True)
+        state = torch.load(path, map_location="cpu", weights_only=True)
+    except Exception as error:  # torch raises a dozen kinds for a corrupt file, none of them documented
+        print(f"{path}: cannot be read ({type(error).__name__}), starting over", flush=True)
         return False
     if not isinstance(state, dict) or state.get("identity") != identity:
         print(f"{path}: of another configuration or dataset, starting over", flush=True)
