@@ -35,6 +35,7 @@ include rules/00_given.mk
 include rules/00_setup.mk
 include rules/00_plan.mk
 include rules/10_poses.mk
+include rules/15_images.mk
 include rules/20_meshes.mk
 include rules/30_fea.mk
 include rules/40_forces.mk

@@ -15,8 +15,8 @@ BESIDE_DIGEST := $(if $(BESIDE),$(shell LC_ALL=C find -L $(BESIDE) -type f -prin
 .PHONY: dataset
 dataset: $(DATASETS)  ## images and labels, split without leaks, with normalisation
 
-$(DATASETS): $D/60_dataset/%/dataset.json: $(LABEL_SOURCE) $(if $(IMPORTED),$D/00_plan/shards.csv,$(POSES)) $D/60_dataset/beside.txt $P/dataset.json $P/indenters.json $P/sensors.json | $(call barrier,10_poses)
-	$(call step,gelforge.stages.dataset --data $(DATA) --labels $(if $(IMPORTED),$<,$(<D)) --poses $D/10_poses --shards $D/00_plan/shards --catalogue $P/indenters.json --sensors $P/sensors.json --resolution $* --params $P/dataset.json $(if $(STRICT),--strict) --out $@.part)
+$(DATASETS): $D/60_dataset/%/dataset.json: $(LABEL_SOURCE) $(if $(IMPORTED),$D/00_plan/shards.csv,$(POSES)) $(IMAGES_JUDGED) $D/60_dataset/beside.txt $P/dataset.json $P/indenters.json $P/sensors.json | $(call barrier,10_poses)
+	$(call step,gelforge.stages.dataset --data $(DATA) --labels $(if $(IMPORTED),$<,$(<D)) --poses $D/10_poses --shards $D/00_plan/shards $(if $(IMAGES_JUDGED),--images $(IMAGES_JUDGED)) --catalogue $P/indenters.json --sensors $P/sensors.json --resolution $* --params $P/dataset.json $(if $(STRICT),--strict) --out $@.part)
 
 # STRICT=1 after a make without it: datasets with presses that share a picture are judged again, and fail.
 $(if $(STRICT),$(shell grep -ls '"repeated_pictures"' $D/60_dataset/*/dataset.json)): strict

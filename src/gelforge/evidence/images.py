@@ -108,13 +108,14 @@ def _same_light(image: np.ndarray, nocontact: np.ndarray, light: Light) -> bool:
 class Seen:
     """What is kept of a press whose image is judged beside others: maps (30, 40) of its imprint (`evidence.imprints`).
 
-    measured: zero where the image cannot be used. centre: (2,) columns and rows of the maps at which the tip ends. mm: size of a place.
+    fault: what is wrong with the image by itself (`image_fault`). centre: (2,) columns and rows of the maps at which the tip ends. mm: size of a place.
     """
 
     row: int
     sample_id: str
     sensor: str
     indenter: str
+    fault: str
     measured: np.ndarray
     expected: np.ndarray
     centre: np.ndarray
@@ -122,8 +123,8 @@ class Seen:
 
     @property
     def telling(self) -> bool:
-        """Whether there is an imprint, and one to expect."""
-        return bool(np.ptp(self.measured) > SHOWN and np.ptp(self.expected) > 0.0)
+        """Whether there is an imprint in an image without a fault, and one to expect."""
+        return bool(not self.fault and np.ptp(self.measured) > SHOWN and np.ptp(self.expected) > 0.0)
 
     @property
     def likeness(self) -> float:

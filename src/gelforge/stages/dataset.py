@@ -5,7 +5,7 @@ import hashlib
 import os
 import sys
 from argparse import Namespace
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -37,12 +37,15 @@ from gelforge.records.table import numbered_rows, read_table
 
 VERSION = 4
 NO_IMAGE = "no image in the log"
+WRONG_IMAGE = "its image is not of this press"
 
 
-def collect(shards: list[tuple[Path, list]], truth: dict) -> tuple[list[DatasetSample], list, dict, dict]:
+def collect(
+    shards: list[tuple[Path, list]], truth: dict, wrong_images: Mapping[str, str]
+) -> tuple[list[DatasetSample], list, dict, dict]:
     """Samples with a label and an image, where each one's label lies, what was left out, and the first shard's material.
 
-    shards: label files with the presses of their samples (a pose table or a log). Places are (file number, index in
+    shards: label files with the presses of their samples (a pose table or a log). wrong_images: samples to leave out. Places are (file number, index in
     it); what was left out is counted by its reason.
     """
     found: list[DatasetSample] = []
@@ -56,7 +59,7 @@ def collect(shards: list[tuple[Path, list]], truth: dict) -> tuple[list[DatasetS
         totals = labels.label.sum(axis=(2, 3), dtype=np.float64)
         for at, (name, status) in enumerate(zip(labels.sample_id.tolist(), labels.status, strict=True)):
             press = by_id.get(name)
-            reason = _reason(press, status)
+            reason = _reason(press, status) or (WRONG_IMAGE if name in wrong_images else "")
             if reason or press is None:
                 left_out[reason] = left_out.get(reason, 0) + 1
                 continue
@@ -329,7 +332,9 @@ def build(args) -> dict:
     """Write the arrays and tables of one resolution beside args.out; return the contents of dataset.json."""
     grid, settings = Grid.parse(args.resolution), read_parameters(args.params, ForDataset).dataset
     shards = list_shards(args)
-    found, places, left_out, material = collect(shards, read_truth(args.data))
+    found, places, left_out, material = collect(
+        shards, read_truth(args.data), read_json(args.images)["left_out"] if args.images else {}
+    )
     if not found:
         raise BadInput(nothing_left(args, left_out))
     presses = [each.press for each in found]
@@ -360,6 +365,7 @@ def build(args) -> dict:
     option("--labels", type=Path, help="50_labels/RES, or an imported labels/RES.npz"),
     option("--poses", type=Path, help="folder 10_poses"),
     option("--shards", type=Path, help="folder of planned shards"),
+    option("--images", type=Path, default=None, help="15_images/images.json"),
     option("--catalogue", type=Path, help="stage parameters of the indenters, .json"),
     option("--sensors", type=Path),
     option("--resolution", help="ROWSxCOLS"),

@@ -45,35 +45,55 @@ def press_of(row: dict) -> Press:
     return Press(*(float(row[name]) for name in POSE))
 
 
+KNOWN: dict = {}
+
+
+def once(make, *parts):
+    """make(*parts), made once for the same parts: a trouble leaves most of a log as it is."""
+    key = make, *(id(part) for part in parts)
+    if key not in KNOWN:
+        KNOWN[key] = make(*parts), parts  # which are kept, so that no other has their identity
+    return KNOWN[key][0]
+
+
+def look(image: np.ndarray, nocontact: np.ndarray) -> tuple[np.ndarray, str]:
+    rest = once(Rest, nocontact)
+    measured, light = rest.imprint(image)
+    return measured, image_fault(image, rest, light)
+
+
+def expect(row: dict, sensor, body) -> np.ndarray:
+    return once(Window, sensor).expected(body, press_of(row))
+
+
 def judged(log: Log) -> list[str]:
     """What is said of a log: of its no-contact images, of its images one by one, and of all together."""
-    said = [f"{name}: {fault}" for name, picture in log.nocontact.items() if (fault := nocontact_fault(picture))]
-    rests, windows = ({name: kind(part) for name, part in parts.items() if name in log.nocontact}
-                      for kind, parts in ((Rest, log.nocontact), (Window, log.sensors)))  # fmt: skip
+    faults = {name: once(nocontact_fault, picture) for name, picture in log.nocontact.items()}
+    said = [f"{name}: {fault}" for name, fault in faults.items() if fault]
     seen = []
     for number, (row, image) in enumerate(zip(log.rows, log.images, strict=True)):
-        rest, window, press = rests[row["sensor_id"]], windows[row["sensor_id"]], press_of(row)
-        measured, light = rest.imprint(image)
-        fault = image_fault(image, rest, light)
+        sensor = log.sensors[row["sensor_id"]]
+        measured, fault = once(look, image, log.nocontact[row["sensor_id"]])
         if fault:
             said.append(f"row {number + 2}: {fault}")
-            measured = np.zeros_like(measured)
-        expected = window.expected(log.bodies[row["indenter"]], press)
+        expected, window = once(expect, row, sensor, log.bodies[row["indenter"]]), once(Window, sensor)
+        centre = window.place(press_of(row))
         seen.append(
             Seen(
                 number + 2,
                 row["sample_id"],
                 row["sensor_id"],
                 row["indenter"],
+                fault,
                 measured,
                 expected,
-                window.place(press),
+                centre,
                 window.mm,
             )
         )
 
     def shape(one: Seen, name: str) -> np.ndarray:
-        return windows[one.sensor].expected(log.bodies[name], press_of(log.rows[one.row - 2]))
+        return once(expect, log.rows[one.row - 2], log.sensors[one.sensor], log.bodies[name])
 
     return said + [one.text for one in findings(seen, Shapes(list(log.bodies), shape))]
 

@@ -18,6 +18,7 @@ from gelforge.flow.params.tables import (
     EvaluateTable,
     FeaTable,
     ForcesTable,
+    ImagesTable,
     InterfaceTable,
     LabelsTable,
     MaterialTable,
@@ -45,6 +46,13 @@ class ForPoses(StageParameters):
     """What stage 10 reads."""
 
     poses: PosesTable
+
+
+@dataclass(frozen=True)
+class ForImages(StageParameters):
+    """What stage 15 reads."""
+
+    poses: ImagesTable
 
 
 @dataclass(frozen=True)
@@ -156,6 +164,7 @@ class Source:
 # By the name of the file, 00_plan/params/NAME.json.
 SOURCES = {
     "poses": Source(ForPoses, "poses"),
+    "images": Source(ForImages, "images"),
     "meshes": Source(ForMeshes, "meshes"),
     "fea": Source(ForFea, "fea"),
     "forces": Source(ForForces, "forces"),

@@ -321,6 +321,14 @@ class CalibrateTable(ParameterTable):
 
 
 @dataclass(frozen=True)
+class ImagesTable(ParameterTable):
+    """What of [poses] says how images are judged."""
+
+    images: bool
+    judge_images: bool
+
+
+@dataclass(frozen=True)
 class PosesTable(ParameterTable):
     """[poses]: from commanded paths to those of the tip against the gel."""
 
@@ -328,6 +336,7 @@ class PosesTable(ParameterTable):
     compliance_mm_per_n: Annotated[Number, Within(0.0, 1.0, "mm/N")]
     shear_compliance_mm_per_n: Annotated[Number, Within(0.0, 1.0, "mm/N")]
     images: bool
+    judge_images: bool
     deepest_share: Annotated[Number, Within(TINY, 1.0)]
     farthest_shear_mm: Annotated[Number, Within(0.0, 1e3, "mm")]
     bulge_mm: Annotated[Number, Within(0.0, 1e3, "mm")]

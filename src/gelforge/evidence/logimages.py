@@ -1,0 +1,102 @@
+"""The images of one dataset's log: what is kept of each to judge all of them together."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.evidence.images import Seen, image_fault, nocontact_fault
+from gelforge.evidence.imprints import COLS, ROWS, Rest, Window
+from gelforge.flow.files import publish
+from gelforge.geometry.solids import Indenter
+from gelforge.labelling.sensor import sensor_of
+from gelforge.records.image import read_image, read_logged_image
+from gelforge.records.npz import Archive
+from gelforge.records.press import SENSOR_TABLES, PosedPress
+
+KEEP = "or set judge_images = false under [params.poses] in dataset.toml to use the images as they are"
+TEXTS = ("sample_id", "sensor", "indenter", "fault")
+SHAPES: dict[str, tuple[int, ...]] = {
+    "row": (),
+    "measured": (ROWS, COLS),
+    "expected": (ROWS, COLS),
+    "centre": (2,),
+    "mm": (),
+}
+
+
+class LogImages:
+    """Judges the images of presses against the no-contact images of their sensors, DATA/nocontact/SENSOR.png.
+
+    sensors: tables of the sensors by name, as in sensors.toml. A no-contact image that cannot be right raises BadInput when its sensor
+    is first met.
+    """
+
+    def __init__(self, data: Path, sensors: Mapping[str, dict[str, Any]]) -> None:
+        self.data, self.sensors = data, sensors
+        self._known: dict[str, tuple[Rest, Window] | None] = {}
+
+    def _of(self, name: str) -> tuple[Rest, Window] | None:
+        if name not in self._known:
+            path = self.data / "nocontact" / f"{name}.png"
+            self._known[name] = self._read(path, name) if path.exists() else None
+        return self._known[name]
+
+    def _read(self, path: Path, name: str) -> tuple[Rest, Window]:
+        sensor = sensor_of(SENSOR_TABLES, name, self.sensors[name])
+        picture = read_image(path, sensor.image)
+        fault = nocontact_fault(picture)
+        if fault:
+            raise BadInput(
+                f"{path}: the no-contact image of {name} {fault}. Record it while nothing touches the gel, {KEEP}"
+            )
+        return Rest(picture), Window(sensor)
+
+    def see(self, press: PosedPress, body: Indenter) -> Seen | None:
+        """What is kept of the image of a press, beside what is wrong with it; None without an image or a no-contact image."""
+        known = self._of(press.sensor_id)
+        if known is None or not press.image:
+            return None
+        rest, window = known
+        image = read_logged_image(self.data, press.image, window.sensor.image)
+        measured, light = rest.imprint(image)
+        path = press.press
+        return Seen(
+            row=press.row,
+            sample_id=press.sample_id,
+            sensor=press.sensor_id,
+            indenter=press.indenter,
+            fault=image_fault(image, rest, light),
+            measured=measured,
+            expected=window.expected(body, path),
+            centre=window.place(path),
+            mm=window.mm,
+        )
+
+
+def write_seen(path: Path, seen: Sequence[Seen], key: str) -> None:
+    """Write what is kept of some presses' images as an .npz, whole or not at all. key: digest of what it was made of."""
+    arrays: dict[str, np.ndarray] = {name: np.array([getattr(one, name) for one in seen], "U") for name in TEXTS}
+    for name, shape in SHAPES.items():
+        kind = int if name == "row" else np.float32
+        arrays[name] = np.array([getattr(one, name) for one in seen], kind).reshape(len(seen), *shape)
+    with publish(path) as part, part.open("wb") as stream:
+        np.savez_compressed(stream, allow_pickle=False, key=np.array([key]), **arrays)
+
+
+def read_seen(path: Path, key: str) -> list[Seen] | None:
+    """What `write_seen` kept; None where there is nothing, or what was made of something else."""
+    try:
+        with Archive(path, "maps of a log's images", "remove it") as file:
+            if file.array("key", "U", 1).tolist() != [key]:
+                return None
+            columns = {name: file.array(name, "U", 1).tolist() for name in TEXTS}
+            arrays = {name: file.array(name, "if", 1 + len(shape)) for name, shape in SHAPES.items()}
+    except BadInput:
+        return None
+    columns |= {"row": arrays.pop("row").tolist(), "mm": arrays.pop("mm").tolist()}
+    return [
+        Seen(**{name: column[at] for name, column in (columns | arrays).items()}) for at in range(len(columns["row"]))
+    ]

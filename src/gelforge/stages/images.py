@@ -1,0 +1,143 @@
+"""Stage 15: whether the images of a log, one by one and taken together, show what its rows describe (`evidence.images`).
+
+A finding by which no label could be right stops make here, before anything is solved. Rows whose image is wrong are left out of the
+dataset, and all other findings are notes. What an image shows is kept beside the result, so that a longer log reads its new images only.
+"""
+
+import hashlib
+import os
+import sys
+from argparse import Namespace
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.evidence.images import Seen, Shapes, findings, listed
+from gelforge.evidence.imprints import Window
+from gelforge.evidence.logimages import KEEP, LogImages, read_seen, write_seen
+from gelforge.flow.files import read_json, write_json
+from gelforge.flow.layout import planned_shards
+from gelforge.flow.main import command, option
+from gelforge.flow.params.stages import ForImages, read_parameters
+from gelforge.flow.slots import in_slots
+from gelforge.geometry.solids import Body
+from gelforge.labelling.sensor import sensor_of
+from gelforge.records.log import read_poses
+from gelforge.records.press import SENSOR_TABLES, PosedPress
+from gelforge.stages.fea import bodies_of
+
+VERSION = 1
+CHUNK = 200  # presses that one process looks at
+
+
+def key_of(press: PosedPress, data: Path, tables: Mapping[str, dict]) -> str:
+    """A digest of all that a press's maps are made of."""
+    files = [data / press.image, data / "nocontact" / f"{press.sensor_id}.png"]
+    states = [(state.st_mtime_ns, state.st_size) if (state := _stat(file)) else None for file in files]
+    made_of = (VERSION, vars(press), states, tables["sensors"][press.sensor_id], tables["indenters"][press.indenter])
+    return hashlib.sha256(repr(made_of).encode()).hexdigest()
+
+
+def _stat(path: Path) -> os.stat_result | None:
+    try:
+        return path.stat()
+    except OSError:
+        return None
+
+
+def look(path: Path, presses: list[PosedPress], data: Path, tables: dict, workflow: Path) -> list[Seen]:
+    """What is kept of some presses' images: read from `path`, or made anew and written there."""
+    key = hashlib.sha256("".join(key_of(press, data, tables) for press in presses).encode()).hexdigest()
+    seen = read_seen(path, key)
+    if seen is None:
+        images, bodies = LogImages(data, tables["sensors"]), bodies_of(presses, tables, workflow)
+        every = (images.see(press, bodies[press.indenter]) for press in presses)
+        seen = [one for one in every if one is not None]
+        write_seen(path, seen, key)
+    return seen
+
+
+def in_chunks(presses: list[PosedPress]) -> Iterator[list[PosedPress]]:
+    """Presses in parts that stay as they are when a log grows."""
+    for start in range(0, len(presses), CHUNK):
+        yield presses[start : start + CHUNK]
+
+
+def shapes_of(presses: Mapping[str, PosedPress], tables: Mapping[str, dict], bodies: Mapping[str, Body]) -> Shapes:
+    """The indenters that a log names, as they would press in any of its presses."""
+    windows: dict[str, Window] = {}
+
+    def expected(seen: Seen, name: str) -> np.ndarray:
+        if seen.sensor not in windows:
+            windows[seen.sensor] = Window(sensor_of(SENSOR_TABLES, seen.sensor, tables["sensors"][seen.sensor]))
+        return windows[seen.sensor].expected(bodies[name], presses[seen.sample_id].press)
+
+    return Shapes(sorted(bodies), expected)
+
+
+def judge(seen: list[Seen], shapes: Shapes, where: str) -> dict:
+    """What images.json says; findings by which no label could be right raise BadInput."""
+    found = findings(seen, shapes)
+    stopping = [one.text for one in found if one.wrong and len(one.rows) > 1]
+    if stopping:
+        raise BadInput(f"{where}: {'; '.join(stopping)}. Correct it, {KEEP}")
+    names = {one.row: one.sample_id for one in seen}
+    judged = [one for one in seen if one.telling]
+    return {
+        "judged": len(judged),
+        "likeness": {
+            name: round(float(np.median([one.likeness for one in judged if one.sensor == name])), 3)
+            for name in sorted({one.sensor for one in judged})
+        },
+        "left_out": {one.sample_id: one.fault for one in seen if one.fault}
+        | {names[one.rows[0]]: one.text for one in found if one.wrong},
+        "notes": [one.text for one in found if not one.wrong],
+    }
+
+
+def told(found: dict, seen: list[Seen]) -> list[str]:
+    """Lines for a person about what images.json says."""
+    rows: dict[str, list[int]] = {}
+    for one in seen:
+        if one.sample_id in found["left_out"]:
+            rows.setdefault(found["left_out"][one.sample_id], []).append(one.row)
+    kept = "its label is kept, but not in the dataset"
+    return [
+        *(f"rejected: {text} (row {listed(at)}); {kept}" for text, at in rows.items()),
+        *(f"note: {text}" for text in found["notes"]),
+    ]
+
+
+@command(
+    option("--poses", type=Path, help="folder 10_poses"),
+    option("--shards", type=Path, help="folder of the planned shards"),
+    option("--params", type=Path, help="images.json, beside sensors.json, indenters.json"),
+    option("--workflow", type=Path, default=Path("workflow"), help="where STL paths start"),
+    option("--data", type=Path, help="data/DATASET"),
+    option("--jobs", type=int, default=1, help="processes that read images"),
+    option("--out", type=Path, help="15_images/images.json"),
+)
+def main(args: Namespace) -> None:
+    judged = read_parameters(args.params, ForImages).poses
+    seen, shapes = [], Shapes((), lambda one, _: one.expected)
+    if judged.images and judged.judge_images:
+        tables = {name: read_json(args.params.parent / f"{name}.json") for name in ("sensors", "indenters")}
+        presses = [one for shard in planned_shards(args.shards) for one in read_poses(args.poses / f"{shard}.csv")]
+        presses.sort(key=lambda one: one.row)
+        parts = [
+            (args.out.parent / f"{at:04d}.npz", part, args.data, tables, args.workflow)
+            for at, part in enumerate(in_chunks(presses))
+        ]
+        seen = [one for part in in_slots(look, parts, args.jobs) for one in part]
+        by_id = {one.sample_id: one for one in presses}
+        shapes = shapes_of(by_id, tables, bodies_of(presses, tables, args.workflow) if seen else {})
+    found = judge(seen, shapes, str(args.data / "log.csv"))
+    for line in told(found, seen):
+        print(line, file=sys.stderr)
+    write_json(args.out, found)
+
+
+if __name__ == "__main__":
+    main.exit()

@@ -1,0 +1,76 @@
+"""Stage 15 on the demo's images: what stops make, what is left out of the dataset, and what is read again."""
+
+import shutil
+
+import pytest
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_csv, read_json, read_toml, write_csv, write_json
+from gelforge.stages import images
+from tests.support.parameters import write_stage
+
+
+@pytest.fixture
+def folder(root, tmp_path):
+    """The demo's presses as stage 10 leaves them, and their images."""
+    shutil.copytree(root / "data/demo/images", tmp_path / "data/images")
+    shutil.copytree(root / "data/demo/nocontact", tmp_path / "data/nocontact")
+    rows = [row | {"row": at + 2} for at, row in enumerate(read_csv(root / "data/demo/log.csv"))]
+    write_csv(tmp_path / "10_poses/0000.csv", list(rows[0]), rows)
+    (tmp_path / "shards").mkdir()
+    (tmp_path / "shards/0000.csv").touch()
+    for name in ("sensors", "indenters"):
+        write_json(tmp_path / "params" / f"{name}.json", read_toml(root / "workflow" / f"{name}.toml"))
+    return tmp_path
+
+
+def judge(folder, capsys, **poses) -> tuple[int, str]:
+    """Exit status of stage 15 and what it writes to people."""
+    write_stage(folder / "params", "images", poses=poses)
+    status = images.main([
+        "--poses", f"{folder}/10_poses", "--shards", f"{folder}/shards", "--params", f"{folder}/params/images.json",
+        "--workflow", str(folder), "--data", f"{folder}/data", "--out", f"{folder}/15_images/images.json",
+    ])  # fmt: skip
+    return status, capsys.readouterr().err
+
+
+def exchange(folder, one: int, other: int) -> None:
+    first, second = (folder / f"data/images/demo-{at:06d}.png" for at in (one, other))
+    kept = first.read_bytes()
+    first.write_bytes(second.read_bytes())
+    second.write_bytes(kept)
+
+
+def test_good_images_are_read_once_and_wrong_ones_left_out(folder, capsys):
+    assert judge(folder, capsys) == (0, "")
+    found = read_json(folder / "15_images/images.json")
+    assert found["judged"] == 48 and not found["left_out"] and not found["notes"]
+    kept = folder / "15_images/0000.npz"
+    made = kept.stat().st_mtime_ns
+    assert judge(folder, capsys)[0] == 0 and kept.stat().st_mtime_ns == made
+    exchange(folder, 10, 16)
+    shutil.copy(folder / "data/images/demo-000003.png", folder / "data/images/demo-000005.png")
+    status, said = judge(folder, capsys)
+    assert status == 0 and kept.stat().st_mtime_ns != made
+    assert read_json(folder / "15_images/images.json")["left_out"].keys() == {
+        "demo-000005",
+        "demo-000010",
+        "demo-000016",
+    }
+    assert said.count("rejected: ") == 3 and "two sensors" in said and "row 12 (demo-000010)" in said
+
+
+def test_shifted_images_stop_make_unless_all_are_to_be_used(folder, capsys):
+    names = [f"images/demo-{at:06d}.png" for at in range(48)]
+    rows = [row | {"image": names[(at + 1) % 48]} for at, row in enumerate(read_csv(folder / "10_poses/0000.csv"))]
+    write_csv(folder / "10_poses/0000.csv", list(rows[0]), rows)
+    with pytest.raises(BadInput, match=r"shifted by one row.*judge_images = false"):
+        judge(folder, capsys)
+    assert not (folder / "15_images/images.json").exists()
+    assert judge(folder, capsys, judge_images=False) == (0, "")
+
+
+def test_a_pressed_no_contact_image_stops_make(folder, capsys):
+    shutil.copy(folder / "data/images/demo-000003.png", folder / "data/nocontact/mini_e.png")
+    with pytest.raises(BadInput, match=r"nocontact/mini_e.png: .* touches the gel"):
+        judge(folder, capsys)
