@@ -10,7 +10,7 @@ rig: $(SETUP)  ## simulate the presses of a plan, write them to data/: make rig 
 	@$(PY) -m gelforge.stages.rig --plan $(call given,PLAN) --data data --jobs $(SLOTS)
 
 rig-estimate: $(SETUP)  ## estimate core hours, disk, memory and time of a plan from a few of its presses: make rig-estimate PLAN=workflow/rig/paper.toml
-	@$(PY) -m gelforge.stages.rigcost --plan $(call given,PLAN) --data data --cores $(SLOTS)
+	@$(PY) -m gelforge.stages.rig --estimate --plan $(call given,PLAN) --data data --jobs $(SLOTS)
 
 rig-check: $(SETUP)  ## run benchmark-rig, and show images of the rig beside real ones on a page: results/rig-check/index.html
 	@$(PY) -m tests.benchmarks.rig --reference $(call given,REFERENCE) --page results/rig-check/index.html
@@ -18,4 +18,4 @@ rig-check: $(SETUP)  ## run benchmark-rig, and show images of the rig beside rea
 # The table that ships with `gelforge sensor --balls`; to solve it anew remove it first, rows that are there stay.
 .PHONY: ball-table
 ball-table: $(SETUP)  ## solve the missing rows of src/gelforge/networks/balls/balls.csv (three minutes for all)
-	@$(PY) -m gelforge.stages.ball_table
+	@$(PY) -m tests.benchmarks.ball_table

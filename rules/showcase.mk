@@ -7,13 +7,13 @@ README_PICTURES := $(README)/press.png $(README)/real.png $(README)/speed.png $(
 readme-pictures: $(README_PICTURES)  ## draw the README's pictures: a press, real images beside force maps, speed and accuracy, stability
 
 $(README)/press.png: workflow/indenters.toml | $(SETUP)
-	@$(PY) -m gelforge.stages.readme press --catalogue $< --name triangle_10 --out $@
+	@$(PY) -m tests.benchmarks.readme_pictures press --catalogue $< --name triangle_10 --out $@
 
 $(README)/real.png: src/gelforge/networks/weights/default.onnx | $(SETUP)
-	@$(PY) -m gelforge.stages.readme real $(foreach film,$(README_FILMS),$(call given,REFERENCE)/gripper_videos/$(film)) --out $@
+	@$(PY) -m tests.benchmarks.readme_pictures real $(foreach film,$(README_FILMS),$(call given,REFERENCE)/gripper_videos/$(film)) --out $@
 
 $(README)/speed.png: $D/pareto/pareto.json
-	@$(PY) -m gelforge.stages.readme copy --chart $D/pareto/pareto.png --data $< --out $@
+	@$(PY) -m tests.benchmarks.readme_pictures copy --chart $D/pareto/pareto.png --data $< --out $@
 
 $(README)/stability.png: $D/stability/map.json
-	@$(PY) -m gelforge.stages.readme copy --chart $D/stability/map.png --data $< --out $@
+	@$(PY) -m tests.benchmarks.readme_pictures copy --chart $D/stability/map.png --data $< --out $@

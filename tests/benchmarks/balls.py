@@ -23,11 +23,11 @@ from gelforge.networks.preprocess.illumination import match_light
 from gelforge.networks.preprocess.slopetable import SlopeTable, light_change
 from gelforge.records.image import read_image, write_png
 from gelforge.records.press import Press
-from gelforge.stages.ball_table import DEPTHS
 from gelforge.virtualrig.appearance import read_appearances
 from gelforge.virtualrig.bench import SETTINGS
 from gelforge.virtualrig.fields import body_of, field_of, surface_of
 from gelforge.virtualrig.render import Pressed, Renderer
+from tests.benchmarks.ball_table import DEPTHS
 from tests.benchmarks.figures import Figure
 
 FOLDER = "balls/unit_a"

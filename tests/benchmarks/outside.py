@@ -17,7 +17,7 @@ from gelforge.stages import challenge
 from tests.benchmarks.figures import Figure, publish_figures
 
 PYTHON = "/usr/bin/python3"
-PROGRAM = "getfem_edges.py"
+PROGRAM = Path(__file__).with_name("outside_getfem.py")
 GOALS = ("sphere_1mm", "cuboid_round", "cylinder", "pyramid", "cuboid_shear", "triple_triangle")
 SHARP = ("cuboid_sharp", "punch")  # no goal: their references still move where elements are halved
 TOTAL, CELLS = 0.7, 3.5  # % of total force: the total, and the sum over 2 x 2 cells
@@ -31,16 +31,16 @@ def has_getfem() -> bool:
 
 def submission(folder: Path, scenes: tuple[str, ...], work: Path) -> Path:
     """Folder of the outside engine's forces, named by all that they depend on; folder: the open benchmark's."""
-    digest = hashlib.sha256()
-    for name in (PROGRAM, "getfem_spheres.py", "gel.stl", *(f"scenes/{scene}/scene.json" for scene in GOALS + SHARP)):
+    digest = hashlib.sha256(PROGRAM.read_bytes())
+    for name in ("gel.stl", *(f"scenes/{scene}/scene.json" for scene in GOALS + SHARP)):
         digest.update((folder / name).read_bytes())
     shape = json.loads((folder / "challenge.json").read_text(encoding="utf-8"))
     digest.update(json.dumps([shape[key] for key in ("c10_mpa", "d1_per_mpa", "gel")]).encode())
     out = work / digest.hexdigest()[:16]
-    done = subprocess.run([PYTHON, str(folder / PROGRAM), str(out), *scenes], check=False)
+    done = subprocess.run([PYTHON, str(PROGRAM), str(folder), str(out), *scenes], check=False)
     if done.returncode:
         raise BadInput(
-            f"{PROGRAM} ended with {done.returncode}, see above; scenes that it finished are kept in {out}"
+            f"{PROGRAM.name} ended with {done.returncode}, see above; scenes that it finished are kept in {out}"
         )
     return out
 

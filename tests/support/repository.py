@@ -15,7 +15,7 @@ from gelforge.flow.layout import FOLDERS
 from gelforge.records.networkkind import KINDS
 from gelforge.records.press import FORCE, POSE
 from gelforge.records.splits import SPLITS, TEST, TRAINING
-from gelforge.stages.readme import outdated
+from tests.benchmarks.readme_pictures import outdated
 from tests.benchmarks.tables import BLOCK, CHOSEN, KEPT, PAGES, rendered
 from tests.support import stage_digests
 
@@ -73,7 +73,7 @@ HOMES = {
     "makes a pool of processes": {"flow/orphans.py"},
     "names kinds of networks": {"networks/models/registry.py"},
     "spells a folder of results": {"flow/layout.py"},
-    "chooses colours of values": {"reporting/forcemaps.py", "commands/look.py", "stages/readme.py"},
+    "chooses colours of values": {"reporting/forcemaps.py", "commands/look.py"},
 }
 RESULTS = re.compile(rf"\S*(?<!\w)({'|'.join(name for name in FOLDERS if name[0].isdigit())})(?!\w)\S*")
 

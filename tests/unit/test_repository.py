@@ -4,9 +4,9 @@ import re
 from pathlib import Path
 
 from gelforge.flow.files import read_json
-from gelforge.stages.readme import outdated, publish_picture
 from tests.benchmarks import tables
 from tests.benchmarks.figures import Figure, digest_of_sources, publish_figures, sources
+from tests.benchmarks.readme_pictures import outdated, publish_picture
 from tests.support import repository
 from tests.support.stage_digests import closure, imports
 

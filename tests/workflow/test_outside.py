@@ -13,20 +13,21 @@ from tests.benchmarks.outside import PROGRAM, PYTHON, figures_of, has_getfem
 
 COARSE = """
 import sys
-import getfem_edges as g
-g.BRICKS, g.LAYERS, g.STEP = {"sphere_1mm": 1.2}, (2.0, 1.0, 1.0), 0.4
-sys.argv = [g.__file__, sys.argv[1], "sphere_1mm"]
+import outside_getfem as g
+g.EDGES_MM, g.LAYERS, g.STEP = {"sphere_1mm": 1.2}, (2.0, 1.0, 1.0), 0.4
+sys.argv = [g.__file__, *sys.argv[1:], "sphere_1mm"]
 g.main()
 """
 
 DISTANCES = """
 import json, sys
 import numpy as np
-import getfem_edges as g
+import outside_getfem as g
 points = np.load(sys.argv[1])
-tables = {name: json.load(open(f"scenes/{name}/scene.json"))["indenter"] for name in g.BRICKS}
+tables = {name: json.load(open(f"scenes/{name}/scene.json"))["indenter"] for name in g.EDGES_MM}
 np.savez(sys.argv[2], **{name: g.KINDS[of["kind"]](of, *points.T) for name, of in tables.items()})
 """
+BESIDE = {"PYTHONPATH": str(PROGRAM.parent)}
 NEEDS_GETFEM = pytest.mark.skipif(not has_getfem(), reason="needs Debian's python3-getfem and python3-scipy")
 
 
@@ -44,7 +45,7 @@ def test_its_bodies_are_those_of_the_scenes(folder, tmp_path):
     places = np.random.default_rng(0).uniform([-8.0, -8.0, -1.5], [8.0, 8.0, 0.9], (5000, 3))
     np.save(tmp_path / "places.npy", places)
     asked = [PYTHON, "-c", DISTANCES, str(tmp_path / "places.npy"), str(tmp_path / "found.npz")]
-    subprocess.run(asked, cwd=folder, check=True, capture_output=True)
+    subprocess.run(asked, cwd=folder, env=BESIDE, check=True, capture_output=True)
     with np.load(tmp_path / "found.npz") as found:
         for name in found:
             body = build(name, read_json(folder / f"scenes/{name}/scene.json")["indenter"], "scene")
@@ -57,9 +58,11 @@ def test_its_bodies_are_those_of_the_scenes(folder, tmp_path):
 def test_an_engine_of_others_meets_the_reference_of_a_ball(folder, tmp_path):
     """A twentieth of the mesh that the benchmark takes: total force within 3 %; a second run solves nothing again."""
     for _ in range(2):
-        done = subprocess.run([PYTHON, "-c", COARSE, str(tmp_path)], cwd=folder, capture_output=True, text=True)
+        done = subprocess.run(
+            [PYTHON, "-c", COARSE, str(folder), str(tmp_path)], env=BESIDE, capture_output=True, text=True
+        )
         assert done.returncode == 0, done.stderr
-    assert done.stdout == "" and (folder / PROGRAM).exists()
+    assert done.stdout == ""
     score = [sys.executable, "-I", str(folder / "score.py"), str(tmp_path), "--out", str(tmp_path / "score.json")]
     subprocess.run(score, check=True, capture_output=True)
     reported = read_json(tmp_path / "score.json")

@@ -12,7 +12,7 @@ from gelforge.flow.files import read_csv, read_json
 from gelforge.records.frames import check_frames, presses_of
 from gelforge.records.log import read_log, read_presses
 from gelforge.records.press import parse
-from gelforge.stages import rig, rigcost
+from gelforge.stages import rig
 from gelforge.stages.rig import main, run
 from gelforge.virtualrig.rigplan import orders, read_plan
 from gelforge.virtualrig.writer import Dataset
@@ -218,15 +218,15 @@ def test_parameters_of_a_plan_that_were_changed_since_are_reported(two, tmp_path
 
 def test_what_a_plan_takes_is_reported_before_a_press(pressed, tmp_path, capsys):
     """Disk as it is used then; nothing is written; nothing more to say where all presses are there."""
-    asked = ["--plan", str(plan_of(tmp_path, 2)), "--workflow", str(ROOT / "workflow"), "--cores", "2"]
-    assert rigcost.main([*asked, "--data", str(tmp_path / "data")]) == 0
+    asked = ["--plan", str(plan_of(tmp_path, 2)), "--workflow", str(ROOT / "workflow"), "--jobs", "2", "--estimate"]
+    assert rig.main([*asked, "--data", str(tmp_path / "data")]) == 0
     reported = capsys.readouterr().out
     assert "pressing 2 of 2 presses" in reported and "2 pictures" in reported and "on 2 cores" in reported
     assert not (tmp_path / "data").exists()
     disk = next(line for line in reported.splitlines() if line.startswith("presses")).split()[2:]
     written = sum(path.stat().st_size for part in ("images", "truth") for path in (pressed / part).rglob("*.*"))
     assert disk[1] == "kB" and abs(1000 * float(disk[0]) / written - 1) < 0.25
-    assert rigcost.main([*asked, "--data", str(pressed.parent)]) == 0
+    assert rig.main([*asked, "--data", str(pressed.parent)]) == 0
     assert "every press of the plan is there" in capsys.readouterr().out
 
 
@@ -259,7 +259,9 @@ def test_a_sensor_that_looks_otherwise_needs_its_pictures_drawn_anew(two, tmp_pa
     shutil.rmtree(two / "images")
     shutil.rmtree(two / "nocontact")
     capsys.readouterr()
-    rigcost.main(["--plan", str(plan_of(tmp_path, 2)), "--data", str(two.parent), "--workflow", str(workshop)])
+    rig.main(
+        ["--estimate", "--plan", str(plan_of(tmp_path, 2)), "--data", str(two.parent), "--workflow", str(workshop)]
+    )
     reported = capsys.readouterr().out
     assert "2 pictures of presses that are solved are drawn again" in reported and "pressing" not in reported
     run(plan_of(tmp_path, 2), two.parent, workshop)

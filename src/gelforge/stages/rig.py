@@ -3,6 +3,9 @@
 import hashlib
 import json
 import os
+import resource
+import tempfile
+import time
 from argparse import Namespace
 from collections import deque
 from collections.abc import Callable
@@ -16,10 +19,13 @@ from typing import Any
 import numpy as np
 
 from gelforge.flow.catalogue import with_content
+from gelforge.flow.files import bytes_of
+from gelforge.flow.forecast import Cost, on_cores, pilots, table
 from gelforge.flow.main import command, option, positive
 from gelforge.flow.orphans import pool
 from gelforge.flow.params import overlaid
 from gelforge.flow.progress import progress
+from gelforge.flow.running import duration
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.indenters import load_indenters, read_catalogue
 from gelforge.labelling.sensor import Sensor, load_sensors
@@ -155,6 +161,54 @@ def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
     return folder
 
 
+def estimate(plan_path, data, workflow: Path, cores: int) -> None:
+    """Print core hours, disk, memory and time of what is missing of a plan, from a few of its presses; nothing is written."""
+    plan = check(plan_path, workflow)
+    dataset = Dataset(Path(data) / plan.dataset, plan)
+    dataset.check_same_plan(*contents_of(plan, workflow, *units_of(plan, workflow)))
+    todo = by_press(dataset, orders(plan))
+    left = [of_press for of_press, solved in todo if not solved]
+    drawn = sum(len(of_press) for of_press, solved in todo if solved)
+    if drawn:
+        print(f"{drawn} pictures of presses that are solved are drawn again, some 50 a second")
+    if not left:
+        print(f"{dataset.folder}: every press of the plan is there")
+        return
+    chosen = [left[k] for k in pilots([of_press[0].depth for of_press in left])]
+    print(f"pressing {len(chosen)} of {len(left)} presses to see what they take", flush=True)
+    with tempfile.TemporaryDirectory() as folder:
+        costs = measured(Worker(plan, workflow, Path(folder)), chosen, len(plan.indenters))
+    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
+    print("\n".join(table(costs, len(left))))
+    print(f"{sum(map(len, left))} pictures; {memory:.0f} MiB of memory for each core")
+    print(f"about {duration(sum(cost.cpu(len(left)) for cost in costs) / cores)} {on_cores(cores)}")
+
+
+def measured(worker: Worker, presses: list[list[Order]], indenters: int) -> list[Cost]:
+    """Cost of presses and of new indenters, from pressing those given; their files lie in the worker's folder.
+
+    indenters: how many the plan has. Each is made once: its surface with texture, and the factor on its forces.
+    """
+    from gelforge.sweeps.methods import warm_up
+
+    warm_up()
+    made: dict[str, float] = {}
+    pressed = 0.0
+    for of_press in presses:
+        name, began = of_press[0].indenter, time.process_time()
+        if name not in made:
+            worker.bench.body(name)
+            worker.bench.factor(name)
+            made[name] = time.process_time() - began
+            began = time.process_time()
+        worker.carry_out(of_press, solved=False)
+        pressed += time.process_time() - began
+    return [
+        Cost("indenters", cpu_once=indenters * sum(made.values()) / len(made)),
+        Cost("presses", pressed / len(presses), bytes_each=bytes_of(worker.folder) / len(presses)),
+    ]
+
+
 def by_press(dataset: Dataset, every: list[Order]) -> list[tuple[list[Order], bool]]:
     """What is missing: the orders of each press, and whether only their pictures are."""
     found: dict[tuple[int, bool], list[Order]] = {}
@@ -231,13 +285,19 @@ def _pool(jobs: int, plan: Plan, workflow: Path, folder: Path):
     option("--data", default="data", help="folder of the datasets"),
     option("--workflow", default="workflow", help="folder of sensors.toml and rig/sensors.toml"),
     option("--jobs", type=positive, default=1, help="presses at a time, one core each"),
+    option(
+        "--estimate", action="store_true", help="press a few, write nothing, print what the plan takes on JOBS cores"
+    ),
 )
 def main(given: Namespace) -> None:
     """Carry out a plan, or refuse it with the reason."""
     # one thread per press, whatever the user has set: presses run side by side, and sums keep their order
     os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     os.environ.setdefault("MKL_CBWR", "AUTO")  # the same digits wherever in memory an array lies
-    run(given.plan, given.data, given.workflow, given.jobs)
+    if given.estimate:
+        estimate(given.plan, given.data, Path(given.workflow), given.jobs)
+    else:
+        run(given.plan, given.data, given.workflow, given.jobs)
 
 
 if __name__ == "__main__":

@@ -22,7 +22,7 @@ from gelforge.networks.balls.imprint import Circle, fit_circle
 from gelforge.networks.inference.sensorprofile import USUAL, fit_gain, of_balls, read_profile
 from gelforge.records.image import read_image, write_png
 from gelforge.records.press import Press
-from gelforge.stages.ball_table import contact_radius
+from tests.benchmarks.ball_table import contact_radius
 from tests.benchmarks.balls import DRAWN, draw_balls, slope_gain, true_force
 
 GEL, BALL_MM = Gel(), 6.0

@@ -1,6 +1,7 @@
-"""A second example of taking part: edges and shear, solved by GetFEM; python3 getfem_edges.py FOLDER [SCENE …].
+"""Scenes of the open benchmark, solved by GetFEM: python3 outside_getfem.py CHALLENGE OUT [SCENE …].
 
-Needs Debian's python3-getfem and python3-scipy. Hexahedra of 20 nodes, contact by multipliers that are linear on their
+CHALLENGE: the folder that `make fea-challenge` writes. OUT: a submission for its score.py. Runs in Debian's own Python
+with python3-getfem and python3-scipy, without gelforge. Hexahedra of 20 nodes, contact by multipliers that are linear on their
 faces and GetFEM's own augmented Lagrangian friction operator, with a friction coefficient of 10 as stick; the body is its
 signed distance. A point sticks to the place of the body where its motion, extrapolated from the last load step, closes
 the gap: plain incremental stick counts motion before touch, and the force then depends on the number of load steps.
@@ -8,17 +9,17 @@ the gap: plain incremental stick counts motion before touch, and the force then 
 
 import csv
 import json
+import struct
 import sys
 import time
 from pathlib import Path
 
 import getfem as gf
 import numpy as np
-from getfem_spheres import gel_top
+from scipy.interpolate import LinearNDInterpolator
 
-HERE = Path(__file__).resolve().parent
 # mm of the hexahedra under the body; scenes with planes of symmetry are solved on a half or a quarter of the gel
-BRICKS = {
+EDGES_MM = {
     "sphere_1mm": 0.45,
     "cuboid_round": 0.55,
     "cylinder": 0.65,
@@ -147,6 +148,15 @@ class RigidBody:
 # -- gel
 
 
+def gel_top(path: Path):
+    """Height of the undeformed top at points (x, y), from the gel's surface."""
+    content = path.read_bytes()
+    count = struct.unpack("<I", content[80:84])[0]
+    triangles = np.frombuffer(content[84:], [("n", "<f4", 3), ("v", "<f4", (3, 3)), ("a", "<u2")], count)
+    points = np.unique(triangles["v"][triangles["n"][:, 2] > 0.05].reshape(-1, 3), axis=0)
+    return LinearNDInterpolator(points[:, :2], points[:, 2])
+
+
 def lines(fine_low: float, fine_high: float, low: float, high: float, edge: float) -> np.ndarray:
     """Mesh lines from `low` to `high`: hexahedra of `edge` in the fine part, larger ones outwards."""
     found = list(np.linspace(fine_low, fine_high, max(1, round((fine_high - fine_low) / edge)) + 1))
@@ -196,12 +206,14 @@ def gel_mesh(gel: dict, top, near: np.ndarray, halved: list[bool], edge: float):
 
 
 class PressedGel:
-    """The gel, the body, and the load steps of one scene."""
+    """The gel, the body, and the load steps of one scene; folder: the open benchmark's; edge: of the hexahedra, mm."""
 
-    def __init__(self, challenge: dict, scene: dict, edge: float):
+    def __init__(self, folder: Path, name: str, edge: float):
+        challenge = json.loads((folder / "challenge.json").read_text())
+        scene = json.loads((folder / "scenes" / name / "scene.json").read_text())
         self.body, self.legs = RigidBody(scene), np.array(scene["legs_mm"], float)
         self.halved = [self.body.mirrored(self.legs, axis) for axis in (0, 1)]
-        top = gel_top(HERE / "gel.stl")
+        top = gel_top(folder / "gel.stl")
         self.near = footprint(self.body, self.legs, top) + [[-MARGIN], [MARGIN]]
         mesh, self.sides = gel_mesh(challenge["gel"], top, self.near, self.halved, edge)
         self.traction, displacement = gf.MeshFem(mesh, 3), gf.MeshFem(mesh, 3)
@@ -344,25 +356,19 @@ class PressedGel:
         return found
 
 
-def solve(name: str, challenge: dict, edge: float) -> np.ndarray:
-    """Forces of one scene, rows as `PressedGel.forces` gives them."""
-    press = PressedGel(challenge, json.loads((HERE / "scenes" / name / "scene.json").read_text()), edge)
-    press.follow()
-    return press.forces()
-
-
 def main() -> None:
     """Write a submission of the scenes named, or of all; one that is there already stays."""
-    out, names = Path(sys.argv[1]), sys.argv[2:] or BRICKS
+    folder, out, names = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3:] or EDGES_MM
     out.mkdir(parents=True, exist_ok=True)
     gf.util_trace_level(0)
-    challenge = json.loads((HERE / "challenge.json").read_text())
     for name in names:
         path = out / f"{name}.csv"
         if path.exists():
             continue
         began = time.process_time()
-        rows = solve(name, challenge, BRICKS[name])
+        press = PressedGel(folder, name, EDGES_MM[name])
+        press.follow()
+        rows = press.forces()
         seconds = time.process_time() - began
         part = path.with_suffix(".part")
         with part.open("w", newline="") as stream:

@@ -56,16 +56,12 @@ def hardest_frames(film: Path, model):
         seen = (cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) for frame in frames(source, announced, str(film), None))
         picture, at_rest_and_after = find_nocontact(numbered(seen), str(film))
         predictor = Predictor(model, picture)
-        found = [predictor.predict(frame.image) for frame in at_rest_and_after]
-        read = [(one.image, one.cells) for one in found]
-    parts = np.array_split(np.arange(len(read)), SHOWN)
-    hardest = [max((read[at] for at in part), key=lambda pair: -pair[1][2].sum()) for part in parts if len(part)]
-    return [shown(image, forces, predictor.view) for image, forces in hardest]
-
-
-def shown(image: np.ndarray, forces: np.ndarray, view) -> tuple[np.ndarray, np.ndarray]:
-    """The part of an image (h, w, 3) and of its forces (3, rows, cols) that a view shows (networks.preprocess.scale.View)."""
-    return image[view.shown(image.shape)], forces[(slice(None), *view.cells_shown(forces.shape[1:]))]
+        read = [predictor.predict(frame.image) for frame in at_rest_and_after]
+    view = predictor.view
+    for part in np.array_split(np.arange(len(read)), SHOWN):
+        hardest = max((read[at] for at in part), key=lambda one: -one.cells[2].sum())
+        cells = hardest.cells[(slice(None), *view.cells_shown(hardest.cells.shape[1:]))]
+        yield hardest.image[view.shown(hardest.image.shape)], cells
 
 
 @command(option("films", nargs="+", type=Path), option("--out", type=Path))
@@ -75,9 +71,8 @@ def real(args: Namespace) -> None:
     from gelforge.reporting.canvas import canvas_with_axes, to_png
     from gelforge.reporting.forcemaps import draw_pressure
 
-    model, rows = load_for_use(None), []
-    for film in args.films:
-        rows.append(hardest_frames(film, model))
+    model = load_for_use(None)
+    rows = [list(hardest_frames(film, model)) for film in args.films]
     figure, axes = canvas_with_axes(len(rows), 2 * SHOWN, 12, 1.6 * len(rows) + 0.3)
     for line, pairs in zip(axes, rows, strict=True):
         most = max(float(-forces[2].min()) for _, forces in pairs)  # one scale for the frames of a film
@@ -118,33 +113,25 @@ def press(args: Namespace) -> None:
     from gelforge.geometry.indenters import load_catalogue
 
     body = load_catalogue(args.catalogue, [args.name])[args.name]
-    image = view_of(*drawn_parts(body, solve(body, *PRESSED, quality="label")))
+    image = picture_of(body, solve(body, *PRESSED, quality="label"))
     publish_picture(args.out, encode_png(image), [f"{args.catalogue}#{args.name}"])
 
 
-def drawn_parts(body, solved) -> tuple:
-    """What a solved press looks like in mm, PolyData each: the gel's surface, arrows of force on it, the indenter."""
+def picture_of(body, solved) -> np.ndarray:
+    """A picture (h, w, 3) uint8 RGB of a press: the gel's surface, arrows of force, the indenter cut open above the gel."""
     import pyvista as pv
 
     mesh, moved = solved.mesh, solved.mesh.nodes + solved.displacement
-    corners = mesh.faces[:, :4] if mesh.kind == "hex8" else mesh.faces[:, :3]
-    gel = pv.PolyData.from_regular_faces(moved, corners)
+    gel = pv.PolyData.from_regular_faces(moved, mesh.faces[:, : 4 if mesh.kind == "hex8" else 3])
     gel.point_data["downward motion, mm"] = -solved.displacement[:, 2]
     # a force points where it pushes and ends on the gel
     acting = np.flatnonzero(solved.forces.any(axis=1))
-    longest = np.linalg.norm(solved.forces, axis=1).max()
-    arrows = pv.PolyData(moved[acting] - ARROW_MM / longest * solved.forces[acting])
+    scale = ARROW_MM / np.linalg.norm(solved.forces, axis=1).max()
+    arrows = pv.PolyData(moved[acting] - scale * solved.forces[acting])
     arrows["force"] = solved.forces[acting]
     vertices, faces = body.surface()
     depth, at, shear = PRESSED
-    there = vertices + (at[0] + shear[0], at[1] + shear[1], -depth)
-    tool = pv.PolyData.from_regular_faces(there, faces)
-    return gel, arrows.glyph(orient="force", scale="force", factor=ARROW_MM / longest), tool
-
-
-def view_of(gel, arrows, tool) -> np.ndarray:
-    """A picture (h, w, 3) uint8 RGB of a press, its indenter cut open above the gel."""
-    import pyvista as pv
+    tool = pv.PolyData.from_regular_faces(vertices + (at[0] + shear[0], at[1] + shear[1], -depth), faces)
 
     view: Any = pv.Plotter(off_screen=True, window_size=[1300, 640])
     view.set_background("white")
@@ -159,7 +146,7 @@ def view_of(gel, arrows, tool) -> np.ndarray:
     }
     view.add_mesh(gel, cmap="viridis", scalar_bar_args=bar, show_edges=True, edge_color="#4a5568", line_width=0.5)
     view.add_mesh(tool.clip("z", origin=(0, 0, 2.5)), color="lightgrey", opacity=0.25, smooth_shading=True)
-    view.add_mesh(arrows, color="firebrick")
+    view.add_mesh(arrows.glyph(orient="force", scale="force", factor=scale), color="firebrick")
     view.camera_position = [(19, -27, 21), (0, -0.5, -1), (0, 0, 1)]
     image = np.asarray(view.screenshot(return_img=True))
     view.close()
