@@ -241,7 +241,7 @@ def test_a_path_with_friction_goes_on_where_its_tolerance_cannot_be_met():
     assert stuck.evidence["cuts"] > 0 and stuck.evidence["reached"] < 1.0
 
 
-@pytest.mark.parametrize("mu", [0.5, 0.7, 0.9])
+@pytest.mark.parametrize("mu", [0.7, *(pytest.param(mu, marks=pytest.mark.slow) for mu in (0.5, 0.9))])
 def test_a_block_that_is_dragged_finds_its_end(mu, root):
     """A few points at an edge change between sticking and slipping with every full step of Newton's method; shorter ones end it."""
     body = load_catalogue(root / "workflow" / "indenters.toml", ["cuboid_10"])["cuboid_10"]
@@ -296,11 +296,10 @@ def test_a_press_through_the_gel_is_out_of_range(depth):
 def test_what_ends_ok_neither_penetrates_nor_leaves_the_base(depth, steps, cuts):
     """So deep, rounding decides whether Newton's method arrives; wherever it does, the state is a possible one."""
     result = solve_hex(ball(depth=depth, diameter=4.0), replace(COARSE, press_steps=steps, max_cuts=cuts))
-    if result.status is Status.OK:
-        assert result.evidence["penetration_mm"] <= MOST_INSIDE_MM
-        assert (result.mesh.nodes + result.displacement)[:, 2].min() >= -Gel().height - MOST_BELOW_MM
-    else:
-        assert not result.forces.any()
+    lowest = (result.mesh.nodes + result.displacement)[:, 2].min()
+    possible = result.evidence["penetration_mm"] <= MOST_INSIDE_MM and lowest >= -Gel().height - MOST_BELOW_MM
+    assert (result.status is Status.OK and possible) or not result.forces.any()
+    assert result.status is Status.OK or depth > 3.0
 
 
 def test_solver_reuses_what_it_made(solver):

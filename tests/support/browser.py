@@ -35,12 +35,17 @@ def browser(width: int = 1280, height: int = 900):
         options.add_argument(flag)
     options.set_capability("goog:loggingPrefs", {"browser": "ALL"})
     driver = webdriver.Chrome(service=Service(shutil.which("chromedriver")), options=options)
-    size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
-    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
+    resize(driver, width, height)
     try:
         yield driver
     finally:
         driver.quit()
+
+
+def resize(driver, width: int, height: int = 900) -> None:
+    """Give the page that size, px; a narrow one is a telephone's."""
+    size = {"width": width, "height": height, "deviceScaleFactor": 1, "mobile": width < 500}
+    driver.execute_cdp_cmd("Emulation.setDeviceMetricsOverride", size)
 
 
 def console_errors(driver) -> list[str]:

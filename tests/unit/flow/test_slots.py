@@ -11,21 +11,25 @@ from gelforge.flow.slots import handed_on, in_slots
 from tests.benchmarks.sandbox import clean_environment
 from tests.support.waiting import HANG
 
-# Each task is marked by a file while it runs, as is the other job of make; each looks how many there are.
+# Each task is marked by a file while it runs, as is the other job of make, and looks how many there are. It ends once as many
+# run beside each other as there are slots (`full` is left behind), so that more would be seen.
 TASKS = """
-import os, sys, time
+import sys, time
 from pathlib import Path
 from gelforge.flow.slots import in_slots
-alone = len(sys.argv) > 1
+slots = int(sys.argv[1])
+def running():
+    return len(list(Path("running").iterdir()))
 def task(k):
     mark = Path(f"running/{k}")
     mark.touch()
-    until = time.monotonic() + (600 if alone else 0.3)
-    while time.monotonic() < until and not (alone and (k > 1 or Path("two").exists())):
-        if alone and len(list(Path("running").iterdir())) == 2:
-            Path("two").touch()
+    until = time.monotonic() + 600
+    while not Path("full").exists() and time.monotonic() < until:
+        if running() >= slots:
+            Path("full").touch()
         time.sleep(0.02)
-    Path(f"seen/{k}").write_text(str(len(list(Path("running").iterdir()))))
+    time.sleep(0.1)
+    Path(f"seen/{k}").write_text(str(running()))
     mark.unlink()
     return k
 assert list(in_slots(task, [(k,) for k in range(6)], 4)) == list(range(6))
@@ -35,33 +39,26 @@ MAKEFILE = """
 SHELL := bash
 both: tasks other
 tasks:
-	+@$(PYTHON) -m gelforge.flow.step results/d/calibrate/x.json -- bash -c '$(PYTHON) tasks.py $(ALONE) && touch results/d/calibrate/x.json.part'
+	+@$(PYTHON) -m gelforge.flow.step results/d/calibrate/x.json -- bash -c '$(PYTHON) tasks.py $(SLOTS) && touch results/d/calibrate/x.json.part'
 other:
 	@touch running/other; until [ -e done -o -e seen/2 ]; do sleep 0.05; done; rm running/other
 """
 
 
-def run_make(folder, *words):
+@pytest.mark.parametrize(("slots", "goal"), [(2, "both"), (3, "both"), (2, "tasks")])
+def test_processes_and_other_jobs_together_take_all_slots_and_no_more(tmp_path, slots, goal):
     for name in ("running", "seen"):
-        (folder / name).mkdir()
-    (folder / "tasks.py").write_text(TASKS)
-    (folder / "Makefile").write_text(MAKEFILE)
+        (tmp_path / name).mkdir()
+    (tmp_path / "tasks.py").write_text(TASKS)
+    (tmp_path / "Makefile").write_text(MAKEFILE)
     done = subprocess.run(
-        ["make", f"PYTHON={sys.executable}", "ALONE=", *words], cwd=folder, env=clean_environment(), text=True,
-        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=HANG, check=False,
+        ["make", f"PYTHON={sys.executable}", f"SLOTS={slots}", f"-j{slots}", goal], cwd=tmp_path, env=clean_environment(),
+        text=True, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, timeout=HANG, check=False,
     )  # fmt: skip
     assert done.returncode == 0, done.stdout
     assert "jobserver" not in done.stdout  # make has got all its slots back
-    return [int(path.read_text()) for path in sorted((folder / "seen").iterdir())]
-
-
-@pytest.mark.parametrize("slots", [2, 3])
-def test_processes_and_other_jobs_together_are_no_more_than_the_slots(tmp_path, slots):
-    assert max(run_make(tmp_path, f"-j{slots}", "both")) <= slots
-
-
-def test_slots_that_are_free_are_used(tmp_path):
-    assert len(run_make(tmp_path, "-j2", "tasks", "ALONE=yes")) == 6
+    seen = [int(path.read_text()) for path in (tmp_path / "seen").iterdir()]
+    assert len(seen) == 6 and max(seen) <= slots and (tmp_path / "full").exists()
 
 
 BOTH = multiprocessing.Barrier(2)
@@ -73,11 +70,11 @@ def pair(k):
     return k
 
 
-@pytest.mark.parametrize("flags", ["", "-j --jobserver-auth=3,4", "--jobserver-auth=fifo:/nowhere"])
-def test_without_slots_of_a_make_there_are_as_many_as_are_asked_for(monkeypatch, flags):
-    monkeypatch.setenv("MAKEFLAGS", flags if "3,4" not in flags else f"-j --jobserver-auth={2**20},{2**20 + 1}")
-    assert list(in_slots(pair, [(k,) for k in range(4)], 2)) == [0, 1, 2, 3]
-    assert list(in_slots(abs, [(-7,)], 2)) == [7] and list(in_slots(pair, [], 2)) == []
+def test_without_slots_of_a_make_there_are_as_many_as_are_asked_for(monkeypatch):
+    for flags in ("", f"-j --jobserver-auth={2**20},{2**20 + 1}", "--jobserver-auth=fifo:/nowhere"):
+        monkeypatch.setenv("MAKEFLAGS", flags)
+        assert list(in_slots(pair, [(k,) for k in range(4)], 2)) == [0, 1, 2, 3]
+        assert list(in_slots(abs, [(-7,)], 2)) == [7] and list(in_slots(pair, [], 2)) == []
 
 
 def test_descriptors_that_are_no_slots_are_not_handed_on(tmp_path):
