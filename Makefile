@@ -61,5 +61,5 @@ include rules/work.mk
 
 .PHONY: help
 help:  ## this list
-	@echo 'make TARGET [DATASET=$(DATASET)] [RES="$(RES)"] [MODEL=NAME] [EXECUTOR=local|slurm] [SLURM_PROFILE=FILE.toml] [DETACH=1] [JOBS=n] [STRICT=1]'
+	@echo 'make TARGET [DATASET=$(DATASET)] [RES="$(RES)"] [MODEL=NAME] [EXECUTOR=local|slurm] [SLURM_PROFILE=FILE.toml] [JOBS=n] [STRICT=1]'
 	@sed -nE 's/^([a-z][a-zA-Z0-9%_-]*):.*  ## (.*)/  \1\t\2/p' Makefile rules/*.mk | expand -t 24

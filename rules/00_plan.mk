@@ -24,7 +24,7 @@ PICTURE_STATE :=
 MAKE_RESTARTS ?=
 
 # Goals that need no dataset do not read one.
-NO_DATASET := help setup parameters lint format test test-% rig rig-% benchmark-% lock clean-% slurm-cancel feats-fetch feats-import mcap-import projection real-check
+NO_DATASET := help setup parameters lint format test test-% rig rig-% benchmark-% lock clean-% feats-fetch feats-import mcap-import projection real-check
 # What was made of a dataset whose data are gone can still be seen.
 NO_DATASET += $(if $(wildcard $(DATA)/log.csv),,$(if $(wildcard $D),status provenance))
 # Results dated ahead of this machine's clock, by another machine or before its clock was set back: what is edited until then looks older

@@ -1,22 +1,23 @@
-# EXECUTOR=slurm: the recipe of an artifact only notes its task; a barrier per stage runs what was noted as job arrays.
-DETACH ?=
-override DETACH := $(filter-out $(NO),$(DETACH))
+# EXECUTOR=slurm: the recipe of an artifact only notes its task; a barrier per stage runs what was noted as a job array.
 SLURM_PROFILE ?= workflow/slurm.toml
-SLURM_RUN = $(PY) -m gelforge.flow.slurm.run $(1) --results $D --profile $(call given,SLURM_PROFILE)$(if $(DETACH), --detach)
 
 # Stages of many files. The artifacts of all others, and files asked for by name, are jobs of their own.
 COLLECT := $(if $(filter $D/%,$(MAKECMDGOALS)),,10_poses 20_meshes 30_fea 40_forces)
-COLLECTED :=
+# Of these stages, those with a note.
+NOTED :=
 
-# Under -n, -q and -t nothing is noted or submitted: `make -n` prints what would run.
+# Under -n, -q and -t nothing is noted or submitted: `make -n` prints the same steps as on one machine.
 SLURM_DRY = $(strip $(foreach f,n q t,$(findstring $f,$(firstword -$(MAKEFLAGS)))))
 SLURM_STAGE = $(firstword $(subst /, ,$(@:$D/%=%)))
+# Notes are named by make's process as well, because another make may be at work.
+SLURM_NOTES = $(eval SLURM_NOTES := $$(shell mkdir -p $D/.slurm && echo $D/.slurm/$$$$PPID))$(SLURM_NOTES)
+slurm = $(PY) -m gelforge.flow.slurm $(SLURM_NOTES)-$(1) --profile $(call given,SLURM_PROFILE)
 
-step = @$(if $(filter $D/%,$@),$(if $(filter $(SLURM_STAGE),$(COLLECT)),$(noted),$(alone)),$(wrapped))
-alone = $(if $(SLURM_DRY),$(wrapped),$(call SLURM_RUN,run) --target $@ -- $(wrapped))
-# An outdated target goes now: make must see that it changes, and its presence later proves that the task was done.
-noted = $(eval COLLECTED := $(sort $(COLLECTED) $(SLURM_STAGE)))$(if $(SLURM_DRY),$(wrapped),$(note)$(if $(wildcard $@),rm -f $@))
-note = $(file >>$D/.slurm/$(SLURM_STAGE).tasks,$@	$(wrapped))
+step = @$(if $(SLURM_DRY)$(filter-out $D/%,$@),$(wrapped),$(if $(filter $(SLURM_STAGE),$(COLLECT)),$(noted),$(alone)))
+alone = $(shell rm -f $@)$(file >$(SLURM_NOTES)-$(subst /,-,$@),$@	$(wrapped))$(call slurm,$(subst /,-,$@))
+# The first note of a stage replaces what a killed make left. An outdated target goes now: make must see that it changes.
+noted = $(file $(if $(filter $(SLURM_STAGE),$(NOTED)),>)>$(SLURM_NOTES)-$(SLURM_STAGE),$@	$(wrapped))$(is_noted)
+is_noted = $(eval NOTED := $(sort $(NOTED) $(SLURM_STAGE)))$(if $(wildcard $@),rm -f $@)
 
 # $(call barrier,STAGE…) as an order-only prerequisite: wait until those stages' tasks have run. What a barrier waits for
 # is known once the stages' rules are read, hence the second expansion.
@@ -30,15 +31,5 @@ barrier-20_meshes: $$(MESH_TABLES)
 barrier-30_fea: $$(FEA)
 barrier-40_forces: $$(FORCES)
 $(BARRIERS): barrier-%:
-	@$(if $(filter $*,$(COLLECTED)),$(call SLURM_RUN,flush) --stage $*)
-endif
-
-# One make at a time, after what an earlier one left running: held until this make ends.
-ifeq ($(or $(SLURM_DRY),$(if $(wildcard $(SETUP)),,bare)),)
-ifneq ($(filter-out $(NO_DATASET) status sample clean-% slurm-% $(if $(IS_FROZEN),,demo calibrated-labels),$(or $(MAKECMDGOALS),help)),)
-$(shell $(call SLURM_RUN,attend) --make $$PPID)
-ifneq ($(.SHELLSTATUS),0)
-$(error what was left running on Slurm was not finished; see above)
-endif
-endif
+	@$(if $(filter $*,$(NOTED)),$(call slurm,$*))
 endif

@@ -34,15 +34,12 @@ $(LEROBOT_READY): envs/lerobot.sh envs/lerobot.lock | $(SETUP)
 
 benchmark-face: $(LEROBOT_READY)
 
-.PHONY: test test-all test-slurm lint format lock
+.PHONY: test test-all lint format lock
 test: $(SETUP) $(CCX_FOUND)  ## the tests of every change, in minutes: all but the slow ones
 	@$(PYTEST) -m 'not slow' $(TESTS)
 
 test-all: $(SETUP) $(CCX_FOUND)  ## all tests, in a quarter of an hour; MARKED=slow: those that `make test` leaves out
 	@$(PYTEST) $(if $(MARKED),-m '$(MARKED)') $(TESTS)
-
-test-slurm: $(SETUP) $(SLURM_FOUND)  ## tests of EXECUTOR=slurm on a real cluster of one node, started and stopped here
-	@$(PY) -m pytest $(wildcard tests/workflow/test_slurm*.py)
 
 lint: $(SETUP)  ## check style, names, types and imports of the code, and that generated files are those of today, as CI does
 	@$(PY) -m ruff check

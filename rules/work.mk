@@ -1,5 +1,5 @@
 # What people type while they work: the whole flow, its state, one sample, clean-up.
-.PHONY: demo status sample slurm-cancel
+.PHONY: demo status sample
 demo:  ## the whole flow on the demo dataset: labels, predictions of the shipped network, calibration, chart, report
 demo: $(if $(IS_FROZEN),report)
 	$(if $(IS_FROZEN),,@export HAS_SLOTS=yes; $(MAKE) --no-print-directory freeze && $(MAKE) --no-print-directory report)
@@ -20,9 +20,6 @@ $(error no sample named; say make sample DATASET=$(DATASET) ID=SAMPLE_ID)
 endif
 endif
 
-slurm-cancel: | $(SETUP)  ## cancel jobs that still run on Slurm (DETACH=1)
-	@$(PY) -m gelforge.flow.slurm.run cancel --results $D
-
 ID ?=
 
 STAGES := poses:10_poses images:15_images meshes:20_meshes fea:30_fea forces:40_forces labels:50_labels dataset:60_dataset \
@@ -42,8 +39,7 @@ $(CLEAN): clean-%:
 clean-STAGE:  ## remove a stage's artifacts, logs and metrics (clean-fea, clean-labels …)
 	@echo "one of: $(CLEAN)"
 
-clean-all:  ## remove all results of this dataset and cancel its Slurm jobs
-	@if [ -x $(PY) ] && compgen -G '$D/.slurm/*.json' >/dev/null; then $(PY) -m gelforge.flow.slurm.run cancel --results $D; fi
+clean-all:  ## remove all results of this dataset
 	rm -rf $D
 
 clean-venv:  ## remove the virtual environment

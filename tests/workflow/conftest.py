@@ -12,7 +12,7 @@ NEEDS_SLURM = [
     pytest.mark.slurm,
     pytest.mark.skipif(
         not shutil.which("slurmd", path=f"{os.environ.get('PATH', '')}:/usr/sbin"),
-        reason="Slurm is absent; make test-slurm installs slurm-wlm and munge where it may",
+        reason="Slurm is absent; make test installs slurm-wlm and munge where it may",
     ),
 ]
 # Coarse and in-process: the flow is on trial here, not the mechanics.

@@ -111,7 +111,7 @@ def test_make_expands_nothing_that_it_is_given(root, tmp_path, executor, given):
     """Whatever variable it comes in, also one that no rule knows, and where prerequisites are expanded twice."""
     text = "$(shell touch pwned)$(eval X := $(shell touch pwned))a$b"
     project = link_project(root, tmp_path / "p")
-    names = ["REFERENCE", "IMAGE", "POINTS", "LIKE", "FROM", "TOPICS", "PLAN", "ID", "TARGET", "STRICT", "DETACH",
+    names = ["REFERENCE", "IMAGE", "POINTS", "LIKE", "FROM", "TOPICS", "PLAN", "ID", "TARGET", "STRICT",
              "SLURM_PROFILE", "GELFORGE_REFERENCE", "ANYTHING"]  # fmt: skip
     by_hand = given == "on the command line"
     words = [f"{name}={text}" for name in names] if by_hand else []

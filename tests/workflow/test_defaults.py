@@ -11,7 +11,6 @@ import pytest
     [
         (["rig"], "--plan 'workflow/rig/demo.toml'"),
         (["projection", "SENSOR=unit"], "--like 'gelsight_mini'"),
-        (["poses", "EXECUTOR=slurm", "DATASET=tiny"], "--profile 'workflow/slurm.toml'"),
     ],
 )
 def test_a_variable_that_is_not_given_has_its_default(project, words, said):

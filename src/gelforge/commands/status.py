@@ -1,6 +1,5 @@
 """Samples of a dataset that are done, failed (with reasons) and pending, stage by stage."""
 
-import json
 import os
 import re
 from argparse import Namespace
@@ -194,23 +193,7 @@ def cost_lines(known: list[LastRun]) -> list[str]:
 
 def running_lines(results: Path) -> list[str]:
     """How far the run that is going on has come; nothing where none is."""
-    # other machines' locks are seen on some file systems only, so that Slurm's records are asked too
-    at_work = running_targets(results) or works_on_slurm(results)
-    return [f"running: {look(results)}"] if at_work else []
-
-
-def works_on_slurm(results: Path) -> bool:
-    """Whether a stage's work on Slurm has not come to its end."""
-    return any(not json.loads(path.read_bytes())["closed"] for path in listed(results / ".slurm", "*.json"))
-
-
-def slurm_lines(results: Path) -> list[str]:
-    """Work on Slurm, where there is any: tasks queued, running, done and failed per stage."""
-    if not listed(results / ".slurm", "*.json"):
-        return []
-    from gelforge.flow.slurm.run import overview
-
-    return overview(results)
+    return [f"running: {look(results)}"] if running_targets(results) else []
 
 
 @command(
@@ -227,7 +210,6 @@ def main(args: Namespace) -> None:
         *failed_lines(results, failed),
         *cost_lines(known),
         *running_lines(results),
-        *slurm_lines(results),
     ]
     print("\n".join(map(printable, text)))
 

@@ -11,9 +11,10 @@ import cv2
 import numpy as np
 import pytest
 
+from gelforge.calibration.readings import read_readings
 from gelforge.commands import look, predict, sample
 from gelforge.commands.projection import read_picture
-from gelforge.errors import BadInput
+from gelforge.errors import BadInput, GelforgeError, printable
 from gelforge.formats.mcap_import import messages
 from gelforge.formats.numpy_pickle import read_npy
 from gelforge.networks.checkpoint.modelfile import load_model, property_of
@@ -23,13 +24,108 @@ from gelforge.records import log
 from gelforge.records.film import open_source
 from gelforge.records.image import bad_image, read_image
 from gelforge.records.labelfile import read_labels
+from gelforge.records.press import COLUMNS, RawRow, parse
 from gelforge.records.samplefile import read_samples
 from gelforge.records.solvetable import read_solves
 from gelforge.records.table import numbered_rows
+from gelforge.stages.calibrate import load_rejected
+from gelforge.stages.plan import write_shards
 from tests.support.films import write_film
-from tests.support.press_records import press_record
+from tests.support.press_records import log_line, press_record, write_lines
 
 ESCAPES = "a\x1b[2Jb\n\u202ec"
+
+
+def judged(path):
+    """Good ids and (row, reason) of rejections of a log, as stage 10 has them."""
+    parsed = [parse(raw, "log.csv") for raw in log.read_log(path)]
+    good, doubled = log.without_duplicates([press for press, _ in parsed if press], "log.csv")
+    wrong = [r for _, found in parsed for r in found] + doubled
+    return [press.sample_id for press in good], sorted((r.row, r.reason) for r in wrong)
+
+
+def test_every_reader_of_a_log_counts_its_lines(tmp_path):
+    """A blank line is a line: stage 10, its shards and calibration name the same row."""
+    lines = [log_line(sample_id="s1", fz_n=-1), "", log_line(sample_id="s2", fz_n=-2, dz_mm="deep"),
+             log_line(sample_id="s3", fz_n=-3)]  # fmt: skip
+    path = write_lines(tmp_path / "log.csv", *lines)
+    write_shards(tmp_path, log.read_log(path), tmp_path / "plan", 8)
+    rows = log.read_shard(tmp_path / "plan/shards/0000.csv")
+    assert [(row.row, row.cells["sample_id"]) for row in rows] == [(2, "s1"), (4, "s2"), (5, "s3")]
+    wrong = [r for row in rows for r in parse(row, "log.csv")[1]]
+    assert [(r.row, r.sample_id) for r in wrong] == [(4, "s2")]
+    log.write_rejections(tmp_path / "0000.rejected.csv", wrong)
+    readings = read_readings(path, load_rejected(tmp_path, ["0000"]))
+    assert readings.ids.tolist() == ["s1", "s3"] and readings.rows.tolist() == [2, 5]
+
+
+def test_ids_that_differ_by_blanks_are_one(tmp_path):
+    path = write_lines(
+        tmp_path / "log.csv", log_line(sample_id="a"), log_line(sample_id="b"), log_line(sample_id="a ")
+    )
+    assert write_shards(tmp_path, log.read_log(path), tmp_path / "plan", 2) == ["0000"]
+    assert judged(path) == (["a", "b"], [(4, "an earlier row has the same sample_id")])
+
+
+def test_a_column_that_stands_twice_is_refused(tmp_path):
+    columns = (*COLUMNS, "x0_mm")
+    path = write_lines(tmp_path / "log.csv", log_line(columns), columns=columns)
+    with pytest.raises(BadInput, match=r"column x0_mm stands 2 times"):
+        log.read_log(path)
+
+
+def test_columns_of_other_names_are_not_read(tmp_path):
+    """One is called as a column of the shards' own files, two have no name at all."""
+    columns = ("row", *COLUMNS, "fault", "", "")
+    line = ",".join(["seven", log_line(), "none", "", ""])
+    path = write_lines(tmp_path / "log.csv", line, columns=columns)
+    write_shards(tmp_path, log.read_log(path), tmp_path / "plan", 8)
+    row = log.read_shard(tmp_path / "plan/shards/0000.csv")[0]
+    assert (row.row, row.fault) == (2, "") and parse(row, "log.csv")[0] is not None
+
+
+def test_a_log_of_another_separator_says_so(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text((",".join(COLUMNS) + "\n" + log_line()).replace(",", ";"))
+    with pytest.raises(BadInput, match="separate cells by commas, not by ';'"):
+        log.read_log(path)
+
+
+def test_a_misspelt_optional_column_is_named(tmp_path):
+    columns = (*COLUMNS, "pressid")
+    path = write_lines(tmp_path / "log.csv", log_line() + ",p1", columns=columns)
+    with pytest.raises(BadInput, match="'pressid' is unknown; write press_id"):
+        log.read_log(path)
+
+
+def test_a_quotation_mark_that_stays_open_keeps_out_its_own_row_alone(tmp_path):
+    lines = [log_line(sample_id="a"), log_line(sample_id="b", image='"images/b.png'), log_line(sample_id="c"),
+             log_line(sample_id="d", gel_id='"g'), log_line(sample_id="e")]  # fmt: skip
+    good, wrong = judged(write_lines(tmp_path / "log.csv", *lines))
+    assert good == ["a", "c", "e"] and [row for row, _ in wrong] == [3, 5]
+
+
+def test_notes_of_several_lines_are_no_fault(tmp_path):
+    columns = (*COLUMNS, "notes")
+    lines = [log_line(sample_id="a") + ',"two\nlines"', log_line(sample_id="b") + ","]
+    path = write_lines(tmp_path / "log.csv", *lines, columns=columns)
+    assert judged(path) == (["a", "b"], []) and [row.row for row in log.read_log(path)] == [2, 4]
+
+
+def test_a_cell_of_a_book_keeps_out_its_own_row_alone(tmp_path):
+    lines = [log_line(sample_id="a"), log_line(sample_id="b", gel_id="x" * 200_000), log_line(sample_id="c")]
+    path = write_lines(tmp_path / "log.csv", *lines)
+    good, wrong = judged(path)
+    assert good == ["a", "c"] and [row for row, _ in wrong] == [3] and "131072" in wrong[0][1]
+    write_shards(tmp_path, log.read_log(path), tmp_path / "plan", 8)
+    assert log.read_shard(tmp_path / "plan/shards/0000.csv")[1].fault == "long_cell"
+
+
+def test_a_header_of_a_book_is_refused(tmp_path):
+    """A file of one long line, as JSON often is, is no log."""
+    (tmp_path / "log.csv").write_text("x" * 200_000 + "\n")
+    with pytest.raises(BadInput, match="header has a cell of more than 131072"):
+        log.read_log(tmp_path / "log.csv")
 
 
 @pytest.mark.parametrize("read", [read_solves, read_samples, log.rejected_rows])
@@ -48,6 +144,15 @@ def test_a_sample_id_that_may_name_no_file_never_does(tmp_path, name, monkeypatc
             run()
         assert str(refused.value).isprintable()
     assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("text", [ESCAPES, "\x00", "\x9b31m", "\udc80", "\u2028", "plain words, ümlaut"])
+def test_what_is_shown_obeys_no_text_of_others(text):
+    assert printable(text).isprintable()
+    assert str(GelforgeError(f"{text}: is wrong")).isprintable()
+    rejection = parse(RawRow(2, press_record().cells() | {"sample_id": text, "x0_mm": text}), "log.csv")[1][0]
+    assert str(rejection).isprintable() and rejection.sample_id.isprintable() and rejection.value.isprintable()
+    assert printable("plain words, ümlaut") == "plain words, ümlaut"
 
 
 @pytest.fixture

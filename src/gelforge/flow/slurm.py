@@ -1,0 +1,312 @@
+"""EXECUTOR=slurm: the tasks that make noted for a stage run as a job array of `sbatch --wait`.
+
+make writes a line for each task, its target and its command, to a file, and gives it to this module. The job's name is
+unique, and jobs are cancelled by it: no number is read from what sbatch prints. Success is a result file for each task,
+because exit code 0 of sbatch is no proof: a purged or cancelled job has it as well.
+"""
+
+import math
+import os
+import re
+import secrets
+import shlex
+import shutil
+import signal
+import subprocess
+import time
+from argparse import Namespace
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Annotated, Any
+
+from gelforge.errors import BadInput, GelforgeError
+from gelforge.flow.files import read_toml, write_text
+from gelforge.flow.layout import log_of
+from gelforge.flow.main import command, option
+from gelforge.flow.orphans import die_with_parent
+from gelforge.flow.params.schema import Number, ParameterTable, Place, Within, parse
+from gelforge.flow.params.tables import Line
+from gelforge.flow.step import TAIL_LINES, show_notices
+from gelforge.flow.terminal import show_line, terminal
+
+PUBLISHED = Path("workflow/slurm.toml")
+STOP = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
+LOOK_EVERY_S = 0.5
+GONE_AFTER = 60  # looks at the queue, half a second apart, until cancelled jobs have left it
+SHOWN, LISTED = 5, 50  # missing results that are shown with the end of their log, and by name
+# Not for Slurm's programs and jobs: limits of an allocation in which make runs, others' filters, make's job slots.
+WITHHELD = ("SLURM_", "SQUEUE_", "SCANCEL_", "SBATCH_CLUSTERS", "MAKE", "MFLAGS")
+PASSED = ("SLURM_CONF", "SLURM_CLUSTERS")
+# What Slurm prints when it kills a task, and the setting that helps.
+KILLED = {
+    "memory_mb": re.compile(
+        r"^slurmstepd\S*: .*(exceeded (job |step )?memory limit|oom.kill)", re.IGNORECASE | re.MULTILINE
+    ),
+    "time_minutes": re.compile(r"^slurmstepd\S*: .*DUE TO TIME LIMIT", re.MULTILINE),
+}
+
+FromNone = Annotated[int, Within(0, 1e9)]
+FromOne = Annotated[int, Within(1, 1e9)]
+
+# Slurm starts a task again after its node was lost; results that are there are not made twice.
+SCRIPT = """#!/bin/bash
+{setup}
+set -euo pipefail
+export OMP_NUM_THREADS={cores} MKL_NUM_THREADS={cores} OPENBLAS_NUM_THREADS={cores}
+mapfile -t -s $(( (SLURM_ARRAY_TASK_ID - 1) * {each} )) -n {each} lines <{tasks}
+failed=0
+for line in "${{lines[@]}}"; do
+    [ -s "${{line%%$'\\t'*}}" ] || (eval "exec ${{line#*$'\\t'}}") || failed=$?
+done
+echo "exit code $failed"
+exit $failed
+"""
+
+
+@dataclass(frozen=True)
+class Profile(ParameterTable):
+    """What one task of a stage may use; workflow/slurm.toml explains every field."""
+
+    partition: Line
+    account: Line
+    time_minutes: FromOne
+    memory_mb: FromNone
+    cores: FromOne
+    shards_per_task: FromOne
+    array_limit: FromNone
+    concurrent: FromNone
+    options: tuple[Line, ...]
+    setup: tuple[Line, ...]
+    visible_seconds: Annotated[Number, Within(0.0, 1e9, "s")]
+
+    def fault(self) -> str | None:
+        """Jobs on a cluster that scancel and squeue do not look at could not be cancelled."""
+        if any(each.startswith(("-M", "--cl")) for each in self.options):
+            return "options: name another cluster by export SLURM_CLUSTERS=NAME, which scancel reads too"
+        return None
+
+    def sbatch_options(self) -> list[str]:
+        """What `sbatch` is asked for one task."""
+        given = {"partition": self.partition, "account": self.account, "mem": self.memory_mb and f"{self.memory_mb}M"}
+        chosen = [f"--{name}={value}" for name, value in given.items() if value]
+        size = [f"--cpus-per-task={self.cores}", f"--time={self.time_minutes}"]
+        return ["--requeue", "--nodes=1", "--ntasks=1", *size, *chosen, *self.options]
+
+
+def read_profile(path: Path, stage: str) -> Profile:
+    """Return the profile of `stage`: 30_fea reads [default], then [fea]; BadInput names what is wrong and its file.
+
+    A file of one's own has only what differs from PUBLISHED.
+    """
+    values: dict[str, Any] = {}
+    tables = {file: read_toml(file) for file in dict.fromkeys([PUBLISHED, path])}
+    for name in ("default", stage.lstrip("0123456789_")):
+        for file, table in tables.items():
+            own = table.get(name, {})
+            values |= own if isinstance(own, dict) else {name: own}
+            profile = parse(Profile, values, Place(str(file), (name,)))
+    return profile
+
+
+def environment() -> dict[str, str]:
+    """The environment of Slurm's programs, which jobs inherit."""
+    return {key: value for key, value in os.environ.items() if key in PASSED or not key.startswith(WITHHELD)}
+
+
+def ask(*words: str) -> str:
+    """Run one of Slurm's programs and return what it prints; GelforgeError with its words where it fails."""
+    done = subprocess.run(words, env=environment(), capture_output=True, check=False)
+    out, errors = (stream.decode(errors="replace").strip() for stream in (done.stdout, done.stderr))
+    if done.returncode:
+        raise GelforgeError(f"{shlex.join(words)}: {errors or out or f'exit code {done.returncode}'}")
+    return out
+
+
+def longest_array(profile: Profile) -> int:
+    """Tasks that one job array may have: its highest index is MaxArraySize - 1, and max_array_tasks may be less."""
+    if profile.array_limit:
+        return profile.array_limit
+    said = ask("scontrol", "show", "config")
+    size, most = (re.search(rf"{name}\s*=\s*(\d+)", said) for name in ("MaxArraySize", "max_array_tasks"))
+    return max(1, min(int(size[1]) - 1 if size else 1000, int(most[1]) if most else 10**9))
+
+
+@dataclass(frozen=True)
+class Task:
+    """One target, the file that Slurm and its command print to, and the sbatch that waits for it."""
+
+    target: Path
+    output: Path
+    sbatch: subprocess.Popen
+
+    def said(self) -> str:
+        """What was printed, empty where nothing ran."""
+        with suppress(FileNotFoundError):
+            return self.output.read_text(encoding="utf-8", errors="replace")
+        return ""
+
+
+@dataclass
+class Work:
+    """The noted tasks of a stage, as job arrays of one unique name.
+
+    folder: of scripts, lists and outputs; its name, results/DATASET/.slurm/NAME, is the jobs'. file: the profile's.
+    """
+
+    stage: str
+    folder: Path
+    file: Path
+    profile: Profile
+    tasks: list[Task] = field(default_factory=list)
+
+    def run(self, noted: dict[str, str]) -> int:
+        """Submit the commands of these targets and wait for their results; return the exit code of the recipe."""
+        left = None
+        try:
+            self.submit(noted)
+            left = self.settle()
+        finally:
+            self.end()
+            if self.tasks and left != []:
+                self.cancel()
+        if left is None:
+            print(f"{self.stage}: interrupted, its Slurm jobs are cancelled", flush=True)
+            return 130
+        return self.report(left)
+
+    def submit(self, noted: dict[str, str]) -> None:
+        """Start the commands in as few arrays as the cluster's limit allows, without waiting."""
+        each, most = self.profile.shards_per_task, longest_array(self.profile)
+        for first in range(0, len(noted), each * most):
+            part, of = list(noted)[first : first + each * most], self.folder / str(first)
+            write_text(of / "tasks", "".join(f"{target}\t{noted[target]}\n" for target in part))
+            values = {"cores": self.profile.cores, "each": each, "tasks": shlex.quote(f"{of}/tasks")}
+            write_text(of / "script", SCRIPT.format(setup="\n".join(self.profile.setup), **values))
+            sbatch = self.start(of, math.ceil(len(part) / each))
+            self.tasks += [Task(Path(target), of / f"{1 + k // each}.out", sbatch) for k, target in enumerate(part)]
+
+    def start(self, of: Path, count: int) -> subprocess.Popen:
+        """Start an sbatch that waits for an array of `count` tasks, whose script lies in the folder `of`."""
+        indices = f"1-{count}" + (f"%{self.profile.concurrent}" if self.profile.concurrent else "")
+        # After the profile's own options, because the last one of a kind wins.
+        ours = ["--wait", f"--job-name={self.folder.name}", f"--array={indices}", f"--chdir={os.getcwd()}"]
+        output_of = str(of.absolute()).replace("%", "%%") + "/%a.out"
+        ours += [f"--output={output_of}", "--open-mode=truncate", f"{of}/script"]
+        with (of / "sbatch").open("w") as output:
+            # In a process group of its own: it may be a site's wrapper, which passes no signal on.
+            streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": output, "stderr": subprocess.STDOUT}
+            words = ["sbatch", *self.profile.sbatch_options(), *ours]
+            return subprocess.Popen(words, env=environment(), **streams, start_new_session=True)
+
+    def settle(self) -> list[Task] | None:
+        """Wait until every result is there, or none of the missing ones can come any more; return the tasks of these.
+
+        None where make was asked to stop; main blocks the signals of that, so that they are noticed here alone.
+        """
+        until = math.inf
+        while True:
+            over = all(task.sbatch.poll() is not None for task in self.tasks)
+            left = self.missing()
+            if over:
+                until = min(until, time.monotonic() + self.profile.visible_seconds)
+            if not left or time.monotonic() >= until or (over and all(map(self.cause, left))):
+                return left
+            if device := terminal():
+                show_line(device, self.count(left))
+            if signal.sigtimedwait(STOP, LOOK_EVERY_S):
+                return None
+
+    def count(self, left: list[Task]) -> str:
+        """How many results are there."""
+        return f"{self.stage} on Slurm: {len(self.tasks) - len(left)} of {len(self.tasks)} results"
+
+    def missing(self) -> list[Task]:
+        """Tasks without a result, by listing folders: that refreshes the caches of a network file system."""
+        folders = {task.target.parent for task in self.tasks}
+        there = {folder: set(os.listdir(folder)) if folder.is_dir() else set() for folder in folders}
+        return [task for task in self.tasks if task.target.name not in there[task.target.parent]]
+
+    def end(self) -> None:
+        """End every sbatch that still waits."""
+        if device := terminal():
+            show_line(device)
+        for sbatch in {task.sbatch for task in self.tasks}:
+            with suppress(ProcessLookupError):
+                os.killpg(sbatch.pid, signal.SIGKILL)
+            sbatch.wait()
+
+    def cancel(self) -> None:
+        """Cancel the jobs by their name and see them leave the queue; GelforgeError where they do not."""
+        ours = (f"--name={self.folder.name}", f"--user={os.getuid()}")
+        for _ in range(GONE_AFTER):
+            ask("scancel", *ours)
+            queued = ask("squeue", "--noheader", *ours, "--states=PD,CF,R,S", "--format=%j")
+            if self.folder.name not in queued.split():
+                return
+            time.sleep(0.5)
+        raise GelforgeError(f"jobs stay in the queue; repeat: scancel {' '.join(ours)}")
+
+    def cause(self, task: Task) -> str:
+        """Why a task whose sbatch has ended left no result; empty where the result may still be on its way."""
+        said = task.said()
+        for setting, killed in KILLED.items():
+            if killed.search(said):
+                table = self.stage.lstrip("0123456789_")
+                limit = f"its limit {setting} = {getattr(self.profile, setting)}"
+                return f"killed at {limit}; raise it in {self.file} ([{table}] or [default])"
+        codes = re.findall(r"^exit code ([1-9]\d*)$", said, re.MULTILINE)
+        if codes:
+            return f"exit code {codes[-1]}"
+        if "CANCELLED AT" in said:
+            return "cancelled"
+        return "it did not run" if task.sbatch.returncode and not said else ""
+
+    def report(self, left: list[Task]) -> int:
+        """Repeat the commands' notices, say what is missing and why; return the exit code.
+
+        What a failed task printed is kept beside its target's log, and its end is shown.
+        """
+        missing = set(left)
+        for task in self.tasks:
+            if task not in missing:
+                show_notices(log_of(task.target))
+        for path in sorted({task.output.with_name("sbatch") for task in left}):
+            for line in path.read_text(encoding="utf-8", errors="replace").splitlines()[-TAIL_LINES:]:
+                print(f"sbatch: {line}")
+        for k, task in enumerate(left):
+            log = log_of(task.target).with_suffix(".slurm.log")
+            write_text(log, task.said())
+            if k < LISTED:
+                print(f"FAILED {task.target}: {self.cause(task) or 'it left no result'}; log: {log}")
+            for line in task.said().splitlines()[-TAIL_LINES:] if k < SHOWN else ():
+                print(f"  | {line}")
+        print(self.count(left), flush=True)
+        return max([1, *(task.sbatch.returncode for task in left)]) if left else 0
+
+
+@command(
+    option("notes", type=Path, help="results/DATASET/.slurm/NAME, a line TARGET<tab>COMMAND each; it is removed"),
+    option("--profile", type=Path, default=PUBLISHED, help="settings that differ from workflow/slurm.toml"),
+)
+def main(args: Namespace) -> int:
+    # A make that is killed ends this process by SIGTERM, and so its jobs.
+    signal.pthread_sigmask(signal.SIG_BLOCK, STOP)
+    die_with_parent()
+    if not shutil.which("sbatch"):
+        raise BadInput("sbatch: not found; EXECUTOR=slurm needs Slurm's programs on PATH")
+    lines = args.notes.read_text(encoding="utf-8").replace("\\\n", " ").splitlines()
+    args.notes.unlink()
+    noted = dict(line.split("\t", 1) for line in lines if line)
+    stage = Path(min(noted)).relative_to(args.notes.parents[1]).parts[0]
+    profile = read_profile(args.profile, stage)
+    folder = args.notes.with_name(f"gelforge-{stage}-{secrets.token_hex(6)}")
+    try:
+        return Work(stage, folder, args.profile, profile).run(noted)
+    finally:
+        # Without its list a task that Slurm starts after all does nothing.
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+if __name__ == "__main__":
+    main.exit()

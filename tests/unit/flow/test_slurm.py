@@ -1,0 +1,47 @@
+"""The profile of a cluster: tables that override each other, and settings that cannot be."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+from gelforge.errors import BadInput
+from gelforge.flow.slurm import read_profile
+
+
+def own(folder: Path, text: str) -> Path:
+    """A profile of one's own beside the published one."""
+    path = folder / "own.toml"
+    path.write_text(text)
+    return path
+
+
+def test_a_stage_overrides_the_default_and_an_own_file_the_published_one(tmp_path, root):
+    path = own(
+        tmp_path,
+        '[default]\npartition = "cpu"\ncores = 3\nmemory_mb = 9\n[labels]\noptions = ["--qos=short"]\nmemory_mb = 0\n',
+    )
+    labels, train = read_profile(path, "50_labels"), read_profile(path, "70_train")
+    assert {"--partition=cpu", "--cpus-per-task=3", "--time=120", "--qos=short"} < set(labels.sbatch_options())
+    assert not any(option.startswith("--mem") for option in labels.sbatch_options())
+    # A stage's own table is narrower than [default], whichever file it stands in.
+    assert {"--gres=gpu:1", "--cpus-per-task=4", "--mem=16000M"} < set(train.sbatch_options())
+    assert read_profile(path, "calibrate") == read_profile(path, "40_forces")
+    local = read_profile(root / "envs" / "slurm-cluster.toml", "70_train")
+    assert local.options == () and local.cores == 1
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("memory = 3", "[labels] memory: unknown key; memory_mb is meant?"),
+        ("cores = 0", "[labels] cores = 0: give a whole number from 1"),
+        ("options = [1]", "give a list"),
+        ("visible_seconds = true", "give a number from 0"),
+        ('options = ["--clusters=b"]', "name another cluster by export SLURM_CLUSTERS=NAME"),
+        ('options = ["-Mb"]', "name another cluster by export SLURM_CLUSTERS=NAME"),
+    ],
+)
+def test_a_wrong_profile_is_named(tmp_path, line, words):
+    with pytest.raises(BadInput, match=re.escape(words)):
+        read_profile(own(tmp_path, f"[labels]\n{line}\n"), "50_labels")
