@@ -55,7 +55,6 @@ include rules/projection.mk
 include rules/rig.mk
 include rules/showcase.mk
 include rules/stability.mk
-include rules/study.mk
 include rules/test.mk
 include rules/work.mk
 

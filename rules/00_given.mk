@@ -31,7 +31,7 @@ $(foreach v,DATASET SENSOR MODEL FORMAT EXECUTOR,$(if $(call by_hand,$v),$(if $(
 $(foreach v,DATASET MODEL JOBS,$(if $(filter-out undefined default file,$(origin $v)),$(if $(strip $(value $v)),,$(error $v is empty: give a value, or leave it out))))
 
 # Lists of names, and of tests.
-$(foreach v,CHARTED STUDIED TESTS,$(if $(call by_hand,$v),$(if $(strip $(call without,$(value $v),$(LETTERS) $(DIGITS) _ - . / : [ ] ,)),$(error $v=$(value $v): give names with blanks between them))))
+$(foreach v,CHARTED TESTS,$(if $(call by_hand,$v),$(if $(strip $(call without,$(value $v),$(LETTERS) $(DIGITS) _ - . / : [ ] ,)),$(error $v=$(value $v): give names with blanks between them))))
 ifneq ($(call without,$(call by_hand,JOBS),$(DIGITS)),)
 $(error JOBS=$(value JOBS): give a number of jobs)
 endif

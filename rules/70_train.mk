@@ -23,7 +23,7 @@ endif
 # Networks that read a picture beside a no-contact image. Without such pictures none of them can be judged, which
 # is said here, and not after the presses are solved.
 WITH_NOCONTACT := shipped $(NEED_NOCONTACT)
-ASKED = $(if $(filter evaluate report demo study,$(MAKECMDGOALS)),$(MODEL)) $(if $(filter train ship,$(MAKECMDGOALS)),$(LEARNT)) \
+ASKED = $(if $(filter evaluate report demo,$(MAKECMDGOALS)),$(MODEL)) $(if $(filter train ship,$(MAKECMDGOALS)),$(LEARNT)) \
     $(if $(filter models evaluate-models,$(MAKECMDGOALS)),$(LEARNABLE)) $(if $(filter pareto-models,$(MAKECMDGOALS)),$(or $(call by_hand,CHARTED),$(LEARNABLE)))
 UNREADABLE = $(firstword $(filter $(WITH_NOCONTACT),$(ASKED)))
 ifneq ($(and $(wildcard $(DATA)),$(if $(wildcard $(DATA)/nocontact),,no),$(UNREADABLE)),)

@@ -24,7 +24,7 @@ ID ?=
 
 STAGES := poses:10_poses images:15_images meshes:20_meshes fea:30_fea forces:40_forces labels:50_labels dataset:60_dataset \
     train:70_train evaluate:80_evaluate report:90_report calibrate:calibrate pareto:pareto \
-    stability:stability study:study pareto_models:pareto_models
+    stability:stability pareto_models:pareto_models
 CLEAN := $(foreach s,$(STAGES),clean-$(firstword $(subst :, ,$s)))
 
 # make would do both at a time, and remove what it has just found up to date.

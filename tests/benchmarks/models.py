@@ -36,7 +36,7 @@ BASELINE, LIGHT = "unet", "pair_24_mirrored"
 SHIPS = "tuned"  # as the shipped network is built, which is deeper than LIGHT
 PARTS = ("speed", "training", "resuming")
 PROBED = 24  # presses of the made-up dataset: three batches an epoch
-ABLATION = ("unet", "unet_single", "resnet34")
+ABLATION = ("unet", "resnet34")
 # The paper's shapes that its training never saw; all others that training does not see are of no catalogue.
 PAPERS_UNSEEN = ("cuboid_12", "cylinder_8", "ellipse_15_10", "polygon_6_10", "triangle_11")
 # Per cent of the force range: of the mean error, and of the upper end of its 95 % interval.

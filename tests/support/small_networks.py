@@ -12,7 +12,6 @@ LEARNING = {"epochs": 40, "learning_rate": 4e-3, "schedule": "cosine", "total_we
 MODELS = {
     "unet": {"kind": "unet", "widths": [4, 8]},
     "small": {"kind": "grid", "width": 8, "blocks": 2},
-    "difference": {**SMALL, "reads": "difference"},
     "pair": {**SMALL, "reads": "pair"},
     "resnet": {"kind": "resnet", "blocks": [1, 1], "widths": [4, 8]},
 }

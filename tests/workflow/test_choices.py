@@ -157,7 +157,7 @@ def test_no_network_ships_that_nobody_named(with_nocontact):
     assert make(with_nocontact, "-n", "ship", "DATASET=tiny", "MODEL=grid_16").returncode == 0
 
 
-@pytest.mark.parametrize("model", ["shipped", "pair_24_mirrored", "difference_16", "tuned"])
+@pytest.mark.parametrize("model", ["shipped", "pair_24_mirrored", "tuned"])
 def test_a_network_that_needs_nocontact_images_is_refused_before_anything_is_solved(planned, model):
     done = make(planned, "-n", "report", "DATASET=tiny", f"MODEL={model}")
     assert done.returncode and "data/tiny/nocontact is missing" in done.stdout and f"MODEL={model}" in done.stdout
@@ -180,8 +180,8 @@ def test_what_a_network_reads_is_seen_however_toml_writes_it(own):
     path = own / "workflow/models.toml"
     tables = (
         "[a]\nkind = 'grid'\nwidth = 4\nblocks = 1\nreads = 'pair'\n"
-        '[ b ]  # ours\nkind = "grid"\nwidth = 4\nblocks = 1\n"reads" = """difference"""\n'
-        "[c]\n    reads='difference' # a difference\nkind = \"grid\"\nwidth = 4\nblocks = 1\n"
+        '[ b ]  # ours\nkind = "grid"\nwidth = 4\nblocks = 1\n"reads" = """pair"""\n'
+        "[c]\n    reads='pair' # a pair\nkind = \"grid\"\nwidth = 4\nblocks = 1\n"
     )
     inline = '"d" = {kind = "grid", width = 4, blocks = 1, reads = "pair"}'
     write_text(path, f"{inline}\n{path.read_text(encoding='utf-8')}\n{tables}")
@@ -227,18 +227,6 @@ def test_other_datasets_are_learnt_from_as_they_lie(own, also):
     assert "results/here/60_dataset/24x32/dataset.json" in inputs_of(expected.stdout, "70_train/24x32/grid_16.onnx")
 
 
-def test_a_study_of_parts_is_not_compared_with_more_than_their_whole(own, also):
-    here = own / "results/here/60_dataset/24x32/dataset.json"
-    write_text(here, "{}")
-    also("here")
-    refused = make(own, "-n", "study", "DATASET=tiny")
-    assert refused.returncode == 2 and "[train] also = here: a study compares parts of one dataset" in refused.stdout
-    assert "[params.train] also = [] in data/tiny/dataset.toml" in refused.stdout
-    assert "gelforge.stages.train" not in refused.stdout
-    also()
-    assert make(own, "-n", "study", "DATASET=tiny").returncode == 0
-
-
 @pytest.mark.parametrize(("name", "said"), [("tiny", "names the dataset itself"), ("a b", "also")])
 def test_what_cannot_be_learnt_with_is_refused(own, also, name, said):
     also(name)
@@ -270,13 +258,6 @@ def test_a_network_that_goes_on_waits_for_the_one_that_ships_and_keeps_to_its_gr
     assert "src/gelforge/networks/weights/default.safetensors" not in needs(f"{folder}/24x32/pair_24.onnx")
     # what ships may be a network of another kind, whose place in a comparison of all is no matter of a dataset
     assert f"{folder}/24x32/tuned.onnx" not in needs("models")
-    parts = "results/tiny/study/24x32"
-    assert "src/gelforge/networks/weights/default.safetensors" in needs(
-        f"{parts}/tuned/networks/units_4.onnx", "MODEL=tuned"
-    )
-    assert "src/gelforge/networks/weights/default.safetensors" not in needs(
-        f"{parts}/pair_24/networks/units_4.onnx", "MODEL=pair_24"
-    )
 
 
 def step_targets(project, *words) -> list[str]:
@@ -290,7 +271,6 @@ def test_no_two_targets_share_a_log_and_a_record(with_nocontact):
     goals = (
         "models",
         "evaluate-models",
-        "study",
         "pareto",
         "stability",
         "calibrate",
@@ -300,7 +280,7 @@ def test_no_two_targets_share_a_log_and_a_record(with_nocontact):
         "pareto-models",
     )
     found = set(step_targets(with_nocontact, *goals))
-    assert len(found) > 100 and any("/study/" in name for name in found)
+    assert len(found) > 100
     records = Counter(str(metrics_of(Path(name))) for name in found)
     assert [name for name, count in records.items() if count > 1] == []
 

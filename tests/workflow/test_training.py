@@ -82,23 +82,6 @@ def evaluated(place, model: Path) -> Path:
     return out
 
 
-def test_a_study_reports_errors_against_presses_and_units(place, whole, tmp_path):
-    parts = ("presses_8", "units_1")
-    for part in parts:
-        run([*train_command(place, tmp_path / f"{part}.onnx"), "--part", part])
-    reported = [evaluated(place, tmp_path / f"{part}.onnx") for part in parts]
-    (tmp_path / "whole.onnx").write_bytes((place / "whole.onnx.part").read_bytes())
-    asked = command("study", "--whole", evaluated(place, tmp_path / "whole.onnx"), "--parts", *reported)
-    run([*asked, "--out", str(tmp_path / "study.json.part")])
-    rows = read_json(tmp_path / "study.json.part")["rows"]
-    by_part = {row["part"]: row for row in rows if row["split"] == "test"}
-    assert set(by_part) == {*parts, "all"}
-    assert by_part["presses_8"]["presses"] == 8 and by_part["units_1"]["units"] == 1
-    assert by_part["all"]["presses"] == whole["data"]["presses"] == 24
-    assert (tmp_path / "study.csv").read_text().count("\n") == len(rows) + 1
-    assert (tmp_path / "study.png").stat().st_size > 5000
-
-
 def test_unusable_dataset_is_one_line_and_leaves_nothing(place, tmp_path):
     ran = subprocess.run(
         train_command(place, tmp_path / "x.onnx.part", tmp_path), capture_output=True, text=True, check=False

@@ -18,7 +18,7 @@ NO_FILE = re.compile(r"Prerequisite '(.+)' of target '(.+)' does not exist\.")
 MUST = re.compile(r"Must remake target '(.+)'\.")
 # What a rule asks for by a word instead of a file (rules/*.mk), in sentences.
 ASKED = {
-    "choose-anew": "it was made with another choice (RES, MODEL, CHARTED, STUDIED or branches), or of other pictures, labels, splits or truth beside the log",
+    "choose-anew": "it was made with another choice (RES, MODEL, CHARTED or branches), or of other pictures, labels, splits or truth beside the log",
     "gap-in-labels": "labels of a shard are missing",
     "strict": "STRICT=1 looks at every shard again",
 }

@@ -14,12 +14,12 @@ from gelforge.flow.files import names_in, read_csv
 
 PLAN, POSES, IMAGES, MESHES, FEA, FORCES = "00_plan", "10_poses", "15_images", "20_meshes", "30_fea", "40_forces"
 LABELS, DATASET, TRAIN, EVALUATE, REPORT = "50_labels", "60_dataset", "70_train", "80_evaluate", "90_report"
-CALIBRATE, PARETO, PARETO_MODELS, STABILITY, STUDY = "calibrate", "pareto", "pareto_models", "stability", "study"
+CALIBRATE, PARETO, PARETO_MODELS, STABILITY = "calibrate", "pareto", "pareto_models", "stability"
 LOGS, METRICS = "logs", "metrics"
 SAMPLES, ESTIMATE, EXPORT, FEATS, LOOK, DECK = "samples", "estimate", "export", "feats", "look", "deck"
 STAGES = (
     PLAN, POSES, IMAGES, MESHES, FEA, FORCES, LABELS, DATASET, TRAIN, EVALUATE, REPORT, CALIBRATE, PARETO, PARETO_MODELS,
-    STABILITY, STUDY,
+    STABILITY,
 )  # fmt: skip
 FOLDERS = (*STAGES, LOGS, METRICS, SAMPLES, ESTIMATE, EXPORT, FEATS, LOOK, DECK)
 SHARD_DIGITS = 4

@@ -28,7 +28,6 @@ class NetworkKind:
 
 KINDS = {
     "unet": NetworkKind({"widths": list}, totals_only=False, image_seconds=0.042, colour="tab:blue"),
-    "unet_single": NetworkKind({"widths": list}, totals_only=False, image_seconds=0.12, colour="tab:purple"),
     "resnet": NetworkKind(
         {"blocks": list, "widths": list}, totals_only=True, image_seconds=0.08, colour="tab:orange"
     ),

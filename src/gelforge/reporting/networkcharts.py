@@ -3,7 +3,6 @@
 import numpy as np
 
 from gelforge.records.axes import CHANNELS
-from gelforge.records.learningcurve import FURTHER, Learning
 from gelforge.records.networkkind import KINDS
 from gelforge.records.splits import TEST
 from gelforge.reporting.canvas import canvas, save_png
@@ -70,66 +69,22 @@ def draw_maps(figure, data, rows, forces) -> None:
             axis.set_axis_off()
 
 
-def draw_study(path, rows: list[dict], name: str) -> None:
-    """Write error of normal force against the presses learnt from: all units as a line, fewer units as points of their own.
-
-    :param rows: of stages.study: part, presses, units, split, grid_z_n with its interval.
-    """
-    splits = list(dict.fromkeys(row["split"] for row in rows))
-    figure = canvas(3.2 * len(splits), 3.4)
-    for axis, split in zip(figure.subplots(1, len(splits), squeeze=False, sharey=True)[0], splits):
-        shown = sorted((row for row in rows if row["split"] == split), key=lambda row: row["presses"])
-        most = max(row["units"] for row in shown)
-        for few, style in ((False, "o-"), (True, "s")):
-            part = [row for row in shown if row["part"].startswith("units") == few]
-            if not part:
-                continue
-            value, low, high = (np.array([row[f"grid_z{end}_n"] for row in part]) for end in ("", "_low", "_high"))
-            presses = [row["presses"] for row in part]
-            label = "presses of fewer units" if few else f"presses of {most} units"
-            axis.errorbar(presses, value, yerr=[value - low, high - value], fmt=style, markersize=5, label=label)
-            for row in part if few else ():
-                axis.annotate(f"{row['units']}", (row["presses"], row["grid_z_n"]), xytext=(5, 4),
-                              textcoords="offset points", fontsize=8)  # fmt: skip
-        axis.set(xscale="log", yscale="log", xlabel="presses learnt from", title=split.replace("_", " "))
-        axis.grid(alpha=0.3, which="both")
-    figure.axes[0].set_ylabel("MAE of total normal force (N)")
-    figure.axes[0].legend(fontsize=8)
-    figure.suptitle(f"What {name} gains from presses and units (numbers: units; bars: 95 %)", fontsize=10)
-    save_png(path, figure)
-
-
 def draw_networks(
     path,
     rows: list[dict],
     fronts: dict[str, set[str]],
     split: str,
     chosen: str | None,
-    courses: dict[str, Learning | None],
 ) -> None:
-    """Write total error and error per cell of networks against their latency, and how all of them learnt.
+    """Write total error and error per cell of networks against their latency.
 
     :param rows: of stages.pareto_models, one a network; one without an error is not drawn against it.
     :param fronts: by key of PANELS, the names of the networks that no other beats in both latency and error.
-    :param courses: by name; None where a network's file holds no times.
     """
-    figure = canvas(16, 4.6)
-    *latencies, learning = figure.subplots(1, len(PANELS) + 1)
-    for axis, (key, label) in zip(latencies, PANELS.items(), strict=True):
+    figure = canvas(11, 4.6)
+    for axis, (key, label) in zip(figure.subplots(1, len(PANELS)), PANELS.items(), strict=True):
         _draw_latencies(axis, [row for row in rows if row[key] is not None], key, fronts[key], chosen)
         axis.set_ylabel(f"MAE, {label}")
-    kinds = {row["model"]: row["kind"] for row in rows}
-    for name, course in courses.items():
-        if course:
-            _draw_course(learning, name, course, KINDS[kinds[name]].colour)
-    learning.set(
-        xscale="log",
-        yscale="log",
-        xlabel="hours of training (open: not at its end; dashed: more of the same)",
-        ylabel="least validation MAE so far, sum of components (N)",
-    )
-    learning.margins(x=0.2)
-    learning.grid(alpha=0.3, which="both")
     figure.suptitle(f"Networks on split {split}: line is the front, star the chosen one", fontsize=10)
     save_png(path, figure)
 
@@ -144,16 +99,6 @@ def _draw_latencies(axis, shown: list[dict], key: str, front: set[str], chosen: 
     axis.set(xscale="log", yscale="log", xlabel="ms per image, batch 1, one CPU thread (bar: 10 to 90 %)")
     axis.margins(x=0.2, y=0.12)
     axis.grid(alpha=0.3, which="both")
-
-
-def _draw_course(axis, name: str, course: Learning, colour: str) -> None:
-    """How one network learnt: full where its schedule came to its end, else open, and dashed to where it would come."""
-    axis.plot(course.hours, course.error, color=colour, linewidth=1)
-    end = (course.hours[-1], course.error[-1])
-    axis.plot(*end, "o", color=colour, markerfacecolor=colour if course.ended else "white")
-    axis.annotate(name, end, xytext=(5, 4), textcoords="offset points", fontsize=8)
-    if course.expected is not None:
-        axis.plot([end[0], FURTHER * end[0]], [end[1], course.expected], "--", color=colour, linewidth=1)
 
 
 def _draw_network(axis, row: dict, key: str, name_above: int, chosen: bool) -> None:

@@ -107,7 +107,7 @@ def write_image_array(path, data: Path, presses: list[PressRecord], size: tuple[
 def write_nocontact(path, data: Path, names: list[str], size: tuple[int, int]) -> list[str]:
     """Write the no-contact images, nocontact/NAME.png, as uint8 (k, height, width, 3) RGB.
 
-    Returns the k of `names` that have one; a network that reads differences needs them, no other does.
+    Returns the k of `names` that have one; a network that reads pairs needs them, no other does.
     """
     there = [name for name in names if (data / "nocontact" / f"{name}.png").exists()]
     pictures = [read_logged_image(data, f"nocontact/{name}.png", size, "restore it, or remove it") for name in there]

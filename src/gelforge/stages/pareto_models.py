@@ -1,4 +1,4 @@
-"""Branch pareto-models: error of every trained network against the time of one image, and against that of its training.
+"""Branch pareto-models: error of every trained network against the time of one image.
 
 Writes JSON and, beside it, the same as CSV and as a chart.
 """
@@ -13,18 +13,17 @@ from gelforge.flow.files import publish, read_json, write_csv, write_json
 from gelforge.flow.layout import beside, command_for
 from gelforge.flow.main import command, option
 from gelforge.records.axes import CHANNELS
-from gelforge.records.learningcurve import Learning, learning_of
 from gelforge.records.splits import TEST
 from gelforge.reporting.networkcharts import PANELS, draw_networks
 from gelforge.sweeps.deviation import frontier
 
-VERSION = 3
+VERSION = 4
 BASELINE = "unet"
 FASTER = 5.0  # times that the chosen network must be faster than the baseline, on one CPU thread
 
 
-def row_of(evaluation: dict, split: str, latencies: dict[str, dict], learning: Learning | None) -> dict:
-    """One network's row: errors on `split`, latency per way of running (`cpu1`, `cpu2`, `cuda`), how its training ended."""
+def row_of(evaluation: dict, split: str, latencies: dict[str, dict]) -> dict:
+    """One network's row: errors on `split`, latency per way of running (`cpu1`, `cpu2`, `cuda`)."""
     if split not in evaluation["splits"]:
         raise BadInput(
             f"evaluation of {evaluation['model']}: has no split {split!r}; known: "
@@ -38,8 +37,6 @@ def row_of(evaluation: dict, split: str, latencies: dict[str, dict], learning: L
         "best_epoch": evaluation["best_epoch"],
         "epochs": len(evaluation["curve"]),
         "train_seconds": evaluation["cost"]["seconds"],
-        "ended": learning.ended if learning else None,
-        "expected_n": learning.expected if learning else None,
     }
     for axis in CHANNELS:
         row[f"total_{axis}"] = errors["total"][axis]["mae"]
@@ -126,15 +123,14 @@ def main(args: Namespace) -> None:
         )
     image = np.asarray(open_data(args.dataset).images[0])
     latencies = measure(models, image, args.seconds)
-    courses = {name: learning_of(model.metadata) for name, model in sorted(models.items())}
-    rows = [row_of(evaluations[name], args.split, latencies[name], courses[name]) for name in sorted(models)]
+    rows = [row_of(evaluations[name], args.split, latencies[name]) for name in sorted(models)]
     fronts = fronts_of(rows)
     for row in rows:
         row["front"] = row["model"] in fronts["percent"]
     chosen = (choose(rows) or {}).get("model")
     write_csv(beside(args.out, ".csv"), list(rows[0]), rows)
     with publish(beside(args.out, ".png")) as part:
-        draw_networks(part, rows, fronts, args.split, chosen, courses)
+        draw_networks(part, rows, fronts, args.split, chosen)
     write_json(args.out, {"split": args.split, "chosen": chosen, "baseline": BASELINE, "models": rows})
     for row in sorted(rows, key=lambda r: r["cpu1_median_ms"]):
         print(

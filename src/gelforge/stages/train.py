@@ -17,7 +17,7 @@ from gelforge.flow.params.tables import SHIPPED as SHIPS
 from gelforge.flow.params.tables import TrainingTable, TrainTable
 from gelforge.records.networkkind import kind_of
 
-VERSION = 21
+VERSION = 22
 
 
 def read_models(path) -> dict:
@@ -60,13 +60,11 @@ def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None
     option("--model", help="name of a table in --models"),
     option("--models", type=Path, default=Path("workflow/models.toml")),
     option("--params", type=Path),
-    option("--part", default="", help="presses_N or units_N: learn from so many of them only (default: all)"),
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:
     from gelforge.networks.checkpoint.weights import load_weights
     from gelforge.networks.data.arrays import open_data
-    from gelforge.networks.data.subset import as_many_passes, parse_subset, take_subset
     from gelforge.networks.inference.predictor import SHIPPED
     from gelforge.networks.pipeline import Start, save_trained
     from gelforge.reporting.networkcharts import draw_curve
@@ -74,9 +72,6 @@ def main(args: Namespace) -> None:
     model, settings = resolve(read_models(args.models), args.model, read_parameters(args.params, ForTrain).train)
     checkpoint = beside(args.out, ".checkpoint.pt")
     data = open_data(args.dataset)
-    if args.part:
-        whole, data = data, take_subset(data, parse_subset(args.part), settings.seed)
-        settings = as_many_passes(settings, data, whole)
     weights = SHIPPED.with_suffix(".safetensors")
     start = Start(*load_weights(weights)) if model.pop("start", None) else None
     also = [open_data(folder) for folder in args.also]

@@ -273,7 +273,6 @@ HOSTILE = {
     "an input that is a list": about(model__reads=["pair"]),
     "an input that is a table": about(model__reads={"pair": 1}),
     "an input that is a number": about(model__reads=6),
-    "another input than its scales'": about(normalisation__reads="difference"),
     "scales of one picture": about(normalisation__reads="image"),
     "no input": without("model", "reads"),
     "an image of a wall": about(image=[10**6, 10**6]),

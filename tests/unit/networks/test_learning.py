@@ -152,7 +152,6 @@ def test_resumed_training_has_the_same_curve_and_weights(folder, tmp_path, kind,
     fit(cut, data, tmp_path / "c.pt", "same", epochs=2)
     fit(rest, data, tmp_path / "c.pt", "same")
     assert rest.cost["resumed"] == 1 and rest.curve == whole.curve
-    assert len(rest.cost["epoch_seconds"]) == 5 and (np.diff(rest.cost["epoch_seconds"]) > 0).all()
     for a, b in zip(whole.net.state_dict().values(), rest.net.state_dict().values()):
         assert torch.equal(a, b)
 

@@ -113,9 +113,9 @@ def test_a_unet_is_refused_exactly_the_images_that_it_cannot_read(widths):
             read.append(side)
         except RuntimeError:  # torch: nothing is left to convolve
             with pytest.raises(BadInput, match=f"leaves nothing of an image of 100 x {side}"):
-                build({"kind": "unet_single", "widths": widths}, (side, 100), GRID)
+                build({"kind": "unet", "widths": widths}, (side, 100), GRID)
         else:
-            assert build({"kind": "unet_single", "widths": widths}, (side, 100), GRID)
+            assert build({"kind": "unet", "widths": widths}, (side, 100), GRID)
     assert 1 not in read and 99 in read
 
 
@@ -136,13 +136,12 @@ def test_unknown_kind_and_wrong_size_are_named():
         resolve({"grid": {**SMALL, "train": {"epoch": 3}}}, "grid", parameters().train)
 
 
-def test_differences_forget_the_picture_they_are_taken_from():
+def test_a_pair_is_the_image_and_a_difference_that_forgets_the_no_contact_image():
     pictures = torch.rand(2, 6, 4, 4, generator=torch.Generator().manual_seed(0))
     brighter = pictures + torch.rand(2, 3, 4, 4, generator=torch.Generator().manual_seed(1)).repeat(1, 2, 1, 1)
-    norm = {"image_mean": [0.3, 0.4, 0.5], "image_std": [0.1, 0.2, 0.3], "reads": "difference"}
-    torch.testing.assert_close(network_input(pictures, norm), network_input(brighter, norm))
-    both = network_input(pictures, norm | {"reads": "pair"})
-    torch.testing.assert_close(both[:, 3:], network_input(pictures, norm))
+    norm = {"image_mean": [0.3, 0.4, 0.5], "image_std": [0.1, 0.2, 0.3], "reads": "pair"}
+    both = network_input(pictures, norm)
+    torch.testing.assert_close(both[:, 3:], network_input(brighter, norm)[:, 3:])
     torch.testing.assert_close(both[:, :3], network_input(pictures[:, :3], norm | {"reads": "image"}))
     with pytest.raises(BadInput, match="reads = 'sound'"):
         build({**SMALL, "reads": "sound"}, IMAGE, GRID)

@@ -68,7 +68,7 @@ def test_too_few_presses_give_no_table():
 
 def test_a_profile_keeps_the_table_of_slopes(table, tmp_path):
     path, press = tmp_path / "mine.toml", pressed(70, 60)
-    metadata = {"name": "net", "stages": ["forces"], "sha256": {"forces": "ab" * 32}}
+    metadata = {"name": "net", "sha256": "ab" * 32}
     write_profile(path, make_profile("mine", nocontact(), 16.0, Gain(), metadata, table))
     again = read_profile(path).table
     assert again.px_per_mm == table.px_per_mm

@@ -190,7 +190,7 @@ def test_nocontact_images_come_along_where_they_were_photographed(tmp_path, root
     assert (seen[..., 3:] == picture[..., ::-1]).all()
     assert np.array_equal(data.seen(other, "image"), data.images[other])
     with pytest.raises(BadInput, match="nocontact/mini_a.png"):
-        data.seen(other, "difference")
+        data.seen(other, "pair")
 
 
 def test_the_truth_of_a_virtual_rig_goes_into_its_columns(tmp_path, root, monkeypatch):

@@ -179,7 +179,6 @@ SOURCES = {
     "pareto_meshes": Source(ForParetoMeshes, "pareto"),
     "stability": Source(ForStability, "stability", solves=True),
     "pareto_models": Source(StageParameters, "pareto_models"),
-    "study": Source(StageParameters, "study"),
 }
 
 S = TypeVar("S", bound=StageParameters)

@@ -97,7 +97,6 @@ class EpochsTable(ParameterTable):
     """[train.epochs_of]: epochs by kind of network, 0 for [train] epochs."""
 
     unet: Whole
-    unet_single: Whole
     resnet: Whole
 
 

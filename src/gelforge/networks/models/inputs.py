@@ -1,4 +1,4 @@
-"""What a network reads: the image, its difference from the no-contact image, or the pair of both.
+"""What a network reads: the image, or the pair of it and the no-contact image.
 
 A sheared gel shows in markers that moved by fractions of a pixel. From one image a network has to know where each marker
 was; beside a picture of the same sensor before it was touched the displacement lies open, also on a sensor that the
@@ -13,7 +13,7 @@ from gelforge.errors import BadInput
 if TYPE_CHECKING:
     import torch
 
-INPUT_CHANNELS = {"image": 3, "difference": 3, "pair": 6}
+INPUT_CHANNELS = {"image": 3, "pair": 6}
 
 
 def channels(reads: str) -> int:
@@ -60,9 +60,7 @@ def network_input(pictures: "torch.Tensor", norm: dict) -> "torch.Tensor":
         torch.tensor(norm[key], device=pictures.device).float().view(1, 3, 1, 1)
         for key in ("image_mean", "image_std")
     )
-    parts = []
-    if norm["reads"] != "difference":
-        parts.append((pictures[:, :3] - mean) / std)
-    if norm["reads"] != "image":
-        parts.append((pictures[:, :3] - pictures[:, 3:]) / std)
-    return torch.cat(parts, 1) if len(parts) > 1 else parts[0]
+    image = (pictures[:, :3] - mean) / std
+    if norm["reads"] == "image":
+        return image
+    return torch.cat([image, (pictures[:, :3] - pictures[:, 3:]) / std], 1)

@@ -12,7 +12,7 @@ from gelforge.errors import BadInput
 from gelforge.networks.models import inputs
 from gelforge.networks.models.gridnet import GridNet
 from gelforge.networks.models.resnet import ResNetTotal
-from gelforge.networks.models.unet import SingleChannelUNets, UNet, side_at_top
+from gelforge.networks.models.unet import UNet, side_at_top
 from gelforge.records.networkkind import sizes_of
 
 
@@ -25,15 +25,13 @@ def build(config: dict, image, grid) -> nn.Module:
     sizes = sizes_of(config) | {"channels": inputs.channels(config.get("reads", "image"))}
     kinds = {
         "unet": lambda: UNet(grid, **sizes),
-        "unet_single": lambda: SingleChannelUNets(grid, **sizes),
         "resnet": lambda: ResNetTotal(**sizes),
         "grid": lambda: GridNet(image, grid, **sizes),
     }
     net = kinds[config["kind"]]()
-    levels = max((len(part.down) for part in net.modules() if isinstance(part, UNet)), default=0)
-    if levels and side_at_top(min(image), levels) < 1:
+    if isinstance(net, UNet) and side_at_top(min(image), len(net.down)) < 1:
         raise BadInput(
-            f"a U-net of {levels} widths leaves nothing of an image of {image[1]} x {image[0]}; give it fewer widths or"
+            f"a U-net of {len(net.down)} widths leaves nothing of an image of {image[1]} x {image[0]}; give it fewer widths or"
             " larger images"
         )
     return net

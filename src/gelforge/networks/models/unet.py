@@ -1,4 +1,4 @@
-"""The paper's U-net, one for all components or one for each."""
+"""The paper's U-net."""
 
 import torch
 from torch import nn
@@ -34,7 +34,7 @@ class UNet(nn.Module):
     in the paper.
     """
 
-    def __init__(self, grid, widths=(16, 32, 64, 128, 256), channels: int = 3, outputs: int = COMPONENTS):
+    def __init__(self, grid, widths=(16, 32, 64, 128, 256), channels: int = 3):
         super().__init__()
         self.grid = tuple(grid)
         down = (channels, *widths)
@@ -42,7 +42,7 @@ class UNet(nn.Module):
         self.down = nn.ModuleList(DoubleConvolution(a, b) for a, b in zip(down, down[1:]))
         self.lift = nn.ModuleList(nn.ConvTranspose2d(a, b, 2, 2) for a, b in zip(up, up[1:]))
         self.up = nn.ModuleList(DoubleConvolution(2 * b, b) for b in up[1:])
-        self.head = nn.Conv2d(widths[0], outputs, 1)
+        self.head = nn.Conv2d(widths[0], COMPONENTS, 1)
 
     def forward(self, x):
         skips = []
@@ -62,18 +62,3 @@ def side_at_top(side: int, levels: int) -> int:
     for _ in range(levels - 1):
         side = 2 * side - 4
     return side
-
-
-class SingleChannelUNets(nn.Module):
-    """Three U-nets, one per force component (the paper's ablation).
-
-    They share no weight, so one optimiser trains them as it would train each alone; only the choice
-    of the best epoch and the learning rate's schedule are common to the three.
-    """
-
-    def __init__(self, grid, widths=(16, 32, 64, 128, 256), channels: int = 3):
-        super().__init__()
-        self.nets = nn.ModuleList(UNet(grid, widths, channels, outputs=1) for _ in range(COMPONENTS))
-
-    def forward(self, x):
-        return torch.cat([net(x) for net in self.nets], dim=1)

@@ -163,14 +163,13 @@ class Training:
         self.best: dict[str, Any] = {"epoch": 0, "val_score": float("inf"), "weights": None}
         self.start: dict[str, Any] | None = None  # weights that it is fine-tuned from, and their validation
         self.fraction = 1.0  # of the way from these to the best ones, where those of the finished network lie
-        # seconds: of all, step_seconds: of the steps alone, epoch_seconds: of all up to the end of each epoch
+        # seconds: of all, step_seconds: of the steps alone
         self.cost: dict[str, Any] = {
             "seconds": 0.0,
             "step_seconds": 0.0,
             "wait_seconds": 0.0,
             "steps": 0,
             "resumed": 0,
-            "epoch_seconds": [],
         }
 
     def go_on_from(self, weights: dict, data) -> None:
@@ -308,7 +307,6 @@ class Training:
         if row["val_score"] < self.best["val_score"]:
             self.keep(row)
         self.cost["seconds"] += time.perf_counter() - started
-        self.cost["epoch_seconds"].append(self.cost["seconds"])
         return row
 
 
