@@ -23,8 +23,15 @@ from gelforge.networks.data.concatenate import concatenate
 from gelforge.networks.evaluation.fitting import set_intervals, set_limits
 from gelforge.networks.models.inputs import needs_nocontact
 from gelforge.networks.models.registry import parameter_count
-from gelforge.networks.training.loop import Training, device_of, fit, mixes_precision, peak_memory_gib
-from gelforge.networks.training.warmstart import require_judges, scales_before
+from gelforge.networks.training.loop import (
+    Training,
+    device_of,
+    fit,
+    mixes_precision,
+    peak_memory_gib,
+    require_judges,
+    scales_before,
+)
 from gelforge.records.networkkind import kind_of
 from gelforge.records.splits import TRAINING, VALIDATION
 

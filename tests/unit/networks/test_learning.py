@@ -8,7 +8,14 @@ import torch
 
 from gelforge.errors import BadInput
 from gelforge.networks.data.arrays import open_data, scales
-from gelforge.networks.data.loader import Prefetch, epoch_order, images_to_tensor, target, training_batches
+from gelforge.networks.data.loader import (
+    epoch_order,
+    epoch_steps,
+    images_to_tensor,
+    prefetched,
+    target,
+    training_batches,
+)
 from gelforge.networks.models.inputs import network_input
 from gelforge.networks.pipeline import Start
 from gelforge.networks.training.loop import (
@@ -18,8 +25,7 @@ from gelforge.networks.training.loop import (
     fit,
     loss_of,
     predict_rows,
-    resume,
-    save_checkpoint,
+    training_epochs,
     validate,
 )
 from gelforge.records.axes import CHANNELS
@@ -70,14 +76,14 @@ def test_epochs_that_share_a_pass_visit_every_press_once_in_it(most):
 
 
 def test_reading_ahead_keeps_order_and_hands_on_errors():
-    assert list(Prefetch(iter(range(20)))) == list(range(20))
+    assert list(prefetched(iter(range(20)))) == list(range(20))
 
     def broken():
         yield 1
         raise BadInput("the second one is missing")
 
     with pytest.raises(BadInput, match="second"):
-        list(Prefetch(broken()))
+        list(prefetched(broken()))
 
 
 @pytest.mark.parametrize("batch", [1, 3, 7, 64])
@@ -86,7 +92,7 @@ def test_batches_hold_the_pictures_of_an_epoch_each_beside_its_own_label(folder,
     still = with_values(SETTINGS, batch=batch, shift_cells=0, augment={"probability": 0.0})
     norm, rows = scales(data, False), data.splits["train"]
     batches = list(training_batches(data, norm, still, 3, False))
-    assert [len(pictures) for pictures, _ in batches[:-1]] == [batch] * (len(batches) - 1)
+    assert [len(pictures) for pictures, _ in batches[:-1]] == [batch] * (epoch_steps(data, still) - 1)
     order = [np.sort(part) for part in np.split(epoch_order(rows, still.seed, 3), range(batch, len(rows), batch))]
     rows = np.concatenate(order)
     expected = network_input(images_to_tensor(data.seen(rows, norm["reads"])), norm)
@@ -164,12 +170,11 @@ def test_the_last_epochs_train_the_network_that_is_used(folder, fraction, monkey
     frozen = [False, False, True, True] if fraction == 0.5 else [False, False, False, True]
     settled = []
     monkeypatch.setattr(
-        "gelforge.networks.training.loop.settle_batch_norm", lambda net, *_: settled.append(training.epochs_done)
+        "gelforge.networks.training.loop.settle_batch_norm", lambda net, *_: settled.append(len(training.curve) + 1)
     )
     training = Training(SMALL, settings, scales(data, False), IMAGE, GRID, "cpu")
     seen = []
-    for _ in range(4):
-        training.close_epoch(data, training.train_epoch(training.batches(data)))
+    for _ in training_epochs(training, data):
         state = training.net.state_dict()
         seen.append((state["stem_norm.running_mean"].clone(), state["stem.weight"].clone()))
     assert [torch.equal(a[0], b[0]) for a, b in zip(seen, seen[1:])] == frozen[1:]
@@ -182,16 +187,15 @@ def test_averaged_weights_are_the_mean_over_the_steps_of_the_last_epochs(folder)
     data = open_data(folder)
     settings = with_values(SETTINGS, epochs=3, frozen_share=0.7, averaged_share=0.7, learning_rate=1e-2)
     training = Training(SMALL, settings, scales(data, False), IMAGE, GRID, "cpu")
-    passed, step = [], training.step
+    passed, step = [], training.optimiser.step
 
-    def noting(images, expected):
-        loss = step(images, expected)
-        passed.append((training.epochs_done, training.net.state_dict()["stem.weight"].clone()))
-        return loss
+    def noting():
+        step()
+        passed.append((len(training.curve), training.net.state_dict()["stem.weight"].clone()))
 
-    training.step = noting
-    for _ in range(3):
-        row = training.close_epoch(data, training.train_epoch(training.batches(data)))
+    training.optimiser.step = noting
+    for row in training_epochs(training, data):  # noqa: B007, the last one is looked at
+        pass
     mean = torch.stack([weights for epoch, weights in passed if epoch >= 1]).mean(0)
     net = training.judged
     assert torch.allclose(net.state_dict()["stem.weight"], mean, atol=1e-6)
@@ -234,7 +238,7 @@ def test_a_deeper_network_begins_as_the_one_it_goes_on_from(few, trained, added)
     training.go_on_from(trained.net.state_dict(), few)
     last = training.net.late[-1].second_norm.weight
     assert not last.any()
-    training.train_epoch(training.batches(few))
+    next(training_epochs(training, few))
     assert last.any()
     with pytest.raises(BadInput, match=f"blocks = {SMALL['blocks']}, there {deeper['blocks']}"):
         train(few, "shallower", SMALL, SETTINGS, start=start_of(begun))
@@ -319,8 +323,8 @@ def test_a_corrupt_checkpoint_starts_the_training_over(folder, tmp_path, corrupt
     data, path = open_data(folder), tmp_path / "c.pt"
     first = Training(SMALL, with_values(SETTINGS, epochs=1), scales(data, False), IMAGE, GRID, "cpu")
     fit(first, data, None, "one")
-    save_checkpoint(path, first, "one")
+    first.save(path, "one")
     path.write_bytes(corrupt(path.read_bytes()))
     again = Training(SMALL, with_values(SETTINGS, epochs=1), scales(data, False), IMAGE, GRID, "cpu")
-    assert not resume(path, again, "one")
+    assert not again.resume(path, "one")
     assert "starting over" in capsys.readouterr().out

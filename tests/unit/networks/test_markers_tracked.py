@@ -18,7 +18,7 @@ from gelforge.networks.pipeline import Start
 from gelforge.networks.preprocess.illumination import match_light
 from gelforge.networks.preprocess.markertracks import FAR, HOME, MarkerTracker
 from gelforge.networks.preprocess.scale import View
-from gelforge.networks.training.warmstart import require_scale, scales_before
+from gelforge.networks.training.loop import require_scale, scales_before
 from gelforge.records.axes import CHANNELS
 from gelforge.records.forcereading import ForceReading
 from gelforge.records.image import read_image

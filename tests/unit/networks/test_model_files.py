@@ -20,7 +20,7 @@ from gelforge.networks.inference.predictor import Predictor
 from gelforge.networks.models.registry import build
 from gelforge.networks.pipeline import save_trained
 from gelforge.networks.preprocess.pair import Preprocessor
-from gelforge.networks.training.loop import Training, resume
+from gelforge.networks.training.loop import Training
 from gelforge.stages.train import train
 from tests.support.limited import limited_python
 from tests.support.parameters import with_values
@@ -179,7 +179,7 @@ def test_code_in_a_file_is_never_run(trained, data, tmp_path, name):
     torch.save(WritesWhenLoaded(mark), tmp_path / name)
     if name == "checkpoint":
         norm = trained.metadata["normalisation"]
-        assert not resume(tmp_path / name, Training(SMALL, SETTINGS, norm, IMAGE, (6, 8), "cpu"), "one")
+        assert not Training(SMALL, SETTINGS, norm, IMAGE, (6, 8), "cpu").resume(tmp_path / name, "one")
     else:
         with pytest.raises(BadInput, match=f"{name}: "):
             (load_model if name.endswith("onnx") else load_weights)(tmp_path / name)

@@ -1,10 +1,16 @@
-"""The training loop: seeded, resumable to the same curve, best epoch by validation."""
+"""Training of one network: seeded, resumed to the same curve, best epoch by validation.
+
+`training_epochs` is the loop, `fit` runs it to its end with checkpoints. Above them stands what they call, below them what
+a network that is fine-tuned and the one that it begins as must have in common.
+"""
 
 import copy
 import io
 import math
 import resource
 import time
+from collections.abc import Generator
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -17,15 +23,20 @@ from gelforge.errors import BadInput, GelforgeError
 from gelforge.flow.files import publish
 from gelforge.flow.params.tables import TrainingTable
 from gelforge.flow.progress import progress
-from gelforge.networks.data.loader import Prefetch, generator, images_to_tensor, training_batches
+from gelforge.networks.data.arrays import Data
+from gelforge.networks.data.loader import batches_from, epoch_steps, generator, images_to_tensor, prefetched
 from gelforge.networks.models.inputs import network_input
 from gelforge.networks.models.registry import begin_as, build
+from gelforge.networks.preprocess.scale import at_scale
 from gelforge.records.axes import CHANNELS
+from gelforge.records.markers import pitch_of
 from gelforge.records.networkkind import kind_of
 from gelforge.records.splits import TRAINING, VALIDATION
 
 # Of the way from the weights that a network is fine-tuned from to those that it learnt, where validation looks between the two.
 FRACTIONS = (0.25, 0.5, 0.75)
+FEWEST_JUDGES = 5  # presses of validation: chosen by a single one, a network read others five times worse than before
+FARTHER = 0.05  # fraction by which scales may lie beyond those that a network knows, so that it can still learn them
 
 
 def initial_net(model: dict, image, grid, seed: int):
@@ -157,27 +168,21 @@ class Training:
         self.optimiser = torch.optim.Adam(self.net.parameters(), lr=settings.learning_rate)
         self.schedule, self.by_validation = make_schedule(self.optimiser, settings)
         self.mean: AveragedModel | None = None  # of the weights, once they are averaged
-        self.mixed = mixes_precision(settings, device)
-        self.epochs_done = 0
         self.curve: list[dict] = []
         self.best: dict[str, Any] = {"epoch": 0, "val_score": float("inf"), "weights": None}
         self.start: dict[str, Any] | None = None  # weights that it is fine-tuned from, and their validation
         self.fraction = 1.0  # of the way from these to the best ones, where those of the finished network lie
-        # seconds: of all, step_seconds: of the steps alone
+        # seconds: of all, step_seconds: of the steps alone, wait_seconds: of these without a batch
         self.cost: dict[str, Any] = {
-            "seconds": 0.0,
-            "step_seconds": 0.0,
-            "wait_seconds": 0.0,
-            "steps": 0,
-            "resumed": 0,
-        }
+            "seconds": 0.0, "step_seconds": 0.0, "wait_seconds": 0.0, "steps": 0, "resumed": 0,
+        }  # fmt: skip
 
     def go_on_from(self, weights: dict, data) -> None:
         """Begin with the weights of another network of the same kind."""
         begin_as(self.net, weights)
-        self.start = self._validated(self.net, data) | {"weights": copy.deepcopy(self.net.state_dict())}
+        self.start = self.validated(self.net, data) | {"weights": copy.deepcopy(self.net.state_dict())}
 
-    def _validated(self, net, data) -> dict:
+    def validated(self, net, data) -> dict:
         """Validation errors of a network that is scaled as this one."""
         return validate(net, data, self.norm, self.settings.batch, self.device)
 
@@ -192,7 +197,7 @@ class Training:
             judged = {0.0: self.start["val_score"], 1.0: self.best["val_score"]}
             for fraction in FRACTIONS:
                 self.net.load_state_dict(between(self.start["weights"], best, fraction))
-                judged[fraction] = self._validated(self.net, data)["val_score"]
+                judged[fraction] = self.validated(self.net, data)["val_score"]
             self.fraction = min(judged, key=lambda fraction: judged[fraction])
             best = between(self.start["weights"], best, self.fraction)
         self.net.load_state_dict(best)
@@ -208,29 +213,29 @@ class Training:
         """The network whose error counts: that of the mean weights once they are averaged."""
         return self.net if self.mean is None else self.mean.module
 
-    def keep(self, row: dict) -> None:
-        """Take the weights that are judged for the best so far; row: of the curve."""
-        self.best = {
-            "epoch": row["epoch"],
-            "val_score": row["val_score"],
-            "weights": copy.deepcopy(self.judged.state_dict()),
-        }
+    def save(self, path, identity: str) -> None:
+        """Write a checkpoint, tensors and plain values only, whole or not at all; OSError where there is no room for it."""
+        content = io.BytesIO()  # torch's own error of a full disk is none of the system's
+        torch.save({
+            "identity": identity, "net": self.net.state_dict(), "mean": None if self.mean is None else self.mean.state_dict(),
+            "optimiser": self.optimiser.state_dict(), "schedule": self.schedule.state_dict(),
+            "curve": self.curve, "best": self.best, "cost": self.cost,
+        }, content)  # fmt: skip
+        with publish(path) as part:
+            part.write_bytes(content.getvalue())
 
-    def state(self, identity: str) -> dict:
-        """Everything a checkpoint holds: tensors and plain values only."""
-        return {
-            "identity": identity,
-            "net": self.net.state_dict(),
-            "mean": None if self.mean is None else self.mean.state_dict(),
-            "optimiser": self.optimiser.state_dict(),
-            "schedule": self.schedule.state_dict(),
-            "curve": self.curve,
-            "best": self.best,
-            "cost": self.cost,
-        }
-
-    def restore(self, state: dict) -> None:
-        """Go back to where `state` was taken."""
+    def resume(self, path, identity: str) -> bool:
+        """Go on from a checkpoint if it belongs to the same training; say so either way."""
+        if path is None or not Path(path).exists():
+            return False
+        try:
+            state = torch.load(path, map_location="cpu", weights_only=True)
+        except Exception as error:  # torch raises a dozen kinds for a corrupt file, none of them documented
+            print(f"{path}: cannot be read ({type(error).__name__}), starting over", flush=True)
+            return False
+        if not isinstance(state, dict) or state.get("identity") != identity:
+            print(f"{path}: of another configuration or dataset, starting over", flush=True)
+            return False
         self.net.load_state_dict(state["net"])
         if state["mean"] is not None:
             self.mean = AveragedModel(self.net)
@@ -238,101 +243,65 @@ class Training:
         self.optimiser.load_state_dict(state["optimiser"])
         self.schedule.load_state_dict(state["schedule"])
         self.curve, self.best, self.cost = state["curve"], state["best"], state["cost"]
-        self.epochs_done = len(self.curve)
         self.cost["resumed"] += 1
+        print(f"{path}: going on after epoch {len(self.curve)}", flush=True)
+        return True
 
-    def step(self, images, target) -> float:
-        """One step of the optimiser on inputs (k, channels, h, w) and targets (k, 3, rows, cols); return the loss."""
-        images, target = images.to(self.device), target.to(self.device)
-        scale, total = (torch.tensor(self.norm[key], device=self.device).float() for key in ("label", "total"))
-        self.optimiser.zero_grad(set_to_none=True)
-        with torch.autocast(self.device, dtype=torch.bfloat16, enabled=self.mixed):
-            output = self.net(images)
-        loss = loss_of(output.float(), target, scale, total, self.settings)
-        loss.backward()
-        self.optimiser.step()
-        if self.averages(self.epochs_done):
-            self.mean = self.mean or AveragedModel(self.net)
-            self.mean.update_parameters(self.net)
-        return loss.item()
 
-    def freezes(self, epoch: int) -> bool:
-        """Whether an epoch (from 0) is one of the last, in which batch normalisation keeps its statistics."""
-        return epoch >= (1 - self.settings.frozen_share) * self.settings.epochs
+def training_epochs(training: Training, data) -> Generator[dict]:
+    """Train through the epochs that are left; yield the curve's new row after each.
 
-    def averages(self, epoch: int) -> bool:
-        """Whether an epoch (from 0) is one of the last, over whose steps the weights are averaged (Izmailov et al. 2018)."""
-        return epoch >= (1 - self.settings.averaged_share) * self.settings.epochs
-
-    def batches(self, data) -> Prefetch:
-        """Start preparing the batches of the next epoch."""
-        return Prefetch(training_batches(data, self.norm, self.settings, self.epochs_done, self.total_only))
-
-    def train_epoch(self, batches: Prefetch) -> float:
-        """Go through one epoch's batches; return the mean loss."""
-        started, waited = time.perf_counter(), batches.waited
-        self.net.train()
-        if self.freezes(self.epochs_done):
-            for layer in normalisations(self.net):
+    In the last `frozen_share` of the epochs batch normalisation keeps its statistics; over the steps of the last
+    `averaged_share` the weights are averaged (Izmailov et al. 2018), and it is their mean that is validated.
+    """
+    settings, norm, net, cost, device = training.settings, training.norm, training.net, training.cost, training.device
+    mixed = mixes_precision(settings, device)
+    scale, total = (torch.tensor(norm[key], device=device).float() for key in ("label", "total"))
+    first = len(training.curve)
+    with closing(prefetched(batches_from(data, norm, settings, first, training.total_only))) as batches:
+        for epoch in range(first, settings.epochs):
+            started = time.perf_counter()
+            frozen = epoch >= (1 - settings.frozen_share) * settings.epochs
+            averaged = epoch >= (1 - settings.averaged_share) * settings.epochs
+            net.train()
+            for layer in normalisations(net) if frozen else ():
                 layer.eval()
-        losses: list[float] = []
-        for batch in batches:
-            losses.append(self.step(*batch))
-        self.cost["wait_seconds"] += batches.waited - waited
-        seconds = time.perf_counter() - started
-        self.cost["step_seconds"] += seconds
-        self.cost["seconds"] += seconds
-        self.cost["steps"] += len(losses)
-        self.epochs_done += 1
-        if not np.isfinite(losses).all():
-            raise GelforgeError(
-                f"training diverged in epoch {self.epochs_done}: a loss is not finite; lower "
-                f"[train] learning_rate, now {self.settings.learning_rate:g} at its start"
-            )
-        return float(np.mean(losses))
 
-    def close_epoch(self, data, loss: float) -> dict:
-        """Validate, move the learning rate, keep the best weights; return the curve's new row."""
-        started = time.perf_counter()
-        if not self.freezes(self.epochs_done - 1):
-            settle_batch_norm(self.net, data, self.norm, self.settings, self.device)
-        row = {
-            "epoch": self.epochs_done,
-            "learning_rate": self.optimiser.param_groups[0]["lr"],
-            "loss": loss,
-            **self._validated(self.judged, data),
-        }
-        self.schedule.step(*[row["val_score"]] if self.by_validation else [])
-        self.curve.append(row)
-        if row["val_score"] < self.best["val_score"]:
-            self.keep(row)
-        self.cost["seconds"] += time.perf_counter() - started
-        return row
+            losses: list[float] = []
+            for _ in range(epoch_steps(data, settings)):
+                asked = time.perf_counter()
+                images, target = (one.to(device) for one in next(batches))
+                cost["wait_seconds"] += time.perf_counter() - asked
+                training.optimiser.zero_grad(set_to_none=True)
+                with torch.autocast(device, dtype=torch.bfloat16, enabled=mixed):
+                    output = net(images)
+                loss = loss_of(output.float(), target, scale, total, settings)
+                loss.backward()
+                training.optimiser.step()
+                if averaged:
+                    training.mean = training.mean or AveragedModel(net)
+                    training.mean.update_parameters(net)
+                losses.append(loss.item())
+            cost["step_seconds"] += time.perf_counter() - started
+            cost["steps"] += len(losses)
+            if not np.isfinite(losses).all():
+                raise GelforgeError(
+                    f"training diverged in epoch {epoch + 1}: a loss is not finite; lower [train] learning_rate, now"
+                    f" {settings.learning_rate:g} at its start"
+                )
 
-
-def save_checkpoint(path, training: Training, identity: str) -> None:
-    """Write a checkpoint, whole or not at all; OSError where there is no room for it."""
-    content = io.BytesIO()  # torch's own error of a full disk is none of the system's
-    torch.save(training.state(identity), content)
-    with publish(path) as part:
-        part.write_bytes(content.getvalue())
-
-
-def resume(path, training: Training, identity: str) -> bool:
-    """Go on from a checkpoint if it belongs to the same training; say so either way."""
-    if path is None or not Path(path).exists():
-        return False
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True)
-    except Exception as error:  # torch raises a dozen kinds for a corrupt file, none of them documented
-        print(f"{path}: cannot be read ({type(error).__name__}), starting over", flush=True)
-        return False
-    if not isinstance(state, dict) or state.get("identity") != identity:
-        print(f"{path}: of another configuration or dataset, starting over", flush=True)
-        return False
-    training.restore(state)
-    print(f"{path}: going on after epoch {len(training.curve)}", flush=True)
-    return True
+            if not frozen:
+                settle_batch_norm(net, data, norm, settings, device)
+            rate = training.optimiser.param_groups[0]["lr"]
+            row = {"epoch": epoch + 1, "learning_rate": rate, "loss": float(np.mean(losses))}
+            row |= training.validated(training.judged, data)
+            training.schedule.step(*[row["val_score"]] if training.by_validation else [])
+            training.curve.append(row)
+            if row["val_score"] < training.best["val_score"]:
+                weights = copy.deepcopy(training.judged.state_dict())
+                training.best = {"epoch": row["epoch"], "val_score": row["val_score"], "weights": weights}
+            cost["seconds"] += time.perf_counter() - started
+            yield row
 
 
 def fit(training: Training, data, checkpoint=None, identity: str = "", epochs: int | None = None) -> None:
@@ -341,31 +310,90 @@ def fit(training: Training, data, checkpoint=None, identity: str = "", epochs: i
     :param checkpoint: file to resume from and to write every `checkpoint_seconds`; None for neither.
     :param identity: text that identifies one training; a checkpoint of another one is not used.
     """
-    resume(checkpoint, training, identity)
-    planned = training.settings.epochs
-    epochs = planned if epochs is None else epochs
-    saved = time.monotonic()
-    batches = training.batches(data)
-    try:
-        for number in progress(range(training.epochs_done, epochs), f"epochs of {planned}"):
-            loss = training.train_epoch(batches)
-            if number + 1 < epochs:
-                batches = training.batches(data)  # read while this epoch is validated
-            row = training.close_epoch(data, loss)
+    training.resume(checkpoint, identity)
+    planned, saved = training.settings.epochs, time.monotonic()
+    last = planned if epochs is None else epochs
+    with closing(training_epochs(training, data)) as rows:
+        for number in progress(range(len(training.curve), last), f"epochs of {planned}"):
+            row = next(rows)
             if number % max(1, planned // 20) == 0 or number == planned - 1:
                 errors = ", ".join(f"{name} {row[f'val_{name}']:.3f}" for name in CHANNELS)
                 print(
-                    f"epoch {row['epoch']}: loss {loss:.4g}, validation {errors} N, rate {row['learning_rate']:.2g}",
+                    f"epoch {row['epoch']}: loss {row['loss']:.4g}, validation {errors} N, rate {row['learning_rate']:.2g}",
                     flush=True,
                 )
             if checkpoint and time.monotonic() - saved >= training.settings.checkpoint_seconds:
-                save_checkpoint(checkpoint, training, identity)
+                training.save(checkpoint, identity)
                 saved = time.monotonic()
-    finally:
-        batches.close()
     training.finish(data)
 
 
 def peak_memory_gib() -> float:
     """Peak resident memory of this process so far, GiB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+
+
+def scales_before(
+    metadata: dict[str, Any], model: dict[str, Any], data: Data, norm: dict[str, Any]
+) -> dict[str, Any]:
+    """What a network that is fine-tuned scales by: as its weights expect, and the range of both datasets.
+
+    metadata: of the network it is fine-tuned from. model: its own table of workflow/models.toml. norm: scales of its own dataset.
+    Raises BadInput as `require_alike`.
+    """
+    require_alike(metadata, model, data)
+    ranges = zip(metadata["normalisation"]["range"], norm["range"], strict=True)
+    return metadata["normalisation"] | {"range": [max(pair) for pair in ranges]}
+
+
+def require_alike(metadata: dict[str, Any], model: dict[str, Any], data: Data) -> None:
+    """Raise BadInput where two networks are not of one kind, or the dataset is of another grid, image or scale of the gel.
+
+    metadata: of the network that is fine-tuned. model: table of the other one.
+    """
+    before, name = metadata["model"], metadata["name"]
+    differ = sorted(key for key in before.keys() | model.keys() if before.get(key) != model.get(key))
+    both = before.keys() == model.keys()
+    if both and differ == ["blocks"] and model["kind"] == "grid" and before["blocks"] < model["blocks"]:
+        differ = []  # a light net can be made deeper
+    if differ:
+        values = ", ".join(f"{key} = {model.get(key)!r}, there {before.get(key)!r}" for key in differ)
+        raise BadInput(
+            f"it cannot be fine-tuned from {name}, which is another network: {values}; give the same values"
+        )
+    if [list(data.grid), list(data.image_size)] != [metadata["grid"], metadata["image"]]:
+        (rows, cols), (high, wide) = metadata["grid"], metadata["image"]
+        (of_rows, of_cols), (height, width) = data.grid, data.image_size
+        raise BadInput(
+            f"it cannot be fine-tuned from {name}: that writes a grid of {rows}x{cols} from images of {wide} x {high}, the dataset"
+            f" has {of_rows}x{of_cols} and {width} x {height}; choose another MODEL"
+        )
+    require_scale(metadata, data)
+
+
+def require_judges(metadata: dict[str, Any], data: Data) -> None:
+    """Raise BadInput where too few presses validate to show whether a network that is fine-tuned has become better."""
+    count = len(np.unique(data.presses(data.splits[VALIDATION])))
+    if count < FEWEST_JUDGES:
+        raise BadInput(
+            f"{data.folder}: of its presses {count} validate, too few to show whether a network that is fine-tuned from"
+            f" {metadata['name']} becomes better, which takes {FEWEST_JUDGES}: raise [params.dataset] validation, to 0.25 for a few"
+            " dozen presses, or log more"
+        )
+
+
+def require_scale(metadata: dict[str, Any], data: Data) -> None:
+    """Raise BadInput for a dataset of a sensor at another scale than those that a network learnt from.
+
+    It learns scales a little beyond them; its pictures are read as they are from then on.
+    """
+    if "pitch_px" not in metadata:
+        return
+    low, high = metadata["pitch_px"]
+    for name, picture in sorted(data.nocontact.items()):
+        pitch = pitch_of(picture)
+        if not at_scale(pitch, ((1 - FARTHER) * low, (1 + FARTHER) * high)):
+            raise BadInput(
+                f"the markers of sensor {name} are {pitch:.1f} px apart, those that {metadata['name']} learnt from {low:.1f} to"
+                f" {high:.1f} px: it cannot be fine-tuned from another scale; choose another MODEL"
+            )
