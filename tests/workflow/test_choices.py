@@ -144,7 +144,7 @@ def test_jobs_of_a_program_are_those_of_the_command_line(planned):
         assert f"--jobs {words[0][-1]} " in said, said[-500:]
 
 
-@pytest.mark.parametrize("goal", ["train", "onnx", "ship"])
+@pytest.mark.parametrize("goal", ["train", "ship"])
 def test_the_shipped_network_is_not_trained_under_another_name(with_nocontact, goal):
     done = make(with_nocontact, "-n", goal, "DATASET=tiny", "MODEL=shipped")
     assert done.returncode and f"to {goal}, name one of" in done.stdout
@@ -275,7 +275,6 @@ def test_no_two_targets_share_a_log_and_a_record(with_nocontact):
         "stability",
         "calibrate",
         "report",
-        "onnx",
         "feats-export",
         "pareto-models",
     )
