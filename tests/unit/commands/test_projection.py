@@ -16,15 +16,15 @@ from gelforge.labelling.sensor import check_projection, find_sensor, load_sensor
 from gelforge.records.markers import find_markers
 from gelforge.virtualrig.units import read_ranges
 from tests.support.patch import irregular_surface
+from tests.support.refused import refused
 
 SQUARE = np.array([[-5.0, 5], [5, 5], [-5, -5], [5, -5]])
 GOOD = np.array([[0.0, -14, 160], [-14, 0, 120], [0, 0, 1]])
 
 
-@pytest.mark.parametrize("text", ["24", "24x", "0x32", "-1x5", "24x32x3", "a x b", "1.5x2", "٣x٤", "99999x1", ""])
-def test_resolutions_that_are_none(text):
-    with pytest.raises(BadInput, match="RES=24x32"):
-        Grid.parse(text)
+def test_resolutions_that_are_none():
+    for text in ("24", "24x", "0x32", "-1x5", "24x32x3", "a x b", "1.5x2", "٣x٤", "99999x1", ""):
+        refused("RES=24x32", Grid.parse, text)
     assert Grid.parse("24x32") == Grid(24, 32)
 
 
@@ -46,60 +46,44 @@ def test_noise_is_averaged_and_reported():
     assert np.abs(transform(fit.homography, SQUARE) - transform(GOOD, SQUARE)).max() < 0.3
 
 
-DEGENERATE = {
-    "at least four": SQUARE[:3],
-    "points 1 and 2 are the same": SQUARE[[0, 0, 1, 2]],
-    "all points lie on one line": np.array([[0.0, 0], [1, 1], [2, 2], [3, 3], [4, 4]]),
-    "all points but one": np.array([[0.0, 0], [1, 1], [2, 2], [5, -3]]),
-    "not a finite number": np.array([[0.0, 0], [1, 0], [0, np.nan], [5, -3]]),
-}
+def test_degenerate_sets_are_refused_with_the_reason():
+    for points, reason in (
+        (SQUARE[:3], "at least four"),
+        (SQUARE[[0, 0, 1, 2]], "points 1 and 2 are the same"),
+        (np.array([[0.0, 0], [1, 1], [2, 2], [3, 3], [4, 4]]), "all points lie on one line"),
+        (np.array([[0.0, 0], [1, 1], [2, 2], [5, -3]]), "all points but one"),
+        (np.array([[0.0, 0], [1, 0], [0, np.nan], [5, -3]]), "not a finite number"),
+    ):
+        refused(reason, fit_homography, points, transform(GOOD, points))
+    line = np.array([[0.0, 0], [10, 10], [20, 20], [40, 40]])
+    refused("in the image, all points lie on one line", fit_homography, SQUARE, line)
 
 
-@pytest.mark.parametrize("reason", DEGENERATE)
-def test_degenerate_sets_are_refused_with_the_reason(reason):
-    points = DEGENERATE[reason]
-    with pytest.raises(BadInput, match=reason):
-        fit_homography(points, transform(GOOD, points))
-
-
-def test_collinear_pixels_are_refused():
-    with pytest.raises(BadInput, match="in the image, all points lie on one line"):
-        fit_homography(SQUARE, np.array([[0.0, 0], [10, 10], [20, 20], [40, 40]]))
-
-
-@pytest.mark.parametrize(
-    "change, reason",
-    [
+def test_projections_that_fold_or_flip():
+    for change, reason in (
         (np.diag([1.0, -1, 1]), "flips"),
         (np.diag([0.0, 1, 1]), "singular"),
         (np.array([[1.0, 0, 0], [0, 1, 0], [0.01, 0, 0]]), "folds"),
         (np.full((3, 3), np.nan), "finite"),
-    ],
-)
-def test_projections_that_fold_or_flip(change, reason):
-    with pytest.raises(BadInput, match=reason):
-        check_projection(change @ GOOD, "unit")
+    ):
+        refused(reason, check_projection, change @ GOOD, "unit")
 
 
-def test_a_projection_that_folds_within_the_gel_is_refused_in_a_file(tmp_path):
+def test_broken_sensor_tables_name_the_field(tmp_path):
+    keep = {
+        "gel": "gel = 'gelsight_mini'",
+        "image": "image = [320, 240]",
+        "projection": "projection = [[0, -14, 160], [-14, 0, 120], [0, 0, 1]]",
+    }
     path = tmp_path / "sensors.toml"
-    path.write_text(
-        "[a]\ngel = 'gelsight_mini'\nimage = [320, 240]\nprojection = [[0, -14, 160], [-14, 0, 120], [0.2, 0, 1]]\n"
-    )
-    with pytest.raises(BadInput, match=r"\[a\].*folds"):
-        load_sensors(path)
-
-
-@pytest.mark.parametrize(
-    "line, reason",
-    [
+    for line, reason in (
         ("image = [320]", "width, height"),
         ("image = [320, 0]", "width, height"),
-        ("projection = 3", "projection"),
-        (f"projection = [[{10**400}, 0, 0], [0, 1, 0], [0, 0, 1]]", "projection"),
-        ("projection = [[1, 2], [3, 4]]", "3 x 3"),
-        (f"projection = [[1{'0' * 400}, 0, 0], [0, 1, 0], [0, 0, 1]]", "projection"),
         ("image = [", "TOML|sensors"),
+        ("projection = 3", "projection"),
+        ("projection = [[1, 2], [3, 4]]", "3 x 3"),
+        (f"projection = [[{10**400}, 0, 0], [0, 1, 0], [0, 0, 1]]", "projection"),
+        ("projection = [[0, -14, 160], [-14, 0, 120], [0.2, 0, 1]]", r"\[a\].*folds"),  # within the gel
         ("gel = 'jelly'", "jelly"),
         ("gel = 3", "gel"),
         ("markers = 5", "markers"),
@@ -107,18 +91,9 @@ def test_a_projection_that_folds_within_the_gel_is_refused_in_a_file(tmp_path):
         ("markers = { rows = '7', cols = 9 }", "rows is '7'"),
         ("markers = { pitch_px = 32.8 }", "pitch_px is 32.8"),
         ("markers = { centre_px = [nan, 3.0] }", "centre_px"),
-    ],
-)
-def test_broken_sensor_tables_name_the_field(tmp_path, line, reason):
-    keep = {
-        "gel": "gel = 'gelsight_mini'",
-        "image": "image = [320, 240]",
-        "projection": "projection = [[0, -14, 160], [-14, 0, 120], [0, 0, 1]]",
-    }
-    path = tmp_path / "sensors.toml"
-    path.write_text("[a]\n" + "\n".join({**keep, line.split(" ")[0]: line}.values()))
-    with pytest.raises(BadInput, match=reason):
-        load_sensors(path)
+    ):
+        path.write_text("[a]\n" + "\n".join({**keep, line.split(" ")[0]: line}.values()))
+        refused(reason, load_sensors, path)
 
 
 def test_the_projects_sensors_are_usable(root):
@@ -127,8 +102,7 @@ def test_the_projects_sensors_are_usable(root):
     for sensor in sensors.values():
         points = np.array([[1.0, 2], [-7, 9]])
         assert sensor.unproject(sensor.project(points)) == pytest.approx(points, abs=1e-9)
-    with pytest.raises(BadInput, match="log row 3.*nobody"):
-        find_sensor(sensors, "nobody", "log row 3")
+    refused("log row 3.*nobody", find_sensor, sensors, "nobody", "log row 3")
 
 
 def test_gels_of_all_sensors_are_printed_alike(root):
@@ -163,62 +137,43 @@ def test_the_reference_correspondences(reference):
     assert fit.homography == pytest.approx(GOOD, abs=1e-9) and fit.rms < 1e-9
 
 
-@pytest.mark.parametrize(
-    "text, reason",
-    [
-        ("x_mm,y_mm,u_px\n1,2,3\n", "v_px"),
-        ("x_mm,y_mm,u_px,v_px\n1,2,3,abc\n", "line 2: v_px is 'abc'"),
-        ("", "x_mm"),
-        ("# by hand\nx_mm,y_mm,u_px,v_px\n1,2,3,\n", "line 3: its v_px is empty"),
-        # decimal commas shift what follows: x would be 1, y 5, u 2 and v 5
-        (
-            "x_mm,y_mm,u_px,v_px\n1,2,3,4\n1,5,2,5,160,120\n",
-            "row 3 has another number of cells .* decimals with a point",
-        ),
-    ],
-)
-def test_broken_correspondences_name_point_and_field(tmp_path, text, reason):
-    path = tmp_path / "points.csv"
-    path.write_text(text)
-    with pytest.raises(BadInput, match=reason):
-        projection.read_points(path)
-
-
-def test_points_may_have_blanks_behind_their_commas(tmp_path):
+def test_points_are_read_and_broken_ones_named(tmp_path):
     path = tmp_path / "points.csv"
     path.write_text("# by hand\nx_mm , y_mm, u_px,\tv_px\n1, 2, 3, 4\n")
     on_gel, pixels = projection.read_points(path)
     assert on_gel.tolist() == [[1.0, 2.0]] and pixels.tolist() == [[3.0, 4.0]]
+    head = "x_mm,y_mm,u_px,v_px\n"
+    for text, reason in (
+        ("x_mm,y_mm,u_px\n1,2,3\n", "v_px"),
+        (f"{head}1,2,3,abc\n", "line 2: v_px is 'abc'"),
+        ("", "x_mm"),
+        (f"# by hand\n{head}1,2,3,\n", "line 3: its v_px is empty"),
+        # decimal commas shift what follows: x would be 1, y 5, u 2 and v 5
+        (f"{head}1,2,3,4\n1,5,2,5,160,120\n", "row 3 has another number of cells .* decimals with a point"),
+    ):
+        path.write_text(text)
+        refused(reason, projection.read_points, path)
 
 
-@pytest.mark.parametrize(
-    ("on_gel", "pixels", "says"),
-    [
-        ([[-5, -5], [5, -5], [5, 5], [-5, 5]], [[10, 10], [478, 10], [300, 200], [10, 200]], "478, 10.*320 x 240"),
-        ([[-5, -5], [5, -5], [5, 5], [-5, 5]], [[10, 10], [300, -3], [300, 200], [10, 200]], "300, -3"),
-        ([[-5e-3, -5e-3], [5e-3, -5e-3], [5e-3, 5e-3], [-5e-3, 5e-3]], [[10, 10], [300, 10], [300, 200], [10, 200]],
-         "check the unit"),
-    ],
-)  # fmt: skip
-def test_points_of_another_picture_or_unit_are_refused(on_gel, pixels, says):
+def test_points_of_another_picture_or_unit_are_refused():
     """They fit a projection exactly all the same, by which every label would be nothing."""
-    with pytest.raises(BadInput, match=says):
-        projection.check_marks(np.array(on_gel, float), np.array(pixels, float), (320, 240), "points.csv")
+    square, seen = np.array([[-5.0, -5], [5, -5], [5, 5], [-5, 5]]), [[10.0, 10], [300, 10], [300, 200], [10, 200]]
+    for on_gel, second, said in (
+        (square, [478, 10], "478, 10.*320 x 240"),
+        (square, [300, -3], "300, -3"),
+        (1e-3 * square, seen[1], "check the unit"),
+    ):
+        pixels = np.array([seen[0], second, *seen[2:]], float)
+        refused(said, projection.check_marks, on_gel, pixels, (320, 240), "points.csv")
 
 
-def test_the_markers_of_the_reference_image(reference):
-    image = read_npy(reference / "feats/images/nocontact_train_sensor.npy")["gs_img"]
-    found = find_markers(image, 7, 9)
+def test_the_markers_of_reference_images(reference):
+    found = find_markers(read_npy(reference / "feats/images/nocontact_train_sensor.npy")["gs_img"], 7, 9)
     assert found.count == 63 and not len(found.missing)
     assert found.pitch == pytest.approx([32.9, 31.4], abs=0.3)
-    assert found.diameter == pytest.approx(11.6, abs=1.0)
-    assert abs(found.rotation) < 0.5
-
-
-def test_the_markers_of_the_pressed_reference_image(reference):
-    image = cv2.imread(str(reference / "feats/images/cuboid_10-2-284.png"))[..., ::-1]
-    found = find_markers(image, 7, 9)
-    assert found.count == 63 and found.pitch == pytest.approx([33.6, 32.9], abs=0.5)
+    assert found.diameter == pytest.approx(11.6, abs=1.0) and abs(found.rotation) < 0.5
+    pressed = find_markers(cv2.imread(str(reference / "feats/images/cuboid_10-2-284.png"))[..., ::-1], 7, 9)
+    assert pressed.count == 63 and pressed.pitch == pytest.approx([33.6, 32.9], abs=0.5)
 
 
 def draw_markers(pitch, turn_deg, centre, rows=7, cols=9, missing=(), specks=(), seed=0):
@@ -259,20 +214,14 @@ def test_drawn_markers_are_found(pitch, turn, centre, missing, specks):
     assert found.centre == pytest.approx(centre, abs=0.3)
 
 
-@pytest.mark.parametrize(
-    "image",
-    [
+def test_images_without_a_grid_are_refused():
+    few = {(r, c) for r in range(7) for c in range(9) if (r + c) % 3}
+    flat, noise = (
         np.full((240, 320, 3), 120, np.uint8),
         np.random.default_rng(0).integers(0, 255, (240, 320, 3), np.uint8),
-        draw_markers(
-            (32.9, 31.4), 0, (160, 120), missing={(r, c) for r in range(7) for c in range(9) if (r + c) % 3}
-        )[0],
-    ],
-    ids=["flat", "noise", "too few"],
-)
-def test_images_without_a_grid_are_refused(image):
-    with pytest.raises(BadInput, match="image without contact"):
-        find_markers(image, 7, 9, "empty.png")
+    )
+    for image in (flat, noise, draw_markers((32.9, 31.4), 0, (160, 120), missing=few)[0]):
+        refused("image without contact", find_markers, image, 7, 9, "empty.png")
 
 
 def test_a_unit_is_calibrated_from_one_image(root):
@@ -304,19 +253,9 @@ def test_a_picture_that_shows_a_part_of_the_markers_does_not_show_which(root):
 
 
 def test_the_command_writes_json_picture_and_table(root, reference, tmp_path, capsys):
-    out = tmp_path / "unit.json"
-    projection.main(
-        [
-            "--sensor",
-            "unit",
-            "--points",
-            str(reference / "feats/point_correspondences.csv"),
-            "--image",
-            str(reference / "feats/images/nocontact_train_sensor.npy"),
-            "--out",
-            str(out),
-        ]
-    )
+    out, feats = tmp_path / "unit.json", reference / "feats"
+    words = ["--points", feats / "point_correspondences.csv", "--image", feats / "images/nocontact_train_sensor.npy"]
+    projection.main(["--sensor", "unit", *map(str, words), "--out", str(out)])
     text = capsys.readouterr().out
     assert "residual 0.000 px rms" in text and "63 of 63" in text and "[unit]" in text
     table = tmp_path / "sensors.toml"
@@ -325,42 +264,25 @@ def test_the_command_writes_json_picture_and_table(root, reference, tmp_path, ca
     assert cv2.imread(str(out.with_suffix(".png"))).shape == (720, 960, 3)
 
 
-@pytest.mark.parametrize(
-    "arguments, reason",
-    [
+def test_the_command_refuses_and_replaces_nothing_that_it_reads(tmp_path, monkeypatch, root):
+    """The no-contact image of a unit is taken once; the fit drawn over it is no picture to fit by."""
+    monkeypatch.chdir(tmp_path)
+    cv2.imwrite("small.png", np.zeros((120, 160, 3), np.uint8))
+    image = (root / "data/demo/nocontact/mini_a.png").read_bytes()
+    (tmp_path / "unit.png").write_bytes(image)
+    (tmp_path / "points.csv").write_text("x_mm,y_mm,u_px,v_px\n")
+    like = ["--sensor", "unit", "--like", "mini_a", "--image", "unit.png"]
+    for arguments, reason in (
         (["--sensor", ""], "SENSOR=name"),
         (["--sensor", "a"], "POINTS=points.csv"),
         (["--sensor", "a", "--image", "small.png"], "160 x 120.*320 x 240"),
         (["--sensor", "a", "--image", "none.png"], "none.png"),
         (["--sensor", "a", "--like", "b"], "'b'"),
-    ],
-)
-def test_the_command_refuses(tmp_path, monkeypatch, root, arguments, reason):
-    monkeypatch.chdir(tmp_path)
-    cv2.imwrite("small.png", np.zeros((120, 160, 3), np.uint8))
-    with pytest.raises(BadInput, match=reason):
-        projection.main([*arguments, "--sensors", str(root / "workflow/sensors.toml")])
-    assert not (tmp_path / "results").exists()
-
-
-@pytest.mark.parametrize(
-    "arguments, reason",
-    [
         # the drawing of the fit lies beside the JSON, by its stem
-        (["--image", "unit.png", "--out", "unit.json"], "unit.png would take the place of a file that is read"),
-        (["--image", "unit.png", "--points", "points.csv", "--out", "points.csv"], "points.csv would take the place"),
-        (["--image", "unit.png", "--out", "fit.png"], "fit.png: is the name of its picture"),
-    ],
-)
-def test_the_command_replaces_nothing_that_it_reads(tmp_path, monkeypatch, root, arguments, reason):
-    """The no-contact image of a unit is taken once; the fit drawn over it is no picture to fit by."""
-    monkeypatch.chdir(tmp_path)
-    before = (root / "data/demo/nocontact/mini_a.png").read_bytes()
-    (tmp_path / "unit.png").write_bytes(before)
-    (tmp_path / "points.csv").write_text("x_mm,y_mm,u_px,v_px\n")
-    with pytest.raises(BadInput, match=reason):
-        projection.main(
-            ["--sensor", "unit", "--like", "mini_a", *arguments, "--sensors", str(root / "workflow/sensors.toml")]
-        )
-    assert (tmp_path / "unit.png").read_bytes() == before
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["points.csv", "unit.png"]
+        ([*like, "--out", "unit.json"], "unit.png would take the place of a file that is read"),
+        ([*like, "--points", "points.csv", "--out", "points.csv"], "points.csv would take the place"),
+        ([*like, "--out", "fit.png"], "fit.png: is the name of its picture"),
+    ):
+        refused(reason, projection.main, [*arguments, "--sensors", str(root / "workflow/sensors.toml")])
+    assert (tmp_path / "unit.png").read_bytes() == image
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["points.csv", "small.png", "unit.png"]

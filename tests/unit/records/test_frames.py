@@ -41,9 +41,8 @@ def test_a_press_goes_down_and_then_sideways():
     assert check_frames(DOWN + ASIDE, "log.csv") == []
 
 
-@pytest.mark.parametrize(
-    ("column", "frames", "says"),
-    [
+def test_a_row_that_is_no_later_moment_is_rejected_alone():
+    for column, frames, said in (
         ("indenter", [*DOWN, frame(3, dz_mm=-1.8, indenter="bar_5")], "differs"),
         ("sensor_id", [*DOWN, frame(3, dz_mm=-1.8, sensor_id="other")], "differs"),
         ("gel_id", [*DOWN, frame(3, dz_mm=-1.8, gel_id="other")], "differs"),
@@ -62,28 +61,23 @@ def test_a_press_goes_down_and_then_sideways():
         ("dy_mm", [*DOWN, *ASIDE, frame(5, dz_mm=-1.5, dx_mm=-0.3, dy_mm=-0.6)], "goes back"),
         ("dy_mm", [*DOWN, *ASIDE, frame(5, dz_mm=-1.5, dx_mm=0.6, dy_mm=-0.8)], "goes back"),
         ("dx_mm", [*DOWN, *ASIDE, frame(5, dz_mm=-1.5, dx_mm=0.8, dy_mm=0.3)], "leaves the line"),
-    ],
-)
-def test_a_row_that_is_no_later_moment_is_rejected_alone(column, frames, says):
-    wrong = check_frames(frames, "log.csv")
-    assert [(r.row, r.column) for r in wrong] == [(frames[-1].row, column)]
-    assert says in wrong[0].reason and f"row {frames[-2].row}" in wrong[0].hint
+    ):
+        wrong = check_frames(frames, "log.csv")
+        assert [(r.row, r.column) for r in wrong] == [(frames[-1].row, column)], said
+        assert said in wrong[0].reason and f"row {frames[-2].row}" in wrong[0].hint
 
 
-@pytest.mark.parametrize(
-    ("before", "now", "earlier"),
-    [
+def test_times_of_several_zones_are_compared_as_times():
+    for before, now, earlier in (
         ("2026-01-01T10:00:00Z", "2026-01-01T13:00:01+03:00", False),
         ("2026-01-01T13:00:00+03:00", "2026-01-01T10:00:01", False),
         ("2026-01-01T10:00:00", "2026-01-01T10:00:01Z", False),
         ("2026-01-01T13:00:01+03:00", "2026-01-01T10:00:00Z", True),
         ("2026-01-01T10:00:01", "2026-01-01T13:00:00+03:00", True),
         ("2026-01-01T13:00:01+03:00", "2026-01-01T10:00:00", True),
-    ],
-)
-def test_times_of_several_zones_are_compared_as_times(before, now, earlier):
-    wrong = check_frames([frame(0, time_utc=before), frame(1, dz_mm=-1.2, time_utc=now)], "log.csv")
-    assert [rejected.column for rejected in wrong] == ["time_utc"] * earlier
+    ):
+        wrong = check_frames([frame(0, time_utc=before), frame(1, dz_mm=-1.2, time_utc=now)], "log.csv")
+        assert [rejected.column for rejected in wrong] == ["time_utc"] * earlier, (before, now)
 
 
 def test_rows_without_press_id_are_never_held_against_each_other():
