@@ -1,0 +1,92 @@
+"""The axisymmetric solver against closed forms: what every method is measured by must itself be right."""
+
+import numpy as np
+import pytest
+
+from tests.support.axisymmetric import Fineness, Layer, Press, cone, press, punch, sphere, tube
+
+MU = 2 * 0.0725
+
+
+def small_press(stick: bool = True) -> Press:
+    return Press(sphere(4), Layer(2.0, radius=6.0), Fineness((0.0, 1.0), 0.2, steps=4), stick)
+
+
+def test_a_uniform_deformation_is_in_balance_at_every_node_within_the_gel():
+    run = small_press()
+    along_z = run.axial.astype(bool)
+    places = run.dof_places
+    u = np.where(along_z, -0.1 * (places[1] + 2.0), 0.05 * places[0])
+    out, _ = run.residual(u, -1.0)
+    within = (places[1] > -2.0 + 1e-9) & (places[1] < -1e-9) & (places[0] < 6.0 - 1e-9)
+    assert np.abs(out[within]).max() < 1e-12 * np.abs(out).max()
+
+
+@pytest.mark.parametrize("stick", [True, False])
+def test_tangents_are_the_derivatives_of_forces(stick):
+    run = small_press(stick)
+    run.follow([0.3])
+    rng = np.random.default_rng(1)
+    way = rng.normal(size=len(run.u)) * 1e-7
+    ahead, behind = (run.residual(run.u + sign * way, run.depth)[0] for sign in (1, -1))
+    expected = run.residual(run.u, run.depth)[1] @ (2 * way)
+    # the curvature of the body is left out of the tangent; by its penalty the gel lies within 1e-6 mm of the body
+    np.testing.assert_allclose(ahead - behind, expected, atol=1e-5 * np.abs(expected).max())
+
+
+def test_base_and_contact_are_in_balance_and_nothing_pulls():
+    for body in (sphere(4), punch(3, 0.5), tube(3, 1, 0.3), cone(30, 0.3)):
+        (found,) = press(body, Layer(2.0, radius=4.0), [0.2], Fineness((0.0, 1.5), 0.15, steps=4))
+        assert abs(found.base) < 1e-8
+        assert found.pulling < 1e-3
+        assert found.rings.sum() == pytest.approx(found.force, rel=1e-12)
+
+
+def test_hertz_where_the_gel_is_thick_and_nothing_sticks():
+    radius, depth, nu = 1.0, 1e-4, 0.45
+    (found,) = press(
+        sphere(2 * radius), Layer(4.0, nu, radius=4.0), [depth], Fineness((0.0, 0.012), 6e-4, steps=4), stick=False
+    )
+    assert found.force == pytest.approx(4 / 3 * 2 * MU / (1 - nu) * np.sqrt(radius) * depth**1.5, rel=6e-3)
+    assert found.contact_radius == pytest.approx(np.sqrt(radius * depth), rel=0.05)
+
+
+@pytest.mark.parametrize("nu", [0.3, 0.45])
+def test_flat_punch_that_sticks_on_a_half_space(nu):
+    """Mossakovskii 1954: P = 4 mu a d ln(3 - 4 nu) / (1 - 2 nu)."""
+    radius, depth = 0.01, 1e-5
+    edge = Fineness((0.0098, 0.01), 2e-5)
+    (found,) = press(punch(2 * radius, 2e-5), Layer(4.0, nu, radius=4.0), [depth], edge)
+    assert found.force == pytest.approx(4 * MU * radius * depth * np.log(3 - 4 * nu) / (1 - 2 * nu), rel=3e-3)
+
+
+def test_sphere_that_sticks_grows_stiffer_as_a_flat_punch_of_its_contact():
+    """Spence 1968, Mossakovskii 1963: each step of the press adds what a flat punch of the contact's radius would."""
+    nu, depths = 0.3, [0.95e-4, 1e-4, 1.05e-4]
+    found = press(sphere(2.0), Layer(4.0, nu, radius=4.0), depths, Fineness((0.0, 0.012), 4e-4, steps=16))
+    slope = (found[2].force - found[0].force) / (depths[2] - depths[0])
+    radius = slope / (4 * MU * np.log(3 - 4 * nu) / (1 - 2 * nu))
+    assert found[1].force == pytest.approx(slope * depths[1] / 1.5, rel=5e-3)  # P grows with the power 1.5 of depth
+    assert found[1].contact_radius == pytest.approx(radius, abs=4e-4)  # known to half an element
+
+
+@pytest.mark.parametrize(("ratio", "kappa"), [(0.4, 1.683), (1.0, 3.609), (2.0, 9.069)])
+def test_flat_punch_on_a_bonded_layer(ratio, kappa):
+    """Hayes, Keer, Herrmann, Mockros 1972 (J. Biomech. 5, 541-551): P = 8 mu a d kappa, frictionless and incompressible."""
+    radius, depth, nu = ratio * 1.0, 1e-4, 0.4999
+    edge = Fineness((0.97 * radius, 1.003 * radius), 0.003 * radius, coarse=0.1)
+    (found,) = press(punch(2 * radius, 1e-3 * radius), Layer(1.0, nu, radius=8.0), [depth], edge, stick=False)
+    assert found.force == pytest.approx(8 * MU * radius * depth * kappa, rel=8e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("body", "edge", "fine"),
+    [(sphere(15), (0.0, 3.3), 0.12), (punch(10, 0.3), (4.6, 5.0), 0.04), (tube(10, 7, 0.7), (3.5, 5.0), 0.07)],
+)
+def test_forces_hardly_move_where_elements_or_steps_are_halved(body, edge, fine):
+    plain = Fineness(edge, fine)
+    ways = (plain, plain.halved(), Fineness(edge, fine, steps=24))
+    (coarse,), (halved,), (slow,) = (press(body, Layer(), [0.4], way) for way in ways)
+    assert halved.force == pytest.approx(coarse.force, rel=2e-3)
+    assert slow.force == pytest.approx(coarse.force, rel=1e-3)

@@ -1,0 +1,335 @@
+"""Normal forces of axisymmetric presses, solved by scikit-fem alone: the yardstick of every method that labels are made by.
+
+A layer bonded at its base, neo-Hookean at finite strain, W = C10 (I1bar - 3) + K/2 (J - 1)^2, and a rigid body of revolution
+that is pressed straight down. Quadrilaterals of second order, small where the edge of contact passes. Contact acts at Gauss
+points of the surface by a penalty so stiff that it gives way by less than a micrometre. Without slip a point is held where
+it first touched: the point of its way through a load step at which its gap closes. Nothing here is shared with gelforge.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from pypardiso import PyPardisoSolver
+from skfem import Basis, ElementQuad2, ElementVector, FacetBasis, MeshQuad
+
+PENALTY = 2e5  # MPa/mm over the shear modulus
+RING = 0.5  # mm, width of the rings whose forces are reported
+# The components of F that are not zero: rows and columns of rr, rz, zr, zz, and of the hoop.
+ROW, COLUMN = np.array([0, 0, 1, 1, 2]), np.array([0, 1, 0, 1, 2])
+
+
+class Unsolved(Exception):
+    """Newton's method found no equilibrium, however short the load step."""
+
+
+@dataclass(frozen=True)
+class Body:
+    """All places within `radius` of a chain of lines `core` (k, 2), r and z in mm, turned about the axis; tip at z = 0."""
+
+    core: tuple[tuple[float, float], ...]
+    radius: float
+
+    def distance(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signed distance (n,) of places (n, 2), negative inside, and the outward normal (n, 2)."""
+        best, away = np.full(len(places), np.inf), np.zeros_like(places)
+        ends = np.array(self.core)
+        for a, b in zip(ends, ends[1:] if len(ends) > 1 else ends, strict=False):
+            along = b - a
+            s = np.clip((places - a) @ along / max(along @ along, 1e-300), 0.0, 1.0)
+            off = places - a - s[:, None] * along
+            length = np.linalg.norm(off, axis=1)
+            nearer = length < best
+            best, away = np.where(nearer, length, best), np.where(nearer[:, None], off, away)
+        return best - self.radius, away / np.maximum(best, 1e-300)[:, None]
+
+
+def sphere(diameter: float) -> Body:
+    """A sphere."""
+    return Body(((0.0, diameter / 2),), diameter / 2)
+
+
+def punch(diameter: float, fillet: float) -> Body:
+    """A flat-ended cylinder whose edge is rounded."""
+    flat = diameter / 2 - fillet
+    return Body(((0.0, fillet), (flat, fillet), (flat, 20.0)), fillet)
+
+
+def tube(diameter: float, hole: float, fillet: float) -> Body:
+    """A flat-ended tube whose edges are rounded; one that is as wide as twice its fillet ends in half a ring."""
+    inner, outer = hole / 2 + fillet, diameter / 2 - fillet
+    return Body(((inner, 20.0), (inner, fillet), (outer, fillet), (outer, 20.0)), fillet)
+
+
+def cone(degrees: float, tip: float) -> Body:
+    """A cone whose flank rises by `degrees` from the plane, its tip rounded."""
+    slope = np.tan(np.deg2rad(degrees))
+    return Body(((0.0, tip), (20.0, tip + 20.0 * slope)), tip)
+
+
+@dataclass(frozen=True)
+class Layer:
+    """A disc of gel. thickness, radius: mm. c10: MPa. nu: Poisson's ratio at small strain."""
+
+    thickness: float = 4.0
+    nu: float = 0.475
+    c10: float = 0.0725
+    radius: float = 20.0
+
+    @property
+    def bulk(self) -> float:
+        """Bulk modulus K, MPa."""
+        return 4.0 * self.c10 * (1.0 + self.nu) / (3.0 * (1.0 - 2.0 * self.nu))
+
+    def stress(self, f: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """First Piola-Kirchhoff stress (5, n) and its derivative (5, 5, n) by F (5, n)."""
+        grad = np.zeros((3, 3, f.shape[1]))
+        grad[ROW, COLUMN] = f
+        plane = f[0] * f[3] - f[1] * f[2]
+        ratio = plane * f[4]
+        if not ratio.min() > 0.0:
+            raise Unsolved("an element is inverted")
+        inverse = np.zeros_like(grad)  # transposed
+        inverse[ROW, COLUMN] = f[3] / plane, -f[2] / plane, -f[1] / plane, f[0] / plane, 1.0 / f[4]
+        t, squares, c = inverse[ROW, COLUMN], (f**2).sum(axis=0), 2.0 * self.c10 * ratio ** (-2.0 / 3.0)
+        p = c * (f - squares / 3.0 * t) + self.bulk * (ratio - 1.0) * ratio * t
+        tt, tf = t[:, None] * t[None], t[:, None] * f[None]
+        turned = inverse[ROW[:, None], COLUMN[None]] * inverse[ROW[None], COLUMN[:, None]]
+        shape = (
+            np.eye(5)[:, :, None] - 2.0 / 3.0 * (tf + tf.swapaxes(0, 1)) + squares * (2.0 / 9.0 * tt + turned / 3.0)
+        )
+        return p, c * shape + self.bulk * ratio * ((2.0 * ratio - 1.0) * tt - (ratio - 1.0) * turned)
+
+
+def graded(ends: list[float], size: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+    """Mesh lines through all of `ends` (sorted), their distance about `size` (mm) of their place."""
+    lines = [np.array(ends[:1])]
+    for low, high in zip(ends, ends[1:], strict=False):
+        at = np.linspace(low, high, 2001)
+        count = np.concatenate([[0.0], np.cumsum(np.diff(at) / size((at[1:] + at[:-1]) / 2))])
+        cells = max(1, int(np.ceil(count[-1] - 1e-9)))
+        lines.append(np.interp(np.linspace(0.0, count[-1], cells + 1), count, at)[1:])
+    return np.concatenate(lines)
+
+
+@dataclass(frozen=True)
+class Fineness:
+    """How finely a press is solved: sizes of elements within `edge`, the radii between which the edge of contact moves, mm.
+
+    Sizes grow by `growth` times the distance from there, to `coarse`. steps: load steps to the deepest depth, which are
+    shortest at first: the i-th ends at (i / steps)^2 of it.
+    """
+
+    edge: tuple[float, float]
+    fine: float = 0.05
+    coarse: float = 0.4
+    growth: float = 0.3
+    steps: int = 12
+
+    def halved(self) -> "Fineness":
+        """The same with elements of half the size."""
+        return Fineness(self.edge, self.fine / 2, self.coarse / 2, self.growth, self.steps)
+
+    def mesh(self, layer: Layer) -> MeshQuad:
+        """Quadrilaterals whose lines go through the ends of all rings under contact."""
+        low, high = self.edge
+
+        def size(off: np.ndarray, most: float) -> np.ndarray:
+            return np.minimum(self.fine + self.growth * off, most)
+
+        rings = [float(r) for r in np.arange(0.0, high + RING, RING) if r < layer.radius]
+        r = graded([*rings, layer.radius], lambda x: np.where(
+            x < high, size(np.maximum(low - x, 0.0), self.coarse), size(np.maximum(x - high, 0.0), 5.0 * self.coarse)
+        ))  # fmt: skip
+        z = graded([0.0, layer.thickness], lambda x: size(x, self.coarse))
+        return MeshQuad.init_tensor(r, np.sort(-z))
+
+
+@dataclass(frozen=True)
+class Pressed:
+    """A press at one depth: total force N, forces N in rings of RING mm from the axis (of the undeformed gel), contact radius mm.
+
+    pulling: by how much points that stick pull, over the force. base: relative difference of the base's reaction.
+    """
+
+    depth: float
+    force: float
+    rings: np.ndarray
+    contact_radius: float
+    pulling: float
+    base: float
+
+
+class Press:
+    """One body on one layer along its path: u (dofs,) and where the points of the surface are held (nan: nowhere), (m, 2)."""
+
+    def __init__(self, body: Body, layer: Layer, fineness: Fineness, stick: bool):
+        self.body, self.layer, self.fineness, self.stick = body, layer, fineness, stick
+        mesh = fineness.mesh(layer)
+        basis = Basis(mesh, ElementVector(ElementQuad2()), intorder=4)
+        facets = mesh.facets_satisfying(lambda x: np.abs(x[1]) < 1e-9)
+        top = FacetBasis(mesh, ElementVector(ElementQuad2()), intorder=3, facets=facets)
+        self.weight, self.solid, self.solid_dofs = self._rows(basis, lambda v, r: [*v.grad[0], *v.grad[1], v[0] / r])
+        self.area, self.surface, self.surface_dofs = self._rows(top, lambda v, _: [v[0], v[1]])
+        self.reference = np.asarray(top.global_coordinates()).reshape(2, -1).T
+        base = basis.get_dofs(lambda x: np.abs(x[1] + layer.thickness) < 1e-9).all()
+        axis = basis.get_dofs(lambda x: np.abs(x[0]) < 1e-9).all(["u^1"])
+        self.base = base
+        self.free = np.setdiff1d(np.arange(basis.N), np.concatenate([base, axis]))
+        self.dof_places, self.axial = basis.doflocs, np.zeros(basis.N)
+        self.axial[basis.get_dofs(elements=True).all(["u^2"])] = 1.0
+        self.u, self.held = np.zeros(basis.N), np.full((len(self.reference), 2), np.nan)
+        self.depth = 0.0
+        self.linear = PyPardisoSolver(mtype=-2)  # symmetric, indefinite
+
+    @staticmethod
+    def _rows(basis: Basis, rows: Callable) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Weights (e, q) of points with 2 pi r, the values (e, q, k, a) of `rows` there for each dof of an element, and dofs (e, a)."""
+        r = basis.global_coordinates()[0]
+        values = np.array([np.broadcast_arrays(*rows(basis.basis[a][0], r)) for a in range(basis.Nbfun)])
+        return 2.0 * np.pi * basis.dx * r, np.ascontiguousarray(values.transpose(2, 3, 1, 0)), basis.element_dofs.T
+
+    def deformation(self, u: np.ndarray) -> np.ndarray:
+        """F (5, n) at the points of the solid; n runs over elements, then over their points."""
+        f = np.einsum("eqka,ea->keq", self.solid, u[self.solid_dofs], optimize=True).reshape(5, -1)
+        return f + np.array([1.0, 0.0, 0.0, 1.0, 1.0])[:, None]
+
+    def places(self, u: np.ndarray) -> np.ndarray:
+        """Deformed points of the surface (m, 2)."""
+        return self.reference + np.einsum("eqka,ea->eqk", self.surface, u[self.surface_dofs]).reshape(-1, 2)
+
+    def gap(self, places: np.ndarray, depth: float) -> tuple[np.ndarray, np.ndarray]:
+        """Distance (m,) of places (m, 2) to the body at a depth, and its normal (m, 2)."""
+        return self.body.distance(places + [0.0, depth])
+
+    def tractions(self, u: np.ndarray, depth: float) -> tuple[np.ndarray, np.ndarray]:
+        """Tractions (m, 2) on the undeformed surface, MPa, and their stiffness (m, 2, 2)."""
+        k, x = PENALTY * 2.0 * self.layer.c10, self.places(u)
+        gap, normal = self.gap(x, depth)
+        inside, holds = gap < 0.0, ~np.isnan(self.held[:, 0])
+        traction = np.where(inside[:, None], -k * gap[:, None] * normal, 0.0)
+        stiffness = np.where(inside[:, None, None], k * normal[:, :, None] * normal[:, None, :], 0.0)
+        traction[holds] = k * (self.held[holds] - [0.0, depth] - x[holds])
+        stiffness[holds] = k * np.eye(2)
+        return traction, stiffness
+
+    def residual(self, u: np.ndarray, depth: float) -> tuple[np.ndarray, sp.csr_matrix]:
+        """Force out of balance (dofs,) N and its derivative."""
+        stress, stiff = self.layer.stress(self.deformation(u))
+        traction, hard = self.tractions(u, depth)
+        parts = (
+            (self.solid, self.solid_dofs, self.weight, stress.T, np.moveaxis(stiff, 2, 0)),
+            (self.surface, self.surface_dofs, self.area, -traction, hard),
+        )
+        out, values, rows, columns = np.zeros(len(u)), [], [], []
+        for shape, dofs, weight, force, stiffness in parts:
+            e, q, k, a = shape.shape
+            weighted = (shape * weight[:, :, None, None]).reshape(e, q * k, a).swapaxes(1, 2)
+            out += np.bincount(dofs.ravel(), (weighted @ force.reshape(e, q * k, 1)).ravel(), len(u))
+            values.append((weighted @ (stiffness.reshape(e, q, k, k) @ shape).reshape(e, q * k, a)).ravel())
+            rows.append(np.repeat(dofs, a, axis=1).ravel())
+            columns.append(np.tile(dofs, (1, a)).ravel())
+        places = np.concatenate(rows), np.concatenate(columns)
+        return out, sp.csr_matrix((np.concatenate(values), places), (len(u), len(u)))
+
+    def equilibrium(self, u: np.ndarray, depth: float, small: float = 1e-9, most: int = 15) -> np.ndarray:
+        """Newton's method from u (dofs,) until a step is below `small` times the depth; raises Unsolved."""
+        u, free = u.copy(), self.free
+        for _ in range(most):
+            out, tangent = self.residual(u, depth)
+            step = self.linear.solve(sp.triu(tangent[free][:, free], format="csr"), out[free])
+            part = 1.0
+            while part > 0.01:
+                trial = u.copy()
+                trial[free] -= part * step
+                try:
+                    self.layer.stress(self.deformation(trial))
+                    break
+                except Unsolved:
+                    part /= 2.0
+            u = trial
+            if part == 1.0 and np.abs(step).max() < small * depth:
+                return u
+        raise Unsolved(f"no equilibrium at a depth of {depth:.4g} mm")
+
+    def advance(self, depth: float, before: tuple[np.ndarray, float] | None) -> None:
+        """One load step. before: u and depth of the step before the last, from which the motion is guessed."""
+        start, gap = self.places(self.u), self.gap(self.places(self.u), self.depth)[0]
+        ahead = self.u
+        if before is not None:
+            ahead = self.u + (depth - self.depth) / (self.depth - before[1]) * (self.u - before[0])
+        closing = gap - self.gap(self.places(ahead), depth)[0]
+        share = np.where(closing > 0.0, np.maximum(gap, 0.0) / np.maximum(closing, 1e-300), 1.0)
+        # rough where what touches for the first time still moves to where it is held
+        small = 1e-4 if self.stick else 1e-9
+        try:
+            u = self.equilibrium(ahead, depth, small)
+        except Unsolved:
+            u = self.equilibrium(self.u, depth, small)
+        if self.stick:
+            u = self.hold(u, depth, start, np.clip(share, 0.0, 1.0)[:, None])
+        self.u, self.depth = u, depth
+
+    def hold(self, u: np.ndarray, depth: float, start: np.ndarray, share: np.ndarray) -> np.ndarray:
+        """Hold each point that presses at the `share` (m, 1) of its way from `start` (m, 2) to u until none is left to be held."""
+        kept, small, up = self.held.copy(), 1e-4, np.array([0.0, 1.0])
+        while True:
+            end = self.places(u)
+            new = np.isnan(self.held[:, 0]) & (self.gap(end, depth)[0] < 0.0)
+            if not new.any():
+                if small < 1e-4:
+                    return u
+                small = 1e-9
+            met = (1.0 - share) * (start + self.depth * up) + share * (end + depth * up)
+            distance, normal = self.body.distance(met)
+            self.held[new] = (met - distance[:, None] * normal)[new]
+            try:
+                u = self.equilibrium(u, depth, small)
+            except Unsolved:
+                self.held = kept
+                raise
+
+    def follow(self, depths: list[float]) -> list[Pressed]:
+        """The press at each of the depths (mm, rising)."""
+        found, before = [], None
+        steps = self.fineness.steps
+        for depth in sorted({*(max(depths) * (np.arange(1, steps + 1) / steps) ** 2), *depths}):
+            if depth - self.depth < 1e-9:
+                continue
+            last = self.u, self.depth
+            self._reach(depth, before)
+            before = last
+            if depth in depths:
+                found.append(self.pressed())
+        return found
+
+    def _reach(self, depth: float, before: tuple[np.ndarray, float] | None, cuts: int = 5) -> None:
+        """`advance`, in halves where it fails."""
+        try:
+            self.advance(depth, before)
+        except Unsolved:
+            if not cuts:
+                raise
+            last = self.u, self.depth
+            self._reach((self.depth + depth) / 2, before, cuts - 1)
+            self._reach(depth, last, cuts - 1)
+
+    def pressed(self) -> Pressed:
+        """What is reported of the present state."""
+        traction, _ = self.tractions(self.u, self.depth)
+        push = -traction[:, 1] * self.area.ravel()
+        force, touched = float(push.sum()), np.abs(traction).max(axis=1) > 0.0
+        r = self.reference[:, 0]
+        rings = np.bincount((r / RING).astype(int)[touched], push[touched])
+        _, normal = self.gap(self.places(self.u), self.depth)
+        pull = np.minimum((traction * normal).sum(axis=1), 0.0) @ self.area.ravel()
+        out, _ = self.residual(self.u, self.depth)
+        held = out[self.base] @ self.axial[self.base]
+        mismatch, radius = float(abs(held / force) - 1.0), float(r[touched].max())
+        return Pressed(self.depth, force, rings, radius, float(-pull / force), mismatch)
+
+
+def press(body: Body, layer: Layer, depths: list[float], fineness: Fineness, stick: bool = True) -> list[Pressed]:
+    """The forces at each of the depths; stick: no slip from first touch on, else no friction."""
+    return Press(body, layer, fineness, stick).follow(depths)
