@@ -43,7 +43,6 @@ REFERENCE = Path(os.environ.get("GELFORGE_REFERENCE", ROOT.parent / "shared" / "
 LONG = (
     "test_slurm",
     "test_nested",
-    "test_live_web",
     "test_benchmarks",
     "test_machines",
     "test_planning",
@@ -117,6 +116,26 @@ def reference() -> Path:
     if not REFERENCE.is_dir():
         pytest.skip(f"reference data absent: {REFERENCE} (set GELFORGE_REFERENCE)")
     return REFERENCE
+
+
+@pytest.fixture(scope="session")
+def _browser():
+    """The browser that all tests of a process share; it takes seconds to start."""
+    from tests.support.browser import browser
+
+    with browser() as driver:
+        yield driver
+
+
+@pytest.fixture
+def chromium(_browser):
+    """A browser of 1280 pixels without a page; the test's page is closed behind it."""
+    from tests.support.browser import console_errors, resize
+
+    resize(_browser, 1280)
+    yield _browser
+    _browser.get("about:blank")
+    console_errors(_browser)
 
 
 @pytest.fixture(scope="session")

@@ -113,8 +113,9 @@ def time_live(folder: Path, presses: int) -> list[Figure]:
         str(folder / "film.avi"),
     ]
     child = subprocess.Popen([*command, "--foxglove", "--port", "0", "--record", str(folder / "kept")],
-                             stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True)  # fmt: skip
-    client = FoxgloveClient(re.match(r"(ws://\S+)", child.stdout.readline())[1], HANG)
+                             stderr=subprocess.PIPE, text=True)  # fmt: skip
+    address = next(found[0] for line in child.stderr if (found := re.search(r"ws://\S+", line)))
+    client = FoxgloveClient(address, HANG)
     heard: list[tuple[int, float]] = []
 
     def hear() -> None:

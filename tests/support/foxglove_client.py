@@ -5,7 +5,8 @@ import struct
 from collections.abc import Iterator
 
 import websocket
-from mcap_ros2._dynamic import generate_dynamic
+from mcap.records import Schema
+from mcap_ros2.decoder import DecoderFactory
 
 MESSAGE = 0x01  # opcode of a binary frame: u8, u32 subscription, u64 time in ns, payload
 
@@ -42,7 +43,8 @@ class FoxgloveClient:
         for channel in said.get("channels", []) if said["op"] == "advertise" else []:
             self.channels[channel["topic"]] = channel
             name = channel["schemaName"]
-            self.decoders[channel["id"]] = channel["topic"], generate_dynamic(name, channel["schema"])[name]
+            schema = Schema(id=channel["id"], name=name, encoding="ros2msg", data=channel["schema"].encode())
+            self.decoders[channel["id"]] = channel["topic"], DecoderFactory().decoder_for("cdr", schema)
             expected = [{"id": channel["id"], "channelId": channel["id"]}]
             self.socket.send(json.dumps({"op": "subscribe", "subscriptions": expected}))
 

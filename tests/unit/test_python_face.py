@@ -13,9 +13,9 @@ import pytest
 import gelforge
 from gelforge.api import gelsight_mini
 from gelforge.commands import predict
-from gelforge.commands.live_readings import readings
 from gelforge.errors import BadInput
 from gelforge.labelling.sensor import load_sensors
+from gelforge.live.reading import readings
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.networks.inference.predictor import Predictor, load_for_use
 from gelforge.networks.inference.sensorprofile import Gain, make_profile, write_profile

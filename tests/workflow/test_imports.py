@@ -48,11 +48,13 @@ def record(path, images, raw=False, start=10**18):
     with path.open("wb") as stream:
         writer = Writer(stream)
         kind = (
-            ("sensor_msgs/msg/Image", ros.IMAGE) if raw else ("sensor_msgs/msg/CompressedImage", ros.COMPRESSED_IMAGE)
+            ("sensor_msgs/msg/Image", ros.schema("sensor_msgs/msg/Image"))
+            if raw
+            else ("sensor_msgs/msg/CompressedImage", ros.schema("sensor_msgs/msg/CompressedImage"))
         )
         image, wrench = (
             writer.register_msgdef(*kind),
-            writer.register_msgdef("geometry_msgs/msg/WrenchStamped", ros.WRENCH_STAMPED),
+            writer.register_msgdef("geometry_msgs/msg/WrenchStamped", ros.schema("geometry_msgs/msg/WrenchStamped")),
         )
         for k, picture in enumerate(images):
             time = start + k * 50_000_000
@@ -195,7 +197,9 @@ def test_a_corrupt_recording_is_read_or_refused(tmp_path, compression):
     path, rng = tmp_path / "a.mcap", np.random.default_rng(3)
     with path.open("wb") as stream:
         writer = Writer(stream, chunk_size=2000, compression=CompressionType[compression])
-        wrench = writer.register_msgdef("geometry_msgs/msg/WrenchStamped", ros.WRENCH_STAMPED)
+        wrench = writer.register_msgdef(
+            "geometry_msgs/msg/WrenchStamped", ros.schema("geometry_msgs/msg/WrenchStamped")
+        )
         zero = dict.fromkeys("xyz", 0.0)
         for time in range(0, 10**9, 10**8):
             said = {"header": ros.header(time, "gel"), "wrench": {"force": zero, "torque": zero}}
@@ -285,8 +289,12 @@ def test_readings_that_are_no_numbers_are_left_out(tmp_path, sensor):
 
     with (tmp_path / "holes.mcap").open("wb") as stream:
         writer = Writer(stream)
-        image = writer.register_msgdef("sensor_msgs/msg/CompressedImage", ros.COMPRESSED_IMAGE)
-        wrench = writer.register_msgdef("geometry_msgs/msg/WrenchStamped", ros.WRENCH_STAMPED)
+        image = writer.register_msgdef(
+            "sensor_msgs/msg/CompressedImage", ros.schema("sensor_msgs/msg/CompressedImage")
+        )
+        wrench = writer.register_msgdef(
+            "geometry_msgs/msg/WrenchStamped", ros.schema("geometry_msgs/msg/WrenchStamped")
+        )
         for k, picture in enumerate(pictures(6)):
             time = 10**18 + k * 50_000_000
             data = cv2.imencode(".png", picture[..., ::-1])[1].tobytes()

@@ -1,17 +1,18 @@
-"""Force maps of a video or a running camera: `gelforge live --video FILE | --camera N`.
+"""Forces of a film or a running camera, frame by frame: `gelforge live --video FILE | --camera N`.
 
---web serves a page to this machine, with recording and replay. --foxglove serves messages of ROS 2 to Foxglove, and --record
-writes them as MCAP. --jsonl and --csv write the predictions, without a display.
+--web serves a page to this machine, --foxglove messages of ROS 2 to Foxglove. --record writes the same messages as MCAP, --csv
+a table. Any of these outputs go together. Where one of them fails, viewers are told and go on.
 Unless a no-contact image is given, a network that needs one takes the mean of the first frames at rest; frames before these
 are skipped.
 """
 
 import itertools
+import signal
 import sys
 import threading
-import time
 from argparse import Namespace
-from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 
 import numpy as np
@@ -19,154 +20,124 @@ import numpy as np
 from gelforge.commands.camera import camera_number
 from gelforge.commands.sensoroptions import ENGINE, MODE, MODEL, NOCONTACT, PROFILE, SENSOR
 from gelforge.errors import BadInput
-from gelforge.flow.files import publish
 from gelforge.flow.main import command, option, positive
-from gelforge.records.axes import CHANNEL_OF_AXIS
+from gelforge.live.page import PageServer
+from gelforge.live.reading import Reading, readings
+from gelforge.live.recording import CsvTable, McapRecording
+from gelforge.live.topics import RosMessages
 from gelforge.records.film import Film, open_source, source_name
 from gelforge.records.nocontactimage import FEWEST, find_nocontact
-from gelforge.records.regular import real_place, refuse_to_replace
-
-RATE_OVER = 30  # frames that the shown rate is averaged over
+from gelforge.records.regular import refuse_to_replace
 
 
-class Overlay:
-    """Turn frames into pictures with forces on them, keeping count of time."""
+class Outputs:
+    """Where readings go: files, and servers with viewers. fault: what went wrong first, None where nothing did."""
 
-    def __init__(self, predictor):
-        self.predictor = predictor
-        self.recent: deque[float] = deque(maxlen=RATE_OVER)
-        self.network_ms: deque[float] = deque(maxlen=10_000)  # of a camera that films for hours
-        self.flagged = 0
+    def __init__(self, args: Namespace, name: str, stack: ExitStack):
+        messages = RosMessages(args.sensor or (args.profile.stem if args.profile else "gelforge"))
+        self.fault: BadInput | None = None
+        self.servers: list = []
+        self.files: list = []
+        if args.web:
+            self._serve(PageServer(args.host, args.port), stack)
+        if args.foxglove:
+            from gelforge.live.foxglove import FoxgloveServer
 
-    def __call__(self, frame) -> np.ndarray:
-        """Return the picture (BGR) of a frame (h, w, 3) BGR."""
-        import cv2
+            # two servers cannot listen on one port
+            self._serve(FoxgloveServer(args.host, args.port + bool(args.web and args.port), messages), stack)
+        if args.record:
+            self._keep(McapRecording(args.record, messages), stack)
+        if args.csv:
+            self._keep(CsvTable(args.csv), stack)
+        for server in self.servers:
+            report(f"{server.url} shows {name}; Ctrl-C ends")
 
-        from gelforge.reporting.forcemaps import overlay
+    def _serve(self, server, stack: ExitStack) -> None:
+        self.servers.append(server)
+        stack.callback(server.stop)
 
-        started = time.perf_counter()
-        found = self.predictor.predict(cv2.cvtColor(frame, cv2.COLOR_BGR2RGB))
-        self.network_ms.append(1e3 * (time.perf_counter() - started))
-        self.flagged += found.flag
-        self.recent.append(started)
-        span = self.recent[-1] - self.recent[0]
-        rate = (len(self.recent) - 1) / span if span > 0 else 0.0
-        lines = [
-            force_line(found.cells),
-            f"{rate:5.1f} frames/s, {self.network_ms[-1]:.1f} ms a frame",
-        ]
-        return overlay(cv2.cvtColor(found.image, cv2.COLOR_RGB2BGR), found.cells, lines, found.reason)
+    def _keep(self, file, stack: ExitStack) -> None:
+        self.files.append(file)
+        stack.callback(file.drop)
 
-
-def force_line(forces: np.ndarray) -> str:
-    """Total force of a map (3, rows, cols) N along the gel's axes, in words."""
-    x, y, z = forces.sum((1, 2))[list(CHANNEL_OF_AXIS)]
-    return f"x {x:+6.2f}  y {y:+6.2f}  z {z:+7.2f} N"
-
-
-def write_video(pictures, path: Path, rate: float) -> int:
-    """Write pictures (h, w, 3) BGR as a motion-JPEG AVI; return how many.
-
-    Where they end by BadInput, as those of a film do that is cut, what was written until then is kept first.
-    """
-    from gelforge.commands.live_readings import make_folder_of
-
-    make_folder_of(path)
-    with publish(path) as part:
-        count, fault = write_avi(pictures, part, path, rate)
-        if not count:
-            raise fault or BadInput(f"{path}: stopped before the first frame; nothing is written")
-        if not is_whole(part, count):
-            raise BadInput(
-                f"{path}: a film of {count} frames could not be written whole; free space, then start again"
-            )
-    if fault:
-        print(f"{path}: kept, and ends after {count} frames")
-        raise fault
-    return count
-
-
-def write_avi(pictures, part: Path, path: Path, rate: float) -> tuple[int, BadInput | None]:
-    """Write pictures to `part`, which becomes `path`; return how many, and what they ended by where they failed."""
-    import cv2
-
-    count, writer = 0, None
-    try:
-        for picture in pictures:
-            if writer is None:
-                size = picture.shape[1], picture.shape[0]
-                writer = cv2.VideoWriter(str(part), cv2.VideoWriter.fourcc(*"MJPG"), rate, size)
-                if not writer.isOpened():
-                    hint = "name another folder" if path.suffix == ".avi" else "give a name that ends in .avi"
-                    raise BadInput(f"{path}: cannot be written as a video; {hint}")
-            writer.write(picture)
-            count += 1
-    except BadInput as fault:
-        return count, fault
-    finally:
-        if writer is not None:
-            writer.release()
-    return count, None
-
-
-def is_whole(film: Path, count: int) -> bool:
-    """Whether a film that was written holds so many frames: OpenCV's writer does not say where the disk is full."""
-    import cv2
-
-    written = cv2.VideoCapture(str(film))
-    try:
-        return int(written.get(cv2.CAP_PROP_FRAME_COUNT)) == count
-    finally:
-        written.release()
-
-
-def show(pictures) -> int:
-    """Show pictures in a window until q is pressed; return how many. BadInput where OpenCV has no window."""
-    import cv2
-
-    count = 0
-    for picture in pictures:
+    def send(self, found: Iterable[Reading]) -> int:
+        """Send readings everywhere until they end; return how many they were."""
+        count = 0
         try:
-            cv2.imshow("gelforge live", picture)
-            count += 1
-            if cv2.waitKey(1) & 0xFF == ord("q"):
-                break
-        except cv2.error as error:
-            raise BadInput(
-                "this OpenCV has no window (a headless build or no display): use --web, --jsonl FILE, --csv FILE or --out FILE.avi"
-            ) from error
-    return count
+            for reading in found:
+                for file in [*self.files]:
+                    self._guard(file, file.send, reading)
+                for server in self.servers:
+                    server.send(reading)
+                count += 1
+                if not self.files and not self.servers:
+                    break  # nobody is left who would take another one
+        except BadInput as error:
+            self.fault = self.fault or error
+        return count
+
+    def end(self, said: str) -> None:
+        """End files, which then are whole, and tell viewers how it ended."""
+        for file in [*self.files]:
+            if kept := self._guard(file, file.end):
+                report(kept)
+        self.announce(str(self.fault or said))
+
+    def announce(self, sentence: str) -> None:
+        """Say a sentence to all viewers and on the terminal."""
+        for server in self.servers:
+            server.announce(sentence)
+        if self.servers:
+            report(sentence)
+
+    def _guard(self, file, act: Callable, *what) -> str | None:
+        """Do something with a file; one that fails gets nothing more, and viewers are told."""
+        try:
+            return act(*what)
+        except BadInput as error:
+            self.files.remove(file)
+            self.fault = self.fault or error
+            self.announce(str(error))
+            return None
 
 
-def refuse_two_faces(args: Namespace) -> None:
-    """BadInput where outputs are named of which only one kind would be made."""
-    asked = [
-        face
-        for face, given in (
-            ("--web", args.web),
-            ("--foxglove", args.foxglove),
-            ("--record without --web or --foxglove", args.record and not (args.web or args.foxglove)),
-            ("--jsonl or --csv", args.jsonl or args.csv),
-            ("--out", args.out),
-        )
-        if given
-    ]
-    if len(asked) > 1:
-        raise BadInput(f"{' and '.join(asked)} do not go together; start `gelforge live` once for one of them")
+def report(sentence: str) -> None:
+    """Say something on the terminal; standard output is for the table."""
+    print(sentence, file=sys.stderr, flush=True)
 
 
-def refuse_taken_files(args: Namespace) -> None:
-    """BadInput where what is written would take the place of what is read, or of each other."""
+@contextmanager
+def stopping() -> Iterator[threading.Event]:
+    """An event that Ctrl-C and a request to end set, so that what was read until then is kept."""
+    over = threading.Event()
+    before = {number: signal.signal(number, lambda *_: over.set()) for number in (signal.SIGINT, signal.SIGTERM)}
+    try:
+        yield over
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def until(over: threading.Event, items: Iterable) -> Iterator:
+    """Items until the event is set."""
+    for item in items:
+        if over.is_set():
+            return
+        yield item
+
+
+def refuse_unusable(args: Namespace) -> None:
+    """BadInput where nothing is to be read or made, or what is made would take the place of what is read."""
     from gelforge.networks.inference.sensorprofile import files_of
 
-    written = {name: getattr(args, name) for name in ("out", "jsonl", "csv")}
-    # - is standard output, one for both
-    files = {name: path if str(path) == "-" else real_place(path) for name, path in written.items() if path}
-    read = [args.video, args.nocontact, *files_of(args.profile), args.model]
-    for name, path in files.items():
-        refuse_to_replace(f"--{name} {written[name]}", [path], read)
-    if len(set(files.values())) < len(files):
-        raise BadInput(f"--jsonl and --csv both name {args.csv}; name two files")
+    if (args.video is None) == (args.camera is None):
+        raise BadInput("give either --video FILE or --camera NUMBER")
+    if not (args.web or args.foxglove or args.record or args.csv):
+        raise BadInput("give an output: --web, --foxglove, --record FOLDER or --csv FILE")
+    if args.csv and str(args.csv) != "-":
+        refuse_to_replace(
+            f"--csv {args.csv}", [args.csv], [args.video, args.nocontact, *files_of(args.profile), args.model]
+        )
 
 
 def need_frames(asked: int | None) -> None:
@@ -193,31 +164,35 @@ def predictor_of(args: Namespace, model, picture: np.ndarray | None, seen, name:
         need_frames(args.frames)
         picture, seen = find_nocontact(seen, name)
         first = next(seen)
-        print(f"{name}: frames before the no-contact image are not read: {first.number}", file=sys.stderr)
+        report(f"{name}: frames before the no-contact image are not read: {first.number}")
         seen = itertools.chain([first], seen)
         picture = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
     picture, gain, table = with_profile(args.profile, picture, model.metadata)
     predictor = CameraPredictor(model, picture, gain, args.device, args.threads, table)
     if predictor.text:
-        print(f"{name}: {predictor.text}", file=sys.stderr)
+        report(f"{name}: {predictor.text}")
     return predictor, seen
 
 
-def draw(args: Namespace, predictor, seen, film: Film, name: str, over: threading.Event) -> None:
-    """Write a film of frames with forces on them, or show them in a window, and say how fast it went."""
-    from gelforge.commands.live_readings import is_lost, lost, until
+def show(args: Namespace, predictor, frames, film: Film, name: str, over: threading.Event) -> None:
+    """Send what is read of frames to all outputs until they end or `over` is set, and serve viewers until it is.
 
-    overlay = Overlay(predictor)
-    pictures = (overlay(frame.image) for frame in until(over, seen))
-    started = time.perf_counter()
-    count = write_video(pictures, args.out, film.rate) if args.out else show(pictures)
-    seconds = time.perf_counter() - started
-    print(
-        f"{count} frames in {seconds:.1f} s: {count / seconds:.1f} a second with overlay; network and check "
-        f"{np.median(overlay.network_ms or [0.0]):.1f} ms a frame; {overlay.flagged} flagged"
-    )
-    if args.out and is_lost(args, over, film):
-        raise BadInput(lost(name, film.taken))
+    BadInput at the end where a file was lost, or frames ended before they should.
+    """
+    with ExitStack() as stack:
+        outputs = Outputs(args, name, stack)
+        paced = bool(outputs.servers) and not film.camera
+        count = outputs.send(until(over, readings(predictor, frames, paced)))
+        asked = over.is_set() or (args.frames is not None and film.taken >= args.frames)
+        if film.camera and not asked and not outputs.fault:
+            outputs.fault = BadInput(
+                f"{name}: stopped after {film.taken} frames; see that it is plugged in, and start again"
+            )
+        outputs.end(f"{name}: ended after {count} frames")
+        if outputs.servers:
+            over.wait()  # viewers keep what they have
+        if outputs.fault:
+            raise outputs.fault
 
 
 @command(
@@ -233,29 +208,12 @@ def draw(args: Namespace, predictor, seen, film: Film, name: str, over: threadin
     option("--web", action="store_true", help="serve a page with image, forces and flag"),
     option("--foxglove", action="store_true", help="serve image, forces and flag to Foxglove as ROS 2 messages"),
     option("--host", default="127.0.0.1", help="address to listen on; 0.0.0.0: everyone on the network"),
-    option("--port", type=int, default=8765, help="port to listen on; 0: any free one"),
-    option(
-        "--record",
-        type=Path,
-        help="folder of the page's recordings (default: recordings), or for an MCAP file of all messages",
-        default=None,
-    ),
-    option("--jsonl", type=Path, help="file with one JSON line per frame; - for standard output", default=None),
-    option("--csv", type=Path, help="file with one row per frame", default=None),
-    option(
-        "--out",
-        type=Path,
-        help="video with the force maps (.avi); without any output a window is opened, which needs a display",
-        default=None,
-    ),
-)
+    option("--port", type=int, default=8765, help="port to listen on (Foxglove beside a page: the next one); 0: any free one"),
+    option("--record", type=Path, help="folder for an MCAP file of the messages that --foxglove serves", default=None),
+    option("--csv", type=Path, help="file with one row per frame; - for standard output", default=None),
+)  # fmt: skip
 def main(args: Namespace) -> None:
-    if (args.video is None) == (args.camera is None):
-        raise BadInput("give either --video FILE or --camera NUMBER")
-    refuse_two_faces(args)
-    refuse_taken_files(args)
-    from gelforge.commands.live_readings import keep_readings, show_page, stopping
-    from gelforge.commands.live_topics import show_topics
+    refuse_unusable(args)
     from gelforge.networks.inference.predictor import load_for_use
     from gelforge.records.image import read_image
 
@@ -266,17 +224,7 @@ def main(args: Namespace) -> None:
         film = Film(capture, announced, name, args.frames, args.camera is not None, args.video)
         predictor, seen = predictor_of(args, model, picture, film, name)
         with stopping() as over:
-            topics = args.foxglove or (args.record and not args.web)
-            face = (
-                show_page
-                if args.web
-                else show_topics
-                if topics
-                else keep_readings
-                if args.jsonl or args.csv
-                else draw
-            )
-            face(args, predictor, seen, film, name, over)
+            show(args, predictor, seen, film, name, over)
 
 
 if __name__ == "__main__":

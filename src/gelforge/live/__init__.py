@@ -1,1 +1,1 @@
-"""A running sensor: what it reads, on a local web page, in files, and in recordings that can be replayed."""
+"""A running sensor: what is read of it, on a local web page, in Foxglove, as MCAP and as CSV."""

@@ -6,7 +6,8 @@ from typing import Any
 
 from gelforge.errors import BadInput
 from gelforge.formats.export import ros
-from gelforge.live.topics import Encoded
+from gelforge.live.reading import Reading
+from gelforge.live.topics import RosMessages
 
 
 class FoxgloveServer:
@@ -15,9 +16,10 @@ class FoxgloveServer:
     BadInput where the port cannot be served.
     """
 
-    def __init__(self, host: str, port: int):
+    def __init__(self, host: str, port: int, messages: RosMessages):
         import foxglove
 
+        self.messages = messages
         self.context = foxglove.Context()
         self.channels: dict[str, foxglove.Channel] = {}
         viewers: Any = Viewers()  # of the listener it has what is called where clients may only subscribe
@@ -29,26 +31,26 @@ class FoxgloveServer:
             raise BadInput(f"port {port} of {host}: cannot be served ({error}); name another with --port") from error
         self.url = f"ws://{host}:{self.server.port}"
 
-    def send(self, time: int, messages: list[Encoded]) -> None:
-        """Send the messages of one frame, ns since 1970."""
+    def send(self, reading: Reading) -> None:
+        """Send the messages of a reading."""
+        stamp, messages = self.messages(reading)
         for topic, kind, content in messages:
-            self._channel(topic, kind).log(content, log_time=time)
+            self._channel(topic, kind).log(content, log_time=stamp)
 
     def _channel(self, topic: str, kind: str):
         import foxglove
 
         if topic not in self.channels:
-            schema = foxglove.Schema(name=kind, encoding="ros2msg", data=ros.SCHEMAS[kind].encode())
+            schema = foxglove.Schema(name=kind, encoding="ros2msg", data=ros.schema(kind).encode())
             self.channels[topic] = foxglove.Channel(
                 topic, message_encoding="cdr", schema=schema, context=self.context
             )
         return self.channels[topic]
 
     def announce(self, sentence: str) -> None:
-        """Show a sentence to all viewers, and on the terminal."""
+        """Show a sentence to all viewers."""
         from foxglove import StatusLevel
 
-        print(sentence, file=sys.stderr, flush=True)
         self.server.publish_status(sentence, StatusLevel.Warning)
 
     def stop(self) -> None:

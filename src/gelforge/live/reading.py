@@ -1,10 +1,11 @@
-"""What is read of one frame, and readings as JSON lines and CSV."""
+"""What is read of one frame."""
 
-import csv
-import json
-from collections.abc import Iterable
+import time
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import Any
 
+from gelforge.records.film import Frame
 from gelforge.records.forcereading import ForceReading
 from gelforge.records.totals import TOTAL_COLUMNS, total_columns
 from gelforge.reporting.parts import jpeg, pack
@@ -21,13 +22,8 @@ class Reading:
     found: ForceReading
     ms: float
 
-    @property
-    def flag(self) -> bool:
-        """Whether something is wrong with the frame."""
-        return self.found.flag
-
     def row(self) -> dict:
-        """Totals and diagnostics as one row."""
+        """Totals and diagnostics by COLUMNS."""
         return {
             "frame": self.frame, "time_s": round(self.time_s, 4), **total_columns(self.found),
             "flag": self.found.flag, "reason": self.found.reason, "ms": round(self.ms, 2),
@@ -41,23 +37,16 @@ class Reading:
                              "forces": pack({"forces": cells})}  # fmt: skip
 
 
-def write_lines(readings: Iterable[Reading], lines, table) -> tuple[int, int]:
-    """Write readings as JSON lines and as CSV to open text streams, either may be none.
+def readings(predictor: Any, frames: Iterable[Frame], paced: bool = False) -> Iterator[Reading]:
+    """Read frames; paced: not before their time, as a film is shown."""
+    import cv2
 
-    Returns how many there were, and how many of them are flagged.
-    """
-    writer = csv.DictWriter(table, COLUMNS, lineterminator="\n") if table else None
-    if writer:
-        writer.writeheader()
-    count = flagged = 0
-    for reading in readings:
-        row = reading.row()
-        if lines:
-            lines.write(json.dumps(row) + "\n")
-            lines.flush()
-        if writer:
-            writer.writerow(row)
-            table.flush()
-        count += 1
-        flagged += bool(reading.flag)
-    return count, flagged
+    started = None
+    for frame in frames:
+        now = time.perf_counter()
+        started = now - frame.time_s if started is None else started
+        if paced:
+            time.sleep(max(0.0, started + frame.time_s - now))
+        now = time.perf_counter()
+        found = predictor.predict(cv2.cvtColor(frame.image, cv2.COLOR_BGR2RGB))
+        yield Reading(frame.number, frame.time_s, found, 1e3 * (time.perf_counter() - now))

@@ -5,11 +5,9 @@ network has one) and `flag` (diagnostic_msgs/DiagnosticArray: WARN with its reas
 """
 
 import time
-from collections.abc import Callable
 
 import numpy as np
 
-from gelforge.errors import BadInput
 from gelforge.formats.export import ros
 from gelforge.live.reading import Reading
 from gelforge.records.axes import CHANNEL_OF_AXIS
@@ -23,20 +21,17 @@ OK, WARN = 0, 1  # levels of a DiagnosticStatus
 class RosMessages:
     """Turns readings of one sensor into encoded messages.
 
-    Stamps are the time at which the stream began plus the reading's own. BadInput where the encoder is not installed.
+    Stamps are the time at which the stream began plus the reading's own.
     """
 
     def __init__(self, sensor: str, start_ns: int | None = None):
         self.sensor, self.start_ns = sensor, time.time_ns() if start_ns is None else start_ns
         self.token = ros.topic_tokens([sensor])[sensor]
-        self.encoders = encoders()
 
     def __call__(self, reading: Reading) -> tuple[int, list[Encoded]]:
         """Time in ns since 1970, and the messages of a reading."""
         stamp = self.start_ns + round(1e9 * reading.time_s)
-        return stamp, [
-            (topic, kind, self.encoders[kind](said)) for topic, kind, said in self.messages(reading, stamp)
-        ]
+        return stamp, [(topic, kind, ros.encode(kind, said)) for topic, kind, said in self.messages(reading, stamp)]
 
     def messages(self, reading: Reading, stamp: int) -> list[ros.Message]:
         """The messages of a reading, not encoded."""
@@ -50,20 +45,9 @@ class RosMessages:
             for name, ends in (("low", total - half), ("high", total + half)):
                 found.append((f"{top}/wrench/{name}", "geometry_msgs/msg/WrenchStamped", ros.wrench(header, ends)))
         status = {
-            "level": WARN if reading.flag else OK, "name": "reading", "message": force.reason or "OK",
+            "level": WARN if force.flag else OK, "name": "reading", "message": force.reason or "OK",
             "hardware_id": self.sensor,
             "values": [{"key": key, "value": "" if value is None else str(value)} for key, value in reading.row().items()],
         }  # fmt: skip
         found.append((f"{top}/flag", "diagnostic_msgs/msg/DiagnosticArray", {"header": header, "status": [status]}))
         return found
-
-
-def encoders() -> dict[str, Callable[[dict], bytes]]:
-    """Encoder of each type of message."""
-    try:
-        from mcap_ros2._dynamic import serialize_dynamic  # its Writer encodes only into a file
-    except ModuleNotFoundError as error:
-        raise BadInput(
-            f"messages of ROS 2 need the package {error.name}: pip install '.[live]' in a clone of gelforge"
-        ) from error
-    return {name: serialize_dynamic(name, text)[name] for name, text in ros.SCHEMAS.items()}

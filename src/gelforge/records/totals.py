@@ -1,4 +1,4 @@
-"""Total force as columns of a table and keys of JSON lines.
+"""Total force as columns of a table.
 
 For each channel: CHANNEL_n, the total, and CHANNEL_half_width_n, half of its 90 % prediction interval, empty where it is not
 known. edge_peak shows where totals are too low: the contact is cropped by the image.

@@ -1,4 +1,4 @@
-"""Pictures of force maps: a figure for a page, and an overlay that is quick enough for a video."""
+"""Pictures of force maps."""
 
 import numpy as np
 
@@ -9,13 +9,10 @@ from gelforge.records.image import write_png
 # explorer and of `live`. Of pressure: the brighter, the harder.
 SIGNED, PRESSURE = "RdBu_r", "inferno"
 PANEL_PX = 380  # width of each of the panels of a written map
-ARROW_PX_PER_N = 400.0  # a typical shear of 0.02 N per cell becomes an arrow of 8 px
-LONGEST_ARROW_PX = 24.0
-# Text below a frame: OpenCV's plain font (cv2.FONT_HERSHEY_SIMPLEX) and its scale, in lines of so many px. Three lines
-# of a frame of 640 px hold the longest sentence that a picture is flagged by.
+# Text beside a picture: OpenCV's plain font (cv2.FONT_HERSHEY_SIMPLEX) and its scale, in lines of so many px. Three lines
+# of 640 px hold the longest sentence that a picture is flagged by.
 FONT = (0, 0.5)
 LINE_PX, MARGIN_PX, WARNING_LINES = 22, 6, 3
-TEXT_BGR, WARNING_BGR = (230, 230, 230), (60, 60, 255)
 # Force per cell that full colour stands for at least, by channel: what a network reads in a released gel is a tenth of
 # it, and would else be drawn as strong as a press.
 FULL_COLOUR_N = (0.005, 0.005, 0.03)
@@ -67,34 +64,6 @@ def draw_pressure(axis, force, most: float) -> None:
     axis.imshow(-force, cmap=PRESSURE, vmin=0, vmax=most)
 
 
-def overlay(image, forces, lines: list[str], warning: str = "", zoom: int = 2) -> np.ndarray:
-    """Return a picture (BGR) of a frame (h, w, 3) BGR with heat by normal force, arrows by shear, and text below."""
-    import cv2
-
-    height, width = image.shape[0] * zoom, image.shape[1] * zoom
-    picture = cv2.resize(image, (width, height), interpolation=cv2.INTER_LINEAR)
-    pressure = np.clip(-forces[2], 0, None)
-    fraction = cv2.resize(pressure / max(float(pressure.max()), FULL_COLOUR_N[2]), (width, height))
-    heat = cv2.applyColorMap((255 * np.clip(fraction, 0, 1)).astype(np.uint8), cv2.COLORMAP_INFERNO)
-    weight = 0.7 * np.clip(fraction, 0, 1)[..., None]
-    picture = (picture * (1 - weight) + heat * weight).astype(np.uint8)
-    draw_arrows(picture, forces)
-    return np.vstack([picture, footer(width, lines, warning)])
-
-
-def footer(width: int, lines: list[str], warning: str) -> np.ndarray:
-    """Text (h, width, 3) BGR below a picture, the warning in red; as high without one, because films have one size."""
-    import cv2
-
-    drawn = np.zeros((LINE_PX * (len(lines) + WARNING_LINES), width, 3), np.uint8)
-    red = wrapped(warning, width - 2 * MARGIN_PX, WARNING_LINES)
-    for i, (text, colour) in enumerate(
-        [*((line, TEXT_BGR) for line in lines), *((line, WARNING_BGR) for line in red)]
-    ):
-        cv2.putText(drawn, text, (MARGIN_PX, 17 + LINE_PX * i), *FONT, colour, 1, cv2.LINE_AA)
-    return drawn
-
-
 def wrapped(text: str, width: int, most: int) -> list[str]:
     """Text in lines no wider than `width` px; where it needs more than `most` of them, the last one ends in an ellipsis."""
     import cv2
@@ -114,22 +83,3 @@ def wrapped(text: str, width: int, most: int) -> list[str]:
     while last and not fits(f"{last} ..."):
         last = last.rpartition(" ")[0]
     return [*lines[: most - 1], f"{last} ..."]
-
-
-def draw_arrows(picture, forces) -> None:
-    """Draw the shear of every second cell that carries some onto a picture, in place."""
-    import cv2
-
-    rows, cols = forces.shape[1:]
-    high, wide = picture.shape[0] / rows, picture.shape[1] / cols
-    # FEATS' channels: 0 runs along gel y and 1 along gel x, both opposite to u and v in the image.
-    shear = -forces[:2] * ARROW_PX_PER_N
-    for i in range(0, rows, 2):
-        for j in range(0, cols, 2):
-            du, dv = shear[0, i, j], shear[1, i, j]
-            length = float(np.hypot(du, dv))
-            if length >= 2:
-                shrink = min(1.0, LONGEST_ARROW_PX / length)
-                start = (round((j + 0.5) * wide), round((i + 0.5) * high))
-                end = (round(start[0] + du * shrink), round(start[1] + dv * shrink))
-                cv2.arrowedLine(picture, start, end, (255, 255, 255), 1, cv2.LINE_AA, tipLength=0.3)

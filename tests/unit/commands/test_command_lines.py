@@ -13,7 +13,7 @@ import gelforge.stages
 from gelforge.errors import BadInput
 from gelforge.flow.main import Command, command, group, option
 
-NO_PROGRAMS = {"gelforge", "live_readings", "live_topics", "sensoroptions"}  # the dispatcher, and what others import
+NO_PROGRAMS = {"gelforge", "sensoroptions"}  # the dispatcher, and what others import
 PROGRAMS = [
     module.name
     for package in (gelforge.stages, gelforge.commands)

@@ -61,8 +61,12 @@ def recording(path) -> None:
 
     with path.open("wb") as stream:
         writer = Writer(stream)
-        image = writer.register_msgdef("sensor_msgs/msg/CompressedImage", ros.COMPRESSED_IMAGE)
-        wrench = writer.register_msgdef("geometry_msgs/msg/WrenchStamped", ros.WRENCH_STAMPED)
+        image = writer.register_msgdef(
+            "sensor_msgs/msg/CompressedImage", ros.schema("sensor_msgs/msg/CompressedImage")
+        )
+        wrench = writer.register_msgdef(
+            "geometry_msgs/msg/WrenchStamped", ros.schema("geometry_msgs/msg/WrenchStamped")
+        )
         seen = {"header": ros.header(0, "gel"), "format": "png", "data": cv2.imencode(".png", PICTURE)[1].tobytes()}
         axes = {"x": 0.1, "y": 0.2, "z": -3.0}
         felt = {"header": ros.header(0, "gel"), "wrench": {"force": axes, "torque": axes}}

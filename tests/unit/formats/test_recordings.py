@@ -59,12 +59,18 @@ def write(path, images, wrenches, bare=False):
     with path.open("wb") as stream:
         writer = Writer(stream)
         compressed = bool(images) and "format" in images[0][1]
-        kind = ("CompressedImage", ros.COMPRESSED_IMAGE) if compressed else ("Image", ros.IMAGE)
+        kind = (
+            ("CompressedImage", ros.schema("sensor_msgs/msg/CompressedImage"))
+            if compressed
+            else ("Image", ros.schema("sensor_msgs/msg/Image"))
+        )
         image = writer.register_msgdef(f"sensor_msgs/msg/{kind[0]}", kind[1])
         forces = (
             writer.register_msgdef("geometry_msgs/msg/Wrench", WITHOUT_HEADER)
             if bare
-            else writer.register_msgdef("geometry_msgs/msg/WrenchStamped", ros.WRENCH_STAMPED)
+            else writer.register_msgdef(
+                "geometry_msgs/msg/WrenchStamped", ros.schema("geometry_msgs/msg/WrenchStamped")
+            )
         )
         for topic, schema, messages in ((IMAGE, image, images), (WRENCH, forces, wrenches)):
             for time, said in messages:

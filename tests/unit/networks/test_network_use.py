@@ -1,7 +1,7 @@
-"""Prediction, live overlay, ONNX: the parts that people run, on small networks."""
+"""Live reading on small networks."""
 
+import csv
 import os
-import signal
 import subprocess
 import sys
 from argparse import Namespace
@@ -12,17 +12,16 @@ import numpy as np
 import pytest
 
 from gelforge.commands import live
-from gelforge.commands.live_readings import readings, stopping, until
 from gelforge.errors import BadInput
+from gelforge.live.reading import readings
 from gelforge.networks.inference.predictor import Predictor
 from gelforge.networks.inference.sensorprofile import Gain, make_profile, write_profile
 from gelforge.records.film import Frame
 from gelforge.records.nocontactimage import FEWEST, SETTLING, STILL
 from tests.benchmarks import real, real_page
 from tests.support.films import write_film
-from tests.support.limited import limited_python
 from tests.support.refused import refused
-from tests.support.small_networks import GRID, IMAGE
+from tests.support.small_networks import IMAGE
 
 
 def test_a_corrupt_film_is_reported_by_one_line_and_not_by_its_decoder(data, tmp_path):
@@ -56,82 +55,6 @@ def write_avi(path, images) -> Path:
     return write_film(path, (np.asarray(image)[..., ::-1] for image in images))
 
 
-def test_live_overlays_a_video(data, paths, tmp_path, capsys):
-    video = write_avi(tmp_path / "in.avi", data.images[:12])
-    out = tmp_path / "out.avi"
-    assert live.main(["--video", str(video), "--model", str(paths["small"]), "--out", str(out)]) == 0
-    frames = read_frames(out)
-    assert len(frames) == 12 and frames[0].shape[1] == 2 * IMAGE[1]
-    assert "12 frames" in capsys.readouterr().out
-
-
-def test_live_refuses_what_it_would_not_write(data, paths, tmp_path):
-    video = write_avi(tmp_path / "in.avi", data.images[:12])
-    asked = ["--video", str(video), "--model", str(paths["small"])]
-    for more in (["--csv", "r.csv", "--out", "o.avi"], ["--web", "--jsonl", "r.jsonl"], ["--web", "--out", "o.avi"]):
-        with pytest.raises(BadInput, match="do not go together"):
-            live.main([*asked, *more])
-    for both in (str(tmp_path / "r"), "-"):  # lines and rows mixed are neither
-        with pytest.raises(BadInput, match="name two files"):
-            live.main([*asked, "--jsonl", both, "--csv", both])
-    before = video.read_bytes()
-    with pytest.raises(BadInput, match="would take the place"):
-        live.main([*asked, "--out", str(video)])
-    assert video.read_bytes() == before
-
-
-@pytest.mark.parametrize("while_reading", [False, True])
-def test_an_interrupt_keeps_what_was_filmed_and_read(data, models, tmp_path, while_reading):
-    """Wherever it comes: while a frame is awaited, or while one is read."""
-    overlay, seen = live.Overlay(Predictor(models["small"].model)), [0]
-
-    def interrupt(here: bool) -> None:
-        if here == while_reading and seen[0] == 4:
-            os.kill(os.getpid(), signal.SIGINT)
-
-    def images():
-        for image in data.images[:8]:
-            seen[0] += 1
-            interrupt(False)
-            yield cv2.cvtColor(np.asarray(image), cv2.COLOR_RGB2BGR)
-
-    def overlaid(frame):
-        interrupt(True)
-        return overlay(frame)
-
-    before = signal.getsignal(signal.SIGINT)
-    with stopping() as over:
-        written = live.write_video((overlaid(frame) for frame in until(over, images())), tmp_path / "o.avi", 25.0)
-    assert written == 3 + while_reading and len(read_frames(tmp_path / "o.avi")) == written
-    assert signal.getsignal(signal.SIGINT) is before
-
-
-def test_a_film_of_no_frames_is_not_written(tmp_path):
-    with pytest.raises(BadInput, match="before the first frame"):
-        live.write_video(iter(()), tmp_path / "none.avi", 25.0)
-    assert not list(tmp_path.iterdir())
-
-
-WRITES_A_FILM = """
-import sys
-from pathlib import Path
-import numpy as np
-from gelforge.commands.live import write_video
-
-rng = np.random.default_rng(0)
-write_video((rng.integers(0, 255, (120, 160, 3), np.uint8) for _ in range(60)), Path(sys.argv[1]), 25.0)
-"""
-
-
-def test_a_film_for_which_there_is_no_room_is_refused_whole(tmp_path):
-    """OpenCV says nothing, and what it has written looks like a film."""
-    ran = limited_python(200, "-c", WRITES_A_FILM, tmp_path / "o.avi")
-    assert "BadInput" in ran.stderr and "a film of 60 frames could not be written whole; free space" in ran.stderr, (
-        ran.stderr
-    )
-    assert not list(tmp_path.iterdir())
-
-
 def cut_film(path: Path, images) -> Path:
     """A film of a camera that lost its power: its head announces more frames than there are."""
     write_avi(path, images)
@@ -140,33 +63,15 @@ def cut_film(path: Path, images) -> Path:
     return path
 
 
-@pytest.mark.parametrize("face", ["out", "csv", "jsonl"])
-def test_a_film_that_is_cut_is_read_as_far_as_it_goes_into_a_folder_of_its_own(data, paths, tmp_path, capsys, face):
-    """Rows were kept and a film was thrown away; the one made its folder, the others refused."""
-    video = cut_film(tmp_path / "in.avi", data.images[:24])
-    out = tmp_path / "new" / "folder" / f"o.{'avi' if face == 'out' else face}"
+def test_a_film_that_is_cut_is_read_as_far_as_it_goes_into_a_folder_of_its_own(data, paths, tmp_path):
+    video, out = cut_film(tmp_path / "in.avi", data.images[:24]), tmp_path / "new" / "folder" / "o.csv"
     with pytest.raises(BadInput, match="in.avi: ended after .* of 24 frames; the file is cut short"):
-        live.main(["--video", str(video), "--model", str(paths["small"]), f"--{face}", str(out)])
-    if face == "out":
-        kept = len(read_frames(out))
-        assert f"o.avi: kept, and ends after {kept} frames" in capsys.readouterr().out
-    else:
-        kept = len(out.read_text().splitlines()) - (face == "csv")
-    assert 1 <= kept < 24
+        live.main(["--video", str(video), "--model", str(paths["small"]), "--csv", str(out)])
+    assert 1 <= len(rows_of(out)) < 24
 
 
-@pytest.mark.parametrize("face", ["out", "csv", "jsonl"])
-def test_a_file_in_the_place_of_a_folder_is_one_sentence(data, paths, tmp_path, face):
-    video = write_avi(tmp_path / "in.avi", data.images[:2])
-    with pytest.raises(BadInput, match="o.avi: its folder cannot be made"):
-        live.main(["--video", str(video), "--model", str(paths["small"]), f"--{face}", str(video / "o.avi")])
-
-
-def test_the_film_names_axes_as_everything_else_does():
+def test_the_page_of_real_pictures_names_axes_as_everything_else_does():
     """x is force along gel x, the channel grid_y."""
-    forces = np.zeros((3, *GRID), np.float32)
-    forces[:, 0, 0] = 1.0, 2.0, -3.0
-    assert live.force_line(forces).split() == ["x", "+2.00", "y", "+1.00", "z", "-3.00", "N"]
     lines = real_page.total_lines(np.array([1.0, 2.0, -3.0]), np.array([0.1, 0.2, 0.3]))
     assert lines == ["z -3.0 +- 0.3 N", "x +2.00 +- 0.2  y +1.00 +- 0.1 N"]
 
@@ -183,20 +88,23 @@ def test_a_folder_without_real_pictures_is_named_with_what_it_lacks(tmp_path):
         real.main(["--reference", str(tmp_path)])
 
 
+def rows_of(table) -> list[dict]:
+    with table.open() as stream:
+        return list(csv.DictReader(stream))
+
+
 def test_live_takes_the_first_frames_at_rest_for_the_nocontact_image(data, models, paths, tmp_path):
     """The first ones are brighter, as of a camera that still sets its exposure."""
     rest = data.nocontact["mini0"]
     exposing = [np.clip(rest * (1.5 - 0.06 * k), 0, 255).astype(np.uint8) for k in range(8)]
     seen = [*exposing, *[rest] * 6, *data.images[:3]]
-    video = write_avi(tmp_path / "in.avi", seen)
-    live.main(["--video", str(video), "--model", str(paths["pair"]), "--out", str(tmp_path / "o.avi")])
-    filmed = read_frames(video)
-    overlay = live.Overlay(Predictor(models["pair"].model, filmed[10]))
-    expected = overlay(cv2.cvtColor(filmed[-1], cv2.COLOR_RGB2BGR))
-    got = read_frames(tmp_path / "o.avi")
-    assert len(got) == len(seen) - SETTLING
-    # the video is compressed; the lines with times differ
-    assert np.median(np.abs(got[-1].astype(int) - expected[..., ::-1])) <= 2
+    video, table = write_avi(tmp_path / "in.avi", seen), tmp_path / "o.csv"
+    live.main(["--video", str(video), "--model", str(paths["pair"]), "--csv", str(table)])
+    filmed, rows = read_frames(video), rows_of(table)
+    assert len(rows) == len(seen) - SETTLING
+    found = Predictor(models["pair"].model, filmed[10]).predict(filmed[-1])
+    # the film is compressed, so the mean of the frames at rest is not quite one of them
+    assert float(rows[-1]["grid_z_n"]) == pytest.approx(found.total[2], rel=0.02, abs=0.02)
 
 
 def test_live_reads_against_the_picture_of_a_profile(data, models, paths, tmp_path):
@@ -212,16 +120,16 @@ def test_live_reads_against_the_picture_of_a_profile(data, models, paths, tmp_pa
 
 def test_live_refuses_fewer_frames_than_give_the_nocontact_image(data, paths, tmp_path):
     rest = data.nocontact["mini0"]
-    video, out = write_avi(tmp_path / "in.avi", [rest] * (FEWEST + 3)), tmp_path / "o.avi"
-    words = ["--video", str(video), "--model", str(paths["pair"]), "--out", str(out)]
+    video, out = write_avi(tmp_path / "in.avi", [rest] * (FEWEST + 3)), tmp_path / "o.csv"
+    words = ["--video", str(video), "--model", str(paths["pair"]), "--csv", str(out)]
     with pytest.raises(BadInput, match=f"--frames {FEWEST - 1}: .* {FEWEST} at least.*--nocontact"):
         live.main([*words, "--frames", str(FEWEST - 1)])
     assert not out.exists()
     live.main([*words, "--frames", str(FEWEST)])
-    assert len(read_frames(out)) == STILL
+    assert len(rows_of(out)) == STILL
     cv2.imwrite(str(tmp_path / "rest.png"), rest)
     live.main([*words, "--frames", "3", "--nocontact", str(tmp_path / "rest.png")])
-    assert len(read_frames(out)) == 3
+    assert len(rows_of(out)) == 3
 
 
 def test_live_lets_go_of_what_films_where_it_refuses_to_read(data, paths, tmp_path):
@@ -230,17 +138,15 @@ def test_live_lets_go_of_what_films_where_it_refuses_to_read(data, paths, tmp_pa
     with pytest.raises(
         BadInput, match="without movement.*--nocontact"
     ) as refused:  # keeps alive what the command still holds
-        live.main(["--video", str(video), "--model", str(paths["pair"]), "--out", str(tmp_path / "o.avi")])
+        live.main(["--video", str(video), "--model", str(paths["pair"]), "--csv", str(tmp_path / "o.csv")])
     held = [each.resolve() for each in Path("/proc/self/fd").iterdir()]
     assert refused.tb and video.resolve() not in held
 
 
-def test_live_on_a_real_video(reference, paths, tmp_path, capsys):
-    video = reference / "slip_videos" / "plier_camera_2.avi"
-    live.main(
-        ["--video", str(video), "--model", str(paths["small"]), "--frames", "5", "--out", str(tmp_path / "o.avi")]
-    )
-    assert "5 flagged" in capsys.readouterr().out
+def test_live_on_a_real_video(reference, paths, tmp_path):
+    video, table = reference / "slip_videos" / "plier_camera_2.avi", tmp_path / "o.csv"
+    live.main(["--video", str(video), "--model", str(paths["small"]), "--frames", "5", "--csv", str(table)])
+    assert [row["flag"] for row in rows_of(table)] == ["True"] * 5
 
 
 def test_live_flags_the_frames_that_predict_flags(models, data):

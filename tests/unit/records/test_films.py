@@ -44,7 +44,7 @@ def test_each_frame_has_its_own_time_and_a_whole_film_is_not_called_cut(tmp_path
 @pytest.mark.parametrize("device", ["/dev/video0", "/dev/v4l/by-id/usb-gel-index0"])
 def test_a_camera_given_as_a_film_names_its_option(device):
     with pytest.raises(BadInput, match=f"{device}: .*--camera {device}$"):
-        live.main(["--video", device])
+        live.main(["--video", device, "--csv", "-"])
 
 
 def test_a_film_whose_sound_is_longer_is_whole(tmp_path):

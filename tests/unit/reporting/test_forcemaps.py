@@ -5,21 +5,11 @@ import numpy as np
 import pytest
 
 from gelforge.reporting.canvas import canvas, to_png
-from gelforge.reporting.forcemaps import FULL_COLOUR_N, WARNING_LINES, overlay, wrapped, write_maps
+from gelforge.reporting.forcemaps import FULL_COLOUR_N, WARNING_LINES, wrapped, write_maps
 
 WARNING = "the gel is mounted too far from its place in the no-contact image to be sure: (+12.0, -3.0) px aside, 4.1 degrees turned"
 GREY = np.full((240, 320, 3), 90, np.uint8)
 NOTHING = np.zeros((3, 24, 32), np.float32)
-
-
-@pytest.mark.parametrize("zoom", [1, 2])
-@pytest.mark.parametrize("warning", [WARNING, f"{WARNING}; {WARNING}; {WARNING}", "a" * 200])
-def test_a_warning_stays_within_the_picture_and_leaves_its_size(warning, zoom):
-    """All frames of a film have one size, whatever is said of them."""
-    plain, warned = (overlay(GREY, NOTHING, ["x", "y"], said, zoom) for said in ("", warning))
-    assert plain.shape == warned.shape
-    red = (warned != plain).any(axis=(0, 2))
-    assert red.any() and (len(warning.split()) == 1 or not red[-3:].any())
 
 
 def test_a_warning_is_reported_whole_where_there_is_room_and_else_ends_in_an_ellipsis():

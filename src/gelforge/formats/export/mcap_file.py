@@ -11,32 +11,26 @@ from pathlib import Path
 from gelforge.formats.export import ros
 from gelforge.formats.export.samples import Sample, Samples
 
+STRING = "std_msgs/msg/String"
 START_NS = 1_767_225_600 * 10**9  # 2026-01-01
 
 
 def messages(sample: Sample, token: str, time: int) -> list[ros.Message]:
     """Messages of one sample; token: its sensor in the names of topics and frames."""
     form = sample.media_type.removeprefix("image/")
-    row = (f"/{token}/sample", "std_msgs/msg/String", {"data": json.dumps(sample.row)})
+    row = (f"/{token}/sample", STRING, {"data": json.dumps(sample.row)})
     return [*ros.sensor_messages(token, time, sample.picture, form, sample.total(), sample.label), row]
 
 
 def write(path: Path, samples: Samples) -> None:
     """Write one file."""
-    from mcap.writer import CompressionType
-    from mcap_ros2.writer import Writer
-
     with path.open("wb") as stream:
-        # Pictures are compressed already; LZ4 takes the maps, which are mostly zero, in no time.
-        writer = Writer(stream, chunk_size=4 * 2**20, compression=CompressionType.LZ4)
-        schemas = {name: writer.register_msgdef(name, text) for name, text in ros.SCHEMAS.items()}
+        writer = ros.RosWriter(stream, 4 * 2**20)
         facts = {"data": samples.facts_text()}
-        writer.write_message(
-            "/facts", schemas["std_msgs/msg/String"], facts, log_time=START_NS, publish_time=START_NS
-        )
+        writer.write(START_NS, "/facts", STRING, ros.encode(STRING, facts))
         tokens = ros.topic_tokens(row["sensor_id"] for row in samples.rows)
         for at, sample in enumerate(samples):
             time = START_NS + at * 10**9
             for topic, kind, message in messages(sample, tokens[sample.row["sensor_id"]], time):
-                writer.write_message(topic, schemas[kind], message, log_time=time, publish_time=time)
+                writer.write(time, topic, kind, ros.encode(kind, message))
         writer.finish()

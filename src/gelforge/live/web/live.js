@@ -3,7 +3,7 @@ const el = (id) => document.getElementById(id);
 const fixed = (v, digits = 2) => (Number.isFinite(v) ? v.toFixed(digits) : "–");
 const MAPS = [["normal", 2, "normal force"], ["short", 1, "along the short side"], ["long", 0, "along the long side"]];
 const TOTALS = [["grid_z_n", 2, "#1f6f8b"], ["grid_y_n", 1, "#d1603d"], ["grid_x_n", 0, "#5b8c3a"]], FLAGGED = "#dde1e6";
-let history = [], source = null, drawing = false, latest = null, over = false;
+let history = [], drawing = false, latest = null;
 async function unpack(packed) {
   const bytes = Uint8Array.from(atob(packed.data), (s) => s.charCodeAt(0));
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream("deflate"));
@@ -40,16 +40,12 @@ function drawCurve() {
   }
 }
 async function show(event) {
-  if (event.image) await draw(event);
-  if (event.ended) { el("state").textContent = event.ended; document.body.dataset.ended = "yes"; await loadNames(); }
-}
-async function draw(event) {
   const [rows, cols] = event.grid, n = rows * cols, forces = await unpack(event.forces);
   el("image").style.visibility = "visible";
   el("image").src = `data:image/jpeg;base64,${event.image}`;
   for (const [name, channel, title] of MAPS) drawMap(name, forces.subarray(channel * n, (channel + 1) * n), rows, cols, title, FULL_COLOUR_N[channel]);
   if (history.length && event.time_s < history.at(-1).time_s) history = [];
-  history.push(event);
+  if (!history.length || event.frame !== history.at(-1).frame) history.push(event);
   if (history.length > KEPT) history.shift();
   for (const [id, [name, channel]] of [["z", TOTALS[0]], ["x", TOTALS[1]], ["y", TOTALS[2]]]) el(id).textContent = fixed(event[name]) + (event.half_width ? ` ± ${fixed(event.half_width[channel])}` : "");
   el("edge").textContent = event.edge_peak == null ? "–" : `${fixed(100 * event.edge_peak, 0)} %`;
@@ -70,55 +66,12 @@ async function take(event) {
   while (latest) { const next = latest; latest = null; await show(next); await new Promise(requestAnimationFrame); }
   drawing = false;
 }
-function open(path) {
-  if (source) source.close();
-  history = []; delete document.body.dataset.ended;
-  source = new EventSource(path);
-  source.onmessage = (message) => {
-    const event = JSON.parse(message.data);
-    if (event.ended) source.close();
-    if (path === "events") over = Boolean(event.ended);
-    showRecorder(event);
-    if (event.before) history = event.before;
-    if (event.image || event.ended) take(event);
-  };
-  source.onerror = gone;
-}
-// What the recorder does now comes with every event of the server, replayed events too; without new frames nothing can be recorded.
-function showRecorder({ recording, trouble }) {
-  el("record").textContent = recording ? "Stop recording" : "Record";
-  el("record").setAttribute("aria-pressed", recording);
-  el("record").disabled = over && !recording;
-  el("trouble").textContent = trouble;
-}
-function gone() {
-  showRecorder({ recording: false, trouble: el("trouble").textContent });
-  el("record").disabled = true;
-  el("state").textContent = "the program that reads the sensor does not answer; start gelforge live --web again";
-}
-async function ask(path, options) {
-  try { return await (await fetch(path, options)).json(); } catch { gone(); return null; }
-}
-async function loadNames() {
-  const state = await ask("recordings");
-  if (!state) return;
-  el("which").replaceChildren(...state.names.map((name) => new Option(name, name)));
-  el("replay").disabled = el("which").disabled = !state.names.length;
-  el("unlisted").textContent = state.error || "";
-  showRecorder(state);
-}
-// A stream that ended says no more about the recorder, which keeps running: it is asked.
-async function lookAfter() {
-  const state = source.readyState === EventSource.CLOSED && await ask("recordings");
-  if (state) showRecorder(state);
-}
-el("record").onclick = async () => {
-  const path = el("record").getAttribute("aria-pressed") === "true" ? "stop" : "record";
-  await ask(path, { method: "POST", headers: { "X-Gelforge": "1" } });
-  await loadNames();
+const source = new EventSource("events");
+source.onmessage = (message) => {
+  const event = JSON.parse(message.data);
+  if (event.before) history = event.before;
+  if (event.said) el("said").textContent = event.said;
+  if (event.image) take(event);
 };
-el("replay").onclick = () => open(`replay/${el("which").value}`);
-el("back").onclick = () => open("events");
+source.onerror = () => { el("state").textContent = "the program that reads the sensor does not answer; start gelforge live --web again"; };
 window.addEventListener("resize", drawCurve);
-setInterval(lookAfter, 1000);
-loadNames(); open("events");

@@ -1,0 +1,148 @@
+"""The web page of a running sensor, served to this machine: readings as they come."""
+
+import json
+import threading
+from collections import deque
+from collections.abc import Iterator
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+
+from gelforge.errors import BadInput
+from gelforge.live.reading import Reading
+from gelforge.reporting.forcemaps import FULL_COLOUR_N
+from gelforge.reporting.page import COLOURS, LOOK
+
+WEB = Path(__file__).parent / "web"
+LOCAL = ("127.0.0.1", "localhost")
+KEPT = 600  # readings that the curve shows
+LARGE = ("image", "forces")  # of an event, and not in the curve
+QUIET_S = 5.0  # without a reading a page is sent an empty event, so that one that left is noticed
+
+
+class Hub:
+    """The latest event, which any number of pages wait for; a page that is slow misses some.
+
+    Of the events before it the curve is kept, without pictures and maps, for pages that are opened later.
+    """
+
+    def __init__(self):
+        self.changed = threading.Condition()
+        self.number, self.latest = 0, {}
+        self._curve = deque(maxlen=KEPT)
+
+    def send(self, event: dict) -> None:
+        """Give an event to all who wait."""
+        with self.changed:
+            if self.latest:
+                self._curve.append({name: value for name, value in self.latest.items() if name not in LARGE})
+            self.number, self.latest = self.number + 1, event
+            self.changed.notify_all()
+
+    def after(self, number: int, patience: float) -> tuple[int, dict | None]:
+        """The event after the one of that number, or none if none came in time."""
+        with self.changed:
+            self.changed.wait_for(lambda: self.number > number, patience)
+            return (self.number, self.latest) if self.number > number else (number, None)
+
+    def before(self) -> list[dict]:
+        """The events before the latest one, as the curve shows them."""
+        with self.changed:
+            return list(self._curve)
+
+
+class PageServer(ThreadingHTTPServer):
+    """Serves the page in threads of its own until `stop`; BadInput where the port cannot be served."""
+
+    daemon_threads = True
+    allow_reuse_address = True
+
+    def __init__(self, host: str, port: int):
+        self.hub, self.local, self.said = Hub(), host in LOCAL, ""
+        try:
+            super().__init__((host, port), Handler)
+        except (OSError, OverflowError) as error:  # the latter of a number that no port has
+            why = getattr(error, "strerror", None) or error
+            raise BadInput(f"port {port} of {host}: cannot be served ({why}); name another with --port") from error
+        threading.Thread(target=self.serve_forever, daemon=True).start()
+
+    @property
+    def url(self) -> str:
+        host, port = self.server_address[:2]
+        return f"http://{host if isinstance(host, str) else host.decode()}:{port}/"
+
+    def send(self, reading: Reading) -> None:
+        """Show a reading."""
+        self.hub.send(reading.event() | {"said": self.said})
+
+    def announce(self, sentence: str) -> None:
+        """Show a sentence on all pages, below the last reading and those that follow, also on pages opened later."""
+        self.said = sentence
+        self.hub.send(self.hub.latest | {"said": sentence})
+
+    def stop(self) -> None:
+        """End it."""
+        self.shutdown()
+        self.server_close()
+
+    def handle_error(self, request, client_address) -> None:
+        """A browser that left is no error of ours; others are reported."""
+        import sys
+
+        if not isinstance(sys.exception(), ConnectionError):
+            super().handle_error(request, client_address)
+
+
+class Handler(BaseHTTPRequestHandler):
+    """GET /: the page; /events: readings as they come."""
+
+    server: PageServer
+
+    def do_GET(self) -> None:
+        # A foreign name that leads to this machine is another site's (DNS rebinding).
+        host = (self.headers.get("Host") or "").rsplit(":", 1)[0]
+        if self.server.local and host not in LOCAL:
+            self.send_error(403)
+        elif self.path == "/":
+            self.begin("text/html; charset=utf-8")
+            self.wfile.write(page().encode())
+        elif self.path == "/events":
+            self.begin("text/event-stream")
+            self.stream()
+        else:
+            self.send_error(404)
+
+    def begin(self, kind: str) -> None:
+        """Send the head of an answer, which ends with the connection."""
+        self.send_response(200)
+        self.send_header("Content-Type", kind)
+        self.send_header("Cache-Control", "no-store")
+        self.end_headers()
+
+    def stream(self) -> None:
+        """Send events until the browser leaves."""
+        try:
+            for event in self.events():
+                self.wfile.write(f"data: {json.dumps(event)}\n\n".encode())
+                self.wfile.flush()
+        except ConnectionError:
+            self.close_connection = True
+
+    def events(self) -> Iterator[dict]:
+        """Events from the latest one on, the first with the curve of those before it."""
+        number, before = 0, {"before": self.server.hub.before()}
+        while True:
+            number, event = self.server.hub.after(number, QUIET_S)
+            yield (event or {}) | before
+            before = {}
+
+    def log_message(self, *_) -> None:
+        """Requests are not printed on the terminal."""
+
+
+def page() -> str:
+    """The page, one file."""
+    files = {"/*look*/": LOOK, "/*colours*/": COLOURS, "/*script*/": WEB / "live.js"}
+    html = (WEB / "live.html").read_text(encoding="utf-8")
+    for place, path in files.items():
+        html = html.replace(place, path.read_text(encoding="utf-8"))
+    return html.replace("/*constants*/", f"const FULL_COLOUR_N = {json.dumps(FULL_COLOUR_N)}, KEPT = {KEPT};")
