@@ -7,13 +7,14 @@ import signal
 import time
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gelforge.flow.files import write_text
 from tests.benchmarks import sandbox
 from tests.support.cluster import Cluster, cluster, lay_profile, lay_project, make, start_make
 from tests.support.waiting import HANG, wait_until
-from tests.workflow.conftest import NEEDS_SLURM
+from tests.workflow.conftest import NEEDS_SLURM, lay_dataset
 
 slow = pytest.mark.slow
 needs_slurm = [*NEEDS_SLURM, slow]
@@ -96,6 +97,19 @@ def test_dry_run_shows_exactly_what_local_would_run(tmp_path):
 
 class TestWork:
     pytestmark = needs_slurm
+
+    def test_labels_of_the_flow_are_those_of_one_machine(self, lab, root, tmp_path):
+        for executor in ("local", "slurm"):
+            project = sandbox.link_project(root, tmp_path / executor)
+            lay_dataset(project, root, "tiny", 4)
+            profile = f"SLURM_PROFILE={root / 'envs/slurm-cluster.toml'}"
+            code, text = make(project, lab, "labels", "DATASET=tiny", f"EXECUTOR={executor}", profile)
+            assert code == 0, text
+        labels = sorted((tmp_path / "local/results/tiny/50_labels/24x32").glob("*.npz"))
+        assert len(labels) == 2
+        for path in labels:
+            one, other = np.load(path), np.load(tmp_path / "slurm" / path.relative_to(tmp_path / "local"))
+            assert one.files == other.files and all(np.array_equal(one[key], other[key]) for key in one.files)
 
     def test_a_changed_input_reaches_the_end_in_one_make(self, project, lab):
         assert make(project, lab, "fea")[0] == 0
@@ -186,7 +200,7 @@ class TestFailure:
     def test_refused_with_slurm_s_own_words(self, project, lab):
         for settings, words in (
             ({"partition": "nowhere"}, "Invalid partition name specified"),
-            ({"memory_mb": 10**7}, "Requested node configuration is not available"),
+            ({"memory_mb": 10**6}, "Requested node configuration is not available"),
         ):
             lay_profile(project, **settings, visible_seconds=2 * HANG)
             code, text = make(project, lab, "poses")

@@ -18,15 +18,15 @@ from argparse import Namespace
 from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Any
 
 from gelforge.errors import BadInput, GelforgeError
 from gelforge.flow.files import read_toml, write_text
 from gelforge.flow.layout import log_of
 from gelforge.flow.main import command, option
 from gelforge.flow.orphans import die_with_parent
-from gelforge.flow.params.schema import Number, ParameterTable, Place, Within, parse
-from gelforge.flow.params.tables import Line
+from gelforge.flow.params.schema import ParameterTable, Place, parse
+from gelforge.flow.params.tables import Count, FromNone, Line, Whole
 from gelforge.flow.step import TAIL_LINES, show_notices
 from gelforge.flow.terminal import show_line, terminal
 
@@ -40,14 +40,9 @@ WITHHELD = ("SLURM_", "SQUEUE_", "SCANCEL_", "SBATCH_CLUSTERS", "MAKE", "MFLAGS"
 PASSED = ("SLURM_CONF", "SLURM_CLUSTERS")
 # What Slurm prints when it kills a task, and the setting that helps.
 KILLED = {
-    "memory_mb": re.compile(
-        r"^slurmstepd\S*: .*(exceeded (job |step )?memory limit|oom.kill)", re.IGNORECASE | re.MULTILINE
-    ),
-    "time_minutes": re.compile(r"^slurmstepd\S*: .*DUE TO TIME LIMIT", re.MULTILINE),
+    "memory_mb": r"(?im)^slurmstepd\S*: .*(exceeded (job |step )?memory limit|oom.kill)",
+    "time_minutes": r"(?m)^slurmstepd\S*: .*DUE TO TIME LIMIT",
 }
-
-FromNone = Annotated[int, Within(0, 1e9)]
-FromOne = Annotated[int, Within(1, 1e9)]
 
 # Slurm starts a task again after its node was lost; results that are there are not made twice.
 SCRIPT = """#!/bin/bash
@@ -70,15 +65,15 @@ class Profile(ParameterTable):
 
     partition: Line
     account: Line
-    time_minutes: FromOne
-    memory_mb: FromNone
-    cores: FromOne
-    shards_per_task: FromOne
-    array_limit: FromNone
-    concurrent: FromNone
+    time_minutes: Count
+    memory_mb: Whole
+    cores: Count
+    shards_per_task: Count
+    array_limit: Whole
+    concurrent: Whole
     options: tuple[Line, ...]
     setup: tuple[Line, ...]
-    visible_seconds: Annotated[Number, Within(0.0, 1e9, "s")]
+    visible_seconds: FromNone
 
     def fault(self) -> str | None:
         """Jobs on a cluster that scancel and squeue do not look at could not be cancelled."""
@@ -116,11 +111,11 @@ def environment() -> dict[str, str]:
 
 def ask(*words: str) -> str:
     """Run one of Slurm's programs and return what it prints; GelforgeError with its words where it fails."""
-    done = subprocess.run(words, env=environment(), capture_output=True, check=False)
-    out, errors = (stream.decode(errors="replace").strip() for stream in (done.stdout, done.stderr))
+    done = subprocess.run(words, env=environment(), capture_output=True, text=True, errors="replace", check=False)
     if done.returncode:
-        raise GelforgeError(f"{shlex.join(words)}: {errors or out or f'exit code {done.returncode}'}")
-    return out
+        said = done.stderr.strip() or done.stdout.strip() or f"exit code {done.returncode}"
+        raise GelforgeError(f"{shlex.join(words)}: {said}")
+    return done.stdout
 
 
 def longest_array(profile: Profile) -> int:
@@ -191,8 +186,7 @@ class Work:
         indices = f"1-{count}" + (f"%{self.profile.concurrent}" if self.profile.concurrent else "")
         # After the profile's own options, because the last one of a kind wins.
         ours = ["--wait", f"--job-name={self.folder.name}", f"--array={indices}", f"--chdir={os.getcwd()}"]
-        output_of = str(of.absolute()).replace("%", "%%") + "/%a.out"
-        ours += [f"--output={output_of}", "--open-mode=truncate", f"{of}/script"]
+        ours += [f"--output={str(of.absolute()).replace('%', '%%')}/%a.out", "--open-mode=truncate", f"{of}/script"]
         with (of / "sbatch").open("w") as output:
             # In a process group of its own: it may be a site's wrapper, which passes no signal on.
             streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": output, "stderr": subprocess.STDOUT}
@@ -213,13 +207,9 @@ class Work:
             if not left or time.monotonic() >= until or (over and all(map(self.cause, left))):
                 return left
             if device := terminal():
-                show_line(device, self.count(left))
+                show_line(device, f"{self.stage} on Slurm: {len(left)} of {len(self.tasks)} results to come")
             if signal.sigtimedwait(STOP, LOOK_EVERY_S):
                 return None
-
-    def count(self, left: list[Task]) -> str:
-        """How many results are there."""
-        return f"{self.stage} on Slurm: {len(self.tasks) - len(left)} of {len(self.tasks)} results"
 
     def missing(self) -> list[Task]:
         """Tasks without a result, by listing folders: that refreshes the caches of a network file system."""
@@ -251,11 +241,11 @@ class Work:
         """Why a task whose sbatch has ended left no result; empty where the result may still be on its way."""
         said = task.said()
         for setting, killed in KILLED.items():
-            if killed.search(said):
+            if re.search(killed, said):
                 table = self.stage.lstrip("0123456789_")
                 limit = f"its limit {setting} = {getattr(self.profile, setting)}"
                 return f"killed at {limit}; raise it in {self.file} ([{table}] or [default])"
-        codes = re.findall(r"^exit code ([1-9]\d*)$", said, re.MULTILINE)
+        codes = re.findall(r"(?m)^exit code ([1-9]\d*)$", said)
         if codes:
             return f"exit code {codes[-1]}"
         if "CANCELLED AT" in said:
@@ -281,7 +271,7 @@ class Work:
                 print(f"FAILED {task.target}: {self.cause(task) or 'it left no result'}; log: {log}")
             for line in task.said().splitlines()[-TAIL_LINES:] if k < SHOWN else ():
                 print(f"  | {line}")
-        print(self.count(left), flush=True)
+        print(f"{self.stage} on Slurm: {len(self.tasks) - len(left)} of {len(self.tasks)} results", flush=True)
         return max([1, *(task.sbatch.returncode for task in left)]) if left else 0
 
 
@@ -290,19 +280,17 @@ class Work:
     option("--profile", type=Path, default=PUBLISHED, help="settings that differ from workflow/slurm.toml"),
 )
 def main(args: Namespace) -> int:
-    # A make that is killed ends this process by SIGTERM, and so its jobs.
     signal.pthread_sigmask(signal.SIG_BLOCK, STOP)
-    die_with_parent()
+    die_with_parent()  # by SIGTERM, so that jobs end with a make that is killed
     if not shutil.which("sbatch"):
         raise BadInput("sbatch: not found; EXECUTOR=slurm needs Slurm's programs on PATH")
     lines = args.notes.read_text(encoding="utf-8").replace("\\\n", " ").splitlines()
     args.notes.unlink()
     noted = dict(line.split("\t", 1) for line in lines if line)
     stage = Path(min(noted)).relative_to(args.notes.parents[1]).parts[0]
-    profile = read_profile(args.profile, stage)
     folder = args.notes.with_name(f"gelforge-{stage}-{secrets.token_hex(6)}")
     try:
-        return Work(stage, folder, args.profile, profile).run(noted)
+        return Work(stage, folder, args.profile, read_profile(args.profile, stage)).run(noted)
     finally:
         # Without its list a task that Slurm starts after all does nothing.
         shutil.rmtree(folder, ignore_errors=True)

@@ -163,7 +163,7 @@ def test_a_lock_that_nobody_holds_is_not_running(tmp_path):
 def test_files_that_are_being_written_do_not_count(tmp_path):
     """A look at a run never meets a file that goes while it looks, nor counts one that a killed writer left."""
     now = lay(tmp_path, 3)
-    for name in ("30_fea/0000/.s3.17.part.json", "metrics/30_fea/.0000.17.part.json", ".slurm/.30_fea.17.part.json"):
+    for name in ("30_fea/0000/.s3.17.part.json", "metrics/30_fea/.0000.17.part.json"):
         (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
         (tmp_path / name).write_text("{")
     assert look(tmp_path, now).done == 3
