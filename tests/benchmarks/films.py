@@ -11,9 +11,9 @@ from gelforge.networks.checkpoint.modelfile import ForceModel
 from gelforge.networks.inference.predictor import Predictor
 from gelforge.networks.inference.sensorprofile import Gain, fit_opposite
 from gelforge.records.film import frames, numbered, open_source
+from gelforge.records.forcereading import BEYOND
 from gelforge.records.markers import find_blobs
 from gelforge.records.nocontactimage import SETTLING, find_nocontact
-from gelforge.records.totals import BEYOND
 from tests.benchmarks.figures import Figure
 from tests.benchmarks.ways import bare
 
@@ -34,7 +34,7 @@ def frames_of(path: Path) -> list[np.ndarray]:
 class Read:
     """A film as read: totals (n, 3) N, by the shipped network and bare, in the labels' channels, and the markers' motion (n, d, 2) px.
 
-    flagged: (n,) bool, pictures that `predict` flags. peak: (n,) largest force at the picture's edge (records.totals).
+    flagged: (n,) bool, pictures that `predict` flags. peak: (n,) largest force at the picture's edge (records.forcereading).
     """
 
     used: np.ndarray

@@ -70,7 +70,7 @@ def load_workflow() -> tuple[dict, TrainTable]:
 
 def speed_figures(models: dict, seconds: float) -> list[Figure]:
     """How much faster the net that ships is than the U-net, with one and two threads."""
-    from gelforge.networks.evaluation.latency import time_predictors
+    from gelforge.networks.evaluation.predicted import time_predictors
 
     image = np.random.default_rng(0).integers(0, 256, (*IMAGE, 3), np.uint8)
     figures = []

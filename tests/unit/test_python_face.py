@@ -172,6 +172,20 @@ def test_a_name_it_does_not_have_is_refused():
         gelforge.press  # noqa: B018
 
 
+def test_a_reader_loads_nothing_but_what_reading_needs(root):
+    """No finite elements, and few modules: a robot's computer starts it in a moment."""
+    code = (
+        "import sys, cv2, gelforge\n"
+        "gelforge.Reader(nocontact=cv2.imread(sys.argv[1])[..., ::-1].copy())\n"
+        "print(*(name for name in sys.modules if name.partition('.')[0] == 'gelforge'))"
+    )
+    picture = root / "data/demo/nocontact/mini_a.png"
+    ran = subprocess.run([sys.executable, "-c", code, picture], check=True, capture_output=True, text=True)
+    found = ran.stdout.split()
+    folders = {name.split(".")[1] for name in found if "." in name}
+    assert folders == {"errors", "flow", "networks", "reader", "records"} and len(found) <= 35, found
+
+
 def test_importing_loads_nothing_heavy():
     code = "import sys, gelforge; print({'numpy', 'torch', 'scipy', 'cv2'} & sys.modules.keys())"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)

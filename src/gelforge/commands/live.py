@@ -157,8 +157,8 @@ def predictor_of(args: Namespace, model, picture: np.ndarray | None, seen, name:
     """
     import cv2
 
-    from gelforge.camera import CameraPredictor
     from gelforge.networks.inference.sensorprofile import with_profile
+    from gelforge.reader import CameraPredictor
 
     if picture is None and not args.profile and model.needs_nocontact:
         need_frames(args.frames)

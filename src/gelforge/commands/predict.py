@@ -20,18 +20,17 @@ from pathlib import Path
 
 import numpy as np
 
-from gelforge.camera import CameraPredictor
 from gelforge.commands.sensoroptions import ENGINE, MODEL, NOCONTACT, PROFILE, SENSOR
 from gelforge.errors import BadInput, printable
 from gelforge.flow.files import publish, write_csv
 from gelforge.flow.main import command, option
 from gelforge.networks.inference.predictor import Predictor, load_for_use
 from gelforge.networks.inference.sensorprofile import files_of, with_profile
+from gelforge.reader import CameraPredictor
 from gelforge.records.axes import CHANNELS
-from gelforge.records.forcereading import ForceReading
+from gelforge.records.forcereading import TOTAL_COLUMNS, ForceReading, goes_beyond, total_columns
 from gelforge.records.image import read_image
 from gelforge.records.regular import FOLDER, file_fault, refuse_to_replace
-from gelforge.records.totals import TOTAL_COLUMNS, goes_beyond, total_columns
 
 FILMS = (".avi", ".mp4", ".mkv", ".mov", ".webm")  # names that no picture has
 HEIGHT = "_height.npy"

@@ -23,7 +23,6 @@ from pathlib import Path
 
 import numpy as np
 
-from gelforge.camera import CameraPredictor
 from gelforge.commands.camera import camera_number
 from gelforge.commands.sensoroptions import MODE, MODEL, NOCONTACT
 from gelforge.errors import BadInput
@@ -50,15 +49,16 @@ from gelforge.networks.inference.sensorprofile import (
     write_profile,
 )
 from gelforge.networks.preprocess.slopetable import SlopeTable
+from gelforge.reader import CameraPredictor
 from gelforge.records.cameraframe import reduced
 from gelforge.records.film import source_name
+from gelforge.records.forcereading import goes_beyond
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
 from gelforge.records.nocontactimage import nocontact_of
 from gelforge.records.press import check_id, parse_number
 from gelforge.records.regular import real_place, refuse_to_replace
 from gelforge.records.table import filled_rows
-from gelforge.records.totals import goes_beyond
 
 ASKED = "give the columns {}, a row for each {}"
 

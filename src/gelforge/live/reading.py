@@ -6,8 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from gelforge.records.film import Frame
-from gelforge.records.forcereading import ForceReading
-from gelforge.records.totals import TOTAL_COLUMNS, total_columns
+from gelforge.records.forcereading import TOTAL_COLUMNS, ForceReading, total_columns
 from gelforge.reporting.parts import jpeg, pack
 
 COLUMNS = ("frame", "time_s", *TOTAL_COLUMNS, "flag", "reason", "ms")

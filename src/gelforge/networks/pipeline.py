@@ -1,6 +1,7 @@
 """A model made of datasets: its network trained, exported as it will be used, and judged on presses that it did not see."""
 
 import json
+import resource
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -18,20 +19,19 @@ from gelforge.flow.params.tables import TrainingTable
 from gelforge.networks.checkpoint.modelfile import ForceModel, model_of, save_model
 from gelforge.networks.checkpoint.onnxexport import export
 from gelforge.networks.checkpoint.weights import save_weights
-from gelforge.networks.data.arrays import Data, data_version, press_keys, require_splits, scales, split_validation
-from gelforge.networks.data.concatenate import concatenate
+from gelforge.networks.data.arrays import (
+    Data,
+    concatenate,
+    data_version,
+    press_keys,
+    require_splits,
+    scales,
+    split_validation,
+)
 from gelforge.networks.evaluation.fitting import set_intervals, set_limits
 from gelforge.networks.models.inputs import needs_nocontact
 from gelforge.networks.models.registry import parameter_count
-from gelforge.networks.training.loop import (
-    Training,
-    device_of,
-    fit,
-    mixes_precision,
-    peak_memory_gib,
-    require_judges,
-    scales_before,
-)
+from gelforge.networks.training.loop import Training, device_of, fit, mixes_precision, require_judges, scales_before
 from gelforge.records.networkkind import kind_of
 from gelforge.records.splits import TRAINING, VALIDATION
 
@@ -176,7 +176,8 @@ def make_model(
         metadata |= {"start": metadata["start"] | {"fraction": training.fraction}}
     trained = judged(training.net.cpu(), metadata, learnt, data, settings, start)
     seconds = training.cost["seconds"] + time.perf_counter() - began
-    cost = training.cost | {"seconds": seconds, "peak_gib": peak_memory_gib()}
+    peak_gib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    cost = training.cost | {"seconds": seconds, "peak_gib": peak_gib}
     return replace(trained, model=replace(trained.model, metadata=trained.metadata | {"cost": cost}))
 
 

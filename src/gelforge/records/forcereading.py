@@ -1,8 +1,21 @@
-"""What is predicted from one picture: the one result from `predict` to the page of `live`."""
+"""What is predicted from one picture: the one result from `predict` to the page of `live`, and its columns of a table.
+
+For each channel: CHANNEL_n, the total, and CHANNEL_half_width_n, half of its 90 % prediction interval, empty where it is not
+known. edge_peak shows where totals are too low: the contact is cropped by the image.
+"""
 
 from dataclasses import dataclass
 
 import numpy as np
+
+from gelforge.records.axes import CHANNELS
+
+KINDS = ("n", "half_width_n")
+TOTAL_COLUMNS = (*(f"{channel}_{kind}" for kind in KINDS for channel in CHANNELS), "edge_peak")
+LEAST_PRESS = 0.2  # N of normal force below which a map has no shape: what is read of a released gel is below
+# Of a map's largest force, borne by a cell at the image's edge: the contact there is cropped by the image. Of 51 real
+# presses those that end within it bear at most a tenth there, those that it cuts a quarter and more.
+BEYOND = 0.2
 
 
 @dataclass(frozen=True)
@@ -31,3 +44,33 @@ class ForceReading:
     def flag(self) -> bool:
         """Whether something is wrong with the pictures."""
         return bool(self.reason)
+
+
+def total_columns(found: ForceReading) -> dict[str, float | None]:
+    """Values of TOTAL_COLUMNS, N to four decimals."""
+    columns: dict[str, float | None] = {}
+    for kind, values in zip(KINDS, (found.total, found.half_width), strict=True):
+        for k, channel in enumerate(CHANNELS):
+            columns[f"{channel}_{kind}"] = None if values is None else round(float(values[k]), 4)
+    return columns | {"edge_peak": None if np.isnan(found.edge_peak) else round(found.edge_peak, 4)}
+
+
+def edge_peak(forces: np.ndarray, shown: tuple[slice, slice]) -> float:
+    """Largest normal force of a cell at the picture's edge, over the largest of all; 0 where hardly anything presses.
+
+    forces: (3, rows, cols) N. shown: rows and columns of the cells that the picture shows; what is read beyond counts as
+    its edge. NaN where fewer than three rows or columns are shown, which are nothing but edge.
+    """
+    pressed = np.maximum(-forces[2].astype(float), 0.0)
+    if min(pressed[shown].shape) < 3:
+        return np.nan
+    if pressed.sum() < LEAST_PRESS:
+        return 0.0
+    outer = pressed.copy()
+    outer[shown][1:-1, 1:-1] = 0.0
+    return float(outer.max() / pressed.max())
+
+
+def goes_beyond(peak: float) -> bool:
+    """Whether the image crops the contact, by its `edge_peak`: then the total is too low."""
+    return peak >= BEYOND

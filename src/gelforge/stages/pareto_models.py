@@ -79,7 +79,7 @@ def measure(models: dict, image, seconds: float) -> dict[str, dict[str, dict]]:
     """
     import onnxruntime
 
-    from gelforge.networks.evaluation.latency import time_predictors
+    from gelforge.networks.evaluation.predicted import time_predictors
     from gelforge.networks.inference.predictor import Predictor
 
     ways = {"cpu1": ("cpu", 1), "cpu2": ("cpu", 2)}

@@ -9,8 +9,7 @@ from hypothesis import strategies as st
 from gelforge.errors import BadInput
 from gelforge.networks.inference.predictor import Predictor, load_for_use
 from gelforge.networks.preprocess.illumination import Reference, match_light
-from gelforge.networks.preprocess.markertracks import MarkerTracker
-from gelforge.networks.preprocess.registration import OF_CONTACT, rim_shift, shifted_back
+from gelforge.networks.preprocess.markertracks import OF_CONTACT, MarkerTracker, rim_shift, shifted_back
 from gelforge.networks.preprocess.scale import fit_size, view_of
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of

@@ -8,8 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gelforge.errors import BadInput
-from gelforge.networks.data.arrays import data_version, open_data, scales
-from gelforge.networks.data.concatenate import concatenate
+from gelforge.networks.data.arrays import concatenate, data_version, open_data, scales
 from gelforge.networks.evaluation.evaluation import evaluate, known_rows
 from gelforge.networks.training.loop import predict_rows
 from gelforge.records.rowfile import ChainedRows

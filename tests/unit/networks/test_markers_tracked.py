@@ -20,10 +20,9 @@ from gelforge.networks.preprocess.markertracks import FAR, HOME, MarkerTracker
 from gelforge.networks.preprocess.scale import View
 from gelforge.networks.training.loop import require_scale, scales_before
 from gelforge.records.axes import CHANNELS
-from gelforge.records.forcereading import ForceReading
+from gelforge.records.forcereading import TOTAL_COLUMNS, ForceReading, edge_peak, goes_beyond, total_columns
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
-from gelforge.records.totals import TOTAL_COLUMNS, edge_peak, goes_beyond, total_columns
 from gelforge.reporting.modelcard import interval_lines
 from gelforge.stages.train import train
 from tests.support.parameters import with_values

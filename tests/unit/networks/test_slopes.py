@@ -9,9 +9,8 @@ from gelforge.errors import BadInput
 from gelforge.networks.balls.ballpresses import BallPress
 from gelforge.networks.balls.imprint import Circle
 from gelforge.networks.balls.slopefit import LEAST_PRESSES, fit_slope_table, known_slopes
-from gelforge.networks.inference.height import height_of
 from gelforge.networks.inference.sensorprofile import Gain, make_profile, read_profile, write_profile
-from gelforge.networks.preprocess.slopetable import SlopeTable, light_change
+from gelforge.networks.preprocess.slopetable import SlopeTable, height_of, light_change
 from tests.benchmarks.balls import slope_gain
 
 HEIGHT, WIDTH, PX_PER_MM = 120, 160, 8.0

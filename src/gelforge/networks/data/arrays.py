@@ -1,7 +1,8 @@
-"""The arrays of stage 60 as training and evaluation read them."""
+"""The arrays of stage 60 as training and evaluation read them, of one dataset or of several concatenated."""
 
 import hashlib
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +13,7 @@ from gelforge.flow.layout import command_for
 from gelforge.networks.models.inputs import needs_nocontact
 from gelforge.networks.preprocess.illumination import Light, match_light
 from gelforge.records.press import PressRecord
-from gelforge.records.rowfile import RowFile, Rows, map_array
+from gelforge.records.rowfile import ChainedRows, RowFile, Rows, map_array
 from gelforge.records.samplefile import DatasetSample, read_samples
 from gelforge.records.splits import TRAINING, UNSEEN_BOTH, UNSEEN_SENSOR, VALIDATION
 
@@ -39,7 +40,6 @@ class Data:
     table: list[DatasetSample]
     splits: dict[str, np.ndarray]
     info: dict
-    normalisation: dict
     nocontact: dict[str, np.ndarray]
     # Lights of the rows that were looked at: they are found once, not in every epoch.
     _lights: dict[int, Light] = field(default_factory=dict, init=False, repr=False, compare=False)
@@ -132,11 +132,7 @@ def open_data(folder) -> Data:
     check_finite(folder, labels, table)
     split = np.array([sample.split for sample in table])
     splits = {str(name): np.flatnonzero(split == name) for name in np.unique(split)}
-    nocontact, normalisation = (
-        match_pictures(folder, info, pictures, images),
-        read_json(folder / "normalisation.json"),
-    )
-    return Data(folder, images, labels, table, splits, info, normalisation, nocontact)
+    return Data(folder, images, labels, table, splits, info, match_pictures(folder, info, pictures, images))
 
 
 def check_shapes(folder, images, labels, table, info) -> None:
@@ -283,3 +279,46 @@ def scales(data: Data, total_only: bool, reads: str = "image") -> dict:
         "total": total.tolist(),
         "range": (totals.max(0) - totals.min(0)).tolist(),
     }
+
+
+def concatenate(own: Data, others: Sequence[Data]) -> Data:
+    """One dataset to learn from: all of `own`, and what `others` have to train on and to validate with.
+
+    It is named after all of them, and rows of `own` come first. Sensors and groups of another one carry its name, so that the
+    same name in two datasets stays two things. Raises BadInput for one of other images or another grid, and for one that is given twice.
+    """
+    if not others:
+        return own
+    for at, other in enumerate(others):
+        require_alike(own, other)
+        if other.name in [own.name, *(one.name for one in others[:at])]:
+            raise BadInput(f"{other.folder}: dataset {other.name} is given twice to learn from; name each once")
+    table, splits, pictures = list(own.table), dict(own.splits), dict(own.nocontact)
+    for other in others:
+        for name in (TRAINING, VALIDATION):
+            mine = splits.get(name, np.zeros(0, int))
+            splits[name] = np.concatenate([mine, len(table) + other.splits.get(name, np.zeros(0, int))])
+        table += [carrying(other.name, sample) for sample in other.table]
+        pictures |= {f"{other.name}/{name}": picture for name, picture in other.nocontact.items()}
+    every = [own, *others]
+    images, labels = ChainedRows([one.images for one in every]), ChainedRows([one.labels for one in every])
+    info = own.info | {"name": ", ".join(one.name for one in every)}
+    return replace(own, images=images, labels=labels, table=table, splits=splits, info=info, nocontact=pictures)
+
+
+def carrying(dataset: str, sample: DatasetSample) -> DatasetSample:
+    """A sample whose sensor and group carry the name of their dataset; a press without a group has none."""
+    press = replace(sample.press, sensor_id=f"{dataset}/{sample.press.sensor_id}")
+    return replace(sample, press=press, group=f"{dataset}/{sample.group}" if sample.group else "")
+
+
+def require_alike(own: Data, other: Data) -> None:
+    """Raise BadInput where two datasets cannot be learnt from together."""
+    seen, required = (
+        f"images of {one.image_size[1]} x {one.image_size[0]} and a grid of {one.grid[0]} x {one.grid[1]}"
+        for one in (other, own)
+    )
+    if seen != required:
+        raise BadInput(
+            f"{other.folder}: has {seen}, {own.folder} has {required}: only what is alike can be learnt from together"
+        )

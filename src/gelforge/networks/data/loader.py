@@ -8,25 +8,11 @@ import numpy as np
 import torch
 
 from gelforge.flow.params.tables import TrainingTable
-from gelforge.networks.data.augment import (
-    augment,
-    mirror_together,
-    misplace_nocontact,
-    narrow_views,
-    shift_together,
-)
+from gelforge.networks.data.augment import augment, mirror_together, misplace_nocontact, narrow_views, shift_together
 from gelforge.networks.models.inputs import needs_nocontact, network_input
 from gelforge.records.splits import TRAINING
 
-STREAMS = {
-    "order": 0,
-    "augment": 1,
-    "weights": 2,
-    "shift": 3,
-    "mirror": 4,
-    "seat": 5,
-    "view": 6,
-}
+STREAMS = {"order": 0, "augment": 1, "weights": 2, "shift": 3, "mirror": 4, "seat": 5, "view": 6}
 VARIED = ("augment", "shift", "mirror", "seat", "view")  # what an epoch's pictures draw from
 
 # Pictures prepared at a time. A whole batch would be arrays of tens of MB, for each of which the system clears new memory:

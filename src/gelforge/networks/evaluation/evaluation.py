@@ -10,7 +10,7 @@ from gelforge.flow.params.tables import EvaluateTable
 from gelforge.networks.checkpoint.modelfile import ForceModel, datasets_of
 from gelforge.networks.data.arrays import Data, press_keys
 from gelforge.networks.evaluation import metrics
-from gelforge.networks.evaluation.contacts import contact_table
+from gelforge.networks.evaluation.metrics import contact_table
 from gelforge.networks.evaluation.predicted import Predicted, predict_rows, require_fit
 from gelforge.records.axes import CHANNELS, FORCE_OF_CHANNEL
 from gelforge.records.splits import TRAINING

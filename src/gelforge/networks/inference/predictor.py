@@ -10,12 +10,11 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.networks.checkpoint.modelfile import ForceModel, Graph, load_model, require_sensor
-from gelforge.networks.inference.height import height_of
 from gelforge.networks.inference.sensorprofile import AS_READ, Gain
 from gelforge.networks.preprocess.illumination import Light
 from gelforge.networks.preprocess.pair import Prepared, Preprocessor
 from gelforge.networks.preprocess.scale import WHOLE, View
-from gelforge.networks.preprocess.slopetable import SlopeTable
+from gelforge.networks.preprocess.slopetable import SlopeTable, height_of
 from gelforge.networks.uncertainty.conformal import half_widths
 from gelforge.networks.uncertainty.ood import (
     as_arrays,
@@ -25,8 +24,7 @@ from gelforge.networks.uncertainty.ood import (
     relief,
     relief_fault,
 )
-from gelforge.records.forcereading import ForceReading
-from gelforge.records.totals import edge_peak
+from gelforge.records.forcereading import ForceReading, edge_peak
 
 LEAST_PULL = 1.0  # N above which a prediction that no contact can make is flagged
 SHIPPED = Path(__file__).parents[1] / "weights/default.onnx"

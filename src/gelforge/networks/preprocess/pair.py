@@ -18,8 +18,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.networks.models.inputs import needs_nocontact
 from gelforge.networks.preprocess.illumination import Light, Reference
-from gelforge.networks.preprocess.markertracks import MarkerTracker, Tracks
-from gelforge.networks.preprocess.registration import rim_shift, shifted_back
+from gelforge.networks.preprocess.markertracks import MarkerTracker, Tracks, rim_shift, shifted_back
 from gelforge.networks.preprocess.scale import WHOLE, fit_size, view_of
 from gelforge.records.markers import pitch_of
 

@@ -7,7 +7,6 @@ a network that is fine-tuned and the one that it begins as must have in common.
 import copy
 import io
 import math
-import resource
 import time
 from collections.abc import Generator
 from contextlib import closing
@@ -326,11 +325,6 @@ def fit(training: Training, data, checkpoint=None, identity: str = "", epochs: i
                 training.save(checkpoint, identity)
                 saved = time.monotonic()
     training.finish(data)
-
-
-def peak_memory_gib() -> float:
-    """Peak resident memory of this process so far, GiB."""
-    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
 
 
 def scales_before(
