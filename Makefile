@@ -12,17 +12,13 @@ SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
 
-# What a user may set: make DATASET=mylab RES="24x32 48x64" labels
+# What a user may set: make DATASET=mylab RES="24x32 48x64" labels. The plan chooses MODEL where nobody does.
 DATASET ?= demo
 RES ?= 24x32
 # Training, evaluation and the report take the first resolution.
 RES1 = $(firstword $(RES))
-# A network that reads differences where there are no-contact images, one that does not where not.
-LEARNER = $(if $(wildcard $(DATA)/nocontact),pair_24_mirrored,grid_16)
 # The grid of the shipped network.
 SHIPPED_RES := 24x32
-# That network reads a dataset that says so ([report] model) and is too small to learn from.
-MODEL ?= $(or $(filter-out $(if $(filter $(SHIPPED_RES),$(RES1)),,shipped $(TUNED)),$(REPORT_MODEL)),$(LEARNER))
 EXECUTOR ?= local
 # What switches nothing on: STRICT=0 is as if it were not given.
 NO := 0 no false
@@ -31,7 +27,16 @@ override STRICT := $(filter-out $(NO),$(STRICT))
 # nproc would give the number that a shell grants to one program's threads, where it sets these.
 JOBS ?= $(shell env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc)
 
-include rules/00_given.mk
+
+# $(call given,NAME) is a variable's text as one quoted word of a shell command: nothing in it is expanded.
+define NEWLINE
+
+
+endef
+given = '$(subst $(NEWLINE), ,$(subst ','\'',$(value $(1))))'
+# Defaults that make works out are no text of others.
+by_hand = $(filter command environment override,$(firstword $(origin $(1))))
+
 include rules/00_setup.mk
 include rules/00_plan.mk
 include rules/10_poses.mk
@@ -57,6 +62,9 @@ include rules/showcase.mk
 include rules/stability.mk
 include rules/test.mk
 include rules/work.mk
+
+# Results that must be made again whatever their dates (flow/asked.py).
+$(DUE): due
 
 .PHONY: help
 help:  ## this list

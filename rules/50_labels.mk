@@ -9,8 +9,3 @@ labels_of = gelforge.stages.labels --forces $1/40_forces --poses $1/10_poses --m
 
 $(LABELS): $D/50_labels/%/labels.json: $(FORCES) $(POSES) $D/00_plan/shards.csv $P/labels.json $P/sensors.json | $(call barrier,10_poses 40_forces)
 	$(call step,$(call labels_of,$D,$*).part)
-
-# A shard that was deleted, because it lost bytes say, is made again: labels.json alone would hide the gap.
-gap = $(if $(wildcard $D/50_labels/$(1)/labels.json),$(filter-out $(wildcard $D/50_labels/$(1)/*.npz),$(SHARDS:%=$D/50_labels/$(1)/%.npz)))
-.PHONY: gap-in-labels
-$(foreach r,$(RES),$(if $(call gap,$r),$D/50_labels/$r/labels.json)): gap-in-labels

@@ -4,9 +4,8 @@ REPORT := $D/90_report/index.html
 CALIBRATION := $(if $(filter calibrate,$(BRANCHES)),$D/calibrate/summary.json)
 CHART := $(if $(filter pareto,$(BRANCHES)),$D/pareto/quick.json)
 
-# Branches that were made without being asked for are shown too: those there are, and from when.
+# Branches that were made without being asked for are shown too.
 ALSO := $(filter-out $(CALIBRATION) $(CHART),$(wildcard $D/calibrate/summary.json $D/pareto/pareto.json $D/pareto/quick.json))
-REPORTED := $(RES1) $(MODEL) $(if $(ALSO),$(shell stat -L -c '%n:%Y' $(ALSO)))
 
 # What was solved here. A dataset with imported labels is not: of its log, which may know no pose, nothing is solved for a page.
 SOLVED := $(if $(IMPORTED),,$(POSES) $(FORCES) $D/50_labels/$(RES1)/labels.json)
@@ -15,7 +14,5 @@ SOLVED := $(if $(IMPORTED),,$(POSES) $(FORCES) $D/50_labels/$(RES1)/labels.json)
 report: $(REPORT)  ## one HTML page: presses, labels, errors, posterior, chart, failures
 
 # The page prints the parameters of every stage; the plan writes them before make reads these rules for good.
-$(REPORT): $P/report.json $(wildcard $P/*.json) $(SOLVED) $(IS_FROZEN) $D/80_evaluate/$(RES1)/$(MODEL).json $(CALIBRATION) $(CHART) $D/90_report/choice.txt
+$(REPORT): $P/report.json $(wildcard $P/*.json) $(SOLVED) $(IS_FROZEN) $D/80_evaluate/$(RES1)/$(MODEL).json $(CALIBRATION) $(CHART) $(ALSO)
 	$(call step,gelforge.stages.report --data $(DATA) --results $D --resolution $(RES1) --model $(MODEL) --params $< --out $@.part)
-
-$(eval $(call choice,$D/90_report/choice.txt,$(REPORTED)))

@@ -1,19 +1,11 @@
 # A dataset in formats that others read: make export FORMAT=lerobot.
 FORMAT ?=
-FORMATS := mcap rerun lerobot webdataset hdf5
 SUFFIX_mcap := .mcap
 SUFFIX_rerun := .rrd
 SUFFIX_lerobot :=
 SUFFIX_webdataset :=
 SUFFIX_hdf5 := .h5
 EXPORT = $D/export/$(RES1)/$(FORMAT)/$(DATASET)$(SUFFIX_$(FORMAT))
-
-# Before anything is made for it.
-ifneq ($(filter export,$(MAKECMDGOALS)),)
-ifeq ($(filter $(FORMATS),$(FORMAT)),)
-$(error FORMAT=$(FORMAT): name one of $(FORMATS))
-endif
-endif
 
 .PHONY: export
 export: $D/60_dataset/$(RES1)/dataset.json  ## write a dataset in another format: make export FORMAT=mcap, rerun, lerobot, webdataset or hdf5

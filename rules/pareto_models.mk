@@ -2,14 +2,9 @@
 # The networks on the chart: all but those that go on from the one that ships (LEARNABLE), or a list: make pareto-models
 # CHARTED="grid_16 unet".
 CHARTED ?= $(LEARNABLE)
-ifneq ($(and $(MODELS),$(filter-out $(MODELS),$(CHARTED))),)
-$(error CHARTED names $(filter-out $(MODELS),$(CHARTED)): no such network; workflow/models.toml has: $(MODELS))
-endif
 
 .PHONY: pareto-models
 pareto-models: $D/pareto_models/$(RES1).json  ## accuracy against latency of every network: chart, CSV, JSON
 
-$D/pareto_models/$(RES1).json: $(CHARTED:%=$D/80_evaluate/$(RES1)/%.json) $(CHARTED:%=$D/70_train/$(RES1)/%.onnx) $D/60_dataset/$(RES1)/dataset.json $P/pareto_models.json $D/pareto_models/$(RES1).choice.txt
+$D/pareto_models/$(RES1).json: $(CHARTED:%=$D/80_evaluate/$(RES1)/%.json) $(CHARTED:%=$D/70_train/$(RES1)/%.onnx) $D/60_dataset/$(RES1)/dataset.json $P/pareto_models.json
 	$(call step,gelforge.stages.pareto_models --dataset $D/60_dataset/$(RES1) --models $(filter %.onnx,$^) --evaluations $(filter $D/80_evaluate/%.json,$^) --out $@.part)
-
-$(eval $(call choice,$D/pareto_models/$(RES1).choice.txt,$(CHARTED)))

@@ -6,7 +6,7 @@ demo: $(if $(IS_FROZEN),report)
 	@echo "report: $D/90_report/index.html"
 
 status: | $(SETUP)  ## samples done, failed with reasons and pending, per stage
-	@$(PY) -m gelforge.commands.status --results $D $(if $(PLAN_STATE),--meshes $(MESHES))
+	@$(PY) -m gelforge.commands.status --results $D $(if $(MODELS),--meshes $(MESHES))
 
 # What takes one shard from its rows to labels, a word of the shell each; its folder stands as @.
 SHARD_STEPS = $(foreach s,poses $(if $(MESHES),meshes) fea forces,'$(call $s_of,@,0000)') '$(call labels_of,@,$(RES1))'
@@ -14,11 +14,6 @@ SHARD_STEPS = $(foreach s,poses $(if $(MESHES),meshes) fea forces,'$(call $s_of,
 sample: | $(SETUP)  ## run one sample through all stages and show its log: make sample ID=…
 	@$(PY) -m gelforge.commands.sample --dataset $(DATASET) --id $(call given,ID) --steps $(SHARD_STEPS)
 
-ifneq ($(filter sample,$(MAKECMDGOALS)),)
-ifeq ($(strip $(value ID)),)
-$(error no sample named; say make sample DATASET=$(DATASET) ID=SAMPLE_ID)
-endif
-endif
 
 ID ?=
 
@@ -26,11 +21,6 @@ STAGES := poses:10_poses images:15_images meshes:20_meshes fea:30_fea forces:40_
     train:70_train evaluate:80_evaluate report:90_report calibrate:calibrate pareto:pareto \
     stability:stability pareto_models:pareto_models
 CLEAN := $(foreach s,$(STAGES),clean-$(firstword $(subst :, ,$s)))
-
-# make would do both at a time, and remove what it has just found up to date.
-ifneq ($(and $(filter clean-%,$(MAKECMDGOALS)),$(filter-out clean-%,$(MAKECMDGOALS))),)
-$(error clean together with another goal: say make $(filter clean-%,$(MAKECMDGOALS)) first, then make $(filter-out clean-%,$(MAKECMDGOALS)))
-endif
 
 .PHONY: $(CLEAN) clean-all clean-venv
 $(CLEAN): clean-%:

@@ -89,6 +89,16 @@ class Layout:
         return self.root / stage
 
     @property
+    def plan(self) -> Path:
+        """Lists of words that make reads."""
+        return self.root / PLAN / "plan.mk"
+
+    @property
+    def plan_states(self) -> Path:
+        """States of the files that the plan was made from."""
+        return self.root / PLAN / "states.txt"
+
+    @property
     def params(self) -> Path:
         """Folder of what each stage reads of the parameters, NAME.json."""
         return self.root / PLAN / "params"

@@ -1,31 +1,32 @@
 """Stage 00: which shards a dataset has, and each stage's parameters as its own file.
 
-Written at parse time of make, so that `make -n` knows all of it. Files change only when their
-content does.
+make runs it before it reads its rules for good where a file that the plan was made from changed (`flow/asked.py`), so that
+`make -n` knows all of it. Files change only when their content does.
 """
 
+import hashlib
 import os
 import re
-import subprocess
 from argparse import Namespace
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from hashlib import blake2b, sha256
+from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 
 from gelforge.errors import BadInput, printable
 from gelforge.flow import params as config
-from gelforge.flow.catalogue import with_content
-from gelforge.flow.files import csv_text, write_if_changed, write_text
+from gelforge.flow.catalogue import stl_files, with_content
+from gelforge.flow.dates import keep_states, states_of
+from gelforge.flow.files import csv_text, listed, write_if_changed, write_text
 from gelforge.flow.kept import Kept
-from gelforge.flow.layout import LOGGED, planned_shards, shard_name
+from gelforge.flow.layout import LOGGED, PLAN, Layout, planned_shards, shard_name
 from gelforge.flow.main import command, option
 from gelforge.flow.params import DatasetFile, Params
 from gelforge.flow.params.tables import IN_PROCESS, SHIPPED, SHIPPED_IMAGE
 from gelforge.records.log import read_log, shard_text
 from gelforge.records.press import SENSOR_TABLES, RawRow
-from gelforge.records.regular import bytes_or_fault
+from gelforge.records.regular import file_fault
 from gelforge.records.repeats import repeats
 from gelforge.records.table import read_table
 
@@ -154,41 +155,49 @@ def named(rows: list[RawRow], column: str) -> set[str]:
     return {row.cells.get(column, "").strip() for row in rows}
 
 
-def picture_folders(data: Path, rows: list[RawRow]) -> list[str]:
-    """Folders right below the dataset's with pictures that rows name, in which make looks for others.
+def digests(files: Mapping[str, Path], kept: Path, most: int = 2**40) -> dict[str, str]:
+    """Digest of each file that can be read, by name: one that was replaced is another, one that was touched is not.
 
-    The dataset's own where pictures lie in it, or where make cannot name the folder.
+    kept: a JSON file of digests, so that a file is read once. most: bytes; larger files have none.
     """
-    inside = (Path(name).parts for name in named(rows, "image") if name and not Path(name).is_absolute())
-    folders = {str(data / parts[0]) if len(parts) > 1 else str(data) for parts in inside if ".." not in parts}
-    found = {folder if _WORD.fullmatch(folder) else str(data) for folder in folders}
-    return [str(data)] if str(data) in found else sorted(found)
-
-
-def picture_state(folders: list[str]) -> str:
-    """Digest of the names, sizes and times of all files below folders, as rules/00_plan.mk has it from the same programs."""
-    listing = ["find", "-L", *folders, "-type", "f", "-printf", r"%p %s %C@\n"]
-    found = subprocess.run(listing, capture_output=True, env={**os.environ, "LC_ALL": "C"}, check=False).stdout
-    lines = sorted(found.split(b"\n")[:-1])
-    return sha256(b"".join(line + b"\n" for line in lines)).hexdigest()[:32]
-
-
-def image_digests(data: Path, names: set[str], kept: Path) -> dict[str, str]:
-    """Digest of each picture that rows name: one that was replaced is another picture, one that was touched is not.
-
-    One that stage 10 refuses for its place, outside the dataset's folder, has none: a copy of it inside is another.
-    kept: a JSON file of digests, so that a picture is read once.
-    """
-    from gelforge.records.image import MOST_BYTES, stays_inside
 
     def read(path: Path) -> str | None:
-        content, fault = bytes_or_fault(path, MOST_BYTES)
-        return None if fault else blake2b(content, digest_size=8).hexdigest()  # stage 10 refuses what has a fault
+        if file_fault(path) or path.stat().st_size > most:
+            return None
+        with path.open("rb") as stream:
+            return hashlib.file_digest(stream, lambda: hashlib.blake2b(digest_size=8)).hexdigest()
 
-    pictures = Kept(kept)
-    found = {name: pictures.of(data / name, read) for name in sorted(names) if name and stays_inside(data, name)}
-    pictures.keep()
+    known = Kept(kept)
+    found = {name: known.of(path, read) for name, path in files.items()}
+    known.keep()
     return {name: digest for name, digest in found.items() if digest}
+
+
+def inside(data: Path, names: Iterable[str]) -> dict[str, Path]:
+    """Pictures that rows name, by name, but for those that stage 10 refuses for their place outside the dataset's folder."""
+    from gelforge.records.image import stays_inside
+
+    folder_stays = lru_cache(None)(lambda parent: stays_inside(data, parent))
+
+    def stays(name: str) -> bool:
+        at = os.path.join(data, name)
+        return stays_inside(data, name) if os.path.islink(at) else folder_stays(os.path.dirname(name) or ".")
+
+    return {name: data / name for name in sorted(names) if name and not os.path.isabs(name) and stays(name)}
+
+
+def image_digests(data: Path, names: Iterable[str], kept: Path) -> dict[str, str]:
+    """Digest of each picture that rows name and that stage 10 does not refuse for its place or its size."""
+    from gelforge.records.image import MOST_BYTES
+
+    return digests(inside(data, names), kept, MOST_BYTES)
+
+
+def files_beside(data: Path) -> dict[str, Path]:
+    """What lies beside a log and goes into its dataset, by its path there: no-contact images, splits, truth, labels."""
+    found = [*listed(data / "nocontact", "*"), *listed(data / "labels", "*.npz")]
+    found += [data / "splits.csv", data / "truth" / "presses.csv"]
+    return {str(path.relative_to(data)): path for path in found if path.is_file()}
 
 
 def write_parameters(params: Params, workflow: Path, out: Path, tables: dict[str, dict], scenes: dict) -> None:
@@ -215,7 +224,6 @@ def used(catalogue: dict, names: set[str]) -> dict:
 _WORD = re.compile(r"[A-Za-z0-9_@+][A-Za-z0-9_.@+/-]*")
 NETWORK_NAME = re.compile(r"[a-z0-9_]+")
 MOST_SHARDS = 20_000
-GELS_FILE = "gels.toml"
 
 
 def make_list(name: str, values: list[str]) -> str:
@@ -227,17 +235,6 @@ def make_list(name: str, values: list[str]) -> str:
                 " _ - . + @ and / only"
             )
     return f"{name} := {' '.join(values)}\n"
-
-
-def state_of(paths: list[Path]) -> str:
-    """Name, time and size of files as `stat -c %n:%.9Y:%s` prints them, to see later whether one was replaced."""
-    states = []
-    for path in paths:
-        if path.exists():
-            found = path.stat()
-            seconds, rest = divmod(found.st_mtime_ns, 10**9)
-            states.append(f"{path}:{seconds}.{rest:09d}:{found.st_size}")
-    return " ".join(states)
 
 
 def networks(workflow: Path) -> dict[str, dict]:
@@ -255,12 +252,6 @@ def network_lists(models: dict[str, dict]) -> dict[str, list[str]]:
     tuned = [name for name, table in tables.items() if "start" in table]
     beside = [name for name, table in tables.items() if table.get("reads", "image") != "image"]
     return {"MODELS": list(tables), "TUNED": tuned, "NEED_NOCONTACT": beside}
-
-
-def shape_files(workflow: Path) -> list[str]:
-    """Files of shapes that the project's own catalogue names."""
-    files = with_content(config.read_toml(workflow / "indenters.toml"), workflow)[1]
-    return [str(path) for path in files if _WORD.fullmatch(str(path))]
 
 
 def reported_model(file: Path, params: Params, models: dict) -> list[str]:
@@ -290,22 +281,22 @@ def chart_lists(params: Params, scenes: dict) -> dict[str, list[str]]:
     return {"PARETO_SCENES": list(scenes), "PARETO_QUICK": quick, "PARETO_MESHES": all_meshes(params, scenes)}
 
 
-def read_catalogues(
-    rows: list[RawRow], catalogue: Path, workflow: Path, known: dict, bodies: dict, params: Params
-) -> tuple[dict[str, dict], list[Path]]:
-    """What of the `known` sensors and indenters, `bodies`, a dataset and its charts use, by stage, and files this depends on.
+def plan_files(data: Path, workflow: Path, catalogue: str) -> list[Path]:
+    """Files that any plan is made from, those too that are not there: tables, the log, what lies beside it, and the code."""
+    tables = ("params", "charted", "models", "scenes", "sensors", "gels", "indenters")
+    own = ("log.csv", "dataset.toml", "sensors.toml", "indenters.toml", "calibration.toml")
+    beside = ("nocontact", "labels", "splits.csv", "truth/presses.csv")
+    found = [*(data / name for name in (*own, *beside)), *files_beside(data).values()]
+    found += [*(workflow / f"{name}.toml" for name in tables), workflow / catalogue]
+    return list(dict.fromkeys([*found, *listed(Path(__file__).parents[1], "*.py", below=True)]))
 
-    catalogue: file of the indenters, beside the dataset's own.
-    """
-    from gelforge.geometry.gelcatalogue import files_of
 
-    sensors = named(rows, "sensor_id") | {params.pareto.sensor}
-    indenters, shapes = with_content(used(bodies, named(rows, "indenter")), workflow)
-    tables = {"sensors": used(known, sensors), "indenters": indenters}
-    # the charts' scenes name indenters of the project's own catalogue, whichever the dataset has
-    return tables, list(
-        dict.fromkeys([catalogue, workflow / "indenters.toml", *shapes, *files_of(workflow / GELS_FILE)])
-    )
+def gel_files(workflow: Path) -> list[Path]:
+    """STL files that workflow/gels.toml names."""
+    path = workflow / "gels.toml"
+    tables = config.read_toml(path).values() if path.exists() else ()
+    named = (table.get("file") for table in tables if isinstance(table, dict))
+    return [workflow / file for file in named if isinstance(file, str)]
 
 
 def check_gel(file: Path, of: DatasetFile, params: Params, sensors: dict[str, dict]) -> None:
@@ -426,47 +417,55 @@ def without_ccx(params: config.Params, dataset_toml: Path) -> config.Params:
 @command(
     option("--data", type=Path, help="data/DATASET"),
     option("--workflow", type=Path, default=Path("workflow")),
-    option("--ccx", default="none", help="CalculiX' program, or `none`"),
-    option(
-        "--inputs", type=Path, nargs="*", default=[], help="files whose state the plan keeps, beside those it reads"
-    ),
+    option("--ccx", type=Path, default=None, help="file that names CalculiX' program, or says `none`; without it none"),
     option("--out", type=Path, help="results/DATASET/00_plan/plan.mk"),
 )
 def main(args: Namespace) -> None:
-    out = args.out.parent
-    dataset_toml = args.data / "dataset.toml"
-    before = state_of(args.inputs)  # taken before they are read: a change in between is seen next time
-    params = config.load_params(args.workflow, dataset_toml)
-    if args.ccx == "none":
-        params = without_ccx(params, dataset_toml)
     from gelforge.mechanics.mesh.family import required_meshes
     from gelforge.sweeps.scenes import read_tables
 
-    scenes = read_tables(args.workflow)
-    of = config.read_dataset_file(dataset_toml)
-    rows = logged_rows(args.data / "log.csv", of.sensor)
-    sensors = config.read_sensor_tables(args.workflow, args.data)
-    indenters = config.read_indenter_tables(args.workflow, args.data, of.catalogue)
-    tables, read = read_catalogues(rows, args.workflow / of.catalogue, args.workflow, sensors, indenters, params)
-    check_dataset(dataset_toml, of, params, rows, args.workflow, sensors, indenters)
-    meshes = required_meshes(params.fea, params.meshes)
-    lists: dict[str, list[str]] = {"MESHES": meshes, "BRANCHES": [*params.report.branches]}
-    lists |= chart_lists(params, scenes)
-    models = networks(args.workflow)
-    lists |= network_lists(models)
-    lists["SHAPES"] = shape_files(args.workflow)
-    lists["NEEDS_CALIBRATION"] = ["yes"] if params.material.c10 == "calibrated" else []
-    lists["REPORT_MODEL"] = reported_model(dataset_toml, params, models)
-    lists["LEARN_ALSO"] = list(params.train.also)
-    lists["PLAN_READS"] = [str(path) for path in read]
-    lists["PICTURES"] = picture_folders(args.data, rows)
-    lists["PICTURE_STATE"] = [picture_state(lists["PICTURES"])]  # taken before they are read, too
+    data, workflow, of = args.data, args.workflow, Layout(args.out.parent.parent)
+    dataset_toml = data / "dataset.toml"
+    dataset = config.read_dataset_file(dataset_toml)
+    # states are taken before files are read: a change in between is seen by the next make
+    states = states_of([*filter(None, [args.ccx]), *plan_files(data, workflow, dataset.catalogue)])
+    params = config.load_params(workflow, dataset_toml)
+    if args.ccx is None or args.ccx.read_text(encoding="utf-8").strip() == "none":
+        params = without_ccx(params, dataset_toml)
+    rows = logged_rows(data / "log.csv", dataset.sensor)
+    sensors = config.read_sensor_tables(workflow, data)
+    indenters = config.read_indenter_tables(workflow, data, dataset.catalogue)
+    shapes = list(stl_files(config.read_toml(workflow / "indenters.toml"), workflow).values())
+    scenes, models = read_tables(workflow), networks(workflow)
+    pictures = [data / name for name in sorted(named(rows, "image")) if name]
+    bodies = used(indenters, named(rows, "indenter"))
+    read = [*stl_files(bodies, workflow).values(), *shapes, *gel_files(workflow), *pictures]
+    states |= states_of(read)
+    check_dataset(dataset_toml, dataset, params, rows, workflow, sensors, indenters)
+    tables = {
+        "sensors": used(sensors, named(rows, "sensor_id") | {params.pareto.sensor}),
+        "indenters": with_content(bodies, workflow),
+    }
+    lists = {
+        "MESHES": required_meshes(params.fea, params.meshes),
+        "BRANCHES": [*params.report.branches],
+        **chart_lists(params, scenes),
+        **network_lists(models),
+        "LEARNER": ["pair_24_mirrored" if (data / "nocontact").is_dir() else "grid_16"],
+        "SHAPES": [str(path) for path in shapes if _WORD.fullmatch(str(path))],
+        "NEEDS_CALIBRATION": ["yes"] if params.material.c10 == "calibrated" else [],
+        "REPORT_MODEL": reported_model(dataset_toml, params, models),
+        "LEARN_ALSO": [*params.train.also],
+        "IMAGES": ["yes"] if pictures and params.poses.images else [],
+    }
     text = "".join(make_list(name, values) for name, values in lists.items())
-    write_parameters(params, args.workflow, out, tables, scenes)
-    shards = write_shards(args.data, rows, out, params.plan.shard_size, tables)
+    write_parameters(params, workflow, of.folder(PLAN), tables, scenes)
+    beside = digests(files_beside(data), of.folder(PLAN) / "digests_beside.json")
+    write_if_changed(of.folder(PLAN) / "beside.json", config.canonical(beside))
+    shards = write_shards(data, rows, of.folder(PLAN), params.plan.shard_size, tables)
     check_count(shards, params.plan.shard_size)
-    state = " ".join(filter(None, [before, state_of(read)]))
-    write_text(args.out, f"{make_list('SHARDS', shards)}{text}PLAN_STATE := {state}\n")
+    write_text(of.plan, f"{make_list('SHARDS', shards)}{text}")
+    keep_states(of.plan_states, states)
 
 
 if __name__ == "__main__":

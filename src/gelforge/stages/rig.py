@@ -246,7 +246,7 @@ def contents_of(
 ) -> tuple[dict[str, str], dict[str, str]]:
     """Digests of what a plan's names stand for: each indenter's table and STL file, each sensor's appearance and projection."""
     every = read_catalogue(workflow / plan.catalogue)
-    tables, _ = with_content({name: every[name] for name in plan.indenters}, workflow)
+    tables = with_content({name: every[name] for name in plan.indenters}, workflow)
     seen = {name: [asdict(appearances[name]), asdict(sensors[name])] for name in plan.sensors}
     return digests(tables), digests(seen)
 

@@ -231,7 +231,7 @@ def test_the_bench_and_the_calibration_read_the_stl_file_that_the_stages_read(tm
         body = build("probe", {"kind": "cuboid", "size": [size, size], "fillet": 0.5, "height": 8})
         triangles.write_stl(folder / "probe.stl", *body.surface())
     (tmp_path / "mine/indenters.toml").write_text('[probe]\nkind = "stl"\nfile = "probe.stl"\n')
-    tables, _ = with_content(read_catalogue(tmp_path / "mine/indenters.toml"), tmp_path)
+    tables = with_content(read_catalogue(tmp_path / "mine/indenters.toml"), tmp_path)
     demo = read_plan(DEMO)
     kind = replace(demo.kinds[0], indenters=("probe",), sensors=())
     plan = replace(demo, catalogue="mine/indenters.toml", kinds=(kind,))
