@@ -39,7 +39,7 @@ test: $(SETUP) $(CCX_FOUND)  ## the tests of every change, in minutes: all but t
 	@$(PYTEST) -m 'not slow' $(TESTS)
 
 test-all: $(SETUP) $(CCX_FOUND)  ## all tests, in a quarter of an hour; MARKED=slow: those that `make test` leaves out
-	@$(PYTEST) $(if $(MARKED),-m '$(MARKED)') $(TESTS)
+	@$(PYTEST) $(if $(MARKED),-m $(call given,MARKED)) $(TESTS)
 
 lint: $(SETUP)  ## check style, names, types and imports of the code, and that generated files are those of today, as CI does
 	@$(PY) -m ruff check

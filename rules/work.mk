@@ -44,7 +44,7 @@ parameters: $(SETUP)  ## write workflow/guide/parameters.md, the page of all par
 TARGET ?=
 
 why:  ## explain why a target is outdated: make why TARGET=report
-	@$(PY) -m gelforge.commands.why --target $(call given,TARGET) 'DATASET=$(DATASET)' 'RES=$(RES)' $(if $(FORMAT),'FORMAT=$(FORMAT)')
+	@$(PY) -m gelforge.commands.why --target $(call given,TARGET) 'DATASET=$(DATASET)' $(foreach v,RES MODEL CHARTED STRICT FORMAT,$(if $(call by_hand,$v),$v=$(call given,$v)))
 
 provenance: | $(SETUP)  ## every file, parameter and cost behind one label: make provenance ID=…
 	@$(PY) -m gelforge.commands.provenance --results $D --id $(call given,ID) --resolution $(RES1)

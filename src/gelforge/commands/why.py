@@ -16,11 +16,9 @@ NEWER = re.compile(r"Prerequisite '(.+)' is newer than target '(.+)'\.")
 ABSENT = re.compile(r"File '(.+)' does not exist\.")
 NO_FILE = re.compile(r"Prerequisite '(.+)' of target '(.+)' does not exist\.")
 MUST = re.compile(r"Must remake target '(.+)'\.")
-# What a rule asks for by a word instead of a file (rules/*.mk), in sentences.
+# What a rule asks for by a word instead of a file, in sentences: flow/asked.py says which results are due.
 ASKED = {
-    "choose-anew": "it was made with another choice (RES, MODEL, CHARTED or branches), or of other pictures, labels, splits or truth beside the log",
-    "gap-in-labels": "labels of a shard are missing",
-    "strict": "STRICT=1 looks at every shard again",
+    "due": "it was made with another choice (MODEL, RES, CHARTED or branches), lost labels of a shard, or STRICT=1 judges it again"
 }
 NAMELESS = "something that it reads is made again"
 UNKNOWN = re.compile(r"No rule to make target '(.+?)'")
@@ -44,7 +42,7 @@ def ask_make(target: str, settings: list[str]) -> str:
 
 def reasons(said: str) -> dict[str, list[str]]:
     """Why each file must be made, from what make said, in the order it would be made; phony targets are left out."""
-    must = dict.fromkeys(name for name in MUST.findall(said) if "/" in name)
+    must = dict.fromkeys(name for name in MUST.findall(said) if "/" in name and not name.endswith(f"/{PLAN}/plan.mk"))
     newer: dict[str, list[str]] = {name: [] for name in must}
     for before, after in NEWER.findall(said):
         newer.get(after, []).append(before)

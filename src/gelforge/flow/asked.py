@@ -15,7 +15,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.dates import refuse_ahead, unchanged
 from gelforge.flow.files import names_in
 from gelforge.flow.given import OF_RESULTS, needs_plan, read_words, refusal
-from gelforge.flow.layout import EVALUATE, POSES, Layout, metrics_of
+from gelforge.flow.layout import EVALUATE, Layout, metrics_of
 
 SHIPPED = "shipped"  # the network that ships; it is never trained here
 SHIPPED_RES = "24x32"

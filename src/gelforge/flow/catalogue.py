@@ -21,4 +21,6 @@ def with_content(indenters: dict, folder: Path) -> dict:
     A file that changes under its name is another shape: all that follows depends on what is in it.
     """
     digests = {name: digest_of(path) for name, path in stl_files(indenters, folder).items() if path.is_file()}
-    return {name: {**table, "sha256": digests[name]} if name in digests else table for name, table in indenters.items()}
+    return {
+        name: {**table, "sha256": digests[name]} if name in digests else table for name, table in indenters.items()
+    }

@@ -94,7 +94,7 @@ def main() -> int:
             os.utime(path)
         else:
             print(path)
-            os.unlink(path)
+            Path(path).unlink()
     Layout(results).plan.unlink(missing_ok=True)
     return 0
 

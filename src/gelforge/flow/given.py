@@ -3,13 +3,16 @@
 It also runs before anything is set up, by any Python 3: `python3 given.py NAME=TEXT…` needs the standard library alone.
 """
 
-import os
 import re
 import sys
 from fnmatch import fnmatchcase
+from pathlib import Path
 
 # A pattern of each variable's text, and what to give.
-NAME = r"[A-Za-z0-9_][A-Za-z0-9_.-]*", "one name of letters, digits, _ - and . that starts with a letter, a digit or _"
+NAME = (
+    r"[A-Za-z0-9_][A-Za-z0-9_.-]*",
+    "one name of letters, digits, _ - and . that starts with a letter, a digit or _",
+)
 NAMES = r"[A-Za-z0-9_./:\[\], -]*", "names with blanks between them"
 SIDE = r"0*[1-9][0-9]*"
 RULES = {
@@ -53,7 +56,7 @@ def refusal(given: dict[str, str]) -> str:
     other = [goal for goal in goals if goal not in clean]
     if clean and other:  # make would do both at a time, and remove what it has just found up to date
         return f"clean together with another goal: say make {' '.join(clean)} first, then make {' '.join(other)}"
-    if needs_plan(given) and not os.path.exists(f"data/{given['DATASET']}/log.csv"):
+    if needs_plan(given) and not Path(f"data/{given['DATASET']}/log.csv").exists():
         return (
             f"data/{given['DATASET']}/log.csv not found: DATASET={given['DATASET']} needs a raw log and a dataset.toml, which"
             " workflow/guide/your-data.md describes; make rig writes simulated ones"
@@ -64,8 +67,8 @@ def refusal(given: dict[str, str]) -> str:
 def needs_plan(given: dict[str, str]) -> bool:
     """Whether a goal needs the plan of the dataset."""
     goals = [goal for goal in given["GOALS"].split() if not any(fnmatchcase(goal, known) for known in NO_DATASET)]
-    data, results = (os.path.join(folder, given["DATASET"]) for folder in ("data", "results"))
-    if not os.path.exists(os.path.join(data, "log.csv")) and os.path.isdir(results):
+    log, results = Path("data") / given["DATASET"] / "log.csv", Path("results") / given["DATASET"]
+    if not log.exists() and results.is_dir():
         goals = [goal for goal in goals if goal not in OF_RESULTS]
     return bool(goals)
 

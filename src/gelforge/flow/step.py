@@ -1,7 +1,7 @@
 """The wrapper every recipe runs in: log, cost, and a target that is whole or absent.
 
-`python -m gelforge.flow.step TARGET INPUT… -- COMMAND…`: COMMAND writes TARGET.part; this renames it on
-success. An input that lost bytes since it was made is made again first, by the command that made it.
+`python -m gelforge.flow.step TARGET INPUT… -- COMMAND…`: COMMAND writes TARGET.part; this renames it on success. An input
+that is not as it was made is refused, and nothing is made of it.
 """
 
 import fcntl
@@ -13,7 +13,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from types import FrameType
@@ -71,6 +71,7 @@ def run(command: list[str], log_path: Path) -> tuple[int, dict]:
     with log_path.open("w", encoding="utf-8", errors="replace") as log:
         log.write(f"$ {' '.join(command)}\n")
         log.flush()
+        begun = os.fstat(log.fileno()).st_mtime_ns
         child = subprocess.Popen(
             command,
             stdout=subprocess.PIPE,
@@ -90,6 +91,7 @@ def run(command: list[str], log_path: Path) -> tuple[int, dict]:
         "exit_code": code,
         "interrupted": bool(code and stopped),
         "started": started,
+        "begun_ns": begun,
         "seconds": round(time.time() - started, 3),
         "cpu_seconds": round(usage.ru_utime + usage.ru_stime, 3),
         "peak_mib": round(usage.ru_maxrss / 1024, 1),
@@ -119,10 +121,7 @@ def pass_on(number: int, child: subprocess.Popen) -> None:
 
 
 def ended(child: subprocess.Popen) -> tuple[int, resource.struct_rusage]:
-    """Wait for a child: its exit code, and what it used.
-
-    The children of this process all together would not do: a step that repaired its inputs had others before.
-    """
+    """Wait for a child: its exit code, and what it used."""
     _, status, usage = os.wait4(child.pid, 0)
     child.returncode = os.waitstatus_to_exitcode(status)
     return child.returncode, usage
@@ -144,89 +143,39 @@ def report_failure(target: Path, log_path: Path, code: int, interrupted: bool) -
     print(f"FAILED {target} (exit {code}); log: {log_path}", *(f"  | {line}" for line in lines), sep="\n", flush=True)
 
 
-def repair(path: Path) -> int:
-    """Make an input again if it does not have the content it was published with; return the exit code.
+def refuse_corrupt(path: Path) -> None:
+    """BadInput where an input, or a file beside it that it names, has not the content that it was published with.
 
-    It goes first: where its command fails, or is one that an older version of the code knew, nobody takes the
-    corrupt file for a whole one, and the next make finds it missing and makes it by today's rule. So it does where the
-    record of the input, and with it the command, is lost. Of several readers the first makes it again, the others wait.
-    """
-    if corrupt_file(path) is None:
-        return 0
-    with locked(path) as log_path:
-        lost = corrupt_file(path)
-        if lost is None:
-            return 0
-        made, corrupt = record_of(path), path.with_name(lost)
-        if not made:
-            print(f"{metrics_of(path)}: cannot be read, so nothing tells whether {path} is whole; run make again, which"
-                  " makes it again", flush=True)  # fmt: skip
-            for gone in (path, metrics_of(path)):
-                gone.unlink(missing_ok=True)
-            return 1
-        if made["exit_code"]:
-            print(f"{path}: could not be made; see {log_path}", flush=True)
-            return 1
-        print(f"{corrupt}: not as it was when it was made; making it again", flush=True)
-        for gone in (corrupt, path):
-            shutil.rmtree(gone) if gone.is_dir() else gone.unlink(missing_ok=True)
-        inputs = [Path(name) for name in made["inputs"]]
-        return repair_all(inputs) or make_part(path, inputs, made["command"], log_path)
-
-
-def repair_all(paths: Iterable[Path]) -> int:
-    """Repair one after the other; return the first exit code that is not 0."""
-    return next((code for code in map(repair, paths) if code), 0)
-
-
-def corrupt_file(path: Path) -> str | None:
-    """Which file of a target is not as it was published: its own, absent too, or one beside it; None where all is well.
-
-    A target without a record was made by hand or is being made for the first time. One whose record cannot be read counts
-    as corrupt.
+    A file without a record was made by hand; one whose record cannot be read is not known to be whole.
     """
     metrics = metrics_of(path)
-    if not metrics.exists():
-        return None
-    made = record_of(path)
-    if not path.is_file():
-        return None if path.is_dir() else path.name
-    if not made:
-        return path.name
-    if made["exit_code"]:
-        return None
-    return corrupt_beside(path) if whole(path, made) else path.name
-
-
-def record_of(path: Path) -> dict:
-    """The metrics of a target, empty where they are corrupt; a disk that does not answer corrupts nothing."""
+    if not metrics.exists() or not path.is_file():
+        return
     try:
-        return read_json(metrics_of(path)) or {}
-    except ValueError:
-        return {}
+        made = dict(read_json(metrics))
+    except (ValueError, TypeError):
+        made = {}
+    if made.get("exit_code"):
+        return  # the last run failed, and left the file of the one before
+    changed = path if made.get("sha256") != digest_of(path) else changed_beside(path)
+    if changed:
+        raise BadInput(
+            f"{changed}: is not as it was made; remove it (rm {path}) and run make again, which makes it anew"
+        )
 
 
-def whole(path: Path, made: dict) -> bool:
-    """Whether a file has the bytes that its metrics tell of; metrics of older code tell their number alone."""
-    return path.stat().st_size == made["bytes"] and made.get("sha256") in (None, digest_of(path))
-
-
-def corrupt_beside(path: Path) -> str | None:
-    """The first of the files beside a JSON target, named with their digests under "sha256" in it, that is not whole."""
+def changed_beside(path: Path) -> Path | None:
+    """The first of the files beside a JSON target, named with their digests under "sha256" in it, that is not as it was."""
     listed = read_json(path).get("sha256") if path.suffix == ".json" else None
-    for name, digest in (listed or {}).items():
-        beside = path.with_name(name)
-        if not beside.is_file() or digest_of(beside) != digest:
-            return name
-    return None
+    beside = ((path.with_name(name), digest) for name, digest in (listed or {}).items())
+    return next((file for file, digest in beside if not file.is_file() or digest_of(file) != digest), None)
 
 
 def build(target: Path, inputs: list[Path], command: list[str]) -> int:
-    """Make one target: repair its inputs, lock, run, publish; return the exit code."""
+    """Make one target: lock, run, publish; return the exit code."""
     before = file_state(target)
-    code = repair_all(inputs)
-    if code:
-        return code
+    for path in inputs:
+        refuse_corrupt(path)
     with locked(target) as log_path:
         # A second make that waited here finds the work of the first one done. Clocks cannot tell: a file's time stamp
         # lags by the kernel's tick, and a file server has a clock of its own.
@@ -271,13 +220,12 @@ def make_part(target: Path, inputs: list[Path], command: list[str], log_path: Pa
 
 def publish_part(target: Path, part: Path, inputs: list[Path], command: list[str], log_path: Path) -> int:
     """Run the command, write down its cost, and give what it wrote its final name; return the exit code."""
-    read = {path: file_state(path) for path in inputs}
     code, cost = run(command, log_path)
+    begun = cost.pop("begun_ns")
     if code == 0 and not part.exists():
         print(f"{target}: the command succeeded but wrote no {part}")
         code = cost["exit_code"] = 1
     cost["inputs"] = [str(path) for path in inputs]
-    cost["read"] = {str(path): state[1] for path, state in read.items() if state}
     cost["bytes"] = part.stat().st_size if code == 0 else 0
     if code == 0:
         cost["sha256"] = digest_of(part)
@@ -285,26 +233,14 @@ def publish_part(target: Path, part: Path, inputs: list[Path], command: list[str
     if code:
         report_failure(target, log_path, code, cost["interrupted"])
         return code if 0 < code < 126 else 1
-    leave_due(target, part, read)
+    # dated when its command began, by the file server's clock: an input that another make wrote meanwhile is newer
+    os.utime(part, ns=(begun, begun))
     os.replace(part, target)
     show_notices(log_path)
     results = dataset_folder(target)
     far = str(look(results, stage=target.relative_to(results).parts[0])) if results and terminal() is None else ""
     print(f"{target}  {cost['seconds']:.1f} s, {cost['peak_mib']:.0f} MiB{far and f'  [{far}]'}", flush=True)
     return 0
-
-
-def leave_due(target: Path, part: Path, read: Mapping[Path, tuple[int, int] | None]) -> None:
-    """Date what was made before all that it was made from where that changed meanwhile; read: states before the command.
-
-    Another make may plan anew while the command runs. What it reads then is nobody's guess, so the target is due again.
-    """
-    changed = [path for path, state in read.items() if file_state(path) != state]
-    if not changed:
-        return
-    oldest = min((state[1] for state in map(file_state, read) if state), default=1)
-    os.utime(part, ns=(oldest - 1, oldest - 1))
-    print(f"{target}: {changed[0]} changed while it was made; run make again, which makes it again", flush=True)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -5,7 +5,6 @@ make runs it before it reads its rules for good where a file that the plan was m
 """
 
 import hashlib
-import os
 import re
 from argparse import Namespace
 from collections.abc import Iterable, Mapping
@@ -177,13 +176,12 @@ def inside(data: Path, names: Iterable[str]) -> dict[str, Path]:
     """Pictures that rows name, by name, but for those that stage 10 refuses for their place outside the dataset's folder."""
     from gelforge.records.image import stays_inside
 
-    folder_stays = lru_cache(None)(lambda parent: stays_inside(data, parent))
+    folder_stays = lru_cache(None)(lambda parent: stays_inside(data, str(parent)))
 
     def stays(name: str) -> bool:
-        at = os.path.join(data, name)
-        return stays_inside(data, name) if os.path.islink(at) else folder_stays(os.path.dirname(name) or ".")
+        return stays_inside(data, name) if (data / name).is_symlink() else folder_stays(Path(name).parent)
 
-    return {name: data / name for name in sorted(names) if name and not os.path.isabs(name) and stays(name)}
+    return {name: data / name for name in sorted(names) if name and not Path(name).is_absolute() and stays(name)}
 
 
 def image_digests(data: Path, names: Iterable[str], kept: Path) -> dict[str, str]:
@@ -417,7 +415,9 @@ def without_ccx(params: config.Params, dataset_toml: Path) -> config.Params:
 @command(
     option("--data", type=Path, help="data/DATASET"),
     option("--workflow", type=Path, default=Path("workflow")),
-    option("--ccx", type=Path, default=None, help="file that names CalculiX' program, or says `none`; without it none"),
+    option(
+        "--ccx", type=Path, default=None, help="file that names CalculiX' program, or says `none`; without it none"
+    ),
     option("--out", type=Path, help="results/DATASET/00_plan/plan.mk"),
 )
 def main(args: Namespace) -> None:
@@ -446,7 +446,7 @@ def main(args: Namespace) -> None:
         "sensors": used(sensors, named(rows, "sensor_id") | {params.pareto.sensor}),
         "indenters": with_content(bodies, workflow),
     }
-    lists = {
+    lists: dict[str, list[str]] = {
         "MESHES": required_meshes(params.fea, params.meshes),
         "BRANCHES": [*params.report.branches],
         **chart_lists(params, scenes),
