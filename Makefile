@@ -27,7 +27,6 @@ override STRICT := $(filter-out $(NO),$(STRICT))
 # nproc would give the number that a shell grants to one program's threads, where it sets these.
 JOBS ?= $(shell env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc)
 
-
 # $(call given,NAME) is a variable's text as one quoted word of a shell command: nothing in it is expanded.
 define NEWLINE
 

@@ -4,7 +4,7 @@ EXPORTED := $(RES:%=$D/feats/%/normalization_gelforge.npy)
 
 SPLIT ?=
 # The dataset as it is published: DATASET is feats where no other is named.
-PUBLISHED := data/$(or $(call by_hand,DATASET),feats)
+PUBLISHED := data/$(if $(call by_hand,DATASET),$(DATASET),feats)
 
 .PHONY: feats-fetch feats-import feats-export
 feats-fetch: $(SETUP)  ## import FEATS' published dataset to data/feats, from the Hugging Face hub or a copy: SPLIT="train val" FROM=folder

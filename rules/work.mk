@@ -14,7 +14,6 @@ SHARD_STEPS = $(foreach s,poses $(if $(MESHES),meshes) fea forces,'$(call $s_of,
 sample: | $(SETUP)  ## run one sample through all stages and show its log: make sample ID=…
 	@$(PY) -m gelforge.commands.sample --dataset $(DATASET) --id $(call given,ID) --steps $(SHARD_STEPS)
 
-
 ID ?=
 
 STAGES := poses:10_poses images:15_images meshes:20_meshes fea:30_fea forces:40_forces labels:50_labels dataset:60_dataset \

@@ -117,8 +117,8 @@ def corruption_cases(boxes: Sandboxes) -> Iterator[Case]:
 
                 name = f"{which.relative_to(Path('results') / NAME)}: {how}"
                 case = boxes.case(name, boxes.built, act)
-                # what nobody could have written may be refused, where it is named
-                yield replace(case, strict=False) if "folder" in how else case
+                # what is corrupt may be refused, where it is named
+                yield case if how == "deleted" else replace(case, strict=False)
 
 
 # -- runs that end early

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from gelforge.errors import BadInput
+from gelforge.flow.asked import lists_of
 from gelforge.flow.files import write_text
 from gelforge.flow.layout import metrics_of
 from gelforge.stages.plan import make_list
@@ -50,63 +51,36 @@ def own(planned, tmp_path):
     return shutil.copytree(planned, tmp_path / "project", symlinks=True)
 
 
-@pytest.mark.parametrize(
-    "word", ["$(shell touch x)", "a b", "a\nall: ; touch x", "a:b", "#", "", "%", "a;b", "-n", "`x`"]
-)
-def test_make_reads_no_meaning_into_names(word):
-    with pytest.raises(BadInput, match="cannot be a name in LIST"):
-        make_list("LIST", ["fine-0.4", word])
+def test_make_reads_no_meaning_into_names():
+    for word in ("$(shell touch x)", "a b", "a\nall: ; touch x", "a:b", "#", "", "%", "a;b", "-n", "`x`"):
+        with pytest.raises(BadInput, match="cannot be a name in LIST"):
+            make_list("LIST", ["fine-0.4", word])
 
 
-@pytest.mark.parametrize(
-    ("variable", "value", "message"),
-    [
-        ("DATASET", "../../x", "DATASET=../../x"),
-        ("DATASET", "a;touch pwned", "DATASET="),
-        ("DATASET", "$(shell touch pwned)", "DATASET="),
-        ("SENSOR", "a b", "SENSOR=a b"),
-        ("RES", "24", "RES=24"),
-        ("RES", "24x32;ls", "RES="),
-        ("RES", "x32", "RES=x32"),
-        ("RES", "24x32x7", "RES=24x32x7"),
-        ("RES", "0x32", "RES=0x32"),
-        ("RES", "24xx32", "RES=24xx32"),
-        ("RES", "24x00", "RES=24x00"),
-        ("RES", "", "RES="),
-        ("DATASET", "", "DATASET is empty"),
-        ("DATASET", " ", "DATASET is empty"),
-        ("MODEL", "", "MODEL is empty"),
-        ("MODEL", "grid16", "workflow/models.toml has: "),
-        ("JOBS", "", "JOBS is empty"),
-    ],
-)
-def test_what_cannot_be_a_name_is_refused_before_anything_is_made(planned, variable, value, message):
-    done = make(planned, "-n", "labels", *(["DATASET=tiny"] if variable != "DATASET" else []), f"{variable}={value}")
-    assert done.returncode and message in done.stdout and not (planned / "pwned").exists()
+def test_no_variable_of_the_command_line_runs_code(planned):
+    """Names that become paths are refused before anything is made (test_given.py); the rest reaches commands quoted."""
+    words = [
+        f"DATASET={EVERY_WAY}",
+        "DATASET=../../x",
+        "DATASET=",
+        *(f"{name}={EVERY_WAY}" for name in ("RES", "MODEL", "TESTS")),
+    ]
+    for word in words:
+        done = make(planned, "clean-all", *([] if word.startswith("DATASET") else ["DATASET=tiny"]), word)
+        assert done.returncode and word.split("=")[0] in done.stdout and not (planned / "pwned").exists()
     assert [path.name for path in (planned / "results").iterdir()] == ["tiny"]
-
-
-@pytest.mark.parametrize(
-    ("variable", "value"),
-    [*((name, EVERY_WAY) for name in ("FORMAT", "EXECUTOR", "CHARTED", "TESTS", "JOBS")),
-     *(("MODEL", value) for value in ("$(shell touch pwned)", "`touch pwned`", "; touch pwned", "a'b"))],
-)  # fmt: skip
-def test_no_variable_of_the_command_line_runs_code(planned, variable, value):
-    done = make(planned, "help", f"{variable}={value}")
-    assert done.returncode and f"{variable}=" in done.stdout and not (planned / "pwned").exists()
 
 
 def test_text_from_the_command_line_is_one_word_of_the_shell(planned):
     """Whatever it is quoted by: $( ), backticks, and quotes of either kind that end those of a recipe."""
     goals = ("sample", "look", "provenance")
-    value = f"{EVERY_WAY};';touch pwned;'\";touch pwned;\""
+    value = f"{EVERY_WAY};';touch pwned;'\";touch pwned;\"\ntouch pwned\n"
     done = make(planned, "-k", *goals, "DATASET=tiny", f"ID={value}")
     assert not (planned / "pwned").exists()
     assert all(re.search(rf"\[\S+: {goal}\] Error", done.stdout) for goal in goals), done.stdout
 
 
-@pytest.mark.parametrize("executor", ["local", "slurm"])
-@pytest.mark.parametrize("given", ["on the command line", "by the environment"])
+@pytest.mark.parametrize(("given", "executor"), [("on the command line", "local"), ("by the environment", "slurm")])
 def test_make_expands_nothing_that_it_is_given(root, tmp_path, executor, given):
     """Whatever variable it comes in, also one that no rule knows, and where prerequisites are expanded twice."""
     text = "$(shell touch pwned)$(eval X := $(shell touch pwned))a$b"
@@ -124,10 +98,10 @@ def test_make_expands_nothing_that_it_is_given(root, tmp_path, executor, given):
         assert f"{option} '{text}'" in done.stdout
 
 
-@pytest.mark.parametrize(("word", "strict"), [("0", False), ("no", False), ("", False), ("1", True)])
-def test_strict_can_be_said_not_to_be(planned, word, strict):
-    said = make(planned, "-n", "poses", "DATASET=tiny", f"STRICT={word}").stdout
-    assert "gelforge.stages.poses" in said and ("--strict" in said) == strict
+def test_strict_can_be_said_not_to_be(planned):
+    for word, strict in (("0", False), ("", False), ("1", True)):
+        said = make(planned, "-n", "poses", "DATASET=tiny", f"STRICT={word}").stdout
+        assert "gelforge.stages.poses" in said and ("--strict" in said) == strict
 
 
 def test_a_recipe_that_takes_slots_of_make_is_only_shown_where_others_are(planned):
@@ -139,40 +113,20 @@ def test_a_recipe_that_takes_slots_of_make_is_only_shown_where_others_are(planne
 
 
 def test_jobs_of_a_program_are_those_of_the_command_line(planned):
-    for words in (("-j1",), ("JOBS=1",), ("-j3",), ("JOBS=3",)):
+    for words in (("-j1",), ("JOBS=3",)):
         said = make(planned, "-n", *words, "DATASET=tiny", "calibrate").stdout
         assert f"--jobs {words[0][-1]} " in said, said[-500:]
 
 
-@pytest.mark.parametrize("goal", ["train", "ship"])
-def test_the_shipped_network_is_not_trained_under_another_name(with_nocontact, goal):
-    done = make(with_nocontact, "-n", goal, "DATASET=tiny", "MODEL=shipped")
-    assert done.returncode and f"to {goal}, name one of" in done.stdout
-
-
-def test_no_network_ships_that_nobody_named(with_nocontact):
-    """The one of the demo, which learns from two dozen presses, would take the place of the one that ships."""
+def test_a_network_that_cannot_be_had_is_refused_before_anything_is_solved(planned, with_nocontact):
+    """All cases are in test_asked.py."""
+    done = make(planned, "-n", "report", "DATASET=tiny", "MODEL=shipped")
+    assert done.returncode and "data/tiny/nocontact is missing" in done.stdout and "MODEL=shipped" in done.stdout
+    assert make(planned, "-n", "labels", "DATASET=tiny", "MODEL=shipped").returncode == 0
+    # the one of the demo, which learns from two dozen presses, would take the place of the one that ships
     done = make(with_nocontact, "-n", "ship", "DATASET=tiny")
     assert done.returncode and "name the one that shall" in done.stdout
     assert make(with_nocontact, "-n", "ship", "DATASET=tiny", "MODEL=grid_16").returncode == 0
-
-
-@pytest.mark.parametrize("model", ["shipped", "pair_24_mirrored", "tuned"])
-def test_a_network_that_needs_nocontact_images_is_refused_before_anything_is_solved(planned, model):
-    done = make(planned, "-n", "report", "DATASET=tiny", f"MODEL={model}")
-    assert done.returncode and "data/tiny/nocontact is missing" in done.stdout and f"MODEL={model}" in done.stdout
-    assert make(planned, "-n", "labels", "DATASET=tiny", f"MODEL={model}").returncode == 0
-
-
-@pytest.mark.parametrize("words", [("report", "MODEL=grid_16"), ("pareto-models", "CHARTED=grid_16")])
-def test_a_network_that_needs_no_nocontact_images_is_not_refused(planned, words):
-    assert make(planned, "-n", *words, "DATASET=tiny").returncode == 0
-
-
-@pytest.mark.parametrize("goal", ["models", "evaluate-models", "pareto-models"])
-def test_many_networks_are_refused_where_one_of_them_needs_nocontact_images(planned, goal):
-    done = make(planned, "-n", goal, "DATASET=tiny")
-    assert done.returncode and "data/tiny/nocontact is missing" in done.stdout
 
 
 def test_what_a_network_reads_is_seen_however_toml_writes_it(own):
@@ -185,9 +139,9 @@ def test_what_a_network_reads_is_seen_however_toml_writes_it(own):
     )
     inline = '"d" = {kind = "grid", width = 4, blocks = 1, reads = "pair"}'
     write_text(path, f"{inline}\n{path.read_text(encoding='utf-8')}\n{tables}")
-    for name in "abcd":
-        done = make(own, "-n", "report", "DATASET=tiny", f"MODEL={name}")
-        assert done.returncode and "data/tiny/nocontact is missing" in done.stdout and f"MODEL={name}" in done.stdout
+    assert make(own, "-n", "labels", "DATASET=tiny").returncode == 0
+    lists = lists_of(own / "results/tiny/00_plan/plan.mk")
+    assert set("abcd") <= set(lists["MODELS"]) and set("abcd") <= set(lists["NEED_NOCONTACT"])
 
 
 def test_a_list_of_networks_that_is_no_toml_is_named_by_file_and_line(own):
@@ -207,40 +161,28 @@ def test_where_the_report_shows_the_shipped_network_another_one_trains_without_n
     assert "data/tiny/nocontact is missing" in make(own, "-n", "evaluate", "DATASET=tiny").stdout
 
 
-@pytest.fixture
-def also(own):
-    """Gives the names of other datasets that the dataset is learnt with."""
-    path = own / "data/tiny/dataset.toml"
+def test_other_datasets_are_learnt_from_as_they_lie(own):
+    path, here = own / "data/tiny/dataset.toml", own / "results/here/60_dataset/24x32/dataset.json"
     text = path.read_text(encoding="utf-8")
-    return lambda *names: write_text(path, f"{text}\n[params.train]\nalso = {list(names)}\n")
-
-
-def test_other_datasets_are_learnt_from_as_they_lie(own, also):
-    also("here", "gone")
-    here = own / "results/here/60_dataset/24x32/dataset.json"
     write_text(here, "{}")
-    refused = make(own, "-n", "train", "DATASET=tiny")
-    assert refused.returncode == 2 and "make DATASET=gone RES=24x32 dataset" in refused.stdout
-    also("here")
+    for also, said in (
+        (["here", "gone"], "make DATASET=gone RES=24x32 dataset"), (["tiny"], "names the dataset itself"), (["a b"], "also"),
+    ):  # fmt: skip
+        write_text(path, f"{text}\n[params.train]\nalso = {also}\n")
+        refused = make(own, "-n", "train", "DATASET=tiny")
+        assert refused.returncode == 2 and said in refused.stdout
+    write_text(path, f'{text}\n[params.train]\nalso = ["here"]\n')
     expected = make(own, "-n", "train", "DATASET=tiny")
     assert expected.returncode == 0 and "--also results/here/60_dataset/24x32 --model" in expected.stdout
     assert "results/here/60_dataset/24x32/dataset.json" in inputs_of(expected.stdout, "70_train/24x32/grid_16.onnx")
 
 
-@pytest.mark.parametrize(("name", "said"), [("tiny", "names the dataset itself"), ("a b", "also")])
-def test_what_cannot_be_learnt_with_is_refused(own, also, name, said):
-    also(name)
-    refused = make(own, "-n", "train", "DATASET=tiny")
-    assert refused.returncode == 2 and said in refused.stdout
-
-
-@pytest.mark.parametrize(
-    ("model", "target"), [("tuned", "70_train/24x32/tuned.onnx"), ("shipped", "80_evaluate/24x32/shipped.json")]
-)
-def test_the_record_of_a_target_names_the_network_that_it_starts_from(with_nocontact, model, target):
-    said = make(with_nocontact, "-n", "evaluate", "DATASET=tiny", f"MODEL={model}").stdout
-    kind = "safetensors" if model == "tuned" else "onnx"
-    assert f"src/gelforge/networks/weights/default.{kind}" in inputs_of(said, target)
+def test_the_record_of_a_target_names_the_network_that_it_starts_from(with_nocontact):
+    for model, target, kind in (
+        ("tuned", "70_train/24x32/tuned.onnx", "safetensors"), ("shipped", "80_evaluate/24x32/shipped.json", "onnx"),
+    ):  # fmt: skip
+        said = make(with_nocontact, "-n", "evaluate", "DATASET=tiny", f"MODEL={model}").stdout
+        assert f"src/gelforge/networks/weights/default.{kind}" in inputs_of(said, target)
 
 
 def inputs_of(said: str, target: str) -> list[str]:
@@ -284,27 +226,6 @@ def test_no_two_targets_share_a_log_and_a_record(with_nocontact):
     assert [name for name, count in records.items() if count > 1] == []
 
 
-@pytest.mark.parametrize(
-    ("res", "model", "writes"),
-    [("12x16", "grid_16", True), ("24x32", "tuned", True), ("12x16", "tuned", False)],
-)
-def test_the_network_of_a_report_is_the_one_it_names_at_every_resolution_that_it_writes(
-    with_nocontact, tmp_path, res, model, writes
-):
-    own = shutil.copytree(with_nocontact, tmp_path / "project", symlinks=True)
-    table = own / "data/tiny/dataset.toml"
-    text = table.read_text()
-    table.write_text(f'{text}\n[params.report]\nmodel = "{model}"\n')
-    trained = [name for name in step_targets(own, "report", f"RES={res}") if name.endswith(".onnx")]
-    assert (trained == [f"results/tiny/70_train/{res}/{model}.onnx"]) is writes and trained
-
-
-def test_labels_that_were_imported_at_another_resolution_are_named(alone):
-    write_text(alone / "data/tiny/labels/1x1.npz", "")
-    done = make(alone, "dataset", "DATASET=tiny")
-    assert done.returncode and "labels of 1x1, not of 24x32: say RES=1x1" in done.stdout, done.stdout
-
-
 def test_a_report_of_imported_labels_solves_nothing(alone):
     """Of labels that came with their pictures no pose may be known."""
     write_text(alone / "data/tiny/labels/24x32.npz", "")
@@ -322,18 +243,12 @@ def test_a_projection_without_a_sensor_is_one_sentence(alone):
     assert "warning" not in done.stdout and "usage" not in done.stdout
 
 
-@pytest.mark.parametrize(
-    ("words", "says"),
-    [
-        (["clean-labels", "labels"], "say make clean-labels first, then make labels"),
-        (["clean-all", "demo"], "say make clean-all first, then make demo"),
-    ],
-)
-def test_cleaning_goes_alone(alone, words, says):
+def test_cleaning_goes_alone(alone):
     """Both at a time would remove what was found up to date, and end well."""
     write_text(alone / "results/tiny/50_labels/kept", "")
-    done = make(alone, *words, "DATASET=tiny")
-    assert done.returncode and says in done.stdout and (alone / "results/tiny/50_labels/kept").exists()
+    done = make(alone, "clean-labels", "labels", "DATASET=tiny")
+    assert done.returncode and "say make clean-labels first" in done.stdout
+    assert (alone / "results/tiny/50_labels/kept").exists()
     assert make(alone, "clean-labels", "clean-fea", "DATASET=tiny").returncode == 0
     assert not (alone / "results/tiny/50_labels").exists()
 
@@ -352,13 +267,13 @@ def test_an_environment_that_moved_with_its_clone_is_named(own):
         assert make(own, "help").returncode == 0
 
 
-@pytest.mark.parametrize("program", ["ccx", "slurm", "chromium"])
-def test_what_a_linked_environment_says_is_left_to_the_checkout_it_belongs_to(root, tmp_path, program):
+def test_what_a_linked_environment_says_is_left_to_the_checkout_it_belongs_to(root, tmp_path):
     (tmp_path / "theirs").mkdir()
     (tmp_path / "theirs/found").write_text("as they found it\n")
     (tmp_path / "ours").symlink_to("theirs")
-    subprocess.run([root / f"envs/{program}.sh", tmp_path / "ours/found"], check=True)
-    assert (tmp_path / "theirs/found").read_text() == "as they found it\n"
+    for program in ("ccx", "slurm", "chromium"):
+        subprocess.run([root / f"envs/{program}.sh", tmp_path / "ours/found"], check=True)
+        assert (tmp_path / "theirs/found").read_text() == "as they found it\n"
 
 
 def test_a_clone_in_a_folder_with_a_blank_works_on(root, tmp_path):
@@ -377,6 +292,6 @@ def test_every_phony_name_does_something(planned):
     assert {"clean-venv", "clean-all", "report"} <= names
     idle = [
         name for name in names
-        if re.search(rf"^{name}:\s*\n(?:#.*\n)*\n", said, re.MULTILINE) and name not in ("plan-again", "choose-anew", "strict", "gap-in-labels", "meshes")
+        if re.search(rf"^{name}:\s*\n(?:#.*\n)*\n", said, re.MULTILINE) and name not in ("again", "due", "meshes")
     ]  # fmt: skip
     assert idle == []

@@ -27,8 +27,8 @@ FORMATS = ("mcap", "rerun", "lerobot", "webdataset", "hdf5")
 
 # Goals that need no dataset, and those that show what was made of one, also where its log is gone.
 NO_DATASET = (
-    "help", "setup", "parameters", "stage-digests", "lint", "format", "test", "test-*", "rig", "rig-*", "benchmark-*",
-    "lock", "clean-*", "feats-fetch", "feats-import", "mcap-import", "projection", "real-check", "why", "*-env",
+    "help", "setup", "parameters", "lint", "format", "test", "test-*", "rig", "rig-*", "benchmark-*",
+    "lock", "clean-*", "feats-fetch", "feats-import", "mcap-import", "projection", "real-check", "why", "*-env", "readme-pictures",
     "ball-table",
 )  # fmt: skip
 OF_RESULTS = ("status", "provenance")

@@ -161,7 +161,10 @@ def planned(tmp_path, text, sensor="mini_a", ccx="none"):
     """Plan a log of two rows under a dataset.toml; the sensors of the rows as the shard has them."""
     (tmp_path / "dataset.toml").write_text(text)
     (tmp_path / "log.csv").write_text(LOG.format(sensor))
-    plan.main(["--data", str(tmp_path), "--ccx", ccx, "--out", str(tmp_path / "00_plan" / "plan.mk")])
+    (tmp_path / "ccx.path").write_text(ccx)
+    plan.main(
+        ["--data", str(tmp_path), "--ccx", str(tmp_path / "ccx.path"), "--out", str(tmp_path / "00_plan" / "plan.mk")]
+    )
     return [row.cells["sensor_id"] for row in read_shard(tmp_path / "00_plan" / "shards" / "0000.csv")]
 
 
