@@ -52,7 +52,7 @@ def built(root, tmp_path_factory):
     """A sandbox with the tiny dataset, built as far as labels, which tests copy and leave as it is."""
     project = link_project(root, tmp_path_factory.mktemp("flow") / "project")
     lay_dataset(project, root, "tiny", 4)
-    assert stages(build(project, "labels")) == ["10_poses", "30_fea", "40_forces", "50_labels"]
+    assert stages(build(project, "labels")) == ["10_poses", "15_images", "30_fea", "40_forces", "50_labels"]
     return project
 
 
@@ -86,7 +86,7 @@ def test_appending_to_the_log_solves_only_what_is_new(labelled, root):
     os.utime(labelled / "data/tiny/log.csv", (later, later))
     built = build(labelled, "labels")
     assert set(built) == {
-        "10_poses/0002.csv", "30_fea/0002.csv", "40_forces/0002.npz", "50_labels/24x32/labels.json",
+        "10_poses/0002.csv", "15_images/images.json", "30_fea/0002.csv", "40_forces/0002.npz", "50_labels/24x32/labels.json",
     }  # fmt: skip
     assert all(p.stat().st_mtime_ns == stamp for p, stamp in before.items())
 
