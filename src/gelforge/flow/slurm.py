@@ -207,7 +207,8 @@ class Work:
             if not left or time.monotonic() >= until or (over and all(map(self.cause, left))):
                 return left
             if device := terminal():
-                show_line(device, f"{self.stage} on Slurm: {len(left)} of {len(self.tasks)} results to come")
+                done = len(self.tasks) - len(left)
+                show_line(device, f"{self.stage} on Slurm: {done} of {len(self.tasks)} results")
             if signal.sigtimedwait(STOP, LOOK_EVERY_S):
                 return None
 
