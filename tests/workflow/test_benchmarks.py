@@ -11,7 +11,7 @@ from gelforge.flow.files import read_json
 from tests.benchmarks.fea import chart_figures
 from tests.benchmarks.sandbox import clean_environment
 from tests.support.browser import needs_browser
-from tests.workflow.test_slurm import pytestmark as of_slurm
+from tests.workflow.conftest import NEEDS_SLURM
 
 # What is measured in these depends on the machine and its load.
 CLOCK = {"s", "ms", "times", "images/s", "GiB", "MB"}
@@ -60,16 +60,19 @@ def missed(figures):
     ]  # fmt: skip
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(set(QUICK) - {"geometry", "labels", "rig"}))
 def test_a_benchmark_runs(name, tmp_path):
     assert missed(run_small(name, QUICK[name], tmp_path)) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["geometry", "labels", "rig"])
 def test_a_benchmark_that_reads_published_data_runs(name, tmp_path, reference):
     assert missed(run_small(name, QUICK[name], tmp_path)) == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", sorted(NETWORKS))
 def test_a_benchmark_of_networks_runs(name, tmp_path, request):
     if name == "real":
@@ -78,13 +81,14 @@ def test_a_benchmark_of_networks_runs(name, tmp_path, request):
     assert figures and np.isfinite([figure["value"] for figure in figures]).all()
 
 
+@pytest.mark.slow
 @needs_browser
 def test_the_page_is_measured(tmp_path):
     assert missed(run_small("face", ["--parts", "page", "--presses", "60"], tmp_path)) == []
 
 
 class TestOfACluster:
-    pytestmark = of_slurm
+    pytestmark = [*NEEDS_SLURM, pytest.mark.slow]
 
     def test_its_overhead_is_measured(self, tmp_path):
         assert missed(run_small("slurm", ["--only", "overhead", "--shards", "5"], tmp_path)) == []

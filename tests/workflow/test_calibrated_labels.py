@@ -49,6 +49,7 @@ def say(project, *words):
     return done.stdout
 
 
+@pytest.mark.slow
 def test_labels_follow_the_calibration_and_only_freezing_changes_it(project):
     frozen, forces = project / "data/ball/calibration.toml", project / "results/ball/40_forces/0000.npz"
     summary = project / "results/ball/calibrate/summary.json"

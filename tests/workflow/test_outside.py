@@ -39,6 +39,7 @@ def folder(root, tmp_path_factory):
     return out
 
 
+@pytest.mark.slow
 @NEEDS_GETFEM
 def test_its_bodies_are_those_of_the_scenes(folder, tmp_path):
     """Signed distances of two programs at places that a gel can touch."""
@@ -54,6 +55,7 @@ def test_its_bodies_are_those_of_the_scenes(folder, tmp_path):
             np.testing.assert_allclose(found[name][near], distance[near], atol=1e-9, err_msg=name)
 
 
+@pytest.mark.slow
 @NEEDS_GETFEM
 def test_an_engine_of_others_meets_the_reference_of_a_ball(folder, tmp_path):
     """A twentieth of the mesh that the benchmark takes: total force within 3 %; a second run solves nothing again."""
