@@ -87,7 +87,7 @@ def test_reading_an_image():
     forces, verdict = gelforge.predict(image, nocontact=image)
     assert forces.shape[0] == 3 and np.isfinite(forces).all()
     assert verdict["flag"], "a grey picture is unlike any sensor"
-    reported = {"cells", "total", "half_width", "reason", "edge_peak", "ood_score", "image", "flag"}
+    reported = {"cells", "total", "half_width", "reason", "edge_peak", "ood_score", "vanished", "image", "flag"}
     assert verdict.keys() == reported
 
 

@@ -39,6 +39,7 @@ COLUMNS = [
     "map",
     *TOTAL_COLUMNS,
     "ood_score",
+    "vanished_markers",
     "flagged",
     "reason",
 ]
@@ -51,6 +52,7 @@ def totals_row(image: str, name: str, found: ForceReading) -> dict:
         "map": f"{name}.npy",
         **{column: "" if value is None else f"{value:.4f}" for column, value in total_columns(found).items()},
         "ood_score": f"{found.ood_score:.2f}",
+        "vanished_markers": str(found.vanished),
         "flagged": int(found.flag),
         "reason": found.reason,
     }

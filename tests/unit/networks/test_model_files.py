@@ -19,7 +19,7 @@ from gelforge.networks.evaluation.predicted import require_fit
 from gelforge.networks.inference.predictor import Predictor
 from gelforge.networks.models.registry import build
 from gelforge.networks.pipeline import save_trained
-from gelforge.networks.preprocess.pair import Preprocessor
+from gelforge.networks.preprocess.pair import Preprocessor, at_rest
 from gelforge.networks.training.loop import Training
 from gelforge.stages.train import train
 from tests.support.limited import limited_python
@@ -60,7 +60,7 @@ def test_the_documented_lines_around_a_graph_give_what_predict_gives(models, dat
 
     expected = Predictor(model, rest).predict(image).cells
     np.testing.assert_allclose(
-        run(prepare(image)) - run(prepare.at_rest()), expected, atol=2e-5 * np.abs(expected).max()
+        run(prepare(image)) - run(at_rest(prepare.nocontact)), expected, atol=2e-5 * np.abs(expected).max()
     )
 
 

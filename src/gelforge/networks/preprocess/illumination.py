@@ -23,7 +23,17 @@ REACH = 3.0
 TIED = 4.0  # levels squared of contrast below which a gain is hardly distinguished from an offset, and taken for 1
 LEAST_FRACTION = 0.25  # of the picture that must agree, or the change of the light is unknown
 DARK, BRIGHT = 4, 250  # levels between which a camera's answer is believed
+# How light falls on the gel is fitted by a slope across the image and a curve towards its corners, in so many rounds; a place that is left by
+# more than FALL_REACH scales has no weight, and beyond the largest scale a press shades the gel so unevenly that it says nothing.
+FALL_ROUNDS, FALL_REACH, FALL_SCALES = 4, 4.0, (0.01, 0.06)
+SPARSE = 3  # one of so many places is looked at, which are enough for four numbers
 MOST_GAIN = 2.0  # a factor beyond which pictures are not of one sensor under one light
+
+
+ACROSS, DOWN = (
+    one.ravel() for one in np.meshgrid(np.linspace(-1.0, 1.0, SMALL[0]), np.linspace(-1.0, 1.0, SMALL[1]))
+)
+FALL = np.stack([np.ones(len(ACROSS)), ACROSS, DOWN, ACROSS**2 + DOWN**2 - 2.0 / 3.0])[:, ::SPARSE]  # (4, n)
 
 
 @dataclass(frozen=True)
@@ -83,6 +93,24 @@ class Reference:
         normalised[inner] = light.undo(image[inner])
         return normalised, light
 
+    def fall_of(self, image: np.ndarray, light: Light) -> tuple[float, float]:
+        """By which fraction of its level light falls otherwise on an image (h, w, 3) uint8 than on the no-contact image.
+
+        From the middle to the edge of what the view shows: of all colours together, and of the colour that changes most. (0, 0) where
+        the light is not known, or a press shades most of the gel.
+        """
+        if not light.known:
+            return 0.0, 0.0
+        seen, rest = _small(image[self.view.shown(image.shape)])[:, ::SPARSE], self._small[:, ::SPARSE]
+        expected = light.gain[:, None] * rest + light.offset[:, None]
+        good = _believed(rest) & _believed(seen)
+        fitted = [_fall(one, good) for one in np.log((seen + 1.0) / np.maximum(expected + 1.0, 1.0))]
+        if max(scale for _, scale in fitted) > FALL_SCALES[1]:
+            return 0.0, 0.0
+        falls = np.array([fall for fall, _ in fitted])
+        along, across, corners = falls.mean(axis=0)
+        return max(float(np.hypot(along, across)), abs(float(corners))), float(np.hypot(*falls[:, :2].T).max())
+
     def light_of(self, image: np.ndarray) -> Light:
         """Light of an image, (h, w, 3) uint8 of what the view shows."""
         small = _small(image)
@@ -141,6 +169,18 @@ def _agreed(seen: np.ndarray, rest: np.ndarray, fraction: float) -> Light:
     if fraction < LEAST_FRACTION or not all(1.0 / MOST_GAIN < one < MOST_GAIN for one in gain):
         return NO_LIGHT
     return Light(np.array(gain), np.array(offset), residual, fraction, True)
+
+
+def _fall(ratio: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, float]:
+    """Slopes along u and v and curve (3,) of logarithms of levels (n,), without the places where something touches, and the scale left."""
+    weight, scale = good.astype(float), 0.0
+    for _ in range(FALL_ROUNDS):
+        weighted = FALL * weight
+        found = np.linalg.lstsq(weighted @ FALL.T, weighted @ ratio, rcond=None)[0]
+        left = np.abs(ratio - found @ FALL)
+        scale = max(FALL_SCALES[0], 1.4826 * float(np.median(left[good])))
+        weight = np.where(good, np.maximum(0.0, 1.0 - (left / (FALL_REACH * scale)) ** 2) ** 2, 0.0)
+    return found[1:], scale
 
 
 def _fitted(means: list[list[float]]) -> tuple[list[float], list[float]]:

@@ -53,7 +53,7 @@ class Tracks:
 class MarkerTracker:
     """Markers of a no-contact image (h, w, 3) uint8, as many as it shows.
 
-    points: (n, 2) px, OpenCV's: a pixel's centre is a whole number. rim: (n,) bool, which are outermost ones. at: (n, 2) row
+    points: (n, 2) px, OpenCV's: a pixel's centre is a whole number. diameter: px, of a typical marker. rim: (n,) bool, which are outermost ones. at: (n, 2) row
     and column on the lattice, whose middle place has the marker nearest to the picture's middle; -1 for one that stands on no
     lattice, or outside of ROWS x COLS.
     """
@@ -62,11 +62,12 @@ class MarkerTracker:
         import cv2
 
         self.grey = cv2.cvtColor(nocontact, cv2.COLOR_RGB2GRAY)
-        points, _ = find_blobs(nocontact)
+        points, widths = find_blobs(nocontact)
         low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(2), np.zeros(2))
         reach = RIM * marker_pitch(points)
         self.rim = ((points < low + reach) | (points > high - reach)).any(axis=1)
         self.points = points - 0.5
+        self.diameter = float(np.median(widths)) if len(widths) else 0.0
         self.at = self._lattice()
 
     def _lattice(self) -> np.ndarray:

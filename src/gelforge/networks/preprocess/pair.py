@@ -9,6 +9,7 @@
 """
 
 from collections.abc import Mapping
+from copy import copy
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -20,9 +21,11 @@ from gelforge.networks.models.inputs import needs_nocontact
 from gelforge.networks.preprocess.illumination import Light, Reference
 from gelforge.networks.preprocess.markertracks import MarkerTracker, Tracks, rim_shift, shifted_back
 from gelforge.networks.preprocess.scale import WHOLE, fit_size, view_of
+from gelforge.networks.preprocess.wear import darkness_of, grey_of, painted_over, places_in, vanished
 from gelforge.records.markers import pitch_of
 
 INPUTS = ("image", "nocontact")  # what the inputs of a graph may be named
+MOST_WORN = 8  # no-contact images without vanished markers that are kept
 
 
 class NoContact:
@@ -41,11 +44,31 @@ class NoContact:
             self.fault = "the no-contact image shows no markers, which the network learnt from: it is blurred, or of another gel"
         self.picture = self.view.of(self.sized)
         self.reference = Reference(self.picture, self.view)
+        self._worn: dict[bytes, NoContact] = {}
 
     @cached_property
     def markers(self) -> MarkerTracker:
         """Its markers."""
         return MarkerTracker(self.picture)
+
+    @cached_property
+    def darkness(self) -> np.ndarray:
+        """Its `darkness_of`, (h / 2, w / 2)."""
+        return darkness_of(grey_of(list(np.moveaxis(self.picture, 2, 0))))
+
+    def without(self, gone: np.ndarray) -> "NoContact":
+        """The same with some of its markers, (n,) bool, painted over. Kept for the next image, as wear stays."""
+        key = gone.tobytes()
+        if key not in self._worn:
+            while len(self._worn) >= MOST_WORN:
+                self._worn.pop(next(iter(self._worn)))
+            worn = copy(self)
+            for known in ("markers", "darkness"):
+                worn.__dict__.pop(known, None)
+            worn.picture = painted_over(self.picture, self.markers.points[gone], self.markers.diameter)
+            worn.reference = Reference(worn.picture, self.view)
+            self._worn[key] = worn
+        return self._worn[key]
 
 
 @dataclass(frozen=True)
@@ -53,7 +76,8 @@ class Prepared:
     """A picture as the graph of a model reads it, and what was measured on the way.
 
     image: (h, w, 3) uint8 at the model's size and scale, registered; lit: under the light of the no-contact image, too, from which its
-    own differed by `light`. fault: what is wrong with its shape. nocontact and light are None beside a model of one picture.
+    own differed by `light`. fault: what is wrong with its shape. nocontact and light are None beside a model of one picture. vanished:
+    number of markers that were in the no-contact image and are not in this one; they are painted over in `lit` and in `nocontact`.
     """
 
     image: np.ndarray
@@ -61,6 +85,7 @@ class Prepared:
     fault: str
     light: Light | None
     nocontact: NoContact | None
+    vanished: int = 0
 
     @cached_property
     def tracks(self) -> Tracks:
@@ -108,19 +133,33 @@ class Preprocessor:
         if self.nocontact is None:
             return Prepared(sized, sized, fault, None, None)
         prepared = self._beside(self.nocontact, self.nocontact.view.of(sized), fault)
-        if not self.nocontact.view.whole:  # a view without the gel's rim does not show how it is mounted
+        if self.nocontact.view.whole:  # a view without the gel's rim does not show how it is mounted
+            shift = rim_shift(self.nocontact.markers, prepared.tracks)
+            if shift.any():
+                prepared = self._beside(self.nocontact, shifted_back(prepared.image, shift), fault)
+        return self._without_worn(prepared, self.nocontact)
+
+    @staticmethod
+    def _without_worn(prepared: Prepared, nocontact: NoContact) -> Prepared:
+        """The same without the markers that vanished since the no-contact image, in both images."""
+        tracks, markers = prepared.tracks, nocontact.markers
+        if not tracks.unlike.any():
             return prepared
-        shift = rim_shift(self.nocontact.markers, prepared.tracks)
-        return self._beside(self.nocontact, shifted_back(prepared.image, shift), fault) if shift.any() else prepared
+        now = darkness_of(grey_of(list(np.moveaxis(prepared.lit, 2, 0))))
+        gone = vanished(markers, nocontact.darkness, tracks, now)
+        if not gone.any():
+            return prepared
+        worn = nocontact.without(gone)
+        image = painted_over(prepared.image, places_in(tracks, markers)[gone], markers.diameter)
+        lit, light = worn.reference.normalised(image)
+        return Prepared(prepared.image, lit, prepared.fault, light, worn, int(gone.sum()))
 
     @staticmethod
     def _beside(nocontact: NoContact, image: np.ndarray, fault: str) -> Prepared:
         lit, light = nocontact.reference.normalised(image)
         return Prepared(image, lit, fault, light, nocontact)
 
-    def at_rest(self) -> Prepared | None:
-        """The no-contact image itself, whose forces are subtracted from all others (tare); None beside a model of one picture."""
-        if self.nocontact is None:
-            return None
-        picture = self.nocontact.picture
-        return Prepared(picture, picture, "", None, self.nocontact)
+
+def at_rest(nocontact: NoContact) -> Prepared:
+    """A no-contact image itself as the graph reads it, whose forces are subtracted from all others (tare)."""
+    return Prepared(nocontact.picture, nocontact.picture, "", None, nocontact)

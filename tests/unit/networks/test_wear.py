@@ -1,0 +1,72 @@
+"""Markers that vanished since the no-contact image hardly change a force, and are counted."""
+
+import numpy as np
+import pytest
+
+from gelforge.flow.files import read_csv
+from gelforge.networks.inference.predictor import MOST_VANISHED, Predictor, load_for_use
+from gelforge.networks.preprocess.wear import darkness_of, grey_of, painted_over
+from gelforge.records.image import read_image
+
+SAMPLES = ("demo-000000", "demo-000001", "demo-000006", "demo-000013", "demo-000018")
+
+
+@pytest.fixture(scope="module")
+def sensor(root):
+    demo = root / "data/demo"
+    rows = {row["sample_id"]: row for row in read_csv(demo / "log.csv")}
+    predictor = Predictor(load_for_use(None), read_image(demo / "nocontact/mini_a.png"))
+    return predictor, [read_image(demo / rows[name]["image"]) for name in SAMPLES]
+
+
+def without(predictor, image, count: int, seed: int, strength=1.0):
+    """An image that lost some markers of its gel, partly for a strength below 1."""
+    seen = predictor.prepare(image)
+    markers = seen.nocontact.markers
+    lost = np.random.default_rng(seed).choice(np.flatnonzero(seen.tracks.found), count, replace=False)
+    there = markers.points[lost] + seen.tracks.motion[lost]
+    gone = painted_over(image, there, markers.diameter)
+    return np.rint(strength * gone + (1 - strength) * image.astype(float)).astype(np.uint8)
+
+
+@pytest.mark.parametrize(("count", "most"), [(1, 1.1), (4, 1.15), (8, 1.25)])
+def test_vanished_markers_hardly_change_a_force(sensor, count, most):
+    predictor, images = sensor
+    for seed, image in enumerate(images):
+        whole, worn = predictor.predict(image), predictor.predict(without(predictor, image, count, seed))
+        assert worn.vanished == count
+        assert worn.total[2] / whole.total[2] == pytest.approx(1.0, abs=most - 1.0)
+
+
+def test_a_released_gel_without_markers_bears_nothing(sensor, root):
+    predictor, _ = sensor
+    rest = read_image(root / "data/demo/nocontact/mini_a.png")
+    for count in (1, 4, 8):
+        found = predictor.predict(without(predictor, rest, count, count))
+        assert found.vanished == count
+        assert np.abs(found.total).max() < 0.15  # N
+
+
+def test_a_gel_that_keeps_its_markers_is_read_as_it_is(sensor):
+    predictor, images = sensor
+    for image in images:
+        seen = predictor.prepare(image)
+        assert seen.vanished == 0 and seen.nocontact is predictor.prepare.nocontact
+
+
+def test_many_vanished_markers_are_flagged_and_order_does_not_matter(sensor):
+    predictor, images = sensor
+    worn = without(predictor, images[0], MOST_VANISHED + 4, 1)
+    first = predictor.predict(worn)
+    assert f"{MOST_VANISHED + 4} markers vanished" in first.reason
+    for image in images:
+        predictor.predict(without(predictor, image, 3, 7))
+    again = predictor.predict(worn)
+    np.testing.assert_array_equal(first.cells, again.cells)
+
+
+def test_darkness_is_that_of_a_marker_beside_its_surroundings():
+    image = np.full((240, 320, 3), 120, np.uint8)
+    image[100:112, 200:212] = 40
+    dark = darkness_of(grey_of(np.moveaxis(image, 2, 0)))
+    assert dark.shape == (120, 160) and dark[53, 103] == 80 and dark[20, 20] == 0
