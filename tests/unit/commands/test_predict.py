@@ -13,6 +13,7 @@ import pytest
 
 from gelforge.commands import predict
 from gelforge.networks.inference.predictor import Predictor
+from gelforge.networks.preprocess.wear import darkness_of, grey_of
 from gelforge.networks.uncertainty import ood
 from gelforge.reporting import forcemaps
 from tests.support.refused import refused
@@ -159,7 +160,7 @@ def read_frames(path) -> list[np.ndarray]:
 def test_score_separates_real_sensors(reference):
     feats = cv2.imread(str(reference / "feats" / "images" / "cuboid_10-2-284.png"))
     # 7 x 9 markers, two of which lie at the rim.
-    assert ood.count_markers(ood.grey_of(cv2.split(feats)))[0] == pytest.approx(63, abs=4)
+    assert ood.count_markers(darkness_of(grey_of(cv2.split(feats))))[0] == pytest.approx(63, abs=4)
     assert ood.count_markers(ood.grey_of(cv2.split(cv2.medianBlur(feats, 61))))[0] <= 3
     first, second = (read_frames(reference / "slip_videos" / f"cheese_tube_camera_{k}.avi") for k in (0, 2))
     own = np.stack([ood.describe(image) for image in first])
