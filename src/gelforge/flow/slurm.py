@@ -38,8 +38,7 @@ SHOWN, LISTED = 5, 50  # missing results that are shown with the end of their lo
 # Not for Slurm's programs and jobs: limits of an allocation in which make runs, others' filters, make's job slots.
 WITHHELD = ("SLURM_", "SQUEUE_", "SCANCEL_", "SBATCH_CLUSTERS", "MAKE", "MFLAGS")
 PASSED = ("SLURM_CONF", "SLURM_CLUSTERS")
-# What Slurm prints when it kills a task, and the setting that helps.
-KILLED = {
+KILLED = {  # the setting that helps, and what Slurm prints when it kills a task
     "memory_mb": r"(?im)^slurmstepd\S*: .*(exceeded (job |step )?memory limit|oom.kill)",
     "time_minutes": r"(?m)^slurmstepd\S*: .*DUE TO TIME LIMIT",
 }
