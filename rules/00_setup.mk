@@ -2,6 +2,8 @@
 PY := .venv/bin/python
 # The code of this checkout, whichever one the environment was made in.
 export PYTHONPATH := $(CURDIR)/src
+# Gels of one's own, for all processes of this make.
+export GELFORGE_GELS := $(CURDIR)/workflow/gels.toml
 SETUP := .venv/ready
 # A linked environment is another checkout's: it is used as it is, and nothing here makes it out of date.
 VENV_IS_LINK := $(filter-out $(CURDIR)/.venv,$(realpath .venv))

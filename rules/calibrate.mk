@@ -13,5 +13,5 @@ calibrated-labels: $(if $(IS_FROZEN),labels)  ## calibrate by the log's forces, 
 	$(if $(IS_FROZEN),@:,@export HAS_SLOTS=yes; $(MAKE) --no-print-directory freeze && $(MAKE) --no-print-directory labels)
 
 # It reads the path as commanded: poses that a frozen calibration moved make it no other.
-$(POSTERIOR): $(DATA)/log.csv $P/calibrate.json $P/indenters.json $P/sensors.json | $(POSES) $(call barrier,10_poses)
+$(POSTERIOR): $(DATA)/log.csv $P/calibrate.json $P/indenters.json $P/sensors.json $P/gels.json | $(POSES) $(call barrier,10_poses)
 	$(HANDS_SLOTS)$(call step,gelforge.stages.calibrate --data $(DATA) --poses $D/10_poses --shards $D/00_plan/shards --sensors $P/sensors.json --params $P/calibrate.json --work $D/calibrate $(if $(filter local,$(EXECUTOR)),--jobs $(SLOTS)) --out $@.part)

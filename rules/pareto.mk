@@ -18,7 +18,7 @@ pareto-quick: $D/pareto/quick.json  ## the report's small chart: three scenes, f
 
 pareto-meshes: $(PARETO_MESH_FILES)
 
-$(PARETO_MESH_FILES): $D/pareto/meshes/%.npz: $P/pareto_meshes.json
+$(PARETO_MESH_FILES): $D/pareto/meshes/%.npz: $P/pareto_meshes.json $P/gels.json
 	$(call step,gelforge.stages.pareto mesh --name $* --params $< --out $@.part)
 
 $(PARETO_FILES): $D/pareto/scenes/%.json: $P/scenes/%.json $P/pareto.json $P/sensors.json $(KEPT) $(PARETO_MESH_FILES)

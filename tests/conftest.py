@@ -74,8 +74,9 @@ def pytest_collection_modifyitems(config, items):
 
 @pytest.fixture(autouse=True)
 def in_project(monkeypatch):
-    """Every test starts in the project's folder, wherever the one before it went."""
+    """Every test starts in the project's folder, wherever the one before it went, and with the project's gels."""
     monkeypatch.chdir(ROOT)
+    monkeypatch.setenv("GELFORGE_GELS", str(ROOT / "workflow" / "gels.toml"))
 
 
 @pytest.fixture(scope="session")

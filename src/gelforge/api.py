@@ -1,12 +1,13 @@
 """What gelforge offers to a Python program: solve a press and label it; `reader` reads images."""
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gelforge.errors import BadInput, GelforgeError
-from gelforge.geometry.gel import load_gel
+from gelforge.geometry.gel import gels_from, load_gel
 from gelforge.geometry.solids import Indenter
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor
@@ -43,11 +44,13 @@ def solve(
     c10: float = REFERENCE_C10,
     nu: float = 0.475,
     quality: str = "draft",
+    gels: Path | str | None = None,
 ) -> SolvedPress:
     """Press an indenter into a gel, down by `depth` mm and then sideways by `shear` mm, by finite elements in process.
 
     indenter: a body, or a table as in workflow/indenters.toml. at: where its tip meets the apex plane, mm.
     depth: mm from 0 on, positive into the gel. c10: stiffness of the gel, MPa. nu: its Poisson's ratio. quality: "label", "draft" or "demo", slow to fast.
+    gels: file of gels of your own, such as workflow/gels.toml; `gel` may then name one of them.
     A press that cannot be solved raises GelforgeError with its reason.
     """
     from gelforge.flow.params.tables import SOFTEST, STIFFEST
@@ -70,12 +73,13 @@ def solve(
     if not hasattr(body, "distance"):
         raise BadInput(f"gelforge.solve: indenter = {body!r}: give a body, or a table as in workflow/indenters.toml")
     press = Press(at[0], at[1], 0.0, shear[0], shear[1], -depth, rot_deg)
-    scene = Scene(load_gel(gel), Material(nu), body, press)
-    result = HexSolver(settings(quality)).solve(scene)
-    if not result.status.valid or result.mesh_name is None:
+    with gels_from(gels):
+        result = HexSolver(settings(quality)).solve(Scene(load_gel(gel), Material(nu), body, press))
+        mesh = result.mesh_name.mesh() if result.mesh_name else None
+    if not result.status.valid or mesh is None:
         raise GelforgeError(f"the press was not solved: {result.evidence.get('reason') or result.status.value}")
     forces = result.forces * (c10 / REFERENCE_C10)  # exactly so: the solid's stress is proportional to C10
-    return SolvedPress(gel, result.mesh_name.mesh(), forces, result.displacement, result.evidence)
+    return SolvedPress(gel, mesh, forces, result.displacement, result.evidence)
 
 
 def _finite(*values: Any) -> bool:

@@ -1,15 +1,17 @@
 """Gels of one's own: pads of workflow/gels.toml and an STL, from the log to labels on hexahedra."""
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+import gelforge
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_csv, write_text
-from gelforge.geometry.gel import Gel, gel_shape, is_gel, load_gel
-from gelforge.geometry.gelcatalogue import FILE, gels_of
+from gelforge.geometry.gel import Gel, catalogue, gel_shape, is_gel, load_gel
+from gelforge.geometry.gelcatalogue import gel_of, names_in
 from gelforge.geometry.triangles import volume, write_stl
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.mesh.hexmesh import FineBox, build_mesh
@@ -19,6 +21,7 @@ from gelforge.records.labelfile import read_labels
 from gelforge.records.press import COLUMNS
 from gelforge.reporting.surfacegrid import grid_points
 from gelforge.stages import fea, forces, labels, plan, poses
+from gelforge.sweeps.scenes import read_tables
 from gelforge.virtualrig.appearance import read_appearances
 from gelforge.virtualrig.fields import unloaded
 from gelforge.virtualrig.render import Renderer
@@ -129,15 +132,15 @@ def test_the_flat_pad_is_flat_and_the_dome_falls_without_a_kink():
     assert -np.diff(slope)[12:].min() < 0.06  # the arc begins with the dome's slope
 
 
-def solid(tmp_path, turn=None, base="-z", **changed) -> dict[str, Gel]:
-    """A catalogue of one gel, the STL of the dome turned by a matrix."""
+def solid(tmp_path, turn=None, base="-z", unit=1.0, **changed) -> Gel:
+    """The gel of a catalogue with one, the STL of the dome turned by a matrix, in units of so many mm."""
     vertices, faces = load_gel("dome").surface(0.4)
     vertices = vertices @ (np.eye(3) if turn is None else np.array(turn)).T + [3.0, -2.0, 7.0]
-    write_stl(tmp_path / "dome.stl", vertices, faces)
+    write_stl(tmp_path / "dome.stl", vertices / unit, faces)
     table = {"file": "dome.stl", "base": base} | changed
     text = "[solid]\n" + "".join(f"{key} = {value!r}\n" for key, value in table.items())
     write_text(tmp_path / "gels.toml", text)
-    return gels_of(tmp_path / "gels.toml")
+    return gel_of(tmp_path / "gels.toml", "solid")
 
 
 @pytest.mark.parametrize(
@@ -146,7 +149,7 @@ def solid(tmp_path, turn=None, base="-z", **changed) -> dict[str, Gel]:
      ([[1, 0, 0], [0, 0, 1], [0, -1, 0]], "-y")],
 )  # fmt: skip
 def test_an_stl_is_the_pad_that_it_shows_whichever_side_is_bonded(tmp_path, turn, base):
-    (gel,), dome = solid(tmp_path, turn, base).values(), load_gel("dome")
+    gel, dome = solid(tmp_path, turn, base), load_gel("dome")
     assert (gel.width, gel.length, gel.height) == pytest.approx((18.0, 18.0, 5.0), abs=1e-3)
     assert gel.corner_radius == pytest.approx(3.0, abs=0.1)
     x, y = np.meshgrid(np.linspace(-8, 8, 33), np.linspace(-8, 8, 33))
@@ -156,8 +159,7 @@ def test_an_stl_is_the_pad_that_it_shows_whichever_side_is_bonded(tmp_path, turn
 
 
 def test_an_stl_that_changes_is_another_gel(tmp_path):
-    (before,) = solid(tmp_path).values()
-    (after,) = solid(tmp_path, scale=1.01).values()
+    before, after = solid(tmp_path), solid(tmp_path, scale=1.01)
     assert gel_shape(before) != gel_shape(after)
     assert gel_shape(replace(before, name="other", file="elsewhere.stl")) == gel_shape(before)
 
@@ -181,7 +183,7 @@ def test_an_stl_that_changes_is_another_gel(tmp_path):
 def test_a_table_that_makes_no_gel_is_refused_in_a_sentence(tmp_path, text, message):
     write_text(tmp_path / "gels.toml", text)
     with pytest.raises(BadInput, match=message):
-        gels_of(tmp_path / "gels.toml")
+        gel_of(tmp_path / "gels.toml", "a")
 
 
 def test_a_solid_that_is_no_pad_is_refused(tmp_path):
@@ -193,9 +195,74 @@ def test_a_solid_that_is_no_pad_is_refused(tmp_path):
     write_stl(tmp_path / "ball.stl", *ball.surface())
     write_text(tmp_path / "gels.toml", "[a]\nfile = 'ball.stl'\nbase = '+z'")
     with pytest.raises(BadInput, match="is no flat base|rectangles with rounded"):
-        gels_of(tmp_path / "gels.toml")
+        gel_of(tmp_path / "gels.toml", "a")
 
 
 def test_the_catalogue_of_the_project_is_sound_and_takes_no_name_that_is_one():
-    assert set(gels_of(FILE)) >= set(OWN) and all(map(is_gel, OWN)) and not is_gel("flat_3mm")
+    assert set(names_in(catalogue())) >= set(OWN) and all(map(is_gel, OWN)) and not is_gel("flat_3mm")
     assert load_gel("flat_2mm-3mm").height == 3.0
+
+
+def test_a_solid_of_another_unit_is_told_so(tmp_path):
+    """An STL in metres said "top -inf"."""
+    with pytest.raises(
+        BadInput, match=r"measures 0.005 x 0.018 x 0.018 mm, .* give scale.*if it is in metres, scale = 1000"
+    ):
+        solid(tmp_path, unit=1000.0)
+    assert solid(tmp_path, unit=1000.0, scale=1000.0).height == pytest.approx(5.0, abs=1e-3)
+    with pytest.raises(BadInput, match="if it is in inches, scale = 25.4|if it is in centimetres, scale = 10"):
+        solid(tmp_path, unit=25.4)
+
+
+WRONG = "\n[bad]\nwidth = 20\nlength = 24\nthickness = 2\ncorner_radius = 0.1\n"
+
+
+def test_gels_are_read_beside_the_workflow_that_was_given(root, tmp_path, monkeypatch):
+    """Not below the working folder; a wrong table harms only the datasets whose presses are on that gel."""
+    workflow = shutil.copytree(root / "workflow", tmp_path / "theirs", ignore=shutil.ignore_patterns("meshes"))
+    text = (workflow / "gels.toml").read_text()
+    (workflow / "gels.toml").write_text(text.replace("[dome]", "[mine]") + WRONG)
+    row = dict.fromkeys(COLUMNS, "0") | {"sample_id": "one", "sensor_id": "own", "indenter": "sphere_15", "image": ""}
+    monkeypatch.chdir(tmp_path)
+
+    def planned(gel):
+        write_csv(tmp_path / "data/log.csv", COLUMNS, [row])
+        write_text(tmp_path / "data/dataset.toml", DATASET.format(gel=gel))
+        write_text(tmp_path / "data/sensors.toml", SENSOR.format(gel=gel))
+        out = tmp_path / "results/d/00_plan"
+        assert plan.main(["--data", "data", "--workflow", "theirs", "--out", str(out / "plan.mk")]) == 0
+        return read_json(out / "params/gels.json")
+
+    before = planned("mine")
+    assert before == {"mine": gel_shape(load_gel("mine"))} and planned("gelsight_mini") == {}
+    (workflow / "gels.toml").write_text(text.replace("[dome]\nwidth = 18.0", "[mine]\nwidth = 19.0") + WRONG)
+    assert planned("mine") != before  # what calibrate, meshes and charts are made of
+    with pytest.raises(BadInput, match=r"gels.toml: \[bad\] corner_radius = 0.1: give a number from 0.2"):
+        planned("bad")
+    (workflow / "gels.toml").write_text("[gelsight_mini]\n")
+    with pytest.raises(BadInput, match=r"\[gelsight_mini\]: is a gel that there is already"):
+        planned("gelsight_mini")
+
+
+def test_python_takes_gels_of_a_file_wherever_it_runs(root, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.delenv("GELFORGE_GELS")
+    ball = {"kind": "sphere", "diameter": 10, "height": 10}
+    with pytest.raises(BadInput, match="'dome' is unknown; .* which gelforge.solve takes as gels"):
+        gelforge.solve(ball, 0.3, gel="dome", quality="demo")
+    own = gelforge.solve(ball, 0.3, gel="dome", quality="demo", gels=root / "workflow/gels.toml")
+    usual = gelforge.solve(ball, 0.3, quality="demo")
+    assert own.total[2] < 0.0 and own.total[2] != usual.total[2]
+    assert gelforge.label(own).sum() < 0.0 and not is_gel("dome")
+
+
+def test_a_scene_on_a_gel_of_ones_own_holds_its_numbers(root, tmp_path):
+    """The chart's records are known by it: the gel may change under its name."""
+    for name in ("indenters.toml", "scenes.toml"):
+        shutil.copy(root / "workflow" / name, tmp_path)
+    scenes = tmp_path / "scenes.toml"
+    usual = read_tables(tmp_path)
+    assert not any("gel_shape" in table for table in usual.values())
+    scenes.write_text(scenes.read_text().replace("\ndepth", '\ngel = "dome"\ndepth', 1))
+    first = next(iter(usual))
+    assert read_tables(tmp_path)[first] == usual[first] | {"gel": "dome", "gel_shape": gel_shape(load_gel("dome"))}

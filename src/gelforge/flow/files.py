@@ -82,9 +82,12 @@ def write_if_changed(path: Path | str, text: str) -> bool:
 
     An unchanged file keeps its time stamp, so make sees no reason to rebuild what follows.
     """
-    path = Path(path)
-    if path.exists() and path.read_bytes() == text.encode():  # what lies there may be damaged, and no text at all
-        return False
+    try:
+        with open(path, "rb") as stream:  # what lies there may be damaged, and no text at all
+            if stream.read() == text.encode():
+                return False
+    except FileNotFoundError:
+        pass
     write_text(path, text)
     return True
 

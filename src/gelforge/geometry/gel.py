@@ -1,8 +1,13 @@
 """The gel pad: outline, top surface, closed surface."""
 
+import os
 import re
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
+from contextvars import ContextVar
 from dataclasses import asdict, dataclass, replace
 from itertools import pairwise
+from pathlib import Path
 from typing import ClassVar, TypeGuard
 
 import numpy as np
@@ -167,38 +172,68 @@ THICKNESS = (2.0, 8.0)  # mm that a gel of a stated thickness may have
 _OF_THICKNESS = re.compile(r"(.+)-(\d+(?:\.\d+)?)mm")
 
 
-def own_gels() -> dict[str, Gel]:
-    """The gels of workflow/gels.toml by name."""
-    from gelforge.geometry.gelcatalogue import FILE, gels_of
+CATALOGUE = "GELFORGE_GELS"  # environment variable that names the file of gels of one's own: processes inherit it
+_asked: ContextVar[Path | None] = ContextVar("catalogue of gels", default=None)
 
-    found = gels_of(FILE)
-    if taken := [name for name in found if name in GELS or _OF_THICKNESS.fullmatch(name)]:
-        raise BadInput(
-            f"{FILE}: [{taken[0]}]: is a gel that there is already, or one with its thickness; give it another name"
-        )
-    return found
+
+def catalogue() -> Path | None:
+    """The file of gels of one's own, None where none was given; it never depends on the working folder."""
+    named = _asked.get() or os.environ.get(CATALOGUE)
+    return Path(named) if named else None
+
+
+@contextmanager
+def gels_from(file: Path | str | None) -> Iterator[None]:
+    """While the block runs `load_gel` also knows the gels of a file such as workflow/gels.toml; None changes nothing."""
+    reset = _asked.set(Path(file).absolute() if file is not None else _asked.get())
+    try:
+        yield
+    finally:
+        _asked.reset(reset)
+
+
+def use_gels_of(workflow: Path | str) -> None:
+    """From now on read gels beside a workflow folder, in this process and in those that it starts."""
+    os.environ[CATALOGUE] = str(Path(workflow).absolute() / "gels.toml")
 
 
 def load_gel(name: str) -> Gel:
-    """The gel of that name: the usual one, one of workflow/gels.toml, or NAME-3.6mm, the same 3.6 mm thick at its apex.
+    """The gel of that name: the usual one, one of the catalogue, or NAME-3.6mm, the same 3.6 mm thick at its apex.
 
-    A name that is none raises BadInput.
+    A name that is none, or whose table makes none, raises BadInput.
     """
     if name in GELS:
         return GELS[name]
-    gels = GELS | own_gels()
-    if name in gels:
-        return gels[name]
+    from gelforge.geometry.gelcatalogue import gel_of, names_in
+
+    file = catalogue()
+    own = names_in(file) if file else []
     match = _OF_THICKNESS.fullmatch(name)
-    if match is None or match[1] not in gels:
-        known = ", ".join(gels)
+    if match is None and name in own and file:
+        return gel_of(file, name)
+    if match is None or match[1] not in (*GELS, *own):
+        known = ", ".join([*GELS, *own])
+        where = (
+            f"a table of {file}" if file else "a file such as workflow/gels.toml, which gelforge.solve takes as gels"
+        )
         raise BadInput(
-            f"gel {name!r} is unknown; known: {known}, and each with its thickness, as {next(iter(GELS))}-3.6mm"
+            f"gel {name!r} is unknown; known: {known}, and each with its thickness, as {next(iter(GELS))}-3.6mm; a gel of your"
+            f" own is {where}"
         )
     low, high = THICKNESS
     if not low <= float(match[2]) <= high:
         raise BadInput(f"gel {name!r}: give a thickness from {low:g} to {high:g} mm")
-    return replace(gels[match[1]], name=name, height=float(match[2]))
+    return replace(load_gel(match[1]), name=name, height=float(match[2]))
+
+
+def own_gels(names: Iterable[object]) -> dict[str, Gel]:
+    """Those of the names that are gels of the catalogue, or of a stated thickness: the code does not tell their shape."""
+    return {name: load_gel(name) for name in sorted({name for name in names if is_gel(name)} - GELS.keys())}
+
+
+def is_free(name: str) -> bool:
+    """Whether a table of the catalogue may have this name: no gel has it, and it states no thickness."""
+    return name not in GELS and not _OF_THICKNESS.fullmatch(name)
 
 
 def gel_shape(gel: Gel) -> dict:
@@ -214,11 +249,13 @@ def states_thickness(name: str, of: str) -> bool:
 
 
 def is_gel(name: object) -> TypeGuard[str]:
-    """Whether `load_gel` knows a gel of that name."""
+    """Whether there is a gel of that name; one whose table makes none raises BadInput."""
     if not isinstance(name, str):
         return False
-    try:
-        load_gel(name)
-    except BadInput:
+    from gelforge.geometry.gelcatalogue import names_in
+
+    file = catalogue()
+    match = _OF_THICKNESS.fullmatch(name)
+    if name not in GELS and (match[1] if match else name) not in (*GELS, *(names_in(file) if file else [])):
         return False
-    return True
+    return match is None or THICKNESS[0] <= float(match[2]) <= THICKNESS[1]

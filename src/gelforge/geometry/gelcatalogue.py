@@ -10,11 +10,10 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, read_toml
 from gelforge.flow.params.schema import Number, ParameterTable, Place, Within, parse
-from gelforge.geometry.gel import Gel
+from gelforge.geometry.gel import Gel, catalogue, is_free
 from gelforge.geometry.stlfile import read_stl
 from gelforge.geometry.triangles import is_watertight, volume
 
-FILE = Path("workflow") / "gels.toml"
 Base = Literal["-x", "+x", "-y", "+y", "-z", "+z"]
 BASES = get_args(Base)
 THINNEST_MM = 0.3  # that a gel may be anywhere
@@ -120,7 +119,7 @@ class SolidTable(ParameterTable):
         path = folder / self.file
         if Path(self.file).is_absolute() or ".." in Path(self.file).parts or not path.is_file():
             raise BadInput(
-                f"{folder / FILE.name}: [{name}] file = {self.file!r}: there is no file {path}; lay it there"
+                f"{folder}/gels.toml: [{name}] file = {self.file!r}: there is no file {path}; lay it there"
             )
         sha256 = digest_of(path)
         found = _solid(str(path), self.base, self.scale, sha256)
@@ -130,32 +129,35 @@ class SolidTable(ParameterTable):
         )  # fmt: skip
 
 
-def gels_of(path: Path) -> dict[str, Gel]:
-    """The gels of a catalogue by name, none where there is no such file; a table that makes none raises BadInput."""
-    if not path.is_file():
-        return {}
-    state = path.stat()
-    return _gels(path, state.st_mtime_ns, state.st_size)
+def names_in(path: Path) -> list[str]:
+    """Names of a catalogue's gels, none where there is no such file."""
+    return list(_tables(path, path.stat().st_mtime_ns)) if path.is_file() else []
 
 
-def files_of(path: Path) -> list[Path]:
-    """The STL files that a catalogue of gels names."""
-    return [Path(gel.file) for gel in gels_of(path).values() if isinstance(gel, SolidPad)]
+def refuse_taken(name: str) -> None:
+    """BadInput where the catalogue has a table of that name, which is another gel's: nobody would read it."""
+    path = catalogue()
+    if path and not is_free(name) and name in names_in(path):
+        raise BadInput(
+            f"{path}: [{name}]: is a gel that there is already, or one with its thickness; give it another name"
+        )
+
+
+def gel_of(path: Path, name: str) -> Gel:
+    """A gel of a catalogue; a table that makes none raises BadInput."""
+    table, place = _tables(path, path.stat().st_mtime_ns)[name], Place(str(path), (name,))
+    if not isinstance(table, dict):
+        raise BadInput(f"{path}: {name}: give a table, as [{name}] with its keys below")
+    if "file" in table:
+        gel = parse(SolidTable, table, place).gel(name, path.parent)
+    else:
+        gel = parse(PadTable, table, place).gel(name)
+    return _checked(gel, f"{path}: [{name}]")
 
 
 @lru_cache(4)
-def _gels(path: Path, _time: int, _size: int) -> dict[str, Gel]:
-    found: dict[str, Gel] = {}
-    for name, table in read_toml(path).items():
-        place = Place(str(path), (name,))
-        if not isinstance(table, dict):
-            raise BadInput(f"{path}: {name}: give a table, as [{name}] with its keys below")
-        if "file" in table:
-            gel = parse(SolidTable, table, place).gel(name, path.parent)
-        else:
-            gel = parse(PadTable, table, place).gel(name)
-        found[name] = _checked(gel, f"{path}: [{name}]")
-    return found
+def _tables(path: Path, _time: int) -> dict:
+    return read_toml(path)
 
 
 def _checked(gel: Gel, where: str) -> Gel:
@@ -197,6 +199,7 @@ def _solid(file: str, base: str, scale: float, _sha256: str) -> _Solid:
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     vertices = vertices - [*(low + high)[:2] / 2, high[2]]
     (width, length, height), base_z = high - low, low[2] - high[2]
+    _check_unit(file, sorted([float(width), float(length), float(height)]))
     corners = vertices[faces]
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     bonded = (np.abs(corners[..., 2] - base_z) < 1e-3 * height).all(axis=1)
@@ -216,6 +219,20 @@ def _solid(file: str, base: str, scale: float, _sha256: str) -> _Solid:
             " corners, upright sides and one height at each place"
         )
     return _Solid(vertices, faces, float(width), float(length), float(height), radius, heights)
+
+
+def _check_unit(file: str, sides: list[float]) -> None:
+    """Refuse a solid that is no gel for its size: STL files name no unit."""
+    low, high = 0.5, 100.0  # mm, as the sides of a pad by its measures
+    if low <= sides[0] and sides[-1] <= high:
+        return
+    units = {"metres": 1000.0, "centimetres": 10.0, "inches": 25.4, "micrometres": 0.001}
+    fit = [f"{unit}, scale = {by:g}" for unit, by in units.items() if low <= by * sides[0] and by * sides[-1] <= high]
+    said = " x ".join(f"{side:.3g}" for side in sides)
+    raise BadInput(
+        f"{file}: measures {said} mm, a gel's sides are from {low:g} to {high:g}; an STL names no unit: give scale, mm of a unit of"
+        f" the file{f' (if it is in {fit[0]})' if fit else ''}"
+    )
 
 
 def _upright(base: str) -> np.ndarray:

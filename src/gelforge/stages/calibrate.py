@@ -23,6 +23,7 @@ from gelforge.flow.params.stages import ForCalibrate, read_parameters
 from gelforge.flow.params.tables import CalibrateSolverTable, CalibrateTable
 from gelforge.flow.progress import progress
 from gelforge.flow.slots import in_slots
+from gelforge.geometry.gel import use_gels_of
 from gelforge.labelling.sensor import Sensor, load_sensors
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.records.log import rejected_rows
@@ -309,6 +310,7 @@ def own_cores() -> int:
     option("--out", type=Path, help="summary.json"),
 )
 def main(args: Namespace) -> None:
+    use_gels_of(args.workflow)
     from gelforge.geometry.indenters import build_all
 
     if (args.poses is None) != (args.shards is None):

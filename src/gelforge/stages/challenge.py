@@ -8,6 +8,7 @@ from gelforge.flow.files import read_json
 from gelforge.flow.main import command, group, option
 from gelforge.flow.params import SOURCES, load_params, parameters_of, stage_version
 from gelforge.flow.params.stages import ForPareto
+from gelforge.geometry.gel import use_gels_of
 from gelforge.labelling.sensor import load_sensors
 from gelforge.sweeps.challenge import write_challenge
 from gelforge.sweeps.keptreferences import keep_references
@@ -21,6 +22,7 @@ from gelforge.sweeps.trial import ChartBench, given_reference
     option("--workflow", type=Path, default=Path("workflow")),
 )
 def references(args: Namespace) -> None:
+    use_gels_of(args.workflow)
     """Take the references from a finished chart."""
     args.references.mkdir(parents=True, exist_ok=True)
     keep_references(
@@ -34,6 +36,7 @@ def references(args: Namespace) -> None:
     option("--out", type=Path, help="folder to write"),
 )
 def write(args: Namespace) -> None:
+    use_gels_of(args.workflow)
     """Write the folder that others download."""
     params, sensors = load_params(args.workflow), load_sensors(args.workflow / "sensors.toml")
     name = params.pareto.sensor

@@ -18,7 +18,7 @@ from gelforge.flow.main import command, option
 from gelforge.flow.params import digest_of_value
 from gelforge.flow.params.stages import ForFea, read_parameters
 from gelforge.flow.progress import progress
-from gelforge.geometry.gel import load_gel
+from gelforge.geometry.gel import load_gel, use_gels_of
 from gelforge.labelling.sensor import sensor_of
 from gelforge.mechanics.ccx.deck import INCLUDES
 from gelforge.mechanics.material import Material
@@ -266,6 +266,7 @@ def read_shard(params: Path, poses: Path, workflow: Path) -> tuple[ForFea, dict,
     option("--out", type=Path, help="30_fea/NNNN.csv; samples go to 30_fea/NNNN/"),
 )
 def main(args: Namespace) -> None:
+    use_gels_of(args.workflow)
     params, tables, presses, bodies = read_shard(args.params.parent, args.poses, args.workflow)
     family, chosen = MeshFamily(args.meshes, []), {}
     if names := mesh_names(params.fea):

@@ -22,6 +22,7 @@ from gelforge.flow.layout import planned_shards
 from gelforge.flow.main import command, option
 from gelforge.flow.params.stages import ForImages, read_parameters
 from gelforge.flow.slots import in_slots
+from gelforge.geometry.gel import use_gels_of
 from gelforge.geometry.solids import Body
 from gelforge.labelling.sensor import sensor_of
 from gelforge.records.log import read_poses
@@ -120,6 +121,7 @@ def told(found: dict, seen: list[Seen]) -> list[str]:
     option("--out", type=Path, help="15_images/images.json"),
 )
 def main(args: Namespace) -> None:
+    use_gels_of(args.workflow)
     judged = read_parameters(args.params, ForImages).poses
     seen, shapes = [], Shapes((), lambda one, _: one.expected)
     if judged.images and judged.judge_images:

@@ -9,6 +9,7 @@ from gelforge.flow.main import command, option
 from gelforge.flow.params.stages import ForFea
 from gelforge.flow.params.tables import IN_PROCESS
 from gelforge.flow.slots import in_slots
+from gelforge.geometry.gel import use_gels_of
 from gelforge.mechanics.mesh.family import MeshFamily, choose_mesh, first_candidate, mesh_names
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.meshstore import MeshSource, source_of
@@ -63,6 +64,7 @@ def make_missing(names: set[str], source: MeshSource, folder: Path, jobs: int) -
     option("--out", type=Path, help="20_meshes/NNNN.csv, the mesh of each press"),
 )
 def main(args: Namespace) -> None:
+    use_gels_of(args.workflow)
     from gelforge.stages.fea import read_shard, scene_of
 
     source = source_of(args.params, args.workflow)

@@ -5,11 +5,11 @@ make runs it before it reads its rules for good where a file that the plan was m
 """
 
 import hashlib
+import os
 import re
 from argparse import Namespace
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 
@@ -110,7 +110,7 @@ def write_shards(
         write_if_changed(out / "shards" / f"{names[-1]}.csv", shard_text(members))
         # an entry that only other shards use may change without a rerun of this one
         entries = {kind: used(table, named(members, COLUMN_OF[kind])) for kind, table in tables.items()}
-        entries["gels"] = own_shapes(entries.get("sensors", {}))
+        entries["gels"] = own_shapes(gels_of(entries.get("sensors", {})))
         if found := {str(row.row): repeated[row.row] for row in members if row.row in repeated}:
             entries["repeated"] = found
         entries["images"] = {name: pictures[name] for name in sorted(named(members, "image")) if name in pictures}
@@ -126,12 +126,16 @@ def write_shards(
     return names
 
 
-def own_shapes(sensors: Mapping[str, object]) -> dict[str, dict]:
-    """Kind and numbers of the gels of workflow/gels.toml that sensors carry: what is pressed there depends on them."""
-    from gelforge.geometry.gel import GELS, gel_shape, is_gel, load_gel
+def own_shapes(names: Iterable[object]) -> dict[str, dict]:
+    """Kind and numbers of those gels that the code does not define: what is pressed there depends on them."""
+    from gelforge.geometry.gel import gel_shape, own_gels
 
-    names = {table.get("gel") for table in sensors.values() if isinstance(table, dict)}
-    return {name: gel_shape(load_gel(name)) for name in sorted(filter(is_gel, names - GELS.keys()))}
+    return {name: gel_shape(gel) for name, gel in own_gels(names).items()}
+
+
+def gels_of(tables: Mapping[str, object]) -> list[object]:
+    """What tables of sensors or scenes name as their gel."""
+    return [table.get("gel") for table in tables.values() if isinstance(table, dict)]
 
 
 def repeated_rows(rows: list[RawRow], pictures: dict[str, str]) -> dict[int, str]:
@@ -154,7 +158,7 @@ def named(rows: list[RawRow], column: str) -> set[str]:
     return {row.cells.get(column, "").strip() for row in rows}
 
 
-def digests(files: Mapping[str, Path], kept: Path, most: int = 2**40) -> dict[str, str]:
+def digests(files: Mapping[str, Path | str], kept: Path, most: int = 2**40) -> dict[str, str]:
     """Digest of each file that can be read, by name: one that was replaced is another, one that was touched is not.
 
     kept: a JSON file of digests, so that a file is read once. most: bytes; larger files have none.
@@ -172,16 +176,30 @@ def digests(files: Mapping[str, Path], kept: Path, most: int = 2**40) -> dict[st
     return {name: digest for name, digest in found.items() if digest}
 
 
-def inside(data: Path, names: Iterable[str]) -> dict[str, Path]:
+def inside(data: Path, names: Iterable[str]) -> dict[str, str]:
     """Pictures that rows name, by name, but for those that stage 10 refuses for their place outside the dataset's folder."""
     from gelforge.records.image import stays_inside
 
-    folder_stays = lru_cache(None)(lambda parent: stays_inside(data, str(parent)))
+    folders: dict[str, list[str]] = {}
+    for name in sorted(filter(None, names)):
+        folder, slash, _ = name.rpartition("/")
+        folders.setdefault(folder or slash or ".", []).append(name)
+    found: dict[str, str] = {}
+    for folder, members in folders.items():
+        if stays_inside(data, folder):
+            links = links_in(data / folder)
+            kept = (name for name in members if name.rpartition("/")[2] not in links or stays_inside(data, name))
+            found |= {name: f"{data}/{name}" for name in kept}
+    return found
 
-    def stays(name: str) -> bool:
-        return stays_inside(data, name) if (data / name).is_symlink() else folder_stays(Path(name).parent)
 
-    return {name: data / name for name in sorted(names) if name and not Path(name).is_absolute() and stays(name)}
+def links_in(folder: Path) -> set[str]:
+    """Names of the links in a folder; none where there is no folder."""
+    try:
+        with os.scandir(folder) as entries:
+            return {entry.name for entry in entries if entry.is_symlink()}
+    except (OSError, ValueError):
+        return set()
 
 
 def image_digests(data: Path, names: Iterable[str], kept: Path) -> dict[str, str]:
@@ -304,12 +322,14 @@ def check_gel(file: Path, of: DatasetFile, params: Params, sensors: dict[str, di
     sensors: tables of those that the log names. A gel that is none is left to stage 10, which rejects its rows.
     """
     from gelforge.geometry.gel import is_gel, load_gel, states_thickness
+    from gelforge.geometry.gelcatalogue import refuse_taken
 
     mesh_gel = params.meshes.gel
     try:
         load_gel(mesh_gel)
     except BadInput as error:
         raise BadInput(f"{file}: [params.meshes] {error}") from None
+    refuse_taken(mesh_gel)
     if of.gel is not None and of.gel != mesh_gel:
         raise BadInput(
             f"{file}: gel = {of.gel!r}, but [meshes] gel = {mesh_gel!r}, on which presses are solved; name one gel"
@@ -421,10 +441,12 @@ def without_ccx(params: config.Params, dataset_toml: Path) -> config.Params:
     option("--out", type=Path, help="results/DATASET/00_plan/plan.mk"),
 )
 def main(args: Namespace) -> None:
+    from gelforge.geometry.gel import use_gels_of
     from gelforge.mechanics.mesh.family import required_meshes
     from gelforge.sweeps.scenes import read_tables
 
     data, workflow, of = args.data, args.workflow, Layout(args.out.parent.parent)
+    use_gels_of(workflow)
     dataset_toml = data / "dataset.toml"
     dataset = config.read_dataset_file(dataset_toml)
     # states are taken before files are read: a change in between is seen by the next make
@@ -437,15 +459,14 @@ def main(args: Namespace) -> None:
     indenters = config.read_indenter_tables(workflow, data, dataset.catalogue)
     shapes = list(stl_files(config.read_toml(workflow / "indenters.toml"), workflow).values())
     scenes, models = read_tables(workflow), networks(workflow)
-    pictures = [data / name for name in sorted(named(rows, "image")) if name]
+    pictures = [f"{data}/{name}" for name in sorted(named(rows, "image")) if name]
     bodies = used(indenters, named(rows, "indenter"))
-    read = [*stl_files(bodies, workflow).values(), *shapes, *gel_files(workflow), *pictures]
+    read: list[Path | str] = [*stl_files(bodies, workflow).values(), *shapes, *gel_files(workflow), *pictures]
     states |= states_of(read)
     check_dataset(dataset_toml, dataset, params, rows, workflow, sensors, indenters)
-    tables = {
-        "sensors": used(sensors, named(rows, "sensor_id") | {params.pareto.sensor}),
-        "indenters": with_content(bodies, workflow),
-    }
+    seen_by = used(sensors, named(rows, "sensor_id") | {params.pareto.sensor})
+    gels = own_shapes([params.meshes.gel, *gels_of(seen_by)])
+    tables = {"sensors": seen_by, "indenters": with_content(bodies, workflow), "gels": gels}
     lists: dict[str, list[str]] = {
         "MESHES": required_meshes(params.fea, params.meshes),
         "BRANCHES": [*params.report.branches],
@@ -462,7 +483,9 @@ def main(args: Namespace) -> None:
     write_parameters(params, workflow, of.folder(PLAN), tables, scenes)
     beside = digests(files_beside(data), of.folder(PLAN) / "digests_beside.json")
     write_if_changed(of.folder(PLAN) / "beside.json", config.canonical(beside))
-    shards = write_shards(data, rows, of.folder(PLAN), params.plan.shard_size, tables)
+    shards = write_shards(
+        data, rows, of.folder(PLAN), params.plan.shard_size, {kind: tables[kind] for kind in COLUMN_OF}
+    )
     check_count(shards, params.plan.shard_size)
     write_text(of.plan, f"{make_list('SHARDS', shards)}{text}")
     keep_states(of.plan_states, states)

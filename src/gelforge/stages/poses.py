@@ -20,7 +20,7 @@ from gelforge.flow.params.stages import ForPoses, read_parameters
 from gelforge.flow.params.tables import PosesTable
 from gelforge.geometry import touch
 from gelforge.geometry.cropping import cropped
-from gelforge.geometry.gel import Gel, load_gel
+from gelforge.geometry.gel import Gel, load_gel, use_gels_of
 from gelforge.labelling.sensor import sensor_of
 from gelforge.records.frames import NEAR_MM, check_frames
 from gelforge.records.image import bad_image
@@ -275,6 +275,7 @@ def write_shard(good, rejections, out: Path, params: PosesTable) -> None:
     option("--out", type=Path, help="pose table, 10_poses/NNNN.csv"),
 )
 def main(args: Namespace) -> None:
+    use_gels_of(args.workflow)
     params = read_parameters(args.params, ForPoses).poses
     tables = {name: read_json(args.params.parent / f"{name}.json") for name in ("sensors", "indenters")}
     rows = read_shard(args.shard)

@@ -26,7 +26,7 @@ from gelforge.flow.orphans import pool
 from gelforge.flow.params import overlaid
 from gelforge.flow.progress import progress
 from gelforge.flow.running import duration
-from gelforge.geometry.gel import load_gel
+from gelforge.geometry.gel import load_gel, use_gels_of
 from gelforge.geometry.indenters import load_indenters, read_catalogue
 from gelforge.labelling.sensor import Sensor, load_sensors
 from gelforge.virtualrig import streams
@@ -219,6 +219,7 @@ def by_press(dataset: Dataset, every: list[Order]) -> list[tuple[list[Order], bo
 
 def check(plan_path, workflow: Path) -> Plan:
     """Everything that can be refused before a file is written."""
+    use_gels_of(workflow)
     plan = read_plan(plan_path)
     catalogue = read_catalogue(workflow / plan.catalogue)
     plan = with_indenters(plan, catalogue)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_toml
-from gelforge.geometry.gel import load_gel
+from gelforge.geometry.gel import gel_shape, load_gel, own_gels
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.scene import Interface, Scene
 from gelforge.records.press import Press
@@ -44,7 +44,16 @@ def read_tables(workflow) -> dict[str, dict]:
     """Resolved tables of workflow/scenes.toml by name."""
     catalogue = read_toml(Path(workflow) / "indenters.toml")
     scenes = read_toml(Path(workflow) / "scenes.toml")
-    return {name: resolve(name, table, catalogue) for name, table in scenes.items()}
+    return {name: with_gel(resolve(name, table, catalogue)) for name, table in scenes.items()}
+
+
+def with_gel(table: dict) -> dict:
+    """A scene's table with the numbers of its gel where that is one of the catalogue, which may change under its name."""
+    try:
+        shapes = [gel_shape(gel) for gel in own_gels([table.get("gel")]).values()]
+    except BadInput:
+        return table  # the chart of this scene refuses it; other datasets need not know
+    return table | {"gel_shape": shapes[0]} if shapes else table
 
 
 def parse_scene(name: str, table: dict, nu: float) -> NamedScene:
