@@ -12,10 +12,10 @@ import pytest
 from gelforge.commands.export import FORMATS, export, whole_or_absent
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_csv
-from gelforge.formats.export import lerobot
+from gelforge.formats.export import lerobot, ros
 from gelforge.formats.export.samples import Samples
 from gelforge.records.image import decode
-from tests.support.exported import LEROBOT, READERS, lay, opened_by_lerobot
+from tests.support.exported import LEROBOT, READERS, lay, opened_by_lerobot, read_mcap
 from tests.support.limited import limited, small_disk
 from tests.support.no_locks import without_locks
 
@@ -252,3 +252,40 @@ def test_a_dataset_without_poses_goes_to_lerobot(tmp_path):
     assert any("force" in name for name in stats) and all(
         "NaN" not in json.dumps(values) for values in stats.values()
     )
+
+
+NAMES = ["GelSight Mini R0B 2BNN", "GelSight-Mini-R0B-2BNN", "GelSight_Mini_R0B_2BNN", "2BNN", "größe", "指", "a__b_", "x" * 300,
+         "x" * 301, "mini_a"]  # fmt: skip
+
+
+def test_topics_have_names_that_ros_2_allows_and_no_two_sensors_share_one():
+    tokens = ros.topic_tokens(NAMES)
+    assert list(tokens) != [] and set(tokens) == set(NAMES) and len(set(tokens.values())) == len(NAMES)
+    for token in tokens.values():
+        assert token.isascii() and token.replace("_", "").isalnum() and not token[0].isdigit()
+        assert "__" not in token and not token.endswith("_") and len(f"/{token}/image/compressed") < 247
+    assert tokens["mini_a"] == "mini_a" and tokens["GelSight_Mini_R0B_2BNN"] == "GelSight_Mini_R0B_2BNN"
+    assert ros.topic_tokens(NAMES[:1])[NAMES[0]] == "GelSight_Mini_R0B_2BNN"
+
+
+def test_an_export_of_a_sensor_with_blanks_has_legal_topics_and_frames(tmp_path):
+    from mcap_ros2.reader import read_ros2_messages
+
+    samples = lay(tmp_path, 4)
+    for row in samples.rows:
+        row["sensor_id"] = "GelSight Mini R0B 2BNN" if row["sensor_id"] == "mini_a" else "GelSight-Mini R0B 2BNN"
+    export(samples, "mcap", tmp_path / "out.mcap")
+    found, _ = read_mcap(tmp_path / "out.mcap")
+    assert {row["sensor_id"] for row, *_ in found.values()} == {row["sensor_id"] for row in samples.rows}
+    topics = {}
+    for message in read_ros2_messages(str(tmp_path / "out.mcap")):
+        frame = getattr(getattr(message.ros_msg, "header", None), "frame_id", "")
+        topics[message.channel.topic] = frame
+    assert {topic.split("/")[1] for topic in topics} == {
+        "facts", "GelSight_Mini_R0B_2BNN", "GelSight_Mini_R0B_2BNN_2",
+    }  # fmt: skip
+    assert all(set(topic) <= set("/_") | {c for c in topic if c.isascii() and c.isalnum()} for topic in topics)
+    assert {frame for frame in topics.values() if frame} == {
+        "GelSight_Mini_R0B_2BNN_gel",
+        "GelSight_Mini_R0B_2BNN_2_gel",
+    }

@@ -21,10 +21,10 @@ from gelforge.commands.camera import camera_number
 from gelforge.commands.sensoroptions import ENGINE, MODE, MODEL, NOCONTACT, PROFILE, SENSOR
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, option, positive
-from gelforge.live.page import PageServer
 from gelforge.live.reading import Reading, readings
 from gelforge.live.recording import CsvTable, McapRecording
 from gelforge.live.topics import RosMessages
+from gelforge.live.webpage import PageServer
 from gelforge.records.film import Film, open_source, source_name
 from gelforge.records.nocontactimage import FEWEST, find_nocontact
 from gelforge.records.regular import refuse_to_replace

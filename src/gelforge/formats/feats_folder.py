@@ -15,6 +15,9 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import write_csv, write_json, write_text
 from gelforge.flow.progress import progress
 from gelforge.formats.featsfile import (
+    FORCE_FIELDS,
+    POSE_FIELDS,
+    TOTALS,
     LabelSample,
     Ranges,
     RawSample,
@@ -26,7 +29,7 @@ from gelforge.formats.featsfile import (
 from gelforge.records.image import read_image, write_png
 from gelforge.records.labelfile import write_labels
 from gelforge.records.log import write_log
-from gelforge.records.press import FORCES, POSE, LoggedPress, check_id
+from gelforge.records.press import FORCES, POSE, LoggedPress, check_id, pull_fault, size_fault
 from gelforge.records.rowfile import map_array
 from gelforge.records.samplefile import read_samples
 from gelforge.records.splits import SPLITS, TRAINING, UNSEEN_INDENTER, UNSEEN_SENSOR, VALIDATION
@@ -150,6 +153,21 @@ def published_splits(source: Path, presses: dict) -> list[dict]:
     return found
 
 
+def refuse_beyond_limits(path: Path, sample: LabelSample | RawSample) -> None:
+    """BadInput where a sample has numbers that a log may not have: those of another unit, a label that pulls."""
+    if isinstance(sample, RawSample):
+        numbers = {field: (column, sample.values[column]) for field, column in (POSE_FIELDS | FORCE_FIELDS).items()}
+    else:
+        totals = sample.label.sum((1, 2)).tolist()
+        numbers = {field: (FORCE_FIELDS[field], total) for field, total in zip(TOTALS, totals, strict=True)}
+    for field, (column, value) in numbers.items():
+        fault = size_fault(column, value)
+        if isinstance(sample, LabelSample) and column == "fz_n":
+            fault = fault or pull_fault(value)
+        if fault:
+            raise BadInput(f"{path}: field {field} is {value:g}, {fault[0]}; {fault[1]}")
+
+
 def _take(path, sample, sensor, part, presses, labels) -> None:
     height, width = sample.image.shape[:2]
     if (width, height) != tuple(sensor.image):
@@ -157,6 +175,7 @@ def _take(path, sample, sensor, part, presses, labels) -> None:
             f"{path}: field gs_img is {width} x {height} pixels, sensor {sensor.name} has"
             f" {sensor.image[0]} x {sensor.image[1]}; import it with its own SENSOR, or resize it"
         )
+    refuse_beyond_limits(path, sample)
     key = hashlib.sha256(np.ascontiguousarray(sample.image).tobytes()).hexdigest()
     if key not in presses:
         name = re.sub(r"[^A-Za-z0-9_-]", "_", path.stem)[:100].lstrip("_-") or "sample"

@@ -18,7 +18,6 @@ pose, and a label of one cell, the total force: networks of totals train on it: 
 
 import math
 from bisect import bisect_left
-from collections.abc import Iterator
 from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
@@ -29,14 +28,14 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_toml, write_text
 from gelforge.formats.feats_folder import NO_PRESS, new_folder
+from gelforge.formats.mcap_messages import messages
 from gelforge.formats.messageimage import picture
 from gelforge.formats.messagetime import MessageOrder, MessageTimes, choose_clock, stamp_of
 from gelforge.records.axes import AXIS_OF_CHANNEL
 from gelforge.records.image import write_png
 from gelforge.records.labelfile import write_labels
 from gelforge.records.log import write_log
-from gelforge.records.press import FORCES, LoggedPress
-from gelforge.records.regular import file_fault
+from gelforge.records.press import FORCES, LoggedPress, pull_fault, size_fault
 
 DEFAULTS = {
     "latest_s": 0.02,
@@ -46,8 +45,6 @@ DEFAULTS = {
     "rotation": np.eye(3).tolist(),
     "sensor": "gelsight_mini",
 }
-LATEST_NS = 2**63 - 1  # in the year 2262
-ZSTD = b"\x28\xb5\x2f\xfd"  # what a Zstandard frame begins with (RFC 8878, 3.1.1)
 SPLIT_NS = 10**9  # a recorder that goes on in a new file misses less
 DATASET_TOML = """# Imported from recordings in MCAP: images with total force, no indenter known: make train RES=1x1 MODEL=resnet10
 sensor = "{sensor}"
@@ -111,55 +108,35 @@ def number(value: Any) -> float:
         return math.nan
 
 
-def wrenches(path: Path, topics: Topics) -> tuple[MessageTimes, np.ndarray]:
-    """Times of the readings (n), and forces with moments (n, 6) in the gel frame, N and N m, in the order of the log.
+def wrench_of(said: Any, where: str, topics: Topics) -> np.ndarray | None:
+    """Force and moment (6,) of a message in the gel frame, N and N m; None where they are no numbers: the sensor said nothing."""
+    wrench = getattr(said, "wrench", said)  # of the message's own class, known only to the file
+    try:
+        parts = np.array([[getattr(part, axis) for axis in "xyz"] for part in (wrench.force, wrench.torque)])
+    except AttributeError as error:
+        raise BadInput(f"{where} holds no wrench ({error}); name one of geometry_msgs/Wrench") from error
+    return topics.sign * (topics.rotation @ parts.T).T.ravel() if np.isfinite(parts).all() else None
 
-    Readings that are no numbers are left out, as if the sensor had said nothing.
+
+def within_limits(values: np.ndarray, where: str, topics: Topics) -> tuple[np.ndarray, list[str]]:
+    """Which forces beside images (n, 6) a press on a gel may have (n,), by the limits of a log, and what to report of the others.
+
+    BadInput where the wrench is of another unit, or is of the opposite sign: where as much pulls as presses.
     """
-    times, values = [], []
-    for time, said in messages(path, topics.wrench):
-        wrench: Any = getattr(said, "wrench", said)  # of the message's own class, known only to the file
-        try:
-            parts = [[getattr(part, axis) for axis in "xyz"] for part in (wrench.force, wrench.torque)]
-        except AttributeError as error:
-            raise BadInput(
-                f"{path}: topic {topics.wrench} holds no wrench ({error}); name one of geometry_msgs/Wrench"
-            ) from error
-        if np.isfinite(parts).all():
-            times.append((time, stamp_of(said)))
-            values.append(topics.sign * (topics.rotation @ np.array(parts).T).T.ravel())
-    return MessageTimes.of(topics.wrench, times), np.array(values, float).reshape(-1, 6)
-
-
-def messages(path: Path, topic: str) -> Iterator[tuple[int, object]]:
-    """(log time in ns, message) of one topic; BadInput for a file that cannot be read."""
-    from mcap_ros2.decoder import DecoderFactory  # isort: skip, it brings mcap
-    from mcap.exceptions import DecoderNotFoundError
-    from mcap.reader import make_reader
-
-    if fault := file_fault(path):
-        raise BadInput(f"{path}: cannot be read ({fault}); give a recording in MCAP")
-    with path.open("rb") as stream:
-        if stream.read(len(ZSTD)) == ZSTD:
-            whole = path.with_suffix("") if ".mcap" in path.stem else "NAME.mcap"
-            raise BadInput(
-                f"{path}: is compressed as a whole; decompress it with `zstd -d {path} -o {whole}` and import what that makes"
-            )
-        stream.seek(0)
-        try:
-            reader = make_reader(stream, decoder_factories=[DecoderFactory()])
-            for _, _, message, said in reader.iter_decoded_messages(topics=[topic]):
-                if message.log_time > LATEST_NS:
-                    raise ValueError(f"a message of time {message.log_time}, ns since 1970")
-                yield message.log_time, said
-        except DecoderNotFoundError as error:
-            raise BadInput(
-                f"{path}: topic {topic} holds no ROS 2 messages ({error}); convert the recording to ROS 2, as rosbags-convert"
-                " does"
-            ) from error
-        # a corrupt file makes mcap, the ROS definitions in it, LZ4, Zstandard and struct each raise errors of their own
-        except Exception as error:
-            raise BadInput(f"{path}: cannot be read as MCAP with ROS 2 messages ({str(error) or type(error).__name__}); record it again, mend it with `mcap recover`, or unpack by `ros2 bag convert` what was recorded with --compression-mode") from error  # fmt: skip
+    for force in values.tolist():
+        for column, value in zip(FORCES, force, strict=True):
+            if fault := size_fault(column, value):
+                raise BadInput(f"{where}: {column} = {value:.4g} beside an image, {fault[0]}; {fault[1]}")
+    pulls = np.array([pull_fault(fz_n) is not None for fz_n in values[:, 2].tolist()], bool)
+    if not pulls.any():
+        return ~pulls, []
+    said = f"{pulls.sum()} of {len(values)} images have a force that pulls, fz_n up to +{values[:, 2].max():.3g} N"
+    if pulls.sum() >= (touching(values, topics) & ~pulls).sum():
+        raise BadInput(
+            f"{where}: {said}; forces are those on the gel and pressing is negative: set sign = {-topics.sign}, mend"
+            " rotation, or tare the sensor and record again"
+        )
+    return ~pulls, [f"{topics.wrench}: {said}; they are left out"]
 
 
 def nearest(times: np.ndarray, time: int, latest_ns: float) -> int | None:
@@ -188,9 +165,20 @@ class Pairs:
 
 
 def pair(path: Path, topics: Topics) -> Pairs:
-    """Pair the images of a recording with the wrenches nearest in time."""
-    wrench, values = wrenches(path, topics)
-    image = MessageTimes.of(topics.image, ((time, stamp_of(said)) for time, said in messages(path, topics.image)))
+    """Pair the images of a recording with the wrenches nearest in time; those beyond the limits of a log are left out."""
+    images: list[tuple[int, int]] = []
+    readings: list[tuple[int, int]] = []
+    read: list[np.ndarray] = []
+    notes: list[str] = []
+    where = f"{path}: topic {topics.wrench}"
+    for topic, time, said in messages(path, (topics.image, topics.wrench), notes):
+        if topic == topics.image:
+            images.append((time, stamp_of(said)))
+        elif (force := wrench_of(said, where, topics)) is not None:
+            readings.append((time, stamp_of(said)))
+            read.append(force)
+    image, wrench = MessageTimes.of(topics.image, images), MessageTimes.of(topics.wrench, readings)
+    values = np.array(read, float).reshape(-1, 6)
     clock = choose_clock(image, wrench)
     seen, felt = MessageOrder.by(image, clock.header), MessageOrder.by(wrench, clock.header)
     chosen = seen.index[:: topics.every]
@@ -199,9 +187,16 @@ def pair(path: Path, topics: Topics) -> Pairs:
     has = np.array([row is not None for row in rows], bool)
     found = np.array([row for row in rows if row is not None], int)
     gaps = np.abs(times[has] - felt.times[found])
-    notes = [*clock.notes, *seen.notes, *felt.notes, *untared(values, topics)]
+    forces = values[felt.index[found]]
+    good, pulling = within_limits(forces, where, topics)
+    notes += [*clock.notes, *seen.notes, *felt.notes, *untared(values, topics), *pulling]
     return Pairs(
-        chosen[has], times[has], values[felt.index[found]], gaps, int((~has).sum()), [f"{path}: {n}" for n in notes]
+        chosen[has][good],
+        times[has][good],
+        forces[good],
+        gaps[good],
+        int((~has).sum()),
+        [f"{path}: {n}" for n in notes],
     )
 
 
@@ -273,7 +268,7 @@ def take(
     going: press_id of the contact in which the file before this one ended, empty for none.
     """
     required = set(pairs.images.tolist())
-    for at, (_, said) in enumerate(messages(path, topics.image)):
+    for at, (_, _, said) in enumerate(messages(path, (topics.image,))):
         if at not in required:
             continue
         image = picture(said, f"{path}: topic {topics.image}, message {at + 1}")

@@ -37,6 +37,8 @@ LARGEST = {
     **dict.fromkeys(FORCE, 500.0),
     **dict.fromkeys(MOMENT, 20.0),
 }
+# A force sensor that drifted reads a light press as a small pull; beyond this the sign is turned round.
+LARGEST_PULL_N = 0.5
 SHALLOW, BORNE = 0.01, 1.0  # mm and N: no gel bears so much where it is pressed by so little, metres were written
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]{0,99}", re.ASCII)
@@ -334,12 +336,29 @@ def _number_cell(name: str, text: str) -> tuple[float | None, tuple[str, str] | 
     if value is None:
         empty = ", or leave the cell empty" if name in FORCES else ""
         return None, ("not a finite number", f"write plain decimals with a point, like -1.25{empty}")
-    if abs(value) > LARGEST[name]:
-        return None, (f"larger than {LARGEST[name]:g}", "check the unit: mm, degrees, N and N m")
+    if fault := size_fault(name, value):
+        return None, fault
     if name == "dz_mm" and value >= 0.0:
         why = "the indenter does not move towards the gel", "give the press depth as a negative number"
         return None, why
     return value, None
+
+
+def size_fault(name: str, value: float) -> tuple[str, str] | None:
+    """Why a number of a column of POSE or FORCES is of another unit, and what to do; None where it may be of ours."""
+    return (
+        (f"larger than {LARGEST[name]:g}", "check the unit: mm, degrees, N and N m")
+        if abs(value) > LARGEST[name]
+        else None
+    )
+
+
+def pull_fault(fz_n: float) -> tuple[str, str] | None:
+    """Why a normal force on a gel that is pressed has a wrong sign, and what to do; None where it is one of pressing."""
+    if fz_n <= LARGEST_PULL_N:
+        return None
+    hint = "forces are those on the gel: multiply the force columns by -1 if the sensor states those on the indenter"
+    return "the force reading pulls while the indenter presses", hint
 
 
 def _word_fault(name: str, text: str) -> tuple[str, str] | None:

@@ -39,13 +39,12 @@ from gelforge.records.press import (
     RawRow,
     Rejection,
     parse,
+    pull_fault,
     reject,
     summarised,
 )
 
 VERSION = 7
-# A force sensor that drifted reads a light press as a small pull; beyond this the sign is turned round.
-LARGEST_PULL_N = 0.5
 # A tip that ends less deep below the apex may press so lightly that any reading is the sensor's own error.
 FIRM_MM = 0.3
 
@@ -83,12 +82,13 @@ def pulling(sample: LoggedPress, file: str, params: PosesTable) -> list[Rejectio
     place of less deep: there a light press is rejected, too.
     """
     firm = -(sample.z0_mm + sample.dz_mm) >= FIRM_MM
-    if (sample.fz_n or 0.0) <= LARGEST_PULL_N or not (firm or params.compliance_mm_per_n):
+    fault = pull_fault(sample.fz_n or 0.0)
+    if not fault or not (firm or params.compliance_mm_per_n):
         return []
-    hint = "forces are those on the gel: multiply the force columns by -1 if the sensor states those on the indenter"
+    reason, hint = fault
     if not params.compliance_mm_per_n:
         hint += ", and leave the cell empty where a reading failed"
-    return [reject(sample, file, "fz_n", "the force reading pulls while the indenter presses", hint)]
+    return [reject(sample, file, "fz_n", reason, hint)]
 
 
 def turned_round(sample: LoggedPress, path: LoggedPress, file: str, compliance: float) -> list[Rejection]:

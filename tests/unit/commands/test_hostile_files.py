@@ -14,7 +14,7 @@ import pytest
 from gelforge.commands import look, predict, sample
 from gelforge.commands.projection import read_picture
 from gelforge.errors import BadInput
-from gelforge.formats.mcap_import import messages
+from gelforge.formats.mcap_messages import messages
 from gelforge.formats.numpy_pickle import read_npy
 from gelforge.networks.checkpoint.modelfile import load_model, property_of
 from gelforge.networks.inference.predictor import load_for_use
@@ -80,7 +80,7 @@ def test_a_git_lfs_pointer_is_reported_under_any_name(tmp_path):
             pass
 
     def recording(path):
-        return list(messages(path, "/a"))
+        return list(messages(path, ["/a"]))
 
     for name, read in (("a.png", read_image), ("a.npz", read_labels), ("a.onnx", load_model), ("log.csv", log.read_log),
                        ("a.mp4", film), ("a.mcap", recording)):  # fmt: skip

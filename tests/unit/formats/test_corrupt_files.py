@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 
 from gelforge.errors import BadInput
 from gelforge.formats.export import ros
-from gelforge.formats.mcap_import import Topics, messages, picture, wrenches
+from gelforge.formats.mcap_import import Topics, pair, picture
+from gelforge.formats.mcap_messages import messages
 from gelforge.formats.numpy_pickle import read_npy
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import Operator
@@ -78,7 +79,7 @@ def recording(path) -> None:
 
 def recorded(path):
     topics = Topics("/image", "/wrench", "mini", 0.02, 1, 1, 0.2, np.eye(3))
-    return wrenches(path, topics), [picture(said, str(path)) for _, said in messages(path, topics.image)]
+    return pair(path, topics), [picture(said, str(path)) for _, _, said in messages(path, [topics.image])]
 
 
 def archive(save, **arrays) -> bytes:

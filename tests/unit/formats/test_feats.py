@@ -16,6 +16,8 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, write_csv
 from gelforge.formats.feats_folder import export_dataset, import_folder
 from gelforge.formats.featsfile import (
+    FORCE_FIELDS,
+    POSE_FIELDS,
     LabelSample,
     RawSample,
     read_normalisation,
@@ -27,6 +29,7 @@ from gelforge.labelling.sensor import load_sensors
 from gelforge.networks.data.arrays import open_data
 from gelforge.records.labelfile import read_labels
 from gelforge.records.samplefile import read_samples
+from gelforge.records.splits import SPLITS
 from tests.support.pressed_dataset import collect, label, write_pressed
 
 IMAGE = np.random.default_rng(0).integers(0, 255, (240, 320, 3), np.uint8)
@@ -272,3 +275,70 @@ def test_the_command_names_what_is_missing(root):
     )
     assert done.returncode == 2 and "FROM=folder" in done.stderr and "Traceback" not in done.stderr
     assert not (root / "data/x").exists()
+
+
+def publish_feats(folder, outside=False):
+    rng = np.random.default_rng(4)
+    for k in range(18):
+        split = SPLITS[k % 6] if not (outside and k == 17) else "."
+        image, label = rng.integers(0, 255, (240, 320, 3), np.uint8), -rng.uniform(0, 0.1, (3, 4, 5))
+        write_label(folder / split / f"p{k}.npy", LabelSample(image, label))
+
+
+def test_a_published_dataset_keeps_its_six_splits(tmp_path, sensor):
+    publish_feats(tmp_path / "feats")
+    import_folder(tmp_path / "feats", tmp_path / "lab", sensor)
+    splits = {row["sample_id"]: row["split"] for row in read_csv(tmp_path / "lab" / "splits.csv")}
+    assert splits == {f"p{k}": SPLITS[k % 6] for k in range(18)}
+
+
+def test_files_outside_of_the_splits_are_asked_about(tmp_path, sensor):
+    publish_feats(tmp_path / "feats", outside=True)
+    with pytest.raises(BadInput, match="lies in none of the folders"):
+        import_folder(tmp_path / "feats", tmp_path / "lab", sensor)
+    assert not (tmp_path / "lab").exists()
+
+
+def publish_raw(folder, split):
+    """Raw samples of the presses that `publish_feats` laid into a folder, without their labels."""
+    for path in sorted(folder.rglob("p*.npy")):
+        raw = {
+            "gs_img": read_sample(path).image,
+            "indenter": "sphere_15",
+            **dict.fromkeys([*POSE_FIELDS, *FORCE_FIELDS], 0.0),
+        }
+        (folder / split).mkdir(exist_ok=True)
+        np.save(folder / split / f"raw_{path.name}", raw, allow_pickle=True)
+
+
+def test_raw_samples_beside_the_splits_leave_them_as_published(tmp_path, sensor):
+    """They come first, and knew of no split: all presses were then split anew, without a word."""
+    publish_feats(tmp_path / "feats")
+    publish_raw(tmp_path / "feats", "raw")
+    import_folder(tmp_path / "feats", tmp_path / "lab", sensor)
+    splits = {row["sample_id"]: row["split"] for row in read_csv(tmp_path / "lab" / "splits.csv")}
+    assert splits == {f"raw_p{k}": SPLITS[k % 6] for k in range(18)}
+
+
+def test_a_press_of_two_splits_is_asked_about(tmp_path, sensor):
+    publish_feats(tmp_path / "feats")
+    publish_raw(tmp_path / "feats", "train")
+    with pytest.raises(BadInput, match="lie in train and"):
+        import_folder(tmp_path / "feats", tmp_path / "lab", sensor)
+    assert not (tmp_path / "lab").exists()
+
+
+@pytest.mark.parametrize(
+    ("base", "change", "said"),
+    [
+        (RAW, {"f_z": -684.0}, "field f_z is -684, larger than 500; check the unit"),
+        (RAW, {"d_x": 2000.0}, "field d_x is 2000, larger than 1000"),
+        (LABEL, {"grid_z": 3 * np.abs(GRID), "f_z": 3 * np.abs(GRID).sum()}, "field f_z is .*pulls"),
+        (LABEL, {"grid_z": -99 * np.abs(GRID), "f_z": -99 * np.abs(GRID).sum()}, "field f_z is .*larger than 500"),
+    ],
+)
+def test_numbers_beyond_the_limits_of_a_log_are_named(tmp_path, sensor, base, change, said):
+    save(tmp_path / "feats/a.npy", base | change)
+    with pytest.raises(BadInput, match=f"a.npy: {said}"):
+        import_folder(tmp_path / "feats", tmp_path / "data", sensor)
+    assert not (tmp_path / "data").exists()

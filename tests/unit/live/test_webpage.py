@@ -13,8 +13,8 @@ import pytest
 
 from gelforge.errors import BadInput
 from gelforge.live.foxglove import FoxgloveServer
-from gelforge.live.page import KEPT, WEB, Hub, PageServer
 from gelforge.live.topics import RosMessages
+from gelforge.live.webpage import KEPT, WEB, Hub, PageServer
 from gelforge.reporting.forcemaps import FULL_COLOUR_N
 from tests.support.browser import WIDTHS, console_errors, needs_browser, resize, wait_for
 from tests.support.readings import reading

@@ -1,0 +1,329 @@
+"""Recordings of robots as datasets: which force belongs to which image, and which forces a gel can have."""
+
+import re
+
+import cv2
+import numpy as np
+import pytest
+import zstandard
+
+from gelforge.commands.mcap import main as mcap_import
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_csv, write_text
+from gelforge.formats.export import ros
+from gelforge.formats.mcap_import import Topics, import_recordings, nearest
+from gelforge.labelling.sensor import load_sensors
+from gelforge.records.labelfile import read_labels
+from tests.support.recordings import (
+    IMAGE,
+    MS,
+    NEWTONS_A_SECOND,
+    START,
+    WRENCH,
+    coloured,
+    filmed,
+    png,
+    ramp,
+    raw,
+    wrench,
+    write,
+)
+
+
+@pytest.fixture
+def sensor(root):
+    return load_sensors(root / "workflow" / "sensors.toml")["gelsight_mini"]
+
+
+def imported(tmp_path, path, sensor, more=""):
+    write_text(tmp_path / "topics.toml", f'image = "{IMAGE}"\nwrench = "{WRENCH}"\n{more}')
+    found = import_recordings(path, tmp_path / "lab", Topics.read(tmp_path / "topics.toml"), sensor)
+    rows = read_csv(tmp_path / "lab/log.csv")
+    assert len(rows) == found["images"]
+    return found, rows
+
+
+def moments(rows):
+    """Time in ms at which each row's force was measured."""
+    return np.array([-1e3 * float(row["fz_n"]) / NEWTONS_A_SECOND for row in rows])
+
+
+FILM = np.arange(103.0, 1600.0, 40.0)
+
+
+@pytest.mark.parametrize("delay", [80.0, 200.0, 0.0, "jitter"])
+def test_an_image_has_the_force_of_its_own_moment(tmp_path, sensor, delay):
+    """Logged late it had the force of another one: 2 N off after 0.2 s at 10 N/s."""
+    rng = np.random.default_rng(3)
+    images = filmed(FILM, lambda k: rng.uniform(0, 300) if delay == "jitter" else delay)
+    found, rows = imported(tmp_path, write(tmp_path / "a.mcap", images, ramp()), sensor)
+    assert len(rows) == len(FILM)
+    assert np.abs(moments(rows) - FILM).max() <= 5.0
+    assert found["largest_gap_s"] == pytest.approx(0.003, abs=1e-6)
+    assert not [note for note in found["notes"] if "log's time" in note]
+
+
+@pytest.mark.parametrize("bare", ["images", "wrenches", "both", "a type without header"])
+def test_without_stamps_the_log_is_used_and_that_is_reported(tmp_path, sensor, capsys, bare):
+    images, forces = filmed(FILM, lambda k: 80.0), ramp()
+    if bare in ("images", "both"):
+        images = [(time, said | {"header": ros.header(0, "gel")}) for time, said in images]
+    if bare in ("wrenches", "both"):
+        forces = [(time, said | {"header": ros.header(0, "ft")}) for time, said in forces]
+    if bare == "a type without header":
+        forces = [(time, said["wrench"]) for time, said in forces]
+    path = write(tmp_path / "a.mcap", images, forces, bare == "a type without header")
+    write_text(tmp_path / "topics.toml", f'image = "{IMAGE}"\nwrench = "{WRENCH}"\n')
+    mcap_import(["--from", str(path), "--topics", str(tmp_path / "topics.toml"), "--data", str(tmp_path / "lab")])
+    said = capsys.readouterr().out
+    named = [IMAGE] * (bare in ("images", "both")) + [WRENCH] * (bare != "images")
+    assert all(f"messages of {topic} have no time in their headers" in said for topic in named)
+    assert said.count("the log's time was used") == 1 and "at most" in said and "ms apart" in said
+    rows = read_csv(tmp_path / "lab/log.csv")
+    assert np.abs(moments(rows) - FILM - 79.0).max() <= 5.0
+
+
+@pytest.mark.parametrize("clock", [-START, 3600 * 10**9, 2 * 10**9])
+def test_stamps_of_two_clocks_are_not_compared(tmp_path, sensor, clock):
+    """A camera that counts from its start, one in another time zone, one that nobody set."""
+    images = filmed(FILM, lambda k: 1.0, clock=clock)
+    found, rows = imported(tmp_path, write(tmp_path / "a.mcap", images, ramp()), sensor)
+    assert any("different clocks" in note and "the log's time was used" in note for note in found["notes"])
+    assert np.abs(moments(rows) - FILM).max() <= 5.0
+
+
+def test_one_clock_that_is_not_the_logs_serves(tmp_path, sensor):
+    """Both devices count from their start: their headers agree, whatever the log says."""
+    shift = 10**12 - START
+    images = filmed(FILM, lambda k: 200.0, clock=shift)
+    found, rows = imported(tmp_path, write(tmp_path / "a.mcap", images, ramp(clock=shift)), sensor)
+    assert not [note for note in found["notes"] if "log's time" in note]
+    assert np.abs(moments(rows) - FILM).max() <= 5.0
+
+
+def test_stamps_that_never_change_are_none(tmp_path, sensor):
+    images = [(time, said | {"header": ros.header(START, "gel")}) for time, said in filmed(FILM, lambda k: 1.0)]
+    found, rows = imported(tmp_path, write(tmp_path / "a.mcap", images, ramp()), sensor)
+    assert any("the same time in their headers" in note for note in found["notes"])
+    assert np.abs(moments(rows) - FILM).max() <= 5.0
+
+
+def notes_with(found, topic, word):
+    """How many messages of a topic are reported to have had this fault."""
+    reported = [note.split(f"{topic}: ")[1] for note in found["notes"] if f"{topic}: " in note and word in note]
+    return int(reported[0].split()[0]) if reported else 0
+
+
+def test_messages_out_of_order_twice_and_missing_are_reported_and_pairs_are_right(tmp_path, sensor):
+    rng = np.random.default_rng(5)
+    images = filmed(FILM, lambda k: rng.uniform(0, 150))
+    lost, twice = {7, 8, 20}, {3, 12, 30}
+    images = [one for k, one in enumerate(images) if k not in lost]
+    again = [(time + 7 * MS, said) for k, (time, said) in enumerate(images) if k in twice]
+    forces = [one for k, one in enumerate(ramp()) if k not in (5, 6, 7)]
+    forces[150], forces[151] = (forces[150][0], forces[151][1]), (forces[151][0], forces[150][1])
+    path = write(tmp_path / "a.mcap", sorted([*images, *again], key=lambda one: one[0]), forces)
+    found, rows = imported(tmp_path, path, sensor)
+    kept = np.delete(FILM, list(lost))
+    assert np.abs(moments(rows) - kept).max() <= 5.0
+    assert notes_with(found, IMAGE, "repeat") == 3 and notes_with(found, IMAGE, "missing") == 3
+    assert notes_with(found, IMAGE, "out of order") > 3 and notes_with(found, WRENCH, "out of order") == 1
+    assert notes_with(found, WRENCH, "missing") == 3 and notes_with(found, WRENCH, "repeat") == 0
+
+
+def test_some_messages_without_a_stamp_are_left_out(tmp_path, sensor):
+    images = filmed(FILM, lambda k: 80.0)
+    for k in (0, 9):
+        images[k] = (images[k][0], images[k][1] | {"header": ros.header(0, "gel")})
+    found, rows = imported(tmp_path, write(tmp_path / "a.mcap", images, ramp()), sensor)
+    assert notes_with(found, IMAGE, "without a time") == 2
+    assert np.abs(moments(rows) - np.delete(FILM, [0, 9])).max() <= 5.0
+
+
+def test_wrenches_in_bursts_of_one_log_time_are_no_repeats(tmp_path, sensor):
+    """A driver that reads its sensor in blocks: each reading has a stamp of its own, but not a log time."""
+    forces = [(START + (k // 10 * 100 + 100) * MS, said) for k, (_, said) in enumerate(ramp())]
+    found, rows = imported(tmp_path, write(tmp_path / "a.mcap", filmed(FILM, lambda k: 5.0), forces), sensor)
+    assert np.abs(moments(rows) - FILM).max() <= 5.0 and notes_with(found, WRENCH, "repeat") == 0
+
+
+@pytest.mark.parametrize("touched", [True, False])
+def test_parts_of_one_recording_are_in_the_order_of_time_and_a_contact_goes_on(tmp_path, sensor, touched):
+    (tmp_path / "bag").mkdir()
+    images, forces = filmed(FILM[:24], lambda k: 0.0), ramp()
+    if not touched:
+        forces = [(time, wrench(time - MS, 0.0)) for time, _ in forces]
+    for part in range(12):  # bag_10 and bag_11 sort before bag_2
+        of_part = images[2 * part : 2 * part + 2]
+        near = [said for said in forces if of_part[0][0] - 20 * MS <= said[0] <= of_part[-1][0] + 20 * MS]
+        write(tmp_path / "bag" / f"bag_{part}.mcap", of_part, near)
+    _, rows = imported(tmp_path, tmp_path / "bag", sensor)
+    assert len(rows) == 24 and [row["sample_id"] for row in rows] == sorted(row["sample_id"] for row in rows)
+    if touched:
+        assert (np.diff(moments(rows)) > 0).all() and {row["press_id"] for row in rows} == {"r000-p00001"}
+    else:
+        assert len({row["press_id"] for row in rows}) == 12
+
+
+def test_recordings_that_are_apart_are_of_several_presses(tmp_path, sensor):
+    (tmp_path / "bag").mkdir()
+    for part, start in enumerate((300.0, 1600.0)):
+        write(tmp_path / "bag" / f"{9 - part}.mcap", filmed([start, start + 40.0], lambda k: 0.0), ramp())
+    _, rows = imported(tmp_path, tmp_path / "bag", sensor)
+    assert [row["press_id"] for row in rows] == ["r000-p00001"] * 2 + ["r001-p00001"] * 2
+    assert (np.diff(moments(rows)) > 0).all()
+
+
+@pytest.mark.parametrize(("offset", "reported"), [(20.0, True), (0.5, True), (0.1, False), (0.0, False)])
+def test_a_sensor_that_reads_a_force_all_the_time_is_reported(tmp_path, sensor, offset, reported):
+    forces = [(time, wrench(time - MS, said["wrench"]["force"]["z"] - offset)) for time, said in ramp()]
+    found, _ = imported(tmp_path, write(tmp_path / "a.mcap", filmed(FILM, lambda k: 0.0), forces), sensor)
+    assert any("tare the sensor" in note for note in found["notes"]) == reported
+
+
+def test_a_recording_compressed_as_a_whole_is_not_passed_over_beside_others(tmp_path, sensor):
+    """As `ros2 bag record --compression-mode file` leaves it."""
+    (tmp_path / "in").mkdir()
+    whole = write(tmp_path / "in/a.mcap", filmed(FILM, lambda k: 0.0), ramp())
+    write(tmp_path / "in/b.mcap", filmed(FILM, lambda k: 0.0), ramp())
+    packed = whole.with_name("a.mcap.zstd")
+    packed.write_bytes(zstandard.compress(whole.read_bytes()))
+    whole.unlink()
+    with pytest.raises(BadInput, match=rf"zstd -d {packed} -o {whole}` "):
+        imported(tmp_path, packed.parent, sensor)
+    whole.write_bytes(zstandard.decompress(packed.read_bytes()))
+    assert imported(tmp_path, packed.parent, sensor)[0]["files"] == 2
+
+
+def test_the_largest_gap_is_that_of_all_recordings(tmp_path, sensor):
+    (tmp_path / "in").mkdir()
+    for name, shift in (("a", 0), ("b", 4)):
+        write(tmp_path / "in" / f"{name}.mcap", filmed(FILM + shift, lambda k: 5.0), ramp())
+    found, rows = imported(tmp_path, tmp_path / "in", sensor)
+    assert found["files"] == 2 and len(rows) == 2 * len(FILM)
+    assert found["largest_gap_s"] == pytest.approx(0.003, abs=1e-6)
+
+
+@pytest.mark.parametrize("raw_images", [False, True])
+def test_a_recording_becomes_pictures_with_total_force_in_the_gels_frame(tmp_path, sensor, raw_images):
+    """Of every second image; the wrench is turned and its sign changed."""
+    turn = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    shown = [coloured(k) for k in range(20)]
+    times = [START + 50 * MS * k for k in range(20)]
+    images = [
+        (t, {"header": ros.header(t, "gel"), **(raw(im[..., ::-1], "bgr8") if raw_images else png(im))})
+        for t, im in zip(times, shown, strict=True)
+    ]
+    size = [5.0 if (k // 20) % 2 else 0.0 for k in range(85)]
+    forces = [(START + 10 * MS * k, wrench(START + 10 * MS * k, s, x=0.1 * s, y=0.2 * s)) for k, s in enumerate(size)]
+    more = f"sign = -1\nevery = 2\nrotation = {turn.tolist()}\n"
+    found, rows = imported(tmp_path, write(tmp_path / "a.mcap", images, forces), sensor, more)
+    assert (found["files"], found["images"], found["without_wrench"], found["largest_gap_s"]) == (1, 9, 1, 0.0)
+    labels = read_labels(tmp_path / "lab" / "labels" / "1x1.npz")
+    for k, row in enumerate(rows):
+        assert np.array_equal(cv2.imread(str(tmp_path / "lab" / row["image"]))[..., ::-1], shown[2 * k])
+        s = size[10 * k]
+        expected = -turn @ [0.1 * s, 0.2 * s, s]
+        assert [float(row[f"f{axis}_n"]) for axis in "xyz"] == pytest.approx(expected.tolist(), abs=1e-6)
+        assert labels.label[k, :, 0, 0] == pytest.approx(expected[[1, 0, 2]], abs=1e-5)
+        assert row["indenter"] == "" and row["dz_mm"] == ""
+    assert len({row["press_id"] for row in rows}) == 3  # before the first contact, and two contacts
+
+
+def test_readings_that_are_no_numbers_are_left_out(tmp_path, sensor):
+    """As pictures without a wrench: one of them would spoil the whole dataset's labels."""
+    forces = [
+        (time, wrench(time, -1.0, y=np.nan if k == 2 else 0.0))
+        for k, (time, _) in enumerate(filmed(FILM[:6], lambda k: 0))
+    ]
+    found, _ = imported(tmp_path, write(tmp_path / "a.mcap", filmed(FILM[:6], lambda k: 0), forces), sensor)
+    assert found["images"] == 5 and found["without_wrench"] == 1
+
+
+REFUSED_FORCES = {
+    "grams": (lambda z: 102.0 * z, "fz_n = -5.+, larger than 500; check the unit"),
+    "the reaction": (lambda z: -z, r"pulls, fz_n up to \+1[0-9.]+ N; .*set sign = -1"),
+    "a sensor that was not tared": (lambda z: z + 12.0, "tare the sensor"),
+}
+
+
+@pytest.mark.parametrize("case", REFUSED_FORCES)
+def test_forces_beyond_the_limits_of_a_log_leave_nothing(tmp_path, sensor, case):
+    change, said = REFUSED_FORCES[case]
+    forces = [(time, wrench(time - MS, change(each["wrench"]["force"]["z"]))) for time, each in ramp()]
+    path = write(tmp_path / "a.mcap", filmed(FILM, lambda k: 0.0), forces)
+    with pytest.raises(BadInput, match=rf"a\.mcap: topic {WRENCH}: .*{said}"):
+        imported(tmp_path, path, sensor)
+    assert not (tmp_path / "lab").exists()
+
+
+def test_a_few_images_of_a_pull_are_left_out_and_reported(tmp_path, sensor):
+    """A gel that sticks to what leaves it; a reading below the limit of a log counts."""
+    forces = [
+        (time, wrench(time - MS, {20: 3.0, 21: 0.4}.get(k // 5, each["wrench"]["force"]["z"])))
+        for k, (time, each) in enumerate(ramp())
+    ]
+    found, rows = imported(tmp_path, write(tmp_path / "a.mcap", filmed(FILM, lambda k: 0.0), forces), sensor)
+    (note,) = [note for note in found["notes"] if "pulls" in note]
+    left_out = int(re.search(r": (\d+) of 38 images", note)[1])
+    assert left_out in (1, 2) and len(rows) == len(FILM) - left_out
+    assert max(float(row["fz_n"]) for row in rows) == 0.4
+
+
+TOML = """image = "/gel/image"
+wrench = "/ft/wrench"
+sign = -1
+rotation = [[0, 1, 0], [-1, 0, 0], [0, 0, 1]]
+every = 2
+"""
+
+
+WRONG_TOPICS = [
+    ('image = "/a"', "wrench is missing"),
+    (TOML + "colour = 1", "colour is not known"),
+    (TOML.replace("[0, 1, 0]", "[0, 2, 0]"), "a rotation"),
+    (TOML.replace("[-1, 0, 0]", "[1, 0, 0]"), "no mirror"),
+    (TOML + 'touch_n = "0.2 N"', "touch_n"),
+    (TOML + "touch_n = [0.2]", "touch_n"),
+    (TOML + "touch_n = nan", "touch_n"),
+    (TOML + f"touch_n = {10**400}", "touch_n"),
+    (TOML + f"latest_s = {10**400}", "latest_s is above 0"),
+    (TOML.replace("[0, 1, 0]", f"[0, {10**400}, 0]"), "a rotation"),
+    (TOML + 'sensor = ["gelsight_mini"]', "one name"),
+    (TOML.replace("every = 2", "every = 0"), "whole number from 1"),
+    (TOML.replace("sign = -1", "sign = 3"), "sign is 1 or -1"),
+]
+
+
+def test_wrong_topics_are_one_sentence(tmp_path):
+    for text, said in WRONG_TOPICS:
+        write_text(tmp_path / "topics.toml", text)
+        with pytest.raises(BadInput, match=said):
+            Topics.read(tmp_path / "topics.toml")
+
+
+@pytest.mark.parametrize("harm", ["cut", "a time beyond all clocks", "no such topic", "no such file"])
+def test_a_recording_that_cannot_be_used_leaves_nothing(tmp_path, harm, sensor):
+    late = 2**63 - START if harm == "a time beyond all clocks" else 0
+    images, forces = filmed(FILM[:6], lambda k: 0.0), [(time + late, said) for time, said in ramp(50)]
+    path = write(tmp_path / "a.mcap", images, forces)
+    if harm == "cut":
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+    elif harm == "no such topic":
+        path = write(tmp_path / "a.mcap", images, [])
+    elif harm == "no such file":
+        path.unlink()
+    with pytest.raises(BadInput):
+        imported(tmp_path, path, sensor)
+    assert not [found for found in tmp_path.iterdir() if "lab" in found.name]
+
+
+def test_what_is_not_named_is_asked_for(tmp_path):
+    with pytest.raises(BadInput, match="FROM="):
+        mcap_import(["--from", str(tmp_path / "none"), "--topics", "", "--data", str(tmp_path / "lab")])
+
+
+def test_the_nearest_wrench_is_taken_within_its_time():
+    times = np.array([0, 100, 200])
+    assert [nearest(times, time, 40) for time in (-10, 60, 149, 151, 239, 241)] == [0, 1, None, None, 2, None]
+    assert nearest(np.array([], np.int64), 5, 10) is None

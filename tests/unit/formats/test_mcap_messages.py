@@ -1,0 +1,82 @@
+"""MCAP files are read to the last checksum: a damaged one is refused, or gives exactly what the whole one gave."""
+
+import pytest
+import zstandard
+from mcap.writer import CompressionType, Writer
+
+from gelforge.errors import BadInput
+from gelforge.formats.export import ros
+from gelforge.formats.mcap_messages import UNCHECKED, messages
+
+KIND = "geometry_msgs/msg/WrenchStamped"
+COUNT = 12
+
+
+def record(path, compression="LZ4", chunks=True, crcs=True, profile="ros2", encoding="ros2msg"):
+    """Wrenches of 0 to 11 N in several chunks, and a file attached."""
+    with path.open("wb") as stream:
+        writer = Writer(
+            stream, 600, compression=CompressionType[compression], use_chunking=chunks, enable_crcs=crcs
+        )  # fmt: skip
+        writer.start(profile, "test")
+        writer.add_attachment(5, 6, "notes.txt", "text/plain", b"notes of the day")
+        schema = writer.register_schema(KIND, encoding, ros.schema(KIND).encode())
+        channel = writer.register_channel("/ft", "cdr" if encoding == "ros2msg" else "ros1", schema)
+        for k in range(COUNT):
+            said = ros.encode(KIND, ros.wrench(ros.header(k * 10**7, "ft"), [0.0, 0.0, -k]))
+            writer.add_message(channel, k * 10**7, said, k * 10**7)
+        writer.finish()
+    return path
+
+
+def read(path, notes=None):
+    return [
+        (time, said.wrench.force.z, said.header.stamp.nanosec) for _, time, said in messages(path, ["/ft"], notes)
+    ]
+
+
+@pytest.mark.parametrize("compression", ["NONE", "LZ4", "ZSTD"])
+def test_one_flipped_bit_is_refused_or_changes_nothing(tmp_path, compression):
+    """At every seventh byte of the file: of 12 imports 11 changed images or lost rows and said nothing."""
+    path = record(tmp_path / "a.mcap", compression)
+    whole, expected = path.read_bytes(), read(path)
+    assert [z for _, z, _ in expected] == [-k for k in range(COUNT)]
+    refused = []
+    for at in range(0, len(whole), 7):
+        harmed = bytearray(whole)
+        harmed[at] ^= 1 << at % 8
+        path.write_bytes(harmed)
+        try:
+            assert read(path) == expected, at
+        except BadInput as error:
+            refused.append(at)
+            assert str(error).startswith(f"{path}: ") and ("mcap recover" in str(error) or "convert" in str(error))
+    assert len(refused) > 0.7 * len(whole) / 7
+    # within a chunk's data, and in the index at the end
+    chunk, index = whole.index(b"\x06", 100) + 80, len(whole) - 60
+    for around in (chunk, index):
+        assert any(abs(at - around) < 20 for at in refused), around
+
+
+def test_a_recording_without_checksums_is_reported(tmp_path):
+    for name, kind in (("whole", {}), ("no_crc", {"crcs": False}), ("no_chunks", {"chunks": False})):
+        notes = []
+        assert len(read(record(tmp_path / f"{name}.mcap", **kind), notes)) == COUNT
+        assert notes == ([] if name == "whole" else [UNCHECKED])
+
+
+def test_what_is_no_recording_of_ros_2_is_one_sentence(tmp_path):
+    whole = record(tmp_path / "a.mcap").read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
+    (tmp_path / "text.mcap").write_text("not a recording")
+    (tmp_path / "b.mcap.zstd").write_bytes(zstandard.compress(whole))
+    record(tmp_path / "old.mcap", profile="ros1", encoding="ros1msg")
+    for name, said in (
+        ("cut.mcap", "mend it with `mcap recover`"),
+        ("text.mcap", "mend it with `mcap recover`"),
+        ("b.mcap.zstd", f"zstd -d {tmp_path}/b.mcap.zstd -o {tmp_path}/b.mcap`"),
+        ("old.mcap", "holds no ROS 2 messages .* convert the recording"),
+        ("none.mcap", "cannot be read"),
+    ):
+        with pytest.raises(BadInput, match=f"{name}: .*{said}"):
+            read(tmp_path / name)
