@@ -21,22 +21,9 @@ MODEL ?= $(patsubst MODEL=%,%,$(filter MODEL=%,$(ANSWER)))
 FROZEN := $(DATA)/calibration.toml
 IS_FROZEN := $(wildcard $(FROZEN))
 
-# The lists of a plan.
-SHARDS :=
-MESHES :=
-BRANCHES :=
-PARETO_SCENES :=
-PARETO_QUICK :=
-PARETO_MESHES :=
-MODELS :=
-TUNED :=
-NEED_NOCONTACT :=
-LEARNER :=
-SHAPES :=
-NEEDS_CALIBRATION :=
-REPORT_MODEL :=
-LEARN_ALSO :=
-IMAGES :=
+# The plan's lists, empty where none is read.
+LISTS := SHARDS MESHES BRANCHES PARETO_SCENES PARETO_QUICK PARETO_MESHES MODELS TUNED LEARNER SHAPES NEEDS_CALIBRATION LEARN_ALSO
+$(foreach v,$(LISTS),$(eval $v :=))
 
 ifneq ($(filter plan,$(ANSWER)),)
 include $(PLANNED)

@@ -6,8 +6,11 @@ LABEL_SOURCE := $(if $(IMPORTED),$(DATA)/labels/%.npz,$D/50_labels/%/labels.json
 .PHONY: dataset
 dataset: $(DATASETS)  ## images and labels, split without leaks, with normalisation
 
+dataset_of = gelforge.stages.dataset --data $(DATA) --labels $(if $(IMPORTED),$<,$(<D)) --poses $D/10_poses \
+    --shards $D/00_plan/shards $(IMAGES_JUDGED:%=--images %) --catalogue $P/indenters.json --sensors $P/sensors.json \
+    --resolution $* --params $P/dataset.json $(if $(STRICT),--strict) --out $@.part
+
 # beside.json: digests of the no-contact images, splits, truth and imported labels that lie beside the log.
 $(DATASETS): $D/60_dataset/%/dataset.json: $(LABEL_SOURCE) $(if $(IMPORTED),$D/00_plan/shards.csv,$(POSES)) \
     $(IMAGES_JUDGED) $D/00_plan/beside.json $P/dataset.json $P/indenters.json $P/sensors.json | $(call barrier,10_poses)
-	$(call step,gelforge.stages.dataset --data $(DATA) --labels $(if $(IMPORTED),$<,$(<D)) --poses $D/10_poses --shards $D/00_plan/shards \
-	    $(if $(IMAGES_JUDGED),--images $(IMAGES_JUDGED)) --catalogue $P/indenters.json --sensors $P/sensors.json --resolution $* --params $P/dataset.json $(if $(STRICT),--strict) --out $@.part)
+	$(call step,$(dataset_of))

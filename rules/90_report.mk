@@ -13,6 +13,10 @@ SOLVED := $(if $(IMPORTED),,$(POSES) $(FORCES) $D/50_labels/$(RES1)/labels.json)
 .PHONY: report
 report: $(REPORT)  ## one HTML page: presses, labels, errors, posterior, chart, failures
 
+report_of = gelforge.stages.report --data $(DATA) --results $D --resolution $(RES1) --model $(MODEL) --params $< \
+    --out $@.part
+
 # The page prints the parameters of every stage; the plan writes them before make reads these rules for good.
-$(REPORT): $P/report.json $(wildcard $P/*.json) $(SOLVED) $(IS_FROZEN) $D/80_evaluate/$(RES1)/$(MODEL).json $(CALIBRATION) $(CHART) $(ALSO)
-	$(call step,gelforge.stages.report --data $(DATA) --results $D --resolution $(RES1) --model $(MODEL) --params $< --out $@.part)
+$(REPORT): $P/report.json $(wildcard $P/*.json) $(SOLVED) $(IS_FROZEN) $D/80_evaluate/$(RES1)/$(MODEL).json \
+    $(CALIBRATION) $(CHART) $(ALSO)
+	$(call step,$(report_of))

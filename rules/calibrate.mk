@@ -12,6 +12,11 @@ freeze: $(POSTERIOR)  ## write the posterior to data/DATASET/calibration.toml: l
 calibrated-labels: $(if $(IS_FROZEN),labels)  ## calibrate by the log's forces, freeze the result, make labels with it
 	$(if $(IS_FROZEN),@:,@export HAS_SLOTS=yes; $(MAKE) --no-print-directory freeze && $(MAKE) --no-print-directory labels)
 
+calibrate_of = gelforge.stages.calibrate --data $(DATA) --poses $D/10_poses --shards $D/00_plan/shards \
+    --sensors $P/sensors.json --params $P/calibrate.json --work $D/calibrate \
+    $(if $(filter local,$(EXECUTOR)),--jobs $(SLOTS)) --out $@.part
+
 # It reads the path as commanded: poses that a frozen calibration moved make it no other.
-$(POSTERIOR): $(DATA)/log.csv $P/calibrate.json $P/indenters.json $P/sensors.json $P/gels.json | $(POSES) $(call barrier,10_poses)
-	$(HANDS_SLOTS)$(call step,gelforge.stages.calibrate --data $(DATA) --poses $D/10_poses --shards $D/00_plan/shards --sensors $P/sensors.json --params $P/calibrate.json --work $D/calibrate $(if $(filter local,$(EXECUTOR)),--jobs $(SLOTS)) --out $@.part)
+$(POSTERIOR): $(DATA)/log.csv $P/calibrate.json $P/indenters.json $P/sensors.json $P/gels.json \
+    | $(POSES) $(call barrier,10_poses)
+	$(HANDS_SLOTS)$(call step,$(calibrate_of))

@@ -3,9 +3,6 @@
 # References are kept in data/, because they are hours of solves; one whose scene or settings changed is solved anew.
 REFERENCES := data/fea_challenge
 KEPT := $(wildcard $(REFERENCES)/keys.json)
-PARETO_SCENES ?=
-PARETO_QUICK ?=
-PARETO_MESHES ?=
 PARETO_MESH_FILES := $(PARETO_MESHES:%=$D/pareto/meshes/%.npz)
 PARETO_FILES := $(PARETO_SCENES:%=$D/pareto/scenes/%.json)
 PARETO_QUICK_FILES := $(PARETO_QUICK:%=$D/pareto/quick/%.json)

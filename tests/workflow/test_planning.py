@@ -296,7 +296,7 @@ def spelt_out(root):
     """The text of all rules, with the module in place of a macro that names a stage's command (poses_of = MODULE ...)."""
     text = "".join(path.read_text() for path in sorted((root / "rules").glob("*.mk"))).replace("\\\n", "")
     modules = dict(re.findall(r"^(\w+_of) = (gelforge\.stages\.\w+) ", text, re.MULTILINE))
-    return re.sub(r"call step,\$\(call (\w+_of),", lambda found: f"call step,{modules[found[1]]} ", text)
+    return re.sub(r"call step,\$\((?:call )?(\w+_of)[,)]", lambda found: f"call step,{modules[found[1]]} ", text)
 
 
 def prerequisites(project, goal, target) -> list[str]:

@@ -22,7 +22,7 @@ import numpy as np
 from gelforge.commands.sample import STEPS, in_folder
 from gelforge.errors import BadInput, last_words
 from gelforge.flow import layout
-from gelforge.flow.files import bytes_of, listed, read_csv, read_json, write_json, write_text
+from gelforge.flow.files import bytes_of, listed, made_at, read_csv, read_json, write_json, write_text
 from gelforge.flow.forecast import Cost, on_cores, pilots, presses_an_hour, table, wall_seconds
 from gelforge.flow.layout import Layout, shard_name
 from gelforge.flow.main import command, option, positive
@@ -35,7 +35,7 @@ from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_shard, shard_text
 from gelforge.records.networkkind import kind_of
-from gelforge.records.press import RawRow, parse
+from gelforge.records.press import POSE, RawRow, parse
 from gelforge.records.samplefile import read_samples
 from gelforge.records.solvetable import read_solves
 from gelforge.stages.train import resolve
@@ -53,6 +53,7 @@ EVALUATE_EACH, REPORT_EACH = 5e-3, 0.02
 CALIBRATE_EACH, CHART_EACH = 18.0, 2.0
 # A row in the stages beside the solves, where a few pilots take no longer than the start of the process does.
 ROW_EACH = {"poses": 7e-3, "meshes": 3e-2, "forces": 1e-3, "labels": 2e-3}
+NEEDED = ("sample_id", "sensor_id", "indenter", *POSE)  # cells without which a row is no press
 START = 1.5  # of a process with torch or the drawing libraries, in starts of stage 50
 
 
@@ -65,8 +66,15 @@ class Pace:
 
 
 def planned_rows(results: Path) -> list[RawRow]:
-    """Rows of all planned shards."""
-    return [row for name in Layout(results).names() for row in read_shard(Layout(results).shard(name))]
+    """Rows of all planned shards, but for those that stage 10 rejected there, or will because a cell cannot be read."""
+    of, found = Layout(results), []
+    for name in of.names():
+        table, known = of.rejected(name), set()
+        if (made_at(table) or 0.0) >= (made_at(of.shard(name)) or 0.0):
+            known = {cells.get("row") for cells in read_csv(table)}
+        rows = (row for row in read_shard(of.shard(name)) if str(row.row) not in known)
+        found += [row for row in rows if parse(row, "", NEEDED)[0] is not None]
+    return found
 
 
 def depth(row: RawRow) -> float:
@@ -242,8 +250,8 @@ def estimated(results: Path, resolution: str, model: str, rows: list[RawRow], st
 def main(args: Namespace) -> None:
     rows = planned_rows(args.results)
     if not rows:
-        command = Layout(args.results).command("estimate")
-        raise BadInput(f"{args.data}/log.csv: no press is planned; log at least one, then {command}")
+        command = Layout(args.results).command("poses STRICT=1")
+        raise BadInput(f"{args.data}/log.csv: no row is left to solve; {command} says why each was rejected")
     costs = estimated(args.results, args.resolution, args.model, rows, args.steps)
     shards = len(Layout(args.results).names())
     print("\n".join(table(costs, len(rows))))

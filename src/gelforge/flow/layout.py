@@ -43,11 +43,11 @@ def mirror(target: Path, kind: str, suffix: str) -> Path:
 
 
 def dataset_folder(path: Path) -> Path | None:
-    """results/DATASET of a file, none where it lies elsewhere."""
+    """results/DATASET of a file, none where it lies elsewhere; other folders on its way may have that name, too."""
     parts = path.parts
-    if "results" not in parts or len(parts) < parts.index("results") + 3:
-        return None
-    return Path(*parts[: parts.index("results") + 2])
+    found = [at for at, part in enumerate(parts[:-2]) if part == "results"]
+    of_stage = [at for at in found if parts[at + 2] in FOLDERS]
+    return Path(*parts[: (of_stage or found)[-1] + 2]) if found else None
 
 
 def command_for(goal: str, path: Path | str) -> str:

@@ -1,5 +1,6 @@
 """An estimate adds up, and its pilots stand for all presses."""
 
+import os
 import tomllib
 
 import numpy as np
@@ -21,11 +22,12 @@ from gelforge.commands.estimate import (
     uncalibrated,
 )
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_json, write_json
+from gelforge.flow.files import read_json, write_csv, write_json, write_text
 from gelforge.flow.forecast import Cost, on_cores, pilots, presses_an_hour, size, table, wall_seconds
 from gelforge.flow.layout import Layout
 from gelforge.flow.params import plain
-from gelforge.records.press import RawRow
+from gelforge.records.log import shard_text
+from gelforge.records.press import COLUMNS, RawRow
 from gelforge.records.solvetable import Solved, write_solves
 from gelforge.records.status import Status
 from tests.support.parameters import parameters, stage_of
@@ -196,7 +198,7 @@ def test_a_network_that_there_is_not_is_named(tmp_path):
     with pytest.raises(BadInput, match="MODEL=grid16"):
         training(Layout(tmp_path), "24x32", "grid16", 900)
     write_json(params / "models" / "net.json", {"net": {"kind": "transformer"}})
-    with pytest.raises(BadInput, match="'transformer': use one of geometry, grid"):
+    with pytest.raises(BadInput, match="'transformer': use one of grid"):
         training(Layout(tmp_path), "24x32", "net", 900)
 
 
@@ -276,3 +278,19 @@ def test_all_rows_of_the_pilots_are_solved_together(tmp_path, monkeypatch):
     monkeypatch.setattr(estimate, "pilot", lambda *given: solved.extend(given[2]) or [])
     measured(tmp_path, filmed(20, 6), [])
     assert len(solved) == 30 and len({row.row for row in solved}) == 30
+
+
+def test_rows_that_were_or_will_be_rejected_are_not_counted(tmp_path):
+    """A row of the log whose depth is no number, and one whose image stage 10 refused, cost no solve."""
+    of, good = (
+        Layout(tmp_path / "results/d"),
+        dict.fromkeys(COLUMNS, "0") | {"sensor_id": "mini_a", "indenter": "ball", "dz_mm": "-0.5"},
+    )
+    rows = [RawRow(k + 2, good | {"sample_id": f"s{k}"}) for k in range(4)]
+    rows[1].cells["dz_mm"] = "deep"
+    write_text(of.shard("0000"), shard_text(rows))
+    assert [row.row for row in estimate.planned_rows(of.root)] == [2, 4, 5]
+    write_csv(of.rejected("0000"), ["row", "column"], [{"row": 4, "column": "image"}])
+    assert [row.row for row in estimate.planned_rows(of.root)] == [2, 5]
+    os.utime(of.rejected("0000"), (1e9, 1e9))  # of other rows
+    assert [row.row for row in estimate.planned_rows(of.root)] == [2, 4, 5]

@@ -7,7 +7,7 @@ import pytest
 
 from gelforge.errors import BadInput
 from gelforge.flow import layout
-from gelforge.flow.layout import FOLDERS, STAGES, Layout, command_for, log_of, metrics_of, shard_name
+from gelforge.flow.layout import FOLDERS, STAGES, Layout, command_for, dataset_folder, log_of, metrics_of, shard_name
 
 
 def test_every_folder_that_make_spells_is_one_of_the_layout(root):
@@ -68,6 +68,18 @@ def test_a_sample_is_found_in_the_planned_shards_alone(tmp_path):
     for absent in ("lost", "never"):
         with pytest.raises(BadInput, match=f"'{absent}' is not in the log of demo"):
             of.shard_of(absent)
+
+
+def test_a_results_folder_on_the_way_to_another_is_not_taken_for_it():
+    for path, folder in (
+        ("/home/results/me/results/demo/10_poses/0000.csv", "/home/results/me/results/demo"),
+        ("results/results/10_poses/0000.csv", "results/results"),
+        ("results/demo/logs/results/x.log", "results/demo"),
+        ("results/demo/own/x", "results/demo"),
+        ("results/demo", None),
+        ("data/demo/log.csv", None),
+    ):
+        assert dataset_folder(Path(path)) == (Path(folder) if folder else None), path
 
 
 def test_folders_are_said_once():
