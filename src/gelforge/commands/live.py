@@ -157,8 +157,8 @@ def predictor_of(args: Namespace, model, picture: np.ndarray | None, seen, name:
     """
     import cv2
 
+    from gelforge.networks.inference.predictor import Predictor
     from gelforge.networks.inference.sensorprofile import with_profile
-    from gelforge.reader import CameraPredictor
 
     if picture is None and not args.profile and model.needs_nocontact:
         need_frames(args.frames)
@@ -168,7 +168,7 @@ def predictor_of(args: Namespace, model, picture: np.ndarray | None, seen, name:
         seen = itertools.chain([first], seen)
         picture = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
     picture, gain, table = with_profile(args.profile, picture, model.metadata)
-    predictor = CameraPredictor(model, picture, gain, args.device, args.threads, table)
+    predictor = Predictor(model, picture, gain, args.device, args.threads, table)
     if predictor.text:
         report(f"{name}: {predictor.text}")
     return predictor, seen

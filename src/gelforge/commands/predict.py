@@ -26,7 +26,6 @@ from gelforge.flow.files import publish, write_csv
 from gelforge.flow.main import command, option
 from gelforge.networks.inference.predictor import Predictor, load_for_use
 from gelforge.networks.inference.sensorprofile import files_of, with_profile
-from gelforge.reader import CameraPredictor
 from gelforge.records.axes import CHANNELS
 from gelforge.records.forcereading import TOTAL_COLUMNS, ForceReading, goes_beyond, total_columns
 from gelforge.records.image import read_image
@@ -168,7 +167,7 @@ def main(args: Namespace) -> None:
     picture = read_image(args.nocontact) if args.nocontact else None
     model = load_for_use(args.model, args.sensor)
     picture, gain, table = with_profile(args.profile, picture, model.metadata)
-    predictor = CameraPredictor(model, picture, gain, args.device, args.threads, table)
+    predictor = Predictor(model, picture, gain, args.device, args.threads, table)
     if predictor.text:
         print(predictor.text)
     kept = [*filter(None, [args.nocontact]), *files_of(args.profile)]

@@ -49,7 +49,6 @@ from gelforge.networks.inference.sensorprofile import (
     write_profile,
 )
 from gelforge.networks.preprocess.slopetable import SlopeTable
-from gelforge.reader import CameraPredictor
 from gelforge.records.cameraframe import reduced
 from gelforge.records.film import source_name
 from gelforge.records.forcereading import goes_beyond
@@ -80,7 +79,7 @@ def gain_of(readings: Path, predictor: Predictor, before: Gain = AS_READ) -> Gai
     return fit_gain(measured, read, before)
 
 
-def nocontact_for_slopes(predictor: CameraPredictor) -> np.ndarray:
+def nocontact_for_slopes(predictor: Predictor) -> np.ndarray:
     """The no-contact image that a table of slopes is learnt beside; BadInput where images are scaled, turned or cropped."""
     nocontact = predictor.prepare.nocontact
     if nocontact is None or not nocontact.view.whole or predictor.text:
@@ -88,7 +87,7 @@ def nocontact_for_slopes(predictor: CameraPredictor) -> np.ndarray:
     return nocontact.picture
 
 
-def learnt_from_balls(balls: BallFolder, predictor: CameraPredictor) -> tuple[Gain, SlopeTable | None]:
+def learnt_from_balls(balls: BallFolder, predictor: Predictor) -> tuple[Gain, SlopeTable | None]:
     """Factor on forces and table of slopes by presses of a ball; those that do not count are named on the terminal."""
     for name, why in balls.left_out.items():
         print(f"{name}: does not count, {why}", file=sys.stderr)
@@ -150,7 +149,7 @@ def gain_beside(grasps: Path, predictor: Predictor, opposite: Path) -> Gain:
     rows = filled_rows(grasps, ("image", "opposite"), "grasps", ASKED.format("image and opposite", "moment"))
     other = read_profile(opposite)
     check_same_network(other, predictor.metadata)
-    facing = CameraPredictor(predictor.model, other.nocontact, other.gain)
+    facing = Predictor(predictor.model, other.nocontact, other.gain, table=other.table)
     pictures = _pictures(grasps, rows, "image")
     read, here = _normals(predictor, pictures)
     felt, there = _normals(facing, _pictures(grasps, rows, "opposite"))
@@ -292,7 +291,7 @@ def main(args: Namespace) -> None:
     balls = read_presses(args.balls, picture, args.diameter, thickness) if args.balls else None
     model = load_for_use(args.model)
     picture = reduced(picture)
-    predictor = CameraPredictor(model, picture)
+    predictor = Predictor(model, picture)
     if predictor.text:
         print(f"{source}: {predictor.text}", file=sys.stderr)
     if predictor.fault:

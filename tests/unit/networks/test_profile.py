@@ -26,6 +26,7 @@ from gelforge.networks.inference.sensorprofile import (
     with_profile,
     write_profile,
 )
+from gelforge.records.cameraframe import reduced
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
 from gelforge.records.nocontactimage import FEWEST
@@ -133,6 +134,17 @@ def test_a_profile_comes_back_from_its_file(root, tmp_path):
     larger = cv2.resize(picture, None, fx=1.2, fy=1.2)[24:264, 32:352]
     with pytest.raises(BadInput, match="another sensor, or cropped or scaled"):
         check_same_sensor(found, pitch_of(larger))
+
+
+def test_a_profile_knows_its_sensor_in_the_camera_s_own_size(root, tmp_path):
+    """A profile keeps a picture of at most 640 px: the same sensor at 1280 px is no other one."""
+    metadata = load_for_use(None).metadata
+    large = cv2.resize(
+        read_image(root / "data/demo/nocontact/mini_a.png"), (1280, 960), interpolation=cv2.INTER_CUBIC
+    )
+    small = reduced(large)
+    write_profile(tmp_path / "own.toml", make_profile("own", small, pitch_of(small), Gain(), metadata))
+    assert with_profile(tmp_path / "own.toml", large, metadata)[0] is large
 
 
 def test_what_is_no_profile_is_refused(tmp_path):

@@ -23,6 +23,7 @@ from gelforge.networks.uncertainty.ood import (
     relief,
     relief_fault,
 )
+from gelforge.records.cameraframe import CameraFrame, camera_frame
 from gelforge.records.forcereading import ForceReading, edge_peak
 
 MOST_VANISHED = 8  # markers, of 63: with so many painted over in both images, nine of ten forces are within 11 %
@@ -30,6 +31,7 @@ MOST_VANISHED = 8  # markers, of 63: with so many painted over in both images, n
 # that nothing else flags none is beyond, of 51 real presses of a ball the largest is 0.8 %.
 MOST_FALL, MOST_COLOUR_FALL = 0.04, 0.055
 LEAST_PULL = 1.0  # N above which a prediction that no contact can make is flagged
+BLUE_FIRST = "red and blue seem to be exchanged in the no-contact image: give all images in RGB, not in OpenCV's BGR"
 SHIPPED = Path(__file__).parents[1] / "weights/default.onnx"
 
 
@@ -46,7 +48,7 @@ def load_for_use(path: Path | str | None, sensor: str | None = None) -> ForceMod
 
 
 class Predictor:
-    """Predicts the forces in pictures of one sensor.
+    """Predicts the forces in pictures of one sensor, of any size, crop and orientation of its camera.
 
     nocontact: (h, w, 3) uint8 RGB of any size, of the sensor while nothing touches it, where the model needs one. gain: what all
     forces are multiplied by, of the sensor's profile. device, threads: of onnxruntime (networks.checkpoint.modelfile). table:
@@ -63,16 +65,24 @@ class Predictor:
         table: SlopeTable | None = None,
     ) -> None:
         self.model, self.metadata, self.gain = model, model.metadata, gain
-        self.prepare = Preprocessor(model.metadata, self.framed(nocontact))
+        self.frame: CameraFrame | None = None  # how images are turned and cropped, which the no-contact image shows
+        if nocontact is not None and model.needs_nocontact:
+            rows, cols = self.metadata["image"]
+            self.frame = camera_frame(nocontact, (rows, cols))
+        self.prepare = Preprocessor(model.metadata, nocontact if nocontact is None else self._framed(nocontact))
         self.graph = Graph(model.graph, f"model {self.metadata['name']}", device, threads)
         self.table = table
         self.statistics = as_arrays(self.metadata["statistics"])
         self._rest: WeakKeyDictionary[NoContact, np.ndarray] = WeakKeyDictionary()
         self.fault = self._nocontact_fault()
 
-    def framed(self, nocontact: np.ndarray | None) -> np.ndarray | None:
-        """The no-contact image (h, w, 3) uint8 RGB as it is compared with others; here as it is given."""
-        return nocontact
+    def _framed(self, image: np.ndarray) -> np.ndarray:
+        return image if self.frame is None else self.frame(image)
+
+    @property
+    def text(self) -> str:
+        """What is done to images, in one line; empty for nothing."""
+        return "" if self.frame is None else self.frame.text
 
     def rest(self, nocontact: NoContact | None) -> np.ndarray:
         """Forces (3, rows, cols) N that the graph predicts for a no-contact image; 0 beside a model of one picture."""
@@ -104,17 +114,18 @@ class Predictor:
         """
         if self.table is None or self.prepare.nocontact is None:
             return None
-        slopes = self.table.slopes(self.prepare(image).lit, self.prepare.nocontact.picture)
+        slopes = self.table.slopes(self.prepare(self._framed(image)).lit, self.prepare.nocontact.picture)
         return height_of(slopes, 2.0 / self.table.px_per_mm)
 
     def predict(self, image: np.ndarray) -> ForceReading:
         """Read an image (h, w, 3) uint8 RGB of any size."""
-        seen = self.prepare(image)
+        seen = self.prepare(self._framed(image))
         cells = (self.raw(seen) - self.rest(seen.nocontact)) * np.float32(self.gain.value)
         total = cells.sum((1, 2), dtype=float)
         score, unlike = pair_score_fault(self.statistics, seen.lit, pair_diagnostics(seen))
         grey = monochrome_fault(self.statistics, seen.image, "the picture")
         faults = (
+            "" if self.frame is None else self.frame.fault(image),
             seen.fault,
             grey,
             self.fault,
@@ -139,7 +150,8 @@ class Predictor:
         if nocontact is None or nocontact.fault:
             return "" if nocontact is None else nocontact.fault
         grey = monochrome_fault(self.statistics, nocontact.sized, "the no-contact image")
-        return grey or relief_fault(self.statistics, relief(nocontact.sized))
+        blue_first = BLUE_FIRST if self.frame is not None and self.frame.blue_first else ""
+        return grey or relief_fault(self.statistics, relief(nocontact.sized)) or blue_first
 
 
 def wear_fault(seen: Prepared) -> str:

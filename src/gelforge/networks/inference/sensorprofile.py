@@ -19,6 +19,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_toml, write_text
 from gelforge.networks.checkpoint.modelfile import fingerprint
 from gelforge.networks.preprocess.slopetable import COLOUR_TERMS, PLACE_TERMS, SlopeTable
+from gelforge.records.cameraframe import reduced
 from gelforge.records.image import read_image, write_png
 from gelforge.records.markers import pitch_of
 
@@ -291,7 +292,7 @@ def with_profile(
     check_same_network(profile, metadata)
     if picture is None:
         return profile.nocontact, profile.gain, profile.table
-    check_same_sensor(profile, pitch_of(picture))
+    check_same_sensor(profile, pitch_of(reduced(picture)))  # as the profile keeps its own
     return picture, profile.gain, profile.table
 
 
