@@ -27,7 +27,7 @@ MATERIAL = Material()
 
 def meshes():
     """Meshes whose lower layers are widened in one, two and three goes, and of an odd number of hexahedra."""
-    for widened in ((3,), (1,), (3, 1), (4, 3, 2), (2, 2)):
+    for widened in ((3,), (1,), (4, 3, 2)):
         yield build_mesh(Gel(), BOX, 5, 2.0, widened=widened)
 
 
@@ -78,19 +78,16 @@ def test_hanging_nodes_lie_where_they_hang(mesh):
     np.testing.assert_allclose(mesh.hanging.weights.sum(axis=1), 1.0, atol=1e-12)
     # those that others hang on stand by themselves, or what hangs would depend on the order
     assert not np.isin(mesh.hanging.masters, mesh.hanging.nodes).any()
+    assert (
+        not np.isin(mesh.cells.nodes, mesh.hanging.nodes).any() and not np.isin(mesh.faces, mesh.hanging.nodes).any()
+    )
 
 
-@pytest.mark.parametrize("aside", np.arange(0.0, 3.0, 0.5))
-def test_planes_have_the_heights_they_were_given(aside):
+def test_planes_have_the_heights_they_were_given():
     """Also where the column in the gel's middle hangs: under the arched top that lies a little beside its plane."""
-    mesh = build_mesh(Gel(), FineBox(-4.0, 4.0, aside - 3.5, aside + 3.5, 0.9), 3, 2.0, widened=(1,))
-    np.testing.assert_allclose(mesh.heights, layer_heights(3, 2.0), atol=1e-12)
-
-
-@widened
-def test_no_hexahedron_is_made_of_hanging_nodes(mesh):
-    assert not np.isin(mesh.cells.nodes, mesh.hanging.nodes).any()
-    assert not np.isin(mesh.faces, mesh.hanging.nodes).any()
+    for aside in np.arange(0.0, 3.0, 0.5):
+        mesh = build_mesh(Gel(), FineBox(-4.0, 4.0, aside - 3.5, aside + 3.5, 0.9), 3, 2.0, widened=(1,))
+        np.testing.assert_allclose(mesh.heights, layer_heights(3, 2.0), atol=1e-12)
 
 
 @widened
@@ -144,13 +141,20 @@ def test_forces_are_the_slope_of_one_energy(seed, which):
 
 
 @pytest.mark.parametrize(
-    "body, press",
+    "body, press, law",
     [
-        ({"kind": "sphere", "diameter": 15, "height": 10}, Press(0, 0, 0, 0.1, 0.05, -0.8)),
-        ({"kind": "cuboid", "size": [6, 6], "fillet": 1, "height": 10}, Press(0.4, -0.3, 0, 0.15, 0, -0.7, 20.0)),
+        (
+            {"kind": "sphere", "diameter": 15, "height": 10},
+            Press(0, 0, 0, 0.1, 0.05, -0.8),
+            Interface("coulomb", 0.5),
+        ),
+        (
+            {"kind": "cuboid", "size": [6, 6], "fillet": 1, "height": 10},
+            Press(0.4, -0.3, 0, 0.15, 0, -0.7, 20.0),
+            Interface(),
+        ),
     ],
 )
-@pytest.mark.parametrize("law", [Interface(), Interface("coulomb", 0.5)])
 def test_a_press_is_that_of_hexahedra_of_one_width(body, press, law):
     """Below the upper layers wide hexahedra do: forces, moments and balance are those of hexahedra that are narrow down to the base."""
     scene = Scene(Gel(), MATERIAL, build("body", body), press, law)

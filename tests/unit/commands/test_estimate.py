@@ -31,6 +31,7 @@ from gelforge.records.press import COLUMNS, RawRow
 from gelforge.records.solvetable import Solved, write_solves
 from gelforge.records.status import Status
 from tests.support.parameters import parameters, stage_of
+from tests.support.refused import refused
 from tests.support.synthetic_presses import write_dataset
 
 ROWS = [RawRow(n, {"sensor_id": "mini_a", "fz_n": "-3.1"}) for n in range(900)]
@@ -65,9 +66,6 @@ def test_the_table_sums_its_stages():
     text = table(COSTS, 100)
     assert text[-1].split() == ["all", f"{(50 + 710) / 3600:.3f}", "1", "MB"]
     assert [size(n) for n in (0, 999, 2.5e9)] == ["0 B", "999 B", "2.5 GB"]
-
-
-def test_one_core_is_no_cores():
     assert on_cores(1) == "on 1 core like this one" and on_cores(2) == "on 2 cores like these"
 
 
@@ -77,11 +75,7 @@ def test_a_size_is_reported_in_the_unit_of_its_three_digits(count):
     reported = float(number) * 1000 ** ["B", "kB", "MB", "GB", "TB", "PB"].index(unit)
     assert reported == pytest.approx(count, rel=0.0051) or count < 1  # three digits
     assert "e" not in number or float(number) < 1
-
-
-def test_a_thousand_of_a_unit_is_one_of_the_next():
-    """999.6 kB with three digits was 1e+03 kB."""
-    assert [size(n) for n in (1e3, 999.6, 999_600, 1e9)] == ["1 kB", "1 kB", "1 MB", "1 GB"]
+    assert [size(n) for n in (1e3, 999.6, 999_600, 1e9)] == ["1 kB", "1 kB", "1 MB", "1 GB"]  # not 1e+03 kB
 
 
 def test_presses_an_hour_fall_with_what_each_takes_and_rise_with_the_cores():
@@ -218,11 +212,10 @@ def test_presses_of_other_datasets_cost_what_its_own_do(tmp_path, table):
     assert cost(90, ["other"]) == pytest.approx(cost(135, []))
 
 
-@pytest.mark.parametrize("resolution", ["24", "24x", "fine", "24x32x3"])
-def test_a_resolution_that_is_none_is_refused_before_the_pilots(tmp_path, resolution):
+def test_a_resolution_that_is_none_is_refused_before_the_pilots(tmp_path):
     write_json(Layout(tmp_path).params / "report.json", {"version": 1, "report": plain(parameters().report)})
-    with pytest.raises(BadInput, match="write ROWSxCOLS"):
-        later_costs(Layout(tmp_path), resolution, "shipped", ROWS)
+    for resolution in ("24", "24x", "fine", "24x32x3"):
+        refused("write ROWSxCOLS", later_costs, Layout(tmp_path), resolution, "shipped", ROWS)
 
 
 def test_a_calibration_fills_the_cores_whatever_the_number_of_shards():
@@ -238,17 +231,14 @@ def test_pilots_need_no_posterior(tmp_path):
     assert made["material"]["nu"] == 0.475 and isinstance(made["material"]["c10"], float)
 
 
-@pytest.mark.parametrize("module", ["poses", "fea", "forces", "labels"])
-def test_the_start_of_a_process_is_no_cost_of_a_row(monkeypatch, module):
+def test_the_start_of_a_process_is_no_cost_of_a_row(monkeypatch):
     """A hundred pilots of a stage that starts for 2 s cost what five do, and 95 rows."""
-    each = ROW_EACH.get(module, 0.7)
-
-    def estimated(rows: int) -> tuple[float, float]:
-        spent = iter([2.0 + each * rows, 2.0])  # a press that is solved is not solved again
-        monkeypatch.setattr(estimate, "spend", lambda *_: next(spent))
-        return row_and_start(module, [], rows)
-
-    assert estimated(5) == pytest.approx((each, 2.0)) == estimated(100)
+    for module in ("poses", "fea", "forces", "labels"):
+        each = ROW_EACH.get(module, 0.7)
+        for rows in (5, 100):
+            spent = iter([2.0 + each * rows, 2.0])  # a press that is solved is not solved again
+            monkeypatch.setattr(estimate, "spend", lambda *_, spent=spent: next(spent))
+            assert row_and_start(module, [], rows) == pytest.approx((each, 2.0)), module
 
 
 def filmed(presses: int, frames: int) -> list[RawRow]:

@@ -5,8 +5,6 @@ import os
 import time
 from contextlib import contextmanager
 
-import pytest
-
 from gelforge.commands.status import cost_lines, running_lines
 from gelforge.flow.files import write_csv, write_json, write_text
 from gelforge.flow.layout import Layout
@@ -78,14 +76,13 @@ def test_a_table_is_read_once_and_again_when_it_changed(tmp_path):
     assert look(tmp_path, now).total == 4
 
 
-@pytest.mark.parametrize("text", ["", "[]", '{"a": 1}', "{", "null"])
-def test_kept_counts_that_were_corrupted_are_counted_again(tmp_path, text):
+def test_kept_counts_that_were_corrupted_are_counted_again(tmp_path):
     now = lay(tmp_path, 0)
     assert look(tmp_path, now).total == 8
     kept = Layout(tmp_path).counts
-    known = text.replace("a", str(tmp_path / "00_plan/shards/0000.csv"))
-    kept.write_text(known)
-    assert look(tmp_path, now).total == 8 and "0001.csv" in kept.read_text()
+    for text in ("", "[]", '{"a": 1}', "{", "null"):
+        kept.write_text(text.replace("a", str(tmp_path / "00_plan/shards/0000.csv")))
+        assert look(tmp_path, now).total == 8 and "0001.csv" in kept.read_text()
 
 
 def test_a_folder_that_takes_no_file_is_looked_at_all_the_same(tmp_path):

@@ -3,14 +3,13 @@
 import re
 
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelforge.errors import BadInput
 from gelforge.mechanics.mesh.family import load_mesh
 from gelforge.mechanics.mesh.hexmesh import FineBox
 from gelforge.mechanics.mesh.hexname import FORM, HexMeshName
+from tests.support.refused import refused
 
 GOOD = "hex@gelsight_mini:-5.5:5.5:-10:0.25:0.45:5:3:1.8:3:3:1"
 LENGTH = st.floats(0.2, 3.0)
@@ -39,31 +38,23 @@ def test_a_mesh_of_a_name_is_the_same_wherever_it_is_built(tmp_path):
     assert len(one.nodes) > 1000 and one.layers == 5
 
 
-@pytest.mark.parametrize(
-    "old, new",
-    [
-        ("hex@gelsight_mini", "hex@teapot"), (":3:1.8:3:3:1", ""), (":5:", ":5:5.5:5:"), ("-5.5", "left"), (":3:1.8:3:3:1", ":3:1.8:3:1:3"), (":3:3:1", ":3:5"),
-        (":3:3:1", ":3:3:0"), (":3:3:1", ":3:2.5"), (":5:", ":2.5:"),
+def test_a_name_that_is_none_is_refused(tmp_path):
+    for old, new in (
+        ("hex@gelsight_mini", "hex@teapot"), (":3:1.8:3:3:1", ""), (":5:", ":5:5.5:5:"), ("-5.5", "left"),
+        (":3:1.8:3:3:1", ":3:1.8:3:1:3"), (":3:3:1", ":3:5"), (":3:3:1", ":3:3:0"), (":3:3:1", ":3:2.5"), (":5:", ":2.5:"),
         (":5:", ":0:"), (":5:", ":1e9:"), ("0.45", "0"), ("0.45", "nan"), ("5.5:-10", "inf:-10"), ("0.45", "1e-9"),
         ("1.8", "0.5"), ("-10:0.25", "0.25:-10"), ("0.45", "0.450"), (GOOD, "hex@"), (":-10", ":-10/../.."),
         ("-5.5:5.5", "10.375:12"), ("-10:0.25", "-15:-13"),
-    ],
-)  # fmt: skip
-def test_a_name_that_is_none_is_refused(tmp_path, old, new):
-    name = GOOD.replace(old, new, 1)
-    assert name != GOOD
-    with pytest.raises(BadInput, match="gel 'teapot'" if "teapot" in new else re.escape(FORM)):
-        load_mesh(tmp_path, name)
+    ):  # fmt: skip
+        name = GOOD.replace(old, new, 1)
+        assert name != GOOD
+        refused("gel 'teapot'" if "teapot" in new else re.escape(FORM), load_mesh, tmp_path, name)
+    for name in ("ccx-centre-0.5", "hex-centre-0.5", ""):
+        refused("make meshes", load_mesh, tmp_path, name)
 
 
-@pytest.mark.parametrize("box", ["0:1e-06:0:1", "0:1:0:1e-06", "10.374999:12:0:1"])
-def test_a_fine_part_as_narrow_as_a_hair_is_refused_before_it_is_built(box):
+def test_a_fine_part_as_narrow_as_a_hair_is_refused_before_it_is_built():
     """An element no wider than it, whatever its size, and others that do not grow from there: ten million lines."""
-    with pytest.raises(BadInput, match="more than 2e\\+06 elements"):
-        HexMeshName.parse(f"hex@gelsight_mini:{box}:1:2:3:1:1")
-
-
-@pytest.mark.parametrize("name", ["ccx-centre-0.5", "hex-centre-0.5", ""])
-def test_a_mesh_that_is_not_there_is_refused(tmp_path, name):
-    with pytest.raises(BadInput, match="make meshes"):
-        load_mesh(tmp_path, name)
+    for box in ("0:1e-06:0:1", "0:1:0:1e-06", "10.374999:12:0:1"):
+        name = f"hex@gelsight_mini:{box}:1:2:3:1:1"
+        refused("more than 2e\\+06 elements", HexMeshName.parse, name)

@@ -85,10 +85,11 @@ def test_light_moves_no_dot(rest, presses):
         assert np.abs(motion[:2] - again[:2])[:, both].mean() < 0.05
 
 
-@pytest.mark.parametrize("picture", [np.zeros((240, 320, 3), np.uint8), np.full((240, 320, 3), 130, np.uint8)])
-def test_a_gel_without_print_has_no_markers(picture):
-    markers = MarkerTracker(picture)
-    assert not markers.known and not motion_of(markers, picture).any()
+def test_a_gel_without_print_has_no_markers():
+    for shade in (0, 130):
+        picture = np.full((240, 320, 3), shade, np.uint8)
+        markers = MarkerTracker(picture)
+        assert not markers.known and not motion_of(markers, picture).any()
 
 
 def test_markers_that_are_found_close_at_home_are_found_in_the_pyramid(rest, presses):
@@ -122,62 +123,57 @@ def test_totals_are_written_with_what_is_known_of_them():
     assert total["grid_z_n"] == -7.0 and total["edge_peak"] is None  # one cell is no edge
 
 
-@pytest.mark.parametrize("grid", [(12, 16), (24, 32), (48, 64), (3, 3)])
-def test_what_touches_beyond_the_picture_shows_at_its_edge(grid):
-    rows, cols = grid
-    forces, whole = np.zeros((3, *grid)), (slice(rows), slice(cols))
-    forces[2, 0, cols // 2] = -0.1  # what a released gel may read
-    assert edge_peak(forces, whole) == 0.0
-    forces[2, 0, cols // 2] = -1.0
-    assert edge_peak(forces, whole) == 1.0
-    forces[2, :, 0] = 5.0  # what pulls is no press
-    assert edge_peak(forces, whole) == 1.0
-    forces[2, rows // 2, cols // 2] -= 3.0
-    assert edge_peak(forces, whole) == pytest.approx(1 / 3)
+def test_what_touches_beyond_the_picture_shows_at_its_edge():
+    for rows, cols in ((24, 32), (3, 3)):
+        forces, whole = np.zeros((3, rows, cols)), (slice(rows), slice(cols))
+        forces[2, 0, cols // 2] = -0.1  # what a released gel may read
+        assert edge_peak(forces, whole) == 0.0
+        forces[2, 0, cols // 2] = -1.0
+        assert edge_peak(forces, whole) == 1.0
+        forces[2, :, 0] = 5.0  # what pulls is no press
+        assert edge_peak(forces, whole) == 1.0
+        forces[2, rows // 2, cols // 2] -= 3.0
+        assert edge_peak(forces, whole) == pytest.approx(1 / 3)
+    for rows, cols in ((1, 1), (2, 2), (2, 32), (24, 1)):  # a map that is all edge says nothing of it
+        forces = np.full((3, rows, cols), -1.0)
+        assert np.isnan(edge_peak(forces, (slice(rows), slice(cols)))) and not goes_beyond(np.nan)
+    assert total_columns(reading(forces, edge=np.nan))["edge_peak"] is None
 
 
-@pytest.mark.parametrize("grid", [(1, 1), (2, 2), (2, 32), (24, 1)])
-def test_a_map_that_is_all_edge_says_nothing_of_it(grid):
-    forces = np.full((3, *grid), -1.0)
-    whole = slice(grid[0]), slice(grid[1])
-    assert np.isnan(edge_peak(forces, whole)) and total_columns(reading(forces, edge=np.nan))["edge_peak"] is None
-    assert not goes_beyond(np.nan)
-
-
-@pytest.mark.parametrize("zoom", [0.55, 0.71, 1.0, 1.4])
-def test_the_edge_is_that_of_what_a_camera_shows(zoom):
+def test_the_edge_is_that_of_what_a_camera_shows():
     """A contact at the border of a narrow view is cropped by it, although the map has room there."""
-    view, grid = View(zoom, (0.0, 0.0, 0.0)), (24, 32)
-    rows, cols = view.cells_shown(grid)
-    assert rows.start == 24 - rows.stop and cols.start == 32 - cols.stop
-    assert (rows.stop - rows.start) / 24 == pytest.approx(min(zoom, 1.0), abs=1 / 24)
-    forces = np.zeros((3, *grid))
-    forces[2, rows.start, 15] = -3.0
-    assert edge_peak(forces, (rows, cols)) == 1.0
-    forces[2, 12, 15] = -4.0
-    assert edge_peak(forces, (rows, cols)) == 0.75
-
-
-@pytest.mark.parametrize("zoom", [0.55, 0.71, 1.0])
-@pytest.mark.parametrize("side", ["top", "bottom", "left", "right"])
-def test_a_contact_that_the_picture_cuts_goes_on_beyond_it(zoom, side):
-    """However much force lies inside; one that ends a cell before the edge does not."""
     grid = 24, 32
-    shown = View(zoom, (0.0, 0.0, 0.0)).cells_shown(grid)
-
-    def contact(gap: int) -> np.ndarray:
-        """A block that begins `gap` cells within the picture's edge on that side, and ends in the map's middle."""
+    for zoom in (0.55, 0.71, 1.0, 1.4):
+        rows, cols = View(zoom, (0.0, 0.0, 0.0)).cells_shown(grid)
+        assert rows.start == 24 - rows.stop and cols.start == 32 - cols.stop
+        assert (rows.stop - rows.start) / 24 == pytest.approx(min(zoom, 1.0), abs=1 / 24)
         forces = np.zeros((3, *grid))
-        rows, cols = (gap, 4) if side in ("top", "bottom") else (4, gap)
-        forces[2, shown[0].start + rows : 16, shown[1].start + cols : 20] = -1.0
-        return forces if side in ("top", "left") else forces[:, ::-1, ::-1]
+        forces[2, rows.start, 15] = -3.0
+        assert edge_peak(forces, (rows, cols)) == 1.0
+        forces[2, 12, 15] = -4.0
+        assert edge_peak(forces, (rows, cols)) == 0.75
 
-    cut = contact(0)
-    assert goes_beyond(edge_peak(cut, shown))
-    assert zoom == 1.0 or goes_beyond(edge_peak(contact(-1), shown))  # a whole view has nothing beyond it
-    assert not goes_beyond(edge_peak(contact(1), shown))
-    assert not goes_beyond(edge_peak(-cut, shown))  # what pulls is no press
-    assert not goes_beyond(edge_peak(1e-4 * cut, shown))  # what a released gel may read
+
+def test_a_contact_that_the_picture_cuts_goes_on_beyond_it():
+    """However much force lies inside; one that ends a cell before the edge does not."""
+    for zoom in (0.55, 0.71, 1.0):
+        for side in ("top", "bottom", "left", "right"):
+            shown = View(zoom, (0.0, 0.0, 0.0)).cells_shown((24, 32))
+            cut = block_at(side, 0, shown)
+            assert goes_beyond(edge_peak(cut, shown))
+            # a whole view has nothing beyond it
+            assert zoom == 1.0 or goes_beyond(edge_peak(block_at(side, -1, shown), shown))
+            assert not goes_beyond(edge_peak(block_at(side, 1, shown), shown))
+            assert not goes_beyond(edge_peak(-cut, shown))  # what pulls is no press
+            assert not goes_beyond(edge_peak(1e-4 * cut, shown))  # what a released gel may read
+
+
+def block_at(side: str, gap: int, shown) -> np.ndarray:
+    """A block (3, 24, 32) that begins `gap` cells within the picture's edge on that side, and ends in the map's middle."""
+    forces = np.zeros((3, 24, 32))
+    rows, cols = (gap, 4) if side in ("top", "bottom") else (4, gap)
+    forces[2, shown[0].start + rows : 16, shown[1].start + cols : 20] = -1.0
+    return forces if side in ("top", "left") else forces[:, ::-1, ::-1]
 
 
 @pytest.fixture(scope="module")
@@ -214,13 +210,12 @@ def test_a_network_goes_on_to_scales_a_little_beyond_those_it_knows(seen):
         require_scale({"name": "other", "pitch_px": [1.1 * max(pitches), 1.2 * max(pitches)]}, seen)
 
 
-@pytest.mark.parametrize(("val", "train"), [(1, 30), (3, 500), (ENOUGH_PAIRS, 500), (2 * ENOUGH_PAIRS, 30)])
-def test_a_picture_that_trained_shows_what_good_pairs_are_like_where_few_validate(seen, val, train):
+def test_a_picture_that_trained_shows_what_good_pairs_are_like_where_few_validate(seen):
     """Limits of one validation picture flagged pictures that the network had learnt from."""
-    data = replace(seen, splits={"val": np.arange(val), "train": 1000 + np.arange(train)})
-    rows = usual_rows(data)
-    assert len(set(rows.tolist())) == len(rows) == max(val, min(ENOUGH_PAIRS, val + train))
-    assert set(range(val)) <= set(rows.tolist())
+    for val, train_rows in ((1, 30), (3, 500), (ENOUGH_PAIRS, 500), (2 * ENOUGH_PAIRS, 30)):
+        rows = usual_rows(replace(seen, splits={"val": np.arange(val), "train": 1000 + np.arange(train_rows)}))
+        assert len(set(rows.tolist())) == len(rows) == max(val, min(ENOUGH_PAIRS, val + train_rows))
+        assert set(range(val)) <= set(rows.tolist())
 
 
 def test_a_network_that_hardly_learnt_predicts_as_the_one_that_ships(seen, rest, presses):

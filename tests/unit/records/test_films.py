@@ -2,6 +2,7 @@
 
 import csv
 import itertools
+import time
 import tracemalloc
 
 import cv2
@@ -13,6 +14,7 @@ from gelforge.errors import BadInput
 from gelforge.records.film import Film, Frame, open_source
 from gelforge.records.nocontactimage import FEWEST, MOST, SETTLING, STILL, find_nocontact, nocontact_of
 from tests.support.films import write_matroska, write_mp4
+from tests.support.refused import refused
 
 # A camera that drops frames while its computer is busy, and one that slows down in the dark.
 TIMES = {
@@ -32,19 +34,20 @@ def all_frames(path, limit=None):
         return list(Film(source, announced, str(path), limit, False, path))
 
 
-@pytest.mark.parametrize("name", TIMES)
-def test_each_frame_has_its_own_time_and_a_whole_film_is_not_called_cut(tmp_path, name):
-    times = TIMES[name]
-    found = all_frames(write_matroska(tmp_path / "a.mkv", shades(len(times)), times))
-    assert [frame.number for frame in found] == list(range(len(times)))
-    assert [frame.time_s for frame in found] == pytest.approx([t / 1000 for t in times], abs=2e-3)
-    assert [frame.image.mean() for frame in found] == pytest.approx([40 + 5 * k for k in range(len(times))], abs=2)
+def test_each_frame_has_its_own_time_and_a_whole_film_is_not_called_cut(tmp_path):
+    """Times begin with the first frame."""
+    for name, times in TIMES.items():
+        found = all_frames(write_matroska(tmp_path / "a.mkv", shades(len(times)), [700 + t for t in times]))
+        assert [frame.number for frame in found] == list(range(len(times))), name
+        assert [frame.time_s for frame in found] == pytest.approx([t / 1000 for t in times], abs=2e-3)
+        assert [frame.image.mean() for frame in found] == pytest.approx(
+            [40 + 5 * k for k in range(len(times))], abs=2
+        )
 
 
-@pytest.mark.parametrize("device", ["/dev/video0", "/dev/v4l/by-id/usb-gel-index0"])
-def test_a_camera_given_as_a_film_names_its_option(device):
-    with pytest.raises(BadInput, match=f"{device}: .*--camera {device}$"):
-        live.main(["--video", device, "--csv", "-"])
+def test_a_camera_given_as_a_film_names_its_option():
+    for device in ("/dev/video0", "/dev/v4l/by-id/usb-gel-index0"):
+        refused(f"{device}: .*--camera {device}$", live.main, ["--video", device, "--csv", "-"])
 
 
 def test_a_film_whose_sound_is_longer_is_whole(tmp_path):
@@ -54,12 +57,6 @@ def test_a_film_whose_sound_is_longer_is_whole(tmp_path):
     assert len(all_frames(path)) == len(times)
 
 
-def test_times_begin_with_the_first_frame(tmp_path):
-    times = [700 + t for t in TIMES["dropped"]]
-    found = all_frames(write_matroska(tmp_path / "a.mkv", shades(len(times)), times))
-    assert [frame.time_s for frame in found] == pytest.approx([t / 1000 for t in TIMES["dropped"]], abs=2e-3)
-
-
 def test_an_mp4_of_variable_rate_has_its_own_times_too(tmp_path):
     steps = [40, 40, 320, 40, 80, 40, 200, 40, 40, 160]
     found = all_frames(write_mp4(tmp_path / "a.mp4", shades(len(steps)), steps))
@@ -67,14 +64,12 @@ def test_an_mp4_of_variable_rate_has_its_own_times_too(tmp_path):
     assert [frame.time_s for frame in found] == pytest.approx(expected.tolist(), abs=2e-3)
 
 
-@pytest.mark.parametrize("name", ["even", "dropped", "slower"])
-def test_a_film_that_is_cut_is_still_called_so(tmp_path, name):
-    times = TIMES[name]
-    path = write_matroska(tmp_path / "a.mkv", shades(len(times)), times)
-    path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
-    with pytest.raises(BadInput, match=r"a\.mkv: ended after \d+ of \d+ frames; the file is cut short"):
-        all_frames(path)
-    assert len(all_frames(path, 3)) == 3
+def test_a_film_that_is_cut_is_still_called_so(tmp_path):
+    for name in ("even", "dropped", "slower"):
+        path = write_matroska(tmp_path / "a.mkv", shades(len(TIMES[name])), TIMES[name])
+        path.write_bytes(path.read_bytes()[: path.stat().st_size // 2])
+        refused(r"a\.mkv: ended after \d+ of \d+ frames; the file is cut short", all_frames, path)
+        assert len(all_frames(path, 3)) == 3
 
 
 def test_a_whole_mkv_is_read_to_its_end_without_an_error(tmp_path, root):
@@ -102,17 +97,14 @@ REST = np.full((60, 80, 3), 90, np.uint8)
 EXPOSING = [np.clip(REST * (1.6 - 0.07 * k), 0, 255).astype(np.uint8) for k in range(SETTLING)]
 
 
-@pytest.mark.parametrize(
-    "before", [EXPOSING, moving(40), [], [*EXPOSING, *moving(30, 1)]], ids=["dark", "moved", "none", "both"]
-)
-def test_frames_before_the_sensor_rests_are_not_given_back(before):
+def test_frames_before_the_sensor_rests_are_not_given_back():
     """They were read against a picture of a settled camera: 7 N of pressing in the first eight of a gripper's film."""
-    still = [REST] * (20 if len(before) >= SETTLING else FEWEST + 20)
-    picture, stream = find_nocontact(as_frames([*before, *still]), "film")
-    assert np.array_equal(picture, REST)
-    kept = list(stream)
-    first = max(len(before), SETTLING)
-    assert [frame.number for frame in kept] == list(range(first, len(before) + len(still)))
+    for before in (EXPOSING, moving(40), [], [*EXPOSING, *moving(30, 1)]):
+        still = [REST] * (20 if len(before) >= SETTLING else FEWEST + 20)
+        picture, stream = find_nocontact(as_frames([*before, *still]), "film")
+        assert np.array_equal(picture, REST)
+        first = max(len(before), SETTLING)
+        assert [frame.number for frame in stream] == list(range(first, len(before) + len(still)))
 
 
 def test_frames_of_a_real_film_before_the_camera_settled_are_left_out(reference):
@@ -190,8 +182,9 @@ def test_a_source_that_changes_its_size_is_one_sentence(tmp_path):
 def test_a_cameras_frames_have_the_time_at_which_they_came(tmp_path):
     """A film in its place, which says times of its own."""
     path = write_matroska(tmp_path / "a.mkv", [REST] * 4, [0, 1000, 2000, 3000])
+    started = time.perf_counter()
     with open_source(path, None) as (source, _):
         film = Film(source, 0, "camera 0", None, camera=True)
         found = list(film)
     assert film.taken == 4 and found[0].time_s == 0.0
-    assert 0.0 < found[1].time_s < found[2].time_s < found[3].time_s < 1.0
+    assert 0.0 < found[1].time_s < found[2].time_s < found[3].time_s < time.perf_counter() - started
