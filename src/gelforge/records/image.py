@@ -5,6 +5,7 @@ bytes, its width and height, and, of a PNG, that every chunk is whole.
 """
 
 import io
+import os
 import struct
 import warnings
 import zlib
@@ -51,9 +52,17 @@ def read_logged_image(
 
 
 def stays_inside(folder: Path, name: str) -> bool:
-    """Whether a path that a log names, links followed, lies below its dataset's folder."""
+    """Whether a path that a log names lies below its dataset's folder, or below a folder in it that is a link to another disk.
+
+    No other link leads out of it, and no `..` or absolute path does.
+    """
+    parts = Path(name).parts
     try:
-        return not Path(name).is_absolute() and (folder / name).resolve().is_relative_to(folder.resolve())
+        if Path(name).is_absolute() or os.path.normpath(name).startswith(".."):
+            return False
+        linked = folder / parts[0] if parts else folder
+        homes = [folder.resolve(), *([linked.resolve()] if linked.is_dir() else [])]
+        return any((folder / name).resolve().is_relative_to(home) for home in homes)
     except (OSError, RuntimeError, ValueError):  # a link that leads to itself, a null character
         return False
 
@@ -159,7 +168,7 @@ def bad_image(press: PressRecord, file: str, folder: str | Path, size: tuple[int
     except (OSError, RuntimeError):
         return no("cannot be read (a link that leads to itself)", "copy the image there, or remove the row")
     if not stays_inside(Path(folder), press.image):
-        return no("the path leaves the dataset's folder", "copy the image below data/DATASET and name it from there")
+        return no("the path leaves the dataset's folder", "copy the image below data/DATASET, or link its folder there, and name it from there")
     data, fault = bytes_or_fault(path, MOST_BYTES)
     if fault:
         other = other_case(path)

@@ -150,6 +150,15 @@ def repeated_rows(rows: list[RawRow], pictures: dict[str, str]) -> dict[int, str
     return found
 
 
+PICTURES = (
+    ".png",
+    ".jpg",
+    ".jpeg",
+    ".bmp",
+    ".tif",
+    ".tiff",
+    ".webp",
+)  # names that a no-contact image may be given by
 COLUMN_OF = {"sensors": "sensor_id", "indenters": "indenter"}  # of the log, by catalogue
 
 
@@ -214,6 +223,14 @@ def files_beside(data: Path) -> dict[str, Path]:
     found = [*listed(data / "nocontact", "*"), *listed(data / "labels", "*.npz")]
     found += [data / "splits.csv", data / "truth" / "presses.csv"]
     return {str(path.relative_to(data)): path for path in found if path.is_file()}
+
+
+def check_nocontact(data: Path) -> None:
+    """Refuse a no-contact image that no stage would read, because of its name."""
+    for path in listed(data / "nocontact", "*"):
+        picture = path.suffix.lower() in PICTURES and path.suffix != ".png"
+        if picture and not path.with_suffix(".png").exists():
+            raise BadInput(f"{path}: no-contact images are read as PNG; save it as {path.with_suffix('.png').name}")
 
 
 def write_parameters(params: Params, workflow: Path, out: Path, tables: dict[str, dict], scenes: dict) -> None:
@@ -399,6 +416,7 @@ def check_dataset(
     check_names("[pareto] sensor", [params.pareto.sensor], sensors)
     logged = used(sensors, named(rows, "sensor_id"))
     check_gel(file, of, params, logged)
+    check_nocontact(file.parent)
     check_pictures(file, params, logged, networks(workflow))
     if file.parent.name in params.train.also:
         raise BadInput(

@@ -284,8 +284,15 @@ def test_image_path_stays_in_the_dataset(folder):
     image = folder / "images" / "a1.png"
     image.symlink_to(folder.parent / "secret.png")
     assert "leaves the dataset" in judge_image(folder).reason
-    (folder / "linked").symlink_to(folder.parent)
-    assert "leaves the dataset" in judge_image(folder, image="linked/secret.png").reason
+    (folder.parent / "disk").mkdir()
+    (folder.parent / "disk/a1.png").write_bytes(image_bytes())
+    (folder.parent / "disk/b1.png").symlink_to(folder.parent / "secret.png")
+    (folder / "linked").symlink_to(
+        folder.parent / "disk"
+    )  # a folder on another disk is the dataset's, what it links to is not
+    assert judge_image(folder, image="linked/a1.png") is None
+    assert "leaves the dataset" in judge_image(folder, image="linked/b1.png").reason
+    assert "leaves the dataset" in judge_image(folder, image="linked/../../secret.png").reason
     image.unlink()
     (folder / "images" / "real.png").write_bytes(image_bytes())
     image.symlink_to(folder / "images" / "real.png")

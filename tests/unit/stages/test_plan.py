@@ -1,7 +1,6 @@
 """Shards: every sample has one, keeps it, and appending changes the last one only."""
 
 import json
-import shutil
 import tomllib
 from contextlib import nullcontext
 from pathlib import Path
@@ -168,18 +167,31 @@ def planned(tmp_path, text, sensor="mini_a", ccx="none"):
     return [row.cells["sensor_id"] for row in read_shard(tmp_path / "00_plan" / "shards" / "0000.csv")]
 
 
-def test_a_picture_that_is_copied_to_where_a_link_led_out_is_another(tmp_path):
-    """Stage 10 refuses the row because of the link, so its shard must be made again for the copy."""
+def test_images_of_a_linked_folder_count_and_a_path_that_leads_out_does_not(tmp_path):
+    """A folder of images on another disk, as data/X itself may be one."""
     data, kept = tmp_path / "data", tmp_path / "pictures.json"
-    (tmp_path / "elsewhere").mkdir()
+    (tmp_path / "elsewhere/more").mkdir(parents=True)
     data.mkdir()
-    (tmp_path / "elsewhere/a.png").write_bytes(b"a picture")
+    for name in ("a.png", "more/b.png", "c.png"):
+        (tmp_path / "elsewhere" / name).write_bytes(name.encode())
     (data / "images").symlink_to(tmp_path / "elsewhere")
-    names = {"images/a.png", "../elsewhere/a.png", str(tmp_path / "elsewhere/a.png")}
-    assert plan.image_digests(data, names, kept) == {}
-    (data / "images").unlink()
-    shutil.copytree(tmp_path / "elsewhere", data / "images")
-    assert set(plan.image_digests(data, names, kept)) == {"images/a.png"}
+    (data / "c.png").symlink_to(tmp_path / "elsewhere/c.png")
+    good = {"images/a.png", "images/more/b.png"}
+    names = good | {"../elsewhere/a.png", "images/../../elsewhere/a.png", str(tmp_path / "elsewhere/a.png"), "c.png"}
+    assert plan.image_digests(data, names, kept).keys() == good
+    (data / "c.png").unlink()
+    (data / "c.png").write_bytes(b"a copy")
+    assert plan.image_digests(data, names, kept).keys() == good | {"c.png"}
+
+
+@pytest.mark.parametrize("name", ["mini_a.jpg", "mini_a.PNG", "mini_a.tiff"])
+def test_a_no_contact_image_that_nobody_would_read_is_named(tmp_path, name):
+    (tmp_path / "nocontact").mkdir()
+    (tmp_path / "nocontact" / name).touch()
+    with pytest.raises(BadInput, match=rf"nocontact/{name}: .*save it as mini_a\.png"):
+        planned(tmp_path, "")
+    (tmp_path / "nocontact/mini_a.png").touch()
+    planned(tmp_path, "")
 
 
 def test_a_dataset_may_bring_indenters_of_its_own(tmp_path):
