@@ -110,9 +110,14 @@ def read_webdataset(folder):
                 row,
                 sample.get("png") or sample["jpg"],
                 label,
-                [float(row[a]) for a in ("fx_n", "fy_n", "fz_n")],
+                [row[a] for a in ("fx_n", "fy_n", "fz_n")],
             )
     return found, json.loads((folder / "facts.json").read_text())
+
+
+def cell(value):
+    """A text, or a number; None for NaN."""
+    return value if isinstance(value, str) else None if np.isnan(value) else float(value)
 
 
 def read_hdf5(path):
@@ -121,13 +126,17 @@ def read_hdf5(path):
 
     with h5py.File(path) as file:
         names = list(file["samples"])
-        columns = {name: file[f"samples/{name}"].asstr()[:] for name in names}
+        tables = {name: file[f"samples/{name}"] for name in names}
+        columns = {
+            name: table.asstr()[:] if h5py.check_string_dtype(table.dtype) else table[:]
+            for name, table in tables.items()
+        }
         facts = {
             name: value if name in ("dataset", "signs", "frame") else json.loads(value)
             for name, value in file.attrs.items()
         }
         return {
-            str(columns["sample_id"][k]): ({name: columns[name][k] for name in names}, bytes(file["picture"][k]),
+            str(columns["sample_id"][k]): ({name: cell(columns[name][k]) for name in names}, bytes(file["picture"][k]),
                                            file["forces"][k], file["total"][k].tolist())
             for k in range(len(columns["sample_id"]))
         }, facts  # fmt: skip

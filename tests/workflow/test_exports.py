@@ -30,7 +30,10 @@ def test_what_was_exported_comes_back_exactly(tmp_path, form):
     assert set(found) == {row["sample_id"] for row in samples.rows}
     for sample in samples:
         row, picture, label, total = found[sample.name]
-        assert row.items() <= sample.row.items() and picture == sample.picture
+        assert row.items() <= sample.cells.items() and picture == sample.picture
+        numbers = {name for name, value in row.items() if isinstance(value, float)}
+        # numbers are numbers, not text; LeRobot's lie in features of their own
+        assert form == "lerobot" or (numbers >= {"fx_n", "dz_mm", "rot_deg"} and "sample_id" not in numbers)
         assert label.dtype == np.float32 and np.array_equal(label, sample.label)
         # LeRobot's state is single precision.
         assert total == (pytest.approx(sample.total(), rel=1e-7) if form == "lerobot" else sample.total())

@@ -168,7 +168,10 @@ def bad_image(press: PressRecord, file: str, folder: str | Path, size: tuple[int
     except (OSError, RuntimeError):
         return no("cannot be read (a link that leads to itself)", "copy the image there, or remove the row")
     if not stays_inside(Path(folder), press.image):
-        return no("the path leaves the dataset's folder", "copy the image below data/DATASET, or link its folder there, and name it from there")
+        return no(
+            "the path leaves the dataset's folder",
+            "copy the image below data/DATASET, or link its folder there, and name it from there",
+        )
     data, fault = bytes_or_fault(path, MOST_BYTES)
     if fault:
         other = other_case(path)

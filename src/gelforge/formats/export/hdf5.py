@@ -1,7 +1,8 @@
 """HDF5: one file for those who ask for one.
 
 /picture (n,) bytes of the picture's file as the sensor gave it, /forces (n, 3, rows, cols) float32 N per cell, /total
-(n, 3) N along gel x, y, z, and every column of samples.csv below /samples. Attributes of the file say what they mean.
+(n, 3) N along gel x, y, z, and every column of samples.csv below /samples: numbers as float64, NaN where one is not known, else
+text. Attributes of the file say what they mean.
 """
 
 import json
@@ -73,7 +74,10 @@ def write_here(path: Path, samples: Samples) -> None:
             forces[rows] = np.stack([sample.label for sample in block])
         file["total"] = np.array([each.total for each in samples.records])
         file["total"].attrs["unit"] = "N"
+        numbers = [record.numbers() for record in samples.records]
         for name in samples.rows[0]:
-            file.create_dataset(
-                f"samples/{name}", data=[row[name] for row in samples.rows], dtype=h5py.string_dtype()
-            )
+            if name in numbers[0]:
+                file[f"samples/{name}"] = np.array([row[name] for row in numbers])
+            else:
+                texts = [row[name] for row in samples.rows]
+                file.create_dataset(f"samples/{name}", data=texts, dtype=h5py.string_dtype())

@@ -18,7 +18,7 @@ START_NS = 1_767_225_600 * 10**9  # 2026-01-01
 def messages(sample: Sample, token: str, time: int) -> list[ros.Message]:
     """Messages of one sample; token: its sensor in the names of topics and frames."""
     form = sample.media_type.removeprefix("image/")
-    row = (f"/{token}/sample", STRING, {"data": json.dumps(sample.row)})
+    row = (f"/{token}/sample", STRING, {"data": json.dumps(sample.cells)})
     return [*ros.sensor_messages(token, time, sample.picture, form, sample.total(), sample.label), row]
 
 

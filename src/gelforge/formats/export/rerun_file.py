@@ -54,5 +54,5 @@ def send(recording, sensor: str, rows: list[int], samples: Samples) -> None:
         f"{sensor}/total", [time], rr.Scalars.columns(scalars=totals.ravel()).partition([3] * len(block)), strict=True
     )
     recording.send_columns(
-        f"{sensor}/row", [time], rr.TextDocument.columns(text=[json.dumps(s.row) for s in block]), strict=True
+        f"{sensor}/row", [time], rr.TextDocument.columns(text=[json.dumps(s.cells) for s in block]), strict=True
     )

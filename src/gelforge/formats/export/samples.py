@@ -1,6 +1,7 @@
 """A dataset of stage 60 as every export reads it, with the facts that give its numbers a meaning."""
 
 import json
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -35,6 +36,12 @@ class Sample:
     @property
     def name(self) -> str:
         return self.row["sample_id"]
+
+    @property
+    def cells(self) -> dict[str, str | float | None]:
+        """The row with its numbers as numbers; None for one that is not known."""
+        numbers = {name: value for name, value in self.record.numbers().items() if name in self.row}
+        return self.row | {name: None if math.isnan(value) else value for name, value in numbers.items()}
 
     def total(self) -> list[float]:
         """Total force along gel x, y, z in N, as the dataset states it."""

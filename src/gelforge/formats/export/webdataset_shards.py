@@ -30,6 +30,6 @@ def write(folder: Path, samples: Samples) -> None:
                 sample = samples.sample(at)
                 sink.write({
                     "__key__": f"{at:08d}", SUFFIX_OF[sample.media_type]: sample.picture, "forces.npy": sample.label,
-                    "json": json.dumps(sample.row).encode(),
+                    "json": json.dumps(sample.cells).encode(),
                 })  # fmt: skip
     write_text(folder / "facts.json", samples.facts_text())
