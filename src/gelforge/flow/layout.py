@@ -5,12 +5,11 @@ standard library, because every step of a run asks for it.
 """
 
 import csv
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import names_in, read_csv
+from gelforge.flow.files import names_in
 
 PLAN, POSES, IMAGES, MESHES, FEA, FORCES = "00_plan", "10_poses", "15_images", "20_meshes", "30_fea", "40_forces"
 LABELS, DATASET, TRAIN, EVALUATE, REPORT = "50_labels", "60_dataset", "70_train", "80_evaluate", "90_report"
@@ -181,11 +180,6 @@ class Layout:
         return self.root / LOGS
 
     @property
-    def counts(self) -> Path:
-        """Rows of the planned shards' tables, for the line over a run."""
-        return self.logs / "counts.json"
-
-    @property
     def tables(self) -> Path:
         """What the shards' tables hold, for `make status`."""
         return self.logs / "tables.json"
@@ -203,14 +197,6 @@ class Layout:
     def names(self) -> list[str]:
         """Names of the shards that are planned today, in order."""
         return planned_shards(self.shards)
-
-    def sizes(self) -> dict[str, int]:
-        """Rows of the log in each planned shard; nothing where nothing is planned."""
-        found = {}
-        for name in self.names():
-            with suppress(FileNotFoundError):  # another make that plans anew may remove a shard between the two looks
-                found[name] = len(read_csv(self.shard(name)))
-        return found
 
     def shard_of(self, sample_id: str) -> str:
         """Name of the planned shard that holds a sample; BadInput where none does."""

@@ -47,17 +47,6 @@ def test_a_command_that_is_reported_names_the_dataset_that_it_is_for():
     assert command_for("train", "elsewhere/network.pt") == "make train"
 
 
-def test_sizes_are_of_what_is_planned(tmp_path):
-    """Rows of the log, however often a sample stands there, and none of those that the log has lost."""
-    of = Layout(tmp_path)
-    assert of.sizes() == {} and of.names() == []
-    of.shards.mkdir(parents=True)
-    of.shard("0000").write_text("sample_id\na\nb\na\n")
-    of.shard("0001").write_text("sample_id\n")
-    of.shard_table.write_text("sample_id,shard\na,0\nb,0\ngone,1\nlost,7\n")
-    assert of.sizes() == {"0000": 3, "0001": 0}
-
-
 def test_a_sample_is_found_in_the_planned_shards_alone(tmp_path):
     """The table of shards keeps samples that the log has lost."""
     of = Layout(tmp_path / "demo")

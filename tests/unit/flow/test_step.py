@@ -236,16 +236,19 @@ def test_a_terminal_shows_one_line_that_goes_away(tmp_path, typed_to):
         shown += os.read(master, 1000)
     mark.touch()
     said = child.communicate(timeout=HANG)[0]
-    assert b"no press is planned yet; now: 30_fea/0000 | press s7" in shown and shown.startswith(b"\r\033[K")
+    assert b"now: 30_fea/0000 | press s7" in shown and shown.startswith(b"\r\033[K")
     assert "[" not in said.removeprefix(str(tmp_path))  # how far the run has come stands in the line alone
     assert os.read(master, 1000).endswith(b"\r\033[K")
 
 
 def test_without_a_terminal_each_finished_file_says_how_far_the_run_has_come(tmp_path):
-    target = tmp_path / "results/d/30_fea/0000.csv"
+    target, shards = tmp_path / "results/d/30_fea/0000.csv", tmp_path / "results/d/00_plan/shards"
+    shards.mkdir(parents=True)
+    for name in ("0000.csv", "0001.csv"):
+        (shards / name).touch()
     said = wrapped(target, "bash", "-c", f"echo made > {target}.part")[1]
-    assert said.rstrip().endswith("[no press is planned yet]")
-    target = tmp_path / "results/d/80_evaluate/24x32/pair_8.card.md"  # of which the presses say nothing
+    assert said.rstrip().endswith("[30_fea: 1 of 2 shards]")
+    target = tmp_path / "results/d/80_evaluate/24x32/pair_8.card.md"  # of which no shards are made
     assert wrapped(target, "bash", "-c", f"echo made > {target}.part")[1].rstrip().endswith("MiB")
 
 
