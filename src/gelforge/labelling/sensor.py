@@ -13,6 +13,7 @@ from gelforge.geometry.gel import Gel, load_gel
 from gelforge.records.press import SENSOR_TABLES
 
 NOMINAL = Gel()
+LEAST_SHOWN, MOST_SHOWN = 0.05, 5.0  # of the gel's length: what an image may be wide
 FEWEST_DOTS, MOST_DOTS = 2, 100  # in a row or a column of a print
 
 
@@ -78,6 +79,18 @@ def check_projection(homography: np.ndarray, where: str, gel: Gel = NOMINAL) -> 
         )
 
 
+def check_scale(homography: np.ndarray, image: tuple[int, int], where: str, gel: Gel = NOMINAL) -> None:
+    """Raise BadInput where an image (width, height) px would show far more or far less than a gel, as with another unit of length."""
+    middle = np.array(image) / 2
+    across = transform(np.linalg.inv(homography), middle + np.array([[-middle[0], 0.0], [middle[0], 0.0]]))
+    shown = float(np.hypot(*(across[1] - across[0])))
+    if not LEAST_SHOWN <= shown / gel.length <= MOST_SHOWN:
+        raise BadInput(
+            f"{where}: the image of {image[0]} px would be {shown:.3g} mm wide on a gel of {gel.width:g} x {gel.length:g} mm, {image[0] / shown:.3g}"
+            " px/mm; give it from gel mm to pixels (make projection), for images of this size"
+        )
+
+
 def load_sensors(path) -> dict[str, Sensor]:
     """Read sensors.toml (or stage parameters, .json) into {name: Sensor}; BadInput names a bad entry and its field."""
     try:
@@ -123,6 +136,7 @@ def sensor_of(path: str, name: str, table: dict) -> Sensor:
     except BadInput as error:
         raise BadInput(f"{where}: gel: {error}") from error
     check_projection(projection, f"{where} projection", gel)
+    check_scale(projection, (image[0], image[1]), f"{where} projection", gel)
     markers = table.get("markers", {})
     check_markers(markers, f"{where} markers")
     return Sensor(name, tuple(image), projection, table["gel"], markers)

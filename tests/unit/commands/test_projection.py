@@ -12,7 +12,7 @@ from gelforge.formats.numpy_pickle import read_npy
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.homography import fit_homography
 from gelforge.labelling.operator import assemble
-from gelforge.labelling.sensor import check_projection, find_sensor, load_sensors, transform
+from gelforge.labelling.sensor import check_projection, check_scale, find_sensor, load_sensors, transform
 from gelforge.records.markers import find_markers
 from gelforge.virtualrig.units import read_ranges
 from tests.support.patch import irregular_surface
@@ -57,6 +57,14 @@ def test_degenerate_sets_are_refused_with_the_reason():
         refused(reason, fit_homography, points, transform(GOOD, points))
     line = np.array([[0.0, 0], [10, 10], [20, 20], [40, 40]])
     refused("in the image, all points lie on one line", fit_homography, SQUARE, line)
+
+
+def test_a_scale_in_another_unit_is_refused_and_crops_are_not():
+    """Pixels by metre, by inch and by micrometre, and a camera that sees a quarter or three times the gel."""
+    for factor in (1e-3, 1 / 25.4, 1e3):
+        refused("px/mm", check_scale, np.diag([factor, factor, 1.0]) @ GOOD, (320, 240), "unit")
+    for factor in (0.4, 1.0, 4.0):
+        check_scale(np.diag([factor, factor, 1.0]) @ GOOD, (320, 240), "unit")
 
 
 def test_projections_that_fold_or_flip():
