@@ -159,6 +159,7 @@ def test_a_solver_of_a_moved_fine_part_is_as_one_of_its_own(solver, tmp_path):
     assert stiffer[1] == pytest.approx(stiffer[0], abs=0.015)
 
 
+@pytest.mark.slow
 def test_a_press_that_calculix_own_contact_does_not_see_is_no_answer_of_zero(mesh, ccx, tmp_path):
     """0.01 mm deep, by a ball of flat triangles whose tip lies higher: it touches, and the base bears nothing."""
     ball = build("ball", {"kind": "sphere", "diameter": 8, "height": 10})

@@ -25,7 +25,7 @@ NO_SLIP = Penalty(50.0, 5.0, contact_law("no_slip"))
 LAWS = [
     contact_law(name, number)
     for name, law in laws().items()
-    for number in ((0.0, 0.02, 0.1, 0.8) if law.has_coefficient else (0.0,))
+    for number in ((0.0, 0.1, 0.8) if law.has_coefficient else (0.0,))
 ]
 
 
@@ -62,14 +62,14 @@ def mesh():
     return build_mesh(Gel(), FineBox(-3, 3, -2, 2, 1.0), 3)
 
 
-@pytest.mark.parametrize("order", [1, 2, 3, 4])
-def test_rule_covers_the_surface(mesh, order):
-    state = contact_points(mesh, order)
+def test_rule_covers_the_surface(mesh):
     corners = mesh.nodes[mesh.faces]
     flat = 0.5 * np.cross(corners[:, 2] - corners[:, 0], corners[:, 3] - corners[:, 1])
-    # a warped quad is larger than its projection by the square of its slopes, below 1e-2 in all but the rim
-    assert state.weights.sum() == pytest.approx(np.linalg.norm(flat, axis=1).sum(), rel=5e-3)
-    assert np.allclose(state.shape.sum(axis=1), 1.0)
+    for order in (1, 2, 3, 4):
+        state = contact_points(mesh, order)
+        # a warped quad is larger than its projection by the square of its slopes, below 1e-2 in all but the rim
+        assert state.weights.sum() == pytest.approx(np.linalg.norm(flat, axis=1).sum(), rel=5e-3)
+        assert np.allclose(state.shape.sum(axis=1), 1.0)
 
 
 def test_the_configuration_names_laws_that_there_are():
