@@ -16,13 +16,14 @@ flagged if the gel moved in its holder since the no-contact image was taken: tak
 import tempfile
 from argparse import Namespace
 from collections.abc import Iterator, Sequence
+from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.commands.sensoroptions import ENGINE, MODEL, NOCONTACT, PROFILE, SENSOR
 from gelforge.errors import BadInput, printable
-from gelforge.flow.files import publish, write_csv
+from gelforge.flow.files import publish
 from gelforge.flow.main import command, option
 from gelforge.networks.inference.predictor import Predictor, load_for_use
 from gelforge.networks.inference.sensorprofile import files_of, with_profile
@@ -30,6 +31,7 @@ from gelforge.records.axes import CHANNELS
 from gelforge.records.forcereading import TOTAL_COLUMNS, ForceReading, goes_beyond, total_columns
 from gelforge.records.image import read_image
 from gelforge.records.regular import FOLDER, file_fault, refuse_to_replace
+from gelforge.records.table import GrowingTable
 
 FILMS = (".avi", ".mp4", ".mkv", ".mov", ".webm")  # names that no picture has
 HEIGHT = "_height.npy"
@@ -91,7 +93,7 @@ def predict_files(
     """Predict image files and write their maps below `out`, one after another; yield each one's row of totals.csv.
 
     Every image is read before anything is written, and again when its turn comes: there may be more than memory holds.
-    totals.csv is written at the end, which may come early: whoever stops keeps the rows of what was read.
+    totals.csv grows with each image: whoever stops keeps the rows of what was read.
     read: other files that were read, whose place nothing that is written may take. height: whether the gel's height is written,
     too; BadInput beside a model that does not estimate slopes, where the profile holds no table of them either.
     """
@@ -108,29 +110,25 @@ def predict_files(
     for path in paths:
         read_image(path)
     need_folder(out)
-    # no table of an earlier call beside maps of this one, however it ends
-    (out / "totals.csv").unlink(missing_ok=True)
-    rows = []
+    table = GrowingTable(out / "totals.csv", COLUMNS)  # in place of that of an earlier call, however this one ends
     try:
         for path, name in zip(paths, names, strict=True):
             image = read_image(path)
             found = predictor.predict(image)
             row = totals_row(printable(path), printable(name), found)
-            with publish(out / f"{name}.npy") as part:
-                np.save(part, found.cells)
-            with publish(out / f"{name}.png") as part:
+            # the maps of an image and its row are written together or, where the disk is full, not at all
+            with publish(out / f"{name}.npy") as cells, publish(out / f"{name}.png") as drawn, ExitStack() as stack:
+                np.save(cells, found.cells)
                 flag = f" | FLAGGED: {found.reason}" if found.flag else ""
-                write_maps(
-                    part, found.image, found.cells, f"{printable(name)}, OOD score {found.ood_score:.1f}{flag}"
-                )
-            if height:
-                with publish(out / f"{name}{HEIGHT}") as part:
+                title = f"{printable(name)}, OOD score {found.ood_score:.1f}{flag}"
+                write_maps(drawn, found.image, found.cells, title)
+                if height:
+                    part = stack.enter_context(publish(out / f"{name}{HEIGHT}"))
                     np.save(part, np.asarray(predictor.height(image), np.float32))
-            rows.append(row)
+                table.add(row)
             yield row
     finally:
-        if rows:
-            write_csv(out / "totals.csv", COLUMNS, rows)
+        table.close()
 
 
 def line_of(row: dict) -> str:

@@ -34,7 +34,7 @@ def messages(path: Path, topics: Collection[str], notes: list[str] | None = None
         stream.seek(0)
         try:
             yield from _decoded(path, stream, topics, notes)
-        except BadInput:
+        except (BadInput, ModuleNotFoundError):
             raise
         # a corrupt file makes mcap, the ROS definitions in it, LZ4, Zstandard and struct each raise errors of their own
         except Exception as error:

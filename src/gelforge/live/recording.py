@@ -6,6 +6,7 @@ import itertools
 import os
 import sys
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import IO
 
@@ -13,6 +14,7 @@ from gelforge.errors import BadInput
 from gelforge.formats.export import ros
 from gelforge.live.reading import COLUMNS, Reading
 from gelforge.live.topics import RosMessages
+from gelforge.records.table import GrowingTable
 
 CHUNK_BYTES = 2**18  # small, so that a full disk is noticed within a second
 
@@ -90,53 +92,45 @@ class McapRecording:
 
 
 class CsvTable:
-    """A table of one row a reading, to a file or, named -, to standard output.
+    """A table of one row a reading, to a file or, named -, to standard output; BadInput where it cannot be written.
 
-    A file that cannot be written on ends in its last whole row, with BadInput.
+    A file ends in its last whole row.
     """
 
     def __init__(self, path: Path):
         self.path, self.count, self.flagged = path, 0, 0
+        self.table: GrowingTable | None = None
+        self.add: Callable[[dict], object]
+        if str(path) == "-":
+            self.add = csv.DictWriter(sys.stdout, COLUMNS, lineterminator="\n").writerow
+            self.add(dict(zip(COLUMNS, COLUMNS, strict=True)))
+            return
         try:
-            if str(path) == "-":
-                self.stream = sys.stdout
-            else:
-                path.parent.mkdir(parents=True, exist_ok=True)
-                self.stream = path.open("w", encoding="utf-8", newline="")
+            path.parent.mkdir(parents=True, exist_ok=True)
+            self.table = GrowingTable(path, COLUMNS)
         except OSError as error:
             raise BadInput(f"{path}: cannot be written ({error.strerror}); name another file") from error
-        self.whole = 0  # bytes of whole rows
-        self.writer = csv.DictWriter(self.stream, COLUMNS, lineterminator="\n")
-        self._write(self.writer.writeheader)
-
-    def _write(self, write, *row) -> None:
-        try:
-            write(*row)
-            self.stream.flush()
-            if self.stream is not sys.stdout:
-                self.whole = os.fstat(self.stream.fileno()).st_size
-        except BrokenPipeError:
-            raise  # whoever reads standard output has enough
-        except OSError as error:
-            self.drop()
-            raise BadInput(
-                f"{self.path}: cannot be written ({error.strerror}); free space or name another file"
-            ) from error
+        self.add = self.table.add
 
     def send(self, reading: Reading) -> None:
         """Write the row of a reading."""
-        self._write(self.writer.writerow, reading.row())
+        try:
+            self.add(reading.row())
+            if not self.table:
+                sys.stdout.flush()
+        except BrokenPipeError:
+            raise  # whoever reads standard output has enough
+        except OSError as error:
+            raise BadInput(
+                f"{self.path}: cannot be written ({error.strerror}); free space or name another file"
+            ) from error
         self.count += 1
         self.flagged += reading.found.flag
 
     def drop(self) -> None:
         """Close the file behind its last whole row."""
-        if self.stream is sys.stdout:
-            return
-        with contextlib.suppress(OSError):
-            self.stream.close()
-        if self.path.is_file():  # nothing else has rows that can be taken back
-            os.truncate(self.path, self.whole)
+        if self.table:
+            self.table.close()
 
     def end(self) -> str:
         """Close the file; return what to say of it."""

@@ -1,7 +1,9 @@
 """Tables that a stage or a person wrote, read as rows of text; whatever else lies there is refused."""
 
+import contextlib
 import csv
 import io
+import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -16,6 +18,42 @@ def write_table(path: str | Path, columns: Sequence[str], rows: Sequence[Mapping
     """Write a table, whole or not at all; optional columns only where a press has one, so that other tables stay as they were."""
     names = [*columns, *(name for name in OPTIONAL if any(row[name] for row in rows))]
     write_csv(path, names, [{name: row[name] for name in names} for row in rows])
+
+
+class GrowingTable:
+    """A CSV file that grows row by row: whatever happens it ends in a whole row, and without any row there is none.
+
+    OSError where a row cannot be written; the table is closed then.
+    """
+
+    def __init__(self, path: Path, columns: Sequence[str]):
+        self.path, self.count = path, 0
+        self._stream = path.open("w", encoding="utf-8", newline="")
+        self._whole = 0  # bytes of whole rows
+        self._writer = csv.DictWriter(self._stream, columns, lineterminator="\n")
+        self._writer.writeheader()
+
+    def add(self, row: Mapping[str, Any]) -> None:
+        """Write a row."""
+        try:
+            self._writer.writerow(row)
+            self._stream.flush()
+        except OSError:
+            self.close()
+            raise
+        self._whole = os.fstat(self._stream.fileno()).st_size
+        self.count += 1
+
+    def close(self) -> None:
+        """Close the file behind its last whole row."""
+        with contextlib.suppress(OSError):  # what could not be written is cut off
+            self._stream.close()
+        if not self.path.is_file():  # a device has no rows that can be taken back
+            return
+        if self.count:
+            os.truncate(self.path, self._whole)
+        else:
+            self.path.unlink()
 
 
 def read_table(path: str | Path, hint: str) -> list[dict[str, str]]:

@@ -16,6 +16,7 @@ from gelforge.networks.inference.predictor import Predictor
 from gelforge.networks.preprocess.wear import darkness_of, grey_of
 from gelforge.networks.uncertainty import ood
 from gelforge.reporting import forcemaps
+from tests.support.limited import small_disk
 from tests.support.refused import refused
 from tests.support.small_networks import GRID, IMAGE
 from tests.support.waiting import heed_interrupts
@@ -123,6 +124,19 @@ def test_who_interrupts_keeps_the_rows_of_what_was_read(given, tmp_path):
     rows = totals(tmp_path / "out")
     assert child.returncode != 0 and printed <= len(rows) < 100
     assert all((tmp_path / "out" / f"p{'' if k == 0 else f'-{k + 1}'}.npy").exists() for k in range(len(rows)))
+
+
+def test_a_full_disk_leaves_each_map_with_its_row(given, tmp_path):
+    """Maps and their rows are written together: the disk took a map of which no table said anything."""
+    with small_disk(tmp_path / "disk") as disk:
+        command = [sys.executable, "-m", "gelforge.commands.predict", *[str(given[0])] * 9, *given[1]]
+        command[command.index("--out") + 1] = str(disk / "out")
+        done = subprocess.run(command, capture_output=True, text=True)
+        assert done.returncode == 2 and "No space left" in done.stderr and "Traceback" not in done.stderr
+        table = disk / "out/totals.csv"
+        rows = totals(disk / "out") if table.exists() else []
+        kept = {path.name for path in (disk / "out").iterdir()} - {"totals.csv"}
+        assert kept == {f"{row['map'].removesuffix('.npy')}{end}" for row in rows for end in (".npy", ".png")}
 
 
 def test_any_name_of_a_file_is_only_a_name(given, data, tmp_path):
