@@ -58,7 +58,7 @@ lock: $(SETUP)  ## write envs/requirements.lock from the installed packages
 	@mv envs/.requirements.lock envs/requirements.lock
 
 # What benchmarks share, and is none.
-SHARED := __init__ attempts balls chart_meshes fea_cost figures films flow_faults neighbour_faults reach real_page rig_page sandbox tables ways
+SHARED := __init__ balls chart_meshes fea_cost figures films reach real_page rig_page sandbox tables ways
 BENCHMARKS := $(filter-out $(SHARED:%=benchmark-%),$(patsubst tests/benchmarks/%.py,benchmark-%,$(wildcard tests/benchmarks/*.py)))
 .PHONY: $(BENCHMARKS)
 $(BENCHMARKS): benchmark-%: $(SETUP) $(CCX_FOUND)

@@ -40,19 +40,3 @@ def make(
         stderr=subprocess.STDOUT,
         **options,
     )
-
-
-def comma_language(folder: Path) -> dict[str, str] | None:
-    """Settings of a language whose numbers have a comma, as German's and French's, made in `folder`; None where it cannot be."""
-    source = folder / "comma"
-    source.write_text(
-        'LC_NUMERIC\ndecimal_point ","\nthousands_sep "."\ngrouping 3;3\nEND LC_NUMERIC\n', encoding="utf-8"
-    )
-    if shutil.which("localedef") is None:
-        return None
-    subprocess.run(["localedef", "-c", "-i", source, folder / "xx_XX"], capture_output=True, check=False)
-    settings = {"LOCPATH": str(folder), "LC_NUMERIC": "xx_XX", "LC_ALL": ""}
-    said = subprocess.run(
-        ["stat", "-c", "%.9Y", source], env={**os.environ, **settings}, capture_output=True, text=True, check=True
-    )
-    return settings if "," in said.stdout else None

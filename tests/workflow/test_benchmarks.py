@@ -15,13 +15,9 @@ from tests.workflow.conftest import NEEDS_SLURM
 
 # What is measured in these depends on the machine and its load.
 CLOCK = {"s", "ms", "times", "images/s", "GiB", "MB"}
-FEW = {"cases tried"}  # figures that only the whole benchmark meets
-# All but those of a flow, of which the first alone takes a solve.
-AREAS_OF_FAULTS = "settings rows logs pictures shapes arrays names keys answers solids frames recordings"
 QUICK = {
     "dag": ["--samples", "20"],
     "face": ["--parts", "exports", "provenance", "recordings", "--presses", "50"],
-    "faults": ["--every", "40", "--areas", *AREAS_OF_FAULTS.split()],
     "geometry": ["--solids", "sphere_15"],
     "labels": ["--samples", "16", "--grids", "12x16", "24x32"],
     "rig": ["--parts", "likeness"],  # an indenter's force factor alone takes 20 s
@@ -29,7 +25,6 @@ QUICK = {
 # What makes no small form worth its time, and where the same is tested.
 LEFT_OUT = {
     "auto": "solves 200 presses: tests/workflow/test_verify.py",
-    "suites": "runs all tests again and again",
     "machines": "solves scenes in six processes: tests/physics/test_machines.py",
     "fea": "solves with CalculiX, FEATS' deck for hours: tests/physics/test_ccx_contact.py and test_ccx_closed_forms.py",
     "calibration": "an emulator takes minutes: tests/workflow/test_calibrate.py",
@@ -52,11 +47,11 @@ def run_small(name, words, folder):
 
 
 def missed(figures):
-    """Figures that are no numbers, or miss a goal that has nothing to do with time, memory or the number of cases."""
+    """Figures that are no numbers, or miss a goal that has nothing to do with time or memory."""
     assert figures
     return [
         f for f in figures
-        if not np.isfinite(f["value"]) or not (f["met"] or f["unit"] in CLOCK or f["name"] in FEW)
+        if not np.isfinite(f["value"]) or not (f["met"] or f["unit"] in CLOCK)
     ]  # fmt: skip
 
 

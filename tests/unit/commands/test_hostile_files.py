@@ -55,6 +55,11 @@ def pipe(tmp_path):
     return tmp_path / "pipe.png"
 
 
+def test_a_device_is_no_picture(tmp_path):
+    (tmp_path / "zero.png").symlink_to("/dev/zero")
+    refused("zero.png", read_image, tmp_path / "zero.png")
+
+
 def test_a_pipe_is_no_file(pipe, tmp_path):
     assert "a named pipe" in bad_image(press_record(image="pipe.png"), "log.csv", tmp_path, (320, 240)).reason
     readers = (read_image, read_labels, load_model, log.read_log, lambda p: read_npy(p.with_suffix(".npy")),
@@ -107,6 +112,8 @@ def test_pictures_of_every_kind_are_read_and_those_of_sixteen_bits_refused(tmp_p
         cv2.imwrite(str(path), picture)
         assert np.array_equal(read_image(path), cv2.imread(str(path))[..., ::-1]), kind
     for kind in (".png", ".tiff"):
+        cv2.imwrite(str(tmp_path / f"t{kind}"), np.dstack([picture, np.full(picture.shape[:2], 9, np.uint8)]))
+        assert np.array_equal(read_image(tmp_path / f"t{kind}")[..., ::-1], picture), kind  # transparency is left out
         cv2.imwrite(str(tmp_path / f"b{kind}"), picture.astype(np.uint16) * 16)
         refused("16 bits a channel", read_image, tmp_path / f"b{kind}")
 
@@ -201,6 +208,19 @@ def test_labels_of_others_are_checked(tmp_path):
     for data in (b"", b"PK\x03\x04", b"not a zip", bytes(range(256))):
         path.write_bytes(data)
         refused("not a label shard", read_labels, path)
+
+
+def test_a_changed_bit_of_a_label_file_is_noticed(tmp_path):
+    path, arrays = tmp_path / "24x32.npz", label_arrays()
+    arrays["label"] = np.random.default_rng(5).normal(size=arrays["label"].shape).astype(np.float32)
+    np.savez(path, **arrays)
+    data = path.read_bytes()
+    for at in range(0, len(data), 101):
+        path.write_bytes(data[:at] + bytes([data[at] ^ 16]) + data[at + 1 :])
+        try:
+            assert np.array_equal(read_labels(path).label[...], arrays["label"]), at  # a byte that nothing reads
+        except BadInput:
+            pass
 
 
 def test_a_good_imported_label_file_is_read(tmp_path):
