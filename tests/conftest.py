@@ -38,7 +38,7 @@ for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 REFERENCE = Path(os.environ.get("GELFORGE_REFERENCE", ROOT.parent / "shared" / "reference"))
 
 
-# Files that take minutes, longest first: begun at the end they would be waited for by processes with nothing to do. Of the
+# Files that take longest, in that order: begun at the end they would be waited for by processes with nothing to do. Of the
 # first three one solves presses: in a fresh clone its kernels are compiled once, and not by each process for itself.
 LONG = (
     "test_slurm",
@@ -46,23 +46,20 @@ LONG = (
     "test_benchmarks",
     "test_machines",
     "test_planning",
+    "test_one_sample",
     "test_hex",
     "test_rig_forces",
-    "test_labels_flow",
-    "test_one_sample",
-    "test_page",
     "test_flow",
+    "test_training",
+    "test_rig",
+    "test_meshes",
     "test_calibrated_labels",
     "test_calibration_inference",
-    "test_training",
-    "test_meshes",
     "test_calibrate",
-    "test_ccx_contact",
-    "test_rig",
-    "test_choices",
-    "test_exports",
-    "test_camera_frame",
+    "test_auto",
     "test_evaluation",
+    "test_exports",
+    "test_fea_resume",
 )
 
 

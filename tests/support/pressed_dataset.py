@@ -93,27 +93,20 @@ def label(made: dict, resolution: str, sensors=ROOT / "workflow/sensors.toml") -
     from gelforge.stages import labels
 
     results, out = made["results"], made["results"] / "50_labels" / resolution / "labels.json"
-    labels.main(
-        [
-            "--forces",
-            str(results / "40_forces"),
-            "--poses",
-            str(results / "10_poses"),
-            "--meshes",
-            str(results / "20_meshes"),
-            "--shards",
-            str(results / "00_plan/shards"),
-            "--sensors",
-            str(sensors),
-            "--resolution",
-            resolution,
-            "--params",
-            str(results / "00_plan/params/labels.json"),
-            "--out",
-            str(out),
-        ]
-    )
+    given = {"forces": results / "40_forces", "meshes": results / "20_meshes", "params": params(results, "labels")}
+    labels.main(words(results, resolution, sensors, out, **given))
     return out.parent
+
+
+def params(results: Path, stage: str) -> Path:
+    return results / "00_plan/params" / f"{stage}.json"
+
+
+def words(results: Path, resolution: str, sensors: Path, out: Path, **more: Path) -> list[str]:
+    """Options of a stage as words, those that stages 50 and 60 share included."""
+    given = {"poses": results / "10_poses", "shards": results / "00_plan/shards", "sensors": sensors}
+    options = given | {"resolution": resolution, "out": out} | more
+    return [word for name, value in options.items() for word in (f"--{name}", str(value))]
 
 
 def collect(made: dict, resolution: str, *flags: str, **settings) -> Path:
@@ -125,27 +118,9 @@ def collect(made: dict, resolution: str, *flags: str, **settings) -> Path:
         write_stage(results / "00_plan/params", "dataset", dataset=plain(SETTINGS) | settings)
     source = made["data"] / "labels" / f"{resolution}.npz"
     folder = source if source.exists() else results / "50_labels" / resolution
-    dataset.main(
-        [
-            "--data",
-            str(made["data"]),
-            "--labels",
-            str(folder),
-            "--poses",
-            str(results / "10_poses"),
-            "--shards",
-            str(results / "00_plan/shards"),
-            "--catalogue",
-            str(results / "00_plan/params/indenters.json"),
-            "--sensors",
-            str(ROOT / "workflow/sensors.toml"),
-            "--resolution",
-            resolution,
-            "--params",
-            str(results / "00_plan/params/dataset.json"),
-            "--out",
-            str(out),
-            *flags,
-        ]
+    given = {"data": made["data"], "labels": folder, "catalogue": params(results, "indenters")}
+    asked = words(
+        results, resolution, ROOT / "workflow/sensors.toml", out, params=params(results, "dataset"), **given
     )
+    dataset.main([*asked, *flags])
     return out.parent
