@@ -114,8 +114,8 @@ def collect(made: dict, resolution: str, *flags: str, **settings) -> Path:
     from gelforge.stages import dataset
 
     results, out = made["results"], made["results"] / "60_dataset" / resolution / "dataset.json"
-    if settings:
-        write_stage(results / "00_plan/params", "dataset", dataset=plain(SETTINGS) | settings)
+    noise = {"judge_images": False}  # which its images are
+    write_stage(results / "00_plan/params", "dataset", dataset=plain(SETTINGS) | settings, poses=noise)
     source = made["data"] / "labels" / f"{resolution}.npz"
     folder = source if source.exists() else results / "50_labels" / resolution
     given = {"data": made["data"], "labels": folder, "catalogue": params(results, "indenters")}

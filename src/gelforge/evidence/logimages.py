@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -11,10 +10,10 @@ from gelforge.evidence.images import Seen, image_fault, nocontact_fault
 from gelforge.evidence.imprints import COLS, ROWS, Rest, Window
 from gelforge.flow.files import publish
 from gelforge.geometry.solids import Indenter
-from gelforge.labelling.sensor import sensor_of
+from gelforge.labelling.sensor import Sensor
 from gelforge.records.image import read_image, read_logged_image
 from gelforge.records.npz import Archive
-from gelforge.records.press import SENSOR_TABLES, PosedPress
+from gelforge.records.press import PosedPress, PressRecord
 
 KEEP = "or set judge_images = false under [params.poses] in dataset.toml to use the images as they are"
 TEXTS = ("sample_id", "sensor", "indenter", "fault")
@@ -30,29 +29,39 @@ SHAPES: dict[str, tuple[int, ...]] = {
 class LogImages:
     """Judges the images of presses against the no-contact images of their sensors, DATA/nocontact/SENSOR.png.
 
-    sensors: tables of the sensors by name, as in sensors.toml. A no-contact image that cannot be right raises BadInput when its sensor
+    sensors: by name, at least those of the presses. A no-contact image that cannot be right raises BadInput when its sensor
     is first met.
     """
 
-    def __init__(self, data: Path, sensors: Mapping[str, dict[str, Any]]) -> None:
+    def __init__(self, data: Path, sensors: Mapping[str, Sensor]) -> None:
         self.data, self.sensors = data, sensors
         self._known: dict[str, tuple[Rest, Window] | None] = {}
 
     def _of(self, name: str) -> tuple[Rest, Window] | None:
         if name not in self._known:
             path = self.data / "nocontact" / f"{name}.png"
-            self._known[name] = self._read(path, name) if path.exists() else None
+            known = path.exists() and name in self.sensors
+            self._known[name] = self._read(path, name) if known else None
         return self._known[name]
 
     def _read(self, path: Path, name: str) -> tuple[Rest, Window]:
-        sensor = sensor_of(SENSOR_TABLES, name, self.sensors[name])
-        picture = read_image(path, sensor.image)
+        sensor = self.sensors[name]
+        picture = read_image(path, sensor.image, "restore it, or remove it")
         fault = nocontact_fault(picture)
         if fault:
             raise BadInput(
                 f"{path}: the no-contact image of {name} {fault}. Record it while nothing touches the gel, {KEEP}"
             )
         return Rest(picture), Window(sensor)
+
+    def fault(self, press: PressRecord) -> str:
+        """Why the image of a press is not of its sensor; empty where it may be, or there is no no-contact image."""
+        known = self._of(press.sensor_id)
+        if known is None or not press.image:
+            return ""
+        rest, window = known
+        image = read_logged_image(self.data, press.image, window.sensor.image)
+        return image_fault(image, rest, rest.reference.light_of(image))
 
     def see(self, press: PosedPress, body: Indenter) -> Seen | None:
         """What is kept of the image of a press, beside what is wrong with it; None without an image or a no-contact image."""

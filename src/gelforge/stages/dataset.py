@@ -12,6 +12,8 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.evidence.images import listed as listed_rows
+from gelforge.evidence.logimages import LogImages
 from gelforge.flow.files import digest_of, listed, publish, read_json, take, write_csv, write_json, write_text
 from gelforge.flow.layout import command_for, planned_shards
 from gelforge.flow.main import command, option
@@ -240,6 +242,16 @@ def list_shards(args) -> list[tuple[Path, list]]:
     return [(args.labels, presses)]
 
 
+def wrong_imported(args, presses: list[PressRecord]) -> dict[str, str]:
+    """Why images of imported samples are not of their sensors, by sample: without poses stage 15 does not look at them."""
+    images = LogImages(args.data, load_sensors(args.sensors))
+    found = {press.sample_id: fault for press in progress(presses, "images judged") if (fault := images.fault(press))}
+    for fault in sorted(set(found.values())):
+        rows = [press.row for press in presses if found.get(press.sample_id) == fault]
+        print(f"rejected: {fault} (row {listed_rows(rows)})", file=sys.stderr)
+    return found
+
+
 def describe(args, grid: Grid, found: list[DatasetSample], splits, left_out, size, material: dict) -> dict:
     """Contents of dataset.json."""
     names, counts = np.unique(splits, return_counts=True)
@@ -330,11 +342,15 @@ def counted(found: dict) -> str:
 
 def build(args) -> dict:
     """Write the arrays and tables of one resolution beside args.out; return the contents of dataset.json."""
-    grid, settings = Grid.parse(args.resolution), read_parameters(args.params, ForDataset).dataset
+    params = read_parameters(args.params, ForDataset)
+    grid, settings = Grid.parse(args.resolution), params.dataset
     shards = list_shards(args)
-    found, places, left_out, material = collect(
-        shards, read_truth(args.data), read_json(args.images)["left_out"] if args.images else {}
-    )
+    wrong_images = {}
+    if args.images:
+        wrong_images = read_json(args.images)["left_out"]
+    elif params.poses.judge_images:
+        wrong_images = wrong_imported(args, [press for _, presses in shards for press in presses])
+    found, places, left_out, material = collect(shards, read_truth(args.data), wrong_images)
     if not found:
         raise BadInput(nothing_left(args, left_out))
     presses = [each.press for each in found]

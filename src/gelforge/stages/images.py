@@ -53,7 +53,9 @@ def look(path: Path, presses: list[PosedPress], data: Path, tables: dict, workfl
     key = hashlib.sha256("".join(key_of(press, data, tables) for press in presses).encode()).hexdigest()
     seen = read_seen(path, key)
     if seen is None:
-        images, bodies = LogImages(data, tables["sensors"]), bodies_of(presses, tables, workflow)
+        names = sorted({press.sensor_id for press in presses})
+        sensors = {name: sensor_of(SENSOR_TABLES, name, tables["sensors"][name]) for name in names}
+        images, bodies = LogImages(data, sensors), bodies_of(presses, tables, workflow)
         every = (images.see(press, bodies[press.indenter]) for press in presses)
         seen = [one for one in every if one is not None]
         write_seen(path, seen, key)

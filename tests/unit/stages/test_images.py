@@ -1,12 +1,17 @@
 """Stage 15 on the demo's images: what stops make, what is left out of the dataset, and what is read again."""
 
 import shutil
+from argparse import Namespace
 
+import numpy as np
 import pytest
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, read_toml, write_csv, write_json
+from gelforge.records.image import read_image, write_png
+from gelforge.records.log import read_poses
 from gelforge.stages import images
+from gelforge.stages.dataset import wrong_imported
 from tests.support.parameters import write_stage
 
 
@@ -74,3 +79,14 @@ def test_a_pressed_no_contact_image_stops_make(folder, capsys):
     shutil.copy(folder / "data/images/demo-000003.png", folder / "data/nocontact/mini_e.png")
     with pytest.raises(BadInput, match=r"nocontact/mini_e.png: .* touches the gel"):
         judge(folder, capsys)
+
+
+def test_imported_images_are_judged_where_the_dataset_is_made(folder, capsys):
+    """Without poses there is no stage 15: an image of another unit and a mirrored one are named by their rows."""
+    mirrored = folder / "data/images/demo-000004.png"
+    write_png(mirrored, np.ascontiguousarray(read_image(mirrored)[:, ::-1]))
+    shutil.copy(folder / "data/images/demo-000003.png", folder / "data/images/demo-000005.png")
+    args = Namespace(data=folder / "data", sensors=folder / "params/sensors.json")
+    found = wrong_imported(args, read_poses(folder / "10_poses/0000.csv"))
+    assert found.keys() == {"demo-000004", "demo-000005"} and "mirrored left to right" in found["demo-000004"]
+    assert "(row 6)" in capsys.readouterr().err

@@ -91,6 +91,7 @@ class ForDataset(StageParameters):
     """What stage 60 reads."""
 
     dataset: DatasetTable
+    poses: ImagesTable
 
 
 @dataclass(frozen=True)
