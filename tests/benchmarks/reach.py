@@ -24,8 +24,8 @@ from tests.support.exported import LEROBOT, lay, opened_by_lerobot
 from tests.support.feats_published import DEMO, publish
 from tests.support.foxglove_client import FoxgloveClient
 from tests.support.hub_server import hub
+from tests.support.recordings import FILM, filmed, imported, moments, ramp, write
 from tests.support.waiting import HANG, wait_until
-from tests.unit.formats.test_recordings import FILM, filmed, imported, moments, ramp, write
 
 SAMPLES, PUBLISHED = 1000, 14_279
 FRAMES = 250  # ten seconds of a film

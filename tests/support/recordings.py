@@ -3,7 +3,9 @@
 import cv2
 import numpy as np
 
+from gelforge.flow.files import read_csv, write_text
 from gelforge.formats.export import ros
+from gelforge.formats.mcap_import import Topics, import_recordings
 
 START = 1_790_000_000 * 10**9
 MS = 10**6
@@ -83,3 +85,19 @@ def filmed(times, delay, clock=0):
         )
         for k, t in enumerate(times)
     ]
+
+
+def imported(tmp_path, path, sensor, more=""):
+    write_text(tmp_path / "topics.toml", f'image = "{IMAGE}"\nwrench = "{WRENCH}"\n{more}')
+    found = import_recordings(path, tmp_path / "lab", Topics.read(tmp_path / "topics.toml"), sensor)
+    rows = read_csv(tmp_path / "lab/log.csv")
+    assert len(rows) == found["images"]
+    return found, rows
+
+
+def moments(rows):
+    """Time in ms at which each row's force was measured."""
+    return np.array([-1e3 * float(row["fz_n"]) / NEWTONS_A_SECOND for row in rows])
+
+
+FILM = np.arange(103.0, 1600.0, 40.0)

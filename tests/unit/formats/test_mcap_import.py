@@ -11,17 +11,19 @@ from gelforge.commands.mcap import main as mcap_import
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, write_text
 from gelforge.formats.export import ros
-from gelforge.formats.mcap_import import Topics, import_recordings, nearest
+from gelforge.formats.mcap_import import Topics, nearest
 from gelforge.labelling.sensor import load_sensors
 from gelforge.records.labelfile import read_labels
 from tests.support.recordings import (
+    FILM,
     IMAGE,
     MS,
-    NEWTONS_A_SECOND,
     START,
     WRENCH,
     coloured,
     filmed,
+    imported,
+    moments,
     png,
     ramp,
     raw,
@@ -33,22 +35,6 @@ from tests.support.recordings import (
 @pytest.fixture
 def sensor(root):
     return load_sensors(root / "workflow" / "sensors.toml")["gelsight_mini"]
-
-
-def imported(tmp_path, path, sensor, more=""):
-    write_text(tmp_path / "topics.toml", f'image = "{IMAGE}"\nwrench = "{WRENCH}"\n{more}')
-    found = import_recordings(path, tmp_path / "lab", Topics.read(tmp_path / "topics.toml"), sensor)
-    rows = read_csv(tmp_path / "lab/log.csv")
-    assert len(rows) == found["images"]
-    return found, rows
-
-
-def moments(rows):
-    """Time in ms at which each row's force was measured."""
-    return np.array([-1e3 * float(row["fz_n"]) / NEWTONS_A_SECOND for row in rows])
-
-
-FILM = np.arange(103.0, 1600.0, 40.0)
 
 
 @pytest.mark.parametrize("delay", [80.0, 200.0, 0.0, "jitter"])

@@ -137,28 +137,20 @@ class Page(BaseHTTPRequestHandler):
     def do_GET(self) -> None:
         content = b"<!DOCTYPE html><html><body>Sign in to the network</body></html>"
         self.send_response(200)
-        self.send_header("Content-Type", "text/html")
         self.send_header("Content-Length", str(len(content)))
         self.end_headers()
-        if self.command == "GET":
-            self.wfile.write(content)
-
-    def do_HEAD(self) -> None:
-        self.do_GET()
+        self.wfile.write(content)
 
     def log_message(self, *_) -> None:
         """No request is logged."""
 
 
 def test_a_proxy_that_answers_with_a_page_is_one_sentence(root, tmp_path):
-    server = ThreadingHTTPServer(("127.0.0.1", 0), Page)
-    threading.Thread(target=server.serve_forever, daemon=True).start()
-    try:
+    with ThreadingHTTPServer(("127.0.0.1", 0), Page) as server:
+        threading.Thread(target=server.serve_forever, daemon=True).start()
         url = f"http://127.0.0.1:{server.server_address[1]}"
-        refused(fetch(root, tmp_path, url), tmp_path, url, "any proxy")
-    finally:
+        refused(fetch(root, tmp_path, url), tmp_path, url, "any proxy", "FROM=folder")
         server.shutdown()
-        server.server_close()
 
 
 def test_a_full_disk_keeps_what_was_loaded(root, tmp_path, published):
