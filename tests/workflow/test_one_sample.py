@@ -4,7 +4,6 @@ import numpy as np
 
 from gelforge.flow.files import read_csv, write_csv, write_json
 from gelforge.records.forcefile import ForceFile
-from gelforge.records.labelfile import read_labels
 from tests.benchmarks.sandbox import make
 
 
@@ -47,31 +46,6 @@ def test_a_sample_that_stage_10_rejects_says_why(project):
     done = make(project, "DATASET=tiny", "sample", f"ID={rows[1]['sample_id']}")
     assert done.returncode != 0
     assert "not a finite number" in done.stdout and "was rejected, see above" in done.stdout
-
-
-def test_frames_of_a_press_are_solved_labelled_and_split_together(project):
-    log = project / "data/tiny/log.csv"
-    row = read_csv(log)[0] | {"dx_mm": "0", "dy_mm": "0", "press_id": "film"}
-    depth = [0.25, 0.5, 0.75, 1.0, 1.0]
-    frames = [row | {"sample_id": f"f{k}", "dz_mm": f"{-fraction * abs(float(row['dz_mm']))}"}
-              for k, fraction in enumerate(depth)]  # fmt: skip
-    frames[4] |= {"dx_mm": "0.2"}
-    alone = row | {"sample_id": "alone", "press_id": ""}
-    back = row | {"sample_id": "back", "dz_mm": "-0.1"}
-    write_csv(log, list(row), [frames[0], alone, *frames[1:], back])
-    say(project, "labels")
-    results = project / "results/tiny"
-    (rejected,) = read_csv(results / "10_poses/0000.rejected.csv")
-    assert (rejected["sample_id"], rejected["row"], rejected["column"]) == ("back", "8", "dz_mm")
-    with ForceFile(results / "40_forces/0000.npz") as forces:
-        film = np.flatnonzero(forces.press_id == "film")
-        assert forces.sample_id[film].tolist() == ["f0", "f1", "f2", "f3", "f4"]
-        normal = -forces.total[film, 2]
-        assert (np.diff(normal[:4]) > 0).all() and normal[0] > 0
-        # a frame is the press to its depth: the last on the way down is the press that was logged alone
-        same = forces.total[forces.index("alone")]
-        assert np.abs(forces.total[forces.index("f3")] - same).max() < 0.003 * np.abs(same).max()
-    assert read_labels(results / "50_labels/24x32/0000.npz").press_id.tolist().count("film") == 5
 
 
 def test_a_row_that_fills_up_a_labelled_shard_is_looked_at_alone(project, root):
