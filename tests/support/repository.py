@@ -265,12 +265,13 @@ def main(fix: bool) -> int:
                 write_text(path, text)
             else:
                 faults.append(f"{path.relative_to(ROOT)} is outdated: run `make format`")
-    for stage, modules in confirmed.items():
-        changed = f"{', '.join(modules)} changed, VERSION of {stage} did not"
+    if confirmed:
+        modules = sorted(set().union(*confirmed.values()))
+        changed = f"{', '.join(modules)} changed, and VERSION did not of {', '.join(confirmed)}"
         if fix:
-            print(f"{changed}: noted that its results are the same")
+            print(f"{changed}: noted that results of these stages are the same")
         else:
-            faults.append(f"{changed}: raise VERSION if its results change; then run `make format`")
+            faults.append(f"{changed}: raise it where results change; then run `make format`")
     print(*faults, sep="\n", end="\n" if faults else "")
     return len(faults)
 

@@ -15,7 +15,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.dates import refuse_ahead, unchanged
 from gelforge.flow.files import names_in
 from gelforge.flow.given import OF_RESULTS, needs_plan, read_words, refusal
-from gelforge.flow.layout import EVALUATE, Layout, metrics_of
+from gelforge.flow.layout import EVALUATE, REPORT, Layout, metrics_of
 
 SHIPPED = "shipped"  # the network that ships; it is never trained here
 SHIPPED_RES = "24x32"
@@ -174,7 +174,7 @@ class Asked:
 
     def of_other_choices(self) -> Iterator[Path]:
         """The report and the chart of networks, where they were made of other files than they would be now."""
-        page = self.of.root / "90_report/index.html"
+        page = self.of.root / REPORT / "index.html"
         read = inputs_of(page)
         shown = str(self.of.evaluation(self.resolution, self.model))
         if read and (shown not in read or not all(map(os.path.exists, read))):
