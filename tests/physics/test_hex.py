@@ -10,6 +10,7 @@ from gelforge.geometry.indenters import build, load_catalogue
 from gelforge.mechanics.contact.law import laws
 from gelforge.mechanics.contact.penalty import FREE, STICK
 from gelforge.mechanics.hexsettings import HexSettings, quality
+from gelforge.mechanics.linear.factorisation import SuperLU
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.mesh.finebox import fine_box
 from gelforge.mechanics.mesh.hexmesh import FineBox, HexMesh, mesh_on_lines
@@ -81,12 +82,23 @@ def sheared(solver):
     return solver.solve(ball(dx=0.3, dy=0.1))
 
 
+def test_a_step_whose_matrix_cannot_be_factorised_is_halved():
+    """A gel without stiffness: scipy's factorisation, which serves where MKL is missing, finds no pivot."""
+    solver, scene = HexSolver(COARSE), ball()
+    box = fine_box(scene, COARSE.size, COARSE.across)
+    run = solver._run(scene, solver.mesh(scene.gel, box), COARSE, box.size)
+    run.system.linear = SuperLU(run.system.pattern.indptr, run.system.pattern.indices)
+    run.moduli = 1e-60, 1e-60
+    assert run.follow(0.0) is Status.DIVERGED
+    assert run.control.cuts > COARSE.max_cuts
+
+
 def test_evidence_of_a_good_solve(straight):
     e = straight.evidence
     assert straight.status is Status.OK
     assert e["base_mismatch"] < 1e-6 and e["pulling_fraction"] < 1e-3
     assert e["penetration_mm"] < 0.03  # pressure of some 0.3 MPa over the penalty of 60 N/mm^3, times a margin
-    assert set(e) >= {"equilibrium_residual", "newton_iterations", "rounds", "seconds", "peak_mib", "load_steps"}
+    assert set(e) >= {"equilibrium_residual", "newton_iterations", "rounds", "seconds", "load_steps"}
     moment = np.einsum("m,mi->i", straight.contact.weights, straight.contact.traction)
     assert np.allclose(moment, straight.total, rtol=1e-9)
     off = np.setdiff1d(np.arange(len(straight.forces)), straight.mesh.surface_nodes)

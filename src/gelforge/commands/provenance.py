@@ -71,7 +71,8 @@ def lines(found: dict, results: Path) -> list[str]:
 def solve_lines(solve: dict, target: str) -> list[str]:
     """The sample's own solve."""
     evidence = solve.get("evidence", {})
-    cost = f"{evidence.get('seconds', 0.0):.1f} s, {evidence.get('peak_mib', 0.0):.0f} MiB"
+    cost = f"{evidence.get('seconds', 0.0):.1f} s"
+    cost += f", {evidence['peak_mib']:.0f} MiB" if evidence.get("peak_mib") else ""
     why = f" ({solve['reason']})" if solve.get("reason") else ""
     files = ", ".join(f"{Path(target).with_suffix('')}/{name}" for name in solve.get("files", []))
     return [

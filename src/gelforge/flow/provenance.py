@@ -127,6 +127,6 @@ def steps_to(results: Path, target: str, shard: str) -> Iterator[Step]:
             Path(path).stem: read_record(Path(path)) for path in inputs if Path(path).is_relative_to(params)
         }
         costs = {key: record.get(key, 0.0) for key in ("seconds", "cpu_seconds", "peak_mib", "started")}
-        yield Step(name, inputs, **costs, parameters=parameters, programs=record["programs"])
+        yield Step(name, inputs, **costs, parameters=parameters, programs=record.get("programs", {}))
 
     yield from walk(target)

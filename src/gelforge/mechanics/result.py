@@ -22,7 +22,8 @@ class Result:
     displacement: (n, 3) mm. Contact data stay inside the solvers.
     evidence: plain numbers and strings; the keys every fidelity fills are
     "equilibrium_residual" (relative), "penetration_mm", "pulling_fraction" (of the normal force),
-    "base_mismatch" (relative), "newton_iterations", "rounds", "seconds", "peak_mib", "load_steps".
+    "base_mismatch" (relative), "newton_iterations", "rounds", "seconds", "load_steps". "peak_mib" is that of
+    a solver which is a process of its own; presses that are solved in one process have no peaks of their own.
     """
 
     status: Status

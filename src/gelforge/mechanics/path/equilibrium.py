@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from gelforge.errors import SolveFailed
 from gelforge.mechanics.contact.law import Holding
 from gelforge.mechanics.contact.penalty import (
     STICK,
@@ -203,7 +204,11 @@ class Equilibrium:
             step = gmres(apply, system.linear.solve, right, FORCING, STALE)
             if step is not None:
                 return step.reshape(-1, 3)
-        system.linear.factorise(system.values)
+        self.factored = False
+        try:
+            system.linear.factorise(system.values)
+        except SolveFailed as error:
+            raise NoEquilibrium(str(error)) from error
         self.factored = True
         self.factorisations += 1
         step = gmres(apply, system.linear.solve, right, FORCING, FRESH)

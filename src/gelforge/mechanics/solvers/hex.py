@@ -1,6 +1,5 @@
 """Fidelity `hex`: the whole contact problem in process, on hexahedra with mean dilatation."""
 
-import resource
 import time
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Sequence
@@ -323,5 +322,4 @@ def _evidence(
         "newton_iterations": int(iterations),
         "rounds": int(rounds),
         "load_steps": int(steps),
-        "peak_mib": resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0,
     }
