@@ -6,7 +6,10 @@ import numpy as np
 
 from gelforge.flow.files import write_csv, write_json
 from gelforge.flow.params import plain
+from gelforge.geometry.cropping import cropped
 from gelforge.geometry.gel import Gel
+from gelforge.geometry.indenters import build
+from gelforge.geometry.triangles import write_stl
 from gelforge.mechanics.mesh.hexmesh import FineBox, build_mesh
 from gelforge.records.forcefile import SampleForces, write_forces
 from gelforge.records.press import COLUMNS
@@ -72,9 +75,14 @@ def write_pressed(
             else SampleForces.failed(name, "DIVERGED", "hexahedra")
         )
     write_csv(data / "log.csv", COLUMNS, rows)
+    vertices, faces = cropped(build("ball", {"kind": "sphere", "diameter": 10, "height": 10}), 2.0)
     for shard in range(0, count, shard_size):
         stem, part = f"{shard // shard_size:04d}", slice(shard, shard + shard_size)
         write_csv(results / "00_plan/shards" / f"{stem}.csv", COLUMNS, rows[part])
+        (results / "10_poses" / stem).mkdir(parents=True)
+        for row in rows[part]:
+            row["stl"] = f"{stem}/{row['sample_id']}.stl"
+            write_stl(results / "10_poses" / row["stl"], vertices + [row["x0_mm"], row["y0_mm"], row["z0_mm"]], faces)
         write_csv(results / "10_poses" / f"{stem}.csv", [*COLUMNS, "stl"], rows[part])
         write_forces(results / "40_forces" / f"{stem}.npz", samples[part], 0.0725, {"c10_interval68": [0.07, 0.075]})
     write_csv(

@@ -1,4 +1,4 @@
-"""Pictures and a .vtu of one sample: the press, the deformation of the gel, the label."""
+"""Pictures of one sample and files for ParaView: the press, the indenter, the deformation of the gel, the label."""
 
 from argparse import Namespace
 from dataclasses import dataclass
@@ -12,6 +12,9 @@ from gelforge.flow.layout import LOOK, Layout, command_for, shard_name
 from gelforge.flow.ledger import causes, changed_since
 from gelforge.flow.main import command, option
 from gelforge.flow.provenance import imported_labels, refuse_rejected, steps_of_label
+from gelforge.geometry.gel import load_gel
+from gelforge.geometry.stlfile import read_stl
+from gelforge.geometry.triangles import Mesh, write_stl
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors, transform
 from gelforge.mechanics.mesh.family import load_mesh
@@ -27,7 +30,10 @@ INK = "#12181f"
 
 @dataclass(frozen=True)
 class Pictured:
-    """One sample with its label (3, rows, cols), what fell outside (3,), its image (h, w, 3) or None, its sensor."""
+    """One sample with its label (3, rows, cols), what fell outside (3,), its image (h, w, 3) or None, its sensor.
+
+    indenter: what of its surface the gel can meet, at the end of the path, in the gel frame, mm.
+    """
 
     press: PosedPress
     label: np.ndarray
@@ -35,6 +41,7 @@ class Pictured:
     image: np.ndarray | None
     sensor: Sensor
     resolution: str
+    indenter: Mesh
 
 
 def shard_paths(results: Path, sample_id: str, resolution: str) -> dict[str, Path]:
@@ -87,7 +94,14 @@ def load(data: Path, paths: dict, sample_id: str, sensors: dict, resolution: str
         )
     sensor = find_sensor(sensors, press.sensor_id, str(paths["poses"]))
     image = read_logged_image(data, press.image, sensor.image) if press.image else None
-    return Pictured(press, found.label[at].astype(float), found.outside[at], image, sensor, resolution)
+    surface = paths["poses"].parent / press.stl
+    if not surface.exists():
+        raise BadInput(
+            f"{surface}: not found; delete {paths['poses']} and run {command_for('poses', paths['poses'])}"
+        )
+    vertices, faces = read_stl(surface)
+    indenter = vertices + [press.dx_mm, press.dy_mm, press.dz_mm], faces
+    return Pictured(press, found.label[at].astype(float), found.outside[at], image, sensor, resolution, indenter)
 
 
 def export_vtu(path, paths: dict, meshes: Path, sample_id: str) -> None:
@@ -104,6 +118,18 @@ def export_vtu(path, paths: dict, meshes: Path, sample_id: str) -> None:
     force, known = np.zeros_like(mesh.nodes), np.zeros(len(mesh.nodes), bool)
     force[sample.nodes], known[sample.nodes], known[mesh.base] = sample.force, True, True
     write_vtu(path, mesh, fill_inside(mesh, sample.nodes, sample.displacement), force, known)
+
+
+def outline(look: Pictured) -> np.ndarray:
+    """Where the indenter, at the end of its path, cuts the unloaded gel's surface: lines (n, 2, 2) px from u, v to u, v."""
+    vertices, faces = look.indenter
+    above = vertices[:, 2] - load_gel(look.sensor.gel).top(vertices[:, 0], vertices[:, 1])
+    start, end = vertices[faces], vertices[np.roll(faces, -1, axis=1)]
+    high, low = above[faces], above[np.roll(faces, -1, axis=1)]
+    cut = (high > 0.0) != (low > 0.0)  # of each triangle none of its edges, or two
+    part = (high[cut] / (high[cut] - low[cut]))[:, None]
+    points = start[cut] + part * (end[cut] - start[cut])
+    return look.sensor.project(points[:, :2]).reshape(-1, 2, 2)
 
 
 def arrows(look: Pictured) -> tuple[np.ndarray, np.ndarray]:
@@ -166,6 +192,8 @@ def _backdrop(axis, look, extent, grey=False):
 
 
 def _draw_image(axis, look, extent):
+    from matplotlib.collections import LineCollection
+
     _backdrop(axis, look, extent)
     pressure = np.maximum(-look.label[2], 0.0)
     if pressure.max() > 0:
@@ -181,6 +209,7 @@ def _draw_image(axis, look, extent):
                 colors="white" if look.image is not None else INK,
                 linewidths=0.9,
             )
+    axis.add_collection(LineCollection(outline(look), colors="#3fd0ff", linewidths=1.2))
     place, force = arrows(look)
     size = np.hypot(*force.T)
     largest = float(size.max(initial=0.0))
@@ -202,7 +231,7 @@ def _draw_image(axis, look, extent):
         axis.quiverkey(
             quiver, 0.86, -0.11, unit, f"{unit:g} N shear", labelpos="E", coordinates="axes", color="#b98300"
         )
-    axis.set_title("image, pressure (lines at 5, 35, 65 % of its peak), shear on the gel", fontsize=10)
+    axis.set_title("indenter (blue), pressure (lines at 5, 35, 65 % of its peak), shear on the gel", fontsize=10)
 
 
 def write_figure(path, figure) -> None:
@@ -226,7 +255,7 @@ def main(args: Namespace) -> None:
         raise BadInput(f"no sample named; say {Layout(args.results).command('look ID=SAMPLE_ID')}")
     check_id(args.id)
     sensors, out = load_sensors(args.sensors), args.out or args.results / LOOK
-    paths = {}
+    paths, indenter = {}, out / f"{args.id}-indenter.stl"
     for resolution in map(str, map(Grid.parse, args.resolution)):
         paths = shard_paths(args.results, args.id, resolution)
         if why := outdated_causes(args.results, paths, resolution):
@@ -235,8 +264,10 @@ def main(args: Namespace) -> None:
         look = load(args.data, paths, args.id, sensors, resolution)
         write_figure(out / f"{args.id}-{resolution}.png", draw(look))
         print(out / f"{args.id}-{resolution}.png")
+        with publish(indenter) as part:
+            write_stl(part, *look.indenter)
     export_vtu(out / f"{args.id}.vtu", paths, Layout(args.results).meshes, args.id)
-    print(out / f"{args.id}.vtu")
+    print(out / f"{args.id}.vtu", indenter, sep="\n")
 
 
 if __name__ == "__main__":

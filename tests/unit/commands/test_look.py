@@ -18,18 +18,16 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import write_csv, write_json
 from gelforge.flow.layout import Layout
 from gelforge.formats.vtu import write_vtu
+from gelforge.geometry.stlfile import read_stl
 from gelforge.records.log import write_rejections
 from gelforge.records.press import Rejection
 from gelforge.reporting.forcemaps import SIGNED, write_maps
 from gelforge.reporting.page import COLOURS
-from tests.support.limited import small_disk
 from tests.support.pressed_dataset import label, write_pressed
 
 
 @pytest.fixture(scope="module")
 def made(tmp_path_factory, root):
-    import os
-
     os.chdir(root)
     made = write_pressed(tmp_path_factory.mktemp("made"), count=6, failed=(2,))
     label(made, "24x32")
@@ -38,18 +36,8 @@ def made(tmp_path_factory, root):
 
 
 def run(made, sample_id, *resolutions):
-    return look.main(
-        [
-            "--data",
-            str(made["data"]),
-            "--results",
-            str(made["results"]),
-            "--id",
-            sample_id,
-            "--resolution",
-            *resolutions,
-        ]
-    )
+    where = ["--data", str(made["data"]), "--results", str(made["results"])]
+    return look.main([*where, "--id", sample_id, "--resolution", *resolutions])
 
 
 def test_vtu_opens_and_holds_the_press(made):
@@ -66,15 +54,18 @@ def test_vtu_opens_and_holds_the_press(made):
     assert grid.compute_cell_sizes()["Volume"].min() > 0
     for resolution in ("24x32", "48x64"):
         assert cv2.imread(str(made["results"] / f"look/s001-{resolution}.png")).shape[1] > 1000
+    tip = read_stl(made["results"] / "look/s001-indenter.stl")[0][:, 2].min()
+    assert tip == pytest.approx(-1.0, abs=1e-6)
 
 
-def test_a_disk_without_room_for_the_gel_is_a_sentence(made, tmp_path):
-    mesh = made["mesh"]
-    still, known = np.zeros_like(mesh.nodes), np.ones(len(mesh.nodes), bool)
-    with small_disk(tmp_path / "disk") as disk:
-        with pytest.raises(OSError, match="the disk is full"):
-            write_vtu(disk / "s.vtu", mesh, still, still, known)
-        assert not list(disk.iterdir())
+def test_the_indenter_is_drawn_where_it_enters_the_gel(made):
+    """A ball of 10 mm, 1 mm below the apex, cuts a plane in a circle of 3 mm; the gel falls away to its sides."""
+    seen = seen_of(made)
+    lines = seen.sensor.unproject(look.outline(seen).reshape(-1, 2)) - [
+        seen.press.x0_mm + seen.press.dx_mm, seen.press.y0_mm + seen.press.dy_mm
+    ]  # fmt: skip
+    assert np.abs(lines.mean(axis=0)).max() < 0.3
+    assert np.hypot(*lines.T).min() > 2.3 and np.hypot(*lines.T).max() < 3.1
 
 
 def test_second_order_tetrahedra_keep_their_order(tmp_path):
@@ -96,8 +87,7 @@ def test_second_order_tetrahedra_keep_their_order(tmp_path):
 
 def test_arrows_follow_the_image(made):
     """A force along gel x points up the image, one along gel y to the left, as the projection says."""
-    paths = look.shard_paths(made["results"], "s001", "24x32")
-    seen = look.load(made["data"], paths, "s001", look.load_sensors("workflow/sensors.toml"), "24x32")
+    seen = seen_of(made)
     seen.label[:] = 0.0
     seen.label[1, 5, 6], seen.label[0, 15, 20] = 0.3, 0.2
     place, force = look.arrows(seen)
@@ -105,13 +95,10 @@ def test_arrows_follow_the_image(made):
     assert force[first] == pytest.approx([0, -0.3], abs=1e-6) and force[second] == pytest.approx([-0.2, 0], abs=1e-6)
     # Cells are merged two by two to be seen: rows 4 and 5, columns 6 and 7.
     assert place[first] == pytest.approx([70, 50]) and place[second] == pytest.approx([210, 150])
-
-
-def test_an_arrow_of_fewer_cells_stands_in_their_middle(made):
-    """Cells of 48x64 are merged three by three, and one column is left; its arrows stood at the image's edge."""
+    # of 48x64 three by three, and of the column that is left one by three
     label = np.zeros((3, 48, 64))
     label[1, 47, 63] = 0.3
-    place, force = look.arrows(replace(seen_of(made), label=label))
+    place, force = look.arrows(replace(seen, label=label))
     (at,) = np.flatnonzero(np.hypot(*force.T) > 0.1)
     assert place[at] == pytest.approx([63.5 * 320 / 64, 46.5 * 240 / 48])
 
@@ -121,11 +108,6 @@ def seen_of(made):
     paths = look.shard_paths(made["results"], "s001", "24x32")
     seen = look.load(made["data"], paths, "s001", look.load_sensors("workflow/sensors.toml"), "24x32")
     return replace(seen, label=np.concatenate([np.full((3, 24, 16), 0.1), np.full((3, 24, 16), -0.1)], axis=2))
-
-
-def test_a_circle_is_round_where_a_log_has_no_images(made):
-    panels = look.draw(replace(seen_of(made), image=None)).axes[:4]
-    assert all(panel.get_aspect() == 1.0 for panel in panels)
 
 
 def is_red(rgb) -> bool:
@@ -139,6 +121,7 @@ def is_blue(rgb) -> bool:
 def test_a_force_along_its_axis_is_red_in_every_picture(made, tmp_path):
     """And one against it blue: in the pictures of `look` and of `predict`, and on the pages of the explorer and `live`."""
     seen = seen_of(made)
+    assert all(axis.get_aspect() == 1.0 for axis in look.draw(replace(seen, image=None)).axes[:4])
     shown = [axis.images[-1] for axis in look.draw(seen).axes[1:4]]
     assert all(is_red(each.cmap(each.norm(0.1))) and is_blue(each.cmap(each.norm(-0.1))) for each in shown)
     write_maps(tmp_path / "maps.png", np.zeros((24, 32, 3), np.uint8), seen.label, "")
@@ -179,16 +162,13 @@ def test_of_a_rejected_row_the_reason_is_reported_and_its_hint(tmp_path):
         solve_of(tmp_path / "lab", "s7")
 
 
-@pytest.mark.parametrize(
-    "sample_id, resolution, reason",
-    [
+def test_refusals_say_what_to_do(made):
+    for sample_id, resolution, reason in (
         ("", "24x32", "ID=SAMPLE_ID"),
         ("zzz", "24x32", "not in the log"),
         ("s001", "5x5", "make labels RES=5x5"),
         ("s002", "24x32", "DIVERGED"),
         ("s001", "big", "RES=24x32"),
-    ],
-)
-def test_refusals_say_what_to_do(made, sample_id, resolution, reason):
-    with pytest.raises(BadInput, match=reason):
-        run(made, sample_id, resolution)
+    ):
+        with pytest.raises(BadInput, match=reason):
+            run(made, sample_id, resolution)
