@@ -1,5 +1,8 @@
 """The errors that a user of gelforge is meant to read, and how text of others is shown in them."""
 
+from collections.abc import Iterable
+from difflib import get_close_matches
+
 
 def printable(text: object) -> str:
     r"""Text with every character that a terminal would obey, or not show, written as its escape: a newline as \n.
@@ -7,6 +10,13 @@ def printable(text: object) -> str:
     Names and cells come from files of others: shown raw, a sample_id could clear the screen or forge a line.
     """
     return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in str(text))
+
+
+def nearest(name: str, known: Iterable[str]) -> str:
+    """The end of a sentence that refuses a name: the known one nearest to it, and all of them."""
+    known = sorted(known)
+    close = get_close_matches(name, known, 1)
+    return f"; {f'{close[0]} is meant? ' if close else ''}known here: {', '.join(known)}"
 
 
 def last_words(said: str, code: int) -> str:

@@ -15,7 +15,7 @@ import numpy as np
 from gelforge.calibration import emulator as em
 from gelforge.calibration.friction import friction_axis
 from gelforge.calibration.readings import Readings
-from gelforge.errors import BadInput, SolveFailed
+from gelforge.errors import BadInput, SolveFailed, nearest
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.layout import command_for
 from gelforge.flow.progress import progress
@@ -184,8 +184,9 @@ class SolveCache:
 
     def path(self, job: SolveJob) -> Path:
         if job.indenter not in self.catalogue:
-            known = ", ".join(sorted(self.catalogue))
-            raise BadInput(f"indenter {job.indenter!r} is not in the catalogue; known: {known}")
+            raise BadInput(
+                f"indenter {job.indenter!r} is not in the catalogue{nearest(job.indenter, self.catalogue)}"
+            )
         if job.indenter not in self._shapes:
             self._shapes[job.indenter] = surface_digest(self.catalogue[job.indenter])
         scene, how = scene_of(job, self.catalogue[job.indenter]), hex_settings(self.settings)

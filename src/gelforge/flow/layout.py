@@ -15,6 +15,7 @@ PLAN, POSES, IMAGES, MESHES, FEA, FORCES = "00_plan", "10_poses", "15_images", "
 LABELS, DATASET, TRAIN, EVALUATE, REPORT = "50_labels", "60_dataset", "70_train", "80_evaluate", "90_report"
 CALIBRATE, PARETO, PARETO_MODELS, STABILITY = "calibrate", "pareto", "pareto_models", "stability"
 LOGS, METRICS = "logs", "metrics"
+SURFACES = "surfaces"  # in 00_plan: what was measured of STL files, by their content
 SAMPLES, ESTIMATE, EXPORT, FEATS, LOOK, DECK = "samples", "estimate", "export", "feats", "look", "deck"
 STAGES = (
     PLAN, POSES, IMAGES, MESHES, FEA, FORCES, LABELS, DATASET, TRAIN, EVALUATE, REPORT, CALIBRATE, PARETO, PARETO_MODELS,
@@ -33,6 +34,11 @@ def shard_name(number: int) -> str:
 def planned_shards(folder: Path) -> list[str]:
     """Names of the shards that are planned today, in order, from the folder 00_plan/shards."""
     return [name.removesuffix(".csv") for name in names_in(folder, ".csv")]
+
+
+def surfaces_beside(params: Path) -> Path:
+    """The folder of what was measured of STL files, by the file of a stage's parameters, 00_plan/params/STAGE.json."""
+    return params.parent.parent / SURFACES
 
 
 def mirror(target: Path, kind: str, suffix: str) -> Path:

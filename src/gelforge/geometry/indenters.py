@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelforge.errors import BadInput
+from gelforge.errors import BadInput, nearest
 from gelforge.flow.files import digest_of, read_toml
 from gelforge.geometry.profiles import (
     Annulus,
@@ -19,7 +19,7 @@ from gelforge.geometry.profiles import (
     regular_polygon,
     unit,
 )
-from gelforge.geometry.solids import Body, Extrusion, LyingCylinder, RoundedPolyhedron
+from gelforge.geometry.solids import Body, Extrusion, LyingCylinder, RoundedPolyhedron, SphericalCap
 
 DEFAULT = object()
 
@@ -27,8 +27,8 @@ DEFAULT = object()
 class _Table:
     """One catalogue entry whose keys are taken one by one, so that a misspelt one is noticed."""
 
-    def __init__(self, name: str, table: dict, source, folder=None):
-        self.name, self.source, self._left = name, source, dict(table)
+    def __init__(self, name: str, table: dict, source, folder=None, kept: Path | None = None):
+        self.name, self.source, self._left, self.kept = name, source, dict(table), kept
         self.folder = Path(source).parent if folder is None else Path(folder)
 
     def fail(self, key: str, value, hint: str):
@@ -68,8 +68,11 @@ class _Table:
 
 
 def _sphere(t: _Table, **common) -> Body:
-    radius = t.number("diameter") / 2.0
-    return Extrusion(profile=Ellipse(radius, radius), fillet=radius, height=t.number("height"), **common)
+    """A sphere on a shank; lower than its radius it is a cap, as a lens is."""
+    radius, height = t.number("diameter") / 2.0, t.number("height")
+    if height < radius:
+        return SphericalCap(radius=radius, height=height, **common)
+    return Extrusion(profile=Ellipse(radius, radius), fillet=radius, height=height, **common)
 
 
 def _cuboid(t: _Table, **common) -> Body:
@@ -235,7 +238,7 @@ def _stl(t: _Table, **common) -> Body:
     planned = t.take("sha256", None)
     if planned is not None and planned != digest_of(path):
         t.fail("file", file, f"{path} changed while this was planned; run make again")
-    return sampled_from_stl(path, scale=scale, spacing=spacing, reach=reach, **common)
+    return sampled_from_stl(path, scale=scale, spacing=spacing, reach=reach, kept=t.kept, **common)
 
 
 KINDS: dict[str, Callable] = {
@@ -256,12 +259,13 @@ KINDS: dict[str, Callable] = {
 }
 
 
-def build(name: str, table: dict, source="indenters.toml", folder=None) -> Body:
+def build(name: str, table: dict, source="indenters.toml", folder=None, kept: Path | None = None) -> Body:
     """The body that one catalogue table describes; lengths in mm, angles in degrees.
 
-    STL files are named from `folder`, which is that of the catalogue file `source` unless given.
+    STL files are named from `folder`, which is that of the catalogue file `source` unless given. kept: folder of what
+    was measured of them (`sampled_from_stl`).
     """
-    t = _Table(name, table, source, folder)
+    t = _Table(name, table, source, folder, kept)
     kind = t.take("kind")
     if not isinstance(kind, str) or kind not in KINDS:
         t.fail("kind", kind, f"choose one of {', '.join(KINDS)}")
@@ -328,12 +332,12 @@ def load_catalogue(path, names=None, folder=None) -> dict[str, Body]:
     return build_all(read_catalogue(path), path, names, folder)
 
 
-def build_all(tables: dict[str, dict], source, names=None, folder=None) -> dict[str, Body]:
-    """The bodies of catalogue tables, all or those in `names`, as `load_catalogue` gives them."""
+def build_all(tables: dict[str, dict], source, names=None, folder=None, kept: Path | None = None) -> dict[str, Body]:
+    """The bodies of catalogue tables, all or those in `names`, as `load_catalogue` gives them. kept: as of `build`."""
     for name in names or ():
         if name not in tables:
-            raise BadInput(f"{source}: no indenter named {name!r}; it has {', '.join(tables)}")
-    return {n: build(n, t, source, folder) for n, t in tables.items() if names is None or n in names}
+            raise BadInput(f"{source}: no indenter named {name!r}{nearest(name, tables)}")
+    return {n: build(n, t, source, folder, kept) for n, t in tables.items() if names is None or n in names}
 
 
 def load_indenters(workflow: Path, catalogue: str, names: Collection[str]) -> dict[str, Body]:

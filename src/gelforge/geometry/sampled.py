@@ -1,27 +1,35 @@
 """Indenters from a user's STL: checked, then held as a smooth grid of distances."""
 
+import contextlib
+import fcntl
+import hashlib
+import zipfile
 from functools import cached_property
+from pathlib import Path
 
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.geometry.shells import outer_surface
+from gelforge.flow.files import digest_of, publish, take
+from gelforge.geometry.shells import outer_surface, signed_distances
 from gelforge.geometry.solids import Body
 from gelforge.geometry.stlfile import read_stl
 from gelforge.geometry.triangles import Mesh
 
 MARGIN_MM = 1.0  # of the grid around the body: farther away only the sign and a rough distance matter
-LARGEST_MM = 60.0
+LEAST_MM, LARGEST_MM = 0.5, 60.0  # largest extent of a body
 MOST_POINTS = 6_000_000
+MOST_LOST = 0.01  # of the places above the tip
+INCH_MM, METRE_MM = 25.4, 1000.0
+MEASURED = 1  # raise when a surface or its grid of distances changes: what was kept of a file is then measured again
 
 
 def check_body(vertices: np.ndarray, faces: np.ndarray, what: str) -> Mesh:
     """The outer surface of a body that can be pressed; anything else is BadInput naming `what`."""
-    extent = np.ptp(vertices, axis=0).max()
-    if not 0.5 <= extent <= LARGEST_MM:
+    if not LEAST_MM <= np.ptp(vertices, axis=0).max() <= LARGEST_MM:
         raise BadInput(
-            f"{what}: the body measures {extent:.4g} mm after scaling, expected 0.5 to {LARGEST_MM:g} mm; "
-            "set `scale` in the catalogue (1000 for a file in metres, 25.4 for inches)"
+            f"{what}: the body measures {size_of(vertices)} after scaling, expected {LEAST_MM:g} to {LARGEST_MM:g} mm along"
+            " its longest side; set `scale` in the catalogue (1000 for a file in metres, 25.4 for inches)"
         )
     vertices, faces = outer_surface(vertices, faces, what)
     aside = np.maximum(vertices.min(axis=0), -vertices.max(axis=0))[:2].max()
@@ -31,6 +39,11 @@ def check_body(vertices: np.ndarray, faces: np.ndarray, what: str) -> Mesh:
             "that exported it"
         )
     return vertices, faces
+
+
+def size_of(vertices: np.ndarray) -> str:
+    """The extents of a body along x, y and z, for messages."""
+    return " x ".join(f"{extent:.3g}" for extent in np.ptp(vertices, axis=0)) + " mm"
 
 
 class Sampled(Body):
@@ -58,9 +71,24 @@ class Sampled(Body):
     def _coefficients(self) -> np.ndarray:
         from scipy.ndimage import spline_filter
 
-        return spline_filter(
-            _distance_grid(self.vertices, self.faces, self._low, self.spacing, self._shape), order=3, mode="mirror"
-        )
+        field = _distance_grid(self.vertices, self.faces, self._low, self.spacing, self._shape)
+        self.__dict__["_coefficients"] = found = spline_filter(field, order=3, mode="mirror")
+        if self._lost_at_tip() > MOST_LOST:
+            raise BadInput(
+                f"indenter {self.name}: where it touches first its walls are too thin for distances every spacing ="
+                f" {self.spacing:g} mm; give a `spacing` of half their thickness or less"
+            )
+        return found
+
+    def _lost_at_tip(self) -> float:
+        """Fraction of places just above the lowest triangles, inside the body, that the grid holds for outside of it."""
+        corners = self.vertices[self.faces]
+        low = corners[:, :, 2]
+        blunt = (low < self.spacing / 2.0).all(axis=1)
+        places = corners[blunt if blunt.any() else low.min(axis=1) <= 0.0].mean(axis=1)
+        places[:, 2] = min(2.0 * self.spacing, self.height / 2.0)
+        places = places[signed_distances(places, (self.vertices, self.faces)) < 0.0]
+        return float((self.distance(places)[0] >= 0.0).mean()) if len(places) else 0.0
 
     def distance(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signed distance (n,) and unit outward normal (n, 3) at points (n, 3)."""
@@ -127,7 +155,27 @@ def _distance_grid(vertices, faces, low, spacing, shape) -> np.ndarray:
     return np.asarray(field, float).reshape(shape, order="F")
 
 
-def sampled_from_stl(path, scale=1.0, spacing=0.2, reach=4.0, *, name, **flags) -> Sampled:
-    """The indenter that an STL file describes, after the checks of `check_body`."""
-    vertices, faces = check_body(*read_stl(path, scale), f"indenter {name}: {path}")
-    return Sampled(name, vertices, faces, spacing=spacing, reach=reach, **flags)
+def sampled_from_stl(
+    path: Path, scale=1.0, spacing=0.2, reach=4.0, *, name, kept: Path | None = None, **flags
+) -> Sampled:
+    """The indenter that an STL file describes, after the checks of `check_body`.
+
+    kept: folder of what was measured of files, by their content: a fine one takes minutes. Of several processes one
+    measures it, the others wait for it.
+    """
+    how = {"spacing": spacing, "reach": reach, **flags}
+    if kept is None:
+        return Sampled(name, *check_body(*read_stl(path, scale), f"indenter {name}: {path}"), **how)
+    key = hashlib.sha256(repr((MEASURED, digest_of(path), scale, spacing, reach)).encode()).hexdigest()[:20]
+    file = kept / f"{key}.npz"
+    kept.mkdir(parents=True, exist_ok=True)
+    with (kept / f".{key}.lock").open("a") as lock:
+        take(lock, fcntl.LOCK_EX)
+        with contextlib.suppress(OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile), np.load(file) as found:
+            body = Sampled(name, found["vertices"], found["faces"], **how)
+            body._coefficients = found["coefficients"]
+            return body
+        body = Sampled(name, *check_body(*read_stl(path, scale), f"indenter {name}: {path}"), **how)
+        with publish(file) as part, part.open("wb") as stream:
+            np.savez(stream, vertices=body.vertices, faces=body.faces, coefficients=body._coefficients)
+    return body

@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.geometry.triangles import Mesh, boolean, cleaned, is_watertight, joined, to_meshlab, volume
+from gelforge.geometry.triangles import Mesh, boolean, cleaned, is_watertight, joined, to_meshlab, unique_rows, volume
 
 NEAR_MM = 1e-6  # what lies nearer touches
 FLAT_RAD = 1e-6  # between triangles that lie on each other
@@ -143,7 +143,7 @@ def _connected(count: int, one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 def _without_needless(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Triangles without those that a file holds twice, or that have no area, where nothing but these leaves edges open."""
-    once = faces[np.sort(np.unique(np.sort(faces, axis=1), axis=0, return_index=True)[1])]
+    once = faces[np.sort(unique_rows(np.sort(faces, axis=1))[0])]
     a, b, c = vertices[once].transpose(1, 0, 2)
     wide = once[np.linalg.norm(np.cross(b - a, c - a), axis=1) > LEAST_MM2]
     closed = (kept for kept in (faces, once, wide) if len(kept) and not (_half_edges(kept)[2] % 2).any())
@@ -197,7 +197,9 @@ def _not_inside(shells: Sequence[Mesh], solid: list[int], crossing: set[int]) ->
             for other in solid
             if other != at and (boxes[other][0] < low).all() and (boxes[other][1] > high).all()
         ]
-        if at in crossing or not any(_distances(shells[at][0], shells[other]).max() < -NEAR_MM for other in around):
+        if at in crossing or not any(
+            signed_distances(shells[at][0], shells[other]).max() < -NEAR_MM for other in around
+        ):
             kept.append(at)
     return kept
 
@@ -238,7 +240,7 @@ def _crossing(mesh: Mesh) -> np.ndarray:
     return np.asarray(meshes.current_mesh().face_selection_array(), bool)
 
 
-def _distances(points: np.ndarray, mesh: Mesh) -> np.ndarray:
+def signed_distances(points: np.ndarray, mesh: Mesh) -> np.ndarray:
     """Signed distances (n,) mm of points to a closed surface (VTK's closest triangle)."""
     import pyvista
 
@@ -251,7 +253,7 @@ def _beyond(sheet: Mesh, outer: Mesh) -> bool:
     """Whether corners or middles of a sheet's triangles lie outside a surface."""
     corners = sheet[0][sheet[1]]
     points = np.concatenate([corners.reshape(-1, 3), corners.mean(axis=1)])
-    return bool(_distances(points, outer).max() > NEAR_MM)
+    return bool(signed_distances(points, outer).max() > NEAR_MM)
 
 
 def _used(vertices: np.ndarray, faces: np.ndarray) -> Mesh:

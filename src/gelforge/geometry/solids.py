@@ -143,6 +143,48 @@ class Extrusion(Body):
         return stacked([loops], np.concatenate([[-1.0], z, [self.height + 1.0]]))
 
 
+class SphericalCap(Body):
+    """The part of a sphere of `radius` mm up to `height` mm above its lowest point, less than the radius: a lens."""
+
+    def __init__(self, name, radius, height, **flags):
+        super().__init__(name, height, **flags)
+        self.sphere = float(radius)
+        self.rim = float(np.sqrt(self.height * (2.0 * self.sphere - self.height)))
+
+    def distance(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signed distance (n,) and unit outward normal (n, 3) at points (n, 3)."""
+        points = np.asarray(points, float)
+        rho = np.hypot(points[:, 0], points[:, 1])
+        out = np.zeros_like(points)
+        out[:, :2] = points[:, :2] / np.where(rho > 1e-12, rho, 1.0)[:, None]
+        away = points - [0.0, 0.0, self.sphere]
+        length = np.linalg.norm(away, axis=1)
+        normal = np.where((length > 1e-12)[:, None], away / np.maximum(length, 1e-300)[:, None], [0.0, 0.0, -1.0])
+        value, side, up = length - self.sphere, rho - self.rim, points[:, 2] - self.height
+        cap = np.where(up > 0.0, side <= 0.0, up > value)
+        normal[cap], value = [0.0, 0.0, 1.0], np.where(cap, up, value)
+        # beside the cut, and where the nearest point of the whole sphere would lie above it, the rim is nearest
+        past = (value > 0.0) & (normal[:, 2] > self.height / self.sphere - 1.0)
+        rim = (side > 0.0) & ((up > 0.0) | past)
+        value[rim] = np.hypot(side[rim], up[rim])
+        normal[rim] = (out[rim] * side[rim, None] + np.outer(up[rim], [0.0, 0.0, 1.0])) / value[rim, None]
+        return value, normal
+
+    def radius(self) -> float:
+        """Largest horizontal distance from the z axis, mm."""
+        return self.rim
+
+    @cached_property
+    def _surface(self):
+        widest = np.arccos(1.0 - self.height / self.sphere)
+        angle = np.linspace(0.0, widest, arc_steps(self.sphere, widest) + 1)
+        turn = 2.0 * np.pi * np.arange(4 * arc_steps(self.rim, np.pi / 2.0))
+        turn = turn / len(turn)
+        rho, z = self.sphere * np.sin(angle), self.sphere * (1.0 - np.cos(angle))
+        z[-1] = self.height
+        return stacked([rho[:, None, None] * np.column_stack([np.cos(turn), np.sin(turn)])], z)
+
+
 class RoundedPolyhedron(Body):
     """A block with vertical walls and a lower side of planes, every edge but the uppermost rounded.
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput, printable
-from gelforge.geometry.triangles import Mesh, cleaned
+from gelforge.geometry.triangles import Mesh, cleaned, unique_rows
 from gelforge.records.regular import read_bytes
 
 HEADER = 84  # bytes before the triangles of a binary file, the last four their number
@@ -62,13 +62,14 @@ def welded(points: np.ndarray) -> np.ndarray:
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
 
-    unique, inverse = np.unique(points, axis=0, return_inverse=True)
+    first, inverse = unique_rows(points)
+    unique = points[first]
     pairs = cKDTree(unique).query_pairs(WELD * np.abs(unique).max(initial=0.0), output_type="ndarray")
     links = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(len(unique),) * 2)
     _, first, group = np.unique(
         connected_components(links, directed=False)[1], return_index=True, return_inverse=True
     )
-    return unique[first[group]][inverse.ravel()]
+    return unique[first[group]][inverse]
 
 
 def _binary(data: bytes) -> np.ndarray | None:

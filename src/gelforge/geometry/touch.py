@@ -75,8 +75,9 @@ def touched(
 def nearest(gel: Gel, indenter: Indenter, press: Press) -> float:
     """Least signed distance, mm, of the undeformed top from the indenter at its depth; negative: it touches.
 
-    The top is looked at every NEAREST_STEP mm, then ten times finer around the nearest point; infinite where the indenter
-    is never above the gel.
+    The top is looked at every NEAREST_STEP mm, then ten times finer around the nearest point; a blade may pass between
+    these, so where none is met the edges of the indenter's own surface are looked at too. Infinite where the indenter is
+    never above the gel.
     """
     least = np.inf
     for t in PRESSED:
@@ -87,6 +88,10 @@ def nearest(gel: Gel, indenter: Indenter, press: Press) -> float:
         best = points[value.argmin(), :2]
         closer = _on_outline(gel, top_points(gel, best - NEAREST_STEP, best + NEAREST_STEP, NEAREST_STEP / CLOSER)[0])
         least = min(least, value.min(), gap(indenter, press, closer, t).min(initial=np.inf))
+    if 0.0 <= least < np.inf:
+        edges = _edge_points(indenter, gel.height)
+        lowest = min(_heights(gel, press, edges, t).min(initial=np.inf) for t in PRESSED)
+        least = min(least, lowest) if lowest < 0.0 else least
     return float(least)
 
 

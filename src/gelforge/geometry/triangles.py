@@ -13,10 +13,24 @@ def joined(meshes: list) -> tuple[np.ndarray, np.ndarray]:
     )
 
 
+def unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """First occurrence (u,) of each different row of (n, d) in rising order, and the number of its row for each, (n,).
+
+    What np.unique gives along axis 0, several times faster.
+    """
+    order = np.lexsort(rows.T[::-1])
+    ahead = rows[order]
+    new = np.ones(len(rows), bool)
+    new[1:] = (ahead[1:] != ahead[:-1]).any(axis=1)
+    inverse = np.empty(len(rows), np.int64)
+    inverse[order] = np.cumsum(new) - 1
+    return order[new], inverse
+
+
 def cleaned(vertices: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Coincident vertices (within 1e-9 mm) merged; collapsed triangles and unused vertices dropped."""
-    _, first, inverse = np.unique(np.round(vertices, 9) + 0.0, axis=0, return_index=True, return_inverse=True)
-    faces = inverse.ravel()[faces]
+    first, inverse = unique_rows(np.round(vertices, 9) + 0.0)
+    faces = inverse[faces]
     a, b, c = faces.T
     faces = faces[(a != b) & (b != c) & (c != a)]
     used, faces = np.unique(faces, return_inverse=True)

@@ -16,7 +16,7 @@ from gelforge.calibration.readings import Readings, check_enough, check_readings
 from gelforge.calibration.sampling import Chain, Rules, sample
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
-from gelforge.flow.layout import planned_shards
+from gelforge.flow.layout import planned_shards, surfaces_beside
 from gelforge.flow.main import command, option, positive
 from gelforge.flow.params import DatasetFile, read_dataset_file, read_indenter_tables
 from gelforge.flow.params.stages import ForCalibrate, read_parameters
@@ -327,7 +327,8 @@ def main(args: Namespace) -> None:
     readings = logged.take(choose_presses(logged, params.max_presses))
     models_of(readings, with_nu(params, nu))  # refuses too few readings before anything is solved
     known, named = read_indenter_tables(args.workflow, args.data, of.catalogue), set(readings.indenters.tolist())
-    catalogue = build_all(known, args.workflow / of.catalogue, sorted(named), args.workflow)
+    kept = surfaces_beside(args.params)
+    catalogue = build_all(known, args.workflow / of.catalogue, sorted(named), args.workflow, kept)
     solves = args.solves or args.work / "solves"
     readings, emulator, spent = emulate(readings, catalogue, params, nu, solves, args.jobs)
     done = calibrate(readings, emulator, params, nu, args.work / "chain.npz", say_figures, args.jobs)

@@ -13,7 +13,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, publish, read_json, write_json
-from gelforge.flow.layout import beside
+from gelforge.flow.layout import beside, surfaces_beside
 from gelforge.flow.main import command, option
 from gelforge.flow.params import digest_of_value
 from gelforge.flow.params.stages import ForFea, read_parameters
@@ -69,12 +69,12 @@ def press_keys(
     return found
 
 
-def bodies_of(presses: Iterable[PosedPress], tables: dict, workflow: Path) -> dict:
-    """The indenters of presses by name."""
+def bodies_of(presses: Iterable[PosedPress], tables: dict, workflow: Path, kept: Path) -> dict:
+    """The indenters of presses by name. kept: folder of what was measured of STL files."""
     from gelforge.geometry.indenters import build
 
     names = sorted({press.indenter for press in presses})
-    return {name: build(name, tables["indenters"][name], "indenter catalogue", workflow) for name in names}
+    return {name: build(name, tables["indenters"][name], "indenter catalogue", workflow, kept) for name in names}
 
 
 def finished(folder: Path, sample_id: str, key: str, timeout_s: float) -> dict | None:
@@ -249,7 +249,8 @@ def read_shard(params: Path, poses: Path, workflow: Path) -> tuple[ForFea, dict,
     """
     tables = {name: read_json(params / f"{name}.json") for name in ("sensors", "indenters")}
     presses = read_poses(poses)
-    return read_parameters(params / "fea.json", ForFea), tables, presses, bodies_of(presses, tables, workflow)
+    read = read_parameters(params / "fea.json", ForFea)
+    return read, tables, presses, bodies_of(presses, tables, workflow, surfaces_beside(params / "fea.json"))
 
 
 @command(

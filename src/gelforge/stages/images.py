@@ -18,7 +18,7 @@ from gelforge.evidence.images import Seen, Shapes, findings, listed
 from gelforge.evidence.imprints import Window
 from gelforge.evidence.logimages import KEEP, LogImages, read_seen, write_seen
 from gelforge.flow.files import read_json, write_json
-from gelforge.flow.layout import planned_shards
+from gelforge.flow.layout import planned_shards, surfaces_beside
 from gelforge.flow.main import command, option
 from gelforge.flow.params.stages import ForImages, read_parameters
 from gelforge.flow.slots import in_slots
@@ -48,14 +48,14 @@ def _stat(path: Path) -> os.stat_result | None:
         return None
 
 
-def look(path: Path, presses: list[PosedPress], data: Path, tables: dict, workflow: Path) -> list[Seen]:
+def look(path: Path, presses: list[PosedPress], data: Path, tables: dict, workflow: Path, kept: Path) -> list[Seen]:
     """What is kept of some presses' images: read from `path`, or made anew and written there."""
     key = hashlib.sha256("".join(key_of(press, data, tables) for press in presses).encode()).hexdigest()
     seen = read_seen(path, key)
     if seen is None:
         names = sorted({press.sensor_id for press in presses})
         sensors = {name: sensor_of(SENSOR_TABLES, name, tables["sensors"][name]) for name in names}
-        images, bodies = LogImages(data, sensors), bodies_of(presses, tables, workflow)
+        images, bodies = LogImages(data, sensors), bodies_of(presses, tables, workflow, kept)
         every = (images.see(press, bodies[press.indenter]) for press in presses)
         seen = [one for one in every if one is not None]
         write_seen(path, seen, key)
@@ -131,12 +131,14 @@ def main(args: Namespace) -> None:
         presses = [one for shard in planned_shards(args.shards) for one in read_poses(args.poses / f"{shard}.csv")]
         presses.sort(key=lambda one: one.row)
         parts = [
-            (args.out.parent / f"{at:04d}.npz", part, args.data, tables, args.workflow)
+            (args.out.parent / f"{at:04d}.npz", part, args.data, tables, args.workflow, surfaces_beside(args.params))
             for at, part in enumerate(in_chunks(presses))
         ]
         seen = [one for part in in_slots(look, parts, args.jobs) for one in part]
         by_id = {one.sample_id: one for one in presses}
-        shapes = shapes_of(by_id, tables, bodies_of(presses, tables, args.workflow) if seen else {})
+        shapes = shapes_of(
+            by_id, tables, bodies_of(presses, tables, args.workflow, surfaces_beside(args.params)) if seen else {}
+        )
     found = judge(seen, shapes, str(args.data / "log.csv"))
     for line in told(found, seen):
         print(line, file=sys.stderr)

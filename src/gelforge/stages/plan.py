@@ -13,7 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
-from gelforge.errors import BadInput, printable
+from gelforge.errors import BadInput, nearest, printable
 from gelforge.flow import params as config
 from gelforge.flow.catalogue import stl_files, with_content
 from gelforge.flow.dates import keep_states, states_of
@@ -301,7 +301,7 @@ def check_names(setting: str, names: Iterable[str], known: Mapping[str, object])
     """Refuse a name that is none of those known: misspelt, it would do nothing."""
     for name in names:
         if name not in known:
-            raise BadInput(f"{setting}: {name!r} is unknown{config.nearest(name, known)}")
+            raise BadInput(f"{setting}: {name!r} is unknown{nearest(name, known)}")
 
 
 def chart_lists(params: Params, scenes: dict) -> dict[str, list[str]]:

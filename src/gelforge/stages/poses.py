@@ -14,13 +14,14 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json
-from gelforge.flow.layout import beside
+from gelforge.flow.layout import beside, surfaces_beside
 from gelforge.flow.main import command, option
 from gelforge.flow.params.stages import ForPoses, read_parameters
 from gelforge.flow.params.tables import PosesTable
 from gelforge.geometry import touch
 from gelforge.geometry.cropping import cropped
 from gelforge.geometry.gel import Gel, load_gel, use_gels_of
+from gelforge.geometry.sampled import INCH_MM, METRE_MM, size_of
 from gelforge.labelling.sensor import sensor_of
 from gelforge.records.frames import NEAR_MM, check_frames
 from gelforge.records.image import bad_image
@@ -126,6 +127,12 @@ def geometric_faults(sample: LoggedPress, file: str, body, gel: Gel, params: Pos
     if depth > limit:
         hint = f"the tip ends {depth:.3g} mm below the apex, {limit:.3g} are allowed; check z0_mm and dz_mm"
         return [reject(sample, file, "dz_mm", "the press is deeper than the gel allows", hint)]
+    if depth > body.height:
+        hint = (
+            f"the tip ends {depth:.3g} mm below the apex, and the body is {size_of(body.surface()[0])} large; is its file in"
+            f" inches (scale = {INCH_MM:g}) or metres (scale = {METRE_MM:g}), or z0_mm or dz_mm in another unit?"
+        )
+        return [reject(sample, file, "indenter", "the indenter is lower than its press is deep", hint)]
     clear = touch.nearest(gel, body, press)
     if clear >= 0.0:
         where = f"stays {clear:.3g} mm clear of" if np.isfinite(clear) else "is never above"
@@ -149,10 +156,11 @@ def write_posed(path, body, press, params: PosesTable) -> None:
         write_stl(part, posed_points(press, vertices), faces)
 
 
-def judge(rows: list[RawRow], file: str, data: Path, tables: dict, params: PosesTable):
+def judge(rows: list[RawRow], file: str, data: Path, tables: dict, params: PosesTable, kept: Path | None = None):
     """Good samples with body and gel, and rejections, of raw rows.
 
-    tables: "sensors" and "indenters" as dicts of catalogue tables, "folder" that STL files are named from.
+    tables: "sensors" and "indenters" as dicts of catalogue tables, "folder" that STL files are named from. kept: folder
+    of what was measured of these (`geometry.sampled`).
     """
     needed = [name for name in COLUMNS if params.images or name != "image"]
     parsed = [parse(row, file, needed) for row in rows]
@@ -162,7 +170,7 @@ def judge(rows: list[RawRow], file: str, data: Path, tables: dict, params: Poses
             rejections += [*wrong, *beside_cells(row, wrong, file, data, tables, params)]
     samples, doubled = without_duplicates([s for s, _ in parsed if s], file)
     rejections += doubled
-    good, bodies = [], Bodies(tables["indenters"], tables["folder"])
+    good, bodies = [], Bodies(tables["indenters"], tables["folder"], kept)
     for sample in samples:
         wrong = name_and_image_faults(sample, file, data, tables, params)
         if not {"sensor_id", "indenter"} & {r.column for r in wrong}:
@@ -173,8 +181,8 @@ def judge(rows: list[RawRow], file: str, data: Path, tables: dict, params: Poses
             good.append(sample)
     astray = check_frames(good, file)
     lost = {r.row for r in astray}
-    kept = [(sample, bodies[sample.indenter]) for sample in good if sample.row not in lost]
-    return kept, sorted([*rejections, *astray], key=lambda r: r.row)
+    whole = [(sample, bodies[sample.indenter]) for sample in good if sample.row not in lost]
+    return whole, sorted([*rejections, *astray], key=lambda r: r.row)
 
 
 def name_and_image_faults(sample: LoggedPress, file: str, data: Path, tables: dict, params: PosesTable):
@@ -218,8 +226,8 @@ def repeated_pictures(samples: list[LoggedPress], file: str, repeated: dict[str,
 class Bodies:
     """Indenters by name, each built when first asked for; one that cannot be built raises the same BadInput again."""
 
-    def __init__(self, catalogue: dict, folder):
-        self.catalogue, self.folder = catalogue, folder
+    def __init__(self, catalogue: dict, folder, kept: Path | None = None):
+        self.catalogue, self.folder, self.kept = catalogue, folder, kept
         self.built: dict[str, Any] = {}
 
     def __getitem__(self, name: str):
@@ -227,7 +235,7 @@ class Bodies:
 
         if name not in self.built:
             try:
-                self.built[name] = build(name, self.catalogue[name], "indenter catalogue", self.folder)
+                self.built[name] = build(name, self.catalogue[name], "indenter catalogue", self.folder, self.kept)
             except BadInput as error:
                 self.built[name] = error
         if isinstance(self.built[name], BadInput):
@@ -242,10 +250,9 @@ def place_faults(sample: LoggedPress, file: str, sensor: dict, bodies, params: P
     except BadInput as error:
         return [reject(sample, file, "sensor_id", "its table cannot be used", str(error))]
     try:
-        body = bodies[sample.indenter]
+        return geometric_faults(sample, file, bodies[sample.indenter], load_gel(known.gel), params)
     except BadInput as error:
         return [reject(sample, file, "indenter", "its shape cannot be used", str(error))]
-    return geometric_faults(sample, file, body, load_gel(known.gel), params)
 
 
 def write_shard(good, rejections, out: Path, params: PosesTable) -> None:
@@ -279,7 +286,10 @@ def main(args: Namespace) -> None:
     params = read_parameters(args.params, ForPoses).poses
     tables = {name: read_json(args.params.parent / f"{name}.json") for name in ("sensors", "indenters")}
     rows = read_shard(args.shard)
-    good, rejections = judge(rows, str(args.data / "log.csv"), args.data, {**tables, "folder": args.workflow}, params)
+    tables["folder"] = args.workflow
+    good, rejections = judge(
+        rows, str(args.data / "log.csv"), args.data, tables, params, surfaces_beside(args.params)
+    )
     planned = args.shard.with_suffix(".json")
     repeated = read_json(planned).get("repeated", {}) if params.images and planned.exists() else {}
     doubtful = repeated_pictures([sample for sample, _ in good], str(args.data / "log.csv"), repeated)

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from pathlib import Path
 
-from gelforge.errors import BadInput
+from gelforge.errors import BadInput, nearest
 from gelforge.flow.files import read_toml
 from gelforge.geometry.gel import gel_shape, load_gel, own_gels
 from gelforge.mechanics.material import Material
@@ -35,8 +35,8 @@ def resolve(name: str, table: dict, catalogue: dict) -> dict:
     if isinstance(indenter, dict):
         return table
     if not isinstance(indenter, str) or indenter not in catalogue:
-        known = ", ".join(catalogue)
-        raise BadInput(f"{SOURCE}: [{name}] indenter = {indenter!r} is not in the catalogue; it has {known}")
+        known = nearest(str(indenter), catalogue)
+        raise BadInput(f"{SOURCE}: [{name}] indenter = {indenter!r} is not in the catalogue{known}")
     return table | {"indenter": catalogue[indenter]}
 
 

@@ -12,7 +12,7 @@ from typing import Annotated
 
 import numpy as np
 
-from gelforge.errors import BadInput
+from gelforge.errors import BadInput, nearest
 from gelforge.flow.files import read_toml
 from gelforge.flow.params.schema import SOME, Number, ParameterTable, Place, Span, Within, parse
 from gelforge.flow.params.tables import Finite, FromNone, Name, Stiffness
@@ -293,7 +293,7 @@ def check_names(plan: Plan, indenters, sensors, appearances, path) -> None:
     ):
         unknown = [name for name in dict.fromkeys(asked) if name not in known]
         if unknown:
-            raise BadInput(f"{path}: unknown {what} {', '.join(unknown)}; {where} has {', '.join(sorted(known))}")
+            raise BadInput(f"{path}: unknown {what} {', '.join(unknown)} in {where}{nearest(unknown[0], known)}")
 
 
 def start_time(plan: Plan) -> datetime:

@@ -21,6 +21,7 @@ EXTRA = {
         "fillet": 0.7,
         "height": 6.0,
     },
+    "lens": {"kind": "sphere", "diameter": 40.0, "height": 2.5},
     "sharp": {"kind": "cuboid", "size": [6.0, 3.0], "fillet": 0.01, "height": 5.0},
 }
 TABLES = read_catalogue(CATALOGUE) | EXTRA

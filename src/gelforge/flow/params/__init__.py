@@ -11,10 +11,10 @@ from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
-from gelforge.errors import BadInput
+from gelforge.errors import BadInput, nearest
 from gelforge.flow.files import read_toml
 from gelforge.flow.params.frozen import with_frozen
-from gelforge.flow.params.schema import Place, nearest, parse, plain
+from gelforge.flow.params.schema import Place, parse, plain
 from gelforge.flow.params.stages import SOURCES, parameters_of, read_parameters, stage_version
 from gelforge.flow.params.tables import Params
 
@@ -24,7 +24,6 @@ __all__ = [
     "Params",
     "canonical",
     "load_params",
-    "nearest",
     "overlaid",
     "parameters_of",
     "plain",

@@ -14,15 +14,14 @@ Only `parse` imports pydantic: stages read what the plan has checked, and start 
 
 import json
 import types
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
-from difflib import get_close_matches
 from functools import lru_cache
 from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
 
 from annotated_types import Ge, GroupedMetadata, Le, MinLen, Predicate
 
-from gelforge.errors import BadInput
+from gelforge.errors import BadInput, nearest
 
 Number = int | float  # not float alone: keys of solves tell 2 from 2.0, so a value is kept as it was given
 
@@ -101,13 +100,6 @@ class Place:
     def table(self) -> str:
         """The same where it is a table."""
         return f"{self.file}: [{'.'.join(self.keys)}]" if self.keys else self.file
-
-
-def nearest(key: str, known: Iterable[str]) -> str:
-    """The end of a sentence that refuses a name: the known one nearest to it, and all of them."""
-    known = sorted(known)
-    close = get_close_matches(key, known, 1)
-    return f"; {f'{close[0]} is meant? ' if close else ''}known here: {', '.join(known)}"
 
 
 def is_table(kind: Any) -> bool:
