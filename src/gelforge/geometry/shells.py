@@ -5,7 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.geometry.triangles import Mesh, boolean, cleaned, is_watertight, joined, to_meshlab, unique_rows, volume
+from gelforge.geometry.triangles import Mesh, boolean, is_watertight, joined, to_meshlab, unique_rows, volume
 
 NEAR_MM = 1e-6  # what lies nearer touches
 FLAT_RAD = 1e-6  # between triangles that lie on each other
@@ -27,19 +27,21 @@ def outer_surface(vertices: np.ndarray, faces: np.ndarray, what: str) -> Mesh:
     number, turned = split_shells(vertices, faces, what)
     count = number.max() + 1
     shells = [_used(vertices, turned[number == at]) for at in range(count)]
-    names = [_name(at, shells, what) for at in range(count)]
-    crossing = np.unique(number[_crossing((vertices, turned))])
-    for at in crossing:
+    for at in np.unique(number[_crossing((vertices, turned))]):
         if cut := np.count_nonzero(_crossing(shells[at])):
-            raise BadInput(f"{names[at]}: {cut} of its triangles cut through each other; repair it {HINT}")
+            raise BadInput(
+                f"{_name(at, shells, what)}: {cut} of its triangles cut through each other; repair it {HINT}"
+            )
     solid = [at for at in range(count) if volume(*shells[at]) >= LEAST_MM3]
     if not solid:
         raise BadInput(f"{what}: the surface encloses {volume(vertices, turned):.1e} mm^3; export a solid body")
-    seen = _not_inside(shells, solid, set(crossing.tolist()))
-    outer = _united([shells[at] for at in seen], what) or _used(vertices, turned[np.isin(number, seen)])
+    outer = _used(vertices, turned[np.isin(number, solid)])
+    if not _apart([shells[at] for at in solid]):
+        outer = _united(outer, what)
     for at in set(range(count)) - set(solid):
         if _beyond(shells[at], outer):
-            raise BadInput(f"{names[at]}: encloses nothing, it is a sheet; remove it, or give it a thickness, {HINT}")
+            hint = f"remove it, or give it a thickness, {HINT}"
+            raise BadInput(f"{_name(at, shells, what)}: encloses nothing, it is a sheet; {hint}")
     return outer
 
 
@@ -186,51 +188,24 @@ def _refuse(vertices, faces, number, at, what: str, why: str) -> None:
     raise BadInput(f"{_name(at, shells, what)}: {why} {HINT}")
 
 
-def _not_inside(shells: Sequence[Mesh], solid: list[int], crossing: set[int]) -> list[int]:
-    """The solid shells that do not lie inside another; one that crosses others is kept, whatever it is."""
-    boxes = {at: (shells[at][0].min(axis=0), shells[at][0].max(axis=0)) for at in solid}
-    kept = []
-    for at in solid:
-        low, high = boxes[at]
-        around = [
-            other
-            for other in solid
-            if other != at and (boxes[other][0] < low).all() and (boxes[other][1] > high).all()
-        ]
-        if at in crossing or not any(
-            signed_distances(shells[at][0], shells[other]).max() < -NEAR_MM for other in around
-        ):
-            kept.append(at)
-    return kept
+def _apart(shells: list[Mesh]) -> bool:
+    """Whether shells need no union: each is run through once in each direction, and their boxes do not meet."""
+    low, high = (np.array([of(vertices, axis=0) for vertices, _ in shells]) for of in (np.min, np.max))
+    meet = ((low[:, None] <= high + NEAR_MM) & (high[:, None] >= low - NEAR_MM)).all(axis=2)
+    return np.count_nonzero(meet) == len(shells) and all(is_watertight(faces) for _, faces in shells)
 
 
-def _united(shells: list[Mesh], what: str) -> Mesh | None:
-    """Closed outward shells as one surface without what lies inside it; None where each is fine and their boxes are apart."""
-    groups: list[tuple[Mesh, np.ndarray, np.ndarray]] = []
-    # one that folds back on itself in an edge is united with itself
-    fine = [is_watertight(faces) for _, faces in shells]
-    for shell, whole in zip(shells, fine, strict=True):
-        shell = shell if whole else boolean(shell, shell, "union")
-        low, high = shell[0].min(axis=0), shell[0].max(axis=0)
-        apart = []
-        for other in groups:
-            if (other[1] > high + NEAR_MM).any() or (other[2] < low - NEAR_MM).any():
-                apart.append(other)
-            else:
-                shell = boolean(other[0], shell, "union")
-                low, high = np.minimum(low, other[1]), np.maximum(high, other[2])
-        groups = [*apart, (shell, low, high)]
-    if len(groups) == len(shells) and all(fine):
-        return None
-    surface = cleaned(*joined([shell for shell, _, _ in groups]))
-    number, turned = split_shells(*surface, what)
-    united = [_used(surface[0], turned[number == at]) for at in range(number.max() + 1)]
-    if not all(is_watertight(faces) for _, faces in united):
+def _united(surface: Mesh, what: str) -> Mesh:
+    """Closed outward shells as one surface, without what lies inside it: shells, walls and cavities."""
+    vertices, faces = boolean(surface, surface, "union")
+    number, turned = split_shells(vertices, faces, what)
+    outward = np.flatnonzero(_volumes(vertices, faces, number) > 0.0)
+    united = [_used(vertices, turned[number == at]) for at in outward]
+    if not all(is_watertight(each) for _, each in united):
         raise BadInput(
             f"{what}: its parts touch in a way that leaves no closed surface; unite them into one body {HINT}"
         )
-    # parts that overlap may enclose a cavity
-    return joined([united[at] for at in _not_inside(united, list(range(len(united))), set())])
+    return joined(united)
 
 
 def _crossing(mesh: Mesh) -> np.ndarray:

@@ -1,11 +1,10 @@
 """Bodies of several shells: the surface that is seen from outside decides, or a sentence names the shell."""
 
-from collections.abc import Sequence
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from scipy import ndimage
 
 from gelforge.errors import BadInput
 from gelforge.geometry.sampled import Sampled, check_body
@@ -48,19 +47,15 @@ BESIDE = {
 }
 
 
-@pytest.mark.parametrize("inverted", [False, True])
 @pytest.mark.parametrize("where", BESIDE)
-def test_a_second_shell_of_any_sense_leaves_the_outer_surface(where, inverted):
+def test_a_second_shell_of_any_sense_leaves_the_outer_surface(where):
     low, size, expected = BESIDE[where]
-    for other_diagonals in (False, True):
-        surface = outer(BODY, box(low, size, inverted, other_diagonals))
-        assert is_watertight(surface[1]) and volume(*surface) == pytest.approx(expected, abs=1e-9)
-    if where == "inside":
-        np.testing.assert_array_equal(surface[0], cleaned(*BODY)[0])
-
-
-def grid_boxes(cells: Sequence[tuple]) -> list[Mesh]:
-    return [box(low, size, inverted, other) for low, size, inverted, other in cells]
+    for inverted in (False, True):
+        for other_diagonals in (False, True):
+            surface = outer(BODY, box(low, size, inverted, other_diagonals))
+            assert is_watertight(surface[1]) and volume(*surface) == pytest.approx(expected, abs=1e-9)
+            if where == "inside":
+                np.testing.assert_array_equal(surface[0], cleaned(*BODY)[0])
 
 
 corner, side = st.tuples(*[st.integers(0, 5)] * 3), st.tuples(*[st.integers(1, 4)] * 3)
@@ -72,8 +67,7 @@ corner, side = st.tuples(*[st.integers(0, 5)] * 3), st.tuples(*[st.integers(1, 4
 )
 def test_random_shells_inside_outside_inverted_and_touching(cells, seed):
     """On whole millimetres shells touch, overlap and lie in each other all the time; what is solid can be counted."""
-    shells = grid_boxes(cells)
-    vertices, faces = cleaned(*joined(shells))
+    vertices, faces = cleaned(*joined([box(*cell) for cell in cells]))
     turned = np.random.default_rng(seed).random(len(faces)) < 0.5
     try:
         surface = outer_surface(vertices, np.where(turned[:, None], faces[:, ::-1], faces), "body.stl")
@@ -83,9 +77,7 @@ def test_random_shells_inside_outside_inverted_and_touching(cells, seed):
     solid = np.zeros((11, 11, 11), bool)
     for low, size, _, _ in cells:
         solid[tuple(slice(a + 1, a + 1 + b) for a, b in zip(low, size, strict=True))] = True
-    from scipy.ndimage import label
-
-    air, _ = label(~solid)
+    air, _ = ndimage.label(~solid)
     filled = np.count_nonzero(air != air[0, 0, 0])
     assert is_watertight(surface[1]) and volume(*surface) == pytest.approx(filled, abs=1e-6)
 
@@ -105,34 +97,23 @@ def test_a_body_that_is_written_several_times_counts_once():
 
 
 SHEET = np.array([[0, 1, 2], [0, 2, 1]])
-KLEIN = np.array([[i, (i + 1) % 5, (i + 2) % 5] for i in range(5)])  # a Moebius strip
+MOEBIUS = np.array([[i, (i + 1) % 5, (i + 2) % 5] for i in range(5)])
 
 
-@pytest.mark.parametrize(
-    ("shell", "says"),
-    [
-        ((box([6, 0, 0], 2.0)[0], FACES[:-1]), r"shell 2 of 2 \(11 triangles, x 6 to 8, .*not closed: 3 edges"),
-        ((np.array([[6, 0, 0], [7, 0, 0], [6, 1, 0.0]]), SHEET), r"shell 2 of 2 \(2 triangles.*it is a sheet"),
-        ((np.array([[4, 0, 0], [4, 0, 4], [9, 0, 0.0]]), SHEET), r"shell 2 of 2 \(2 triangles.*it is a sheet"),
-        ((np.random.default_rng(1).normal(9.0, 1.0, (5, 3)), KLEIN), r"shell 2 of 2 .*not closed"),
-    ],
-)
-def test_a_shell_that_bounds_nothing_is_named(shell, says):
-    with pytest.raises(BadInput, match=rf"body.stl: {says}"):
-        outer(BODY, shell)
-
-
-def test_a_shell_that_crosses_itself_is_named():
-    vertices, faces = box([6, 0, 0], 2.0)
-    vertices = vertices.copy()
-    vertices[0] += [3.0, 1.0, 1.0]
-    with pytest.raises(BadInput, match=r"shell 2 of 2 .*triangles cut through each other"):
-        outer(BODY, (vertices, faces))
-
-
-def test_a_sheet_inside_a_body_changes_nothing():
-    sheet = np.array([[1, 1, 1], [2, 1, 1], [1, 2, 1.0]]), SHEET
-    assert volume(*outer(BODY, sheet)) == pytest.approx(64.0)
+def test_a_shell_that_bounds_nothing_is_named():
+    pulled = box([6, 0, 0], 2.0)
+    pulled[0][0] += [3.0, 1.0, 1.0]
+    for shell, says in (
+        ((box([6, 0, 0], 2.0)[0], FACES[:-1]), r"\(11 triangles, x 6 to 8, .*not closed: 3 edges"),
+        ((np.array([[6, 0, 0], [7, 0, 0], [6, 1, 0.0]]), SHEET), r"\(2 triangles.*it is a sheet"),
+        ((np.array([[4, 0, 0], [4, 0, 4], [9, 0, 0.0]]), SHEET), r"\(2 triangles.*it is a sheet"),
+        ((np.random.default_rng(1).normal(9.0, 1.0, (5, 3)), MOEBIUS), "not closed"),
+        (pulled, "triangles cut through each other"),
+    ):
+        with pytest.raises(BadInput, match=rf"body.stl: shell 2 of 2 .*{says}"):
+            outer(BODY, shell)
+    inside = np.array([[1, 1, 1], [2, 1, 1], [1, 2, 1.0]]), SHEET
+    assert volume(*outer(BODY, inside)) == pytest.approx(64.0)
 
 
 def test_the_distance_to_a_hollow_body_is_that_to_a_full_one():
@@ -150,22 +131,17 @@ def flat_on(corner: int, other: int) -> Mesh:
     return np.vstack([ends[0], ends.mean(axis=0), ends[1]]), np.array([[0, 1, 2]])
 
 
-@pytest.mark.parametrize("twice", [[0], [0, 1], [0, 6], [3], [2, 3, 4, 5]])
-@pytest.mark.parametrize("turned", [False, True])
-def test_triangles_that_a_file_holds_twice_change_nothing(twice, turned):
-    again = BODY[0], BODY[1][twice][:, ::-1] if turned else BODY[1][twice]
-    assert volume(*outer(BODY, again)) == pytest.approx(64.0)
-    assert volume(*outer(BODY, again, flat_on(0, 1))) == pytest.approx(64.0)
-
-
-def test_triangles_of_no_area_beside_a_body_change_nothing():
+def test_triangles_that_a_file_holds_twice_or_that_have_no_area_change_nothing():
+    for twice in ([0], [0, 1], [0, 6], [3], [2, 3, 4, 5]):
+        for again in (BODY[1][twice], BODY[1][twice][:, ::-1]):
+            assert volume(*outer(BODY, (BODY[0], again))) == pytest.approx(64.0)
+            assert volume(*outer(BODY, (BODY[0], again), flat_on(0, 1))) == pytest.approx(64.0)
     vertices, faces = outer(BODY, flat_on(0, 1), flat_on(5, 7))
     assert volume(vertices, faces) == pytest.approx(64.0) and is_watertight(faces)
 
 
-@pytest.mark.parametrize("gone", [[0], [0, 1], [11]])
-def test_what_is_twice_hides_no_hole(gone):
+def test_what_is_twice_hides_no_hole():
     """Nor are triangles taken away where others leave edges open, too: the message is about the file as it is."""
-    holed = BODY[0], np.delete(BODY[1], gone, axis=0)
-    with pytest.raises(BadInput, match="not closed"):
-        outer(holed, (BODY[0], BODY[1][5:6]))
+    for gone in ([0], [0, 1], [11]):
+        with pytest.raises(BadInput, match="not closed"):
+            outer((BODY[0], np.delete(BODY[1], gone, axis=0)), (BODY[0], BODY[1][5:6]))

@@ -1,7 +1,6 @@
 """The open benchmark of scenes: what it holds, and that its script scores as the chart does, without gelforge."""
 
 import csv
-import json
 import re
 import shutil
 import subprocess
@@ -78,6 +77,8 @@ def test_the_folder_holds_every_scene_and_reads_back(folder, root):
     challenge = read_json(folder / "challenge.json")
     tables = read_tables(root / "workflow")
     assert challenge["scenes"] == sorted(tables)
+    assert challenge["d1_per_mpa"] == pytest.approx(2 / (4 * 0.0725 * 1.475 / (3 * 0.05)))
+    assert (challenge["gel"]["width"], challenge["gel"]["length"]) == (20.75, 25.25)
     assert {path.stem for path in (folder / "references").glob("*.csv")} == set(tables)
     for name, table in tables.items():
         press = parse_scene(name, table, 0.475).scene.press
@@ -124,37 +125,27 @@ def test_points_count_for_the_cell_they_lie_in(folder, root, tmp_path):
     assert reported["scenes"]["bar"]["cells"] == pytest.approx(0.0, abs=1e-9)
 
 
-@pytest.mark.parametrize(
-    ("columns", "rows", "says"),
-    [
-        (("x", "y"), [], "columns are"),
-        (COLUMNS, [[1, 2, 0.1, 0.2, "much"]], "line 2: not five numbers"),
-        (COLUMNS, [[1, 2, 0.1, 0.2, "nan"]], "NaN or infinity"),
-        (COLUMNS, [[1.5, 2, 0.1, 0.2, 0.3]], "whole numbers"),
-        (COLUMNS, [[24, 0, 0.1, 0.2, 0.3]], "outside of 24 x 32"),
-    ],
-)
-def test_what_cannot_be_scored_is_named(folder, tmp_path, columns, rows, says):
-    done, _ = score(folder, submit(tmp_path / "bad", rows, columns))
-    assert done.returncode == 2 and says in done.stderr and "Traceback" not in done.stderr
-
-
-NO_TABLES = {
-    "as a spreadsheet saves it for Unicode": ",".join(COLUMNS).encode("utf-16"),
-    "a cell without end": ",".join(COLUMNS).encode() + b"\n" + b"1" * 200_000,
-}
-
-
-@pytest.mark.parametrize("name", NO_TABLES)
-def test_a_file_that_is_no_table_is_named(folder, tmp_path, name):
-    (tmp_path / "bar.csv").write_bytes(NO_TABLES[name])
+def test_what_cannot_be_scored_is_named(folder, tmp_path):
+    header = ",".join(COLUMNS)
+    for content, says in (
+        ("x,y\n", "columns are"),
+        (f"{header}\n1,2,0.1,0.2,much\n", "line 2: not five numbers"),
+        (f"{header}\n1,2,0.1,0.2,nan\n", "NaN or infinity"),
+        (f"{header}\n1.5,2,0.1,0.2,0.3\n", "whole numbers"),
+        (f"{header}\n24,0,0.1,0.2,0.3\n", "outside of 24 x 32"),
+        (f"{header}\n{'1' * 200_000}", "bar.csv: "),
+        (header.encode("utf-16"), "bar.csv: "),  # as a spreadsheet saves it for Unicode
+        (None, "no SCENE.csv"),
+    ):
+        (tmp_path / "bar.csv").unlink(missing_ok=True)
+        if content is not None:
+            (tmp_path / "bar.csv").write_bytes(content if isinstance(content, bytes) else content.encode())
+        done, _ = score(folder, tmp_path)
+        assert done.returncode == 2 and says in done.stderr and "Traceback" not in done.stderr, says
+    shutil.copy(folder / "references" / "bar.csv", tmp_path / "bar.csv")
+    (tmp_path / "seconds.csv").write_text("scene,seconds\nbar,3.0\nscene,seconds\ncross,2.0\n")
     done, _ = score(folder, tmp_path)
-    assert done.returncode == 2 and "bar.csv: " in done.stderr and "Traceback" not in done.stderr
-
-
-def test_an_empty_submission_is_named(folder, tmp_path):
-    done, _ = score(folder, tmp_path)
-    assert done.returncode == 2 and "no SCENE.csv" in done.stderr
+    assert done.returncode == 2 and "seconds.csv" in done.stderr and "Traceback" not in done.stderr
 
 
 def test_scenes_without_reference_are_refused(root, tmp_path):
@@ -226,17 +217,6 @@ def test_a_reference_without_image_is_the_mean_with_half_a_turn_once(folder, tmp
     assert (again["cells"], again["scatter"]) == (kept["cells"], kept["scatter"])
 
 
-def test_a_failed_reference_is_refused():
-    with pytest.raises(BadInput, match="reference of bar is DIVERGED"):
-        reference_rows({"scene": "bar", "status": "DIVERGED", "reason": "no equilibrium"})
-
-
-def test_the_gel_is_reported_as_numbers(folder):
-    reported = json.loads((folder / "challenge.json").read_text())
-    assert reported["d1_per_mpa"] == pytest.approx(2 / (4 * 0.0725 * 1.475 / (3 * 0.05)))
-    assert (reported["gel"]["width"], reported["gel"]["length"]) == (20.75, 25.25)
-
-
 @pytest.fixture
 def bench(root, tmp_path):
     """A bench that has no mesh to solve a reference on, only those that are kept."""
@@ -272,14 +252,16 @@ def test_references_come_back_as_they_were_kept(folder, tmp_path):
     np.testing.assert_allclose(again["total"], one["total"], atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    "name, text", [("cross.csv", "row,column,fx_n,fy_n,fz_n\n99,1,0,0,-1\n"), ("keys.json", "{"), ("keys.json", "[]")]
-)
-def test_a_corrupt_reference_is_none(folder, tmp_path, name, text):
+def test_a_corrupt_reference_is_none_and_a_failed_one_is_refused(folder, tmp_path):
     one = {**record(folder, "cross"), "key": "k"}
-    keep_references([charted_scene("cross", one)], tmp_path, 0.475)
-    (tmp_path / name).write_text(text)
-    assert kept_reference(tmp_path, "cross", "k", GRID.shape) is None
+    for name, text in (
+        ("cross.csv", "row,column,fx_n,fy_n,fz_n\n99,1,0,0,-1\n"), ("keys.json", "{"), ("keys.json", "[]"),
+    ):  # fmt: skip
+        keep_references([charted_scene("cross", one)], tmp_path, 0.475)
+        (tmp_path / name).write_text(text)
+        assert kept_reference(tmp_path, "cross", "k", GRID.shape) is None
+    with pytest.raises(BadInput, match="reference of bar is DIVERGED"):
+        reference_rows({"scene": "bar", "status": "DIVERGED", "reason": "no equilibrium"})
 
 
 def test_the_folder_is_not_written_with_forces_of_other_scenes(root, tmp_path, capsys):
@@ -301,10 +283,3 @@ def test_references_of_scenes_that_are_gone_go(folder, tmp_path):
     keep_references(charted("cross", "bar"), tmp_path, 0.475)
     keep_references(charted("cross"), tmp_path, 0.475)
     assert {path.name for path in tmp_path.iterdir()} == {"cross.csv", KEYS}
-
-
-def test_times_that_are_no_table_are_one_sentence(folder, tmp_path):
-    shutil.copy(folder / "references" / "bar.csv", tmp_path / "bar.csv")
-    (tmp_path / "seconds.csv").write_text("scene,seconds\nbar,3.0\nscene,seconds\ncross,2.0\n")
-    done, _ = score(folder, tmp_path)
-    assert done.returncode == 2 and "seconds.csv" in done.stderr + done.stdout and "Traceback" not in done.stderr
