@@ -12,7 +12,7 @@ from gelforge.flow.layout import LOOK, Layout, command_for, shard_name
 from gelforge.flow.ledger import causes, changed_since
 from gelforge.flow.main import command, option
 from gelforge.flow.provenance import imported_labels, refuse_rejected, steps_of_label
-from gelforge.geometry.gel import load_gel
+from gelforge.geometry.gel import load_gel, use_gels_of
 from gelforge.geometry.stlfile import read_stl
 from gelforge.geometry.triangles import Mesh, write_stl
 from gelforge.labelling.grid import Grid
@@ -248,12 +248,14 @@ def write_figure(path, figure) -> None:
     option("--id", help="sample_id"),
     option("--resolution", nargs="+", default=["24x32"]),
     option("--sensors", type=Path, default=Path("workflow/sensors.toml")),
+    option("--workflow", type=Path, default=Path("workflow"), help="folder of gels.toml"),
     option("--out", type=Path, help="folder (default results/DATASET/look)", default=None),
 )
 def main(args: Namespace) -> None:
     if not args.id:
         raise BadInput(f"no sample named; say {Layout(args.results).command('look ID=SAMPLE_ID')}")
     check_id(args.id)
+    use_gels_of(args.workflow)
     sensors, out = load_sensors(args.sensors), args.out or args.results / LOOK
     paths, indenter = {}, out / f"{args.id}-indenter.stl"
     for resolution in map(str, map(Grid.parse, args.resolution)):

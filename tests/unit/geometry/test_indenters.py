@@ -64,7 +64,9 @@ def test_every_random_solid_is_a_body(seed, size, slope, fillet):
     assert triangles.is_watertight(faces) and triangles.volume(vertices, faces) > 0.0
     assert 0.0 <= vertices[:, 2].min() < 0.01 and np.hypot(*vertices[:, :2].T).max() <= size / 2 + 1e-6
     assert np.abs(body.distance(vertices)[0]).max() < 0.005
-    assert np.abs(body.distance(vertices[faces].mean(axis=1))[0]).max() < 0.01
+    middles = vertices[faces].mean(axis=1)
+    below = middles[:, 2] < body.height - fillet  # where a slope reaches the top, their edge is not rounded
+    assert np.abs(body.distance(middles[below])[0]).max() < 0.01
     again, _ = build("again", table).surface()
     assert np.array_equal(again, vertices)
 
