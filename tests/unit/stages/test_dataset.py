@@ -16,10 +16,11 @@ from gelforge.networks.data.arrays import open_data
 from gelforge.networks.data.split import group_presses, split_presses
 from gelforge.networks.preprocess.illumination import match_light
 from gelforge.records.repeats import repeats
-from gelforge.stages.dataset import published_splits, read_truth
+from gelforge.stages.dataset import published_splits
 from tests.support.parameters import with_values
 from tests.support.press_records import press_record
 from tests.support.pressed_dataset import SETTINGS, collect, label, write_pressed
+from tests.support.refused import refused
 
 
 def presses(count, seed, touches=None, indenters=4, sensors=2):
@@ -68,6 +69,11 @@ def test_shares_and_strata_hold():
             mine = np.array([row.indenter == indenter for row in rows])
             assert (chosen & mine).sum() / mine.sum() == pytest.approx(fraction, abs=0.03)
 
+    for count in (8, 12, 20, 40):  # small ones still validate and test
+        rows, force = presses(count, 3)
+        split, _ = split_presses(rows, force, set(), {}, with_values(SETTINGS, validation=0.05, test=0.1))
+        assert {"train", "val", "test"} <= set(split) and (split == "train").sum() > count / 2
+
 
 def test_the_seed_decides():
     rows, force = presses(300, 2)
@@ -90,13 +96,6 @@ def test_what_comes_later_moves_no_press(count, part, seed, revisited, frames):
     assert (early == split_presses(rows, force, {"i1"}, {}, chosen)[0][:first]).all()
 
 
-@pytest.mark.parametrize("count", [8, 12, 20, 40])
-def test_small_datasets_still_validate_and_test(count):
-    rows, force = presses(count, 3)
-    split, _ = split_presses(rows, force, set(), {}, with_values(SETTINGS, validation=0.05, test=0.1))
-    assert {"train", "val", "test"} <= set(split) and (split == "train").sum() > count / 2
-
-
 def test_nearly_the_same_touch_is_one_press():
     places = ((0, 0), (0.04, 0), (0.08, 0.3), (0.2, 0), (0.2, 2))
     rows = [press_record(indenter="a", x0_mm=x, rot_deg=turn) for x, turn in places]
@@ -104,19 +103,16 @@ def test_nearly_the_same_touch_is_one_press():
     assert group_presses(rows, 0.05, 0.5, {}).tolist() == [0, 0, 0, 1, 2, 3, 4]
 
 
-@pytest.mark.parametrize(
-    ("order", "turns", "groups"),
-    [
+def test_turns_that_bring_an_indenter_onto_itself_are_one_press():
+    for order, turns, groups in (
         (1, [180, -180, 0, 359.9, 90, -270, 90.3], [0, 0, 1, 1, 2, 2, 2]),
         (4, [0, 90, 180.2, 45, -45, 359.8], [0, 0, 0, 1, 1, 0]),
         (0, [0, 30, -77, 1e-18, -1e-18], [0, 0, 0, 0, 0]),
         (1, [-1e-18, 360.0, 1e-18], [0, 0, 0]),
         (1000, [0, 17, 99], [0, 0, 0]),
-    ],
-)
-def test_turns_that_bring_an_indenter_onto_itself_are_one_press(order, turns, groups):
-    rows = [press_record(indenter="a", rot_deg=float(turn)) for turn in turns]
-    assert group_presses(rows, 0.05, 0.5, {"a": order}).tolist() == groups
+    ):
+        rows = [press_record(indenter="a", rot_deg=float(turn)) for turn in turns]
+        assert group_presses(rows, 0.05, 0.5, {"a": order}).tolist() == groups, turns
 
 
 @settings(max_examples=60)
@@ -173,8 +169,7 @@ def test_arrays_belong_together(made):
     assert {s.split for s in data.table if s.press.indenter == "triangle_8"} == {"test_unseen_indenter"}
 
 
-def test_nocontact_images_come_along_where_they_were_photographed(tmp_path, root, monkeypatch):
-    monkeypatch.chdir(root)
+def test_nocontact_images_come_along_where_they_were_photographed(tmp_path, root):
     made = write_pressed(tmp_path, count=4, sensors=("mini_a", "mini_b"))
     (made["data"] / "nocontact").mkdir()
     picture = np.random.default_rng(3).integers(0, 255, (240, 320, 3), np.uint8)
@@ -193,25 +188,13 @@ def test_nocontact_images_come_along_where_they_were_photographed(tmp_path, root
         data.seen(other, "pair")
 
 
-def test_the_truth_of_a_virtual_rig_goes_into_its_columns(tmp_path, root, monkeypatch):
-    monkeypatch.chdir(root)
+def test_the_truth_of_a_virtual_rig_goes_into_its_columns(tmp_path, root):
     made = write_pressed(tmp_path, count=2)
     (made["data"] / "truth").mkdir()
     (made["data"] / "truth/presses.csv").write_text("sample_id,status,fx_n,fy_n,fz_n\ns001,OK,1.0,2.0,-3.5\n")
     label(made, "4x4")
     rows = read_csv(collect(made, "4x4") / "samples.csv")
     assert [row["true_fz_n"] for row in rows] == ["", "-3.5"] and rows[1]["true_fx_n"] == "1.0"
-
-
-@pytest.mark.parametrize(
-    "content", [b"sample_id,fx_n,fy_n,fz_n\n\xff,1,2,3\n", b"sample_id,fx_n,fy_n,fz_n\ns001,1\n"]
-)
-def test_a_corrupt_truth_is_refused_in_a_sentence(tmp_path, content):
-    """A row cut short was one whose forces nobody knows."""
-    (tmp_path / "truth").mkdir()
-    (tmp_path / "truth/presses.csv").write_bytes(content)
-    with pytest.raises(BadInput, match="presses.csv: (not UTF-8|row 2 has another number)"):
-        read_truth(tmp_path)
 
 
 def test_resolutions_share_split_and_images(made):
@@ -237,8 +220,7 @@ def test_a_picture_array_that_was_corrupted_in_place_is_drawn_again(tmp_path, ro
     assert (collect(made, "4x4") / "images.npy").read_bytes() == whole
 
 
-def test_a_picture_that_was_replaced_with_its_old_time_is_seen(tmp_path, root, monkeypatch):
-    monkeypatch.chdir(root)
+def test_a_picture_that_was_replaced_with_its_old_time_is_seen(tmp_path, root):
     made = write_pressed(tmp_path, count=4)
     label(made, "4x4")
     collect(made, "4x4")
@@ -258,25 +240,6 @@ def test_normalisation_covers_the_training_split(made):
     assert ranges["gs_img"] == {"min": 0, "max": 254}
 
 
-def test_an_unseen_sensor_has_its_own_test(tmp_path):
-    made = write_pressed(tmp_path, sensors=("mini_a", "mini_b"))
-    label(made, "24x32")
-    data = open_data(collect(made, "24x32", unseen_sensors=["mini_b"]))
-    for each in data.table:
-        assert (each.press.sensor_id == "mini_b") == (each.split in ("test_unseen_sensor", "test_unseen_both"))
-
-
-def spoil(tmp_path, breaking, **params):
-    made = write_pressed(tmp_path, count=6)
-    label(made, "4x4")
-    breaking(made)
-    with pytest.raises(BadInput) as error:
-        collect(made, "4x4", **params)
-    assert not (made["results"] / "60_dataset/4x4/dataset.json").exists()
-    assert not list((made["results"] / "60_dataset").rglob(".*.part*"))
-    return str(error.value)
-
-
 def write_png(path, image):
     path.parent.mkdir(exist_ok=True)
     cv2.imwrite(str(path), image)
@@ -291,52 +254,48 @@ def escape(made):
     path.write_text(path.read_text().replace("images/s002.png", "../../../../etc/hostname"))
 
 
-BROKEN = {
-    "an image of another size": (shrink, {}, ["s002.png", "160 x 120", "320 x 240", "sensors.toml"]),
-    "a no-contact image of another size": (
-        lambda m: write_png(m["data"] / "nocontact/mini_a.png", np.zeros((12, 16, 3), np.uint8)),
-        {},
-        ["nocontact/mini_a.png", "16 x 12"],
-    ),
-    "a missing image": (lambda m: (m["data"] / "images/s003.png").unlink(), {}, ["s003.png", "not found"]),
-    "a path out of the folder": (escape, {}, ["hostname", "inside"]),
-    "no labels": (
-        lambda m: (m["results"] / "50_labels/4x4/0000.npz").write_bytes(b"x"),
-        {},
-        ["0000.npz", "make labels"],
-    ),
-    "a no-contact image that is no picture": (
-        lambda m: write_text(m["data"] / "nocontact/mini_a.png", "no picture"),
-        {},
-        ["nocontact/mini_a.png", "remove it"],
-    ),
-    "a split of half a row": (
-        lambda m: write_text(m["data"] / "splits.csv", "sample_id,split\ns000,train\ns003\n"),
-        {},
-        ["splits.csv", "row 3", "number of cells"],
-    ),
-    "a split without a name": (
-        lambda m: write_text(m["data"] / "splits.csv", "sample_id,split\ns000,\n"),
-        {},
-        ["splits.csv", "row 2", "is no name"],
-    ),
-    "a sample in two splits": (
-        lambda m: write_text(m["data"] / "splits.csv", "sample_id,split\ns000,train\ns001,train\ns000,test\n"),
-        {},
-        ["splits.csv", "row 4", "'s000' is in two splits"],
-    ),
-    "fractions above one": (lambda m: None, {"validation": 0.7, "test": 0.4}, ["validation", "0.7"]),
-    "falling edges": (lambda m: None, {"force_edges": [3.0, 1.0]}, ["force_edges", "rising"]),
-    "no tolerance": (lambda m: None, {"same_press_mm": 0.0}, ["same_press_mm"]),
-}
+def without_images(made):
+    for table in (made["results"] / "10_poses").glob("*.csv"):
+        rows = read_csv(table)
+        write_csv(table, list(rows[0]), [{**row, "image": ""} for row in rows])
 
 
-@pytest.mark.parametrize("name", BROKEN)
-def test_broken_inputs_are_named(tmp_path, root, monkeypatch, name):
-    monkeypatch.chdir(root)
-    breaking, params, words = BROKEN[name]
-    message = spoil(tmp_path, breaking, **params)
-    assert all(word in message for word in words), message
+def corrupt_truth(made, content):
+    (made["data"] / "truth").mkdir()
+    (made["data"] / "truth/presses.csv").write_bytes(content)
+
+
+BROKEN = (
+    (shrink, {}, r"s002\.png.*160 x 120.*320 x 240.*sensors\.toml"),
+    (lambda m: write_png(m["data"] / "nocontact/mini_a.png", np.zeros((12, 16, 3), np.uint8)), {}, r"nocontact/mini_a\.png.*16 x 12"),
+    (lambda m: write_text(m["data"] / "nocontact/mini_a.png", "no picture"), {}, r"nocontact/mini_a\.png.*remove it"),
+    (lambda m: (m["data"] / "images/s003.png").unlink(), {}, r"s003\.png.*not found"),
+    (escape, {}, "hostname.*inside"),
+    (without_images, {}, r"log\.csv: names no images, .* ends at labels: run make labels DATASET="),
+    (lambda m: (m["results"] / "50_labels/4x4/0000.npz").write_bytes(b"x"), {}, r"0000\.npz.*make labels"),
+    (lambda m: write_text(m["data"] / "splits.csv", "sample_id,split\ns000,train\ns003\n"), {}, r"splits\.csv.*row 3.*number of cells"),
+    (lambda m: write_text(m["data"] / "splits.csv", "sample_id,split\ns000,\n"), {}, r"splits\.csv.*row 2.*is no name"),
+    (lambda m: write_text(m["data"] / "splits.csv", "sample_id,split\ns000,train\ns001,train\ns000,test\n"), {},
+     r"splits\.csv.*row 4.*'s000' is in two splits"),
+    (lambda m: corrupt_truth(m, b"sample_id,fx_n,fy_n,fz_n\n\xff,1,2,3\n"), {}, "presses.csv: not UTF-8"),
+    (lambda m: corrupt_truth(m, b"sample_id,fx_n,fy_n,fz_n\ns001,1\n"), {}, "presses.csv: row 2 has another number"),
+    (lambda m: None, {"validation": 0.7, "test": 0.4}, "validation.*0.7"),
+    (lambda m: None, {"force_edges": [3.0, 1.0]}, "force_edges.*rising"),
+    (lambda m: None, {"same_press_mm": 0.0}, "same_press_mm"),
+)  # fmt: skip
+
+
+def test_broken_inputs_are_refused_and_nothing_is_written(tmp_path, root):
+    for k, (breaking, params, said) in enumerate(BROKEN):
+        made = write_pressed(tmp_path / f"made{k}", count=6)
+        label(made, "4x4")
+        breaking(made)
+        refused(said, collect, made, "4x4", **params)
+        assert not (made["results"] / "60_dataset/4x4/dataset.json").exists()
+        assert not list((made["results"] / "60_dataset").rglob(".*.part*"))
+    made = write_pressed(tmp_path / "failed", count=2, failed=(0, 1))
+    label(made, "4x4")
+    refused(r"\(left out: 2 x DIVERGED\)", collect, made, "4x4")
 
 
 def test_a_press_torn_between_splits_is_refused(tmp_path):
@@ -354,6 +313,14 @@ def test_a_press_torn_between_splits_is_refused(tmp_path):
         published_splits(tmp_path, list(rows.values()), np.array([]))
 
 
+def test_a_published_split_that_tests_on_a_picture_it_taught_is_refused(tmp_path):
+    write_text(tmp_path / "splits.csv", "sample_id,split\na,train\nb,test\nc,test\n")
+    rows = [press_record(sample_id=name) for name in "abc"]
+    assert published_splits(tmp_path, rows, np.array([]), [[1, 2]]).tolist() == ["train", "test", "test"]
+    said = r"pictures of a \(train\) and c \(test\) are equal"
+    refused(said, published_splits, tmp_path, rows, np.array([]), [[1, 2], [0, 2]])
+
+
 def freeze(made, *names):
     """The camera froze after the first of these presses: pictures of equal pixels, files of unlike bytes."""
     folder = made["data"] / "images"
@@ -362,8 +329,7 @@ def freeze(made, *names):
         cv2.imwrite(str(folder / f"{name}.png"), frozen, [cv2.IMWRITE_PNG_COMPRESSION, 0])
 
 
-def test_a_frozen_camera_is_named_and_its_presses_stay_together(tmp_path, root, monkeypatch, capsys):
-    monkeypatch.chdir(root)
+def test_a_frozen_camera_is_named_and_its_presses_stay_together(tmp_path, root, capsys):
     made = write_pressed(tmp_path)
     label(made, "4x4")
     freeze(made, "s003", "s009", "s011")
@@ -378,30 +344,3 @@ def test_a_frozen_camera_is_named_and_its_presses_stay_together(tmp_path, root, 
     with pytest.raises(BadInput, match=r"s003 .* s009 .* s011 .*; give each press its own picture"):
         collect(made, "4x4", "--strict")
     assert not (folder / "dataset.json").exists()
-
-
-def test_a_published_split_that_tests_on_a_picture_it_taught_is_refused(tmp_path):
-    write_text(tmp_path / "splits.csv", "sample_id,split\na,train\nb,test\nc,test\n")
-    rows = [press_record(sample_id=name) for name in "abc"]
-    assert published_splits(tmp_path, rows, np.array([]), [[1, 2]]).tolist() == ["train", "test", "test"]
-    with pytest.raises(BadInput, match=r"pictures of a \(train\) and c \(test\) are equal"):
-        published_splits(tmp_path, rows, np.array([]), [[1, 2], [0, 2]])
-
-
-def test_a_dataset_without_any_label_is_refused(tmp_path, root, monkeypatch):
-    monkeypatch.chdir(root)
-    made = write_pressed(tmp_path, count=2, failed=(0, 1))
-    label(made, "4x4")
-    with pytest.raises(BadInput, match=r"\(left out: 2 x DIVERGED\)"):
-        collect(made, "4x4")
-
-
-def test_a_log_without_images_is_told_where_its_flow_ends(tmp_path, root, monkeypatch):
-    monkeypatch.chdir(root)
-    made = write_pressed(tmp_path, count=2)
-    label(made, "4x4")
-    for table in (made["results"] / "10_poses").glob("*.csv"):
-        rows = read_csv(table)
-        write_csv(table, list(rows[0]), [{**row, "image": ""} for row in rows])
-    with pytest.raises(BadInput, match=r"log\.csv: names no images, .* ends at labels: run make labels DATASET=made"):
-        collect(made, "4x4")
