@@ -2,7 +2,6 @@
 
 import json
 import tomllib
-from contextlib import nullcontext
 from pathlib import Path
 
 import pytest
@@ -14,7 +13,6 @@ from gelforge.errors import BadInput
 from gelforge.flow import params as config
 from gelforge.flow.files import read_csv, write_if_changed
 from gelforge.flow.layout import PLAN, Layout
-from gelforge.flow.params.stages import ForPoses
 from gelforge.geometry.gel import GELS
 from gelforge.records.log import read_shard
 from gelforge.stages import plan
@@ -41,63 +39,47 @@ def test_shards_hold_at_most_their_size_and_fill_in_order(names, size):
     assert sorted(counts) == list(range(len(counts)))
 
 
-def write_log(path, ids):
-    path.write_text("sample_id,x0_mm\n" + "".join(f"{i},0.5\n" for i in ids), encoding="utf-8")
+def sharded(folder, ids):
+    """Plan a log of these samples in shards of four; names of the shards, and the time of each one's file."""
+    log = folder / "log.csv"
+    log.write_text("sample_id,x0_mm\n" + "".join(f"{i},0.5\n" for i in ids), encoding="utf-8")
+    names = write_shards(folder, logged_rows(log, None), folder, 4)
+    return names, {path.name: path.stat().st_mtime_ns for path in (folder / "shards").glob("*.csv")}
 
 
 def test_appending_rewrites_only_the_last_shard(tmp_path):
-    log = tmp_path / "log.csv"
-    write_log(log, range(10))
-    assert write_shards(log.parent, logged_rows(log, None), tmp_path, 4) == ["0000", "0001", "0002"]
-    before = {p.name: p.stat().st_mtime_ns for p in (tmp_path / "shards").glob("*.csv")}
-    write_log(log, range(13))
-    assert write_shards(log.parent, logged_rows(log, None), tmp_path, 4) == ["0000", "0001", "0002", "0003"]
-    after = {p.name: p.stat().st_mtime_ns for p in (tmp_path / "shards").glob("*.csv")}
+    before = sharded(tmp_path, range(10))[1]
+    names, after = sharded(tmp_path, range(13))
+    assert names == ["0000", "0001", "0002", "0003"]
     assert [name for name in before if after[name] != before[name]] == ["0002.csv"]
 
 
-def test_a_log_that_lost_rows_leaves_no_shard_behind(tmp_path):
-    log = tmp_path / "log.csv"
-    write_log(log, range(10))
-    write_shards(log.parent, logged_rows(log, None), tmp_path, 4)
-    write_log(log, range(4))
-    assert write_shards(log.parent, logged_rows(log, None), tmp_path, 4) == ["0000"]
-    assert [path.name for path in (tmp_path / "shards").glob("*.csv")] == ["0000.csv"]
-
-
-def test_rows_that_come_back_find_their_shards_again(tmp_path):
+def test_rows_that_go_leave_no_shard_behind_and_find_theirs_again(tmp_path):
     """What was solved of them is still there: a log cut off for one make costs no solve."""
-    log, shards = tmp_path / "log.csv", tmp_path / "shards"
-    write_log(log, range(10))
-    write_shards(log.parent, logged_rows(log, None), tmp_path, 4)
+    shards = tmp_path / "shards"
+    assert sharded(tmp_path, range(10))[0] == ["0000", "0001", "0002"]
     before = {path.name: path.read_text() for path in shards.glob("*.csv")}
-    write_log(log, range(5))
-    write_shards(log.parent, logged_rows(log, None), tmp_path, 4)
-    assert [row["logged"] for row in read_csv(tmp_path / "shards.csv")] == ["1"] * 5 + ["0"] * 5
-    write_log(log, range(10))
-    assert write_shards(log.parent, logged_rows(log, None), tmp_path, 4) == ["0000", "0001", "0002"]
+    assert sharded(tmp_path, range(4))[0] == ["0000"] and [path.name for path in shards.glob("*.csv")] == ["0000.csv"]
+    assert [row["logged"] for row in read_csv(tmp_path / "shards.csv")] == ["1"] * 4 + ["0"] * 6
+    assert sharded(tmp_path, range(10))[0] == ["0000", "0001", "0002"]
     assert {path.name: path.read_text() for path in shards.glob("*.csv")} == before
 
 
-@pytest.mark.parametrize(
-    "harm", [lambda text: text[:-5], lambda text: "", lambda text: text.replace("shard", "sherd")]
-)
-def test_a_corrupt_table_of_shards_is_refused_in_a_sentence(tmp_path, harm):
+def test_a_corrupt_table_of_shards_is_refused_in_a_sentence(tmp_path):
     """Without it samples may come into other shards, and be solved again: nobody but a person may say so."""
-    log, table = tmp_path / "log.csv", tmp_path / "shards.csv"
-    write_log(log, range(5))
-    write_shards(log.parent, logged_rows(log, None), tmp_path, 4)
-    table.write_text(harm(table.read_text()))
-    with pytest.raises(BadInput, match="shards.csv: .*remove it: samples that come into another shard"):
-        write_shards(log.parent, logged_rows(log, None), tmp_path, 4)
+    sharded(tmp_path, range(5))
+    table = tmp_path / "shards.csv"
+    whole = table.read_text()
+    for text in (whole[:-5], "", whole.replace("shard", "sherd")):
+        table.write_text(text)
+        with pytest.raises(BadInput, match="shards.csv: .*remove it: samples that come into another shard"):
+            sharded(tmp_path, range(5))
 
 
 def test_a_row_without_a_name_is_planned_again_and_again(tmp_path):
     """Stage 10 rejects it and names the cell; what the plan wrote of it the next plan reads."""
-    log = tmp_path / "log.csv"
-    write_log(log, ["a", "", "b"])
     for _ in range(2):
-        assert write_shards(log.parent, logged_rows(log, None), tmp_path, 4) == ["0000"]
+        assert sharded(tmp_path, ["a", "", "b"])[0] == ["0000"]
     assert [row.cells["sample_id"] for row in read_shard(tmp_path / "shards/0000.csv")] == ["a", "", "b"]
 
 
@@ -128,22 +110,14 @@ def test_a_network_that_make_would_miss_is_refused(tmp_path):
         networks(tmp_path)
 
 
-@pytest.mark.parametrize(
-    ("text", "named"),
-    [("", "sample_id"), ("a,b\n1,2\n", "sample_id"), ("sample_id,x0_mm\n", "no rows")],
-)
-def test_a_log_that_cannot_be_sharded_is_refused(tmp_path, text, named):
+def test_a_log_that_cannot_be_sharded_is_refused(tmp_path):
     log = tmp_path / "log.csv"
-    log.write_text(text, encoding="utf-8")
-    with pytest.raises(BadInput, match=named):
-        write_shards(log.parent, logged_rows(log, None), tmp_path, 4)
-
-
-def test_a_log_that_is_not_text_is_refused(tmp_path):
-    log = tmp_path / "log.csv"
-    log.write_bytes(b"sample_id\n\xff\xfe\x00")
-    with pytest.raises(BadInput, match="UTF-8"):
-        write_shards(log.parent, logged_rows(log, None), tmp_path, 4)
+    for content, named in (
+        (b"", "sample_id"), (b"a,b\n1,2\n", "sample_id"), (b"sample_id,x0_mm\n", "no rows"), (b"sample_id\n\xff\xfe\0", "UTF-8"),
+    ):  # fmt: skip
+        log.write_bytes(content)
+        with pytest.raises(BadInput, match=named):
+            write_shards(log.parent, logged_rows(log, None), tmp_path, 4)
 
 
 def test_a_misspelt_override_is_refused(tmp_path, root):
@@ -217,31 +191,31 @@ def test_rows_that_name_no_sensor_are_of_the_datasets(tmp_path):
     assert planned(tmp_path, "", "") == ["", "mini_b"]
 
 
-@pytest.mark.parametrize(
-    ("text", "named"),
-    [
-        ('sensor = "mini_x"', r"dataset\.toml: sensor: 'mini_x' is unknown; mini_e is meant\?|sensor: 'mini_x'"),
-        ('gel = "digit"', r"gel = 'digit', but \[meshes\] gel = 'gelsight_mini'"),
-        ('[params.meshes]\ngel = "digit"', r"dataset\.toml: \[params.meshes\] gel 'digit' is unknown"),
-        ('[params.report]\nmodel = "tunedd"', r"dataset\.toml: \[params.report\] model = 'tunedd': choose"),
-        ('gel = "soft"', r"gel = 'soft', but"),
-        ('[params.meshes]\ngel = "soft"', "sensor 'mini_a' of the log has gel 'gelsight_mini'"),
-        ('[params.dataset]\nunseen_sensors = ["mini_f"]', "unseen_sensors: 'mini_f' is unknown"),
-        (
-            '[params.dataset]\nunseen_indenters = ["spere_15"]',
-            "unseen_indenters: 'spere_15' is unknown; sphere_15 is",
-        ),
-        ('[params.pareto]\nhalved = ["sphere"]', r"\[pareto\] halved: 'sphere' is unknown"),
-        ('[params.pareto.quick]\nscenes = ["none"]', r"\[pareto.quick\] scenes: 'none' is unknown"),
-        ('[params.pareto]\nsensor = "none"', r"\[pareto\] sensor: 'none' is unknown"),
-        ('[params.fea]\nfidelity = "hex"\n[params.stability]\nseed = -1', "seed = -1"),
-        ('catalogue = "none.toml"', "none.toml: not found"),
-    ],
-)
-def test_names_that_are_none_are_refused_at_the_plan(tmp_path, monkeypatch, text, named):
+UNKNOWN = [
+    ('sensor = "mini_x"', r"dataset\.toml: sensor: 'mini_x' is unknown; mini_e is meant\?|sensor: 'mini_x'"),
+    ('gel = "digit"', r"gel = 'digit', but \[meshes\] gel = 'gelsight_mini'"),
+    ('[params.meshes]\ngel = "digit"', r"dataset\.toml: \[params.meshes\] gel 'digit' is unknown"),
+    ('[params.report]\nmodel = "tunedd"', r"dataset\.toml: \[params.report\] model = 'tunedd': choose"),
+    ('gel = "soft"', r"gel = 'soft', but"),
+    ('[params.meshes]\ngel = "soft"', "sensor 'mini_a' of the log has gel 'gelsight_mini'"),
+    ('[params.dataset]\nunseen_sensors = ["mini_f"]', "unseen_sensors: 'mini_f' is unknown"),
+    (
+        '[params.dataset]\nunseen_indenters = ["spere_15"]',
+        "unseen_indenters: 'spere_15' is unknown; sphere_15 is",
+    ),
+    ('[params.pareto]\nhalved = ["sphere"]', r"\[pareto\] halved: 'sphere' is unknown"),
+    ('[params.pareto.quick]\nscenes = ["none"]', r"\[pareto.quick\] scenes: 'none' is unknown"),
+    ('[params.pareto]\nsensor = "none"', r"\[pareto\] sensor: 'none' is unknown"),
+    ('[params.fea]\nfidelity = "hex"\n[params.stability]\nseed = -1', "seed = -1"),
+    ('catalogue = "none.toml"', "none.toml: not found"),
+]
+
+
+def test_names_that_are_none_are_refused_at_the_plan(tmp_path, monkeypatch):
     monkeypatch.setitem(GELS, "soft", GELS["gelsight_mini"])
-    with pytest.raises(BadInput, match=named):
-        planned(tmp_path, text)
+    for text, named in UNKNOWN:
+        with pytest.raises(BadInput, match=named):
+            planned(tmp_path, text)
 
 
 def test_sensors_sit_on_gels_of_their_own_where_bricks_follow_them(tmp_path):
@@ -273,49 +247,37 @@ def test_pictures_of_several_sizes_are_refused_before_anything_is_solved(tmp_pat
     assert planned(tmp_path, "[params.poses]\nimages = false\n", "large") == ["large", "mini_b"]
 
 
-@pytest.mark.parametrize(("model", "fits"), [("shipped", False), ("tuned", False), ("pair_24", True), ("", True)])
-def test_a_network_that_does_not_read_the_pictures_is_refused_before_anything_is_solved(root, model, fits):
+def test_a_network_that_does_not_read_the_pictures_is_refused_before_anything_is_solved(root):
     """Also one that is fine-tuned from the shipped network."""
-    params, sensors = parameters(report={"model": model}), tomllib.loads(LARGE)
-    refused = pytest.raises(BadInput, match=f"{model}.*pictures of 320 x 240, .*large 640 x 480")
-    with nullcontext() if fits else refused:
-        plan.check_pictures(Path("dataset.toml"), params, sensors, networks(root / "workflow"))
-    plan.check_pictures(Path("dataset.toml"), params, {"mini": {"image": [320, 240]}, "broken": {"image": 4}}, {})
+    sensors, models = tomllib.loads(LARGE), networks(root / "workflow")
+    for model in ("shipped", "tuned"):
+        with pytest.raises(BadInput, match=f"{model}.*pictures of 320 x 240, .*large 640 x 480"):
+            plan.check_pictures(Path("dataset.toml"), parameters(report={"model": model}), sensors, models)
+    for model in ("pair_24", ""):
+        plan.check_pictures(Path("dataset.toml"), parameters(report={"model": model}), sensors, models)
+    small = {"mini": {"image": [320, 240]}, "broken": {"image": 4}}
+    plan.check_pictures(Path("dataset.toml"), parameters(report={"model": "shipped"}), small, models)
 
 
-@pytest.mark.parametrize("text", ["Gerät\n", "a\r\nb\rc\n"])
-def test_a_planned_file_is_written_anew_where_its_bytes_differ_and_there_alone(tmp_path, text):
+def test_a_planned_file_is_written_anew_where_its_bytes_differ_and_there_alone(tmp_path):
     """Cut within a letter it is no text; line endings that a reader of text would turn are bytes too."""
-    path = tmp_path / "slice.json"
-    assert write_if_changed(path, text) and not write_if_changed(path, text)
-    path.write_bytes("Gerä".encode()[:-1])
-    assert write_if_changed(path, text) and path.read_bytes() == text.encode()
+    for text in ("Gerät\n", "a\r\nb\rc\n"):
+        path = tmp_path / "slice.json"
+        assert write_if_changed(path, text) and not write_if_changed(path, text)
+        path.write_bytes("Gerä".encode()[:-1])
+        assert write_if_changed(path, text) and path.read_bytes() == text.encode()
 
 
-def test_a_comment_does_not_touch_a_slice(tmp_path):
-    path = tmp_path / "poses.json"
-
-    def text(version):
-        return config.canonical(config.plain(config.parameters_of(parameters(), ForPoses, version)))
-
-    assert write_if_changed(path, text(1))
-    assert not write_if_changed(path, text(1))
-    assert write_if_changed(path, text(2))
-
-
-@pytest.mark.parametrize("fidelity", ["ccx", "ccx-fine", "ccx-native"])
-def test_a_dataset_that_asks_for_calculix_itself_is_not_solved_by_something_else(tmp_path, fidelity):
+def test_without_calculix_presses_are_solved_in_process_unless_a_dataset_asks_for_it(tmp_path):
+    """A fidelity of CalculiX' own is not replaced by other numbers."""
     dataset = tmp_path / "dataset.toml"
-    dataset.write_text(f'[params.fea]\nfidelity = "{fidelity}"\n')
-    with pytest.raises(BadInput, match=f"'{fidelity}' needs CalculiX.*make setup"):
-        plan.without_ccx(config.load_params("workflow", dataset), dataset)
-
-
-@pytest.mark.parametrize("text", ["", '[params.fea]\nfidelity = "auto"\n', '[params.fea]\nfidelity = "hex"\n'])
-def test_where_a_dataset_leaves_it_open_presses_are_solved_in_process_without_calculix(tmp_path, text):
-    dataset = tmp_path / "dataset.toml"
-    dataset.write_text(text)
-    assert plan.without_ccx(config.load_params("workflow", dataset), dataset).fea.fidelity == "hex"
+    for fidelity in ("ccx", "ccx-fine", "ccx-native"):
+        dataset.write_text(f'[params.fea]\nfidelity = "{fidelity}"\n')
+        with pytest.raises(BadInput, match=f"'{fidelity}' needs CalculiX.*make setup"):
+            plan.without_ccx(config.load_params("workflow", dataset), dataset)
+    for text in ("", '[params.fea]\nfidelity = "auto"\n', '[params.fea]\nfidelity = "hex"\n'):
+        dataset.write_text(text)
+        assert plan.without_ccx(config.load_params("workflow", dataset), dataset).fea.fidelity == "hex"
 
 
 def test_presses_that_show_one_picture_are_planned_as_such(tmp_path):
