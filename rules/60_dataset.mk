@@ -10,7 +10,8 @@ dataset_of = gelforge.stages.dataset --data $(DATA) --labels $(if $(IMPORTED),$<
     --shards $D/00_plan/shards $(IMAGES_JUDGED:%=--images %) --catalogue $P/indenters.json --sensors $P/sensors.json \
     --resolution $* --params $P/dataset.json $(if $(STRICT),--strict) --out $@.part
 
-# beside.json: digests of the no-contact images, splits, truth and imported labels that lie beside the log.
+# nocontact.json, beside.json: digests of the no-contact images, and of splits, truth and imported labels beside the log.
 $(DATASETS): $D/60_dataset/%/dataset.json: $(LABEL_SOURCE) $(if $(IMPORTED),$D/00_plan/shards.csv,$(POSES)) \
-    $(IMAGES_JUDGED) $D/00_plan/beside.json $P/dataset.json $P/indenters.json $P/sensors.json | $(call barrier,10_poses)
+    $(IMAGES_JUDGED) $(addprefix $D/00_plan/,nocontact.json beside.json) $P/dataset.json $P/indenters.json $P/sensors.json \
+    | $(call barrier,10_poses)
 	$(call step,$(dataset_of))

@@ -5,13 +5,17 @@ import os
 import re
 import shutil
 
+import numpy as np
 import pytest
 
+from gelforge.flow.files import write_json
 from gelforge.records.labelfile import read_labels
 from tests.benchmarks.sandbox import link_project, make
 from tests.support.pressed_dataset import write_pressed
 
-DATASET = 'sensor = "mini_a"\ngel = "gelsight_mini"\ncatalogue = "indenters.toml"\n'
+# The images are noise, of which nothing can be told.
+UNJUDGED = "[params.poses]\njudge_images = false\n"
+DATASET = f'sensor = "mini_a"\ngel = "gelsight_mini"\ncatalogue = "indenters.toml"\n{UNJUDGED}'
 
 
 @pytest.fixture(scope="module")
@@ -21,6 +25,7 @@ def pressed(root, tmp_path_factory):
     made = write_pressed(project, count=16)
     (made["data"] / "dataset.toml").write_text(DATASET)
     (made["results"] / "30_fea").mkdir()
+    write_json(made["results"] / "15_images/images.json", {"left_out": {}})
     run(project, "-t", "forces")
     return project
 
@@ -49,6 +54,8 @@ def exported(made, tmp_path_factory):
     }
     back = make(project, "DATASET=back", "feats-import", "FROM=results/made/feats/4x4")
     assert back.returncode == 0 and "16 presses" in back.stdout, back.stdout
+    with (project / "data/back/dataset.toml").open("a") as settings:
+        settings.write(UNJUDGED)
     return project
 
 
@@ -96,6 +103,7 @@ def test_pictures_and_a_dataset_of_the_export_follow(folder):
 def test_a_dataset_follows_what_lies_beside_its_log(folder):
     """A split or a picture that comes, goes, or is replaced by an older one makes the dataset anew, nothing else does."""
     target, data = {"results/made/60_dataset/4x4/dataset.json"}, folder / "data/made"
+    judged = target | {"results/made/15_images/images.json"}
     assert not built(run(folder, "dataset", "RES=4x4"))
     splits = data / "splits.csv"
     splits.write_text(
@@ -107,15 +115,15 @@ def test_a_dataset_follows_what_lies_beside_its_log(folder):
     nocontact = data / "nocontact/mini_a.png"
     nocontact.parent.mkdir(exist_ok=True)
     shutil.copy(data / "images/s000.png", nocontact)
-    assert built(run(folder, "dataset", "RES=4x4")) == target and not built(run(folder, "dataset", "RES=4x4"))
+    assert built(run(folder, "dataset", "RES=4x4")) == judged and not built(run(folder, "dataset", "RES=4x4"))
     shutil.copy(data / "images/s001.png", nocontact)
     os.utime(nocontact, (1e9, 1e9))
-    assert built(run(folder, "dataset", "RES=4x4")) == target and not built(run(folder, "dataset", "RES=4x4"))
+    assert built(run(folder, "dataset", "RES=4x4")) == judged and not built(run(folder, "dataset", "RES=4x4"))
     shutil.move(nocontact.parent, data / "elsewhere")
     nocontact.parent.symlink_to("elsewhere")
     run(folder, "dataset", "RES=4x4")
     shutil.copy(data / "images/s002.png", nocontact)
-    assert built(run(folder, "dataset", "RES=4x4")) == target and not built(run(folder, "dataset", "RES=4x4"))
+    assert built(run(folder, "dataset", "RES=4x4")) == judged and not built(run(folder, "dataset", "RES=4x4"))
 
 
 def test_a_dataset_follows_labels_that_are_imported(folder):
@@ -126,6 +134,9 @@ def test_a_dataset_follows_labels_that_are_imported(folder):
     labels.parent.mkdir()
     shutil.copy2(come, labels)
     assert built(run(folder, "dataset", "RES=4x4")) == target and not built(run(folder, "dataset", "RES=4x4"))
+    with np.load(labels) as held:
+        other = {name: held[name] for name in held} | {"label": -held["label"]}
+    np.savez(labels, **other)
     os.utime(labels, (9e8, 9e8))
     assert built(run(folder, "dataset", "RES=4x4")) == target and not built(run(folder, "dataset", "RES=4x4"))
     shutil.rmtree(labels.parent)
@@ -178,13 +189,21 @@ def test_a_setting_that_changes_labels_changes_every_shard(labelled):
     assert all(shard.read_bytes() != was for shard, was in zip(shards, old, strict=True))
 
 
-@pytest.mark.parametrize("corrupt", [lambda data: data[: len(data) // 2], lambda data: data[:-9] + b"!" + data[-8:]])
-def test_a_corrupt_shard_is_made_again_by_who_reads_it(labelled, corrupt):
-    shard = labelled / "results/made/50_labels/6x8/0000.npz"
-    kept = shard.read_bytes()
-    shard.write_bytes(corrupt(kept))
-    assert "0000.npz: not as it was when it was made; making it again" in run(labelled, "dataset", "RES=6x8")
-    assert shard.read_bytes() == kept
+def test_a_corrupt_shard_is_refused_and_made_again_once_it_is_removed(labelled):
+    """As a disk corrupts it: its date stays."""
+    folder = labelled / "results/made/50_labels/6x8"
+    kept, state = (folder / "0000.npz").read_bytes(), (folder / "0000.npz").stat()
+    for corrupt in (kept[: len(kept) // 2], kept[:-9] + b"!" + kept[-8:]):
+        (folder / "0000.npz").write_bytes(corrupt)
+        os.utime(folder / "0000.npz", ns=(state.st_atime_ns, state.st_mtime_ns))
+        done = make(labelled, "DATASET=made", "dataset", "RES=6x8")
+        found = re.search(r"0000\.npz: is not as it was made; remove it \(rm (.*?)\)", done.stdout)
+        assert done.returncode and found, done.stdout
+        for name in found[1].split():
+            (labelled / name).unlink()
+        run(labelled, "labels", "RES=6x8")
+        assert (folder / "0000.npz").read_bytes() == kept
+    run(labelled, "dataset", "RES=6x8")
 
 
 def test_a_changed_value_remakes_labels_only(labelled):

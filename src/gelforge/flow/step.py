@@ -159,8 +159,9 @@ def refuse_corrupt(path: Path) -> None:
         return  # the last run failed, and left the file of the one before
     changed = path if made.get("sha256") != digest_of(path) else changed_beside(path)
     if changed:
+        gone = " ".join(dict.fromkeys(map(str, (path, changed))))
         raise BadInput(
-            f"{changed}: is not as it was made; remove it (rm {path}) and run make again, which makes it anew"
+            f"{changed}: is not as it was made; remove it (rm {gone}) and run make again, which makes it anew"
         )
 
 

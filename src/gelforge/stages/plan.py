@@ -500,6 +500,8 @@ def main(args: Namespace) -> None:
     text = "".join(make_list(name, values) for name, values in lists.items())
     write_parameters(params, workflow, of.folder(PLAN), tables, scenes)
     beside = digests(files_beside(data), of.folder(PLAN) / "digests_beside.json")
+    nocontact = {name: beside.pop(name) for name in list(beside) if name.startswith("nocontact/")}
+    write_if_changed(of.folder(PLAN) / "nocontact.json", config.canonical(nocontact))
     write_if_changed(of.folder(PLAN) / "beside.json", config.canonical(beside))
     shards = write_shards(
         data, rows, of.folder(PLAN), params.plan.shard_size, {kind: tables[kind] for kind in COLUMN_OF}

@@ -168,7 +168,8 @@ def test_nothing_is_made_of_an_input_that_is_not_as_it_was_made(tmp_path):
         last.unlink()
         do()
         code, said = read()
-        assert code == 2 and said.startswith(f"{last}: {named}: is not as it was made; remove it (rm {table})"), harm
+        gone = table if named == table else f"{table} {named}"
+        assert code == 2 and said.startswith(f"{last}: {named}: is not as it was made; remove it (rm {gone})"), harm
         assert not last.exists()
     # a run that failed since left the file of the one before
     assert wrapped(table, "bash", "-c", making)[0] == 0 and wrapped(table, "false")[0] == 1
