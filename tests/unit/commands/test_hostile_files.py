@@ -223,17 +223,12 @@ def test_a_changed_bit_of_a_label_file_is_noticed(tmp_path):
             pass
 
 
-def test_a_good_imported_label_file_is_read(tmp_path):
+def test_good_imported_labels_are_read(tmp_path):
+    """Forces that a sensor read say nothing of the gel's stiffness."""
     np.savez_compressed(tmp_path / "24x32.npz", **label_arrays())
     found = read_labels(tmp_path / "24x32.npz")
     assert found.sample_id.tolist() == ["a", "b", "c"] and found.material == {"c10": 0.0792}
-
-
-def test_forces_that_a_sensor_read_are_of_no_material(tmp_path):
-    """What recordings bring with them says nothing of the gel's stiffness, and nobody reads one from it."""
-    arrays = label_arrays()
-    del arrays["c10"]
-    np.savez(tmp_path / "1x1.npz", **arrays)
+    np.savez(tmp_path / "1x1.npz", **{name: array for name, array in label_arrays().items() if name != "c10"})
     assert read_labels(tmp_path / "1x1.npz").material == {}
 
 
@@ -249,16 +244,14 @@ def test_an_archive_that_would_fill_the_memory_is_refused(tmp_path):
                 body = io.BytesIO()
                 np.save(body, array)
                 archive.writestr(f"{name}.npy", body.getvalue())
-    with pytest.raises(BadInput, match="label claims"):
-        read_labels(path)
+    refused("label claims", read_labels, path)
     with (
         zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
         archive.open("label.npy", "w") as member,
     ):
         for _ in range(1100):
             member.write(bytes(2**20))
-    with pytest.raises(BadInput, match="would unpack to"):
-        read_labels(path)
+    refused("would unpack to", read_labels, path)
 
 
 @pytest.fixture(scope="module")
@@ -335,31 +328,24 @@ def rewritten(path, model, change):
     return path
 
 
-@pytest.mark.parametrize("name", HOSTILE)
-def test_a_hostile_model_is_refused_in_a_sentence(tmp_path, model, name):
-    path = rewritten(tmp_path / "m.onnx", model, HOSTILE[name])
-    with pytest.raises(BadInput, match=r"m\.onnx: .*(it again|the model again)$"):
-        load_model(path)
+def test_a_hostile_model_is_refused_in_a_sentence(tmp_path, model):
+    for change in HOSTILE.values():
+        path = rewritten(tmp_path / "m.onnx", model, change)
+        refused(r"m\.onnx: .*(it again|the model again)$", load_model, path)
+    for content in ("[1]", "3", "[]", "{" * 5000, "text"):
+        path.write_bytes(model.graph + property_of(content))
+        refused("not a gelforge model", load_model, path)
+
+
+def test_a_model_without_a_limit_is_read(tmp_path, model):
+    """All but the distance, which every network of pairs has."""
+    for name in LIMITS[1:]:
+        path = rewritten(tmp_path / "m.onnx", model, without("statistics", name))
+        assert name not in load_model(path).metadata["statistics"]
 
 
 def test_a_table_of_semicolons_and_decimal_commas_is_reported_what_parts_cells(tmp_path):
     """As spreadsheets write them where a comma is decimal."""
     (tmp_path / "r.csv").write_text("image;force_n\npeak.png;2,5\n")
-    with pytest.raises(
-        BadInput, match="row 2 has another number of cells.* with commas between the cells; write it anew"
-    ):
-        numbered_rows(tmp_path / "r.csv", "write it anew")
-
-
-@pytest.mark.parametrize("name", LIMITS[1:])
-def test_a_model_without_a_limit_is_read(tmp_path, model, name):
-    """All but the distance, which every network of pairs has."""
-    path = rewritten(tmp_path / "m.onnx", model, without("statistics", name))
-    assert name not in load_model(path).metadata["statistics"]
-
-
-@pytest.mark.parametrize("content", ["[1]", "3", "[]", "{" * 5000, "text"])
-def test_a_file_whose_metadata_are_no_model_is_refused(tmp_path, model, content):
-    (tmp_path / "m.onnx").write_bytes(model.graph + property_of(content))
-    with pytest.raises(BadInput, match="not a gelforge model"):
-        load_model(tmp_path / "m.onnx")
+    said = "row 2 has another number of cells.* with commas between the cells; write it anew"
+    refused(said, numbered_rows, tmp_path / "r.csv", "write it anew")

@@ -50,6 +50,7 @@ from gelforge.records.press import Press
 from tests.conftest import process_signals
 from tests.support.blocks import symmetric_block
 from tests.support.parameters import parameters, with_values
+from tests.support.refused import refused
 
 GEL = GELS["gelsight_mini"]
 TABLE = replace(
@@ -142,12 +143,9 @@ def test_sizing_grid_fills_the_gel():
     assert len(values) == len(vertices)
 
 
-@pytest.mark.parametrize(
-    "name", ["ccx-centre", "hex-centre-1.0", "ccx-centre-0.05", "fem-centre-1.0", "ccx-../x-1.0"]
-)
-def test_names_that_mean_nothing_are_refused(name):
-    with pytest.raises(BadInput, match="ccx-REGION-SIZE"):
-        MeshName.parse(name)
+def test_names_that_mean_nothing_are_refused():
+    for name in ("ccx-centre", "hex-centre-1.0", "ccx-centre-0.05", "fem-centre-1.0", "ccx-../x-1.0"):
+        refused("ccx-REGION-SIZE", MeshName.parse, name)
 
 
 def test_required_meshes_need_known_regions():
@@ -191,7 +189,7 @@ def test_the_fine_part_goes_as_little_as_it_must(low, width, half, far):
     assert "-0" not in placed("ccx-centre-0.7", (found or 0.0, 0.5)).split("@")[1].split(":")
 
 
-@pytest.mark.parametrize("fraction", [(0, 0), (0.5, 0), (-1, 1), (1, -1)])
+@pytest.mark.parametrize("fraction", [(0.5, 0), (-1, 1)])
 def test_a_moved_mesh_is_as_sound_and_as_fine(mesh, fraction):
     far = reach(mesh, GEL, (4.0, 4.0))
     assert min(far) >= 1.0  # of elements as wide as half of the fine part; those of labels go two to six
