@@ -159,7 +159,7 @@ def same_names() -> Iterator[str]:
 
 
 def unchecked_types() -> Iterator[str]:
-    """Modules that the type checker is told to leave."""
+    """Modules that the type checker leaves out."""
     overrides = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["mypy"]["overrides"]
     yield from (f"mypy ignores errors of {table['module']}" for table in overrides if table.get("ignore_errors"))
 

@@ -19,7 +19,7 @@ def test_look_finds_what_sample_made(project):
     assert "everything of" in say(project, "sample", f"ID={first}")
     say(project, "look", f"ID={first}")
     made = {path.name for path in (project / "results/tiny/look").iterdir()}
-    assert made == {f"{first}-24x32.png", f"{first}.vtu"}
+    assert made == {f"{first}-24x32.png", f"{first}-indenter.stl", f"{first}.vtu"}
     assert not (project / "results/tiny/50_labels").exists()
 
 

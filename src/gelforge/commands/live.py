@@ -1,7 +1,7 @@
 """Forces of a film or a running camera, frame by frame: `gelforge live --video FILE | --camera N`.
 
 --web serves a page to this machine, --foxglove messages of ROS 2 to Foxglove. --record writes the same messages as MCAP, --csv
-a table. Any of these outputs go together. Where one of them fails, viewers are told and go on.
+a table. Any of these outputs go together. Where one of them fails, viewers show it and go on.
 Unless a no-contact image is given, a network that needs one takes the mean of the first frames at rest; frames before these
 are skipped.
 """
@@ -91,7 +91,7 @@ class Outputs:
             report(sentence)
 
     def _guard(self, file, act: Callable, *what) -> str | None:
-        """Do something with a file; one that fails gets nothing more, and viewers are told."""
+        """Do something with a file; one that fails gets nothing more, and viewers show it."""
         try:
             return act(*what)
         except BadInput as error:
