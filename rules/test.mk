@@ -32,8 +32,6 @@ lerobot-env: $(LEROBOT_READY)  ## an environment with LeRobot, in which tests op
 $(LEROBOT_READY): envs/lerobot.sh envs/lerobot.lock | $(SETUP)
 	@envs/lerobot.sh $@
 
-benchmark-face: $(LEROBOT_READY)
-
 .PHONY: test test-all lint format lock
 test: $(SETUP) $(CCX_FOUND)  ## the tests of every change, in minutes: all but the slow ones
 	@$(PYTEST) -m 'not slow' $(TESTS)
@@ -58,7 +56,7 @@ lock: $(SETUP)  ## write envs/requirements.lock from the installed packages
 	@mv envs/.requirements.lock envs/requirements.lock
 
 # What benchmarks share, and is none.
-SHARED := __init__ balls chart_meshes fea_cost figures films reach real_page rig_page sandbox tables ways
+SHARED := __init__ ball_table balls chart_meshes fea_cost figures films outside_getfem reach readme_pictures real_page rig_page sandbox tables ways
 BENCHMARKS := $(filter-out $(SHARED:%=benchmark-%),$(patsubst tests/benchmarks/%.py,benchmark-%,$(wildcard tests/benchmarks/*.py)))
 .PHONY: $(BENCHMARKS)
 $(BENCHMARKS): benchmark-%: $(SETUP) $(CCX_FOUND)

@@ -7,9 +7,8 @@ of one thread, so that other work on the machine does not enter the ratios.
 
 import hashlib
 import shutil
-import tempfile
 from argparse import Namespace
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from functools import partial
 from pathlib import Path
 
@@ -21,17 +20,16 @@ from gelforge.flow.files import read_json, write_json
 from gelforge.flow.main import command, option
 from gelforge.flow.params import canonical
 from gelforge.flow.params.stages import ForPareto
-from gelforge.flow.params.tables import FeaTable
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel, load_gel
-from gelforge.geometry.indenters import build, load_catalogue
+from gelforge.geometry.indenters import load_catalogue
 from gelforge.labelling.sensor import Sensor, load_sensors
 from gelforge.mechanics.ccx.program import need_ccx, run_ccx
 from gelforge.mechanics.hexsettings import quality
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.scene import Interface, Scene
 from gelforge.records.press import Press
-from gelforge.records.status import VALID, Status
+from gelforge.records.status import VALID
 from gelforge.stages import pareto as branch
 from gelforge.sweeps import references as meshes
 from gelforge.sweeps.deviation import errors
@@ -67,7 +65,7 @@ FRAMED = (
 )  # of round, flat, sharp, sheared
 HELD_TOTAL, HELD_CELLS = 0.5, 2.0  # % that halving the reference may move it
 STATED = ("ccx-label", "hex-label", "hex-draft", "ccx-native")  # methods of the chart, by how their names begin
-PARTS = ("deck", "scenes", "envelope", "cost", "laws")
+PARTS = ("deck", "scenes", "envelope", "cost")
 
 
 # -- FEATS' own deck
@@ -308,78 +306,14 @@ def _valid_figures(engine: str, records: list[dict]) -> list[Figure]:
 # -- what labels cost
 
 
-def cost_figures(scenes: dict[str, Scene], sensor: Sensor, folder: Path) -> list[Figure]:
+def cost_figures(scenes: dict[str, Scene], sensor: Sensor) -> list[Figure]:
     """Moments of one press, growth with unknowns and throughput, in process."""
     framed = {name: scene for name, scene in scenes.items() if name in FRAMED}
     return [
         *cost.frame_figures(framed, sensor),
-        *cost.growth_figures(scenes["cuboid_round"], folder),
+        *cost.growth_figures(scenes["cuboid_round"]),
         *cost.throughput_figures(list(scenes.values())),
     ]
-
-
-# -- laws
-
-
-@dataclass(frozen=True)
-class Block(Gel):
-    """A flat block bonded at its base, mm."""
-
-    name: str = "block"
-    width: float = 6.0
-    length: float = 6.0
-    corner_radius: float = 0.5
-    height: float = 4.0
-
-    def top(self, x, y):
-        return np.zeros(np.broadcast(np.asarray(x), np.asarray(y)).shape)
-
-
-@dataclass(frozen=True)
-class SlideThenPress(Press):
-    """A press that moves `slide` mm sideways above the gel in the first half of its way, then straight down."""
-
-    slide: float = 0.5
-    lift: float = 0.2
-
-    def pose(self, press, shear):
-        rotation, _ = super().pose(0.0, 0.0)
-        down = self.lift if press < 0.5 else self.lift - (press - 0.5) * 2 * (self.lift - self.dz)
-        return rotation, np.array([self.slide * min(2 * press, 1.0) - self.slide, 0.0, down])
-
-
-def block_shear(folder: Path, table: FeaTable) -> dict[str, float]:
-    """Sideways over normal force by engine, of a plate and of a sphere that slide before they touch."""
-    from gelforge.mechanics.hexsettings import HexSettings
-    from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver
-    from gelforge.mechanics.solvers.hex import HexSolver
-    from tests.support.blocks import symmetric_block
-
-    gel = Block()
-    bodies = {"plate": {"kind": "cuboid", "size": [12, 12], "fillet": 0.5, "height": 10},
-              "sphere": {"kind": "sphere", "diameter": 15, "height": 10}}  # fmt: skip
-    tets = CcxSolver(symmetric_block(gel, 1.0, 4), folder, CcxSettings.of(table))
-    solvers = {"hex": HexSolver(HexSettings(size=0.8, layers=4)), "ccx": tets}
-    found = {}
-    for shape, table in bodies.items():
-        press = SlideThenPress(0.0, 0.0, 0.0, 0.0, 0.0, -0.5)
-        scene = Scene(gel, Material(), build(shape, table), press, Interface())
-        for engine, solver in solvers.items():
-            result = solver.solve(scene)
-            fx, _, fz = result.total
-            # along the slide; a failed solve shows as infinite
-            found[f"{shape}, {engine}"] = abs(fx / fz) if result.status is Status.OK else np.inf
-    return found
-
-
-def law_figures(work: Path, table: FeaTable) -> list[Figure]:
-    """The frictional block: what moves before it touches leaves no shear."""
-    work.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryDirectory(dir=work) as folder:
-        found = block_shear(Path(folder), table)
-    worst = max(found, key=found.get)
-    return [Figure("frictional block, shear of motion before touch", 100 * found[worst], "<=", 0.1, "% of f_z",
-                   f"worst: {worst}; CalculiX' own contact has 94 %")]  # fmt: skip
 
 
 @command(
@@ -428,9 +362,7 @@ def main(args: Namespace) -> None:
         )
     if "cost" in parts:
         sensor = sensors[params.pareto.sensor]
-        figures += cost_figures({name: scene.scene for name, scene in scenes.items()}, sensor, args.work)
-    if "laws" in parts:
-        figures += law_figures(args.work, params.fea)
+        figures += cost_figures({name: scene.scene for name, scene in scenes.items()}, sensor)
     if args.only:
         figures += scene_figures(found, kept_decks(args.work)) if args.only == "scenes" else []
         print("\n".join(str(figure) for figure in figures))

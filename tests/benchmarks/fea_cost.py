@@ -4,17 +4,14 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
-from pathlib import Path
 
 import numpy as np
 
-from gelforge.flow.files import write_json
 from gelforge.labelling.sensor import Sensor
 from gelforge.mechanics.hexsettings import HexSettings, quality
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.records.status import Status
-from gelforge.reporting.canvas import canvas, save_png
 from gelforge.sweeps.isolate import Clock, isolated, peak_mib
 from gelforge.sweeps.methods import warm_up
 from gelforge.sweeps.trial import cells_of
@@ -104,38 +101,17 @@ def exponent(records: list[dict], key: str = "cpu_seconds") -> float:
     return float(np.polyfit(x, y, 1)[0])
 
 
-def growth_figures(scene: Scene, folder: Path) -> list[Figure]:
-    """Solve the scene on ever smaller hexahedra; records and chart go to `folder`."""
+def growth_figures(scene: Scene) -> list[Figure]:
+    """Solve the scene on ever smaller hexahedra."""
     records = [grown(scene, size, layers) for size, layers in GROWTH]
-    write_json(folder / "growth.json", {"records": records})
     solved = [record for record in records if record["status"] == "OK"]
     assert all(a["unknowns"] < b["unknowns"] for a, b in pairwise(solved))
-    draw_growth(solved, folder / "growth.png")
     note = ", ".join(f"{r['unknowns'] / 1000:.0f}k {r['cpu_seconds']:.1f} s {r['peak_mib']:.0f} MiB" for r in solved)
     return [
         Figure("solved of the sizes of hexahedra", len(solved), ">=", len(GROWTH), "", note),
         Figure("exponent of time over unknowns", exponent(solved), "<=", 2.0, "", "nested dissection in space: 2"),
         Figure("exponent of memory over unknowns", exponent(solved, "peak_mib"), "<=", 4 / 3, "", "the same: 4/3"),
     ]
-
-
-def draw_growth(records: list[dict], path: Path) -> None:
-    """Seconds and memory against unknowns, both axes logarithmic."""
-    figure = canvas(6.4, 4.2)
-    left = figure.subplots()
-    right = left.twinx()
-    x = np.array([record["unknowns"] for record in records])
-    for axis, key, colour, label in (
-        (left, "cpu_seconds", "#1f5fa8", "processor time, s"),
-        (right, "peak_mib", "#b5541c", "peak memory, MiB"),
-    ):
-        y = np.array([record[key] for record in records])
-        axis.loglog(x, y, "o-", color=colour)
-        axis.set_ylabel(f"{label} (grows as unknowns to the power {exponent(records, key):.2f})", color=colour)
-    left.set_xlabel("unknowns")
-    left.set_title("Cost of one press in process, 10 mm cuboid")
-    path.parent.mkdir(parents=True, exist_ok=True)
-    save_png(path, figure)
 
 
 # -- many presses at once

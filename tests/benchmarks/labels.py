@@ -1,4 +1,4 @@
-"""Labels: force kept, nesting, traction patch tests, time against shapely, and line-up with the image."""
+"""Labels: time against shapely, a whole dataset, and line-up with the image."""
 
 import resource
 import subprocess
@@ -19,20 +19,14 @@ from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import CORNERS, assemble
 from gelforge.labelling.sensor import load_sensors
 from gelforge.records.forcefile import SampleForces, write_forces
-from gelforge.records.labelfile import read_labels, to_float32
+from gelforge.records.labelfile import read_labels
 from gelforge.records.markers import find_markers
 from gelforge.records.press import POSE
 from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.support.parameters import write_stage
-from tests.support.patch import consistent_loads, exact_cells, irregular_surface
+from tests.support.patch import consistent_loads, irregular_surface
 
 SENSORS = Path("workflow/sensors.toml")
-GRIDS = ("12x16", "24x32", "48x64", "96x128")
-ELEMENT_OF_CELL = {
-    "12x16": 0.63,
-    "24x32": 0.32,
-    "48x64": 0.16,
-}  # mm, half a cell of gelsight_mini; corners are moved by 0.3 of it
 SAMPLES, SHARD = 15_000, 8
 LARGEST_BUMP = 5.0  # mm, radius
 REFERENCE_PITCH = np.array([32.9, 31.4])
@@ -54,13 +48,6 @@ def bumps(mesh, rng, count, reach) -> list[np.ndarray]:
     return found
 
 
-def reach_inside(sensor, size: float) -> np.ndarray:
-    """How far (2,) mm from the apex a bump's centre may lie so that all of its elements of `size` mm are in the image."""
-    width, height = sensor.image
-    edges = sensor.unproject(np.array([[0, height / 2], [width, height / 2], [width / 2, 0], [width / 2, height]]))
-    return np.array([np.abs(edges[2:, 0]).min(), np.abs(edges[:2, 1]).min()]) - LARGEST_BUMP - 2 * size
-
-
 def dome_load(mesh, x, y, radius) -> np.ndarray:
     """Nodal load (n,) of a pressure dome of 1 MPa on a round footprint."""
     return consistent_loads(mesh, lambda u, v: np.maximum(0.0, 1 - ((u - x) ** 2 + (v - y) ** 2) / radius**2))
@@ -75,73 +62,6 @@ def csr(forces) -> tuple:
         np.concatenate(nodes).astype(np.int32),
         np.concatenate([f[n] for f, n in zip(forces, nodes, strict=True)]),
     )
-
-
-def conservation(sensors, rng, grids) -> list[Figure]:
-    """Force kept by the labels as computed and as stored, and coarse labels against sums of fine ones."""
-    unit, size_mm = sensors["mini_c"], 0.5
-    mesh = irregular_surface("tet10", size_mm, rng)
-    inside, rim = bumps(mesh, rng, 20, reach_inside(unit, size_mm)), bumps(mesh, rng, 20, (9, 11))
-    lost, stored, nested, lowest = 0.0, 0.0, 0.0, 0.0
-    finest = None
-    for text in reversed(grids):
-        operator = assemble(mesh, unit, Grid.parse(text))
-        lowest = min(lowest, operator.weight.min())
-        cells, outside = operator.apply(*csr(inside + rim))
-        total = np.array([f.sum(axis=0) for f in inside + rim]) - outside
-        size = np.abs(cells).sum(axis=(2, 3))
-        lost = max(
-            lost, float((np.abs(cells.sum(axis=(2, 3)) - total) / size).max()), float(np.abs(outside[:20]).max())
-        )
-        stored = max(stored, float((np.abs(stored_sums(cells) - total) / size).max()))
-        if finest is not None:
-            step = finest.shape[2] // operator.grid.rows
-            coarse = finest.reshape(len(cells), 3, operator.grid.rows, step, operator.grid.cols, step).sum(
-                axis=(3, 5)
-            )
-            nested = max(
-                nested, float((np.abs(coarse - cells).max(axis=(2, 3)) / np.abs(cells).max(axis=(2, 3))).max())
-            )
-        finest = cells if finest is None else finest
-    note = "40 presses, half of them over the rim, at " + " ".join(grids)
-    return [
-        Figure("force kept, float64", lost, "<=", 1e-9, "relative", note),
-        Figure("force kept, label as stored (float32)", stored, "<=", 1e-9, "relative", note),
-        Figure(
-            "coarse against sum of fine", nested, "<=", 1e-9, "of largest cell", "the finest summed to the others"
-        ),
-        Figure("smallest weight", lowest, ">=", 0.0, "", "no force changes sign"),
-    ]
-
-
-def stored_sums(cells) -> np.ndarray:
-    """Sums (n, 3) of cells (n, 3, rows, cols) after they were rounded as labels are."""
-    groups = cells.shape[0] * 3
-    rounded = to_float32(cells.ravel(), np.repeat(np.arange(groups), cells[0, 0].size), groups)
-    return rounded.astype(float).reshape(cells.shape).sum(axis=(2, 3))
-
-
-def traction(sensors, rng, grids) -> list[Figure]:
-    """Largest error of a cell under uniform and linear traction over irregular meshes."""
-    figures, elements = [], {text: size for text, size in ELEMENT_OF_CELL.items() if text in grids}
-    for kind in ("tet10", "hex8"):
-        uniform, linear = 0.0, 0.0
-        for text, size in elements.items():
-            mesh = irregular_surface(kind, size, rng)
-            operator = assemble(mesh, sensors["gelsight_mini"], Grid.parse(text))
-            for slope in ((0, 0, 1), (1 / 10.4, 0, 0), (0, 1 / 12.6, 0), (1 / 20.8, 1 / 25.2, 0.5)):
-
-                def field(x, y, s=slope):
-                    return s[0] * x + s[1] * y + s[2]
-
-                exact = exact_cells(mesh, field, sensors["gelsight_mini"], operator.grid)
-                got = (operator.matrix.T @ consistent_loads(mesh, field))[:-1].reshape(exact.shape)
-                error = float(np.abs(got - exact).max() / np.abs(exact).max())
-                uniform, linear = (max(uniform, error), linear) if slope[2] == 1 else (uniform, max(linear, error))
-        sizes = ", ".join(f"{size} mm at {text}" for text, size in elements.items())
-        figures.append(Figure(f"uniform traction, {kind}", uniform, "<=", 0.01, "of largest cell", sizes))
-        figures.append(Figure(f"linear traction, {kind}", linear, "<=", 0.01, "of largest cell", sizes))
-    return figures
 
 
 def shapely_label(mesh, sensor, grid: Grid, nodal, boxes_first: bool) -> np.ndarray:
@@ -340,7 +260,6 @@ def reference_markers(reference: Path) -> list[Figure]:
 
 @command(
     option("--samples", type=positive, default=SAMPLES, help="fewer only to try it out"),
-    option("--grids", nargs="+", choices=GRIDS, default=list(GRIDS), help="of the laws; fewer only to try it out"),
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:
@@ -351,8 +270,6 @@ def main(args: Namespace) -> None:
     sensors, rng = load_sensors(SENSORS), np.random.default_rng(1)
     Path("results").mkdir(exist_ok=True)
     figures = [
-        *conservation(sensors, rng, args.grids),
-        *traction(sensors, rng, args.grids),
         *speed(sensors, rng),
         *whole_dataset(rng, args.samples),
     ]

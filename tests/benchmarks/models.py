@@ -1,10 +1,8 @@
 """What was promised of the networks, measured.
 
-Latency, memory, waiting, resuming and ONNX need no trained network and are measured on made-up presses.
-Errors are read from a dataset's results; without them their figures are listed as not measured.
+Latency, memory and waiting need no trained network and are measured on made-up presses.
 """
 
-import os
 import subprocess
 import sys
 import tempfile
@@ -17,13 +15,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gelforge.errors import BadInput
-from gelforge.flow.files import read_json, write_csv, write_json
+from gelforge.flow.files import write_csv, write_json
 from gelforge.flow.main import command, option
 from gelforge.flow.params import load_params, plain, read_toml
 from gelforge.flow.params.stages import ForTrain
 from gelforge.flow.params.tables import TrainTable
-from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
 from gelforge.records.log import read_presses
 from tests.benchmarks.figures import Figure, publish_figures
@@ -34,15 +30,8 @@ if TYPE_CHECKING:
 IMAGE, GRID = (240, 320), (24, 32)
 BASELINE, LIGHT = "unet", "pair_24_mirrored"
 SHIPS = "tuned"  # as the shipped network is built, which is deeper than LIGHT
-PARTS = ("speed", "training", "resuming")
+PARTS = ("speed", "training")
 PROBED = 24  # presses of the made-up dataset: three batches an epoch
-ABLATION = ("unet", "resnet34")
-# The paper's shapes that its training never saw; all others that training does not see are of no catalogue.
-PAPERS_UNSEEN = ("cuboid_12", "cylinder_8", "ellipse_15_10", "polygon_6_10", "triangle_11")
-# Per cent of the force range: of the mean error, and of the upper end of its 95 % interval.
-KNOWN_GOALS = {"grid_x": (0.4, 0.6), "grid_y": (0.4, 0.6), "grid_z": (1.0, 1.3)}
-UNSEEN_UNIT_GOALS = {"grid_x": 1.0, "grid_y": 1.0, "grid_z": 1.8}
-CELL_GOALS = {"grid_x": 0.0005, "grid_y": 0.0005, "grid_z": 0.0015}  # N, half of the paper's
 
 
 def write_made_up(folder: Path) -> Path:
@@ -202,125 +191,7 @@ def training_figures(settings: TrainTable, folder: Path, dataset: Path) -> list[
     return figures
 
 
-def resume_figure(models: dict, settings: TrainTable, folder: Path, dataset: Path) -> Figure:
-    """Difference between the validation curves of a whole training and one that stopped and went on."""
-    import torch
-
-    from gelforge.networks.data.arrays import open_data, scales
-    from gelforge.networks.training.loop import Training, fit
-    from gelforge.stages.train import resolve
-
-    torch.set_num_threads(settings.threads)
-    data = open_data(dataset)
-    model, settings = resolve(models, LIGHT, replace(settings, epochs=4, checkpoint_seconds=0.0))
-    norm = scales(data, False, model["reads"])
-    whole, cut, rest = (Training(model, settings, norm, IMAGE, GRID, "cpu") for _ in range(3))
-    fit(whole, data)
-    fit(cut, data, folder / "cut.checkpoint.pt", "one", epochs=2)
-    fit(rest, data, folder / "cut.checkpoint.pt", "one")
-    worst = max(abs(a[key] - b[key]) for a, b in zip(whole.curve, rest.curve, strict=True) for key in a)
-    return Figure(
-        "validation curve, interrupted and resumed against whole",
-        worst,
-        "==",
-        0.0,
-        "N",
-        f"{rest.cost['resumed']} resumption at epoch 2 of 4",
-    )
-
-
-def chart_figures(chart: dict) -> list[Figure]:
-    """The network of the chart that is to be used against every row of the paper's ablation."""
-    by_name = {row["model"]: row for row in chart["models"]}
-    if LIGHT not in by_name:
-        raise BadInput(f"{LIGHT!r} is not on the chart of networks; make pareto-models CHARTED with it")
-    ours, figures = by_name[LIGHT], []
-    for row in (by_name[name] for name in ABLATION if name in by_name):
-        name, note = row["model"], f"after {row['epochs']} epochs, {row['train_seconds'] / 3600:.2f} h"
-        ratio = row["cpu1_median_ms"] / ours["cpu1_median_ms"]
-        if name == BASELINE:
-            figures.append(Figure(f"latency of `{name}` over `{LIGHT}`'s, 1 thread", ratio, ">=", 5.0, "times"))
-        for key in [f"{what}_{axis}" for what in ("total", "cell") for axis in CHANNELS if row[f"{what}_{axis}"]]:
-            figures.append(
-                Figure(f"{key.replace('_', ' ')} over `{name}`'s", ours[key] / row[key], "<=", 1.0, "", note)
-            )
-    return figures
-
-
-def accuracy_figures(result: dict) -> list[Figure]:
-    """Errors of what `predict` reports: known and unseen units and shapes, cells, single contacts, and the labels themselves."""
-    splits, span = result["splits"], result["force_range"]
-    test = splits["test"]
-    figures = []
-    for axis, (mean, most) in KNOWN_GOALS.items():
-        error, known = test["total"][axis], f"known units and shapes, total {axis}"
-        highest, note = 100 * error["mae_high"] / span[axis], f"{error['mae']:.3f} N"
-        figures.append(Figure(known, error["mae_percent_of_range"], "<=", mean, "% of range", note))
-        figures.append(Figure(f"{known}, upper end of its 95 % interval", highest, "<=", most, "% of range"))
-        for control, values in splits["test"]["controls"].items():
-            times = f"total {axis}, {control.replace('_', ' ')} over the network"
-            figures.append(Figure(times, values[axis] / error["mae"], ">=", 3.0, "times"))
-    for axis, goal in CELL_GOALS.items() if test["cell"] else ():
-        figures.append(Figure(f"known units and shapes, cell {axis}", test["cell"][axis]["mae"], "<=", goal, "N"))
-    if units := splits.get("test_unseen_sensor"):
-        figures += [
-            Figure(
-                f"unseen units, total {axis}",
-                units["total"][axis]["mae_percent_of_range"],
-                "<=",
-                goal,
-                "% of range",
-            )
-            for axis, goal in UNSEEN_UNIT_GOALS.items()
-        ]
-    if shapes := splits.get("test_unseen_indenter"):
-        figures += shape_figures(shapes["per_indenter"], test["total"])
-    for name, split in splits.items():
-        if split["contacts"]["n"]:
-            several = split["contacts"]
-            note = f"{several['n']} contacts, {several['mae']:.2f} N"
-            figures.append(
-                Figure(f"each of several contacts at once, {name}", several["percent"], "<=", 5.0, "%", note)
-            )
-    if truth := splits["test"]["against"].get("truth"):
-        off = 100 * abs(truth["labels_over"]["grid_z"] - 1)
-        figures.append(
-            Figure("labels against the hidden normal force", off, "<=", 1.0, "%", "least squares through zero")
-        )
-    return figures
-
-
-def shape_figures(per_indenter: dict, known: dict) -> list[Figure]:
-    """Normal force on the paper's unseen shapes and on those of no catalogue, over that on known ones."""
-    figures = []
-    for name, goal, chosen in (
-        ("the paper's unseen shapes", 1.1, [one for one in per_indenter if one in PAPERS_UNSEEN]),
-        ("shapes of no catalogue", 1.5, [one for one in per_indenter if one not in PAPERS_UNSEEN]),
-    ):
-        pictures = sum(per_indenter[one]["n"] for one in chosen)
-        for axis in CHANNELS if chosen else ():
-            error = sum(per_indenter[one]["n"] * per_indenter[one][axis]["mae"] for one in chosen) / pictures
-            note = f"{error:.3f} N; {pictures} pictures of {len(chosen)} shapes"
-            figures.append(
-                Figure(f"{name} over known ones, total {axis}", error / known[axis]["mae"], "<=", goal, "", note)
-            )
-    return figures
-
-
-def training_cost_figures(result: dict) -> list[Figure]:
-    """What the training of the evaluated network took."""
-    cost = result["cost"]
-    note = f"{len(result['curve'])} epochs"
-    return [
-        Figure(f"training of `{result['model']}`", cost["seconds"] / 3600, "<=", 3.0, "h", note),
-        Figure(f"its peak memory, {note}", cost["peak_gib"], "<=", 4.0, "GiB"),
-        Figure("its waiting for data", 100 * cost["wait_seconds"] / cost["step_seconds"], "<=", 10.0, "% of a step"),
-    ]
-
-
 @command(
-    option("--results", type=Path, default=Path("results") / os.environ.get("DATASET", "train")),
-    option("--resolution", default=os.environ.get("RES", "24x32").split()[0]),
     option("--seconds", type=float, default=4.0, help="of timed runs per network and thread count"),
     option("--parts", nargs="+", choices=PARTS, default=PARTS, help="fewer only to try it out"),
     option("--out", type=Path),
@@ -334,17 +205,6 @@ def main(args: Namespace) -> None:
             figures += [*speed_figures(models, args.seconds), chain_figure(args.seconds)]
         if "training" in args.parts:
             figures += training_figures(settings, folder, dataset)
-        if "resuming" in args.parts:
-            figures.append(resume_figure(models, settings, folder, dataset))
-    chart = args.results / "pareto_models" / f"{args.resolution}.json"
-    evaluation = args.results / "80_evaluate" / args.resolution / f"{LIGHT}.json"
-    if chart.exists():
-        figures += chart_figures(read_json(chart))
-    if evaluation.exists():
-        result = read_json(evaluation)
-        figures += accuracy_figures(result) + training_cost_figures(result)
-    for missing in (path for path in (chart, evaluation) if not path.exists()):
-        print(f"not measured, because {missing} is missing: make DATASET={args.results.name} pareto-models")
     publish_figures(args.out, figures)
 
 

@@ -1,4 +1,4 @@
-"""Data that come and go: FEATS' dataset, a film to Foxglove, recordings, LeRobot, cameras; figures of benchmark-face."""
+"""Data that come and go: FEATS' dataset, a film to Foxglove; figures of benchmark-face."""
 
 import os
 import re
@@ -11,20 +11,11 @@ import time
 from pathlib import Path
 
 import cv2
-import numpy as np
 
-import gelforge
-from gelforge.commands.export import export
-from gelforge.errors import BadInput
-from gelforge.labelling.sensor import load_sensors
-from gelforge.records.image import read_image
-from tests.benchmarks.figures import ROOT, Figure
-from tests.support.crops import CROPS, SIX
-from tests.support.exported import LEROBOT, lay, opened_by_lerobot
+from tests.benchmarks.figures import Figure
 from tests.support.feats_published import DEMO, publish
 from tests.support.foxglove_client import FoxgloveClient
 from tests.support.hub_server import hub
-from tests.support.recordings import FILM, filmed, imported, moments, ramp, write
 from tests.support.waiting import HANG, wait_until
 
 SAMPLES, PUBLISHED = 1000, 14_279
@@ -150,50 +141,3 @@ def cpu_of(command: list[str]) -> float:
     subprocess.run(command, check=True, capture_output=True)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-
-
-def time_recordings(folder: Path, presses: int) -> list[Figure]:
-    """Import a recording whose images are logged up to 0.3 s late, of a force that shows its own time; whatever the presses."""
-    rng = np.random.default_rng(3)
-    images = filmed(FILM, lambda k: rng.uniform(0, 300))
-    sensor = load_sensors(ROOT / "workflow" / "sensors.toml")["gelsight_mini"]
-    _, rows = imported(folder, write(folder / "a.mcap", images, ramp()), sensor)
-    return [
-        Figure("header time between an image and its force, largest", np.abs(moments(rows) - FILM).max(), "<=", 5.0, "ms",
-               f"{len(rows)} of {len(FILM)} images of a recording, logged up to 300 ms late"),
-    ]  # fmt: skip
-
-
-def time_lerobot(folder: Path, presses: int) -> list[Figure]:
-    """Open an export by LeRobot's own training factory and iterate over it, whatever the presses."""
-    if not LEROBOT.exists():
-        raise BadInput(f"{LEROBOT.parent.name}: there is no environment with LeRobot; make lerobot-env, then again")
-    export(lay(folder / "lab", 22), "lerobot", folder / "out")
-    found = opened_by_lerobot(folder / "out", folder)
-    return [
-        Figure(
-            "frames that LeRobot's training factory iterates",
-            found["act"]["frames"],
-            "==",
-            22,
-            "",
-            "with its defaults, policy ACT",
-        )
-    ]
-
-
-def time_camera(folder: Path, presses: int) -> list[Figure]:
-    """Read one press as a camera gives it in other sizes and crops, whatever the presses."""
-    rest, pressed = (
-        read_image(ROOT / "data/demo" / name) for name in ("nocontact/mini_a.png", "images/demo-000000.png")
-    )
-    own = gelforge.Reader(nocontact=rest)(pressed).total
-    apart = {}
-    for name in SIX:
-        made = CROPS[name]
-        found = gelforge.Reader(nocontact=made(rest))(made(pressed)).total
-        apart[name] = 100 * float(np.abs(found - own).max() / np.abs(own).max())
-    worst = max(apart, key=lambda name: apart[name])
-    return [
-        Figure("one press at six sizes and crops, largest difference of force", apart[worst], "<=", 3.0, "%", worst)
-    ]

@@ -1,7 +1,5 @@
-"""What was promised of the virtual rig: speed, likeness to real pictures, agreement with mechanics, repetition."""
+"""What was promised of the virtual rig: speed, likeness to real pictures, agreement with mechanics."""
 
-import subprocess
-import sys
 import tempfile
 import time
 from argparse import Namespace
@@ -14,7 +12,6 @@ import numpy as np
 
 from gelforge.commands.projection import read_points
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv
 from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.formats.featsfile import read_sample
@@ -29,12 +26,11 @@ from gelforge.virtualrig.render import Pressed, Renderer
 from gelforge.virtualrig.rigplan import Order, Plan, generator, orders, read_plan
 from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.support import likeness as measure
-from tests.support.published import compare_indenter, step_file
 
 REFERENCE_UNIT = "mini_a"
 # The real cuboid's log is not published: its depth is; the sideways path is read off its markers (3 px in u).
 CUBOID = Order(0, "cuboid", "", REFERENCE_UNIT, "cuboid_10", 0.0, 0.0, 2.284, (0.0, -0.25), 0.0, 1e9)
-PARTS = ("presses", "likeness", "cuboid", "indenters", "repetition")
+PARTS = ("presses", "likeness", "cuboid")
 MOVED_PX = 2.0  # misprints of real markers are 1 px; a marker that stands off the grid by more than this was moved
 
 
@@ -250,53 +246,6 @@ def tracking_errors(rig: Rig, cameras: dict[str, Renderer], pressings: list[Pres
     return np.concatenate(errors), moved
 
 
-def indenters(rig: Rig, reference: Path) -> list[Figure]:
-    """Every catalogue indenter that has a published solid against it."""
-    volume, surface = {}, {}
-    for name, body in rig.bench.indenters.items():
-        path = step_file(reference, name)
-        if path.exists():
-            found = compare_indenter(body, path)
-            volume[name], surface[name] = abs(found["volume_error"]), found["surface_mm"]
-    worst_volume, worst_surface = max(volume, key=volume.get), max(surface, key=surface.get)
-    return [
-        Figure("indenters against STEP, volume", volume[worst_volume], "<=", 0.02, "relative",
-               f"largest of {len(volume)}: {worst_volume}"),
-        Figure("indenters against STEP, contact surface", surface[worst_surface], "<=", 0.05, "mm",
-               f"largest of {len(surface)}: {worst_surface}"),
-    ]  # fmt: skip
-
-
-def repetition(plan_path, workflow: Path, presses: int = 4) -> list[Figure]:
-    """The same plan carried out twice by fresh processes, the second time piecemeal."""
-    text = Path(plan_path).read_text(encoding="utf-8")
-    with tempfile.TemporaryDirectory() as folder:
-        once, again = Path(folder) / "once", Path(folder) / "again"
-        carry_out(text, presses, once, workflow, jobs=1)
-        carry_out(text, 2, again, workflow, jobs=1)
-        for lost in [*again.glob("*/images/*-000000*.png"), *again.glob("*/truth/surfaces/*-000000.npz")]:
-            lost.unlink()
-        carry_out(text, presses, again, workflow, jobs=2)
-        logs = [next(data.glob("*/log.csv")) for data in (once, again)]
-        pictures = [[cv2.imread(str(log.parent / row["image"])).astype(int) for row in read_csv(log)] for log in logs]
-        same = logs[0].read_bytes() == logs[1].read_bytes()
-    grey = max(int(np.abs(a - b).max()) for a, b in zip(*pictures, strict=True))
-    note = f"{presses} presses by one process, and again as 2 that grew, with one lost and repeated, by two processes"
-    return [
-        Figure("same plan and seed, logs identical", float(same), "==", 1.0, "", note),
-        Figure("same plan and seed, images differ by", grey, "<=", 1.0, "grey levels", note),
-    ]
-
-
-def carry_out(plan_text: str, presses: int, data: Path, workflow: Path, jobs: int) -> None:
-    """Carry out a plan, shortened or grown to `presses`, by a fresh process."""
-    lines = [f"presses = {presses}" if line.startswith("presses") else line for line in plan_text.splitlines()]
-    data.mkdir(exist_ok=True)
-    (data / "plan.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
-    command = [sys.executable, "-m", "gelforge.stages.rig", "--plan", data / "plan.toml", "--data", data]
-    subprocess.run([*command, "--workflow", workflow, "--jobs", str(jobs)], check=True, stdout=subprocess.DEVNULL)
-
-
 @command(
     option("--out", type=Path, default=Path("results/benchmarks/rig.json")),
     option("--page", type=Path, help="HTML page to write, with the rig's pictures beside real ones", default=None),
@@ -319,10 +268,6 @@ def main(given: Namespace) -> None:
         figures += likeness(rig, given.reference)
     if "cuboid" in given.parts:
         figures += cuboid(rig, given.reference)
-    if "indenters" in given.parts:
-        figures += indenters(rig, given.reference)
-    if "repetition" in given.parts:
-        figures += repetition(given.plan, given.workflow)
     publish_figures(given.out, figures)
     if given.page and len(given.parts) == len(PARTS):
         from tests.benchmarks.rig_page import write_page

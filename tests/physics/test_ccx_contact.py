@@ -21,6 +21,7 @@ from gelforge.mechanics.solvers.hex import solve_hex
 from gelforge.mechanics.solvers.tet import follow
 from gelforge.records.press import Press
 from gelforge.records.status import Status
+from tests.physics.test_hex import SlideThenPress
 from tests.support.blocks import symmetric_block
 from tests.support.flat_pad import FlatPad
 from tests.support.parameters import parameters
@@ -133,6 +134,12 @@ def test_forces_balance_and_agree_with_hex(solver, law):
     assert result.total[2] == pytest.approx(hexa.total[2], rel=0.04)
     # the mesh is not symmetric: its diagonals all run one way
     assert np.abs(result.total[:2]).max() < 0.01 * abs(result.total[2])
+
+
+def test_slide_in_air_leaves_no_shear(solver):
+    press = SlideThenPress(-0.5, 0.0, 0.0, 0.5, 0.0, -0.5)
+    total = solver.solve(replace(scene("no_slip"), press=press)).total
+    assert total[2] < -0.5 and np.abs(total[:2]).max() < 1e-3 * abs(total[2])
 
 
 def test_coulomb_bounds_shear_and_no_slip_exceeds_it(solver):
