@@ -38,3 +38,19 @@ def trained(folder):
     from tests.support.small_networks import learnt
 
     return learnt(folder)
+
+
+@pytest.fixture(scope="session")
+def shipped():
+    """The network that comes with gelforge."""
+    from gelforge.networks.inference.predictor import load_for_use
+
+    return load_for_use(None)
+
+
+@pytest.fixture(scope="session")
+def demo_nocontact(root):
+    """No-contact images (240, 320, 3) uint8 of the demo's sensors, by name."""
+    from gelforge.records.image import read_image
+
+    return {path.stem: read_image(path)[..., :3] for path in sorted((root / "data/demo/nocontact").glob("*.png"))}

@@ -7,7 +7,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gelforge.errors import BadInput
-from gelforge.networks.inference.predictor import Predictor, load_for_use
+from gelforge.networks.inference.predictor import Predictor
 from gelforge.networks.preprocess.illumination import Reference, match_light
 from gelforge.networks.preprocess.markertracks import OF_CONTACT, MarkerTracker, rim_shift, shifted_back
 from gelforge.networks.preprocess.scale import fit_size, view_of
@@ -65,38 +65,17 @@ def test_light_that_was_taken_back_is_found_no_more(seed, gain, offset, fraction
     assert np.abs(again.gain * levels + again.offset - levels).max() < 0.5
 
 
-@given(st.integers(0, 999))
-@settings(max_examples=10)
-def test_equal_light_changes_nothing(seed):
-    rest = gel(seed)
-    light = match_light(rest, rest)
-    np.testing.assert_allclose(light.gain, 1.0, atol=1e-12)
-    np.testing.assert_allclose(light.offset, 0.0, atol=1e-9)
-    np.testing.assert_array_equal(light.undo(rest), rest)
-
-
-@pytest.mark.parametrize("other", [np.zeros, lambda *a: np.full(*a[:1], 255, np.uint8)])
-def test_a_picture_that_shows_nothing_has_no_light(other):
-    light = match_light(other((*SIZE, 3), np.uint8), gel(1))
-    assert not light.known and np.array_equal(light.gain, np.ones(3))
-
-
-def test_another_scene_has_no_light_of_this_one():
+def test_a_picture_of_nothing_or_of_another_scene_has_no_light_of_this_one():
     noise = np.random.default_rng(3).integers(0, 255, (12, 16, 3), dtype=np.uint8)
-    assert not match_light(cv2.resize(noise, SIZE[::-1], interpolation=cv2.INTER_NEAREST), gel(1)).known
+    scene = cv2.resize(noise, SIZE[::-1], interpolation=cv2.INTER_NEAREST)
+    for other in (np.zeros((*SIZE, 3), np.uint8), np.full((*SIZE, 3), 255, np.uint8), scene):
+        light = match_light(other, gel(1))
+        assert not light.known and np.array_equal(light.gain, np.ones(3))
 
 
 @pytest.fixture(scope="module")
-def shipped():
-    return load_for_use(None)
-
-
-@pytest.fixture(scope="module")
-def nocontact(root):
-    """No-contact images of the demo's sensors."""
-    found = sorted((root / "data/demo/nocontact").glob("*.png"))
-    assert len(found) >= 2
-    return [read_image(path)[..., :3] for path in found]
+def nocontact(demo_nocontact):
+    return [demo_nocontact["mini_a"], demo_nocontact["mini_e"]]
 
 
 DRIFTS = {
@@ -106,19 +85,29 @@ DRIFTS = {
 }
 
 
-@pytest.mark.parametrize("drift", DRIFTS)
-def test_drifting_light_is_no_force(shipped, nocontact, drift):
-    """On sensors that the network never saw: below 0.01 N where it read up to 26 N of the bare difference."""
+def test_drifting_light_is_no_force(shipped, nocontact):
+    """On sensors that the network never saw: below 0.01 N where it read up to 26 N of the bare difference; at rest none."""
     for picture in nocontact:
-        drifted = np.clip(np.rint(DRIFTS[drift](picture.astype(float))), 0, 255).astype(np.uint8)
         predictor = Predictor(shipped, picture)
-        assert np.abs(predictor.predict(drifted).total).max() < 0.01
-        assert predictor.prepare(drifted).light.known
+        assert not predictor.predict(picture).cells.any()
+        for name, drift in DRIFTS.items():
+            drifted = np.clip(np.rint(drift(picture.astype(float))), 0, 255).astype(np.uint8)
+            assert np.abs(predictor.predict(drifted).total).max() < 0.01, name
+            assert predictor.prepare(drifted).light.known, name
 
 
-def test_the_nocontact_image_itself_reads_zero(shipped, nocontact):
-    for picture in nocontact:
-        assert np.array_equal(Predictor(shipped, picture).predict(picture).cells, np.zeros((3, 24, 32)))
+def test_what_is_read_depends_on_its_picture_alone_and_changes_none(shipped, nocontact):
+    """Pictures read in turns beside two no-contact images give what each does alone."""
+    pictures = [pressed(picture, 0.05 * (k + 1), k) for k, picture in enumerate(nocontact)]
+    given = [picture.copy() for picture in (*pictures, *nocontact)]
+    alone = [Predictor(shipped, rest).predict(image) for rest, image in zip(nocontact, pictures, strict=True)]
+    kept = [Predictor(shipped, rest) for rest in nocontact]
+    for _ in range(2):
+        for predictor, image, first in zip(kept, pictures, alone, strict=True):
+            again = predictor.predict(image)
+            assert np.array_equal(again.cells, first.cells) and again.reason == first.reason
+            assert again.ood_score == first.ood_score
+    assert all(np.array_equal(one, other) for one, other in zip(given, (*pictures, *nocontact), strict=True))
 
 
 def smooth(seed: int) -> np.ndarray:
@@ -178,44 +167,23 @@ def test_specks_are_no_print():
     assert pitch_of(gel(1)) == pytest.approx(40.0, abs=0.5)
 
 
-def test_no_picture_changes_what_another_one_gives(shipped, nocontact):
-    """Pictures read in turns beside two no-contact images, and again after others, give what each does alone."""
-    pictures = [pressed(picture, 0.05 * (k + 1), k) for k, picture in enumerate(nocontact[:2])]
-    alone = [Predictor(shipped, rest).predict(image) for rest, image in zip(nocontact, pictures, strict=False)]
-    kept = [Predictor(shipped, rest) for rest in nocontact[:2]]
-    for _ in range(2):
-        for predictor, image, first in zip(kept, pictures, alone, strict=True):
-            again = predictor.predict(image)
-            assert np.array_equal(again.cells, first.cells) and again.reason == first.reason
-            assert again.ood_score == first.ood_score
-
-
-def test_reading_changes_no_picture(shipped, nocontact):
-    rest, image = nocontact[0].copy(), pressed(nocontact[0], 0.1, 0)
-    given = image.copy()
-    Predictor(shipped, rest).predict(image)
-    assert np.array_equal(image, given) and np.array_equal(rest, nocontact[0])
-
-
-@pytest.mark.parametrize("size", [(640, 480), (1280, 960), (160, 120)])
-def test_a_picture_of_the_right_shape_is_not_flagged_for_its_size(shipped, nocontact, size):
-    """And one of another shape is."""
+def test_a_picture_is_flagged_for_its_shape_and_not_for_its_size(shipped, nocontact):
     rest, press = nocontact[0], pressed(nocontact[0], 0.05, 3)
-    larger = [cv2.resize(picture, size, interpolation=cv2.INTER_CUBIC) for picture in (rest, press)]
-    for picture in larger:
-        assert fit_size(picture, (240, 320))[1] == ""
-    found = Predictor(shipped, larger[0]).predict(larger[1])
-    assert "shape" not in found.reason and "size" not in found.reason
+    for size in ((640, 480), (1280, 960), (160, 120)):
+        larger = [cv2.resize(picture, size, interpolation=cv2.INTER_CUBIC) for picture in (rest, press)]
+        assert all(fit_size(picture, (240, 320))[1] == "" for picture in larger)
+        found = Predictor(shipped, larger[0]).predict(larger[1])
+        assert "shape" not in found.reason and "size" not in found.reason
     assert "of another shape" in Predictor(shipped, rest).predict(np.ascontiguousarray(press[:, :240])).reason
 
 
-@pytest.mark.parametrize("spoilt", ["image", "both"])
-def test_a_monochrome_picture_is_flagged_with_what_to_do(shipped, nocontact, spoilt):
+def test_a_monochrome_picture_is_flagged_with_what_to_do(shipped, nocontact):
     """It was read a third too high, without a word."""
     rest, image = nocontact[0], pressed(nocontact[0], 0.05, 3)
     grey = [np.repeat(cv2.cvtColor(one, cv2.COLOR_RGB2GRAY)[..., None], 3, axis=2) for one in (rest, image)]
-    found = Predictor(shipped, grey[0] if spoilt == "both" else rest).predict(grey[1])
-    assert found.flag and "monochrome" in found.reason and "set the camera to colour" in found.reason
+    for beside in (rest, grey[0]):
+        found = Predictor(shipped, beside).predict(grey[1])
+        assert found.flag and "monochrome" in found.reason and "set the camera to colour" in found.reason
     assert "monochrome" not in Predictor(shipped, rest).predict(image).reason
 
 
@@ -228,17 +196,16 @@ def test_force_does_not_jump_where_a_press_begins(shipped, root):
     assert np.abs(np.diff(normal)).max() < 0.15 * np.ptp(normal)
 
 
-@pytest.mark.parametrize("far", [0.0, 2.0, 4.0, 8.0])
-def test_a_gel_that_was_shifted_in_its_holder_is_shifted_back(nocontact, far):
+def test_a_gel_that_was_shifted_in_its_holder_is_shifted_back(nocontact):
     """As far as contact cannot have done it: not at all below, nearly all of it far beyond."""
     rest = nocontact[0]
     markers = MarkerTracker(rest)
-    expected = far * np.array([0.8, 0.6])
-    shift = rim_shift(markers, markers.track(moved(rest, tuple(expected))))
-    left = expected - shift
-    assert np.hypot(*left) == pytest.approx(min(far, OF_CONTACT**2 / far) if far else 0.0, abs=0.15)
-    back = shifted_back(moved(rest, tuple(expected)), expected).astype(int)
-    assert np.abs(back - rest)[20:-20, 20:-20].mean() < 1.0
+    for far in (0.0, 2.0, 4.0, 8.0):
+        expected = far * np.array([0.8, 0.6])
+        left = expected - rim_shift(markers, markers.track(moved(rest, tuple(expected))))
+        assert np.hypot(*left) == pytest.approx(min(far, OF_CONTACT**2 / far) if far else 0.0, abs=0.15)
+        back = shifted_back(moved(rest, tuple(expected)), expected).astype(int)
+        assert np.abs(back - rest)[20:-20, 20:-20].mean() < 1.0
 
 
 def test_what_a_shift_does_to_force_grows_without_a_jump(shipped, root):
