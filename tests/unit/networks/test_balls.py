@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 
 import gelforge
 from gelforge.commands import predict, sensor
-from gelforge.errors import BadInput
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.hexsettings import quality
@@ -24,6 +23,7 @@ from gelforge.records.image import read_image, write_png
 from gelforge.records.press import Press
 from tests.benchmarks.ball_table import contact_radius
 from tests.benchmarks.balls import DRAWN, draw_balls, slope_gain, true_force
+from tests.support.refused import refused
 
 GEL, BALL_MM = Gel(), 6.0
 
@@ -55,6 +55,7 @@ def test_the_table_holds_what_was_measured_of_a_5_mm_ball():
         assert np.exp(at) == pytest.approx(depth, rel=0.03)
 
 
+@pytest.mark.slow
 def test_a_row_of_the_table_is_what_a_solve_gives(ball):
     """At a coarser setting: of another thickness, ball or stiffness it would be 5 % and more beside it."""
     result = HexSolver(quality("draft")).solve(
@@ -76,13 +77,6 @@ def test_between_the_rows_force_grows_with_radius_ball_and_thinness(diameter, th
     radius = float(np.sqrt(curve.radius[1] * curve.radius[2]))
     assert curve.force[1] < curve.force_at(radius) < curve.force[2]
     assert np.isnan(curve.force_at(0.5 * curve.radius[0])) and np.isnan(curve.radius_at(2 * curve.rim[-1]))
-
-
-def test_a_size_beyond_the_table_is_refused():
-    with pytest.raises(BadInput, match=r"a ball of 3 mm: the table of solves covers 4 to 12 mm.*\[flow\]"):
-        ball_table().curve(3.0)
-    with pytest.raises(BadInput, match="a gel of 5 mm"):
-        ball_table().curve(5.0, 5.0)
 
 
 @given(st.floats(50, 250), st.floats(50, 200), st.floats(10, 60), st.integers(0, 2**32 - 1))
@@ -125,12 +119,6 @@ def test_a_profile_is_made_from_balls_alone(drawn, tmp_path, capsys):
     assert both.readings == 6 and both.high / both.low < gain.high / gain.low
 
 
-def test_a_folder_of_another_level_is_refused(drawn, tmp_path):
-    with pytest.raises(BadInput, match="holds no background.png; give a folder with background.png and DIAMETERmm"):
-        sensor.main(["--name", "mine", "--balls", str(drawn / "6.000mm"), "--out", str(tmp_path / "mine.toml")])
-    assert not list(tmp_path.iterdir())
-
-
 def test_balls_leave_their_level_open():
     """However many presses: a quarter in nine of ten cases, as no press shows it."""
     read = np.linspace(1.0, 5.0, 200)
@@ -164,34 +152,28 @@ def test_presses_that_cannot_count_say_why(drawn, tmp_path):
     }
 
 
-def test_folders_that_show_nothing_are_refused(drawn, tmp_path):
+def test_sizes_options_and_folders_that_say_nothing_are_refused(drawn, tmp_path):
     rest, picture = read_image(drawn / "background.png"), read_image(drawn / "6.000mm/0/gelsight.png")
-    with pytest.raises(BadInput, match="holds no press of a ball; give a folder with background.png"):
-        read_presses(tmp_path, rest)
-    put(tmp_path, 0, picture)
-    put(tmp_path, 1, picture)
-    with pytest.raises(BadInput, match="pressed in one place only .2 presses"):
-        read_presses(tmp_path, rest)
-    with pytest.raises(BadInput, match="a ball of 20 mm"):
-        read_presses(tmp_path, rest, 20.0)
-    with pytest.raises(BadInput, match="shows no markers"):
-        px_per_mm_of(np.full_like(rest, 100))
-    put(tmp_path, 0, rest)
-    put(tmp_path, 1, rest)
-    with pytest.raises(BadInput, match="none of 2 presses counts; 6.000mm/0: nothing touches in it"):
-        read_presses(tmp_path, rest)
+    refused(r"a ball of 3 mm: the table of solves covers 4 to 12 mm.*\[flow\]", ball_table().curve, 3.0)
+    refused("a gel of 5 mm", ball_table().curve, 5.0, 5.0)
+    for more, said in (
+        (["--diameter", "5"], "--diameter and --thickness say what --balls FOLDER shows"),
+        (["--balls", "x", "--opposite", "l.toml", "--grasps", "g.csv"], "either --balls or --grasps"),
+        (["--balls", str(drawn / "6.000mm")], "holds no background.png; give a folder with background.png and DIAM"),
+    ):
+        refused(said, sensor.main, ["--name", "mine", "--out", str(tmp_path / "mine.toml"), *more])
+    assert not list(tmp_path.iterdir())
+    refused("shows no markers", px_per_mm_of, np.full_like(rest, 100))
+    refused("holds no press of a ball; give a folder with background.png", read_presses, tmp_path, rest)
+    for number in (0, 1):
+        put(tmp_path, number, picture)
+    refused("pressed in one place only .2 presses", read_presses, tmp_path, rest)
+    refused("a ball of 20 mm", read_presses, tmp_path, rest, 20.0)
+    for number in (0, 1):
+        put(tmp_path, number, rest)
+    refused("none of 2 presses counts; 6.000mm/0: nothing touches in it", read_presses, tmp_path, rest)
     put(tmp_path, 0, picture, "8.000")
-    with pytest.raises(BadInput, match="holds balls of 6.000, 8.000 mm; leave --diameter out"):
-        read_presses(tmp_path, rest, 6.0)
-
-
-@pytest.mark.parametrize(("more", "says"), [
-    (["--diameter", "5"], "--diameter and --thickness say what --balls FOLDER shows"),
-    (["--balls", "x", "--opposite", "l.toml", "--grasps", "g.csv"], "either --balls or --grasps"),
-])  # fmt: skip
-def test_options_that_do_not_go_together(more, says, tmp_path):
-    with pytest.raises(BadInput, match=says):
-        sensor.main(["--name", "mine", "--out", str(tmp_path / "mine.toml"), *more])
+    refused("holds balls of 6.000, 8.000 mm; leave --diameter out", read_presses, tmp_path, rest, 6.0)
 
 
 def test_circles_of_a_real_sensor_are_found_where_they_were_marked(reference):
@@ -218,8 +200,8 @@ def test_a_real_sensor_learns_its_table_of_slopes(reference, tmp_path, capsys):
         assert slope_gain(profile.table, press, profile.nocontact) == pytest.approx(1.0, abs=0.3)
     deepest = max(presses.presses, key=lambda press: press.force)
     words = [str(folder / deepest.name / "gelsight.png"), "--height", "--out", str(tmp_path / "found")]
-    with pytest.raises(BadInput, match="--height: no table of the sensor's slopes"):
-        predict.main([*words, "--nocontact", str(folder / "background.png")])
+    alone = [*words, "--nocontact", str(folder / "background.png")]
+    refused("--height: no table of the sensor's slopes", predict.main, alone)
     assert not (tmp_path / "found").exists()
     assert predict.main([*words, "--profile", str(out)]) == 0
     height = np.load(tmp_path / "found/gelsight_height.npy")

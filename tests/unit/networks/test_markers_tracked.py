@@ -1,6 +1,5 @@
 """Markers of a gel, where optical flow finds them; totals and their columns; a network that is fine-tuned from another."""
 
-import csv
 from dataclasses import replace
 
 import cv2
@@ -9,37 +8,36 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gelforge.errors import BadInput
+from gelforge.flow.files import read_csv
 from gelforge.networks.checkpoint.weights import load_weights
 from gelforge.networks.data.arrays import open_data
 from gelforge.networks.evaluation.fitting import ENOUGH_PAIRS, usual_rows
-from gelforge.networks.inference.predictor import SHIPPED, load_for_use
+from gelforge.networks.inference.predictor import SHIPPED, Predictor
 from gelforge.networks.pipeline import Start
 from gelforge.networks.preprocess.illumination import match_light
-from gelforge.networks.preprocess.markertracks import FAR, HOME, MarkerTracker
+from gelforge.networks.preprocess.markertracks import MarkerTracker
 from gelforge.networks.preprocess.scale import View
 from gelforge.networks.training.loop import require_scale, scales_before
 from gelforge.records.axes import CHANNELS
 from gelforge.records.forcereading import TOTAL_COLUMNS, ForceReading, edge_peak, goes_beyond, total_columns
 from gelforge.records.image import read_image
 from gelforge.records.markers import pitch_of
-from gelforge.reporting.modelcard import interval_lines
 from gelforge.stages.train import train
 from tests.support.parameters import with_values
 from tests.support.pictures import moved
+from tests.support.refused import refused
 from tests.support.synthetic_presses import SETTINGS, write_dataset
 
 
 @pytest.fixture(scope="module")
-def rest(root):
-    return read_image(root / "data/demo/nocontact/mini_a.png")[..., :3]
+def rest(demo_nocontact):
+    return demo_nocontact["mini_a"]
 
 
 @pytest.fixture(scope="module")
 def presses(root, rest):
-    """Pictures of mini_a in its no-contact image's light, and their forces (3,) N along the gel."""
-    with (root / "data/demo/log.csv").open() as stream:
-        rows = [row for row in csv.DictReader(stream) if row["sensor_id"] == "mini_a"][::4]
+    """Pictures of mini_a in its no-contact image's light."""
+    rows = [row for row in read_csv(root / "data/demo/log.csv") if row["sensor_id"] == "mini_a"][::4]
     pictures = [read_image(root / "data/demo" / row["image"])[..., :3] for row in rows]
     return [match_light(picture, rest).undo(picture) for picture in pictures]
 
@@ -92,20 +90,6 @@ def test_a_gel_without_print_has_no_markers():
         assert not markers.known and not motion_of(markers, picture).any()
 
 
-def test_markers_that_are_found_close_at_home_are_found_in_the_pyramid(rest, presses):
-    """On presses: what is looked for near where it should be is what the whole way back finds."""
-    markers = MarkerTracker(rest)
-    start = markers.points.astype(np.float32)[:, None]
-    for image in [rest, *presses, moved(rest, (4.0, -3.0))]:
-        before, after = markers.grey, cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-        there, seen, _ = cv2.calcOpticalFlowPyrLK(before, after, start, None, **FAR)
-        back, _, _ = cv2.calcOpticalFlowPyrLK(after, before, there, None, **FAR)
-        expected = (seen[:, 0] > 0) & (np.hypot(*(back - start)[:, 0].T) < HOME)
-        tracks = markers.track(image)
-        np.testing.assert_array_equal(tracks.found, expected)
-        np.testing.assert_array_equal(tracks.motion[expected], (there - start)[expected, 0])
-
-
 def reading(forces, half_width=None, edge=0.0):
     """A reading of forces (3, rows, cols) N."""
     return ForceReading(forces, forces.sum((1, 2)), half_width, "", edge, 1.0, np.zeros((2, 2, 3), np.uint8))
@@ -123,21 +107,10 @@ def test_totals_are_written_with_what_is_known_of_them():
     assert total["grid_z_n"] == -7.0 and total["edge_peak"] is None  # one cell is no edge
 
 
-def test_what_touches_beyond_the_picture_shows_at_its_edge():
-    for rows, cols in ((24, 32), (3, 3)):
-        forces, whole = np.zeros((3, rows, cols)), (slice(rows), slice(cols))
-        forces[2, 0, cols // 2] = -0.1  # what a released gel may read
-        assert edge_peak(forces, whole) == 0.0
-        forces[2, 0, cols // 2] = -1.0
-        assert edge_peak(forces, whole) == 1.0
-        forces[2, :, 0] = 5.0  # what pulls is no press
-        assert edge_peak(forces, whole) == 1.0
-        forces[2, rows // 2, cols // 2] -= 3.0
-        assert edge_peak(forces, whole) == pytest.approx(1 / 3)
-    for rows, cols in ((1, 1), (2, 2), (2, 32), (24, 1)):  # a map that is all edge says nothing of it
+def test_a_map_that_is_all_edge_says_nothing_of_what_touches_beyond_it():
+    for rows, cols in ((1, 1), (2, 2), (2, 32), (24, 1)):
         forces = np.full((3, rows, cols), -1.0)
         assert np.isnan(edge_peak(forces, (slice(rows), slice(cols)))) and not goes_beyond(np.nan)
-    assert total_columns(reading(forces, edge=np.nan))["edge_peak"] is None
 
 
 def test_the_edge_is_that_of_what_a_camera_shows():
@@ -187,27 +160,23 @@ def seen(rest, presses, tmp_path_factory):
 STILL = with_values(SETTINGS, epochs=1, learning_rate=1e-12, least_rate=0.0, frozen_share=1.0)
 
 
-def test_a_fine_tuned_network_holds_the_range_of_all_that_it_learnt_from(seen):
-    about = load_for_use(None).metadata
+def test_a_fine_tuned_network_holds_the_range_of_all_that_it_learnt_from(seen, shipped):
+    about = shipped.metadata
     before = np.array(about["normalisation"]["range"])
     new = before * [0.5, 1.5, 2.0]
     found = scales_before(about, about["model"], seen, {"range": new.tolist()})["range"]
     np.testing.assert_array_equal(found, np.maximum(before, new))
 
 
-def test_a_network_does_not_go_on_from_another_scale(seen):
-    shipped = Start(*load_weights(SHIPPED.with_suffix(".safetensors")))
-    nearer = {name: cv2.resize(picture[24:-24, 32:-32], (320, 240)) for name, picture in seen.nocontact.items()}
-    with pytest.raises(BadInput, match="px apart"):
-        train(replace(seen, nocontact=nearer), "tuned", shipped.metadata["model"], STILL, start=shipped)
-
-
-def test_a_network_goes_on_to_scales_a_little_beyond_those_it_knows(seen):
+def test_a_network_goes_on_to_scales_a_little_beyond_those_it_knows_and_to_no_other(seen):
     """Units drawn from the same ranges as those that it learnt from stand a little beyond them."""
     pitches = [pitch_of(picture) for picture in seen.nocontact.values()]
     require_scale({"name": "other", "pitch_px": [1.03 * max(pitches), 1.1 * max(pitches)]}, seen)
-    with pytest.raises(BadInput, match="px apart"):
-        require_scale({"name": "other", "pitch_px": [1.1 * max(pitches), 1.2 * max(pitches)]}, seen)
+    refused("px apart", require_scale, {"name": "other", "pitch_px": [1.1 * max(pitches), 1.2 * max(pitches)]}, seen)
+    shipped = Start(*load_weights(SHIPPED.with_suffix(".safetensors")))
+    nearer = {name: cv2.resize(picture[24:-24, 32:-32], (320, 240)) for name, picture in seen.nocontact.items()}
+    other = replace(seen, nocontact=nearer)
+    refused("px apart", train, other, "tuned", shipped.metadata["model"], STILL, start=shipped)
 
 
 def test_a_picture_that_trained_shows_what_good_pairs_are_like_where_few_validate(seen):
@@ -218,24 +187,15 @@ def test_a_picture_that_trained_shows_what_good_pairs_are_like_where_few_validat
         assert set(range(val)) <= set(rows.tolist())
 
 
-def test_a_network_that_hardly_learnt_predicts_as_the_one_that_ships(seen, rest, presses):
+def test_a_network_that_hardly_learnt_predicts_as_the_one_that_ships(seen, rest, presses, shipped):
     """Its limits are as wide as the new pictures want them; its intervals are not those of the other."""
-    from gelforge.networks.inference.predictor import Predictor
-
     start = Start(*load_weights(SHIPPED.with_suffix(".safetensors")))
     found = train(seen, "tuned", start.metadata["model"], STILL, start=start)
     limits, before = found.metadata["statistics"], start.metadata["statistics"]
     assert limits["mean"] == before["mean"] and limits["threshold"] >= before["threshold"]
     assert limits["least_share"] <= before["least_share"] and limits["largest_rim_px"] >= before["largest_rim_px"]
     assert found.metadata["tta"]
-    predictors = [Predictor(model, rest) for model in (found.model, load_for_use(None))]
+    predictors = [Predictor(model, rest) for model in (found.model, shipped)]
     for picture in presses[:3]:
         one, other = (predictor.predict(picture).total for predictor in predictors)
         assert one == pytest.approx(other, abs=1e-3)
-
-
-def test_the_card_states_intervals_where_there_are_any():
-    known = {"total": dict.fromkeys(CHANNELS, [0.1, 0.1, 0.01]), "sensors": ["a"], "data": "d"}
-    (reported,) = interval_lines({"intervals": known})
-    assert all(f"{name} " in reported for name in CHANNELS) and "% of the whole force" in reported
-    assert interval_lines({"intervals": {}}) == []

@@ -7,10 +7,8 @@ from pathlib import Path
 
 import numpy as np
 import onnxruntime
-import pytest
 import torch
 
-from gelforge.errors import BadInput
 from gelforge.networks.checkpoint.modelfile import FORMAT, Graph, load_model, provider_of, save_model
 from gelforge.networks.checkpoint.onnxexport import Exported, export, sample_pictures
 from gelforge.networks.checkpoint.weights import load_weights
@@ -24,6 +22,7 @@ from gelforge.networks.training.loop import Training
 from gelforge.stages.train import train
 from tests.support.limited import limited_python
 from tests.support.parameters import with_values
+from tests.support.refused import refused
 from tests.support.small_networks import IMAGE, MODELS, SMALL
 from tests.support.synthetic_presses import SETTINGS
 
@@ -38,14 +37,6 @@ def test_a_model_and_its_weights_come_back_from_their_files(trained, tmp_path):
     x = torch.rand(2, 3, *IMAGE, generator=torch.Generator().manual_seed(0))
     with torch.inference_mode():
         assert torch.equal(net(x), trained.net(x))
-
-
-def test_the_file_is_an_onnx_graph_that_any_program_opens(models, tmp_path):
-    """With its metadata among ONNX' own, and no more to do than what one page of numpy does."""
-    save_model(tmp_path / "m.onnx", models["pair"].model)
-    session = onnxruntime.InferenceSession(tmp_path / "m.onnx", providers=["CPUExecutionProvider"])
-    metadata = json.loads(session.get_modelmeta().custom_metadata_map["gelforge"])
-    assert metadata["name"] == "pair" and [one.name for one in session.get_inputs()] == ["image", "nocontact"]
 
 
 def test_the_documented_lines_around_a_graph_give_what_predict_gives(models, data):
@@ -64,17 +55,15 @@ def test_the_documented_lines_around_a_graph_give_what_predict_gives(models, dat
     )
 
 
-@pytest.mark.parametrize("name", MODELS)
-def test_a_graph_predicts_what_its_network_does(models, name, data):
-    trained = models[name]
-    names = ["image", "nocontact"] if trained.model.needs_nocontact else ["image"]
-    pictures = dict(zip(names, sample_pictures(IMAGE, len(names)), strict=True))
-    found = Graph(trained.model.graph, name)(pictures)["forces"]
-    with torch.inference_mode():
-        expected = Exported(trained.net.eval(), trained.metadata)(
-            *(torch.from_numpy(one) for one in pictures.values())
-        )
-    np.testing.assert_allclose(found, expected.numpy(), atol=1e-5 * float(expected.abs().max()))
+def test_a_graph_predicts_what_its_network_does(models):
+    for name, trained in models.items():
+        names = ["image", "nocontact"] if trained.model.needs_nocontact else ["image"]
+        pictures = dict(zip(names, sample_pictures(IMAGE, len(names)), strict=True))
+        found = Graph(trained.model.graph, name)(pictures)["forces"]
+        seen = [torch.from_numpy(one) for one in pictures.values()]
+        with torch.inference_mode():
+            expected = Exported(trained.net.eval(), trained.metadata)(*seen)
+        np.testing.assert_allclose(found, expected.numpy(), atol=1e-5 * float(expected.abs().max()), err_msg=name)
 
 
 def test_a_picture_rotated_by_180_degrees_has_the_rotated_force(models):
@@ -88,19 +77,15 @@ def test_a_picture_rotated_by_180_degrees_has_the_rotated_force(models):
     np.testing.assert_allclose(rotated[:, :, ::-1, ::-1] * signs, found, atol=1e-5 * np.abs(found).max())
 
 
-@pytest.mark.parametrize("reads", ["image", "pair"])
-@pytest.mark.parametrize(
-    "model",
-    [SMALL, {"kind": "unet", "widths": [4, 8]},
-     {"kind": "resnet", "blocks": [1, 1], "widths": [4, 8]}],
-    ids=lambda model: model["kind"],
-)  # fmt: skip
-def test_every_family_is_exported_whatever_it_reads(model, reads):
+def test_every_family_is_exported_whatever_it_reads():
     """The export itself compares graph and network."""
     torch.manual_seed(1)
-    net = build({**model, "reads": reads}, IMAGE, (6, 8)).eval()
-    norm = {"reads": reads, "image_mean": [0.3, 0.4, 0.5], "image_std": [0.2, 0.2, 0.2], "label": [0.1, 0.1, 0.4]}
-    assert export(net, {"name": "m", "normalisation": norm, "image": IMAGE, "tta": False})
+    for model in (SMALL, MODELS["unet"], MODELS["resnet"]):
+        for reads in ("image", "pair"):
+            net = build({**model, "reads": reads}, IMAGE, (6, 8)).eval()
+            norm = {"image_mean": [0.3, 0.4, 0.5], "image_std": [0.2, 0.2, 0.2], "label": [0.1, 0.1, 0.4]}
+            metadata = {"name": "m", "normalisation": norm | {"reads": reads}, "image": IMAGE, "tta": False}
+            assert export(net, metadata), (model, reads)
 
 
 WRITES_A_MODEL = """
@@ -119,45 +104,39 @@ def test_weights_for_which_there_is_no_room_are_an_error_of_the_disk(tmp_path):
 
 
 def test_corrupt_and_foreign_model_files_are_refused(trained, tmp_path):
-    path = tmp_path / "m.onnx"
+    path, other = tmp_path / "m.onnx", r"m.onnx: not (a gelforge model|an ONNX graph that can be loaded)"
     save_model(path, trained.model)
     whole = path.read_bytes()
-    for content in (whole[: len(whole) // 2], b"", b"no model", trained.model.graph):
+    one_bit = bytearray(whole)
+    one_bit[len(trained.model.graph) // 2] ^= (
+        1  # of one weight: still a graph that runs, but not the one that was trained
+    )
+    for content, said in (
+        (whole[: len(whole) // 2], other),
+        (b"", other),
+        (b"no model", other),
+        (trained.model.graph, other),
+        (bytes(one_bit), "the file is corrupt: copy it"),
+    ):
         path.write_bytes(content)
-        with pytest.raises(BadInput, match=r"m.onnx: not (a gelforge model|an ONNX graph that can be loaded)"):
-            load_model(path)
-    with pytest.raises(BadInput, match="not found; train one"):
-        load_model(tmp_path / "absent.onnx")
-    with pytest.raises(BadInput, match=r"holds weights for further training; name .*m.onnx"):
-        load_model(tmp_path / "m.safetensors")
+        refused(said, load_model, path)
+    refused("not found; train one", load_model, tmp_path / "absent.onnx")
+    refused(r"holds weights for further training; name .*m.onnx", load_model, tmp_path / "m.safetensors")
+    none = replace(trained.model, graph=b"no graph")
+    refused("not an ONNX graph that can be loaded", Predictor, none)
 
 
-def test_a_changed_weight_is_noticed(trained, tmp_path):
-    """One bit of one weight: still a graph that runs, but not the one that was trained."""
-    path = tmp_path / "m.onnx"
-    save_model(path, trained.model)
-    content = bytearray(path.read_bytes())
-    content[len(trained.model.graph) // 2] ^= 1
-    path.write_bytes(content)
-    with pytest.raises(BadInput, match="the file is corrupt: copy it"):
-        load_model(path)
-
-
-def test_a_graph_that_is_none_is_refused_where_it_is_used(trained):
-    model = replace(trained.model, graph=b"no graph")
-    with pytest.raises(BadInput, match="not an ONNX graph that can be loaded"):
-        Predictor(model)
-
-
-def test_a_device_that_is_not_there_is_refused():
+def test_a_device_that_is_not_there_is_refused(folder):
     assert provider_of("cpu") == "CPUExecutionProvider"
     there = onnxruntime.get_available_providers()
     for name, provider in (("cuda", "CUDAExecutionProvider"), ("coreml", "CoreMLExecutionProvider")):
         if provider not in there:
-            with pytest.raises(BadInput, match=f"--device {name}: this onnxruntime runs on cpu"):
-                provider_of(name)
-    with pytest.raises(BadInput, match="--device tpu"):
-        provider_of("tpu")
+            refused(f"--device {name}: this onnxruntime runs on cpu", provider_of, name)
+    refused("--device tpu", provider_of, "tpu")
+    if not torch.cuda.is_available():
+        settings = with_values(SETTINGS, epochs=1, device="cuda")
+        said = 'device = "cuda": torch finds no graphics card here'
+        refused(said, train, open_data(folder), "small", SMALL, settings)
 
 
 class WritesWhenLoaded:
@@ -170,19 +149,17 @@ class WritesWhenLoaded:
         return Path.write_text, (self.path, "executed")
 
 
-@pytest.mark.parametrize("name", ["m.onnx", "m.safetensors", "checkpoint"])
-def test_code_in_a_file_is_never_run(trained, data, tmp_path, name):
+def test_code_in_a_file_is_never_run(trained, tmp_path):
     mark = tmp_path / "mark"
     pickle.loads(pickle.dumps(WritesWhenLoaded(mark)))
     assert mark.exists(), "the trap must work for the test to mean something"
     mark.unlink()
-    torch.save(WritesWhenLoaded(mark), tmp_path / name)
-    if name == "checkpoint":
-        norm = trained.metadata["normalisation"]
-        assert not Training(SMALL, SETTINGS, norm, IMAGE, (6, 8), "cpu").resume(tmp_path / name, "one")
-    else:
-        with pytest.raises(BadInput, match=f"{name}: "):
-            (load_model if name.endswith("onnx") else load_weights)(tmp_path / name)
+    for name in ("m.onnx", "m.safetensors", "checkpoint"):
+        torch.save(WritesWhenLoaded(mark), tmp_path / name)
+    norm = trained.metadata["normalisation"]
+    assert not Training(SMALL, SETTINGS, norm, IMAGE, (6, 8), "cpu").resume(tmp_path / "checkpoint", "one")
+    refused("m.onnx: ", load_model, tmp_path / "m.onnx")
+    refused("m.safetensors: ", load_weights, tmp_path / "m.safetensors")
     assert not mark.exists()
 
 
@@ -195,16 +172,5 @@ def test_model_of_another_sensor_grid_or_size_is_refused(folder, trained):
         ("image", [10, 20], f"model {model.metadata['name']} reads images of 20 x 10, the dataset has"),
     ):
         other = replace(model, metadata=model.metadata | {key: value})
-        with pytest.raises(BadInput, match=word):
-            require_fit(other, data)
-    with pytest.raises(BadInput, match="the shipped network reads images of 20 x 10"):
-        require_fit(other, data, "the shipped network")
-
-
-def test_training_takes_the_device_that_is_asked_for(folder):
-    data = open_data(folder)
-    found = train(data, "small", SMALL, with_values(SETTINGS, epochs=1, device="cpu"))
-    assert found.metadata["device"] == "cpu"
-    if not torch.cuda.is_available():
-        with pytest.raises(BadInput, match='device = "cuda": torch finds no graphics card here'):
-            train(data, "small", SMALL, with_values(SETTINGS, epochs=1, device="cuda"))
+        refused(word, require_fit, other, data)
+    refused("the shipped network reads images of 20 x 10", require_fit, other, data, "the shipped network")

@@ -20,6 +20,7 @@ from gelforge.networks.training.loop import loss_of
 from gelforge.records.rowfile import RowFile, array_on_disk
 from tests.support.memory import PEAK_KIB
 from tests.support.parameters import with_values
+from tests.support.refused import refused
 from tests.support.synthetic_presses import SETTINGS, write_dataset
 
 
@@ -28,20 +29,39 @@ def folder(tmp_path):
     return write_dataset(tmp_path / "6x8", 16, (48, 64), (6, 8))
 
 
-def test_missing_part_is_named(folder, tmp_path):
+def test_what_is_no_dataset_to_learn_from_is_refused(folder, tmp_path):
+    def spoilt(file: str, array=None, read=open_data):
+        """A call that reads a copy of the dataset in which one file is gone, or is another array."""
+        copy = Path(shutil.copytree(folder, tmp_path / "copy", dirs_exist_ok=True))
+        (copy / file).unlink()
+        if array is not None:
+            np.save(copy / file, array)
+        return lambda: read(copy)
+
+    images, labels = np.load(folder / "images.npy"), np.load(folder / "labels.npy")
+    infinite, none = labels.copy(), labels.copy()
+    infinite[5, 1, 2, 3] = np.nan
+    none[:, 0] = 0
     for name in FILES:
-        copy = Path(shutil.copytree(folder, tmp_path / f"without {name}"))
-        (copy / name).unlink()
-        with pytest.raises(BadInput, match=name):
-            open_data(copy)
-
-
-def test_label_that_is_not_finite_is_named_by_sample(folder):
-    labels = np.load(folder / "labels.npy")
-    labels[5, 1, 2, 3] = np.nan
-    np.save(folder / "labels.npy", labels)
-    with pytest.raises(BadInput, match="p0005"):
-        open_data(folder)
+        refused(name, spoilt(name))
+    for file, array, said in (
+        ("labels.npy", infinite, "p0005"),
+        ("images.npy", images.astype(np.float32), "uint8"),
+        ("images.npy", images[:-1], "15 images"),
+        ("images.npy", images[..., 0], "uint8"),
+    ):
+        refused(said, spoilt(file, array))
+    refused("zero in every", spoilt("labels.npy", none, lambda copy: scales(open_data(copy), total_only=False)))
+    (folder / "images.npy").write_bytes(b"corrupt")
+    refused("not a readable", open_data, folder)
+    np.save(folder / "images.npy", images)
+    rows = read_csv(folder / "samples.csv")
+    for keep, said in ((("test", "val"), "'train' holds 0"), (("train",), "'val' holds 0")):
+        changed = [row | {"split": row["split"] if row["split"] in keep else "test"} for row in rows]
+        write_csv(folder / "samples.csv", list(rows[0]), changed)
+        refused(said, require_splits, open_data(folder))
+    write_json(folder / "dataset.json", read_json(folder / "dataset.json") | {"grid": [24, 32]})
+    refused("24", open_data, folder)
 
 
 def test_an_array_on_disk_has_its_room_at_once(tmp_path):
@@ -52,32 +72,6 @@ def test_an_array_on_disk_has_its_room_at_once(tmp_path):
     array[:] = 3.0
     array.flush()
     assert np.load(tmp_path / "a.npy").shape == (300, 1000)
-
-
-def test_grid_of_another_resolution_is_refused(folder):
-    write_json(folder / "dataset.json", read_json(folder / "dataset.json") | {"grid": [24, 32]})
-    with pytest.raises(BadInput, match="24"):
-        open_data(folder)
-
-
-def test_arrays_of_wrong_kind_or_length_are_refused(folder):
-    images = np.load(folder / "images.npy")
-    for wrong, word in ((images.astype(np.float32), "uint8"), (images[:-1], "15 images"), (images[..., 0], "uint8")):
-        np.save(folder / "images.npy", wrong)
-        with pytest.raises(BadInput, match=word):
-            open_data(folder)
-    (folder / "images.npy").write_bytes(b"corrupt")
-    with pytest.raises(BadInput, match="not a readable"):
-        open_data(folder)
-
-
-def test_dataset_too_small_to_split_is_refused(folder):
-    rows = read_csv(folder / "samples.csv")
-    for keep, word in ((("test", "val"), "'train' holds 0"), (("train",), "'val' holds 0")):
-        changed = [row | {"split": row["split"] if row["split"] in keep else "test"} for row in rows]
-        write_csv(folder / "samples.csv", list(rows[0]), changed)
-        with pytest.raises(BadInput, match=word):
-            require_splits(open_data(folder))
 
 
 @given(st.one_of(st.integers(-7, 6), st.slices(7), st.lists(st.integers(-7, 6), max_size=9)))
@@ -141,26 +135,18 @@ def test_scales_are_those_of_the_training_split(folder):
     assert scales(data, total_only=True)["label"] == found["total"]
 
 
-@pytest.mark.parametrize("rest", [0.0, 1e-6])
-def test_a_component_whose_totals_cancel_has_a_scale(folder, rest):
+def test_a_component_whose_totals_cancel_has_a_scale(folder):
     """As in centred presses without shear: what rounding leaves of their sideways totals is no scale to divide by."""
     labels = np.load(folder / "labels.npy")
-    labels[:, 0] = 0.0
-    labels[:, 0, 0, :2] = [1.0 + rest, -1.0]
-    np.save(folder / "labels.npy", labels)
-    found = scales(open_data(folder), total_only=False)
-    assert found["total"][0] == pytest.approx(LEAST_TOTAL * max(found["total"])) and found["label"][0] > 0
     settings = with_values(SETTINGS, total_weight=1.0)
-    one = torch.zeros(1, 3, 2, 2)
-    off = one.clone()
-    off[0, 0, 0, 0] = 1e-3 / found["label"][0]  # a thousandth of a newton
-    scale, total = (torch.tensor(found[key]) for key in ("label", "total"))
-    assert loss_of(off, one, scale, total, settings) < 0.1
-
-
-def test_a_component_without_force_is_refused(folder):
-    labels = np.load(folder / "labels.npy")
-    labels[:, 0] = 0
-    np.save(folder / "labels.npy", labels)
-    with pytest.raises(BadInput, match="zero in every"):
-        scales(open_data(folder), total_only=False)
+    for rest in (0.0, 1e-6):
+        labels[:, 0] = 0.0
+        labels[:, 0, 0, :2] = [1.0 + rest, -1.0]
+        np.save(folder / "labels.npy", labels)
+        found = scales(open_data(folder), total_only=False)
+        assert found["total"][0] == pytest.approx(LEAST_TOTAL * max(found["total"])) and found["label"][0] > 0
+        one = torch.zeros(1, 3, 2, 2)
+        off = one.clone()
+        off[0, 0, 0, 0] = 1e-3 / found["label"][0]  # a thousandth of a newton
+        scale, total = (torch.tensor(found[key]) for key in ("label", "total"))
+        assert loss_of(off, one, scale, total, settings) < 0.1

@@ -16,31 +16,19 @@ from gelforge.networks.uncertainty.ood import (
     MARGIN,
     MarkerDiagnostics,
     PairDiagnostics,
-    as_arrays,
-    describe,
-    grey_of,
     marker_diagnostics,
     pair_diagnostics,
     pair_fault,
     pair_limits,
-    quantile,
-    quarters,
     relief,
     relief_fault,
     rimless_diagnostics,
-    score,
-    spread_of,
     unevenness,
     widened,
 )
 from gelforge.records.image import read_image
 from gelforge.records.log import read_presses
 from tests.support.pictures import moved
-
-
-@pytest.fixture(scope="module")
-def rest(root):
-    return {path.stem: read_image(path) for path in sorted((root / "data/demo/nocontact").glob("*.png"))}
 
 
 @pytest.fixture(scope="module")
@@ -51,8 +39,8 @@ def presses(root):
 
 
 @pytest.fixture(scope="module")
-def limits(rest, presses):
-    prepare = {name: preprocessor(picture) for name, picture in rest.items()}
+def limits(demo_nocontact, presses):
+    prepare = {name: preprocessor(picture) for name, picture in demo_nocontact.items()}
     return pair_limits([pair_diagnostics(prepare[name](image)) for name, image, _ in presses])
 
 
@@ -77,23 +65,24 @@ def test_every_limit_that_is_set_is_one_that_a_file_is_checked_for(limits):
     assert limits.keys() | {"largest_relief"} == set(LIMITS)
 
 
-def test_good_pairs_are_good(rest, presses, limits):
-    faults = [pair_fault(limits, diagnostics(image, rest[name])) for name, image, _ in presses]
+def test_good_pairs_are_good(demo_nocontact, presses, limits):
+    faults = [pair_fault(limits, diagnostics(image, demo_nocontact[name])) for name, image, _ in presses]
     assert sum(map(bool, faults)) <= 0.05 * len(faults)
 
 
-@pytest.mark.parametrize("what", CORRUPTION)
-def test_what_happened_to_a_picture_is_named(rest, presses, limits, what):
-    corrupt, named = CORRUPTION[what]
-    faults = [pair_fault(limits, diagnostics(corrupt(image), rest[name])) for name, image, _ in presses]
-    seen = [fault for fault in faults if fault]
-    assert len(seen) >= 0.85 * len(faults)
-    assert any(any(word in fault for word in named.split("|")) for fault in seen)
+def test_what_happened_to_a_picture_is_named(demo_nocontact, presses, limits):
+    for what, (corrupt, named) in CORRUPTION.items():
+        faults = [
+            pair_fault(limits, diagnostics(corrupt(image), demo_nocontact[name])) for name, image, _ in presses[::3]
+        ]
+        seen = [fault for fault in faults if fault]
+        assert len(seen) >= 0.85 * len(faults), what
+        assert any(any(word in fault for word in named.split("|")) for fault in seen), what
 
 
-def test_the_picture_of_another_unit_is_no_nocontact_image(rest, presses, limits):
+def test_the_picture_of_another_unit_is_no_nocontact_image(demo_nocontact, presses, limits):
     other = {"mini_a": "mini_e", "mini_e": "mini_a"}
-    faults = [pair_fault(limits, diagnostics(image, rest[other[name]])) for name, image, _ in presses]
+    faults = [pair_fault(limits, diagnostics(image, demo_nocontact[other[name]])) for name, image, _ in presses]
     assert sum(map(bool, faults)) >= 0.9 * len(faults)
 
 
@@ -114,40 +103,40 @@ def pair_at(limits):
     return PairDiagnostics(limits["largest_distance"], light, markers)
 
 
-@pytest.mark.parametrize("name", BEYOND)
-def test_a_pair_beyond_a_single_limit_is_reported_and_a_wider_limit_lets_it_pass(limits, name):
+def test_a_pair_beyond_a_single_limit_is_reported_and_a_wider_limit_lets_it_pass(limits):
     """The wider one of two datasets, where a network is fine-tuned from the one on the other."""
-    wider = limits | {name: limits[name] + BEYOND[name]}
     assert limits.keys() == BEYOND.keys()
-    assert pair_fault(limits, pair_at(limits)) == "" != pair_fault(limits, pair_at(wider))
-    for before, new in ((limits, wider), (wider, limits)):
-        assert pair_fault(widened(before | {"threshold": 3.0}, [], new), pair_at(wider)) == ""
+    for name, beyond in BEYOND.items():
+        wider = limits | {name: limits[name] + beyond}
+        assert pair_fault(limits, pair_at(limits)) == "" != pair_fault(limits, pair_at(wider)), name
+        for before, new in ((limits, wider), (wider, limits)):
+            assert pair_fault(widened(before | {"threshold": 3.0}, [], new), pair_at(wider)) == "", name
 
 
-@pytest.mark.parametrize("gain, pulls", [(1.0, False), (-1.0, True)])
-def test_a_gel_that_pulls_on_what_touches_it_is_reported(rest, presses, gain, pulls):
+def test_a_gel_that_pulls_on_what_touches_it_is_reported(demo_nocontact, presses, shipped):
     name, image, _ = max(presses, key=lambda press: press[2])
-    judged = Predictor(load_for_use(None), rest[name], Gain(gain, gain, gain, 9)).predict(image)
-    assert ("the gel seems to pull" in judged.reason) == pulls and judged.flag >= pulls
+    for gain, pulls in ((1.0, False), (-1.0, True)):
+        judged = Predictor(shipped, demo_nocontact[name], Gain(gain, gain, gain, 9)).predict(image)
+        assert ("the gel seems to pull" in judged.reason) == pulls and judged.flag >= pulls
 
 
-def test_contact_shows_in_the_relief_and_gels_without_contact_have_little(rest, presses):
-    calm = max(relief(picture) for picture in rest.values())
+def test_contact_shows_in_the_relief_and_gels_without_contact_have_little(demo_nocontact, presses):
+    calm = max(relief(picture) for picture in demo_nocontact.values())
     strong = [relief(image) for _, image, force in presses if force > 5.0]
     assert np.mean(np.array(strong) > 1.25 * calm) >= 0.5
     known = {"largest_relief": 1.25 * calm}
-    assert all(relief_fault(known, relief(picture)) == "" for picture in rest.values())
+    assert all(relief_fault(known, relief(picture)) == "" for picture in demo_nocontact.values())
     assert "something seems to touch" in relief_fault(known, max(strong)) and relief_fault({}, max(strong)) == ""
 
 
-def test_light_alone_is_no_relief_and_no_fault(rest, presses, limits):
+def test_light_alone_is_no_relief_and_no_fault(demo_nocontact, presses, limits):
     """Twice the contrast between the sides, or a tenth less of everything, is light, not contact."""
-    for picture in rest.values():
+    for picture in demo_nocontact.values():
         dimmer = np.clip(np.rint(0.9 * picture), 0, 255).astype(np.uint8)
         assert relief(dimmer) == pytest.approx(0.9 * relief(picture), rel=0.1)
     name, image, _ = presses[0]
     dimmer = np.clip(np.rint(0.93 * image), 0, 255).astype(np.uint8)
-    assert pair_fault(limits, diagnostics(dimmer, rest[name])) == ""
+    assert pair_fault(limits, diagnostics(dimmer, demo_nocontact[name])) == ""
 
 
 def test_a_picture_without_markers_has_no_rim_to_look_at():
@@ -168,18 +157,14 @@ RIMLESS = {
 }
 
 
-@pytest.mark.parametrize("what", RIMLESS)
-def test_another_gel_is_reported_where_no_rim_is_shown(limits, what):
-    near, far, unlike, reported = RIMLESS[what]
-    motion = np.where(np.arange(40)[:, None] < 10, near, far) * [1.0, 0.0]
-    evidence = rimless_diagnostics(Tracks(motion, np.arange(40) < unlike))
-    light = Light(np.ones(3), np.zeros(3), 0.0, 1.0, known=True)
-    fault = pair_fault(limits, PairDiagnostics(0.0, light, evidence))
-    assert fault.startswith(reported) and bool(fault) == bool(reported)
-
-
-def test_a_picture_without_markers_says_nothing_of_another_gel():
-    assert rimless_diagnostics(Tracks(np.zeros((0, 2)), np.zeros(0, bool))) == MarkerDiagnostics()
+def test_another_gel_is_reported_where_no_rim_is_shown(limits):
+    for what, (near, far, unlike, reported) in RIMLESS.items():
+        motion = np.where(np.arange(40)[:, None] < 10, near, far) * [1.0, 0.0]
+        evidence = rimless_diagnostics(Tracks(motion, np.arange(40) < unlike))
+        light = Light(np.ones(3), np.zeros(3), 0.0, 1.0, known=True)
+        fault = pair_fault(limits, PairDiagnostics(0.0, light, evidence))
+        assert fault.startswith(reported) and bool(fault) == bool(reported), what
+    assert rimless_diagnostics(Tracks(np.zeros((0, 2)), np.zeros(0, bool))) == MarkerDiagnostics()  # no marker at all
 
 
 @given(st.tuples(*[st.floats(-5, 5)] * 4), st.floats(0, 0.3), st.integers(0, 99))
@@ -194,32 +179,3 @@ def test_what_moves_all_markers_alike_is_not_uneven(parts, lost, seed):
     print_ = aside + rng.normal(0, 1.0, aside.shape)
     assert unevenness(np.concatenate([found * print_, found])) > 0.3
     assert unevenness(np.zeros((3, ROWS, COLS))) == 0.0
-
-
-@given(st.integers(0, 99), st.integers(1, 40), st.integers(1, 40))
-def test_statistics_of_a_picture_are_what_they_are_called(seed, rows, cols):
-    """Of any size, an odd one too: means of quarters, standard deviations and the mean of the colours, to rounding."""
-    image = np.random.default_rng(seed).integers(0, 256, (rows + 1, cols + 1, 3), np.uint8)
-    expected = cv2.resize(image, (2, 2), interpolation=cv2.INTER_AREA).ravel()
-    assert np.abs(quarters(image) - expected).max() <= 1
-    even = image[: (rows + 1) // 2 * 2, : (cols + 1) // 2 * 2]
-    (height, width, _), means = even.shape, quarters(even).reshape(2, 2, 3)
-    for at in np.ndindex(2, 2):
-        part = even[at[0] * height // 2 :, at[1] * width // 2 :][: height // 2, : width // 2]
-        assert np.abs(means[at] - part.mean(axis=(0, 1))).max() <= 0.5 + 1e-9
-    colours = cv2.split(image)
-    np.testing.assert_array_equal(grey_of(colours), np.rint(image.sum(axis=2, dtype=int) / 3))
-    for colour in colours:
-        plane = colour.astype(np.int16) - 128
-        assert spread_of(plane) == pytest.approx(plane.std(), abs=1e-9) == spread_of(colour)
-
-
-@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=30), st.floats(0, 1))
-def test_quantiles_are_numpys(values, fraction):
-    assert quantile(np.array(values), fraction) == pytest.approx(np.quantile(values, fraction), abs=1e-9)
-
-
-def test_a_reference_made_arrays_scores_as_its_lists_do(presses):
-    known = load_for_use(None).metadata["statistics"]
-    described = describe(presses[0][1])
-    assert score(as_arrays(known), described) == score(known, described)
