@@ -10,18 +10,14 @@ from hypothesis import strategies as st
 
 from gelforge.commands import estimate
 from gelforge.commands.estimate import (
-    ROW_EACH,
     Pace,
     image_bytes,
     later_costs,
-    measured,
     on_hexahedra,
     pilot_presses,
-    row_and_start,
     training,
     uncalibrated,
 )
-from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, write_csv, write_json, write_text
 from gelforge.flow.forecast import Cost, on_cores, pilots, presses_an_hour, size, table, wall_seconds
 from gelforge.flow.layout import Layout
@@ -84,6 +80,8 @@ def test_presses_an_hour_fall_with_what_each_takes_and_rise_with_the_cores():
     assert presses_an_hour(costs, 2) == 2 * 900.0
     assert presses_an_hour([*costs, Cost("10_poses", 4.0)], 2) == 900.0
     assert presses_an_hour([], 1) == float("inf")
+    # a calibration fills the cores, whatever the number of shards
+    assert wall_seconds([Cost("calibrate", cpu_once=100.0)], 5, 4, 1) == 25.0
 
 
 def test_a_network_that_is_trained_is_counted_by_its_kind(tmp_path, root):
@@ -107,36 +105,33 @@ def test_a_network_that_is_trained_is_counted_by_its_kind(tmp_path, root):
     assert heavy / (epochs.epochs_of.unet or epochs.epochs) > 2 * light / epochs.epochs
 
 
-@pytest.mark.parametrize(
-    ("images", "reading", "counted"),
-    [
-        (False, "-3.1", ["calibrate"]),
-        (False, "", []),
-        (True, "", ["60_dataset", "80_evaluate", "pareto", "90_report"]),
-        (True, "-3.1", ["60_dataset", "80_evaluate", "calibrate", "pareto", "90_report"]),
-    ],
-)
-def test_what_the_log_cannot_feed_is_not_counted(tmp_path, images, reading, counted):
-    results = Layout(tmp_path)
+def lay(folder, images=True):
+    """A plan whose report shows the branches calibrate and pareto."""
+    results = Layout(folder)
     branches = plain(parameters().report) | {"branches": ["calibrate", "pareto"]}
     write_json(results.params / "sensors.json", {})
     write_json(results.params / "report.json", {"version": 1, "report": branches})
     write_json(results.params / "poses.json", {"version": 1, "poses": plain(parameters().poses) | {"images": images}})
     for name in ("calibrate", "pareto"):
         write_json(results.params / f"{name}.json", {"version": 1} | plain(stage_of(name)))
-    rows = [RawRow(2, {"sensor_id": "mini_a"}), RawRow(3, {"sensor_id": "mini_a", "fz_n": reading})]
-    assert [cost.stage for cost in later_costs(results, "24x32", "shipped", rows)] == counted
+    return results
+
+
+def test_what_the_log_cannot_feed_is_not_counted(tmp_path):
+    for images, reading, counted in (
+        (False, "-3.1", ["calibrate"]),
+        (False, "", []),
+        (True, "", ["60_dataset", "80_evaluate", "pareto", "90_report"]),
+        (True, "-3.1", ["60_dataset", "80_evaluate", "calibrate", "pareto", "90_report"]),
+    ):
+        rows = [RawRow(2, {"sensor_id": "mini_a"}), RawRow(3, {"sensor_id": "mini_a", "fz_n": reading})]
+        costs = later_costs(lay(tmp_path, images), "24x32", "shipped", rows)
+        assert [cost.stage for cost in costs] == counted
 
 
 def test_what_the_pilots_do_not_run_is_counted_at_their_pace(tmp_path):
     """Whatever the machine: solves of a calibration and a chart are as slow as the pilots' own."""
-    results = Layout(tmp_path)
-    branches = plain(parameters().report) | {"branches": ["calibrate", "pareto"]}
-    write_json(results.params / "report.json", {"version": 1, "report": branches})
-    write_json(results.params / "poses.json", {"version": 1, "poses": plain(parameters().poses)})
-    write_json(results.params / "sensors.json", {})
-    for name in ("calibrate", "pareto"):
-        write_json(results.params / f"{name}.json", {"version": 1} | plain(stage_of(name)))
+    results = lay(tmp_path)
     quick, slow = (later_costs(results, "24x32", "shipped", ROWS, pace) for pace in (Pace(0.4, 2.0), Pace(1.2, 6.0)))
     assert [cost.cpu(0) for cost in slow] == pytest.approx([3 * cost.cpu(0) for cost in quick]) and len(quick) == 5
 
@@ -172,54 +167,34 @@ def test_an_epoch_of_a_part_of_the_presses_costs_that_part(tmp_path):
         params = results.params
         write_json(params / "models" / "net.json", {"net": {"kind": "unet", "widths": [4, 8]}})
         write_json(params / "train.json", {"version": 1, "train": train | {"epoch_images": images}})
+        (params / "models" / ".net.4711.part.json").write_text('{"net": {"ki')  # left by a plan that was killed
         cpu[images] = training(results, "24x32", "net", 900).cpu_each
     assert cpu[300] == pytest.approx(cpu[0] / 3)
     assert cpu[1200] == cpu[0]
 
 
-def test_a_network_that_is_being_written_is_none(tmp_path):
-    """What a plan that was killed left beside the tables of the networks."""
-    params = Layout(tmp_path).params
+def test_a_network_or_a_resolution_that_there_is_not_is_named(tmp_path):
+    params = lay(tmp_path).params
     write_json(params / "train.json", {"version": 1, "train": plain(stage_of("train").train)})
-    write_json(params / "models" / "net.json", {"net": {"kind": "unet", "widths": [4, 8]}})
-    (params / "models" / ".net.4711.part.json").write_text('{"net": {"ki')
-    assert training(Layout(tmp_path), "24x32", "net", 900).cpu_each > 0.0
-
-
-def test_a_network_that_there_is_not_is_named(tmp_path):
-    params = Layout(tmp_path).params
-    write_json(params / "train.json", {"version": 1, "train": plain(stage_of("train").train)})
-    with pytest.raises(BadInput, match="MODEL=grid16"):
-        training(Layout(tmp_path), "24x32", "grid16", 900)
+    refused("MODEL=grid16", training, Layout(tmp_path), "24x32", "grid16", 900)
     write_json(params / "models" / "net.json", {"net": {"kind": "transformer"}})
-    with pytest.raises(BadInput, match="'transformer': use one of grid"):
-        training(Layout(tmp_path), "24x32", "net", 900)
+    refused("'transformer': use one of grid", training, Layout(tmp_path), "24x32", "net", 900)
+    for resolution in ("24", "24x", "fine", "24x32x3"):
+        refused("write ROWSxCOLS", later_costs, Layout(tmp_path), resolution, "shipped", ROWS)
 
 
-@pytest.mark.parametrize("table", [{"kind": "unet"}, {"kind": "grid", "start": "shipped", "train": {"epochs": 5}}])
-def test_presses_of_other_datasets_cost_what_its_own_do(tmp_path, table):
+def test_presses_of_other_datasets_cost_what_its_own_do(tmp_path):
     """90 presses and 45 of [train] also take as long as 135; a dataset that is not made yet is named."""
     results, alone = Layout(tmp_path / "one"), plain(stage_of("train").train)
-    write_json(results.params / "models" / "net.json", {"net": table})
+    write_json(results.params / "models" / "net.json", {"net": {"kind": "unet"}})
 
     def cost(presses, also):
         write_json(results.params / "train.json", {"version": 1, "train": alone | {"also": also}})
         return training(results, "24x32", "net", presses).cpu(presses)
 
-    with pytest.raises(BadInput, match="make dataset DATASET=other RES=24x32 first"):
-        cost(90, ["other"])
+    refused("make dataset DATASET=other RES=24x32 first", cost, 90, ["other"])
     write_dataset(Layout(tmp_path / "other").dataset("24x32"), n=45, image=(24, 32), grid=(6, 8))
     assert cost(90, ["other"]) == pytest.approx(cost(135, []))
-
-
-def test_a_resolution_that_is_none_is_refused_before_the_pilots(tmp_path):
-    write_json(Layout(tmp_path).params / "report.json", {"version": 1, "report": plain(parameters().report)})
-    for resolution in ("24", "24x", "fine", "24x32x3"):
-        refused("write ROWSxCOLS", later_costs, Layout(tmp_path), resolution, "shipped", ROWS)
-
-
-def test_a_calibration_fills_the_cores_whatever_the_number_of_shards():
-    assert wall_seconds([Cost("calibrate", cpu_once=100.0)], 5, 4, 1) == 25.0
 
 
 def test_pilots_need_no_posterior(tmp_path):
@@ -229,16 +204,6 @@ def test_pilots_need_no_posterior(tmp_path):
     )
     made = read_json(uncalibrated(tmp_path / "params", tmp_path / "work"))
     assert made["material"]["nu"] == 0.475 and isinstance(made["material"]["c10"], float)
-
-
-def test_the_start_of_a_process_is_no_cost_of_a_row(monkeypatch):
-    """A hundred pilots of a stage that starts for 2 s cost what five do, and 95 rows."""
-    for module in ("poses", "fea", "forces", "labels"):
-        each = ROW_EACH.get(module, 0.7)
-        for rows in (5, 100):
-            spent = iter([2.0 + each * rows, 2.0])  # a press that is solved is not solved again
-            monkeypatch.setattr(estimate, "spend", lambda *_, spent=spent: next(spent))
-            assert row_and_start(module, [], rows) == pytest.approx((each, 2.0)), module
 
 
 def filmed(presses: int, frames: int) -> list[RawRow]:
@@ -255,19 +220,8 @@ def test_pilots_of_a_film_are_whole_presses_of_every_depth():
     assert [len(press) for press in chosen] == [6] * 5
     ids = [{row.cells["press_id"] for row in press} for press in chosen]
     assert ids == [{f"p{n}"} for n in (2, 6, 10, 14, 18)]
-
-
-def test_rows_without_a_press_id_are_presses_of_their_own():
-    rows = [RawRow(n, {"dz_mm": f"-0.{n}", **press}) for n in range(1, 10) for press in ({}, {"press_id": ""})]
-    assert [len(press) for press in pilot_presses(rows)] == [1] * 5
-
-
-def test_all_rows_of_the_pilots_are_solved_together(tmp_path, monkeypatch):
-    """Moments of a press are solved one after another: alone, each would cost its whole path."""
-    solved = []
-    monkeypatch.setattr(estimate, "pilot", lambda *given: solved.extend(given[2]) or [])
-    measured(tmp_path, filmed(20, 6), [])
-    assert len(solved) == 30 and len({row.row for row in solved}) == 30
+    alone = [RawRow(n, {"dz_mm": f"-0.{n}", **press}) for n in range(1, 10) for press in ({}, {"press_id": ""})]
+    assert [len(press) for press in pilot_presses(alone)] == [1] * 5
 
 
 def test_rows_that_were_or_will_be_rejected_are_not_counted(tmp_path):

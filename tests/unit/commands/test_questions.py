@@ -7,15 +7,13 @@ import sys
 import time
 from pathlib import Path
 
-import pytest
-
 from gelforge.commands.look import shard_paths
 from gelforge.commands.provenance import lines, provenance
-from gelforge.commands.why import in_words, reasons
 from gelforge.commands.why import lines as why_lines
 from gelforge.commands.why import main as why
-from gelforge.errors import BadInput
+from gelforge.commands.why import reasons
 from gelforge.flow.files import write_csv, write_json, write_text
+from tests.support.refused import refused
 
 MAKEFILE = """results/d/10_poses/0000.csv: results/d/00_plan/params/poses.json data.csv
 \ttouch $@
@@ -50,34 +48,24 @@ FILES = (
 )
 
 
-def test_what_is_up_to_date_needs_nothing(tmp_path, monkeypatch):
+def test_what_is_due_and_why_is_told_apart(tmp_path, monkeypatch):
     write_text(tmp_path / "Makefile", MAKEFILE)
     made(tmp_path, *FILES)
     assert asked(tmp_path, monkeypatch) == {}
     assert "up to date" in why_lines("fea", {})[0]
-
-
-def test_a_changed_parameter_is_the_cause_and_the_solve_only_follows(tmp_path, monkeypatch):
-    write_text(tmp_path / "Makefile", MAKEFILE)
-    made(tmp_path, *FILES[1:], FILES[0])
+    made(tmp_path, *FILES[1:], FILES[0])  # a changed parameter is the cause, and the solve only follows
     found = asked(tmp_path, monkeypatch)
     assert "parameters of poses changed" in found[FILES[2]][0]
     assert found[FILES[3]] == [f"{FILES[2]} is made again"]
     text = "\n".join(why_lines("fea", found))
     assert "2 files" in text and f"1 that read them: {FILES[3]}" in text
-
-
-def test_a_missing_file_and_a_changed_input_are_distinguished(tmp_path, monkeypatch):
-    write_text(tmp_path / "Makefile", MAKEFILE)
+    (tmp_path / FILES[3]).unlink()
     made(tmp_path, FILES[0], FILES[2], FILES[1])
     found = asked(tmp_path, monkeypatch)
     assert found[FILES[2]] == ["data.csv changed since"] and found[FILES[3]] == ["it does not exist"]
-
-
-def test_a_shard_is_due_for_its_pictures_as_for_its_rows():
-    """What a shard is planned of names its pictures too: one that was removed changes no row of the log."""
-    said = in_words("results/d/00_plan/shards/0003.json")
-    assert said.startswith("rows of the log in shard 0003, or their pictures, changed since")
+    refused("knows no such target", why, ["--target", "nonsense"])
+    for target in ("", "-f/etc/passwd", "SHELL=x"):
+        refused("TARGET", why, [f"--target={target}"])
 
 
 def test_what_make_says_of_one_target_is_no_reason_of_another():
@@ -93,16 +81,6 @@ def test_what_make_says_of_one_target_is_no_reason_of_another():
     reported = [reasons(chain) for chain in chains]
     assert [len(why[f"results/d/10_poses/{k}.csv"]) for k, why in enumerate(reported[:3])] == [2, 1, 1]
     assert list(reasons("".join(chains)).items()) == [reason for why in reported for reason in why.items()]
-
-
-def test_an_unknown_target_is_one_sentence(tmp_path, monkeypatch):
-    write_text(tmp_path / "Makefile", MAKEFILE)
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(BadInput, match="knows no such target"):
-        why(["--target", "nonsense"])
-    for target in ("", "-f/etc/passwd", "SHELL=x"):
-        with pytest.raises(BadInput, match="TARGET"):
-            why([f"--target={target}"])
 
 
 def lay(results, count, size=100):
@@ -178,34 +156,22 @@ def test_of_an_imported_label_nothing_is_reported_but_where_it_came_from(tmp_pat
     found = provenance(results, "s00012", "1x1")
     assert not found["steps"] and not found["rejected"]
     assert lines(found, results)[-1] == "its label came with the dataset: data/d/labels/1x1.npz"
-    with pytest.raises(BadInput, match=r"came with the dataset, in data/d/labels/1x1\.npz"):
-        shard_paths(results, "s00012", "1x1")
+    refused(r"came with the dataset, in data/d/labels/1x1\.npz", shard_paths, results, "s00012", "1x1")
 
 
 def test_a_sample_that_is_not_in_the_log_is_one_sentence(tmp_path):
     results = tmp_path / "results/d"
-    with pytest.raises(BadInput, match="nothing was planned"):
-        provenance(results, "s00123", "24x32")
+    refused("nothing was planned", provenance, results, "s00123", "24x32")
     lay(results, 100)
-    with pytest.raises(BadInput, match="not in the log"):
-        provenance(results, "../../x", "24x32")
+    refused("not in the log", provenance, results, "../../x", "24x32")
 
 
 def test_provenance_reads_the_same_files_however_many_samples_there_are(tmp_path, root):
     """15 000 samples: only the sample's own records are opened, beside the plan."""
     results = tmp_path / "results/d"
     lay(results, 15000)
-    command = [
-        sys.executable,
-        "-X",
-        "importtime",
-        "-m",
-        "gelforge.commands.provenance",
-        "--results",
-        str(results),
-        "--id",
-        "s14999",
-    ]
+    words = ["-m", "gelforge.commands.provenance", "--results", str(results), "--id", "s14999"]
+    command = [sys.executable, "-X", "importtime", *words]
     ran = subprocess.run(command, capture_output=True, text=True, check=True)
     assert "149.csv" in ran.stdout
     assert not any(f" {heavy}\n" in ran.stderr for heavy in ("numpy", "scipy", "torch"))

@@ -6,8 +6,7 @@ from pathlib import Path
 import pytest
 
 from gelforge.errors import BadInput
-from gelforge.flow import layout
-from gelforge.flow.layout import FOLDERS, STAGES, Layout, command_for, dataset_folder, log_of, metrics_of, shard_name
+from gelforge.flow.layout import FOLDERS, STAGES, Layout, command_for, dataset_folder
 
 
 def test_every_folder_that_make_spells_is_one_of_the_layout(root):
@@ -28,15 +27,6 @@ def test_make_knows_every_file_of_rules(root):
     text = "\n".join(path.read_text(encoding="utf-8") for path in files)
     included = set(re.findall(r"^include rules/(\w+)\.mk$", text, re.M))
     assert included == {path.stem for path in root.glob("rules/*.mk")}
-
-
-def test_paths_are_those_that_make_writes():
-    of = Layout(Path("results/demo"))
-    assert str(of.labels("24x32", shard_name(7))) == "results/demo/50_labels/24x32/0007.npz"
-    assert str(of.solve("0000", "s1")) == "results/demo/30_fea/0000/s1.json"
-    assert str(of.sample("s1").poses("0000")) == "results/demo/samples/s1/10_poses/0000.csv"
-    assert str(log_of(of.fea("0001"))) == "results/demo/logs/30_fea/0001.log"
-    assert str(metrics_of(of.evaluation("24x32", "grid"))) == "results/demo/metrics/80_evaluate/24x32/grid.json"
 
 
 def test_a_command_that_is_reported_names_the_dataset_that_it_is_for():
@@ -69,8 +59,3 @@ def test_a_results_folder_on_the_way_to_another_is_not_taken_for_it():
         ("data/demo/log.csv", None),
     ):
         assert dataset_folder(Path(path)) == (Path(folder) if folder else None), path
-
-
-def test_folders_are_said_once():
-    assert len(set(FOLDERS)) == len(FOLDERS) and set(STAGES) <= set(FOLDERS)
-    assert len(shard_name(0)) == layout.SHARD_DIGITS

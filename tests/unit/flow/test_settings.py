@@ -64,21 +64,16 @@ def test_a_value_is_kept_digit_for_digit(root):
     )
 
 
-@pytest.mark.parametrize("stage", SOURCES)
-def test_stage_parameters_reads_back_as_it_was(stage, tmp_path):
-    made = parameters_of(parameters(), SOURCES[stage].kind, 3)
-    path = tmp_path / f"{stage}.json"
-    path.write_text(canonical(plain(made)))
-    assert read_parameters(path, SOURCES[stage].kind) == made
-    path.write_text(json.dumps(plain(made) | {"more": 1}))
-    with pytest.raises(BadInput, match=r"json: cannot be read .*'more'"):
-        read_parameters(path, SOURCES[stage].kind)
-
-
-def test_stage_parameters_that_cannot_be_read_names_its_file(tmp_path):
-    (tmp_path / "fea.json").write_text("{")
-    with pytest.raises(BadInput, match=r"fea\.json: cannot be read .* run make again"):
-        read_parameters(tmp_path / "fea.json", SOURCES["fea"].kind)
+def test_parameters_of_a_stage_read_back_as_they_were(tmp_path):
+    for stage, source in SOURCES.items():
+        made = parameters_of(parameters(), source.kind, 3)
+        path = tmp_path / f"{stage}.json"
+        path.write_text(canonical(plain(made)))
+        assert read_parameters(path, source.kind) == made
+        path.write_text(json.dumps(plain(made) | {"more": 1}))
+        refused(r"json: cannot be read .*'more'", read_parameters, path, source.kind)
+    path.write_text("{")
+    refused(r"json: cannot be read .* run make again", read_parameters, path, source.kind)
 
 
 def leaves(kind: type[ParameterTable], path: tuple[str, ...] = ()) -> list[tuple[tuple[str, ...], Any]]:
@@ -133,38 +128,22 @@ def test_every_key_refuses_what_has_no_meaning(root):
 
 
 MEANINGLESS = (
-    ("[params.fea]\nrounds = '8'", r"\[params.fea\] rounds = '8': give a whole number from 1 to 1000"),
     ("[params.fea]\nrounds = 8.0", r"rounds = 8.0: give a whole number"),
-    ("[params.fea]\nfidelity = 'cxx'", r"fidelity = 'cxx': give \"hex\", \"ccx\""),
     ("[params.fea]\nfidelty = 'ccx'", r"\[params.fea\] fidelty: unknown key; fidelity is meant"),
-    ("[params.fea]\nmeshes = []", "meshes = .*: give a list of 1 or more"),
     ("[params.fae]\nrounds = 8", "fae: unknown key; fea is meant"),
-    ("[params]\nposes = 7", r"\[params\] poses = 7: give a table"),
-    ("[params]\nfea = 'hex'", "fea = 'hex': give a table"),
     ("[[params]]", "params = .*: give tables"),
     ("params = 5", "params = 5: give tables"),
     ("[param.fea]\nrounds = 8", "param is unknown; params is meant"),
     ("catalog = 'x.toml'", "catalogue is meant"),
-    ("catalogue = 5", "catalogue = 5: give text"),
     ("catalogue = '.'", r"catalogue = '\.': give the name of a \.toml file"),
     ("catalogue = '../indenters.toml'", "catalogue = .*: give the name"),
-    ("sensor = 4", "sensor = 4: give text"),
-    ("gel = []", r"gel = \[\]: give text"),
     ("meshes = 4", "meshes is unknown"),
-    ("[params.material]\nnu = 0.5", "nu = 0.5: give a number from 0 to 0.4999"),
-    ("[params.material]\nc10 = true", "c10 = True: give a number from 0.002 to 5 MPa or \"calibrated\""),
-    ("[params.material]\nc10 = 'soft'", "c10 = 'soft'"),
     ("[params.material]\nc10 = 72.5", "c10 = 72.5: give a number from 0.002 to 5 MPa"),
-    ("[params.interface]\nlaw = 'coulomb'\nmu = inf", "mu = inf: give a number from 0 to 1000"),
     (f"[params.interface]\nmu = 1{'0' * 400}", "mu = 1000.*: give a number from 0 to 1000"),
     ("[params.poses]\nband_mm = 0", "band_mm = 0: give a number from 0.001"),
-    ("[params.poses]\nimages = 'no'", "images = 'no': give true or false"),
-    ("[params.report]\nbranches = ['nope']", "branches = .*: give a list of 0 or more, each \"calibrate\" or"),
     ("[params.evaluate]\nforce_edges = [2.0, 1.0]", "force_edges = .*: give a list of 2 or more, .* rising"),
-    ("[params.evaluate]\nforce_edges = [0.0, inf]", "force_edges = "),
     ("[params.dataset]\nvalidation = 0.6\ntest = 0.5", "validation = 0.6 and test = 0.5"),
     ("[params.labels]\nchannels = ['traction']", "channels = .*\"force\" first"),
-    ("[params.labels]\nchannels = []", "channels = "),
     ("[params.meshes]\nregions = {spot = [1.0]}", r"\[params.meshes.regions\] spot = \[1.0\]: give a list of 2"),
     ("[params.meshes.hold]\nspt = 1.0", "hold.spt: is no region"),
     ("[params.pareto.regions.spot]\nbox = [1, 0, 0, 1]", "box = .* rising"),
@@ -172,7 +151,6 @@ MEANINGLESS = (
     ("[params.stability.sizes]\nhx = [1.0]", "hx: unknown name; hex is meant"),
     ("[params.stability]\nlayers = {}\nsizes = {hex = [2.0, 1.0, 0.7, 0.5]}", "layers has no \"2.0\""),
     ("[params.calibrate]\nacceptance = [0.6, 0.15]", "acceptance = .* rising"),
-    ("[params.calibrate]\nrefine = 'lable'", "refine = 'lable'.*label"),
     ("[params.calibrate.priors.c10]\nkind = 'uniform'", "low is missing: a prior of kind \"uniform\""),
     ("[params.calibrate.priors.c10]\nspread = 0", "has no width"),
     ("[params.calibrate.priors.c10]\nmedian = -1", "needs a positive one"),
@@ -193,29 +171,16 @@ def test_what_has_no_meaning_is_refused(root, tmp_path):
         refused(named, load, root, tmp_path, text)
 
 
-def test_a_bad_value_of_the_project_blames_its_own_file(root, tmp_path):
+def test_files_of_settings_that_cannot_be_read_are_named(root, tmp_path):
     text = (root / "workflow" / "params.toml").read_text().replace("shard_size = 8", "shard_size = 0")
     (tmp_path / "params.toml").write_text(text)
-    with pytest.raises(BadInput, match=r"params\.toml: \[plan\] shard_size = 0: give a whole number from 1"):
-        load_params(tmp_path)
+    refused(r"params\.toml: \[plan\] shard_size = 0: give a whole number from 1", load_params, tmp_path)
     (tmp_path / "params.toml").write_text(text.replace("shard_size = 0", ""))
-    with pytest.raises(BadInput, match=r"params\.toml: \[plan\] shard_size is missing"):
-        load_params(tmp_path)
-
-
-def test_a_folder_in_place_of_a_file_of_settings_is_refused_in_a_sentence(tmp_path):
-    """As `make rig PLAN=workflow/rig` names one."""
-    with pytest.raises(BadInput, match=r"cannot be read \(Is a directory\); name a TOML file"):
-        read_toml(tmp_path)
-
-
-def test_a_file_of_settings_that_is_not_there_is_refused_with_what_to_do(tmp_path):
-    for hint, said in (
-        ((), "check the name .workflow/guide/your-data.md and"),
-        (("make it with gelforge sensor",), "make it with gel"),
-    ):
-        with pytest.raises(BadInput, match=f"nothere.toml: not found; {said}"):
-            read_toml(tmp_path / "nothere.toml", *hint)
+    refused(r"params\.toml: \[plan\] shard_size is missing", load_params, tmp_path)
+    refused(r"cannot be read \(Is a directory\); name a TOML file", read_toml, tmp_path)
+    gone = tmp_path / "nothere.toml"
+    refused("nothere.toml: not found; check the name .workflow/guide/your-data.md and", read_toml, gone)
+    refused("nothere.toml: not found; make it with gel", read_toml, gone, "make it with gelforge sensor")
 
 
 def test_settings_that_mean_something_are_taken(root, tmp_path):
@@ -228,10 +193,10 @@ def test_settings_that_mean_something_are_taken(root, tmp_path):
     assert params.calibrate.priors.c10.numbers == {"low": 0.01, "high": 1}
 
 
-@pytest.mark.parametrize("name", ["demo", "feats_sphere15"])
-def test_the_datasets_that_come_along_are_sound(root, name):
-    assert load_params(root / "workflow", root / "data" / name / "dataset.toml")
-    assert read_dataset_file(root / "data" / name / "dataset.toml").catalogue == "indenters.toml"
+def test_the_datasets_that_come_along_are_sound(root):
+    for name in ("demo", "feats_sphere15"):
+        assert load_params(root / "workflow", root / "data" / name / "dataset.toml")
+        assert read_dataset_file(root / "data" / name / "dataset.toml").catalogue == "indenters.toml"
 
 
 def test_words_of_the_schema_are_those_of_the_code():
@@ -257,5 +222,4 @@ def test_benchmarked_errors_stand_in_their_own_file_alone(root, tmp_path):
     (tmp_path / "charted.toml").write_text("[flat_deep]\nccx = [0.01, 0.05, 3.0]\n", encoding="utf-8")
     assert load_params(tmp_path).fea.charted == {"flat_deep": {"ccx": (0.01, 0.05, 3.0)}}
     (tmp_path / "params.toml").write_text(text + "\n[fea.charted.flat_deep]\nccx = [0, 0, 1]\n", encoding="utf-8")
-    with pytest.raises(BadInput, match=r"\[fea.charted\]: is read from .*charted.toml; move the tables there"):
-        load_params(tmp_path)
+    refused(r"\[fea.charted\]: is read from .*charted.toml; move the tables there", load_params, tmp_path)

@@ -45,7 +45,7 @@ other:
 """
 
 
-@pytest.mark.parametrize(("slots", "goal"), [(2, "both"), (3, "both"), (2, "tasks")])
+@pytest.mark.parametrize(("slots", "goal"), [(3, "both"), (2, "tasks")])
 def test_processes_and_other_jobs_together_take_all_slots_and_no_more(tmp_path, slots, goal):
     for name in ("running", "seen"):
         (tmp_path / name).mkdir()

@@ -3,10 +3,8 @@
 import re
 from pathlib import Path
 
-import pytest
-
-from gelforge.errors import BadInput
 from gelforge.flow.slurm import read_profile
+from tests.support.refused import refused
 
 
 def own(folder: Path, text: str) -> Path:
@@ -31,17 +29,13 @@ def test_a_stage_overrides_the_default_and_an_own_file_the_published_one(tmp_pat
     assert local.options == () and local.cores == 1
 
 
-@pytest.mark.parametrize(
-    ("line", "words"),
-    [
+def test_a_wrong_profile_is_named(tmp_path):
+    for line, words in (
         ("memory = 3", "[labels] memory: unknown key; memory_mb is meant?"),
         ("cores = 0", "[labels] cores = 0: give a whole number from 1"),
         ("options = [1]", "give a list"),
         ("visible_seconds = true", "give a number from 0"),
         ('options = ["--clusters=b"]', "name another cluster by export SLURM_CLUSTERS=NAME"),
         ('options = ["-Mb"]', "name another cluster by export SLURM_CLUSTERS=NAME"),
-    ],
-)
-def test_a_wrong_profile_is_named(tmp_path, line, words):
-    with pytest.raises(BadInput, match=re.escape(words)):
-        read_profile(own(tmp_path, f"[labels]\n{line}\n"), "50_labels")
+    ):
+        refused(re.escape(words), read_profile, own(tmp_path, f"[labels]\n{line}\n"), "50_labels")
