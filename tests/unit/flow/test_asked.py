@@ -4,10 +4,10 @@ import os
 
 import pytest
 
-from gelforge.errors import BadInput
 from gelforge.flow.asked import MOST_RESTARTS, answer
 from gelforge.flow.dates import keep_states, states_of
 from gelforge.flow.files import write_json, write_text
+from tests.support.refused import refused as bad_input
 
 PLAN = {
     "SHARDS": "0000 0001", "MODELS": "grid_16 unet pair_24 tuned", "TUNED": "tuned", "NEED_NOCONTACT": "pair_24 tuned",
@@ -36,9 +36,7 @@ def asked(goals, **given):
 
 
 def refused(goals, **given):
-    with pytest.raises(BadInput) as error:
-        asked(goals, **given)
-    return str(error.value)
+    return bad_input("", asked, goals, **given)
 
 
 def test_a_plan_is_made_again_where_a_file_changed_and_not_for_ever():

@@ -3,12 +3,10 @@
 import os
 import time
 
-import pytest
-
-from gelforge.errors import BadInput
 from gelforge.flow import dates
 from gelforge.flow.dates import ahead, keep_states, refuse_ahead, states_of, unchanged
 from gelforge.flow.files import write_text
+from tests.support.refused import refused
 
 
 def test_each_change_of_a_file_is_seen_and_none_where_there_is_none(tmp_path):
@@ -56,8 +54,7 @@ def test_results_dated_ahead_are_refused_but_for_moments(tmp_path, monkeypatch):
     for name in ("10_poses/0000.csv", "50_labels/24x32/labels.json", "00_plan/plan.mk"):
         write_text(results / name, "")
         os.utime(results / name, (now + 3600,) * 2)
-        with pytest.raises(BadInput, match=f"{name} is dated .* make clean-ahead DATASET=tiny, which removes"):
-            refuse_ahead(results)
+        refused(f"{name} is dated .* make clean-ahead DATASET=tiny, which removes", refuse_ahead, results)
         os.utime(results / name, (now - 5,) * 2)
     # no result that make judges by its date
     for name in ("30_fea/0000/s1.json", "logs/x.log", "metrics/30_fea/0000.json", ".slurm/x", "export/a.h5"):

@@ -3,10 +3,8 @@
 from dataclasses import replace
 
 import numpy as np
-import pytest
 import torch
 
-from gelforge.errors import BadInput
 from gelforge.networks.data.augment import (
     RGB_TO_YIQ,
     augment,
@@ -16,6 +14,7 @@ from gelforge.networks.data.augment import (
     narrow_views,
     shift_together,
 )
+from tests.support.refused import refused
 from tests.support.synthetic_presses import SETTINGS
 
 
@@ -39,6 +38,8 @@ def test_a_shift_moves_image_and_label_alike_and_loses_nothing():
     np.testing.assert_allclose(target.sum((2, 3)), labels.sum((2, 3)), rtol=1e-5, atol=1e-5)
     moved = (seen != images).any((1, 2, 3))
     assert 0 < moved.sum() < 16
+    said = "shift_cells = 1: cells of 7 x 8 on an image of 32 x 24"  # which are not of whole pixels
+    refused(said, shift_together, images, np.zeros((1, 3, 7, 8)), 1, torch.Generator())
 
 
 def test_a_mirrored_press_is_a_press():
@@ -55,11 +56,6 @@ def test_a_mirrored_press_is_a_press():
     assert 0 < moved.sum() < 16
     np.testing.assert_array_equal(images, before[0])  # the mapped file's own rows stay
     np.testing.assert_array_equal(labels, before[1])
-
-
-def test_a_shift_needs_cells_of_whole_pixels():
-    with pytest.raises(BadInput, match="shift_cells = 1: cells of 7 x 8 on an image of 32 x 24"):
-        shift_together(np.zeros((1, 24, 32, 3), np.uint8), np.zeros((1, 3, 7, 8)), 1, torch.Generator())
 
 
 def test_the_nocontact_image_is_coloured_as_its_image():

@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 import torch
 
+from gelforge.errors import BadInput
 from gelforge.networks.data.arrays import open_data, scales
 from gelforge.networks.data.loader import (
     epoch_order,
     epoch_steps,
     images_to_tensor,
+    prefetched,
     target,
     training_batches,
 )
@@ -67,6 +69,16 @@ def test_epochs_that_share_a_pass_visit_every_press_once_in_it():
         for number, each in enumerate(passes):
             assert sorted(each) == list(rows) and each == list(epoch_order(rows, 1, number))
         assert passes[0] != passes[1]
+
+
+def test_reading_ahead_keeps_order_and_hands_on_errors():
+    assert list(prefetched(iter(range(20)))) == list(range(20))
+
+    def broken():
+        yield 1
+        raise BadInput("the second one is missing")
+
+    refused("second", list, prefetched(broken()))
 
 
 def test_batches_hold_the_pictures_of_an_epoch_each_beside_its_own_label(folder):

@@ -39,27 +39,8 @@ def test_log_reads_back_to_the_last_digit(tmp_path_factory, samples):
         assert back == replace(sample, row=line)
 
 
-CELLS = st.one_of(
-    st.text(max_size=30),
-    st.sampled_from(
-        [
-            "nan",
-            "-inf",
-            "1e400",
-            "1,5",
-            "\x00",
-            "=1+1",
-            "../..",
-            " 3 ",
-            "--1",
-            "0x1",
-            "\u0663",
-            "1e",
-            ".",
-            "2025-13-45",
-        ]
-    ),
-)
+ODD = ("nan", "-inf", "1e400", "1,5", "\x00", "=1+1", "../..", " 3 ", "--1", "0x1", "\u0663", "1e", ".", "2025-13-45")
+CELLS = st.text(max_size=30) | st.sampled_from(ODD)
 
 
 @given(cells=st.dictionaries(st.sampled_from([*press.KNOWN, "other"]), CELLS))
@@ -99,12 +80,6 @@ def test_no_line_of_a_log_keeps_another_press_out(tmp_path_factory, lines):
         if isinstance(line, int):
             assert found[at + 2] == f"p{at}"
     assert found[len(lines) + 2] == "last"
-
-
-@given(text=st.text(max_size=20))
-def test_number_is_finite_or_none(text):
-    value = press.parse_number(text)
-    assert value is None or value == float(text)
 
 
 @given(data=st.binary(max_size=300), cut=st.integers(0, 200))

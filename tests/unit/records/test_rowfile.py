@@ -3,9 +3,7 @@
 import subprocess
 import sys
 
-import numpy as np
-
-from gelforge.records.rowfile import RowFile, write_rows
+from gelforge.records.rowfile import RowFile
 from tests.support.memory import PEAK_KIB
 
 WRITE = f"""
@@ -26,9 +24,3 @@ def test_what_was_written_is_no_memory_of_the_process(tmp_path):
     done = subprocess.run([sys.executable, "-c", WRITE, path], check=True, capture_output=True, text=True)
     assert int(done.stdout) < path.stat().st_size / 1024 / 2  # a third of it, the 512 rows that are kept
     assert [int(RowFile(path)[k].max()) for k in (0, 511, 512, 1499)] == [k % 251 for k in (0, 511, 512, 1499)]
-
-
-def test_rows_come_back(tmp_path):
-    rows = np.random.default_rng(0).integers(0, 255, (5, 4, 3), np.uint8)
-    write_rows(tmp_path / "a.npy", np.uint8, rows.shape, rows)
-    assert np.array_equal(np.load(tmp_path / "a.npy"), rows)
