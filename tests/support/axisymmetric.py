@@ -15,6 +15,7 @@ from pypardiso import PyPardisoSolver
 from skfem import Basis, ElementQuad2, ElementVector, FacetBasis, MeshQuad
 
 PENALTY = 2e5  # MPa/mm over the shear modulus
+DEEPEST = 1e-4  # mm that a point in equilibrium lies inside the body
 RING = 0.5  # mm, width of the rings whose forces are reported
 # The components of F that are not zero: rows and columns of rr, rz, zr, zz, and of the hoop.
 ROW, COLUMN = np.array([0, 0, 1, 1, 2]), np.array([0, 1, 0, 1, 2])
@@ -31,9 +32,9 @@ class Body:
     core: tuple[tuple[float, float], ...]
     radius: float
 
-    def distance(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Signed distance (n,) of places (n, 2), negative inside, and the outward normal (n, 2)."""
-        best, away = np.full(len(places), np.inf), np.zeros_like(places)
+    def distance(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Signed distance (n,) of places (n, 2), negative inside, the outward normal (n, 2), and the curvature (n,) 1/mm there."""
+        best, away, round_ = np.full(len(places), np.inf), np.zeros_like(places), np.zeros(len(places), bool)
         ends = np.array(self.core)
         for a, b in zip(ends, ends[1:] if len(ends) > 1 else ends, strict=False):
             along = b - a
@@ -42,7 +43,8 @@ class Body:
             length = np.linalg.norm(off, axis=1)
             nearer = length < best
             best, away = np.where(nearer, length, best), np.where(nearer[:, None], off, away)
-        return best - self.radius, away / np.maximum(best, 1e-300)[:, None]
+            round_ = np.where(nearer, (s <= 0.0) | (s >= 1.0), round_)
+        return best - self.radius, away / np.maximum(best, 1e-300)[:, None], round_ / np.maximum(best, 1e-300)
 
 
 def sphere(diameter: float) -> Body:
@@ -180,7 +182,7 @@ class Press:
         self.dof_places, self.axial = basis.doflocs, np.zeros(basis.N)
         self.axial[basis.get_dofs(elements=True).all(["u^2"])] = 1.0
         self.u, self.held = np.zeros(basis.N), np.full((len(self.reference), 2), np.nan)
-        self.depth = 0.0
+        self.depth, self.hardness = 0.0, 1.0
         self.linear = PyPardisoSolver(mtype=-2)  # symmetric, indefinite
 
     @staticmethod
@@ -199,17 +201,20 @@ class Press:
         """Deformed points of the surface (m, 2)."""
         return self.reference + np.einsum("eqka,ea->eqk", self.surface, u[self.surface_dofs]).reshape(-1, 2)
 
-    def gap(self, places: np.ndarray, depth: float) -> tuple[np.ndarray, np.ndarray]:
-        """Distance (m,) of places (m, 2) to the body at a depth, and its normal (m, 2)."""
+    def gap(self, places: np.ndarray, depth: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Distance (m,) of places (m, 2) to the body at a depth, its normal (m, 2) and its curvature (m,)."""
         return self.body.distance(places + [0.0, depth])
 
     def tractions(self, u: np.ndarray, depth: float) -> tuple[np.ndarray, np.ndarray]:
         """Tractions (m, 2) on the undeformed surface, MPa, and their stiffness (m, 2, 2)."""
-        k, x = PENALTY * 2.0 * self.layer.c10, self.places(u)
-        gap, normal = self.gap(x, depth)
+        k, x = self.hardness * PENALTY * 2.0 * self.layer.c10, self.places(u)
+        gap, normal, curvature = self.gap(x, depth)
         inside, holds = gap < 0.0, ~np.isnan(self.held[:, 0])
         traction = np.where(inside[:, None], -k * gap[:, None] * normal, 0.0)
-        stiffness = np.where(inside[:, None, None], k * normal[:, :, None] * normal[:, None, :], 0.0)
+        across = normal[:, :, None] * normal[:, None, :]
+        # deep inside, where Newton's method is far from equilibrium, the curvature's whole share would lead astray
+        along = (np.maximum(gap, -DEEPEST) * curvature)[:, None, None] * (np.eye(2) - across)
+        stiffness = np.where(inside[:, None, None], k * (across + along), 0.0)
         traction[holds] = k * (self.held[holds] - [0.0, depth] - x[holds])
         stiffness[holds] = k * np.eye(2)
         return traction, stiffness
@@ -233,8 +238,20 @@ class Press:
         places = np.concatenate(rows), np.concatenate(columns)
         return out, sp.csr_matrix((np.concatenate(values), places), (len(u), len(u)))
 
-    def equilibrium(self, u: np.ndarray, depth: float, small: float = 1e-9, most: int = 15) -> np.ndarray:
-        """Newton's method from u (dofs,) until a step is below `small` times the depth; raises Unsolved."""
+    def equilibrium(self, u: np.ndarray, depth: float, small: float = 1e-9) -> np.ndarray:
+        """Newton's method from u (dofs,) until a step is below `small` times the depth; raises Unsolved.
+
+        Without friction points come and go on stiff penalties for ever; the way there is on softer ones.
+        """
+        if self.stick:
+            return self.newton(u, depth, small)
+        for self.hardness in (1e-3, 1e-2, 1e-1):
+            u = self.newton(u, depth, 1e-3)
+        self.hardness = 1.0
+        return self.newton(u, depth, small)
+
+    def newton(self, u: np.ndarray, depth: float, small: float, most: int = 15) -> np.ndarray:
+        """`equilibrium` at the present stiffness of penalties."""
         u, free = u.copy(), self.free
         for _ in range(most):
             out, tangent = self.residual(u, depth)
@@ -282,7 +299,7 @@ class Press:
                     return u
                 small = 1e-9
             met = (1.0 - share) * (start + self.depth * up) + share * (end + depth * up)
-            distance, normal = self.body.distance(met)
+            distance, normal, _ = self.body.distance(met)
             self.held[new] = (met - distance[:, None] * normal)[new]
             try:
                 u = self.equilibrium(u, depth, small)
@@ -322,7 +339,7 @@ class Press:
         force, touched = float(push.sum()), np.abs(traction).max(axis=1) > 0.0
         r = self.reference[:, 0]
         rings = np.bincount((r / RING).astype(int)[touched], push[touched])
-        _, normal = self.gap(self.places(self.u), self.depth)
+        _, normal, _ = self.gap(self.places(self.u), self.depth)
         pull = np.minimum((traction * normal).sum(axis=1), 0.0) @ self.area.ravel()
         out, _ = self.residual(self.u, self.depth)
         held = out[self.base] @ self.axial[self.base]

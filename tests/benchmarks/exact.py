@@ -1,0 +1,267 @@
+"""All methods against axisymmetric presses whose forces are known to about 0.1 % (data/fea_challenge/exact.json).
+
+`python -m tests.support.exact_scenes` solved them. Each press is solved here by each method on a flat pad of 40 x 40 mm; what
+was solved is kept below --work for the same code of mechanics and geometry, so that a run that was interrupted goes on.
+Errors are those of the total force, and the amounts of the errors of rings of 0.5 mm summed over the force.
+"""
+
+import hashlib
+import tempfile
+from argparse import Namespace
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_json, write_json
+from gelforge.flow.main import command, option
+from gelforge.flow.params import Params, load_params
+from gelforge.geometry.gelcatalogue import PadTable
+from gelforge.geometry.indenters import build
+from gelforge.geometry.solids import Body, Indenter
+from gelforge.labelling.operator import face_parts, node_to_part
+from gelforge.mechanics.hexsettings import QUALITIES, quality
+from gelforge.mechanics.material import Material
+from gelforge.mechanics.mesh.family import MeshFamily, choose_mesh
+from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.mesh.meshstore import MeshSource
+from gelforge.mechanics.result import Result
+from gelforge.mechanics.scene import Interface, Scene
+from gelforge.mechanics.solvers.fidelity import Solvers
+from gelforge.mechanics.solvers.hex import HexSolver
+from gelforge.records.press import Press
+from gelforge.sweeps.isolate import Clock
+from gelforge.sweeps.methods import warm_up
+from tests.benchmarks.figures import ROOT, Figure, publish_figures
+from tests.support import axisymmetric
+from tests.support.exact_scenes import KEPT
+
+NATIVE = ("sphere-15-nu0.475-pad4-no_slip-0.4mm", "punch-10-1-nu0.475-pad4-no_slip-0.3mm")  # minutes each
+SHALLOW = 0.1  # mm, below which goals are wider
+# Worst and median error of the total at SHALLOW and deeper, worst of shallower presses, and worst of the rings, in %.
+GOALS = {
+    "ccx": (1.0, 0.3, 2.0, 4.0), "hex-label": (1.0, 0.3, 2.0, 4.0), "hex-draft": (1.5, None, None, None),
+    "rig": (3.0, None, None, None),
+}  # fmt: skip
+# Of force, by which rings may move where the exact solution's elements are halved, and what may pull in it, to count as known.
+RINGS_KNOWN, PULLING = 0.02, 1e-3
+SPLIT = 5  # each side of a piece of a face is cut so often where its force is shared out among rings
+
+
+class Revolved(Body):
+    """A body of revolution by the profile of `axisymmetric.Body`, for shapes that the catalogue lacks."""
+
+    def __init__(self, name: str, body: axisymmetric.Body, reach: float, height: float):
+        super().__init__(name, height)
+        self.body, self.reach = body, reach
+
+    def distance(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Signed distance (n,) and outward normal (n, 3) at points (n, 3); the body has no upper end."""
+        r = np.hypot(points[:, 0], points[:, 1])
+        gap, normal, _ = self.body.distance(np.column_stack([r, points[:, 2]]))
+        along = points[:, :2] / np.maximum(r, 1e-12)[:, None]
+        return gap, np.column_stack([normal[:, :1] * along, normal[:, 1]])
+
+    def radius(self) -> float:
+        """Radius at its upper end, mm."""
+        return self.reach
+
+    @property
+    def _surface(self) -> tuple[np.ndarray, np.ndarray]:
+        raise NotImplementedError("only CalculiX' own contact needs triangles")
+
+
+def indenter(kind: str, sizes: list[float]) -> Indenter:
+    """The body as the catalogue has it, or turned from its profile."""
+    if kind == "sphere":
+        return build(kind, {"kind": "sphere", "diameter": sizes[0], "height": max(10.0, sizes[0] / 2)})
+    if kind == "cone":
+        return Revolved(kind, axisymmetric.cone(*sizes), reach=10.0, height=6.0)
+    hole = {"hole": sizes[1]} if kind == "tube" else {}
+    return build(kind, {"kind": "cylinder", "diameter": sizes[0], "fillet": sizes[-1], "height": 10.0} | hole)
+
+
+def pad(thickness: float):
+    """The flat pad of that thickness."""
+    return PadTable(width=40.0, length=40.0, thickness=thickness, corner_radius=1.0).gel(f"flat_{thickness:g}mm")
+
+
+def scene_of(press: dict) -> Scene:
+    """The press as every method is asked for it; its place is beside the lines that a mesh might be laid on."""
+    way = Press(0.0, 0.0, 0.0, 0.0, 0.0, -press["depth_mm"])
+    law = Interface(press["interface"])
+    return Scene(
+        pad(press["thickness_mm"]), Material(press["nu"]), indenter(press["kind"], press["sizes_mm"]), way, law
+    )
+
+
+def ring_forces(mesh: GelMesh, forces: np.ndarray, width: float) -> np.ndarray:
+    """Normal forces (k,) N in rings around the axis, nodal forces (n, 3) spread over faces as labels spread them."""
+    parts, areas = face_parts(mesh)
+    to_part, _ = node_to_part(mesh, areas)
+    push = -(to_part.T @ forces[:, 2])
+    loaded = np.flatnonzero(push != 0.0)
+    corners = parts.reshape(-1, *parts.shape[2:])[loaded]
+    fan = np.stack([corners[:, [0, k, k + 1]] for k in range(1, corners.shape[1] - 1)], axis=1)
+    at = (np.arange(SPLIT) + 0.5) / SPLIT
+    a, b = (v.ravel() for v in np.meshgrid(1.0 - np.sqrt(1.0 - at), at, indexing="ij"))
+    weights = np.stack([a, (1.0 - a) * (1.0 - b), (1.0 - a) * b], axis=1)
+    points = np.einsum("pc,ftci->ftpi", weights, fan)
+    edges = fan[:, :, 1:] - fan[:, :, :1]
+    area = np.abs(edges[..., 0, 0] * edges[..., 1, 1] - edges[..., 0, 1] * edges[..., 1, 0])
+    share = push[loaded, None, None] * (area / area.sum(axis=1, keepdims=True))[:, :, None] / len(weights)
+    ring = (np.hypot(points[..., 0], points[..., 1]) / width).astype(int)
+    return np.bincount(ring.ravel(), np.broadcast_to(share, ring.shape).ravel())
+
+
+@dataclass(frozen=True)
+class Bench:
+    """Where methods solve: parameters of the flow, folder of what is kept, and solvers by thickness of the pad, mm."""
+
+    params: Params
+    work: Path
+    made: dict[float, Solvers] = field(default_factory=dict)
+
+    def solvers(self, thickness: float) -> Solvers:
+        """Solvers with CalculiX on meshes of a pad, kept."""
+        if thickness not in self.made:
+            self.made[thickness] = self._solvers(thickness)
+        return self.made[thickness]
+
+    def _solvers(self, thickness: float) -> Solvers:
+        gel, tables = pad(thickness), self.params
+        meshes = self.work / "meshes"
+        source = MeshSource(gel, tables.meshes, meshes)
+        names = [f"ccx-{name}" for name in tables.fea.meshes]
+        return Solvers(MeshFamily(meshes / gel.name, names, source), tempfile.mkdtemp(dir=self.work), tables.fea)
+
+    def method(self, name: str, scene: Scene) -> Callable[[], tuple[Result, GelMesh]]:
+        """The solve of a scene by a method's name, with the mesh of its forces."""
+        if name.startswith("hex-") or name == "rig":
+            solver = HexSolver(rig_settings() if name == "rig" else quality(name.removeprefix("hex-")))
+
+            def run():
+                result = solver.solve(scene)
+                return result, result.mesh
+
+            return run
+        solvers = self.solvers(scene.gel.height)
+        choose_mesh(scene, solvers.family)  # which makes it, before the clock runs
+
+        def ask():
+            result = solvers.solve(scene, name)
+            return result, solvers.family.load(result.evidence["mesh"])
+
+        return ask
+
+
+def rig_settings():
+    """The hexahedra of the virtual rig, which bears friction; its own factors are left out."""
+    from gelforge.virtualrig.bench import SETTINGS
+
+    return SETTINGS
+
+
+def digest() -> str:
+    """Digest of the code that forces depend on."""
+    folders = (ROOT / "src/gelforge/mechanics", ROOT / "src/gelforge/geometry")
+    files = sorted(path for folder in folders for path in folder.rglob("*.py"))
+    return hashlib.sha256(
+        b"\0".join(path.read_bytes() for path in [*files, ROOT / "workflow/params.toml"])
+    ).hexdigest()[:16]
+
+
+def record_of(bench: Bench, press: dict, name: str, code: str) -> dict:
+    """What a method makes of a press: status, total force N, forces in rings N, processor seconds; kept."""
+    path = bench.work / name / f"{press['name']}.json"
+    key = [code, press["force_n"]]
+    if path.exists() and (kept := read_json(path))["key"] == key:
+        return kept
+    solve = bench.method(name, scene_of(press))
+    with Clock() as clock:
+        result, mesh = solve()
+    found = {"key": key, "status": result.status.name, "seconds": clock.cpu_seconds, "force": 0.0, "rings": []}
+    if result.status.valid:
+        rings = ring_forces(mesh, result.forces, axisymmetric.RING)
+        found |= {"force": -float(result.total[2]), "rings": np.round(rings, 6).tolist()}
+    write_json(path, found)
+    return found
+
+
+def errors_of(record: dict, press: dict) -> dict:
+    """Errors in %: of the total force (signed), and of rings; None where there is no force, or rings are not known so well."""
+    if not record["force"]:
+        return {"total": None, "rings": None}
+    known = press["elements_halved"]["rings"] < RINGS_KNOWN and press["pulling"] < PULLING
+    rings = np.zeros((2, max(len(record["rings"]), len(press["rings_n"]))))
+    rings[0, : len(record["rings"])], rings[1, : len(press["rings_n"])] = record["rings"], press["rings_n"]
+    return {
+        "total": 100 * (record["force"] / press["force_n"] - 1.0),
+        "rings": 100 * np.abs(rings[0] - rings[1]).sum() / press["force_n"] if known else None,
+    }
+
+
+def figures_of(name: str, rows: list[dict]) -> list[Figure]:
+    """Worst and median errors of one method over its presses."""
+    worst, median, shallow, ring = GOALS.get(name, (None,) * 4)
+    solved = [row for row in rows if row["total"] is not None]
+    found = []
+
+    def add(what: str, of: list[dict], key: str, value: Callable, goal: float | None) -> None:
+        if of:
+            last = max(of, key=lambda row: abs(row[key]))
+            amount = float(value([abs(row[key]) for row in of]))
+            note = f"{len(of)} presses" + (f"; {last['press']} {last[key]:+.2f} %" if value is max else "")
+            found.append(Figure(f"{name}, {what}", amount, "<=" if goal else "", goal or 0.0, "%", note))
+
+    deep = [row for row in solved if row["depth"] >= SHALLOW - 1e-9]
+    add("total, worst", deep, "total", max, worst)
+    add("total, median", deep, "total", np.median, median)
+    add("total, shallower than 0.1 mm, worst", [r for r in solved if r not in deep], "total", max, shallow)
+    ringed = [row for row in solved if row["rings"] is not None]
+    add("rings, worst", ringed, "rings", max, ring)
+    add("rings, median", ringed, "rings", np.median, None)
+    seconds = float(np.median([row["seconds"] for row in rows]))
+    found.append(Figure(f"{name}, processor time of a press, median", seconds, "", 0.0, "s"))
+    found.append(Figure(f"{name}, presses without a force", len(rows) - len(solved), "<=", 0.0))
+    return found
+
+
+@command(
+    option("--workflow", type=Path, default=Path("workflow")),
+    option("--presses", type=Path, default=KEPT),
+    option("--methods", nargs="+", default=[*(f"hex-{name}" for name in QUALITIES), "rig", "ccx", "ccx-native"]),
+    option("--work", type=Path, default=Path("results/benchmarks/exact"), help="what is kept"),
+    option("--only", default="", help="presses whose name has this"),
+    option("--out", type=Path),
+)
+def main(args: Namespace) -> None:
+    presses = [press for group in read_json(args.presses)["paths"] for press in group["presses"]]
+    presses = [press for press in presses if args.only in press["name"]]
+    if not presses:
+        raise BadInput(f"{args.presses}: no press has {args.only!r} in its name")
+    args.work.mkdir(parents=True, exist_ok=True)
+    bench, code, figures, table = Bench(load_params(args.workflow), args.work), digest(), [], []
+    warm_up()
+    for name in args.methods:
+        rows = []
+        for press in presses:
+            if name == "ccx-native" and press["name"] not in NATIVE:
+                continue
+            record = record_of(bench, press, name, code)
+            rows.append({"press": press["name"], "depth": press["depth_mm"], "method": name} | errors_of(record, press)
+                        | {"seconds": record["seconds"], "status": record["status"]})  # fmt: skip
+            total, rings = (
+                "       -" if rows[-1][key] is None else f"{rows[-1][key]:+8.2f}" for key in ("total", "rings")
+            )
+            cost = f"{record['seconds']:6.2f} s {record['status']}"
+            print(f"{name:10} {press['name']:48} {total} {rings} {cost}", flush=True)
+        table += rows
+        figures += figures_of(name, rows) if rows else []
+    publish_figures(args.out, figures, presses=table)
+
+
+if __name__ == "__main__":
+    main.exit()
