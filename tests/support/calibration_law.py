@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from gelforge.calibration.emulator import Curve, Emulator, curve_table, friction_table
-from gelforge.calibration.friction import friction_axis
-from gelforge.calibration.parameters import make_model, with_nu
+from gelforge.calibration.emulator import Curve, Emulator, curve_table, friction_axis, friction_table
+from gelforge.calibration.parameters import make_model
 from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.readings import Readings
 from gelforge.geometry.gel import USUAL_GEL
@@ -13,14 +12,16 @@ from tests.support.parameters import parameters
 
 TOP = 2.4
 MUS = (0.0, 0.4, np.inf)
-PARAMS = with_nu(parameters().calibrate, 0.475)
+PARAMS = parameters().calibrate
 TRUTH = {
     "c10": 0.085,
     "offset": 0.03,
     "compliance": 0.006,
     "shear_compliance": 0.0,
     "mu": 0.7,
-    "nu": 0.475,
+    "tare_x": 0.0,
+    "tare_y": 0.0,
+    "tare_z": 0.0,
     "discretisation": 0.0,
 }
 
@@ -44,9 +45,8 @@ def law_emulator(stiffness=(4.0,)) -> Emulator:
     """Emulator with one press per stiffness."""
     tables = [friction_table(MUS, [curve_table(law_curve(mu, k), TOP) for mu in MUS]) for k in stiffness]
     return Emulator(
-        np.array(tables)[:, None],
+        np.array(tables),
         np.full(len(stiffness), TOP),
-        np.array([0.475]),
         np.zeros(len(stiffness), int),
         np.zeros(len(stiffness)),
     )
@@ -71,14 +71,14 @@ def true_values(**changes) -> dict:
     return {**values, "indenter": np.zeros((1, 1))}
 
 
-def law_posterior(rng, depth, stiffness=None, law="coulomb", noise=0.03, without=(), **truth) -> Posterior:
+def law_posterior(rng, depth, stiffness=None, law="coulomb", noise=0.03, **truth) -> Posterior:
     """Posterior for readings of the law with normal noise."""
     depth = np.asarray(depth, float)
     emulator = law_emulator(stiffness or [4.0] * len(depth))
     forces, _, _ = emulator.forces(depth, true_values(**truth))
     observed = np.full((len(depth), 3), np.nan)
-    observed[:, 2] = forces[0, :, 2] + noise * rng.standard_normal(len(depth))
-    return Posterior(emulator, make_model(PARAMS, law, (*without, "shear_compliance")), depth, observed, 4.0)
+    observed[:, 2] = forces[0, :, 2] + truth.get("tare_z", 0.0) + noise * rng.standard_normal(len(depth))
+    return Posterior(emulator, make_model(PARAMS, law, sideways=False), depth, observed, 4.0)
 
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""Force against depth, friction and Poisson's ratio, from a handful of finite element solves.
+"""Force against depth and friction, from a handful of finite element solves.
 
 Force is proportional to C10 at fixed D1*C10 when the indenter is rigid and its path prescribed, so
 C10 needs no solve. What is tabulated is the force at REFERENCE_C10 on a fine grid of depth and
@@ -10,12 +10,23 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from gelforge.calibration.friction import friction_axis
 from gelforge.errors import BadInput
 from gelforge.mechanics.material import REFERENCE_C10
 
 DEPTHS = 161
 FRICTIONS = 33
+HALF_MU = 0.5  # the friction coefficient in the middle of the axis
+
+
+def friction_axis(mu) -> np.ndarray:
+    """Map a friction coefficient in [0, inf] to the axis along which forces change evenly, [0, 1]: mu / (mu + HALF_MU)."""
+    mu = np.asarray(mu, float)
+    return np.where(np.isinf(mu), 1.0, mu / (np.where(np.isinf(mu), 1.0, mu) + HALF_MU))
+
+
+def friction_of(axis) -> np.ndarray:
+    """Friction coefficient at positions in [0, 1) of the axis."""
+    return HALF_MU * axis / (1.0 - axis)
 
 
 @dataclass(frozen=True)
@@ -33,13 +44,12 @@ class Curve:
 class Emulator:
     """Tables for n presses.
 
-    table: (n, nu, FRICTIONS, DEPTHS, 3) N at REFERENCE_C10. top: (n,) mm, deepest tabulated depth.
-    nu: (nu,) increasing. group: (n,) index of each press's indenter. travel: (n,) mm that a press moves sideways.
+    table: (n, FRICTIONS, DEPTHS, 3) N at REFERENCE_C10. top: (n,) mm, deepest tabulated depth.
+    group: (n,) index of each press's indenter. travel: (n,) mm that a press moves sideways.
     """
 
     table: np.ndarray
     top: np.ndarray
-    nu: np.ndarray
     group: np.ndarray
     travel: np.ndarray
 
@@ -57,13 +67,13 @@ class Emulator:
         scale = values["c10"][:, None] / REFERENCE_C10 * error
         axis = friction_axis(values["mu"]) * (FRICTIONS - 1)
         return evaluate(
-            self.table, self.top, self.nu, np.asarray(depth, float), self.travel, scale, values["offset"],
-            values["compliance"], values["shear_compliance"], axis, values["nu"],
+            self.table, self.top, np.asarray(depth, float), self.travel, scale, values["offset"],
+            values["compliance"], values["shear_compliance"], axis,
         )  # fmt: skip
 
     def take(self, rows) -> "Emulator":
         """The emulator of some of the presses."""
-        return Emulator(self.table[rows], self.top[rows], self.nu, self.group[rows], self.travel[rows])
+        return Emulator(self.table[rows], self.top[rows], self.group[rows], self.travel[rows])
 
 
 def curve_table(curve: Curve, top: float) -> np.ndarray:

@@ -20,18 +20,8 @@ def sideways_left(yielded, exponent):
     return x**exponent
 
 
-@njit(cache=True, fastmath=False)
-def _between(nodes, value):
-    """Index of the nodes below and above a value, and how far it is from the one to the other, as a fraction."""
-    k = 0
-    while k + 2 < nodes.size and value > nodes[k + 1]:
-        k += 1
-    above = min(k + 1, nodes.size - 1)
-    return k, above, 0.0 if above == k else (value - nodes[k]) / (nodes[above] - nodes[k])
-
-
 # What follows goes over all presses of one walker: with helpers called for each press it takes a third longer.
-# at: (k, k2, fk, m, fm), the tables between which a walker lies, and how far.
+# at: (m, fm), the friction coefficients between which a walker lies, and how far.
 
 
 @njit(cache=True, fastmath=False)
@@ -40,12 +30,11 @@ def _press(table, top, at, target, scale, compliance, forces, slopes, depths, lo
 
     target: (n,) mm, the commanded depth with its offset. scale: (n,).
     """
-    k, k2, fk, m, fm = at
-    grid = table.shape[3]
+    m, fm = at
+    grid = table.shape[2]
     for p in range(target.size):
-        w00, w01 = (1 - fk) * (1 - fm) * scale[p], (1 - fk) * fm * scale[p]
-        w10, w11 = fk * (1 - fm) * scale[p], fk * fm * scale[p]
-        a, b, c, d = table[p, k, m], table[p, k, m + 1], table[p, k2, m], table[p, k2, m + 1]
+        w0, w1 = (1 - fm) * scale[p], fm * scale[p]
+        a, b = table[p, m], table[p, m + 1]
         step = top[p] / (grid - 1)
         if target[p] <= 0.0:
             depths[p], low_of[p] = target[p], -1
@@ -53,20 +42,20 @@ def _press(table, top, at, target, scale, compliance, forces, slopes, depths, lo
         low, high = 0, grid - 1
         while high - low > 1:
             j = (low + high) // 2
-            f = w00 * a[j, 2] + w01 * b[j, 2] + w10 * c[j, 2] + w11 * d[j, 2]
+            f = w0 * a[j, 2] + w1 * b[j, 2]
             if j * step + compliance * abs(f) <= target[p]:
                 low = j
             else:
                 high = j
-        f0 = w00 * a[low, 2] + w01 * b[low, 2] + w10 * c[low, 2] + w11 * d[low, 2]
-        f1 = w00 * a[high, 2] + w01 * b[high, 2] + w10 * c[high, 2] + w11 * d[high, 2]
+        f0 = w0 * a[low, 2] + w1 * b[low, 2]
+        f1 = w0 * a[high, 2] + w1 * b[high, 2]
         c0 = low * step + compliance * abs(f0)
         c1 = high * step + compliance * abs(f1)
         t = (target[p] - c0) / (c1 - c0)
         depths[p], low_of[p], t_of[p] = (low + t) * step, low, t
         for i in range(3):
-            g0 = w00 * a[low, i] + w01 * b[low, i] + w10 * c[low, i] + w11 * d[low, i]
-            g1 = w00 * a[high, i] + w01 * b[high, i] + w10 * c[high, i] + w11 * d[high, i]
+            g0 = w0 * a[low, i] + w1 * b[low, i]
+            g1 = w0 * a[high, i] + w1 * b[high, i]
             forces[p, i] = (1 - t) * g0 + t * g1
             slopes[p, i] = (g1 - g0) / (c1 - c0)
 
@@ -74,18 +63,17 @@ def _press(table, top, at, target, scale, compliance, forces, slopes, depths, lo
 @njit(cache=True, fastmath=False)
 def _yield_sideways(table, travel, at, over_log_mu, scale, compliance, low_of, t_of, forces, slopes):
     """Lessen the sideways parts of forces (n, 3) and slopes (n, 3) by what the frame takes of the travel (n,) mm."""
-    k, k2, fk, m, _ = at
+    m = at[0]
     for p in range(travel.size):
         sideways = np.hypot(forces[p, 0], forces[p, 1])
         if low_of[p] < 0 or travel[p] <= 0.0 or sideways == 0.0:
             continue
-        a, b, c, d = table[p, k, m], table[p, k, m + 1], table[p, k2, m], table[p, k2, m + 1]
+        a, b = table[p, m], table[p, m + 1]
         low, high, t = low_of[p], low_of[p] + 1, t_of[p]
         more = 0.0  # what one grid step of friction adds to the sideways force
         for i in range(2):
-            s0 = (1 - fk) * (b[low, i] - a[low, i]) + fk * (d[low, i] - c[low, i])
-            s1 = (1 - fk) * (b[high, i] - a[high, i]) + fk * (d[high, i] - c[high, i])
-            more += forces[p, i] / sideways * scale[p] * ((1 - t) * s0 + t * s1)
+            more_here = (1 - t) * (b[low, i] - a[low, i]) + t * (b[high, i] - a[high, i])
+            more += forces[p, i] / sideways * scale[p] * more_here
         exponent = min(max(1.0 - more * over_log_mu / sideways, 0.0), 1.0)
         left = sideways_left(compliance * sideways / travel[p], exponent)
         for i in range(2):
@@ -94,7 +82,7 @@ def _yield_sideways(table, travel, at, over_log_mu, scale, compliance, low_of, t
 
 
 @njit(cache=True, fastmath=False)
-def evaluate(table, top, nu_nodes, depth, travel, scale, offset, compliance, shear_compliance, friction, nu):
+def evaluate(table, top, depth, travel, scale, offset, compliance, shear_compliance, friction):
     """Forces (w, n, 3) N, slopes (w, n, 3) N per mm, effective depths (w, n) mm; see Emulator.forces.
 
     scale: (w, n). friction: (w,) position on the friction axis in grid steps. Others (w,) in their own units.
@@ -110,15 +98,14 @@ def evaluate(table, top, nu_nodes, depth, travel, scale, offset, compliance, she
     depths = np.zeros((walkers, presses))
     low, t = np.empty(presses, np.intp), np.empty(presses)
     for w in range(walkers):
-        m = min(max(int(friction[w]), 0), table.shape[2] - 2)
-        k, k2, fk = _between(nu_nodes, nu[w])
-        at = k, k2, fk, m, friction[w] - m
+        m = min(max(int(friction[w]), 0), table.shape[1] - 2)
+        at = m, friction[w] - m
         target = depth + offset[w]
         _press(table, top, at, target, scale[w], compliance[w], forces[w], slopes[w], depths[w], low, t)
         if shear_compliance[w] <= 0.0:
             continue
-        axis = min(friction[w] / (table.shape[2] - 1), 1.0)
-        over_log_mu = axis * (1.0 - axis) * (table.shape[2] - 1)  # d (grid steps of friction) / d ln mu
+        axis = min(friction[w] / (table.shape[1] - 1), 1.0)
+        over_log_mu = axis * (1.0 - axis) * (table.shape[1] - 1)  # d (grid steps of friction) / d ln mu
         give = shear_compliance[w]
         _yield_sideways(table, travel, at, over_log_mu, scale[w], give, low, t, forces[w], slopes[w])
     return forces, slopes, depths

@@ -1,128 +1,111 @@
-"""Parameters of the calibration, their priors, and the interface and rig models compared."""
+"""Parameters of the calibration, their priors, and the interface laws that are compared."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
+from scipy import stats
 
-from gelforge.calibration.friction import HALF_MU, friction_axis, friction_of
-from gelforge.errors import BadInput
+from gelforge.calibration.emulator import HALF_MU, friction_axis, friction_of
 from gelforge.flow.params.tables import CalibrateTable, PriorTable
 from gelforge.mechanics.contact.laws.coulomb import Coulomb
 from gelforge.mechanics.contact.laws.frictionless import Frictionless
 from gelforge.mechanics.contact.laws.no_slip import NoSlip
 
-SOFT_BENCH = ("compliance", "shear_compliance")
-NAMES = ("c10", "offset", *SOFT_BENCH, "mu", "noise", "scatter", "discretisation", "nu")
+TARE = ("tare_x", "tare_y", "tare_z")
+NAMES = ("c10", "offset", "compliance", "shear_compliance", "mu", *TARE, "noise", "scatter", "discretisation")
+SIDEWAYS = ("shear_compliance", "tare_x", "tare_y")  # that only sideways forces determine
 LABELS = {
     "c10": "C10 (MPa)",
     "offset": "touch offset (mm)",
     "compliance": "frame compliance (mm/N)",
     "shear_compliance": "frame compliance sideways (mm/N)",
     "mu": "friction coefficient",
+    "tare_x": "constant force along x (N)",
+    "tare_y": "constant force along y (N)",
+    "tare_z": "constant force along z (N)",
     "noise": "noise (N)",
     "scatter": "touch scatter (mm)",
     "discretisation": "ln of scale, all forces",
-    "nu": "Poisson's ratio",
 }
 # The contact laws that are compared, each with the friction coefficient it implies; Coulomb's is a parameter.
 FRICTION = {Frictionless.name: 0.0, Coulomb.name: None, NoSlip.name: np.inf}
 LAWS = tuple(FRICTION)
+# Distributions of scipy.stats by kind of prior, from the numbers of its table.
+KINDS = {
+    "normal": lambda n: stats.norm(n["mean"], n["spread"]),
+    "lognormal": lambda n: stats.lognorm(n["spread"], scale=n["median"]),
+    "halfnormal": lambda n: stats.halfnorm(scale=n["spread"]),
+    "cauchy": lambda n: stats.cauchy(n["mean"], n["spread"]),
+    "uniform": lambda n: stats.uniform(n["low"], n["high"] - n["low"]),
+    "loguniform": lambda n: stats.loguniform(n["low"], n["high"]),
+}
+# Standard normal coordinates at which a prior is tabulated, so fine that values in between are good to 1e-6.
+COORDINATES = np.linspace(-8.0, 8.0, 6401)
+FRICTION_COORDINATES = np.linspace(0.0, 1.0, 4001)[1:-1]
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Prior of one parameter; walkers move in a coordinate of it: its logarithm for the kinds named log….
+    """Prior of one parameter: a distribution of scipy.stats, of one of KINDS.
 
-    kind: "normal" (mean, spread), "lognormal" (median, spread of the logarithm), "halfnormal"
-    (spread; values below zero excluded), "uniform" or "loguniform" (low, high).
+    Walkers move in the coordinate z in which the prior is a standard normal distribution: F(value) = Phi(z).
     """
 
     kind: str
-    a: float
-    b: float
+    law: Any
 
     @property
     def informative(self) -> bool:
         """Whether the prior alone bounds the parameter to a region it prefers."""
-        return self.kind in ("normal", "lognormal", "halfnormal")
+        return self.kind not in ("uniform", "loguniform")
 
-    @property
-    def logarithmic(self) -> bool:
-        return self.kind in ("lognormal", "loguniform")
+    @cached_property
+    def _values(self) -> np.ndarray:
+        z = COORDINATES
+        upper = z > 0  # from the upper end, where probabilities near 1 have few digits
+        return np.where(upper, self.law.isf(stats.norm.sf(np.abs(z))), self.law.ppf(stats.norm.sf(np.abs(z))))
 
-    def value(self, coordinate):
-        """Parameter values from walkers' coordinates, any shape."""
-        return np.exp(coordinate) if self.logarithmic else np.asarray(coordinate)
+    def value(self, z) -> np.ndarray:
+        """Parameter values at coordinates `z`, any shape."""
+        return np.interp(z, COORDINATES, self._values)
 
-    def log_density(self, coordinate) -> np.ndarray:
-        """Log density in the coordinate, up to a constant; -inf outside the support."""
-        x = np.asarray(coordinate, float)
-        if self.kind == "halfnormal":
-            return np.where(x >= 0.0, -0.5 * (x / self.b) ** 2, -np.inf)
-        if self.informative:
-            centre = np.log(self.a) if self.logarithmic else self.a
-            return -0.5 * ((x - centre) / self.b) ** 2
-        low, high = (np.log(self.a), np.log(self.b)) if self.logarithmic else (self.a, self.b)
-        return np.where((x >= low) & (x <= high), 0.0, -np.inf)
+    def draw(self, rng: np.random.Generator, size: int) -> np.ndarray:
+        """Coordinates (size,) drawn from the prior."""
+        return rng.standard_normal(size)
 
-    def draw(self, rng: np.random.Generator, size) -> np.ndarray:
-        """Coordinates drawn from the prior, (size,)."""
-        return self.quantile(rng.random(size))
-
-    def quantile(self, u) -> np.ndarray:
-        """Coordinates at probabilities `u` of the prior."""
-        from scipy.special import ndtri
-
-        u = np.asarray(u, float)
-        if self.kind == "halfnormal":
-            return self.b * ndtri(0.5 + 0.5 * u)
-        if self.informative:
-            return (np.log(self.a) if self.logarithmic else self.a) + self.b * ndtri(u)
-        low, high = (np.log(self.a), np.log(self.b)) if self.logarithmic else (self.a, self.b)
-        return low + (high - low) * u
+    def log_density(self, z: np.ndarray) -> np.ndarray:
+        """Log density in the coordinate, up to a constant."""
+        return -0.5 * z**2
 
 
-@dataclass(frozen=True)
 class FrictionPrior(Prior):
-    """Prior of a friction coefficient whose walkers move on the emulator's friction axis, in (0, 1).
+    """Prior of a friction coefficient, whose walkers move on the emulator's friction axis, in (0, 1).
 
-    Forces are nearly straight along that axis, and level off along mu itself: there the walkers
-    would have to follow a bend.
+    Along it forces are nearly straight, and with them the ridge on which C10 and friction trade. In any other
+    coordinate the ridge is bent, and walkers cannot follow.
     """
 
-    def value(self, coordinate):
-        return friction_of(np.asarray(coordinate))
+    @cached_property
+    def _densities(self) -> np.ndarray:
+        # d mu / d axis = (mu + HALF_MU)^2 / HALF_MU
+        mu = friction_of(FRICTION_COORDINATES)
+        return self.law.logpdf(mu) + 2.0 * np.log(mu + HALF_MU)
 
-    def log_density(self, coordinate) -> np.ndarray:
-        x = np.asarray(coordinate, float)
-        inside = (x > 0.0) & (x < 1.0)
-        mu = friction_of(np.where(inside, x, 0.5))
-        inner = super().log_density(np.log(mu) if self.logarithmic else mu)
-        # d mu / d x = (mu + HALF_MU)^2 / HALF_MU; a logarithmic density is one in log mu.
-        change = 2.0 * np.log(mu + HALF_MU) - (np.log(mu) if self.logarithmic else 0.0)
-        return np.where(inside, inner + change, -np.inf)
+    def value(self, z) -> np.ndarray:
+        return friction_of(np.clip(z, FRICTION_COORDINATES[0], FRICTION_COORDINATES[-1]))
 
-    def quantile(self, u) -> np.ndarray:
-        return friction_axis(super().value(super().quantile(u)))
+    def draw(self, rng: np.random.Generator, size: int) -> np.ndarray:
+        return friction_axis(super().value(super().draw(rng, size)))
 
-
-def prior_of(name: str, table: PriorTable) -> Prior:
-    """The prior of a parameter, from its table [calibrate.priors.NAME]."""
-    numbers = [float(value) for value in table.numbers.values()]
-    a, b = numbers if len(numbers) == 2 else (0.0, numbers[0])  # a halfnormal has no first number
-    return FrictionPrior(table.kind, a, b) if name == "mu" else Prior(table.kind, a, b)
+    def log_density(self, z: np.ndarray) -> np.ndarray:
+        return np.interp(z, FRICTION_COORDINATES, self._densities, left=-np.inf, right=-np.inf)
 
 
-def held_nu(table: CalibrateTable, nu: float) -> float:
-    """Poisson's ratio where its prior is not free: the value that the prior says, else `nu`, that of [material]."""
-    fixed = table.priors.nu.fixed
-    return nu if fixed is None else float(fixed)
-
-
-def with_nu(table: CalibrateTable, nu: float) -> CalibrateTable:
-    """The table [calibrate] with Poisson's ratio held at `nu` where its prior is not free and says no other value."""
-    held = replace(table.priors.nu, fixed=held_nu(table, nu))
-    return replace(table, priors=replace(table.priors, nu=held))
+def prior_of(table: PriorTable, kind: type[Prior] = Prior) -> Prior:
+    """The prior that a table [calibrate.priors.NAME] states."""
+    return kind(table.kind, KINDS[table.kind]({key: float(value) for key, value in table.numbers.items()}))
 
 
 @dataclass(frozen=True)
@@ -134,22 +117,23 @@ class Model:
     """
 
     law: str
-    free: dict
-    fixed: dict
-    indenters: tuple = ()
+    free: dict[str, Prior]
+    fixed: dict[str, float]
+    indenters: tuple[str, ...] = ()
 
     @property
-    def name(self) -> str:
-        """The law and what the rig is free in; a soft bench goes by the first of its compliances that is free."""
-        soft = [part for part in SOFT_BENCH if part in self.free][:1]
-        rig = ["offset", *soft] if "offset" in self.free else soft
-        return self.law + "".join(f"+{part}" for part in rig)
-
-    @property
-    def names(self) -> tuple:
+    def names(self) -> tuple[str, ...]:
         return tuple(self.free)
 
-    def values(self, coordinates) -> dict:
+    def log_prior(self, coordinates: np.ndarray) -> np.ndarray:
+        """Sum of the priors' log densities, (w,)."""
+        return sum(prior.log_density(coordinates[:, i]) for i, prior in enumerate(self.free.values()))
+
+    def draw(self, rng: np.random.Generator, size: int) -> np.ndarray:
+        """Coordinates (size, free) drawn from the priors."""
+        return np.stack([prior.draw(rng, size) for prior in self.free.values()], axis=1)
+
+    def values(self, coordinates) -> dict[str, np.ndarray]:
         """Every parameter as an array (w,) from coordinates (w, free), and `indenter`, (w, indenters)."""
         coordinates = np.atleast_2d(coordinates)
         values = {name: np.full(len(coordinates), value) for name, value in self.fixed.items()}
@@ -159,36 +143,28 @@ class Model:
         scales = [values.get(f"scale of {name}", none) for name in self.indenters] or [none]
         return {**values, "indenter": np.stack(scales, axis=1)}
 
-    def log_prior(self, coordinates) -> np.ndarray:
-        """Sum of the log densities, (w,)."""
-        return sum(prior.log_density(coordinates[:, i]) for i, prior in enumerate(self.free.values()))
 
-    def draw(self, rng: np.random.Generator, size: int) -> np.ndarray:
-        """Coordinates drawn from the priors, (size, free)."""
-        return np.stack([prior.draw(rng, size) for prior in self.free.values()], axis=1)
-
-
-def make_model(params: CalibrateTable, law: str, without=(), indenters=()) -> Model:
-    """Model of `law` from the table [calibrate]; free ones that `without` names are held at no effect.
+def make_model(params: CalibrateTable, law: str, indenters=(), sideways: bool = True) -> Model:
+    """Model of `law` from the table [calibrate].
 
     A parameter is free unless its prior says `free = false`; then it stays at `fixed`. Several
-    indenters get a scale each, with the prior `indenter`.
+    indenters get a scale each, with the prior `indenter`. sideways: whether readings of sideways forces serve; without
+    any, the parameters that only they determine have no effect.
     """
     free, fixed = {}, {}
     for name in NAMES:
-        table = getattr(params.priors, name)
-        if name == "mu" and (implied := FRICTION[law]) is not None:
+        table = params.priors.tare if name in TARE else getattr(params.priors, name)
+        implied = FRICTION[law] if name == "mu" else None
+        if implied is not None:
             fixed[name] = implied
-        elif name in without and table.free is not False:
+        elif not sideways and name in SIDEWAYS:
             fixed[name] = 0.0
-        elif table.free is not False:
-            free[name] = prior_of(name, table)
-        elif table.fixed is not None:
+        elif table.free is False:
             fixed[name] = float(table.fixed)
         else:
-            raise BadInput(f"[calibrate.priors.{name}]: free = false needs `fixed`, the value it is held at")
+            free[name] = prior_of(table, FrictionPrior if name == "mu" else Prior)
     if len(indenters) > 1 and params.priors.indenter.free is not False:
-        prior = prior_of("indenter", params.priors.indenter)
+        prior = prior_of(params.priors.indenter)
         free.update({f"scale of {name}": prior for name in indenters})
     return Model(law, free, fixed, tuple(indenters))
 
@@ -196,10 +172,3 @@ def make_model(params: CalibrateTable, law: str, without=(), indenters=()) -> Mo
 def label_of(name: str) -> str:
     """Name of a parameter for people, with its unit."""
     return LABELS.get(name, name.replace("scale of ", "ln of scale, "))
-
-
-def compared_models(params: CalibrateTable, indenters=(), held=()) -> list[Model]:
-    """Every law with and without touch offset and a soft bench; parameters named in `held` are at no effect in all."""
-    rigs: list[tuple] = [(), SOFT_BENCH, ("offset",), ("offset", *SOFT_BENCH)]
-    models = [make_model(params, law, (*without, *held), indenters) for law in LAWS for without in rigs]
-    return list({model.name: model for model in models}.values())

@@ -157,6 +157,13 @@ def check_sign(readings: Readings) -> None:
     large = np.abs(fz) > 0.1 * np.abs(fz).max()
     pulling = np.flatnonzero(large & (fz > 0))
     if len(pulling) > 0.5 * large.sum():
+        # a constant force leaves the order: the deeper a press, the less a pull is logged
+        if (readings.depth - readings.depth.mean()) @ fz < 0.0:
+            raise BadInput(
+                f"{readings.source}: fz_n is positive in {len(pulling)} of {large.sum()} readings of size, but falls with depth, for"
+                f" example {readings.name(pulling[:1])} with {fz[pulling[0]]:g} N; the force sensor reads a constant force along z"
+                " without contact: tare it and log again, or subtract that force from the force columns"
+            )
         raise BadInput(
             f"{readings.source}: fz_n is positive in {len(pulling)} of {large.sum()} readings of size, for example "
             f"{readings.name(pulling[:1])} with {fz[pulling[0]]:g} N; a press pushes the gel along -z, so fz_n "

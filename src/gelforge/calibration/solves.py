@@ -2,18 +2,17 @@
 
 One solve follows the whole path in load steps, and each converged step is a point of the curve of
 force against depth. So a press straight down needs one solve per friction coefficient; a press with
-shear needs one per depth at which its shear is needed. Without friction it does not matter by which way a
-pose was reached: there a press with shear is one straight down to where it ends.
+shear needs one per depth at which its shear is needed. Without friction a press with shear is one straight down to
+where it ends.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.calibration import emulator as em
-from gelforge.calibration.friction import friction_axis
 from gelforge.calibration.readings import Readings
 from gelforge.errors import BadInput, SolveFailed, nearest
 from gelforge.flow.files import read_json, write_json
@@ -32,9 +31,7 @@ from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.records.press import Press
 from gelforge.records.status import Status
 
-# Shares of a straight press at which fine hexahedra measure the excess of coarse ones. Shallower, few contact points carry the force
-# and the ratio is noise.
-REFINED = (1.0, 0.5)
+LIMITS = (0.0, np.inf)  # friction coefficients of the fine solves: frictionless, no slip
 
 
 @dataclass(frozen=True)
@@ -53,28 +50,33 @@ class SolvePlan:
     """What the emulator of n presses needs.
 
     top: (n,) deepest depth, mm. leader: (n,) the press whose curve gives each one's, itself where it shares none.
-    fractions: (k,) of the deepest depth, falling from 1, at which presses with shear are solved.
+    fractions: (k,) of the deepest depth, falling from 1, at which presses with shear are solved. nu: Poisson's ratio.
     """
 
     readings: Readings
     top: np.ndarray
     leader: np.ndarray
     fractions: tuple
+    nu: float
 
-    def jobs(self, i: int, mu: float, nu: float) -> list[SolveJob]:
+    def job(self, i: int, press: Press, mu: float) -> SolveJob:
+        """The solve of a path of press i."""
+        # without friction it does not matter by which way a pose was reached
+        path = press if mu > 0.0 else press.straight_there
+        return SolveJob(path, str(self.readings.indenters[i]), mu, self.nu, str(self.readings.gels[i]))
+
+    def jobs(self, i: int, mu: float) -> list[SolveJob]:
         """The solves that predict press i at one friction coefficient, deepest first."""
         r, lead = self.readings, self.leader[i]
-        body, gel = str(r.indenters[i]), str(r.gels[i])
-        if not r.sheared[i]:
-            presses = [r.press(lead, float(self.top[lead]))]
-        elif mu == 0.0:
-            presses = [r.press(i, float(self.top[i])).straight_there]
-        else:
-            presses = [r.press(i, float(self.top[i] * f)) for f in self.fractions]
-        return [SolveJob(press, body, mu, nu, gel) for press in presses]
+        fractions = self.fractions if r.sheared[i] and mu > 0.0 else (1.0,)
+        return [self.job(i, r.press(lead, float(self.top[lead] * f)), mu) for f in fractions]
+
+    def fine_jobs(self, i: int) -> list[SolveJob]:
+        """The solves of press i as commanded at the LIMITS of friction."""
+        return [self.job(i, self.readings.press(i, float(self.readings.depth[i])), mu) for mu in LIMITS]
 
 
-def make_plan(readings, reach: float, fractions) -> SolvePlan:
+def make_plan(readings: Readings, reach: float, fractions, nu: float) -> SolvePlan:
     """Plan for readings; straight presses of one indenter at one place share one curve to the deepest.
 
     reach: how far beyond the commanded depth the emulator goes, mm. fractions: of that depth, at which
@@ -92,7 +94,7 @@ def make_plan(readings, reach: float, fractions) -> SolvePlan:
             place = *np.round(readings.pose[i, [0, 1, 6]], 2), round(readings.pose[i, 2], 4)
             key = (readings.indenters[i], readings.gels[i], *place)
             leader[i] = groups.setdefault(key, int(i))
-    return SolvePlan(readings, top[leader], leader, fractions)
+    return SolvePlan(readings, top[leader], leader, fractions, nu)
 
 
 def scene_of(job: SolveJob, indenter) -> Scene:
@@ -140,6 +142,12 @@ def usable(result, scene: Scene) -> bool:
     return result.status.valid or (result.status in (Status.DIVERGED, Status.UNSETTLED) and ended)
 
 
+@cache
+def solver(settings: HexSettings) -> HexSolver:
+    """The solver of this process, whose meshes serve all friction coefficients of a press."""
+    return HexSolver(settings)
+
+
 def solve_job(job: SolveJob, indenter, settings: HexSettings) -> dict:
     """Solve one job, with finer load steps where the first try fails; raise SolveFailed where both do.
 
@@ -147,7 +155,7 @@ def solve_job(job: SolveJob, indenter, settings: HexSettings) -> dict:
     its last load step, which is in equilibrium to the tolerance of the path: 1e-4 of the force.
     """
     scene = scene_of(job, indenter)
-    result = HexSolver(settings).solve(scene)
+    result = solver(settings).solve(scene)
     if not usable(result, scene):
         finer = replace(settings, press_steps=2 * settings.press_steps, shear_steps=2 * settings.shear_steps)
         result = HexSolver(finer).solve(scene)
@@ -237,98 +245,50 @@ class SolveCache:
         return {"total": len(laws), **counts, "new": new, "in_vain": len(self._made) - new}
 
 
-def solve_all(plan: SolvePlan, cache: SolveCache, mus, nus, workers: int = 1) -> dict[int, str]:
+def solve_all(plan: SolvePlan, cache: SolveCache, mus, workers: int = 1) -> dict[int, str]:
     """Solve what the planned presses need; return {press: reason} of those that could not be solved."""
-    needs = {i: [j for mu in mus for nu in nus for j in plan.jobs(i, mu, nu)] for i in range(len(plan.top))}
+    needs = {i: [j for mu in mus for j in plan.jobs(i, mu)] for i in range(len(plan.top))}
     cache.fill([job for jobs in needs.values() for job in jobs], workers)
     reasons = {i: [cache.failed[p] for p in map(cache.path, jobs) if p in cache.failed] for i, jobs in needs.items()}
     return {i: found[0] for i, found in reasons.items() if found}
 
 
-def build_emulator(plan: SolvePlan, cache: SolveCache, mus, nus) -> em.Emulator:
-    """Emulator of the planned presses at friction nodes `mus` and Poisson's ratios `nus`, all of them solved."""
-    count = len(plan.top)
-    table = np.empty((count, len(nus), em.FRICTIONS, em.DEPTHS, 3))
-    for i in range(count):
-        for k, nu in enumerate(nus):
-            table[i, k] = em.friction_table(mus, [press_table(plan, cache, i, mu, nu) for mu in mus])
+def build_emulator(plan: SolvePlan, cache: SolveCache, mus) -> em.Emulator:
+    """Emulator of the planned presses at friction nodes `mus`, all of them solved."""
+    tables = [[press_table(plan, cache, i, mu) for mu in mus] for i in range(len(plan.top))]
+    table = np.array([em.friction_table(mus, of_press) for of_press in tables])
     refuse_no_contact(plan.readings, table)
     group = np.unique(plan.readings.indenters, return_inverse=True)[1]
-    return em.Emulator(table, plan.top, np.asarray(nus, float), group, plan.readings.travel)
+    return em.Emulator(table, plan.top, group, plan.readings.travel)
 
 
-def refine(
-    emulator: em.Emulator,
-    plan: SolvePlan,
-    coarse: SolveCache,
-    fine: SolveCache,
-    mus: Sequence[float],
-    nu: float,
-    workers=1,
-):
-    """Emulator whose forces are those of a finer mesh, for two or three fine solves of each path that was solved.
+def refine(emulator: em.Emulator, plan: SolvePlan, fine: SolveCache, workers: int = 1) -> em.Emulator:
+    """Emulator whose forces are those of finer hexahedra, by two fine solves of each press as it was commanded.
 
-    What a mesh adds to a force belongs to the shape and place of the footprint: the ratio of fine to coarse force at one
-    friction coefficient, along the depth of a path, is applied to all predictions of its presses. Normal and sideways
-    force have ratios of their own: under an edge, wide hexahedra add 8 to 12 % to the one and 2 to 4 % to the other. Where
-    hardly anything slips any more, they add up to 3 % more than where it still does: the ratio of the deepest press at
-    the last of `mus` gives that, and in between it changes evenly along the friction axis.
-    mus: one friction coefficient, or two, rising.
+    What hexahedra add to a force depends on the shape and place of the contact, and on how much sticks: they add most
+    without slip. So the ratio of fine to coarse force is found at both limits of friction and changes evenly along the
+    friction axis in between. At the limits only the end of the path is solved on the fine hexahedra, which takes a
+    quarter of the time that Coulomb's law does. Normal and sideways force have ratios of their own. That of sideways force
+    is 1 where all slips: with mu = 0.5 fine and coarse forces of 14 presses differed by 0 % on average, without slip by 6 %.
     """
-    jobs = [refining_jobs(plan, i, mus[0], nu) for i in range(len(plan.top))]
-    ends = [refining_jobs(plan, i, mus[-1], nu)[:1] for i in range(len(plan.top))]
-    fine.fill([job for group in (*jobs, *ends) for job in group], workers)
+    jobs = [plan.fine_jobs(i) for i in range(len(plan.top))]
+    fine.fill([job for group in jobs for job in group], workers)
     if fine.failed:
         raise SolveFailed(
             f'a refining solve failed ({next(iter(fine.failed.values()))}); set [calibrate] refine = "none"'
         )
-    fraction = np.interp(np.linspace(0.0, 1.0, em.FRICTIONS), friction_axis(np.array([mus[0], mus[-1]])), [0.0, 1.0])
+    axis = np.linspace(0.0, 1.0, em.FRICTIONS)[:, None, None]
     table = emulator.table.copy()
-    for i, (group, end) in enumerate(zip(jobs, ends, strict=True)):
-        depth, ratio = path_ratios(plan, coarse, fine, i, group)
-        change = path_ratios(plan, coarse, fine, i, end)[1][-1] / ratio[-1]
-        down = np.linspace(0.0, plan.top[i], em.DEPTHS)
-        along = np.stack([np.interp(down, depth, one) for one in ratio.T], axis=1)
-        table[i] *= along * change ** fraction[:, None, None]
+    for i, group in enumerate(jobs):
+        grid = np.linspace(0.0, plan.top[i], em.DEPTHS)
+        depth = plan.readings.depth[i]
+        coarse = np.array([[np.interp(depth, grid, force) for force in table[i, end].T] for end in (0, -1)])
+        ends = np.array([fine.get(job)["end"] for job in group])
+        touching = (coarse[:, 2] < 0) & (ends[:, 2] < 0)
+        slips, sticks = np.where(touching[:, None], mesh_ratios(ends, coarse), 1.0)
+        slips[:2] = 1.0
+        table[i] *= slips + (sticks - slips) * axis
     return replace(emulator, table=table)
-
-
-def path_ratios(
-    plan: SolvePlan, coarse: SolveCache, fine: SolveCache, i: int, group: list[SolveJob]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Depths (k,) mm, rising, of some fine solves of the path of press i, and fine over coarse forces (k, 3) there.
-
-    Only where both touch; 1 at depth 0 where none do.
-    """
-    depth = np.array([-job.press.dz for job in group])
-    ends, wide = np.array([fine.get(job)["end"] for job in group]), coarse_ends(plan, coarse, i, group)
-    both = np.flatnonzero((wide[:, 2] < 0) & (ends[:, 2] < 0))
-    if not len(both):
-        return np.zeros(1), np.ones((1, 3))
-    order = both[np.argsort(depth[both])]
-    return depth[order], mesh_ratios(ends[order], wide[order])
-
-
-def refining_jobs(plan: SolvePlan, i: int, mu: float, nu: float) -> list[SolveJob]:
-    """What fine hexahedra solve of the path of press i: a sheared one at its depths, a straight one at REFINED of its depth.
-
-    Each depth is a solve of its own, because fine hexahedra may be walked to on coarser ones, whose path is not theirs.
-    """
-    jobs = plan.jobs(i, mu, nu)
-    if plan.readings.sheared[i]:
-        return jobs
-    press = jobs[0].press
-    return [replace(jobs[0], press=replace(press, dz=round(fraction * press.dz, 4))) for fraction in REFINED]
-
-
-def coarse_ends(plan: SolvePlan, cache: SolveCache, i: int, group: list[SolveJob]) -> np.ndarray:
-    """Forces (k, 3) N of the solves behind the emulator where some of `refining_jobs` of press i end."""
-    if plan.readings.sheared[i]:
-        return np.array([cache.get(job)["end"] for job in group])
-    whole = plan.jobs(i, group[0].mu, group[0].nu)[0]
-    grid, curve = np.linspace(0.0, plan.top[i], em.DEPTHS), press_curve(cache.get(whole), plan.top[i])
-    depth = np.array([-job.press.dz for job in group])
-    return np.stack([np.interp(depth, grid, force) for force in curve.T], axis=1)
 
 
 def press_curve(solve: dict, top: float) -> np.ndarray:
@@ -338,9 +298,9 @@ def press_curve(solve: dict, top: float) -> np.ndarray:
     return em.curve_table(em.Curve(np.array(solve["depth"]), np.array(solve["force"])), float(top))
 
 
-def press_table(plan: SolvePlan, cache: SolveCache, i: int, mu: float, nu: float) -> np.ndarray:
+def press_table(plan: SolvePlan, cache: SolveCache, i: int, mu: float) -> np.ndarray:
     """Force (DEPTHS, 3) of press i, after its shear, at one friction coefficient."""
-    jobs = plan.jobs(i, mu, nu)
+    jobs = plan.jobs(i, mu)
     solves = [cache.get(job) for job in jobs]
     press = press_curve(solves[0], plan.top[i])
     if mu == 0.0 or not plan.readings.sheared[i] or not press.any():
@@ -353,7 +313,7 @@ def press_table(plan: SolvePlan, cache: SolveCache, i: int, mu: float, nu: float
 
 def refuse_no_contact(readings, table) -> None:
     """Refuse presses whose path, by geometry, never meets the gel although a force was logged."""
-    silent = np.flatnonzero(np.abs(table[..., 2]).max(axis=(1, 2, 3)) == 0.0)
+    silent = np.flatnonzero(np.abs(table[..., 2]).max(axis=(1, 2)) == 0.0)
     if len(silent):
         raise BadInput(
             f"{readings.source}: {readings.name(silent)}: depth without contact: by its position and depth the "

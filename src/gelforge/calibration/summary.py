@@ -1,24 +1,15 @@
 """What a posterior says, in numbers and in sentences a person can act on."""
 
-from dataclasses import asdict
-
 import numpy as np
 
-from gelforge.calibration import scores
-from gelforge.calibration.parameters import NAMES, SOFT_BENCH, label_of
+from gelforge.calibration.parameters import NAMES, TARE, Model, label_of
+from gelforge.calibration.posterior import Posterior, tare_of
+from gelforge.calibration.sampling import Chain
 
 QUANTILES = {"interval68": (0.16, 0.84), "interval95": (0.025, 0.975)}
 DRAWS = 4000  # draws for predictions and scores; Monte Carlo error far below the posterior's width
-SEVERAL = 3.0  # times the usual stiffness: no gel of the kind is so soft or so hard
-UNITS = {
-    "kilogram-force": 9.80665,
-    "pound-force": 4.44822,
-    "gram-force": 9.80665e-3,
-    "millinewtons": 1e-3,
-    "kilonewtons": 1e3,
-}
-ALIKE = 1.5  # the factor within which a unit explains a stiffness
 NEAR = 4.0  # differences of elpd below this are small (Sivula et al. 2020, arXiv:2008.10296, section 5)
+RELIABLE = 0.7  # Pareto shape up to which leave-one-out by importance sampling can be trusted (Vehtari et al. 2024)
 
 
 def describe(draws) -> dict:
@@ -27,20 +18,19 @@ def describe(draws) -> dict:
     return {"median": float(np.median(draws)), **numbers}
 
 
-def parameter_table(chain, model) -> dict:
+def parameter_table(chain: Chain, model: Model) -> dict[str, dict]:
     """Posterior of every parameter with its prior's 95 % interval and how far the data narrowed it."""
-    values = model.values(chain.flat())
-    coordinates = chain.flat()
+    draws = model.values(chain.flat())
+    prior_draws = model.values(model.draw(np.random.default_rng(0), len(next(iter(draws.values())))))
     table = {}
-    for column, (name, prior) in enumerate(model.free.items()):
-        low, high = prior.quantile(np.array([0.16, 0.84]))
-        width = np.diff(np.quantile(coordinates[:, column], [0.16, 0.84]))[0] / (high - low)
+    for name, prior in model.free.items():
+        width, before = (np.diff(np.quantile(of[name], QUANTILES["interval68"]))[0] for of in (draws, prior_draws))
         table[name] = {
-            **describe(values[name]),
+            **describe(draws[name]),
             "label": label_of(name),
             "prior_kind": prior.kind,
-            "prior_interval95": [float(v) for v in prior.value(prior.quantile(np.array([0.025, 0.975])))],
-            "width_over_prior": float(width),
+            "prior_interval95": [float(v) for v in prior.law.ppf(QUANTILES["interval95"])],
+            "width_over_prior": float(width / before),
         }
     return table
 
@@ -49,7 +39,7 @@ def bench(parameters: dict, fixed: dict) -> dict[str, float]:
     """What the bench does to a path: medians of its parameters, or what they were held at; mm and mm/N."""
     return {
         name: float(parameters[name]["median"] if name in parameters else fixed[name])
-        for name in ("offset", *SOFT_BENCH)
+        for name in ("offset", "compliance", "shear_compliance")
     }
 
 
@@ -81,9 +71,10 @@ def own_forces(chain, posterior) -> np.ndarray:
     forces, slopes, _ = posterior.emulator.forces(posterior.depth, values)
     scatter, noise = values["scatter"][:, None], values["noise"][:, None]
     slope = slopes[:, :, 2]
-    residual = posterior.observed[:, 2] - forces[:, :, 2]
+    tare = tare_of(values)[:, None]
+    residual = posterior.observed[:, 2] - (forces + tare)[:, :, 2]
     error = scatter**2 * slope * residual / (noise**2 + (scatter * slope) ** 2)
-    return (forces + slopes * error[:, :, None]).mean(axis=0)
+    return (forces + tare + slopes * error[:, :, None]).mean(axis=0)
 
 
 def predictive_error(mean, observed) -> dict:
@@ -112,81 +103,79 @@ def find_outliers(readings, mean, scale, observed, threshold: float) -> list[dic
     return sorted(rows, key=lambda r: -abs(r["scales_away"]))
 
 
-def score_models(results) -> list[dict]:
-    """Table of models, best first. results: list of (posterior, chain, score)."""
-    entries = sorted(results, key=lambda entry: -entry[2].elpd)
-    best = entries[0][2]
+def score(posterior: Posterior, chain: Chain) -> tuple[np.ndarray, float]:
+    """Expected log predictive density (r,) of each reading when it is left out, and the largest Pareto shape.
+
+    By Pareto-smoothed importance sampling (Vehtari, Gelman, Gabry 2017, Statistics and Computing 27:1413).
+    """
+    from arviz_stats.base import array_stats
+
+    terms = posterior.pointwise(chain.flat(DRAWS))
+    elpd, shape, _ = array_stats.loo(terms.T[:, None, :])
+    return np.asarray(elpd), float(np.max(shape))
+
+
+def compare(results: list[tuple[Posterior, Chain]]) -> list[dict]:
+    """Table of the interface laws, the best predicting first."""
+    scores = [score(*result) for result in results]
+    order = sorted(range(len(results)), key=lambda k: -scores[k][0].sum())
+    best = scores[order[0]][0]
     table = []
-    for posterior, chain, score in entries:
+    for k in order:
+        (posterior, chain), (elpd, shape) = results[k], scores[k]
+        gap = best - elpd
+        behind, error = float(gap.sum()), float(np.sqrt(len(gap)) * gap.std(ddof=1))
         mean, _ = predictions(chain, posterior)
-        gap, error = scores.difference(best, score)
         table.append(
             {
-                "model": posterior.model.name,
-                "elpd": score.elpd,
-                "behind": -gap,
+                "law": posterior.model.law,
+                "elpd": float(elpd.sum()),
+                "behind": behind,
                 "behind_standard_error": error,
-                "indistinguishable": bool(-gap <= max(NEAR, 2.0 * error)),
+                "pareto_shape": shape,
+                "indistinguishable": bool(behind <= max(NEAR, 2.0 * error)),
                 "c10": describe(posterior.model.values(chain.flat())["c10"]),
                 "predictive_mae_n": predictive_error(mean, posterior.observed),
                 "own_touch_mae_n": predictive_error(own_forces(chain, posterior), posterior.observed),
-                "diagnostics": asdict(chain.figures),
             }
         )
     return table
 
 
-def sentences(parameters: dict, correlation: dict, models: list[dict], model_name: str) -> list[str]:
+def sentences(parameters: dict, correlation: dict, laws: list[dict], law: str) -> list[str]:
     """What the data say and what they cannot separate, in plain words."""
     c10 = parameters["c10"]
     low, high = c10["interval95"]
-    said = [
-        f"C10 is {c10['median']:.4f} MPa under {model_name}, between {low:.4f} and {high:.4f} with 95 % probability."
-    ]
-    return said + model_sentences(models) + _trades(correlation) + _unseen(parameters)
+    said = [f"C10 is {c10['median']:.4f} MPa under {law}, between {low:.4f} and {high:.4f} with 95 % probability."]
+    return said + law_sentences(laws) + _trades(correlation) + _unseen(parameters)
 
 
-def units_sentence(c10: float, usual: float) -> list[str]:
-    """What a median of C10, MPa, far from the usual one says of the log: forces are proportional to it."""
-    ratio = c10 / usual
-    if 1.0 / SEVERAL < ratio < SEVERAL:
+def law_sentences(laws: list[dict]) -> list[str]:
+    """Which interface laws predict equally well, what that leaves open, and which are ruled out."""
+    if len(laws) < 2:
         return []
-    far = f"{ratio:.3g} times" if ratio > 1.0 else f"1/{1.0 / ratio:.3g} of"
-    like = [name for name, factor in UNITS.items() if abs(np.log(ratio * factor)) < np.log(ALIKE)]
-    said = f", as where they are logged in {like[0]}" if like else ""
-    return [
-        f"C10 is {far} the usual {usual:g} MPa: most likely forces are not in newtons{said}, or lengths not in mm; check the"
-        " units of fz_n and dz_mm in the log before you use it."
-    ]
-
-
-def model_sentences(models: list[dict]) -> list[str]:
-    """Which models predict equally well, what that leaves open, and which are ruled out."""
-    alike = [m for m in models if m["indistinguishable"]]
-    unlikely = [m["model"] for m in models if not m["indistinguishable"]]
+    alike = [m for m in laws if m["indistinguishable"]]
+    unlikely = [m["law"] for m in laws if not m["indistinguishable"]]
     said = []
     if len(alike) > 1:
         medians = [m["c10"]["median"] for m in alike]
         said.append(
-            f"The data cannot separate {len(alike)} of {len(models)} models "
-            f"({', '.join(m['model'] for m in alike)}): their predictive scores differ by less than the comparison "
-            f"can resolve, yet their medians of C10 run from "
-            f"{min(medians):.4f} to {max(medians):.4f} MPa."
+            f"The data cannot separate {', '.join(m['law'] for m in alike)}: they predict readings that were left out equally"
+            f" well, yet their medians of C10 run from {min(medians):.4f} to {max(medians):.4f} MPa."
         )
     if unlikely:
         said.append(f"The data speak against {', '.join(unlikely)}.")
+    if max(m["pareto_shape"] for m in laws) > RELIABLE:
+        said.append("The comparison of the laws turns on single readings and is rough.")
     return said
 
 
-def predictive_sentence(repeated: dict, own: dict, least: float | None) -> str:
-    """How far the normal force is off, in both senses of a predictive mean, and how near any parameters come."""
-    text = (
+def predictive_sentence(repeated: dict, own: dict) -> str:
+    """How far the normal force is off, in both senses of a predictive mean."""
+    return (
         f"The predictive mean of the normal force has an error of {repeated['fz']:.3f} N on average for a press repeated, "
-        f"by {own['fz']:.3f} N at these very presses, each with its own error of touch"
+        f"by {own['fz']:.3f} N at these very presses, each with its own error of touch."
     )
-    if least is not None:
-        text += f"; without such errors no parameters of this model, priors aside, come nearer than {least:.3f} N"
-    return text + "."
 
 
 def _trades(correlation: dict) -> list[str]:
@@ -203,10 +192,9 @@ def _trades(correlation: dict) -> list[str]:
 
 
 def _unseen(parameters: dict) -> list[str]:
-    # The emulator's scale is there to widen C10 and is never seen by data.
-    blind = [
-        n for n in NAMES if n in parameters and n != "discretisation" and parameters[n]["width_over_prior"] > 0.8
-    ]
+    # Data never see the emulator's scale, which is there to widen C10; and a tare that stays as its prior is good news.
+    expected = ("discretisation", *TARE)
+    blind = [n for n in NAMES if n in parameters and n not in expected and parameters[n]["width_over_prior"] > 0.8]
     if not blind:
         return []
     names = ", ".join(label_of(n).split(" (")[0] for n in blind)

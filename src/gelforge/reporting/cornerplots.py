@@ -51,36 +51,18 @@ def corner_plot(path, chain, model) -> None:
         Path(part).write_bytes(to_png(figure))
 
 
-def trace_plot(path, coordinates, burn: int, model) -> None:
-    """Every walker's path (steps, walkers, k), thinned, the burn-in shaded."""
-    figure = canvas(9, 1.5 * len(model.names))
+def trace_plot(path, chain, model) -> None:
+    """Every walker's path, thinned, the burn-in shaded."""
+    coordinates, figure = chain.coordinates, canvas(9, 1.5 * len(model.names))
     axes = np.atleast_1d(figure.subplots(len(model.names), 1, sharex=True))
     thin = max(1, len(coordinates) // 1500)
     steps = np.arange(0, len(coordinates), thin)
     for column, (axis, name) in enumerate(zip(axes, model.names, strict=True)):
         axis.plot(steps, model.free[name].value(coordinates[::thin, :, column]), lw=0.3, alpha=0.4, color=BAND)
-        axis.axvspan(0, burn, color="0.9", zorder=0)
+        axis.axvspan(0, chain.figures.burn, color="0.9", zorder=0)
         axis.set_ylabel(label_of(name).replace(" (", "\n("), fontsize=8)
         axis.margins(x=0)
     axes[-1].set_xlabel("step (grey: burn-in, not used)")
-    _save(figure, path)
-
-
-def autocorrelation_plot(path, chain, model) -> None:
-    """Autocorrelation of every parameter, averaged over walkers, against lag."""
-    from emcee.autocorr import function_1d
-
-    figure = canvas(7, 4)
-    axis = figure.subplots()
-    lags = min(len(chain.coordinates) // 2, int(8 * chain.figures.tau))
-    for column, name in enumerate(model.names):
-        walkers = chain.coordinates[:, :, column].T
-        mean = np.mean([function_1d(w)[:lags] for w in walkers], axis=0)
-        axis.plot(mean, f"C{column % 10}" + ("" if column < 10 else "--"), label=label_of(name), lw=1.2)
-    axis.axvline(chain.figures.tau, color="0.6", ls=":", label=f"longest time, {chain.figures.tau:.0f} steps")
-    axis.axhline(0.0, color="0.7", lw=0.6)
-    axis.set(xlabel="lag (steps)", ylabel="autocorrelation")
-    axis.legend(fontsize=8)
     _save(figure, path)
 
 

@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 
-from gelforge.calibration import scores, summary
-from gelforge.calibration.floor import least_error
-from gelforge.calibration.parameters import Model, compared_models, held_nu, make_model, prior_of, with_nu
-from gelforge.calibration.posterior import LeaveOneOut, Posterior
+from gelforge.calibration import evidence, summary
+from gelforge.calibration.emulator import Emulator
+from gelforge.calibration.parameters import FRICTION, LAWS, TARE, make_model
+from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.readings import Readings, check_enough, check_readings, choose_presses, read_readings
-from gelforge.calibration.sampling import Chain, Rules, sample
+from gelforge.calibration.sampling import Chain, Figures, Rules, sample
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
 from gelforge.flow.layout import planned_shards, surfaces_beside
@@ -29,31 +29,29 @@ from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.records.log import rejected_rows
 from gelforge.reporting import cornerplots as plots
 
-VERSION = 8
+VERSION = 9
 MOST_BANDS = 6  # indenters in the plot of predictive bands, the first by name: more hide each other
-LARGEST_NU = 0.4995  # that is solved, below the 1/2 of a gel that keeps its volume
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """A finished calibration: readings used, headline posterior and chain.
-
-    compared: (posterior, chain, score) of every model.
-    """
+    """A finished calibration: readings used, and posterior and chain of the chosen interface law, then of those compared."""
 
     readings: Readings
-    posterior: Posterior
-    chain: Chain
-    compared: list
+    fitted: list[tuple[Posterior, Chain]]
+
+    @property
+    def posterior(self) -> Posterior:
+        return self.fitted[0][0]
+
+    @property
+    def chain(self) -> Chain:
+        return self.fitted[0][1]
 
 
 def sampling_rules(params: CalibrateTable) -> Rules:
     """Rules from the table [calibrate]."""
-    low, high = params.acceptance
-    return Rules(
-        params.walkers, params.seed, params.autocorrelation_times, (low, high), params.split_rhat,
-        params.max_steps,
-    )  # fmt: skip
+    return Rules(params.autocorrelation_times, params.max_steps, params.seed)
 
 
 def friction_nodes(params: CalibrateTable) -> list[float]:
@@ -61,77 +59,44 @@ def friction_nodes(params: CalibrateTable) -> list[float]:
     return [0.0, *sorted(float(mu) for mu in params.friction_nodes), np.inf]
 
 
-def poisson_nodes(params: CalibrateTable, nu: float) -> list[float]:
-    """Poisson's ratios that are solved: the one that it is held at, or three over the prior where it is free.
-
-    Fewer where the prior goes beyond what can be solved: no two are alike.
-    """
-    if params.priors.nu.free is False:
-        return [held_nu(params, nu)]
-    prior = prior_of("nu", params.priors.nu)
-    values = prior.value(prior.quantile(np.array([0.01, 0.5, 0.99])))
-    return np.unique(np.minimum(values, LARGEST_NU)).tolist()
-
-
-def served(readings: Readings, params: CalibrateTable) -> np.ndarray:
-    """Force components that serve, (n, 3) N: sideways ones of sheared presses only where asked for, else nan."""
+def served(readings: Readings) -> np.ndarray:
+    """Force components that serve, (n, 3) N: sideways ones of sheared presses only, else nan."""
     observed = readings.force.copy()
-    if not params.shear:
-        observed[:, :2] = np.nan
-    else:
-        observed[~readings.sheared, :2] = np.nan
+    observed[~readings.sheared, :2] = np.nan
     return observed
 
 
-def models_of(readings: Readings, params: CalibrateTable) -> list[Model]:
-    """The chosen model, then those that are compared with it; too few readings for the chosen one raise BadInput."""
-    observed = served(readings, params)
+def posteriors(readings: Readings, emulator: Emulator | None, params: CalibrateTable) -> list[Posterior]:
+    """Of the chosen interface law, then of those that are compared with it; too few readings raise BadInput."""
+    observed = served(readings)
     indenters = np.unique(readings.indenters).tolist()
-    # without sideways forces that serve, nothing shows how the bench yields sideways
-    held = () if np.isfinite(observed[:, :2]).any() else ("shear_compliance",)
-    chosen = make_model(params, params.law, held, indenters)
-    check_enough(int(np.isfinite(observed).sum()), chosen)
-    compared = compared_models(params, indenters, held) if params.compare else []
-    return [chosen, *(model for model in compared if model.name != chosen.name)]
+    sideways = bool(np.isfinite(observed[:, :2]).any())
+    laws = [params.law, *(law for law in LAWS if params.compare and law != params.law)]
+    models = [make_model(params, law, indenters, sideways) for law in laws]
+    check_enough(int(np.isfinite(observed).sum()), models[0])
+    return [Posterior(emulator, model, readings.depth, observed, params.tail) for model in models]
 
 
-def score_model(posterior: Posterior, chain: Chain, rules: Rules) -> scores.Score:
-    """Leave-one-out score; from a chain of its own where importance sampling would lean on few draws."""
-    score = scores.loo(posterior.pointwise(chain.flat(summary.DRAWS)))
-    if score.reliable:
-        return score
-    mixture = LeaveOneOut(posterior.emulator, posterior.model, posterior.depth, posterior.observed, posterior.tail)
-    return scores.loo_from_mixture(posterior.pointwise(sample(mixture, rules).flat(4 * summary.DRAWS)))
+def fit(posterior: Posterior, rules: Rules) -> Chain:
+    """The chain of one interface law; its progress goes to the log."""
+
+    def say(figures: Figures) -> None:
+        print(
+            f"{posterior.model.law}: {figures.steps} steps, {figures.taus:.0f} autocorrelation times kept, acceptance "
+            f"{figures.acceptance:.2f}, R-hat {figures.rhat:.4f}",
+            file=sys.stderr, flush=True,
+        )  # fmt: skip
+
+    return sample(posterior, rules, say)
 
 
-def compare_one(posterior: Posterior, chain: Chain | None, rules: Rules) -> tuple[Posterior, Chain, scores.Score]:
-    """Sample (where that is not done yet) and score one model."""
-    chain = chain or sample(posterior, rules)
-    return posterior, chain, score_model(posterior, chain, rules)
-
-
-def compare(tasks: list, jobs: int) -> list:
-    """Run compare_one over tasks on `jobs` processes."""
-    return list(progress(in_slots(compare_one, tasks, jobs), "models compared", len(tasks)))
-
-
-def calibrate(
-    readings: Readings, emulator, params: CalibrateTable, nu: float, chain_path=None, say=None, jobs=1
-) -> Calibration:
-    """Sample the chosen model, then all compared ones on the same readings."""
-    params = with_nu(params, nu)
-    rules, observed = sampling_rules(params), served(readings, params)
-
-    def posterior_of(model: Model) -> Posterior:
-        return Posterior(emulator, model, readings.depth, observed, params.tail)
-
-    first, *others = models_of(readings, params)
-    headline = posterior_of(first)
-    chain = sample(headline, rules, chain_path, say)
-    refuse_beyond(headline, chain)
-    tasks: list[tuple[Posterior, Chain | None, Rules]] = [(headline, chain, rules)]
-    tasks += [(posterior_of(model), None, rules) for model in others]
-    return Calibration(readings, headline, chain, compare(tasks, jobs))
+def calibrate(readings: Readings, emulator: Emulator, params: CalibrateTable, jobs: int = 1) -> Calibration:
+    """Sample the chosen interface law and those that are compared with it, on `jobs` processes."""
+    rules, of = sampling_rules(params), posteriors(readings, emulator, params)
+    found = in_slots(fit, [(posterior, rules) for posterior in of], jobs)
+    done = Calibration(readings, list(zip(of, progress(found, "interface laws", len(of)), strict=True)))
+    refuse_beyond(done.posterior, done.chain)
+    return done
 
 
 def refuse_beyond(posterior: Posterior, chain: Chain) -> None:
@@ -146,44 +111,81 @@ def refuse_beyond(posterior: Posterior, chain: Chain) -> None:
         )
 
 
-def summarise(done: Calibration, params: CalibrateTable, usual: float = REFERENCE_C10) -> dict:
-    """Everything that summary.json holds but the solves and the plots. usual: C10 of such gels, MPa."""
+def summarise(done: Calibration, params: CalibrateTable, seen: list[str]) -> dict:
+    """Everything that summary.json holds but the solves and the plots. seen: what the readings say of sensor and log."""
     posterior, chain = done.posterior, done.chain
     parameters = summary.parameter_table(chain, posterior.model)
     correlation = summary.correlations(chain, posterior.model)
     mean, scale = summary.predictions(chain, posterior)
-    models = summary.score_models(done.compared)
+    laws = summary.compare(done.fitted)
     for name, row in parameters.items():
-        prior = getattr(params.priors, "indenter" if name.startswith("scale of ") else name)
-        row["reason"] = prior.reason or ""
+        shared = "indenter" if name.startswith("scale of ") else "tare" if name in TARE else name
+        row["reason"] = getattr(params.priors, shared).reason or ""
     repeated = summary.predictive_error(mean, posterior.observed)
     own = summary.predictive_error(summary.own_forces(chain, posterior), posterior.observed)
-    # Several indenters have scales of their own, and shear a mean over components: there it says little.
-    plain = len(posterior.model.indenters) < 2 and not done.readings.sheared.any()
-    least = least_error(posterior).error if plain else None
-    said = summary.sentences(parameters, correlation, models, posterior.model.name)
-    said.append(summary.predictive_sentence(repeated, own, least))
-    said[1:1] = summary.units_sentence(parameters["c10"]["median"], usual)
+    said = summary.sentences(parameters, correlation, laws, posterior.model.law)
     return {
         "bench": summary.bench(parameters, posterior.model.fixed),
         "used": done.readings.ids.tolist(),
         "c10": summary.describe(posterior.model.values(chain.flat())["c10"]),
         "unit": "MPa",
-        "model": posterior.model.name,
+        "model": posterior.model.law,
         "parameters": parameters,
         "correlations": correlation,
-        "diagnostics": {"model": posterior.model.name, **asdict(chain.figures)},
-        "models": models,
+        "diagnostics": {posterior.model.law: asdict(chain.figures) for posterior, chain in done.fitted},
+        "laws": laws,
         "presses": len(done.readings),
         "readings": int(np.isfinite(posterior.observed).sum()),
         "predictive_mae_n": repeated,
         "own_touch_mae_n": own,
-        "least_mae_n": least,
         "outliers": summary.find_outliers(done.readings, mean, scale, posterior.observed, params.outlier_scales),
-        "sentences": said,
-        "sentence": said[0],
-        "comparison": " ".join(said[1:]),
+        "evidence": seen,
+        "sentences": [said[0], *seen, *said[1:], summary.predictive_sentence(repeated, own)],
     }
+
+
+def usual_forces(posterior: Posterior, c10: float) -> np.ndarray:
+    """Forces (n, 3) N on a gel of that C10 where nothing but the gel yields and friction is as its prior expects."""
+    model = posterior.model
+    nothing = {name: np.zeros(1) for name in (*model.fixed, *model.free)}
+    mu = FRICTION[model.law] if model.free.get("mu") is None else model.free["mu"].law.median()
+    values = {**nothing, "c10": np.array([c10]), "mu": np.array([mu])}
+    values["indenter"] = np.zeros((1, max(1, len(model.indenters))))
+    return posterior.emulator.forces(posterior.depth, values)[0][0]
+
+
+def evidence_of(done: Calibration, logged: Readings, params: CalibrateTable, usual: float) -> list[str]:
+    """What the readings say of the force sensor and the log: a cause, and not what follows from it.
+
+    logged: all readings of the log. usual: C10 of such gels, MPa.
+    """
+    readings, posterior, chain = done.readings, done.posterior, done.chain
+    expected = -usual_forces(posterior, usual)[:, 2]
+    felt = expected > evidence.LEAST_N
+    measured, rows = -readings.force[:, 2], np.flatnonzero(np.isin(logged.ids, readings.ids))
+    causes = (
+        evidence.unit(measured[felt], expected[felt]),
+        evidence.shifted(-logged.force[:, 2], expected[felt], rows[felt]),
+        evidence.sideways(logged.pose[:, 3:5], logged.force, logged.depth, logged.pose[:, 6]),
+    )
+    cause = next(filter(None, causes), None)
+    if cause:
+        return [cause]
+    parameters = summary.parameter_table(chain, posterior.model)
+    mean, _ = summary.predictions(chain, posterior)
+    drifts = evidence.drift(posterior.observed - mean, rows)
+    if drifts:
+        return [drifts]
+    # of presses without shear the sideways forces do not serve, but they show a constant one
+    straight = ~readings.sheared
+    tares = evidence.mean_forces((readings.force - mean)[straight, :2])
+    for name in [name for name in TARE if name in parameters]:
+        low, high = parameters[name]["interval68"]
+        tares[name[-1]] = parameters[name]["median"], (high - low) / 2
+    said = evidence.constant(tares)
+    if not said and "noise" in parameters:
+        said = evidence.noise(parameters["noise"]["median"], parameters["noise"]["prior_interval95"][1])
+    return [said] if said else []
 
 
 def draw_bands(done: Calibration) -> list:
@@ -209,25 +211,14 @@ def draw_bands(done: Calibration) -> list:
     return bands
 
 
-def draw_plots(done: Calibration, folder: Path, chain_path) -> None:
-    """Corner plot, predictive bands, trace and autocorrelation, as PNG in `folder`."""
+def draw_plots(done: Calibration, folder: Path) -> None:
+    """Corner plot, predictive bands and trace, as PNG in `folder`."""
     posterior, chain = done.posterior, done.chain
     mean, scale = summary.predictions(chain, posterior)
     plots.corner_plot(folder / "corner.png", chain, posterior.model)
-    with np.load(chain_path, allow_pickle=False) as file:
-        plots.trace_plot(folder / "trace.png", file["coordinates"], chain.figures.burn, posterior.model)
-    plots.autocorrelation_plot(folder / "autocorrelation.png", chain, posterior.model)
+    plots.trace_plot(folder / "trace.png", chain, posterior.model)
     plots.predictive_plot(
         folder / "predictive.png", draw_bands(done), posterior.observed, mean, scale, done.readings.ids,
-    )  # fmt: skip
-
-
-def say_figures(figures) -> None:
-    """One line on how far a chain has come."""
-    print(
-        f"chain: {figures.steps} steps, {figures.taus:.0f} autocorrelation times kept, acceptance "
-        f"{figures.acceptance:.2f}, split R-hat {figures.rhat:.4f}",
-        file=sys.stderr, flush=True,
     )  # fmt: skip
 
 
@@ -249,9 +240,9 @@ def emulate(readings: Readings, catalogue: dict, params: CalibrateTable, nu: flo
     from gelforge.stages import fea
 
     cache = SolveCache(folder, catalogue, hex_settings(params.solver), fea.VERSION)
-    mus, nus = friction_nodes(params), poisson_nodes(params, nu)
-    plan = make_plan(readings, params.reach_mm, params.shear_depths)
-    failed = solve_all(plan, cache, mus, nus, jobs)
+    mus = friction_nodes(params)
+    plan = make_plan(readings, params.reach_mm, params.shear_depths, nu)
+    failed = solve_all(plan, cache, mus, jobs)
     unsolved = [{"sample_id": str(readings.ids[i]), "reason": reason} for i, reason in failed.items()]
     if len(failed) > len(readings) / 2:
         raise BadInput(
@@ -260,13 +251,12 @@ def emulate(readings: Readings, catalogue: dict, params: CalibrateTable, nu: flo
         )
     if failed:
         readings = readings.take(np.setdiff1d(np.arange(len(readings)), list(failed)))
-        plan = make_plan(readings, params.reach_mm, params.shear_depths)  # of solves that are there already
-    emulator = build_emulator(plan, cache, mus, nus)
+        plan = make_plan(readings, params.reach_mm, params.shear_depths, nu)  # of solves that are there already
+    emulator = build_emulator(plan, cache, mus)
     spent = cache.spent
     if params.refine != "none":
         fine = SolveCache(folder, catalogue, quality(params.refine), fea.VERSION)
-        # with the most slip of the higher friction coefficients, and without slip
-        emulator = refine(emulator, plan, cache, fine, mus[1:][-2:], nus[len(nus) // 2], jobs)
+        emulator = refine(emulator, plan, fine, jobs)
         more = {key: spent[key] + fine.spent[key] for key in ("total", "new", "in_vain")}
         spent = {**spent, **more, "fine": fine.spent["total"]}
     return readings, emulator, {**spent, "unsolved": unsolved}
@@ -325,23 +315,22 @@ def main(args: Namespace) -> None:
     logged = read_readings(args.data / "log.csv", rejected, gels_of(load_sensors(args.sensors), of))
     check_readings(logged)
     readings = logged.take(choose_presses(logged, params.max_presses))
-    models_of(readings, with_nu(params, nu))  # refuses too few readings before anything is solved
+    posteriors(readings, None, params)  # refuses too few readings before anything is solved
     known, named = read_indenter_tables(args.workflow, args.data, of.catalogue), set(readings.indenters.tolist())
     kept = surfaces_beside(args.params)
     catalogue = build_all(known, args.workflow / of.catalogue, sorted(named), args.workflow, kept)
     solves = args.solves or args.work / "solves"
     readings, emulator, spent = emulate(readings, catalogue, params, nu, solves, args.jobs)
-    done = calibrate(readings, emulator, params, nu, args.work / "chain.npz", say_figures, args.jobs)
-    draw_plots(done, args.work, args.work / "chain.npz")
+    done = calibrate(readings, emulator, params, args.jobs)
+    draw_plots(done, args.work)
     own = of.params.get("material", {}).get("c10")
     usual = own if isinstance(own, int | float) else REFERENCE_C10
-    result = summarise(done, params, usual)
+    result = summarise(done, params, evidence_of(done, logged, params, usual))
     result["solves_spent"] = spent
     result["presses_logged"] = len(logged)
     write_json(args.out, result)
-    notes = summary.units_sentence(result["c10"]["median"], usual)
-    said = [f"note: {line}" if line in notes else line for line in result["sentences"]]
-    print("\n".join([*said, say_spent(spent)]))
+    print("\n".join(f"note: {line}" if line in result["evidence"] else line for line in result["sentences"]))
+    print(say_spent(spent))
     for row in spent["unsolved"]:
         print(f"left out: {row['sample_id']}: {row['reason']}")
     for row in result["outliers"]:

@@ -89,18 +89,18 @@ def _with_force(solve: Solved, status: str, total: list[float]) -> Solved:
     return replace(solve, status=Status[status], reason=lost or solve.reason, total=(x, y, z))
 
 
-def compared_models(models: list[dict]) -> tuple[list[str], list[list]]:
-    """Columns and rows of the table of calibration models, best predicting first; errors are of normal force."""
+def compared_laws(laws: list[dict]) -> tuple[list[str], list[list]]:
+    """Columns and rows of the table of interface laws, best predicting first; errors are of normal force."""
     columns = [
-        "model", "behind", "plus-minus", "ruled out", "C10 (MPa)", "95 % from", "to", "repeated (N)", "these (N)",
+        "law", "behind", "plus-minus", "ruled out", "C10 (MPa)", "95 % from", "to", "repeated (N)", "these (N)",
     ]  # fmt: skip
     rows = [
         [
-            m["model"].replace("+", " + ").replace("_", " "), m["behind"] + 0.0, m["behind_standard_error"],
+            m["law"].replace("_", " "), m["behind"], m["behind_standard_error"],
             "no" if m["indistinguishable"] else "yes", m["c10"]["median"], *m["c10"]["interval95"],
-            m["predictive_mae_n"]["fz"], m["own_touch_mae_n"].get("fz"),
+            m["predictive_mae_n"]["fz"], m["own_touch_mae_n"]["fz"],
         ]
-        for m in models
+        for m in laws
     ]  # fmt: skip
     return columns, rows
 
@@ -118,10 +118,10 @@ def calibration_section(results: Path) -> Section:
     section.table(["parameter", "median", "68 % from", "to", "95 % from", "to"], rows)
     for sentence in summary["sentences"]:
         section.text(sentence)
-    if summary.get("models"):
-        section.table(*compared_models(summary["models"]), folded="Models compared").text(
-            "Models by their predictive score (expected log density of a reading left out): how far behind the best, "
-            "with its standard error. Last, the mean error of normal force when the presses are repeated, and at "
+    if len(summary["laws"]) > 1:
+        section.table(*compared_laws(summary["laws"]), folded="Interface laws compared").text(
+            "Interface laws by their predictive score (expected log density of a reading left out): how far behind the "
+            "best, with its standard error. Last, the mean error of normal force when the presses are repeated, and at "
             "these presses, each with its own error of touch."
         )
     for press in summary.get("outliers", []):
@@ -135,7 +135,6 @@ def calibration_section(results: Path) -> Section:
     captions = {
         "predictive.png": "Readings beside what the posterior predicts of them.",
         "corner.png": "Posterior of every parameter, and of every two.",
-        "autocorrelation.png": "Autocorrelation of the chain.",
         "trace.png": "Walkers of the chain.",
     }
     return add_pictures(section, path.parent, captions)

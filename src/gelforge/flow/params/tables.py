@@ -215,6 +215,7 @@ PRIOR_KEYS = {
     "normal": ("mean", "spread"),
     "lognormal": ("median", "spread"),
     "halfnormal": ("spread",),
+    "cauchy": ("mean", "spread"),
     "uniform": ("low", "high"),
     "loguniform": ("low", "high"),
 }
@@ -224,7 +225,7 @@ PRIOR_KEYS = {
 class PriorTable(ParameterTable):
     """One table of [calibrate.priors]: the kind of a prior and its numbers, or the value a parameter is held at."""
 
-    kind: Literal["normal", "lognormal", "halfnormal", "uniform", "loguniform"]
+    kind: Literal["normal", "lognormal", "halfnormal", "cauchy", "uniform", "loguniform"]
     free: bool | None = None
     fixed: Finite | None = None
     mean: Finite | None = None
@@ -265,17 +266,14 @@ class PriorsTable(ParameterTable):
     compliance: PriorTable
     shear_compliance: PriorTable
     mu: PriorTable
+    tare: PriorTable
     noise: PriorTable
     scatter: PriorTable
     discretisation: PriorTable
     indenter: PriorTable
-    nu: PriorTable
 
     def fault(self) -> str | None:
-        """C10 held, or of no gel, or a parameter that is held and nothing says at what.
-
-        Poisson's ratio is held at [material] nu.
-        """
+        """C10 held, or of no gel, or a parameter that is held and nothing says at what."""
         if self.c10.free is False:
             return "c10: free = false; it is what calibrate finds, so give it a narrow prior where it is known"
         for key in ("mean", "median", "high"):
@@ -284,7 +282,7 @@ class PriorsTable(ParameterTable):
                 return f"c10: {key} = {value}: give a number from {SOFTEST:g} to {STIFFEST:g} MPa"
         for name in (field.name for field in fields(self)):
             prior = getattr(self, name)
-            if prior.free is False and prior.fixed is None and name not in ("nu", "indenter"):
+            if prior.free is False and prior.fixed is None and name != "indenter":
                 return f"{name}: free = false needs `fixed`, the value it is held at"
         return None
 
@@ -296,27 +294,17 @@ class CalibrateTable(ParameterTable):
     law: Law
     compare: bool
     max_presses: Count
-    shear: bool
     friction_nodes: Annotated[tuple[Annotated[Number, Within(TINY, 1e3)], ...], RISING]
     reach_mm: Annotated[Number, Within(0.0, 10.0, "mm")]
     shear_depths: Annotated[tuple[Annotated[Number, Within(TINY, 1.0)], ...], SOME]
     tail: Annotated[Number, Within(TINY, 1e6)]
     outlier_scales: Positive
-    walkers: Annotated[int, Within(4, 1e5)]
     seed: Seed
     autocorrelation_times: Count
-    acceptance: Annotated[tuple[Annotated[Number, Within(0.0, 1.0)], Annotated[Number, Within(0.0, 1.0)]], RISING]
-    split_rhat: Annotated[Number, Within(1.0, 100.0)]
     max_steps: Annotated[int, Within(1, 1e9)]
     refine: Literal["none", "demo", "draft", "label", "fine"]
     solver: CalibrateSolverTable
     priors: PriorsTable
-
-    def fault(self) -> str | None:
-        """Walkers that cannot be halved, as the moves do."""
-        if self.walkers % 2:
-            return f"walkers = {self.walkers}: give an even number"
-        return None
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,195 @@
+"""What force readings say about the force sensor and the log, beside what they were logged for.
+
+Each function returns one sentence with its number, or None where there is nothing to say. Only numpy, because `gelforge
+sensor` uses them, too. Normal forces are compression here, in N and positive, in the order of the log.
+"""
+
+import numpy as np
+
+# Newtons in other units that sensors and scales show.
+UNITS = {
+    "kilograms-force": 9.80665,
+    "pounds-force": 4.44822,
+    "ounces-force": 0.278014,
+    "grams-force": 9.80665e-3,
+    "millinewtons": 1e-3,
+    "kilonewtons": 1e3,
+}
+SEVERAL = 3.0  # times what is usual: no gel of the kind is so soft or so hard
+ALIKE = 1.5  # the factor within which a unit explains forces
+FEWEST = 6  # presses that a statement about their order or directions needs
+LEAST_N = 0.15  # of a constant force or a drift: smaller ones are usual, and change hardly anything
+SURE = 4.0  # standard errors from which on something is no chance
+SPREAD = 0.1, 0.2  # of a predicted force: as a fraction, and in N
+TAKEN_OVER = 0.6  # sideways over normal force where most contacts slip
+TURNED_DEG = 20.0  # by which sideways forces may be turned against the path, by curved gels and slopes of bodies
+FOLLOWS = 0.6  # fraction of the variance of sideways forces that a cause must explain to be named
+TARE = "tare the sensor without contact and log again, or subtract it from the force columns"
+
+
+def unit(measured: np.ndarray, predicted: np.ndarray, where: str = "fz_n and dz_mm in the log") -> str | None:
+    """Forces (n,) several times as large or as small as predicted ones; the unit that would explain it is named."""
+    ratio = float(np.median(np.abs(measured) / predicted))
+    if 1.0 / SEVERAL < ratio < SEVERAL or not ratio:
+        return None
+    name, of = min(UNITS.items(), key=lambda pair: abs(np.log(ratio * pair[1])))
+    said = f"{ratio:.3g} times" if ratio > 1.0 else f"1/{1.0 / ratio:.3g} of"
+    like = f", as where they are in {name} (1 is {of:g} N)" if abs(np.log(ratio * of)) < np.log(ALIKE) else ""
+    return (
+        f"Forces are {said} what is usual at these presses: most likely they are not in newtons{like}, or lengths are not in mm;"
+        f" check the units of {where}."
+    )
+
+
+def shifted(measured: np.ndarray, predicted: np.ndarray, rows: np.ndarray) -> str | None:
+    """Forces that fit the press of a neighbouring row.
+
+    measured: (m,) of all rows. predicted: (n,) of the presses in `rows`, (n,) positions in measured.
+    """
+    inner = (rows > 0) & (rows < len(measured) - 1)
+    rows, predicted = rows[inner], predicted[inner]
+    if len(rows) < FEWEST:
+        return None
+    own, after, before = (_scatter(measured[rows + step], predicted) for step in (0, 1, -1))
+    if min(before, after) > 0.5 * own or own < 0.25:
+        return None
+    which = "following" if after < before else "preceding"
+    return (
+        f"Forces fit the {which} row: they scatter by {100 * own:.0f} % about what their own press predicts, by"
+        f" {100 * min(before, after):.0f} % with those of the {which} row; check whether the force columns are shifted by one row."
+    )
+
+
+def _scatter(measured: np.ndarray, predicted: np.ndarray) -> float:
+    """Spread of ln(measured / predicted) about its median, as a standard deviation."""
+    ratio = np.log(np.maximum(measured, 0.02) / predicted)
+    return float(1.4826 * np.median(np.abs(ratio - np.median(ratio))))
+
+
+def sideways(path: np.ndarray, force: np.ndarray, depth: np.ndarray, rot_deg: np.ndarray) -> str | None:
+    """Sideways forces that do not follow the sideways path, by the transformation of axes that explains them.
+
+    path: (n, 2) mm. force: (n, 3) N on the gel. depth: (n,) mm. rot_deg: (n,) turn of the indenter. A gel is dragged
+    along: force is along the path, and about as large as normal force times travel over depth until the contact slips.
+    """
+    travel = np.hypot(*path.T)
+    used = (travel > 0) & np.isfinite(force).all(axis=1)
+    if used.sum() < FEWEST:
+        return None
+    path, force, depth, travel = path[used], force[used], depth[used], travel[used]
+    size = np.abs(force[:, 2]) * np.minimum(travel / depth, TAKEN_OVER) / travel
+    along, seen = size * (path[:, 0] + 1j * path[:, 1]), force[:, 0] + 1j * force[:, 1]
+    if np.sqrt(np.mean(np.abs(seen - seen.mean()) ** 2)) < LEAST_N:
+        return None
+    turn = np.exp(1j * np.deg2rad(rot_deg[used]))
+    straight, angle = _explained(along, seen)
+    if straight > FOLLOWS:
+        if abs(angle) <= TURNED_DEG:
+            return None
+        cause = "multiply fx_n and fy_n by -1" if abs(angle) > 160 else "turn them back, or set the sensor's axes right"
+        return _turned(f"they are turned by {angle:+.0f} degrees against it", straight, cause)
+    mirrored, axis = _explained(along.conj(), seen)
+    by_turn = {sign: _explained(along * turn**sign, seen) for sign in (1, -1)}
+    sign = max(by_turn, key=lambda one: by_turn[one][0])
+    if by_turn[sign][0] > max(FOLLOWS, mirrored):
+        way = "against" if sign < 0 else "with"
+        return _turned(f"they are in a frame that turns {way} the indenter's rot_deg", by_turn[sign][0], "turn them by rot_deg")
+    if mirrored > FOLLOWS:
+        causes = {0: "the sign of y is flipped", 90: "x and y are exchanged", 180: "the sign of x is flipped", 270: "x and y are exchanged, with their signs flipped"}
+        nearest = 90 * round((axis % 360) / 90) % 360
+        return _turned(causes[nearest], mirrored, "correct the columns fx_n and fy_n")
+    if straight < 0.1:
+        return (
+            f"Sideways forces do not follow the sideways path (it explains {100 * straight:.0f} % of them), and no exchange of axes"
+            " explains them: check the columns fx_n, fy_n, dx_mm and dy_mm."
+        )
+    return None
+
+
+def _turned(what: str, explained: float, hint: str) -> str:
+    return f"Sideways forces do not follow the sideways path: {what}, which explains {100 * explained:.0f} % of them; {hint}."
+
+
+def _explained(along: np.ndarray, seen: np.ndarray) -> tuple[float, float]:
+    """Fraction of the variance of complex `seen` that a turned and scaled `along` and a constant explain; its turn, degrees."""
+    along, seen = along - along.mean(), seen - seen.mean()
+    common = np.vdot(along, seen)
+    total = np.vdot(along, along).real * np.vdot(seen, seen).real
+    return (float(abs(common) ** 2 / total) if total else 0.0), float(np.rad2deg(np.angle(common)))
+
+
+def drift(residual: np.ndarray, rows: np.ndarray) -> str | None:
+    """Residuals (n, 3) N, measured less predicted, that go with the order of the presses. rows: (n,) positions in the log."""
+    for axis, of in zip("zxy", residual.T[[2, 0, 1]], strict=True):
+        used = np.isfinite(of)
+        if used.sum() < FEWEST:
+            continue
+        at, away = rows[used] - rows[used].mean(), of[used] - of[used].mean()
+        per_press, error = _slope(at, away)
+        if abs(per_press) > SURE * error and abs(per_press) * np.ptp(at) > 2 * LEAST_N:
+            return (
+                f"The force sensor drifts: what it reads along {axis} beyond the prediction changes by {per_press:+.3f} N a press,"
+                f" {per_press * np.ptp(at):+.2f} N from the first press to the last; tare it more often."
+            )
+    return None
+
+
+def _slope(at: np.ndarray, values: np.ndarray) -> tuple[float, float]:
+    """Slope of centred values over centred positions and its standard error, by least squares."""
+    slope = float(at @ values / (at @ at))
+    left = values - slope * at
+    return slope, float(np.sqrt(left @ left / (len(at) - 2) / (at @ at)))
+
+
+def mean_forces(straight: np.ndarray) -> dict[str, tuple[float, float]]:
+    """Mean sideways force beyond the prediction, with its standard error, by axis; straight: (n, 2) N of presses without shear."""
+    found = {}
+    for axis, of in zip("xy", straight.T, strict=True):
+        of = of[np.isfinite(of)]
+        if len(of) >= FEWEST:
+            found[axis] = float(of.mean()), float(of.std(ddof=1) / np.sqrt(len(of)))
+    return found
+
+
+def constant(forces: dict[str, tuple[float, float]]) -> str | None:
+    """A constant force in N by axis, with its standard error, where it is surely there."""
+    sure = {axis: value for axis, (value, error) in forces.items() if abs(value) > max(SURE * error, LEAST_N)}
+    if not sure:
+        return None
+    said = " and ".join(f"{value:+.2f} N along {axis}" for axis, value in sure.items())
+    return f"The force sensor reads a constant force of {said}: {TARE}."
+
+
+def noise(found: float, largest: float) -> str | None:
+    """Noise, N, beyond the largest that the prior expects."""
+    if found <= largest:
+        return None
+    return (
+        f"Readings scatter by {found:.2f} N about the prediction, where the prior of the noise expects {largest:.2f} N at most: the"
+        " intervals rest on readings that the model does not explain; check the log's forces, poses and indenters."
+    )
+
+
+def readings(measured: np.ndarray, predicted: np.ndarray) -> list[str]:
+    """What readings (n,) of a scale say that were compared with predicted forces (n,): unit, else constant force and drift."""
+    wrong = unit(measured, predicted, "the readings")
+    if wrong:
+        return [wrong]
+    if len(measured) < FEWEST:
+        return []
+    order = np.arange(len(measured)) - (len(measured) - 1) / 2
+    terms = np.column_stack([predicted, np.ones(len(order)), order])
+    weight = 1.0 / np.hypot(SPREAD[0] * predicted, SPREAD[1])
+    found, *_ = np.linalg.lstsq(terms * weight[:, None], measured * weight, rcond=None)
+    left = (measured - terms @ found) * weight
+    scatter = max(left @ left / (len(order) - 3), 0.25)
+    error = np.sqrt(scatter * np.diag(np.linalg.inv((terms * weight[:, None]).T @ (terms * weight[:, None]))))
+    said = []
+    if abs(found[1]) > max(SURE * error[1], 2 * LEAST_N):
+        said.append(
+            f"Readings are {found[1]:+.1f} N more than in proportion to the forces that the network reads, so that their ratio"
+            f" {'falls' if found[1] > 0 else 'rises'} with force: tare the scale or sensor before each press."
+        )
+    if abs(found[2]) > SURE * error[2] and abs(found[2]) * len(order) > 4 * LEAST_N:
+        said.append(f"Readings drift by {found[2]:+.2f} N a press; tare the scale or sensor more often.")
+    return said
