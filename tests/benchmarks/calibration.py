@@ -15,9 +15,9 @@ from dataclasses import asdict, replace
 from pathlib import Path
 
 import numpy as np
+from gelforge.calibration.floor import least_error
 
 from gelforge.calibration.emulator import Emulator
-from gelforge.calibration.floor import least_error
 from gelforge.calibration.parameters import LAWS, make_model, with_nu
 from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.readings import Readings, read_readings

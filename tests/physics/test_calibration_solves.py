@@ -61,9 +61,9 @@ def built(catalogue, tmp_path_factory):
     readings = presses((0.5, 0, 0, 0, 0, -0.8, 0), (0.5, 0, 0, 0, 0, -1.4, 0), (1.0, 1.0, 0, 0.3, 0.1, -1.3, 0))
     folder = tmp_path_factory.mktemp("solves")
     cache = SolveCache(folder, catalogue, SETTINGS, SOLVER)
-    plan = make_plan(readings, 0.15, (1.0, 0.65))
-    assert not solve_all(plan, cache, [MU], [NU])
-    return readings, plan, cache, build_emulator(plan, cache, [MU], [NU])
+    plan = make_plan(readings, 0.15, (1.0, 0.65), NU)
+    assert not solve_all(plan, cache, [MU])
+    return readings, plan, cache, build_emulator(plan, cache, [MU])
 
 
 def test_straight_presses_at_one_place_share_one_solve(built):
@@ -76,10 +76,10 @@ def test_presses_on_gels_of_two_thicknesses_share_no_solve(catalogue, tmp_path):
     """A pad a tenth thinner is 10 to 20 % stiffer, and the emulator knows which press is on which."""
     both = presses((0.5, 0, 0, 0, 0, -1.2, 0), (0.5, 0, 0, 0, 0, -1.2, 0))
     readings = replace(both, gels=np.array([USUAL_GEL, f"{USUAL_GEL}-3.6mm"]))
-    plan, cache = make_plan(readings, 0.15, (1.0,)), SolveCache(tmp_path, catalogue, SETTINGS, SOLVER)
-    assert not solve_all(plan, cache, [0.0], [NU])
+    plan, cache = make_plan(readings, 0.15, (1.0,), NU), SolveCache(tmp_path, catalogue, SETTINGS, SOLVER)
+    assert not solve_all(plan, cache, [0.0])
     emulator, values = (
-        build_emulator(plan, cache, [0.0], [NU]),
+        build_emulator(plan, cache, [0.0]),
         true_values(c10=REFERENCE_C10, offset=0.0, compliance=0.0, mu=0.0),
     )
     assert cache.spent["total"] == 2
@@ -118,9 +118,9 @@ def test_shear_between_two_solved_depths(built, catalogue):
 
 def test_without_friction_only_the_end_of_a_path_counts(catalogue, tmp_path):
     readings = presses((1.0, 1.0, 0, 0.3, 0.1, -1.3, 0))
-    plan, cache = make_plan(readings, 0.15, (1.0, 0.65)), SolveCache(tmp_path, catalogue, SETTINGS, SOLVER)
-    assert not solve_all(plan, cache, [0.0], [NU]) and cache.spent["total"] == 0
-    emulator = build_emulator(plan, cache, [0.0], [NU])
+    plan, cache = make_plan(readings, 0.15, (1.0, 0.65), NU), SolveCache(tmp_path, catalogue, SETTINGS, SOLVER)
+    assert not solve_all(plan, cache, [0.0]) and cache.spent["total"] == 0
+    emulator = build_emulator(plan, cache, [0.0])
     assert cache.spent["frictionless"] == 1
     values = true_values(c10=REFERENCE_C10, offset=0.0, compliance=0.0, mu=0.0)
     dragged = solve(catalogue, readings.press(0, 1.3), mu=0.0)
@@ -131,10 +131,10 @@ def test_forces_between_the_friction_nodes_are_those_of_solves(root, tmp_path):
     """Under a flat body friction hardly matters from 0.5 on, which a node at 0.4 alone would not tell."""
     flat = load_catalogue(root / "workflow" / "indenters.toml", ["cylinder_8"])
     readings = replace(presses((1.0, 1.0, 0, 0.2, -0.26, -1.0, 0)), indenters=np.array(["cylinder_8"]))
-    plan, cache = make_plan(readings, 0.15, (1.0,)), SolveCache(tmp_path, flat, SETTINGS, SOLVER)
+    plan, cache = make_plan(readings, 0.15, (1.0,), NU), SolveCache(tmp_path, flat, SETTINGS, SOLVER)
     nodes = [0.0, *parameters().calibrate.friction_nodes, np.inf]
-    assert not solve_all(plan, cache, nodes, [NU])
-    emulator = build_emulator(plan, cache, nodes, [NU])
+    assert not solve_all(plan, cache, nodes)
+    emulator = build_emulator(plan, cache, nodes)
     for mu in (0.7, 1.2):
         scene = Scene(Gel(), Material(NU), flat["cylinder_8"], readings.press(0, 1.0), Interface.of_friction(mu))
         direct = solve_hex(scene, SETTINGS).total[2]
@@ -145,11 +145,11 @@ def test_forces_between_the_friction_nodes_are_those_of_solves(root, tmp_path):
 def test_cached_solves_are_found_and_settings_name_them(built, catalogue):
     _, plan, cache, emulator = built
     again = SolveCache(cache.folder, catalogue, SETTINGS, SOLVER)
-    assert not solve_all(plan, again, [MU], [NU])
-    np.testing.assert_array_equal(build_emulator(plan, again, [MU], [NU]).table, emulator.table)
+    assert not solve_all(plan, again, [MU])
+    np.testing.assert_array_equal(build_emulator(plan, again, [MU]).table, emulator.table)
     assert again.spent == {"total": 3, "coulomb": 3, "new": 0, "in_vain": 0}
     other = SolveCache(cache.folder, catalogue, replace(SETTINGS, size=1.1), SOLVER)
-    job = plan.jobs(0, MU, NU)[0]
+    job = plan.jobs(0, MU)[0]
     assert not other.path(job).exists()
     assert again.path(replace(job, mu=0.6)) != again.path(job)
     assert not SolveCache(cache.folder, catalogue, SETTINGS, SOLVER + 1).path(job).exists()
@@ -158,70 +158,67 @@ def test_cached_solves_are_found_and_settings_name_them(built, catalogue):
 def test_press_that_cannot_be_solved_is_not_tried_again(catalogue, tmp_path):
     readings = presses((0, 0, 0, 0, 0, -0.5, 0), (1.0, 0, 0, 0, 0, -1.2, 0))
     hopeless = replace(SETTINGS, press_steps=1, max_iterations=1, max_cuts=0)
-    plan, cache = make_plan(readings, 0.15, (1.0,)), SolveCache(tmp_path, catalogue, hopeless, SOLVER)
-    reasons = solve_all(plan, cache, [0.0], [NU])
+    plan, cache = make_plan(readings, 0.15, (1.0,), NU), SolveCache(tmp_path, catalogue, hopeless, SOLVER)
+    reasons = solve_all(plan, cache, [0.0])
     assert sorted(reasons) == [0, 1] and all("no equilibrium" in reason for reason in reasons.values())
     assert cache.spent == {"total": 0, "new": 0, "in_vain": 2}
     again = SolveCache(tmp_path, catalogue, hopeless, SOLVER)
-    assert solve_all(plan, again, [0.0], [NU]) == reasons
+    assert solve_all(plan, again, [0.0]) == reasons
     assert again.spent["in_vain"] == 0
     with pytest.raises(SolveFailed, match="no equilibrium"):
-        again.get(plan.jobs(0, 0.0, NU)[0])
+        again.get(plan.jobs(0, 0.0)[0])
 
 
-def test_refined_forces_are_the_fine_mesh_s(built, catalogue):
-    _, plan, cache, emulator = built
-    fine = SolveCache(cache.folder, catalogue, replace(SETTINGS, size=0.9, layers=4), SOLVER)
-    refined = refine(emulator, plan, cache, fine, [MU], NU)
-    job = replace(plan.jobs(1, MU, NU)[0])
-    end = fine.get(job)["end"][2]
-    assert refined.table[1, 0, 0, -1, 2] == pytest.approx(
-        end, rel=0.01
-    )  # last load step against contact iterationsd end
-
-
-def test_refined_sideways_force_has_a_ratio_of_its_own(built, catalogue):
-    """Without slip, at the depths that were solved, both are the fine mesh's; the normal force's ratio would be another."""
-    _, plan, cache, emulator = built
-    fine = SolveCache(cache.folder, catalogue, replace(SETTINGS, size=0.9, layers=4), SOLVER)
-    refined = refine(emulator, plan, cache, fine, [MU], NU)
-    deepest = plan.jobs(2, MU, NU)[0]
-    end, coarse = (np.array(of.get(deepest)["end"]) for of in (fine, cache))
-    forces = refined.table[2, 0, 0, -1]
-    assert np.hypot(*forces[:2]) == pytest.approx(np.hypot(*end[:2]), rel=1e-6)
-    assert forces[2] == pytest.approx(end[2], rel=1e-6)
-    assert abs(np.hypot(*end[:2]) / np.hypot(*coarse[:2]) - end[2] / coarse[2]) > 0.005
+def test_refined_forces_are_those_of_the_fine_mesh_at_both_limits_of_friction(catalogue, tmp_path):
+    """As commanded; sideways force has a ratio of its own, which without slip is another one than the normal force's."""
+    readings = presses((0.5, 0, 0, 0, 0, -0.8, 0), (0.5, 0, 0, 0, 0, -1.4, 0), (1.0, 1.0, 0, 0.3, 0.1, -1.3, 0))
+    plan, cache = make_plan(readings, 0.15, (1.0, 0.65), NU), SolveCache(tmp_path, catalogue, SETTINGS, SOLVER)
+    assert not solve_all(plan, cache, [0.0, np.inf])
+    emulator = build_emulator(plan, cache, [0.0, np.inf])
+    fine = SolveCache(tmp_path, catalogue, replace(SETTINGS, size=0.9, layers=4), SOLVER)
+    refined = refine(emulator, plan, fine)
+    values = true_values(c10=REFERENCE_C10, offset=0.0, compliance=0.0)
+    for mu, end in ((0.0, 0), (np.inf, -1)):
+        before, after = (
+            of.forces(readings.depth, values | {"mu": np.array([mu])})[0][0] for of in (emulator, refined)
+        )
+        ends = np.array([fine.get(plan.fine_jobs(i)[end])["end"] for i in range(3)])
+        np.testing.assert_allclose(after[:, 2], ends[:, 2], rtol=1e-6)
+        assert np.all(after[:, 2] / before[:, 2] < 1.0)
+    aside = np.hypot(*ends[2, :2]) / np.hypot(*before[2, :2])
+    np.testing.assert_allclose(np.hypot(*after[2, :2]), np.hypot(*ends[2, :2]), rtol=1e-6)
+    assert abs(aside - ends[2, 2] / before[2, 2]) > 0.005
 
 
 def test_press_that_never_touches_is_refused(catalogue, tmp_path):
     readings = presses((0, 0, 3.0, 0, 0, -0.5, 0))
-    cache, plan = SolveCache(tmp_path, catalogue, SETTINGS, SOLVER), make_plan(readings, 0.15, (1.0,))
-    solve_all(plan, cache, [0.0], [NU])
+    cache, plan = SolveCache(tmp_path, catalogue, SETTINGS, SOLVER), make_plan(readings, 0.15, (1.0,), NU)
+    solve_all(plan, cache, [0.0])
     with pytest.raises(BadInput, match=r"row 2 \(p0\): depth without contact"):
-        build_emulator(plan, cache, [0.0], [NU])
+        build_emulator(plan, cache, [0.0])
 
 
 def test_unknown_indenter_is_named(tmp_path, catalogue):
     readings = presses((0, 0, 0, 0, 0, -0.5, 0))
     readings.indenters[0] = "spoon"
     with pytest.raises(BadInput, match="'spoon' is not in the catalogue; known here: sphere_15"):
-        solve_all(make_plan(readings, 0.15, (1.0,)), SolveCache(tmp_path, catalogue, SETTINGS, SOLVER), [0.0], [NU])
+        solve_all(make_plan(readings, 0.15, (1.0,), NU), SolveCache(tmp_path, catalogue, SETTINGS, SOLVER), [0.0])
 
 
 def test_force_begins_where_the_gel_is_met(catalogue, tmp_path):
     """Off the apex a press commanded from z = 0 goes through air first; one from below the apex begins inside the gel."""
     readings = presses((5.0, 7.5, 0, 0, 0, -1.2, 0), (0.5, 0, -0.15, 0, 0, -0.6, 0))
     cache = SolveCache(tmp_path, catalogue, SETTINGS, SOLVER)
-    plan = make_plan(readings, 0.05, (1.0,))
-    assert not solve_all(plan, cache, [MU], [NU])
-    emulator = build_emulator(plan, cache, [MU], [NU])
+    plan = make_plan(readings, 0.05, (1.0,), NU)
+    assert not solve_all(plan, cache, [MU])
+    emulator = build_emulator(plan, cache, [MU])
     top = float(plan.top[0])
     touched = top * touch_of(Scene(Gel(), Material(NU), catalogue["sphere_15"], readings.press(0, top)))
     assert touched > 0.1
-    grid = np.linspace(0.0, top, emulator.table.shape[3])
-    normal = emulator.table[0, 0, 0, :, 2]
+    grid = np.linspace(0.0, top, emulator.table.shape[2])
+    normal = emulator.table[0, 0, :, 2]
     assert not normal[grid < touched - 1e-9].any() and (normal[grid > touched + 0.01] < 0.0).all()
-    assert np.isfinite(emulator.table).all() and emulator.table[1, 0, 0, 0, 2] < 0.0
+    assert np.isfinite(emulator.table).all() and emulator.table[1, 0, 0, 2] < 0.0
 
 
 @pytest.mark.parametrize("status", [Status.OUT_OF_RANGE, Status.TOO_COARSE, Status.UNBALANCED])

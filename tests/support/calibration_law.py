@@ -12,6 +12,7 @@ from tests.support.parameters import parameters
 
 TOP = 2.4
 MUS = (0.0, 0.4, np.inf)
+NODES = (0.0, 0.1, 0.2, 0.4, 0.8, 1.6, np.inf)
 PARAMS = parameters().calibrate
 TRUTH = {
     "c10": 0.085,
@@ -81,11 +82,44 @@ def law_posterior(rng, depth, stiffness=None, law="coulomb", noise=0.03, **truth
     return Posterior(emulator, make_model(PARAMS, law, sideways=False), depth, observed, 4.0)
 
 
+def law_session(seed=0, presses=24) -> tuple[Readings, Emulator]:
+    """A session of presses with shear in all directions, each read once, and its emulator.
+
+    Sideways over normal force is mu tanh(1.5 travel / (mu depth)): proportional when travel and mu are scaled, as under
+    Coulomb's law.
+    """
+    rng = np.random.default_rng(seed)
+    depth, travel, way = (
+        rng.uniform(0.4, 1.6, presses),
+        rng.uniform(0.1, 0.4, presses),
+        rng.uniform(0, 2 * np.pi, presses),
+    )
+    names = np.array([f"ball_{k % 3}" for k in range(presses)])
+    tables = []
+    for k in range(presses):
+        curves = [law_curve(mu, (2.0, 4.0, 8.0)[k % 3]) for mu in NODES]
+        for mu, curve in zip(NODES, curves, strict=True):
+            mu = min(max(mu, 1e-9), 1e9)
+            dragged = -mu * np.tanh(1.5 * travel[k] / mu / curve.depth) * curve.force[:, 2]
+            curve.force[:, 0], curve.force[:, 1] = dragged * np.cos(way[k]), dragged * np.sin(way[k])
+        tables.append(friction_table(NODES, [curve_table(curve, TOP) for curve in curves]))
+    emulator = Emulator(np.array(tables), np.full(presses, TOP), np.arange(presses) % 3, travel)
+    pose = np.zeros((presses, 7))
+    pose[:, 3], pose[:, 4], pose[:, 5] = travel * np.cos(way), travel * np.sin(way), -depth
+    pose[:, 6] = rng.uniform(0, 360, presses)
+    values = {**true_values(), "indenter": np.zeros((1, 3))}
+    force = emulator.forces(depth, values)[0][0] + 0.03 * rng.standard_normal((presses, 3))
+    ids = np.array([f"p{k:03d}" for k in range(presses)])
+    rows, gels = np.arange(2, presses + 2), np.array([USUAL_GEL] * presses)
+    return Readings("log.csv", rows, ids, names, pose, force, gels), emulator
+
+
 __all__ = [
     "REFERENCE_C10",
     "law_curve",
     "law_emulator",
     "law_posterior",
+    "law_session",
     "make_readings",
     "normal_force",
     "true_values",

@@ -127,7 +127,8 @@ class Model:
 
     def log_prior(self, coordinates: np.ndarray) -> np.ndarray:
         """Sum of the priors' log densities, (w,)."""
-        return sum(prior.log_density(coordinates[:, i]) for i, prior in enumerate(self.free.values()))
+        densities = [prior.log_density(coordinates[:, i]) for i, prior in enumerate(self.free.values())]
+        return np.sum(densities, axis=0)
 
     def draw(self, rng: np.random.Generator, size: int) -> np.ndarray:
         """Coordinates (size, free) drawn from the priors."""
@@ -159,7 +160,7 @@ def make_model(params: CalibrateTable, law: str, indenters=(), sideways: bool = 
             fixed[name] = implied
         elif not sideways and name in SIDEWAYS:
             fixed[name] = 0.0
-        elif table.free is False:
+        elif table.free is False and table.fixed is not None:
             fixed[name] = float(table.fixed)
         else:
             free[name] = prior_of(table, FrictionPrior if name == "mu" else Prior)

@@ -84,7 +84,9 @@ def sample(posterior: Posterior, rules: Rules, say: Callable[[Figures], None] | 
     size = len(posterior.model.free)
     walkers = 2 * int(WALKERS * size / 2 + 1)
     rng = np.random.default_rng(rules.seed)
-    state = emcee.State(start_points(posterior, walkers, rng), random_state=np.random.RandomState(rules.seed).get_state())
+    state = emcee.State(
+        start_points(posterior, walkers, rng), random_state=np.random.RandomState(rules.seed).get_state()
+    )
     ensemble = [(moves.DEMove(), 0.7), (moves.StretchMove(), 0.3)]
     sampler = emcee.EnsembleSampler(walkers, size, posterior, vectorize=True, moves=ensemble)
     for _ in range(LEARNT):

@@ -26,6 +26,7 @@ import numpy as np
 from gelforge.commands.camera import camera_number
 from gelforge.commands.sensoroptions import MODE, MODEL, NOCONTACT
 from gelforge.errors import BadInput
+from gelforge.evidence.forces import of_readings
 from gelforge.flow.main import command, option
 from gelforge.networks.balls.ballpresses import BACKGROUND, LAYOUT, BallFolder, BallPress, read_presses
 from gelforge.networks.balls.balltable import C10_MPA, THICKNESS_MM
@@ -76,6 +77,8 @@ def gain_of(readings: Path, predictor: Predictor, before: Gain = AS_READ) -> Gai
     check_readings(names, measured, read)
     for name, fault in odd_readings(names, measured, read).items():
         print(f"{name}: {fault}; it counts, leave it out if it is wrong", file=sys.stderr)
+    for line in of_readings(measured, read):
+        print(f"{readings}: {line}", file=sys.stderr)
     return fit_gain(measured, read, before)
 
 

@@ -357,7 +357,10 @@ def pull_fault(fz_n: float) -> tuple[str, str] | None:
     """Why a normal force on a gel that is pressed has a wrong sign, and what to do; None where it is one of pressing."""
     if fz_n <= LARGEST_PULL_N:
         return None
-    hint = "forces are those on the gel: multiply the force columns by -1 if the sensor states those on the indenter"
+    hint = (
+        "tare the sensor if it reads a force without contact; forces are those on the gel: multiply the force columns by -1 if the"
+        " sensor states those on the indenter"
+    )
     return "the force reading pulls while the indenter presses", hint
 
 

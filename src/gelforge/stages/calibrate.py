@@ -8,13 +8,14 @@ from pathlib import Path
 
 import numpy as np
 
-from gelforge.calibration import evidence, summary
+from gelforge.calibration import summary
 from gelforge.calibration.emulator import Emulator
-from gelforge.calibration.parameters import FRICTION, LAWS, TARE, make_model
+from gelforge.calibration.parameters import FRICTION, LAWS, TARE, Model, make_model
 from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.readings import Readings, check_enough, check_readings, choose_presses, read_readings
 from gelforge.calibration.sampling import Chain, Figures, Rules, sample
 from gelforge.errors import BadInput
+from gelforge.evidence import forces as evidence
 from gelforge.flow.files import write_json
 from gelforge.flow.layout import planned_shards, surfaces_beside
 from gelforge.flow.main import command, option, positive
@@ -66,7 +67,7 @@ def served(readings: Readings) -> np.ndarray:
     return observed
 
 
-def posteriors(readings: Readings, emulator: Emulator | None, params: CalibrateTable) -> list[Posterior]:
+def models_of(readings: Readings, params: CalibrateTable) -> list[Model]:
     """Of the chosen interface law, then of those that are compared with it; too few readings raise BadInput."""
     observed = served(readings)
     indenters = np.unique(readings.indenters).tolist()
@@ -74,7 +75,7 @@ def posteriors(readings: Readings, emulator: Emulator | None, params: CalibrateT
     laws = [params.law, *(law for law in LAWS if params.compare and law != params.law)]
     models = [make_model(params, law, indenters, sideways) for law in laws]
     check_enough(int(np.isfinite(observed).sum()), models[0])
-    return [Posterior(emulator, model, readings.depth, observed, params.tail) for model in models]
+    return models
 
 
 def fit(posterior: Posterior, rules: Rules) -> Chain:
@@ -92,7 +93,8 @@ def fit(posterior: Posterior, rules: Rules) -> Chain:
 
 def calibrate(readings: Readings, emulator: Emulator, params: CalibrateTable, jobs: int = 1) -> Calibration:
     """Sample the chosen interface law and those that are compared with it, on `jobs` processes."""
-    rules, of = sampling_rules(params), posteriors(readings, emulator, params)
+    rules, observed, models = sampling_rules(params), served(readings), models_of(readings, params)
+    of = [Posterior(emulator, model, readings.depth, observed, params.tail) for model in models]
     found = in_slots(fit, [(posterior, rules) for posterior in of], jobs)
     done = Calibration(readings, list(zip(of, progress(found, "interface laws", len(of)), strict=True)))
     refuse_beyond(done.posterior, done.chain)
@@ -154,38 +156,27 @@ def usual_forces(posterior: Posterior, c10: float) -> np.ndarray:
     return posterior.emulator.forces(posterior.depth, values)[0][0]
 
 
-def evidence_of(done: Calibration, logged: Readings, params: CalibrateTable, usual: float) -> list[str]:
-    """What the readings say of the force sensor and the log: a cause, and not what follows from it.
-
-    logged: all readings of the log. usual: C10 of such gels, MPa.
-    """
+def evidence_of(done: Calibration, logged: Readings, usual: float) -> list[str]:
+    """What the readings say of the force sensor and the log. logged: all of the log's. usual: C10 of such gels, MPa."""
     readings, posterior, chain = done.readings, done.posterior, done.chain
-    expected = -usual_forces(posterior, usual)[:, 2]
-    felt = expected > evidence.LEAST_N
-    measured, rows = -readings.force[:, 2], np.flatnonzero(np.isin(logged.ids, readings.ids))
-    causes = (
-        evidence.unit(measured[felt], expected[felt]),
-        evidence.shifted(-logged.force[:, 2], expected[felt], rows[felt]),
-        evidence.sideways(logged.pose[:, 3:5], logged.force, logged.depth, logged.pose[:, 6]),
-    )
-    cause = next(filter(None, causes), None)
-    if cause:
-        return [cause]
     parameters = summary.parameter_table(chain, posterior.model)
     mean, _ = summary.predictions(chain, posterior)
-    drifts = evidence.drift(posterior.observed - mean, rows)
-    if drifts:
-        return [drifts]
     # of presses without shear the sideways forces do not serve, but they show a constant one
-    straight = ~readings.sheared
-    tares = evidence.mean_forces((readings.force - mean)[straight, :2])
+    constant = evidence.mean_forces((readings.force - mean)[~readings.sheared, :2])
     for name in [name for name in TARE if name in parameters]:
         low, high = parameters[name]["interval68"]
-        tares[name[-1]] = parameters[name]["median"], (high - low) / 2
-    said = evidence.constant(tares)
-    if not said and "noise" in parameters:
-        said = evidence.noise(parameters["noise"]["median"], parameters["noise"]["prior_interval95"][1])
-    return [said] if said else []
+        constant[name[-1]] = parameters[name]["median"], (high - low) / 2
+    noise = parameters.get("noise")
+    fitted = evidence.Fitted(
+        rows=np.flatnonzero(np.isin(logged.ids, readings.ids)),
+        usual=-usual_forces(posterior, usual)[:, 2],
+        residual=posterior.observed - mean,
+        constant=constant,
+        noise=noise["median"] if noise else 0.0,
+        largest_noise=noise["prior_interval95"][1] if noise else 0.0,
+    )
+    log = evidence.LogForces(logged.pose[:, 3:5], logged.depth, logged.pose[:, 6], logged.force)
+    return evidence.of_log(log, fitted)
 
 
 def draw_bands(done: Calibration) -> list:
@@ -315,7 +306,7 @@ def main(args: Namespace) -> None:
     logged = read_readings(args.data / "log.csv", rejected, gels_of(load_sensors(args.sensors), of))
     check_readings(logged)
     readings = logged.take(choose_presses(logged, params.max_presses))
-    posteriors(readings, None, params)  # refuses too few readings before anything is solved
+    models_of(readings, params)  # refuses too few readings before anything is solved
     known, named = read_indenter_tables(args.workflow, args.data, of.catalogue), set(readings.indenters.tolist())
     kept = surfaces_beside(args.params)
     catalogue = build_all(known, args.workflow / of.catalogue, sorted(named), args.workflow, kept)
@@ -325,7 +316,7 @@ def main(args: Namespace) -> None:
     draw_plots(done, args.work)
     own = of.params.get("material", {}).get("c10")
     usual = own if isinstance(own, int | float) else REFERENCE_C10
-    result = summarise(done, params, evidence_of(done, logged, params, usual))
+    result = summarise(done, params, evidence_of(done, logged, usual))
     result["solves_spent"] = spent
     result["presses_logged"] = len(logged)
     write_json(args.out, result)

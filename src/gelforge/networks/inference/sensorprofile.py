@@ -161,7 +161,8 @@ def check_readings(names: list[str], measured: np.ndarray, read: np.ndarray) -> 
             )
         if not 1.0 / FARTHEST < force / seen < FARTHEST:
             raise BadInput(
-                f"{name}: {force:g} N were measured where about {seen:.1f} N are read; are they newtons? (102 g are 1 N)"
+                f"{name}: {force:g} N were measured where about {seen:.1f} N are read; are they newtons?"
+                " (102 g, 0.225 lbf and 3.6 ozf are 1 N)"
             )
 
 

@@ -4,6 +4,8 @@ Each function returns one sentence with its number, or None where there is nothi
 sensor` uses them, too. Normal forces are compression here, in N and positive, in the order of the log.
 """
 
+from dataclasses import dataclass
+
 import numpy as np
 
 # Newtons in other units that sensors and scales show.
@@ -20,15 +22,69 @@ ALIKE = 1.5  # the factor within which a unit explains forces
 FEWEST = 6  # presses that a statement about their order or directions needs
 LEAST_N = 0.15  # of a constant force or a drift: smaller ones are usual, and change hardly anything
 SURE = 4.0  # standard errors from which on something is no chance
+SURE_OF_FEW = 3.5  # the same for a dozen readings of a scale
 SPREAD = 0.1, 0.2  # of a predicted force: as a fraction, and in N
 TAKEN_OVER = 0.6  # sideways over normal force where most contacts slip
 TURNED_DEG = 20.0  # by which sideways forces may be turned against the path, by curved gels and slopes of bodies
 FOLLOWS = 0.6  # fraction of the variance of sideways forces that a cause must explain to be named
-TARE = "tare the sensor without contact and log again, or subtract it from the force columns"
+HINT = "tare the sensor without contact and log again, or subtract it from the force columns"
+
+
+@dataclass(frozen=True)
+class LogForces:
+    """All m force readings of a log, in its order.
+
+    path: (m, 2) mm sideways. depth: (m,) mm. rot_deg: (m,) turn of the indenter. force: (m, 3) N on the gel, nan where not logged.
+    """
+
+    path: np.ndarray
+    depth: np.ndarray
+    rot_deg: np.ndarray
+    force: np.ndarray
+
+    @property
+    def normal(self) -> np.ndarray:
+        """Compression, (m,) N."""
+        return -self.force[:, 2]
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """What a model says of n readings of a log.
+
+    rows: (n,) their positions in the log. usual: (n,) N, compression on a usual gel before anything is fitted. residual: (n, 3) N,
+    measured less predicted, nan where a component does not serve. constant: constant forces in N with their standard
+    errors, by axis. noise, largest_noise: N, fitted and the largest that its prior expects.
+    """
+
+    rows: np.ndarray
+    usual: np.ndarray
+    residual: np.ndarray
+    constant: dict[str, tuple[float, float]]
+    noise: float
+    largest_noise: float
+
+
+def of_log(log: LogForces, fitted: Fitted) -> list[str]:
+    """What the readings say of force sensor and log: a cause, without what follows from it."""
+    felt = fitted.usual > LEAST_N
+    rows, usual = fitted.rows[felt], fitted.usual[felt]
+    causes = (
+        lambda: unit(log.normal[rows], usual),
+        lambda: shifted(log.normal, usual, rows),
+        lambda: sideways(log),
+        lambda: drift(fitted.residual, fitted.rows),
+        lambda: constant(fitted.constant),
+        lambda: noise(fitted.noise, fitted.largest_noise),
+    )
+    found = next(filter(None, (cause() for cause in causes)), None)
+    return [found] if found else []
 
 
 def unit(measured: np.ndarray, predicted: np.ndarray, where: str = "fz_n and dz_mm in the log") -> str | None:
     """Forces (n,) several times as large or as small as predicted ones; the unit that would explain it is named."""
+    if not len(measured):
+        return None
     ratio = float(np.median(np.abs(measured) / predicted))
     if 1.0 / SEVERAL < ratio < SEVERAL or not ratio:
         return None
@@ -66,36 +122,44 @@ def _scatter(measured: np.ndarray, predicted: np.ndarray) -> float:
     return float(1.4826 * np.median(np.abs(ratio - np.median(ratio))))
 
 
-def sideways(path: np.ndarray, force: np.ndarray, depth: np.ndarray, rot_deg: np.ndarray) -> str | None:
+def sideways(log: LogForces) -> str | None:
     """Sideways forces that do not follow the sideways path, by the transformation of axes that explains them.
 
-    path: (n, 2) mm. force: (n, 3) N on the gel. depth: (n,) mm. rot_deg: (n,) turn of the indenter. A gel is dragged
-    along: force is along the path, and about as large as normal force times travel over depth until the contact slips.
+    A gel is dragged along: force is along the path, and about as large as normal force times travel over depth until the
+    contact slips.
     """
-    travel = np.hypot(*path.T)
-    used = (travel > 0) & np.isfinite(force).all(axis=1)
+    travel = np.hypot(*log.path.T)
+    used = (travel > 0) & np.isfinite(log.force).all(axis=1)
     if used.sum() < FEWEST:
         return None
-    path, force, depth, travel = path[used], force[used], depth[used], travel[used]
-    size = np.abs(force[:, 2]) * np.minimum(travel / depth, TAKEN_OVER) / travel
+    path, force, travel = log.path[used], log.force[used], travel[used]
+    size = np.abs(force[:, 2]) * np.minimum(travel / log.depth[used], TAKEN_OVER) / travel
     along, seen = size * (path[:, 0] + 1j * path[:, 1]), force[:, 0] + 1j * force[:, 1]
-    if np.sqrt(np.mean(np.abs(seen - seen.mean()) ** 2)) < LEAST_N:
+    if np.sqrt(np.mean(np.abs(_level(seen)) ** 2)) < LEAST_N:
         return None
-    turn = np.exp(1j * np.deg2rad(rot_deg[used]))
+    turn = np.exp(1j * np.deg2rad(log.rot_deg[used]))
     straight, angle = _explained(along, seen)
     if straight > FOLLOWS:
         if abs(angle) <= TURNED_DEG:
             return None
-        cause = "multiply fx_n and fy_n by -1" if abs(angle) > 160 else "turn them back, or set the sensor's axes right"
-        return _turned(f"they are turned by {angle:+.0f} degrees against it", straight, cause)
+        if abs(angle) > 180.0 - TURNED_DEG:
+            return _turned("both have the opposite sign", straight, "multiply fx_n and fy_n by -1")
+        return _turned(
+            f"they are turned by {angle:+.0f} degrees", straight, "turn them back, or set the sensor's axes right"
+        )
     mirrored, axis = _explained(along.conj(), seen)
     by_turn = {sign: _explained(along * turn**sign, seen) for sign in (1, -1)}
     sign = max(by_turn, key=lambda one: by_turn[one][0])
     if by_turn[sign][0] > max(FOLLOWS, mirrored):
         way = "against" if sign < 0 else "with"
-        return _turned(f"they are in a frame that turns {way} the indenter's rot_deg", by_turn[sign][0], "turn them by rot_deg")
+        return _turned(
+            f"they are in a frame that turns {way} the indenter's rot_deg", by_turn[sign][0], "turn them by rot_deg"
+        )
     if mirrored > FOLLOWS:
-        causes = {0: "the sign of y is flipped", 90: "x and y are exchanged", 180: "the sign of x is flipped", 270: "x and y are exchanged, with their signs flipped"}
+        causes = {
+            0: "the sign of y is flipped", 90: "x and y are exchanged", 180: "the sign of x is flipped",
+            270: "x and y are exchanged, and their signs flipped",
+        }  # fmt: skip
         nearest = 90 * round((axis % 360) / 90) % 360
         return _turned(causes[nearest], mirrored, "correct the columns fx_n and fy_n")
     if straight < 0.1:
@@ -111,11 +175,18 @@ def _turned(what: str, explained: float, hint: str) -> str:
 
 
 def _explained(along: np.ndarray, seen: np.ndarray) -> tuple[float, float]:
-    """Fraction of the variance of complex `seen` that a turned and scaled `along` and a constant explain; its turn, degrees."""
-    along, seen = along - along.mean(), seen - seen.mean()
+    """Fraction of complex `seen`, without its trend, that a turned and scaled `along` explains; its turn, degrees."""
+    along, seen = _level(along), _level(seen)
     common = np.vdot(along, seen)
     total = np.vdot(along, along).real * np.vdot(seen, seen).real
     return (float(abs(common) ** 2 / total) if total else 0.0), float(np.rad2deg(np.angle(common)))
+
+
+def _level(values: np.ndarray) -> np.ndarray:
+    """Values (n,) without their mean and their trend along the log, as a constant force and a drift would make them."""
+    order = np.arange(len(values)) - (len(values) - 1) / 2
+    values = values - values.mean()
+    return values - order * (order @ values) / (order @ order)
 
 
 def drift(residual: np.ndarray, rows: np.ndarray) -> str | None:
@@ -157,7 +228,7 @@ def constant(forces: dict[str, tuple[float, float]]) -> str | None:
     if not sure:
         return None
     said = " and ".join(f"{value:+.2f} N along {axis}" for axis, value in sure.items())
-    return f"The force sensor reads a constant force of {said}: {TARE}."
+    return f"The force sensor reads a constant force of {said}: {HINT}."
 
 
 def noise(found: float, largest: float) -> str | None:
@@ -170,26 +241,34 @@ def noise(found: float, largest: float) -> str | None:
     )
 
 
-def readings(measured: np.ndarray, predicted: np.ndarray) -> list[str]:
-    """What readings (n,) of a scale say that were compared with predicted forces (n,): unit, else constant force and drift."""
+def of_readings(measured: np.ndarray, predicted: np.ndarray) -> list[str]:
+    """What readings (n,) of a scale say that were compared with predicted forces (n,): unit, else a drift, else a constant force."""
     wrong = unit(measured, predicted, "the readings")
     if wrong:
         return [wrong]
     if len(measured) < FEWEST:
         return []
-    order = np.arange(len(measured)) - (len(measured) - 1) / 2
-    terms = np.column_stack([predicted, np.ones(len(order)), order])
     weight = 1.0 / np.hypot(SPREAD[0] * predicted, SPREAD[1])
-    found, *_ = np.linalg.lstsq(terms * weight[:, None], measured * weight, rcond=None)
-    left = (measured - terms @ found) * weight
-    scatter = max(left @ left / (len(order) - 3), 0.25)
-    error = np.sqrt(scatter * np.diag(np.linalg.inv((terms * weight[:, None]).T @ (terms * weight[:, None]))))
-    said = []
-    if abs(found[1]) > max(SURE * error[1], 2 * LEAST_N):
-        said.append(
-            f"Readings are {found[1]:+.1f} N more than in proportion to the forces that the network reads, so that their ratio"
-            f" {'falls' if found[1] > 0 else 'rises'} with force: tare the scale or sensor before each press."
-        )
-    if abs(found[2]) > SURE * error[2] and abs(found[2]) * len(order) > 4 * LEAST_N:
-        said.append(f"Readings drift by {found[2]:+.2f} N a press; tare the scale or sensor more often.")
-    return said
+    order = np.arange(len(measured)) - (len(measured) - 1) / 2
+    proportional = np.column_stack([predicted, np.ones(len(order))])
+    drift, at_drift = _last_term(np.column_stack([proportional, order]), measured, weight)
+    if abs(at_drift) > SURE_OF_FEW and abs(drift) * len(order) > 4 * LEAST_N:
+        return [f"Readings drift by {drift:+.2f} N a press; tare the scale or sensor more often."]
+    offset, at_offset = _last_term(proportional, measured, weight)
+    if abs(at_offset) > SURE_OF_FEW and abs(offset) > 2 * LEAST_N:
+        way = "falls" if offset > 0 else "rises"
+        return [
+            f"Readings are {offset:+.1f} N beyond what is in proportion to the forces that the network reads, so that their ratio"
+            f" {way} with force: tare the scale or sensor before each press."
+        ]
+    return []
+
+
+def _last_term(terms: np.ndarray, values: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
+    """Coefficient of the last of `terms` (n, k) by weighted least squares, and how many standard errors it is."""
+    weighted = terms * weight[:, None]
+    found, *_ = np.linalg.lstsq(weighted, values * weight, rcond=None)
+    left = values * weight - weighted @ found
+    scatter = max(left @ left / (len(values) - terms.shape[1]), 0.25)
+    error = np.sqrt(scatter * np.linalg.inv(weighted.T @ weighted)[-1, -1])
+    return float(found[-1]), float(found[-1] / error)

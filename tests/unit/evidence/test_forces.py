@@ -1,0 +1,150 @@
+"""Troubles of force sensors put into a session of presses: each gets its own sentence, a clean session none."""
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gelforge.evidence.forces import Fitted, LogForces, drift, mean_forces, of_log, of_readings, sideways
+from gelforge.stages.calibrate import calibrate, evidence_of
+from tests.support.calibration_law import PARAMS, law_session
+from tests.support.parameters import with_values
+
+USUAL = 0.0725  # MPa
+AXES = {
+    "turned by +90 degrees": lambda force, turn: force * 1j,
+    "turned by -45 degrees": lambda force, turn: force * np.exp(-0.25j * np.pi),
+    "turned by +30 degrees": lambda force, turn: force * np.exp(1j * np.pi / 6),
+    "opposite sign": lambda force, turn: -force,
+    "turns with the indenter's rot_deg": lambda force, turn: force * turn,
+    "turns against the indenter's rot_deg": lambda force, turn: force / turn,
+    "x and y are exchanged, which": lambda force, turn: 1j * force.conj(),
+    "exchanged, and their signs flipped": lambda force, turn: -1j * force.conj(),
+    "the sign of x is flipped": lambda force, turn: -force.conj(),
+    "the sign of y is flipped": lambda force, turn: force.conj(),
+    "no exchange of axes explains them": lambda force, turn: np.roll(force, 5),
+}
+# What is done to forces (n, 3) N of n presses, and what is said of it.
+TROUBLES = {
+    "pounds-force": (lambda f: f / 4.44822, "in pounds-force"),
+    "ounces-force": (lambda f: f / 0.278014, "in ounces-force"),
+    "kilograms-force": (lambda f: f / 9.80665, "in kilograms-force"),
+    "grams-force": (lambda f: f / 9.80665e-3, "in grams-force"),
+    "next row": (lambda f: np.roll(f, -1, axis=0), "fit the preceding row"),
+    "previous row": (lambda f: np.roll(f, 1, axis=0), "fit the following row"),
+    "drift": (
+        lambda f: f + 0.25 * np.arange(len(f))[:, None] * [0, 0, 1],
+        "drifts: what it reads along z .* by [+]0.2",
+    ),
+    "small drift": (
+        lambda f: f - 0.06 * np.arange(len(f))[:, None] * [0, 0, 1],
+        "drifts: what it reads along z .* by -0.0",
+    ),
+    "drift sideways": (lambda f: f + 0.1 * np.arange(len(f))[:, None] * [1, 0, 0], "drifts: what it reads along x"),
+    "tare": (lambda f: f + [0.8, 0.0, -1.5], r"[+]0.\d+ N along x and -1.\d+ N along z: tare"),
+    "tare along y": (lambda f: f + [0.0, -0.5, 0.0], r"constant force of -0.\d+ N along y: tare"),
+    "tare upwards": (lambda f: f + [0.0, 0.0, 2.0], r"constant force of [+][12].\d+ N along z: tare"),
+    "noise": (lambda f: f + 0.6 * np.random.default_rng(5).standard_normal(f.shape), "scatter by 0.[4-9]"),
+}
+
+
+def log_of(session) -> LogForces:
+    return LogForces(session.pose[:, 3:5], session.depth, session.pose[:, 6], session.force)
+
+
+def with_force(session, force):
+    return replace(session, force=force)
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_forces_along_the_path_say_nothing_and_axes_that_are_not_the_gel_s_are_named(seed):
+    session, _ = law_session(seed)
+    assert sideways(log_of(session)) is None
+    turn = np.exp(1j * np.deg2rad(session.pose[:, 6]))
+    for said, change in AXES.items():
+        seen = change(session.force[:, 0] + 1j * session.force[:, 1], turn)
+        trend = 0.05 * np.arange(len(seen))  # a constant force and a drift do not hide it
+        force = np.column_stack([seen.real + 0.7 + trend, seen.imag, session.force[:, 2]])
+        assert said in sideways(log_of(with_force(session, force)))
+
+
+def test_a_few_presses_and_small_sideways_forces_say_nothing():
+    session, _ = law_session()
+    few = session.take(np.arange(5))
+    assert sideways(log_of(with_force(few, -few.force))) is None
+    assert sideways(log_of(with_force(session, session.force * [-0.01, 0.01, 1.0]))) is None
+    unread = with_force(session, session.force * [np.nan, np.nan, 1.0])
+    assert sideways(log_of(unread)) is None
+
+
+def test_a_constant_force_shows_in_presses_without_shear():
+    noise = 0.05 * np.random.default_rng(0).standard_normal((12, 2))
+    (value, error) = mean_forces(noise + [0.8, 0.0])["x"]
+    assert value == pytest.approx(0.8, abs=4 * error) and error < 0.03
+    assert mean_forces(noise[:5]) == {} == mean_forces(noise * np.nan)
+
+
+def test_a_drift_is_one_along_the_log_and_no_chance():
+    rng = np.random.default_rng(1)
+    rows = np.sort(rng.choice(48, 16, replace=False))
+    alone = np.stack([np.full(16, np.nan), np.full(16, np.nan), 0.1 * rng.standard_normal(16)], axis=1)
+    assert drift(alone, rows) is None
+    assert "+0.050 N a press" in drift(alone * [1, 1, 0] + 0.05 * rows[:, None], rows)
+    assert drift(alone + 0.002 * rows[:, None], rows) is None  # a tenth of a newton in all
+
+
+def fitted(session, emulator) -> list[str]:
+    """What a calibration says of a session, of which it uses three quarters."""
+    used = np.flatnonzero(np.arange(len(session)) % 4 != 1)
+    params = with_values(PARAMS, compare=False, autocorrelation_times=10)
+    return evidence_of(calibrate(session.take(used), emulator.take(used), params), session, USUAL)
+
+
+def test_a_cause_hides_what_follows_from_it():
+    session, _ = law_session()
+    usual = -session.force[:, 2]
+    plain = Fitted(np.arange(24), usual, np.zeros((24, 3)), {}, 0.03, 0.24)
+    noisy = replace(plain, noise=0.5)
+    tare = replace(noisy, constant={"z": (-1.5, 0.05), "x": (0.1, 0.01)})
+    assert of_log(log_of(session), plain) == []
+    assert ["scatter by 0.50 N" in line for line in of_log(log_of(session), noisy)] == [True]
+    assert ["-1.50 N along z: tare" in line for line in of_log(log_of(session), tare)] == [True]
+    turned = with_force(session, session.force * [-1.0, 1.0, 1.0])
+    assert ["sign of x" in line for line in of_log(log_of(turned), tare)] == [True]
+    weighed = with_force(session, session.force / 9.80665)
+    assert ["kilograms" in line for line in of_log(log_of(weighed), tare)] == [True]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", range(3))
+def test_a_calibration_of_a_clean_session_says_nothing(seed):
+    assert fitted(*law_session(seed)) == []
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("trouble", TROUBLES)
+def test_a_calibration_names_the_trouble_and_nothing_else(trouble):
+    session, emulator = law_session(3)
+    change, said = TROUBLES[trouble]
+    (line,) = fitted(with_force(session, change(session.force)), emulator)
+    assert re.search(said, line)
+
+
+@pytest.mark.parametrize("seed", range(10))
+def test_readings_of_a_scale_say_nothing_or_name_unit_offset_and_drift(seed):
+    """Readings that are a fifth larger than what the network reads, and scattered by a twentieth."""
+    rng = np.random.default_rng(seed)
+    read = rng.uniform(2.0, 20.0, 12)
+    measured = 1.2 * read * np.exp(0.05 * rng.standard_normal(12))
+    assert of_readings(measured, read) == []
+    for name, newtons in (("pounds", 4.44822), ("ounces", 0.278014), ("kilograms", 9.80665), ("grams", 9.80665e-3)):
+        (line,) = of_readings(measured / newtons, read)
+        assert f"in {name}-force" in line
+    for offset, way in ((2.0, "falls"), (4.0, "falls"), (-1.5, "rises")):
+        (line,) = of_readings(measured + offset, read)
+        assert f"ratio {way} with force: tare" in line and line.startswith(
+            f"Readings are {np.sign(offset):+.0f}"[:-1]
+        )
+    (line,) = of_readings(measured + 1.5 * np.arange(12), read)
+    assert "drift by +" in line
