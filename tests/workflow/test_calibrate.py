@@ -1,4 +1,4 @@
-"""The calibration stage on the four real points, with a coarse mesh."""
+"""The calibration stage on curves that others measured: the four points of FEATS, and a small ball on a thin pad."""
 
 import json
 import shutil
@@ -11,18 +11,14 @@ from gelforge.stages import calibrate
 from gelforge.stages.report import calibration_section
 from tests.support.parameters import parameters, write_stage
 
-SOLVER = {
-    "size": 1.2,
-    "layers": 3,
-    "press_steps": 8,
-    "shear_steps": 3,
-    "final_tolerance": 1e-7,
-}
+COARSE = {"size": 1.2, "layers": 3, "widened": []}
+# A ball of 4 mm diameter pressed into the flat gel, 2 mm thick, of another type of sensor (DIGIT): depth, mm, and force, N.
+BALL_ON_PAD = ((0.344, 0.236), (0.468, 0.500), (0.782, 1.495), (1.215, 3.895), (1.461, 6.290))
 
 
 def stage_args(root, folder, **changes):
     """Arguments of the stage in a folder of its own, and the parameters it gets."""
-    usual = {"solver": SOLVER, "compare": False, "refine": "none", "friction_nodes": []}
+    usual = {"solver": COARSE, "compare": False, "refine": "none", "friction_nodes": []}
     write_stage(folder, "calibrate", calibrate=usual | changes)
     if not (folder / "data").exists():
         shutil.copytree(root / "data" / "feats_sphere15", folder / "data")
@@ -46,75 +42,81 @@ def test_log_holds_the_measured_points(root, reference):
     np.testing.assert_allclose(readings.force[:, 2], -measured[:, 1])
 
 
-def test_summary_says_what_is_known(done):
+def test_summary_and_report_say_what_is_known(done, tmp_path):
     summary = json.loads((done / "work" / "summary.json").read_text())
     low, high = summary["c10"]["interval95"]
     assert low < summary["c10"]["interval68"][0] < summary["c10"]["median"] < high
     assert 0.05 < summary["c10"]["median"] < 0.15  # soft silicone
     assert summary["solves_spent"]["total"] == 2
-    figures = summary["diagnostics"]
-    assert figures["taus"] >= 50 and figures["rhat"] < 1.01 and 0.15 <= figures["acceptance"] <= 0.6
+    figures = summary["diagnostics"]["coulomb"]
+    assert figures["taus"] >= 50 and figures["rhat"] < 1.02
     assert set(summary["parameters"]) == set(summary["correlations"]["names"])
-    assert any("touch offset" in sentence for sentence in summary["sentences"])
-
-
-def test_pictures_and_chain_are_there(done):
-    work = done / "work"
-    for name in ("corner", "predictive", "trace", "autocorrelation"):
-        assert (work / f"{name}.png").stat().st_size > 10_000
-    assert np.load(work / "chain.npz")["coordinates"].ndim == 3
-    assert not list(work.glob(".*"))  # nothing half-written is left
-
-
-def test_report_shows_parameters_models_and_what_they_mean(done, tmp_path):
+    assert summary["evidence"] == []
+    # its own error of touch explains part of a reading
+    assert 0.0 < summary["own_touch_mae_n"]["fz"] < summary["predictive_mae_n"]["fz"]
+    for name in ("corner", "predictive", "trace"):
+        assert (done / "work" / f"{name}.png").stat().st_size > 10_000
+    assert not list((done / "work").glob(".*"))  # nothing half-written is left
     shutil.copytree(done / "work", tmp_path / "calibrate")
     section = calibration_section(tmp_path)
-    parameters, models = (item for item in section.items if item["kind"] == "table")
-    assert parameters["rows"][0][0] == "C10 (MPa)" and len({row[0] for row in parameters["rows"]}) == 7
-    assert [row[0] for row in models["rows"]] == ["coulomb + offset + compliance"]
-    texts = [item["text"] for item in section.items if item["kind"] == "text"]
-    assert any("priors aside, come nearer than" in text for text in texts)
+    (table,) = (item for item in section.items if item["kind"] == "table")
+    assert table["rows"][0][0] == "C10 (MPa)" and len({row[0] for row in table["rows"]}) == 8
+    assert set(summary["sentences"]) <= {item["text"] for item in section.items if item["kind"] == "text"}
 
 
-def test_both_predictive_means_and_the_least_error_are_reported(done):
-    summary = json.loads((done / "work" / "summary.json").read_text())
-    # its own error of touch explains part of a reading; three parameters cannot meet four such readings
-    assert summary["own_touch_mae_n"]["fz"] < summary["predictive_mae_n"]["fz"]
-    assert 0.0 < summary["least_mae_n"] < summary["predictive_mae_n"]["fz"]
-
-
-def test_second_run_solves_and_samples_nothing_anew(root, done, capsys):
-    before = (done / "work" / "summary.json").read_text()
+@pytest.mark.slow
+def test_second_run_solves_nothing_anew_and_says_what_it_sees(root, done, capsys):
+    before = json.loads((done / "work" / "summary.json").read_text())
     assert calibrate.main(stage_args(root, done)) == 0
     assert "0 of them new" in capsys.readouterr().out
-    after = json.loads((done / "work" / "summary.json").read_text())
-    assert after["c10"] == json.loads(before)["c10"]
+    assert json.loads((done / "work" / "summary.json").read_text())["c10"] == before["c10"]
+    log = done / "data" / "log.csv"
+    weighed = [line.split(",") for line in log.read_text().splitlines()]
+    for line in weighed[1:]:
+        line[14] = f"{float(line[14]) / 4.44822:.4f}"
+    assert weighed[0][14] == "fz_n"
+    log.write_text("\n".join(",".join(line) for line in weighed) + "\n")
+    assert calibrate.main(stage_args(root, done)) == 0
+    (said,) = json.loads((done / "work" / "summary.json").read_text())["evidence"]
+    assert "pounds-force" in said and f"note: {said}" in capsys.readouterr().out.splitlines()
 
 
-def test_wrong_sign_leaves_no_summary(root, tmp_path):
-    args = stage_args(root, tmp_path)
-    log = tmp_path / "data" / "log.csv"
-    log.write_text(
-        log.read_text()
-        .replace(",-1.6503", ",1.6503")
-        .replace(",-5", ",5")
-        .replace(",-13", ",13")
-        .replace(",-23", ",23")
+@pytest.mark.slow
+def test_all_laws_follow_a_ball_on_a_thin_pad_that_others_measured(root, tmp_path):
+    """Within 5 % of each reading, with a touch offset and a compliance that a hand-held bench may have."""
+    data = tmp_path / "data"
+    data.mkdir()
+    header = "sample_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg,fx_n,fy_n,fz_n"
+    rows = [f"p{k},ball,0,0,0,0,0,-{depth},0,,,-{force}" for k, (depth, force) in enumerate(BALL_ON_PAD)]
+    (data / "log.csv").write_text("\n".join([header, *rows]) + "\n")
+    (data / "dataset.toml").write_text('sensor = "digit"\ngel = "flat_2mm"\n')
+    (data / "indenters.toml").write_text('[ball]\nkind = "sphere"\ndiameter = 4.0\nheight = 4.0\n')
+    sensors = data / "sensors.toml"
+    sensors.write_text(
+        '[digit]\ngel = "flat_2mm"\nimage = [240, 320]\nprojection = [[0.0, -15.0, 120.0], [-15.0, 0.0, 160.0], [0.0, 0.0, 1.0]]\n'
     )
-    with pytest.raises(BadInput, match="opposite sign convention"):
-        calibrate.main(args)
-    assert not (tmp_path / "work" / "summary.json").exists()
+    args = stage_args(root, tmp_path, compare=True, refine="draft", friction_nodes=[0.3], solver={"size": 0.5})
+    args[args.index("--sensors") + 1] = str(sensors)
+    assert calibrate.main(args) == 0
+    summary = json.loads((tmp_path / "work" / "summary.json").read_text())
+    assert 0.06 < summary["c10"]["median"] < 0.11 and summary["evidence"] == []
+    assert {law["law"] for law in summary["laws"]} == {"frictionless", "coulomb", "no_slip"}
+    for entry in summary["laws"]:
+        assert entry["own_touch_mae_n"]["fz"] < 0.05 * np.mean([force for _, force in BALL_ON_PAD])
 
 
-def test_a_single_press_is_refused_before_anything_is_solved(root, tmp_path):
+def test_a_wrong_log_leaves_no_summary_and_solves_nothing(root, tmp_path):
     args = stage_args(root, tmp_path)
     log = tmp_path / "data" / "log.csv"
-    log.write_text("".join(log.read_text().splitlines(keepends=True)[:2]))
-    with pytest.raises(BadInput, match="one force reading .* log two presses or more"):
-        calibrate.main(args)
-    assert not (tmp_path / "work").exists()
-
-
-def test_unknown_solver_setting_is_named():
+    whole = log.read_text()
+    for text, said in (
+        (whole.replace(",-1.6503", ",1.6503").replace(",-5", ",5").replace(",-13", ",13").replace(",-23", ",23"),
+         "opposite sign convention"),
+        ("".join(whole.splitlines(keepends=True)[:2]), "one force reading .* log two presses or more"),
+    ):  # fmt: skip
+        log.write_text(text)
+        with pytest.raises(BadInput, match=said):
+            calibrate.main(args)
+        assert not (tmp_path / "work").exists()
     with pytest.raises(BadInput, match=r"\[calibrate.solver\] sizes: unknown key; size is meant"):
         parameters(calibrate={"solver": {"sizes": 1.0}})

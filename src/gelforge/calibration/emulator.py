@@ -5,6 +5,7 @@ C10 needs no solve. What is tabulated is the force at REFERENCE_C10 on a fine gr
 friction; a table is interpolated linearly, which makes the rig's compliance an exact inversion.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -97,25 +98,49 @@ def curve_table(curve: Curve, top: float) -> np.ndarray:
     return np.column_stack([ratio * normal[:, None], normal])
 
 
-def sheared_table(press: np.ndarray, top: float, depths, forces) -> np.ndarray:
-    """Force (DEPTHS, 3) after shear, from the table before it and a few solves with shear.
+def sheared_table(alone: np.ndarray, top: float, nodes, ends, depths, stuck) -> np.ndarray:
+    """Forces (FRICTIONS, DEPTHS, 3) after shear, from those of the press alone and a few solves with shear.
 
-    press: (DEPTHS, 3) of the press alone. depths: (k,), forces: (k, 3) at the end of the sheared path.
-    With the sideways travel fixed, each component over the normal force of the press alone is
-    a + b / depth in every limit: full stick of a sphere or a punch (the tangential stiffness goes as
-    the normal one, Mindlin 1949), full slip, and a tilted surface. So it is interpolated linearly in
-    1 / depth and held constant beyond the solves.
+    alone: (FRICTIONS, DEPTHS, 3), from the friction `nodes` (m,), rising. ends: (m, 3) N after shear at the depth `top`.
+    stuck: (k, 3) N after shear at the last of the nodes, at `depths` (k,), mm, the first of which is `top`.
+    A contact that obeys Coulomb's law is the same when travel and mu are scaled alike (Cattaneo 1938, Mindlin 1949). So what
+    friction adds to sideways over normal force at another depth is what it adds at the top at another mu. The factor is
+    that by which it grows where nothing slips; there forces over normal force are linear in 1 / depth (of a sphere and of a
+    punch the tangential stiffness goes as the normal one). Where that differs from the scaled force, as across the travel
+    and in the normal force, the difference counts by how much is dragged along of what is where nothing slips. Beyond the
+    solves all is held constant.
     """
     grid = np.linspace(0.0, top, DEPTHS)
-    depths, forces = np.asarray(depths, float), np.asarray(forces, float)
-    order = np.argsort(-depths)
-    depths, forces = depths[order], forces[order]
-    normal = np.interp(depths, grid, press[:, 2])
-    if (normal == 0).any():
+    depths, stuck = np.asarray(depths, float), np.asarray(stuck, float)
+    normal = np.interp(depths, grid, alone[-1, :, 2])
+    if (normal == 0.0).any():
         raise BadInput("a press with shear does not touch the gel at one of its emulated depths")
-    ratio = forces / normal[:, None]
-    at = 1.0 / np.maximum(grid, 1e-9)
-    return np.stack([np.interp(at, 1.0 / depths, ratio[:, i]) for i in range(3)], axis=1) * press[:, 2:3]
+    pressing = alone[..., 2:] < 0.0
+    before = np.divide(alone, alone[..., 2:], out=np.zeros_like(alone), where=pressing)[0]
+    at_nodes = np.interp(friction_axis(nodes), np.linspace(0.0, 1.0, FRICTIONS), alone[:, -1, 2])
+    added = friction_curve(nodes, np.asarray(ends, float) / at_nodes[:, None] - before[-1])
+    order = np.argsort(1.0 / depths)
+    deeper = 1.0 / np.maximum(grid, 1e-9)
+    sticking = np.stack(
+        [np.interp(deeper, 1.0 / depths[order], one) for one in (stuck / normal[:, None])[order].T], axis=1
+    )
+    held = (sticking - before)[:, :2]
+    along = held @ held[-1]
+    factor = np.maximum(along / along[-1], 0.1) if along[-1] else np.ones(DEPTHS)
+    fine = np.linspace(0.0, 1.0, FRICTIONS)[:, None]
+    axis = np.vstack([friction_axis(friction_of(fine[:-1]) / factor), np.ones(DEPTHS)])
+    dragged, lifted = factor[:, None] * added(axis)[..., :2], added(fine * np.ones(DEPTHS))[..., 2:]
+    scaled = before + np.concatenate([dragged, lifted], axis=2)
+    sticks = np.clip(dragged @ held[-1] / along, 0.0, 1.0) if along.all() else fine * np.ones(DEPTHS)
+    return (scaled + sticks[..., None] * (sticking - scaled[-1])) * alone[..., 2:]
+
+
+def friction_curve(nodes, values) -> Callable[[np.ndarray], np.ndarray]:
+    """Monotone cubic of `values` (m, …) at friction nodes (m,) as a function of the friction axis; constant beyond its ends."""
+    axis, values = friction_axis(nodes), np.asarray(values)
+    if len(axis) == 1:
+        return lambda at: np.broadcast_to(values[0], (*np.shape(at), *values.shape[1:]))
+    return lambda at: PchipInterpolator(axis, values, axis=0)(np.clip(at, axis[0], axis[-1]))
 
 
 def friction_table(nodes, tables) -> np.ndarray:
@@ -123,9 +148,4 @@ def friction_table(nodes, tables) -> np.ndarray:
 
     nodes: (m,) coefficients, first 0, last inf where all laws are needed. One node gives a constant.
     """
-    axis = friction_axis(nodes)
-    tables = np.asarray(tables)
-    if len(axis) == 1:
-        return np.repeat(tables, FRICTIONS, axis=0)
-    fine = np.linspace(0.0, 1.0, FRICTIONS)
-    return PchipInterpolator(axis, tables, axis=0)(np.clip(fine, axis[0], axis[-1]))
+    return np.array(friction_curve(nodes, tables)(np.linspace(0.0, 1.0, FRICTIONS)))

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from scipy import stats
@@ -41,9 +41,7 @@ KINDS = {
     "uniform": lambda n: stats.uniform(n["low"], n["high"] - n["low"]),
     "loguniform": lambda n: stats.loguniform(n["low"], n["high"]),
 }
-# Standard normal coordinates at which a prior is tabulated, so fine that values in between are good to 1e-6.
-COORDINATES = np.linspace(-8.0, 8.0, 6401)
-FRICTION_COORDINATES = np.linspace(0.0, 1.0, 4001)[1:-1]
+POINTS = 6401  # at which a prior is tabulated over its coordinate, so that values in between are good to 1e-6
 
 
 @dataclass(frozen=True)
@@ -56,28 +54,25 @@ class Prior:
     kind: str
     law: Any
 
+    RANGE: ClassVar[tuple[float, float]] = (-8.0, 8.0)  # of the coordinate
+
     @property
     def informative(self) -> bool:
         """Whether the prior alone bounds the parameter to a region it prefers."""
         return self.kind not in ("uniform", "loguniform")
 
-    @cached_property
-    def _values(self) -> np.ndarray:
-        z = COORDINATES
-        upper = z > 0  # from the upper end, where probabilities near 1 have few digits
-        return np.where(upper, self.law.isf(stats.norm.sf(np.abs(z))), self.law.ppf(stats.norm.sf(np.abs(z))))
-
-    def value(self, z) -> np.ndarray:
-        """Parameter values at coordinates `z`, any shape."""
-        return np.interp(z, COORDINATES, self._values)
-
-    def draw(self, rng: np.random.Generator, size: int) -> np.ndarray:
-        """Coordinates (size,) drawn from the prior."""
-        return rng.standard_normal(size)
+    def value(self, z: np.ndarray) -> np.ndarray:
+        """Parameter values at coordinates `z`."""
+        tail = stats.norm.sf(np.abs(z))  # from the nearer end, because probabilities near 1 have few digits
+        return np.where(z > 0, self.law.isf(tail), self.law.ppf(tail))
 
     def log_density(self, z: np.ndarray) -> np.ndarray:
         """Log density in the coordinate, up to a constant."""
         return -0.5 * z**2
+
+    def quantile(self, probability: np.ndarray) -> np.ndarray:
+        """Coordinates at probabilities of the prior."""
+        return stats.norm.ppf(probability)
 
 
 class FrictionPrior(Prior):
@@ -87,20 +82,18 @@ class FrictionPrior(Prior):
     coordinate the ridge is bent, and walkers cannot follow.
     """
 
-    @cached_property
-    def _densities(self) -> np.ndarray:
-        # d mu / d axis = (mu + HALF_MU)^2 / HALF_MU
-        mu = friction_of(FRICTION_COORDINATES)
-        return self.law.logpdf(mu) + 2.0 * np.log(mu + HALF_MU)
+    RANGE: ClassVar[tuple[float, float]] = (1e-4, 1.0 - 1e-4)
 
-    def value(self, z) -> np.ndarray:
-        return friction_of(np.clip(z, FRICTION_COORDINATES[0], FRICTION_COORDINATES[-1]))
-
-    def draw(self, rng: np.random.Generator, size: int) -> np.ndarray:
-        return friction_axis(super().value(super().draw(rng, size)))
+    def value(self, z: np.ndarray) -> np.ndarray:
+        return friction_of(z)
 
     def log_density(self, z: np.ndarray) -> np.ndarray:
-        return np.interp(z, FRICTION_COORDINATES, self._densities, left=-np.inf, right=-np.inf)
+        # d mu / d axis = (mu + HALF_MU)^2 / HALF_MU
+        mu = friction_of(z)
+        return self.law.logpdf(mu) + 2.0 * np.log(mu + HALF_MU)
+
+    def quantile(self, probability: np.ndarray) -> np.ndarray:
+        return np.clip(friction_axis(self.law.ppf(probability)), *self.RANGE)
 
 
 def prior_of(table: PriorTable, kind: type[Prior] = Prior) -> Prior:
@@ -125,21 +118,45 @@ class Model:
     def names(self) -> tuple[str, ...]:
         return tuple(self.free)
 
+    @cached_property
+    def _tables(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Ends of the coordinates (free, 2), and values and log densities (free, POINTS) of the priors in between."""
+        ends = np.array([prior.RANGE for prior in self.free.values()])
+        grids = np.linspace(ends[:, 0], ends[:, 1], POINTS, axis=1)
+        pairs = list(zip(self.free.values(), grids, strict=True))
+        values = np.array([prior.value(grid) for prior, grid in pairs])
+        return ends, values, np.array([prior.log_density(grid) for prior, grid in pairs])
+
+    def _between(self, coordinates: np.ndarray, table: np.ndarray) -> np.ndarray:
+        """A table (free, POINTS) at coordinates (w, free), linear between its points; its ends beyond."""
+        low, high = self._tables[0].T
+        at = np.clip((coordinates - low) / (high - low), 0.0, 1.0) * (POINTS - 1)
+        below = np.minimum(at.astype(int), POINTS - 2)
+        column = np.arange(len(low))
+        left = table[column, below]
+        return left + (at - below) * (table[column, below + 1] - left)
+
     def log_prior(self, coordinates: np.ndarray) -> np.ndarray:
-        """Sum of the priors' log densities, (w,)."""
-        densities = [prior.log_density(coordinates[:, i]) for i, prior in enumerate(self.free.values())]
-        return np.sum(densities, axis=0)
+        """Sum of the priors' log densities at coordinates (w, free), (w,); -inf outside their ranges."""
+        low, high = self._tables[0].T
+        inside = ((coordinates >= low) & (coordinates <= high)).all(axis=1)
+        return np.where(inside, self._between(coordinates, self._tables[2]).sum(axis=1), -np.inf)
+
+    def coordinates(self, probabilities: np.ndarray) -> np.ndarray:
+        """Coordinates (w, free) at probabilities (w, free) of the priors."""
+        return np.stack(
+            [prior.quantile(u) for prior, u in zip(self.free.values(), probabilities.T, strict=True)], axis=1
+        )
 
     def draw(self, rng: np.random.Generator, size: int) -> np.ndarray:
         """Coordinates (size, free) drawn from the priors."""
-        return np.stack([prior.draw(rng, size) for prior in self.free.values()], axis=1)
+        return self.coordinates(rng.random((size, len(self.free))))
 
     def values(self, coordinates) -> dict[str, np.ndarray]:
         """Every parameter as an array (w,) from coordinates (w, free), and `indenter`, (w, indenters)."""
         coordinates = np.atleast_2d(coordinates)
         values = {name: np.full(len(coordinates), value) for name, value in self.fixed.items()}
-        for column, (name, prior) in enumerate(self.free.items()):
-            values[name] = prior.value(coordinates[:, column])
+        values |= zip(self.free, self._between(coordinates, self._tables[1]).T, strict=True)
         none = np.zeros(len(coordinates))
         scales = [values.get(f"scale of {name}", none) for name in self.indenters] or [none]
         return {**values, "indenter": np.stack(scales, axis=1)}

@@ -12,11 +12,10 @@ from gelforge.errors import BadInput, GelforgeError
 if TYPE_CHECKING:
     import emcee
 
-LEARN = 400  # steps of a first part, to whose second half the moves of the next part are fitted; none is kept
+LEARN = 300  # steps of a first part, to whose second half the moves of the next part are fitted; none is kept
 LEARNT = 4  # such parts
-CHUNK = 400  # steps between checks, at least; half of the chain once that is more
+CHUNK = 600  # steps between checks, at least; half of the chain once that is more
 STARTS = 200  # draws from the priors for each walker, of which the most probable ones are where walkers start
-WALKERS = 2.5  # per parameter
 TAIL = 5.0  # degrees of freedom of the fitted proposal, whose tails are heavier than the posterior's
 INDEPENDENT = 0.5  # fraction of the later steps that take it
 # Vehtari, Gelman, Simpson, Carpenter, Bürkner (2021, Bayesian Analysis 16:667) advise 1.01 for four long chains. Of dozens of
@@ -82,7 +81,7 @@ def sample(posterior: Posterior, rules: Rules, say: Callable[[Figures], None] | 
     from emcee import moves
 
     size = len(posterior.model.free)
-    walkers = 2 * int(WALKERS * size / 2 + 1)
+    walkers = 2 * size + 2  # at least twice the parameters, and even
     rng = np.random.default_rng(rules.seed)
     state = emcee.State(
         start_points(posterior, walkers, rng), random_state=np.random.RandomState(rules.seed).get_state()

@@ -2,8 +2,8 @@
 
 One solve follows the whole path in load steps, and each converged step is a point of the curve of
 force against depth. So a press straight down needs one solve per friction coefficient; a press with
-shear needs one per depth at which its shear is needed. Without friction a press with shear is one straight down to
-where it ends.
+shear needs one per friction coefficient, too, and without slip another one less deep. Without friction a press with shear
+is one straight down to where it ends.
 """
 
 from dataclasses import dataclass, replace
@@ -50,7 +50,7 @@ class SolvePlan:
     """What the emulator of n presses needs.
 
     top: (n,) deepest depth, mm. leader: (n,) the press whose curve gives each one's, itself where it shares none.
-    fractions: (k,) of the deepest depth, falling from 1, at which presses with shear are solved. nu: Poisson's ratio.
+    fractions: (k,) of the deepest depth, falling from 1, at which presses with shear are solved without slip. nu: Poisson's ratio.
     """
 
     readings: Readings
@@ -68,7 +68,7 @@ class SolvePlan:
     def jobs(self, i: int, mu: float) -> list[SolveJob]:
         """The solves that predict press i at one friction coefficient, deepest first."""
         r, lead = self.readings, self.leader[i]
-        fractions = self.fractions if r.sheared[i] and mu > 0.0 else (1.0,)
+        fractions = self.fractions if r.sheared[i] and np.isinf(mu) else (1.0,)
         return [self.job(i, r.press(lead, float(self.top[lead] * f)), mu) for f in fractions]
 
     def fine_jobs(self, i: int) -> list[SolveJob]:
@@ -254,12 +254,25 @@ def solve_all(plan: SolvePlan, cache: SolveCache, mus, workers: int = 1) -> dict
 
 
 def build_emulator(plan: SolvePlan, cache: SolveCache, mus) -> em.Emulator:
-    """Emulator of the planned presses at friction nodes `mus`, all of them solved."""
-    tables = [[press_table(plan, cache, i, mu) for mu in mus] for i in range(len(plan.top))]
-    table = np.array([em.friction_table(mus, of_press) for of_press in tables])
+    """Emulator of the planned presses at friction nodes `mus`, all of them solved, the last of them without slip."""
+    table = np.array([press_table(plan, cache, i, mus) for i in range(len(plan.top))])
     refuse_no_contact(plan.readings, table)
     group = np.unique(plan.readings.indenters, return_inverse=True)[1]
     return em.Emulator(table, plan.top, group, plan.readings.travel)
+
+
+def press_table(plan: SolvePlan, cache: SolveCache, i: int, mus) -> np.ndarray:
+    """Forces (FRICTIONS, DEPTHS, 3) of press i, after its shear."""
+    jobs = [plan.jobs(i, mu) for mu in mus]
+    deepest, stuck = [cache.get(of_mu[0]) for of_mu in jobs], [cache.get(job) for job in jobs[-1]]
+    top = float(plan.top[i])
+    table = em.friction_table(mus, [press_curve(solve, top) for solve in deepest])
+    if not plan.readings.sheared[i] or not table.any():
+        return table
+    reached = [
+        (-job.press.dz, solve["end"]) for job, solve in zip(jobs[-1], stuck, strict=True) if len(solve["depth"]) > 1
+    ]
+    return em.sheared_table(table, top, mus, [solve["end"] for solve in deepest], *zip(*reached, strict=True))
 
 
 def refine(emulator: em.Emulator, plan: SolvePlan, fine: SolveCache, workers: int = 1) -> em.Emulator:
@@ -296,19 +309,6 @@ def press_curve(solve: dict, top: float) -> np.ndarray:
     if not solve["depth"]:
         return np.zeros((em.DEPTHS, 3))
     return em.curve_table(em.Curve(np.array(solve["depth"]), np.array(solve["force"])), float(top))
-
-
-def press_table(plan: SolvePlan, cache: SolveCache, i: int, mu: float) -> np.ndarray:
-    """Force (DEPTHS, 3) of press i, after its shear, at one friction coefficient."""
-    jobs = plan.jobs(i, mu)
-    solves = [cache.get(job) for job in jobs]
-    press = press_curve(solves[0], plan.top[i])
-    if mu == 0.0 or not plan.readings.sheared[i] or not press.any():
-        return press
-    reached = [
-        (-job.press.dz, solve["end"]) for job, solve in zip(jobs, solves, strict=True) if len(solve["depth"]) > 1
-    ]
-    return em.sheared_table(press, float(plan.top[i]), *zip(*reached, strict=True))
 
 
 def refuse_no_contact(readings, table) -> None:

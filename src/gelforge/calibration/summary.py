@@ -1,6 +1,7 @@
 """What a posterior says, in numbers and in sentences a person can act on."""
 
 import numpy as np
+from scipy.stats import norm
 
 from gelforge.calibration.parameters import NAMES, TARE, Model, label_of
 from gelforge.calibration.posterior import Posterior, tare_of
@@ -19,18 +20,19 @@ def describe(draws) -> dict:
 
 
 def parameter_table(chain: Chain, model: Model) -> dict[str, dict]:
-    """Posterior of every parameter with its prior's 95 % interval and how far the data narrowed it."""
-    draws = model.values(chain.flat())
-    prior_draws = model.values(model.draw(np.random.default_rng(0), len(next(iter(draws.values())))))
-    table = {}
+    """Posterior of every parameter with its prior's 95 % interval and how far the data narrowed it.
+
+    The width is that of the 68 % interval, in the coordinate in which the prior is a standard normal distribution.
+    """
+    draws, table = model.values(chain.flat()), {}
     for name, prior in model.free.items():
-        width, before = (np.diff(np.quantile(of[name], QUANTILES["interval68"]))[0] for of in (draws, prior_draws))
+        low, high = norm.ppf(prior.law.cdf(np.quantile(draws[name], QUANTILES["interval68"])))
         table[name] = {
             **describe(draws[name]),
             "label": label_of(name),
             "prior_kind": prior.kind,
             "prior_interval95": [float(v) for v in prior.law.ppf(QUANTILES["interval95"])],
-            "width_over_prior": float(width / before),
+            "width_over_prior": float((high - low) / 2.0),
         }
     return table
 

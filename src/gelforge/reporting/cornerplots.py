@@ -57,8 +57,10 @@ def trace_plot(path, chain, model) -> None:
     axes = np.atleast_1d(figure.subplots(len(model.names), 1, sharex=True))
     thin = max(1, len(coordinates) // 1500)
     steps = np.arange(0, len(coordinates), thin)
-    for column, (axis, name) in enumerate(zip(axes, model.names, strict=True)):
-        axis.plot(steps, model.free[name].value(coordinates[::thin, :, column]), lw=0.3, alpha=0.4, color=BAND)
+    shown = coordinates[::thin]
+    values = model.values(shown.reshape(-1, shown.shape[-1]))
+    for axis, name in zip(axes, model.names, strict=True):
+        axis.plot(steps, values[name].reshape(shown.shape[:2]), lw=0.3, alpha=0.4, color=BAND)
         axis.axvspan(0, chain.figures.burn, color="0.9", zorder=0)
         axis.set_ylabel(label_of(name).replace(" (", "\n("), fontsize=8)
         axis.margins(x=0)

@@ -8,7 +8,7 @@ from scipy import stats
 from scipy.optimize import brentq
 
 from gelforge.calibration import summary
-from gelforge.calibration.emulator import curve_table, friction_of, friction_table, sheared_table
+from gelforge.calibration.emulator import curve_table, friction_axis, friction_of, friction_table, sheared_table
 from gelforge.calibration.kernel import sideways_left
 from gelforge.calibration.parameters import FrictionPrior, Model, Prior, prior_of
 from gelforge.calibration.readings import bisection_order, choose_presses
@@ -89,19 +89,45 @@ def test_no_force_above_the_gel():
 
 
 @pytest.mark.parametrize("exponent", [0.0, -1.0])
-def test_shear_between_solved_depths_is_exact_in_both_limits(exponent):
-    """Full slip (shear over normal force constant) and full stick of a punch (falls as 1 / depth)."""
-    press = curve_table(law_curve(0.4), TOP)
-    grid = np.linspace(0.0, TOP, len(press))
-    solved = np.array([2.2, 1.2])
-    normal = np.interp(solved, grid, press[:, 2])
+def test_shear_between_solved_depths_is_exact_where_nothing_slips(exponent):
+    """Whether sideways over normal force is constant, or falls as 1 / depth as under a punch."""
+    alone = friction_table([np.inf], [curve_table(law_curve(np.inf), TOP)])
+    grid, solved = np.linspace(0.0, TOP, alone.shape[1]), np.array([TOP, 1.2])
+    press = alone[-1, :, 2]
+    normal = np.interp(solved, grid, press)
+    stuck = np.stack([-0.3 * solved**exponent * normal, 0.1 * normal, 0.9 * normal], axis=1)
+    table = sheared_table(alone, TOP, [np.inf], stuck[:1], solved, stuck)[-1]
+    inside = (grid > 1.21) & (grid < TOP - 0.01)
+    np.testing.assert_allclose(table[inside, 0], -0.3 * grid[inside] ** exponent * press[inside], rtol=1e-10)
+    np.testing.assert_allclose(table[inside, 1:], press[inside, None] * [0.1, 0.9], rtol=1e-10)
+
+
+def test_shear_of_a_contact_that_slips_follows_from_one_depth():
+    """Of a contact that obeys Coulomb's law, between friction nodes and at depths that were solved without slip alone."""
+    nodes, travel = np.array([0.0, 0.2, 0.5, np.inf]), 0.3
+    alone = friction_table(nodes, [curve_table(law_curve(mu), TOP) for mu in nodes])
+    grid, solved = np.linspace(0.0, TOP, alone.shape[1]), np.array([TOP, 1.2])
+
+    def dragged(mu, depth):
+        return 1.5 * travel / depth if np.isinf(mu) else mu * np.tanh(1.5 * travel / depth / max(mu, 1e-9))
+
+    def after(mu, depth):
+        return normal_force(depth, mu) * np.array([-dragged(mu, depth), 0.0, 1.0])
+
     table = sheared_table(
-        press, TOP, solved, np.stack([-0.3 * solved**exponent * normal, 0 * solved, normal], axis=1)
+        alone, TOP, nodes, [after(mu, TOP) for mu in nodes], solved, [after(np.inf, depth) for depth in solved]
     )
-    inside = (grid > 1.21) & (grid < 2.19)
-    np.testing.assert_allclose(table[inside, 0], -0.3 * grid[inside] ** exponent * press[inside, 2], rtol=1e-10)
+    for mu in (0.3, 0.5, 1.0, 2.0):
+        of_mu = np.stack(
+            [np.interp(friction_axis(mu), np.linspace(0, 1, 33), one) for one in table.reshape(33, -1).T]
+        )
+        for depth in (1.3, 1.6, 2.0):
+            found = of_mu.reshape(-1, 3)[np.argmin(np.abs(grid - depth))]
+            # a hundredth of the normal force, as between the nodes of a cubic
+            assert found[0] / found[2] == pytest.approx(-dragged(mu, depth), rel=0.025)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("tare", [0.0, -1.5])
 def test_truth_is_recovered_where_data_are_rich(tare):
     """A sensor that was not tared hides nothing: C10 is as narrow as with a tared one."""
@@ -181,6 +207,7 @@ def test_laws_are_compared_by_what_they_predict_of_readings_left_out():
     assert at_best - 3 * len(posterior.model.free) < terms.sum() < at_best
 
 
+@pytest.mark.slow
 def test_a_chain_is_the_same_again():
     posterior = law_posterior(np.random.default_rng(3), DEPTH, law="no_slip")
     one, two = (sample(posterior, replace(RULES, taus=5)).coordinates for _ in range(2))
@@ -197,7 +224,7 @@ def test_coordinates_of_a_prior_are_standard_normal(kind):
     prior = prior_of(table)
     z = np.linspace(-4.0, 4.0, 81)
     np.testing.assert_allclose(prior.law.cdf(prior.value(z)), stats.norm.cdf(z), atol=1e-6)
-    draws = prior.value(prior.draw(np.random.default_rng(9), 20000))
+    draws = prior.value(prior.quantile(np.random.default_rng(9).random(20000)))
     assert stats.kstest(draws, prior.law.cdf).pvalue > 1e-3
     if kind in ("normal", "cauchy"):  # no priors of what is above 0
         return
@@ -207,7 +234,7 @@ def test_coordinates_of_a_prior_are_standard_normal(kind):
     total = np.cumsum(density) / density.sum()
     for u in (0.1, 0.5, 0.9):
         assert friction.law.cdf(friction_of(np.interp(u, total, x))) == pytest.approx(u, abs=2e-3)  # rectangles
-    draws = friction.value(friction.draw(np.random.default_rng(9), 20000))
+    draws = friction.value(friction.quantile(np.random.default_rng(9).random(20000)))
     assert stats.kstest(draws, prior.law.cdf).pvalue > 1e-3
 
 

@@ -150,7 +150,7 @@ MEANINGLESS = (
     ("[params.pareto]\nhex_layers = [3]", "hex_sizes_mm has 5 sizes and hex_layers 1"),
     ("[params.stability.sizes]\nhx = [1.0]", "hx: unknown name; hex is meant"),
     ("[params.stability]\nlayers = {}\nsizes = {hex = [2.0, 1.0, 0.7, 0.5]}", "layers has no \"2.0\""),
-    ("[params.calibrate]\nacceptance = [0.6, 0.15]", "acceptance = .* rising"),
+    ("[params.calibrate]\nfriction_nodes = [0.6, 0.15]", "friction_nodes = .* rising"),
     ("[params.calibrate.priors.c10]\nkind = 'uniform'", "low is missing: a prior of kind \"uniform\""),
     ("[params.calibrate.priors.c10]\nspread = 0", "has no width"),
     ("[params.calibrate.priors.c10]\nmedian = -1", "needs a positive one"),
@@ -158,7 +158,6 @@ MEANINGLESS = (
     ("[params.calibrate.priors.c10]\nkind = 'uniform'\nlow = 10\nhigh = 150", "c10: high = 150: give a number .* MPa"),
     ("[params.calibrate.priors.mu]\nfree = false", "mu: free = false needs `fixed`"),
     ("[params.calibrate.priors.c10]\nfree = false\nfixed = 0.08", "c10: free = false; it is what calibrate finds"),
-    ("[params.calibrate]\nwalkers = 33", "walkers = 33: give an even number"),
     ("[params.train]\nleast_rate = 1.0", "least_rate = 1.0 is above learning_rate"),
     ("[params.train]\naveraged_share = 0.3", "averaged_share = 0.3 is above frozen_share = 0.25"),
     ("[params.report]\nmodel = '$(shell touch x)'", "model = .*: give a name of letters"),
@@ -200,7 +199,7 @@ def test_the_datasets_that_come_along_are_sound(root):
 
 
 def test_words_of_the_schema_are_those_of_the_code():
-    from gelforge.calibration.parameters import LAWS, NAMES
+    from gelforge.calibration.parameters import LAWS, NAMES, TARE
     from gelforge.records.labelfile import FIELDS
 
     assert (
@@ -209,7 +208,7 @@ def test_words_of_the_schema_are_those_of_the_code():
         and set(t.PRIOR_KEYS) == set(get_args(kinds_of(t.PriorTable)["kind"]))
     )
     assert set(LAWS) == set(t.LAWS)
-    assert set(NAMES) | {"indenter"} == {field.name for field in fields(t.PriorsTable)}
+    assert set(NAMES) - set(TARE) | {"indenter", "tare"} == {field.name for field in fields(t.PriorsTable)}
     channels = get_args(get_args(split(kinds_of(t.LabelsTable)["channels"])[0])[0])
     assert set(channels) - {"force"} <= set(FIELDS)
 
