@@ -15,6 +15,7 @@ pytest.importorskip(
 CATALOGUE = ROOT / "workflow" / "indenters.toml"
 
 
+@pytest.mark.slow
 def test_indenters_are_the_published_ones(reference):
     published = {path.stem for path in (reference / "feats" / "indenters").glob("*.step")}
     assert published == published_names(CATALOGUE)

@@ -72,6 +72,7 @@ def test_a_factor_is_constant_beyond_the_depths_it_was_found_at():
     assert (found[:, :2] == 0.97).all()
 
 
+@pytest.mark.slow
 def test_hidden_sideways_force_is_that_of_fine_hexahedra(plan, root, tmp_path):
     """Within 3 % under edges that are dragged; the factor of normal force alone leaves 10 %."""
     catalogue = load_catalogue(root / "workflow" / "indenters.toml", ["triangle_10"])

@@ -97,7 +97,7 @@ def test_a_scene_that_cannot_be_solved_is_listed_with_its_reason(bench, tmp_path
     assert row["scenes"] == 2 and row["failed"] == 1 and not row["frontier_total"]
 
 
-@pytest.mark.parametrize("fidelity", ["hex", "ccx", "ccx-native"])
+@pytest.mark.parametrize("fidelity", ["hex", "ccx", pytest.param("ccx-native", marks=pytest.mark.slow)])
 def test_every_fidelity_of_the_map_solves_with_what_its_branch_is_given(fidelity, ccx, tmp_path):
     params, folder = coarse_mesh("wide", 3.0, tmp_path)
     # how long a case may take is the chart's matter: a loaded machine is no fault
