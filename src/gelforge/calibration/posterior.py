@@ -8,6 +8,11 @@ from scipy.special import gammaln
 from gelforge.calibration.emulator import Emulator
 from gelforge.calibration.parameters import TARE, Model
 
+# By how much emulated forces err from press to press: each component by this fraction of the normal force, and sideways ones
+# by this fraction of themselves. Meshes, load steps, and interpolation over friction and depth make up as much
+# (tests/physics/test_calibration_solves.py). Without it a thousandth of a firm press' force would decide on friction.
+ERROR, SIDEWAYS_ERROR = 0.005, 0.04
+
 
 @dataclass(frozen=True)
 class Posterior:
@@ -27,17 +32,20 @@ class Posterior:
         """Noise-free readings and scale of the likelihood, each (w, n, 3) N.
 
         A reading is the force on the gel and the sensor's constant force. The scale holds the sensor's noise and, in
-        quadrature, what the scatter of touch from press to press makes of the slope of force over depth.
+        quadrature, what the scatter of touch from press to press makes of the slope of force over depth, and what the
+        emulator errs by.
         """
         values = self.model.values(coordinates)
         forces, slopes, _ = self.emulator.forces(self.depth, values)
-        return forces + tare_of(values)[:, None], self.scale(slopes, values)
+        return forces + tare_of(values)[:, None], self.scale(forces, slopes, values)
 
     @staticmethod
-    def scale(slopes, values: dict) -> np.ndarray:
-        """Scale of the likelihood at slopes (w, n, 3) N per mm."""
+    def scale(forces, slopes, values: dict) -> np.ndarray:
+        """Scale of the likelihood (w, n, 3) at forces (w, n, 3) N and slopes (w, n, 3) N per mm."""
         noise, scatter = (values[name][:, None, None] for name in ("noise", "scatter"))
-        return np.sqrt(noise**2 + (scatter * slopes) ** 2)
+        variance = noise**2 + (scatter * slopes) ** 2 + (ERROR * forces[..., 2:]) ** 2
+        variance[..., :2] += SIDEWAYS_ERROR**2 * (forces[..., :2] ** 2).sum(axis=2, keepdims=True)
+        return np.sqrt(variance)
 
     def pointwise(self, coordinates) -> np.ndarray:
         """Log-likelihood of every reading that serves, (w, r)."""

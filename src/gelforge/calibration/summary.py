@@ -71,11 +71,9 @@ def own_forces(chain, posterior) -> np.ndarray:
     coordinates = chain.flat(DRAWS)
     values = posterior.model.values(coordinates)
     forces, slopes, _ = posterior.emulator.forces(posterior.depth, values)
-    scatter, noise = values["scatter"][:, None], values["noise"][:, None]
-    slope = slopes[:, :, 2]
     tare = tare_of(values)[:, None]
-    residual = posterior.observed[:, 2] - (forces + tare)[:, :, 2]
-    error = scatter**2 * slope * residual / (noise**2 + (scatter * slope) ** 2)
+    slope, residual = slopes[:, :, 2], posterior.observed[:, 2] - (forces + tare)[:, :, 2]
+    error = values["scatter"][:, None] ** 2 * slope * residual / posterior.scale(forces, slopes, values)[:, :, 2] ** 2
     return (forces + tare + slopes * error[:, :, None]).mean(axis=0)
 
 

@@ -192,7 +192,7 @@ def draw_bands(done: Calibration) -> list:
         grid = np.linspace(0.0, readings.depth[deepest], 60)
         one = posterior.emulator.take(np.full(len(grid), deepest))
         forces, slopes, _ = one.forces(grid, values)
-        scale = posterior.scale(slopes, values)[:, :, 2]
+        scale = posterior.scale(forces, slopes, values)[:, :, 2]
         fresh = -forces[:, :, 2] + scale * rng.standard_t(posterior.tail, scale.shape)
         same = members[
             np.abs(readings.pose[members][:, [0, 1, 6]] - readings.pose[deepest, [0, 1, 6]]).max(axis=1) < 0.01
