@@ -1,12 +1,15 @@
 """What gelforge offers to a Python program: solve a press and label it; `reader` reads images."""
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import wraps
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
 from gelforge.errors import BadInput, GelforgeError
+from gelforge.flow.main import missing_extra
 from gelforge.geometry.gel import gels_from, load_gel
 from gelforge.geometry.solids import Indenter
 from gelforge.labelling.grid import Grid
@@ -16,6 +19,9 @@ from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.scene import Scene
 from gelforge.records.axes import AXIS_OF_CHANNEL
 from gelforge.records.press import Press
+
+P = ParamSpec("P")
+R = TypeVar("R")
 
 
 @dataclass(frozen=True)
@@ -34,6 +40,23 @@ class SolvedPress:
         return self.forces.sum(axis=0)
 
 
+def _needs_extra(run: Callable[P, R]) -> Callable[P, R]:
+    """A function that says which extra brings a package that it did not find."""
+
+    @wraps(run)
+    def with_extra(*args: P.args, **kwargs: P.kwargs) -> R:
+        try:
+            return run(*args, **kwargs)
+        except ModuleNotFoundError as error:
+            said = missing_extra(error)
+            if said is None:
+                raise
+            raise ModuleNotFoundError(said, name=error.name) from error
+
+    return with_extra
+
+
+@_needs_extra
 def solve(
     indenter: Indenter | dict[str, Any],
     depth: float,
@@ -87,6 +110,7 @@ def _finite(*values: Any) -> bool:
     return all(isinstance(value, int | float | np.number) and bool(np.isfinite(value)) for value in values)
 
 
+@_needs_extra
 def label(solved: SolvedPress, resolution: str = "24x32", sensor: Sensor | None = None) -> np.ndarray:
     """Bin a solved press into force per cell of an image grid, N: (3, rows, cols) in the order of FEATS' channels.
 

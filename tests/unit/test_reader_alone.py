@@ -91,6 +91,16 @@ def test_pictures_are_read_with_the_base_packages_alone(root, tmp_path):
     assert [code for code, _ in found] == [0, 0, 0], found
 
 
+def test_python_names_the_extra_that_solve_and_label_need():
+    body = "{'kind': 'sphere', 'diameter': 10, 'height': 10}"
+    program = f"import sys\nfor name in {sorted(EXTRAS)!r}:\n    sys.modules[name] = None\nimport gelforge\n"
+    solve, label = f"gelforge.solve({body}, depth=0.3)", "gelforge.label(None)"
+    for call in (solve, label):
+        done = subprocess.run([sys.executable, "-c", program + call], capture_output=True, text=True)
+        said = done.stderr.splitlines()[-1].replace("ModuleNotFoundError", "error")
+        assert ONE_SENTENCE.fullmatch(said) and "[flow]" in said, done.stderr[-1500:]
+
+
 def test_the_example_that_reads_a_film_needs_no_extra(root):
     program = f"import runpy, sys\nfor name in {sorted(EXTRAS)!r}:\n    sys.modules[name] = None\n"
     program += f"runpy.run_path({str(root / 'workflow/examples/06_read_a_film.py')!r}, run_name='__main__')"

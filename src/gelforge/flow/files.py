@@ -134,18 +134,21 @@ def read_toml(
 ) -> dict:
     """Read a TOML file; one that is not there, cannot be read or is no TOML raises BadInput with file and place.
 
+    It may begin with a byte order mark, as Windows writes it.
     hint: what to do where there is none of that name.
     """
     import tomllib  # every step imports this module, and few read TOML
 
     path = Path(path)
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
     except FileNotFoundError as error:
         raise BadInput(f"{path}: not found; {hint}") from error
     except OSError as error:
         raise BadInput(f"{path}: cannot be read ({error.strerror}); name a TOML file that can") from error
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except UnicodeDecodeError as error:
+        raise BadInput(f"{path}: not UTF-8 text ({error}); save it as UTF-8") from error
+    except tomllib.TOMLDecodeError as error:
         raise BadInput(f"{path}: not valid TOML: {error}") from error
 
 

@@ -156,6 +156,15 @@ def exit_with(main: Callable[[Sequence[str] | None], int], argv: Sequence[str] |
     sys.exit(code)
 
 
+def missing_extra(error: ModuleNotFoundError) -> str | None:
+    """A sentence that names the extra which brings a package that was not found; None for a package of no extra."""
+    package = (error.name or "").partition(".")[0]
+    if package not in EXTRAS:
+        return None
+    hint = f"pip install '.[{EXTRAS[package]}]' in a clone of gelforge"
+    return f"this needs the package {package}, which is not installed: {hint}"
+
+
 def code_of(main: Callable[[Sequence[str] | None], int], argv: Sequence[str] | None) -> Any:
     """Run `main(argv)`; return its exit code, or that of the way in which it stopped."""
     try:
@@ -166,11 +175,10 @@ def code_of(main: Callable[[Sequence[str] | None], int], argv: Sequence[str] | N
         print(f"error: {error}", file=sys.stderr)
         return 2
     except ModuleNotFoundError as error:
-        package = (error.name or "").partition(".")[0]
-        if package not in EXTRAS:
+        said = missing_extra(error)
+        if said is None:
             raise
-        hint = f"pip install '.[{EXTRAS[package]}]' in a clone of gelforge"
-        print(f"error: this needs the package {package}, which is not installed: {hint}", file=sys.stderr)
+        print(f"error: {said}", file=sys.stderr)
         return 2
     except KeyboardInterrupt:
         return 130

@@ -1,7 +1,5 @@
 """Sensors: where a point of the gel appears in the image."""
 
-import json
-import tomllib
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -9,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.files import read_json, read_toml
 from gelforge.geometry.gel import Gel, load_gel
 from gelforge.records.press import SENSOR_TABLES
 
@@ -94,8 +93,7 @@ def check_scale(homography: np.ndarray, image: tuple[int, int], where: str, gel:
 def load_sensors(path) -> dict[str, Sensor]:
     """Read sensors.toml (or stage parameters, .json) into {name: Sensor}; BadInput names a bad entry and its field."""
     try:
-        text = Path(path).read_text(encoding="utf-8")
-        tables = json.loads(text) if Path(path).suffix == ".json" else tomllib.loads(text)
+        tables = read_json(path) if Path(path).suffix == ".json" else read_toml(path)
     except (OSError, ValueError) as error:
         raise BadInput(f"{path}: cannot be read as sensors ({error}); correct it") from error
     return sensors_of(tables, str(path))

@@ -200,7 +200,7 @@ def other_case(path: Path) -> Path | None:
 def png_fault(data: bytes) -> tuple[str | None, tuple[int, int]]:
     """What is wrong with PNG bytes (None where nothing is), and width and height."""
     if not data.startswith(PNG):
-        return "is not a PNG file", (0, 0)
+        return "is not a PNG file" if data else "is empty", (0, 0)
     fault, size = _chunk_fault(data)
     fault = fault or _size_fault(size) or _decode_fault(data)
     if not fault and b"eXIf" in data:  # which may turn it by 90 degrees

@@ -18,6 +18,7 @@ KINDS = {
     stat.S_IFBLK: "a device",
 }
 LFS = b"version https://git-lfs"
+WORKBOOKS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")  # how .xlsx and .ods begin, and .xls
 LFS_BYTES = 1024  # of a pointer at most
 FOLDER = f"it is {KINDS[stat.S_IFDIR]}"  # what `file_fault` says of one
 
@@ -76,7 +77,10 @@ def refuse_to_replace(asked: str, written: Iterable[Path], read: Iterable[Path |
 
 def read_text(path: Path, hint: str) -> str:
     """Text of a regular file in UTF-8, whatever byte order marks it begins with; line endings stay as they are."""
+    data = read_bytes(path, hint)
+    if data.startswith(WORKBOOKS):
+        raise BadInput(f"{path}: is a workbook of Excel or LibreOffice, not text; save it there as CSV in UTF-8")
     try:
-        return read_bytes(path, hint).decode("utf-8").lstrip("\ufeff")
+        return data.decode("utf-8").lstrip("\ufeff")
     except UnicodeDecodeError as error:
         raise BadInput(f"{path}: not UTF-8 text ({error}); save it as CSV in UTF-8") from None

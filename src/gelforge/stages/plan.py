@@ -10,6 +10,7 @@ import re
 from argparse import Namespace
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from difflib import get_close_matches
 from pathlib import Path
 from types import MappingProxyType
 
@@ -225,12 +226,27 @@ def files_beside(data: Path) -> dict[str, Path]:
     return {str(path.relative_to(data)): path for path in found if path.is_file()}
 
 
-def check_nocontact(data: Path) -> None:
-    """Refuse a no-contact image that no stage would read, because of its name."""
-    for path in listed(data / "nocontact", "*"):
+def check_nocontact(data: Path, logged: Iterable[str], known: Iterable[str]) -> None:
+    """Refuse a no-contact image that no stage would read, because of its name.
+
+    logged: sensors of the log; known: all sensors of the catalogue, whose images may lie there, too.
+    """
+    found = listed(data / "nocontact", "*")
+    for path in found:
         picture = path.suffix.lower() in PICTURES and path.suffix != ".png"
         if picture and not path.with_suffix(".png").exists():
             raise BadInput(f"{path}: no-contact images are read as PNG; save it as {path.with_suffix('.png').name}")
+    without = [name for name in sorted(logged) if not (data / "nocontact" / f"{name}.png").exists()]
+    for path in found:
+        stray = path.is_dir() or (path.suffix == ".png" and path.stem not in known)
+        if without and stray:
+            near = get_close_matches(path.stem.lower(), [name.lower() for name in without], 1)
+            meant = next((name for name in without if name.lower() in near), without[0])
+            raise BadInput(
+                f"{path}: {'is a folder' if path.is_dir() else 'is named after no sensor'}, and {', '.join(without)} of the log"
+                f" {'has' if len(without) == 1 else 'have'} no no-contact image; save one as {data / 'nocontact' / meant}.png,"
+                " or move this elsewhere"
+            )
 
 
 def write_parameters(params: Params, workflow: Path, out: Path, tables: dict[str, dict], scenes: dict) -> None:
@@ -416,7 +432,8 @@ def check_dataset(
     check_names("[pareto] sensor", [params.pareto.sensor], sensors)
     logged = used(sensors, named(rows, "sensor_id"))
     check_gel(file, of, params, logged)
-    check_nocontact(file.parent)
+    if params.poses.images:
+        check_nocontact(file.parent, logged, sensors)
     check_pictures(file, params, logged, networks(workflow))
     if file.parent.name in params.train.also:
         raise BadInput(

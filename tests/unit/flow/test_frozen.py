@@ -56,7 +56,7 @@ def test_a_file_that_is_none_is_refused_in_a_sentence(root, tmp_path):
     path = frozen(tmp_path)
     whole = path.read_text()
     for old, new, said in (
-        ('name = "', "name = ", "cannot be read"),
+        ('name = "', "name = ", "not valid TOML: .*run make freeze"),
         ("model", "modell", "is no frozen calibration"),
         ("c10 =", "nu =", "what no calibration finds"),
         ("c10 = 0.0853", "c10 = 85.3", "c10 = 85.3: give a number from"),

@@ -177,6 +177,11 @@ def test_files_of_settings_that_cannot_be_read_are_named(root, tmp_path):
     (tmp_path / "params.toml").write_text(text.replace("shard_size = 0", ""))
     refused(r"params\.toml: \[plan\] shard_size is missing", load_params, tmp_path)
     refused(r"cannot be read \(Is a directory\); name a TOML file", read_toml, tmp_path)
+    given = tmp_path / "given.toml"
+    given.write_text('gel = "größer"', encoding="utf-8-sig")  # as Windows writes it
+    assert read_toml(given) == {"gel": "größer"}
+    given.write_text('gel = "mine"', encoding="utf-16")
+    refused(r"given\.toml: not UTF-8 text .*save it as UTF-8", read_toml, given)
     gone = tmp_path / "nothere.toml"
     refused("nothere.toml: not found; check the name .workflow/guide/your-data.md and", read_toml, gone)
     refused("nothere.toml: not found; make it with gel", read_toml, gone, "make it with gelforge sensor")

@@ -1,5 +1,7 @@
 """The raw log: every kind of bad cell, row and file is refused with its place and a hint, and keeps no good row out."""
 
+import zipfile
+
 import cv2
 import numpy as np
 import pytest
@@ -157,6 +159,11 @@ def test_files_that_are_no_log_are_refused(tmp_path):
         refused(said, read, tmp_path, text)
     path.write_bytes(b"sample_id\n\xff\xfe\n")
     refused("UTF-8", log.read_log, path)
+    with zipfile.ZipFile(path, "w") as workbook:  # as .xlsx and .ods are
+        workbook.writestr("xl/workbook.xml", "<workbook/>")
+    for data in (path.read_bytes(), b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1" + bytes(504)):  # and .xls
+        path.write_bytes(data)
+        refused("is a workbook of Excel or LibreOffice.*save it there as CSV", log.read_log, path)
 
 
 def test_headers_and_rows_that_are_spelt_otherwise_are_read(tmp_path):
@@ -265,7 +272,7 @@ def test_bad_image_is_refused(folder):
     assert "cannot be read" in judge_image(folder, image="images").reason
     good = image_bytes()
     for data, said in (
-        (b"", "not a PNG"),
+        (b"", "is empty"),
         (b"GIF89a", "not a PNG"),
         (good[:200], "truncated"),
         (good[:-1], "truncated"),

@@ -1,6 +1,7 @@
 """Shards: every sample has one, keeps it, and appending changes the last one only."""
 
 import json
+import shutil
 import tomllib
 from pathlib import Path
 
@@ -165,6 +166,27 @@ def test_a_no_contact_image_that_nobody_would_read_is_named(tmp_path, name):
     with pytest.raises(BadInput, match=rf"nocontact/{name}: .*save it as mini_a\.png"):
         planned(tmp_path, "")
     (tmp_path / "nocontact/mini_a.png").touch()
+    planned(tmp_path, "")
+
+
+def test_what_belongs_to_no_sensor_is_named_while_a_sensor_lacks_its_no_contact_image(tmp_path):
+    folder = tmp_path / "nocontact"
+    for stray in ("Mini_A.png", "mini-a.png", "mini_a/0001.png", "old/a.png"):
+        (folder / stray).parent.mkdir(parents=True)
+        (folder / stray).touch()
+        with pytest.raises(
+            BadInput, match=rf"nocontact/{stray.split('/')[0]}: .*save one as .*nocontact/mini_a\.png"
+        ):
+            planned(tmp_path, "")
+        planned(tmp_path, "[params.poses]\nimages = false\n")
+        shutil.rmtree(folder)
+    folder.mkdir()
+    for name in ("mini_c.png", "notes.txt"):  # of a sensor that is not in this log; no picture
+        (folder / name).touch()
+    planned(tmp_path, "")
+    (folder / "old").mkdir()
+    for name in ("mini_a.png", "mini_b.png"):  # nothing is missing
+        (folder / name).touch()
     planned(tmp_path, "")
 
 

@@ -5,14 +5,13 @@ Its values override workflow/params.toml as a dataset's own tables do, so stages
 
 import hashlib
 import json
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import write_text
+from gelforge.flow.files import read_toml, write_text
 
 FROZEN = "calibration.toml"  # in data/DATASET/, beside dataset.toml
 KINDS = {"name": str, "model": str, "presses": list, "params": dict}
@@ -67,9 +66,9 @@ def read_frozen(path: Path) -> Frozen | None:
         return None
     hint = f"run make freeze DATASET={path.parent.name}, or remove it"
     try:
-        given = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
-        raise BadInput(f"{path}: cannot be read ({error}); {hint}") from error
+        given = read_toml(path)
+    except BadInput as error:
+        raise BadInput(f"{error}; {hint}") from error
     if given.keys() != KINDS.keys() or not all(isinstance(given[key], kind) for key, kind in KINDS.items()):
         raise BadInput(f"{path}: is no frozen calibration, which holds {', '.join(KINDS)}; {hint}")
     tables = {"material": {*DIGITS, "c10_interval68", "c10_interval95"} - BENCH.keys(), "poses": set(BENCH)}
