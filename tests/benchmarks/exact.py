@@ -89,7 +89,7 @@ def pad(thickness: float):
 
 
 def scene_of(press: dict) -> Scene:
-    """The press as every method is asked for it; its place is beside the lines that a mesh might be laid on."""
+    """The press as every method is asked for it; its place is beside the lines along which a mesh might be aligned."""
     way = Press(0.0, 0.0, 0.0, 0.0, 0.0, -press["depth_mm"])
     law = Interface(press["interface"])
     return Scene(

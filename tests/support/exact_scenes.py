@@ -36,7 +36,7 @@ class Series:
 
     @property
     def name(self) -> str:
-        """A name that tells the presses apart."""
+        """A name of its own for each press."""
         kind, *sizes = self.shape
         parts = [kind, *(f"{size:g}" for size in sizes), f"nu{self.nu:g}", f"pad{self.thickness:g}"]
         return "-".join([*parts, "no_slip" if self.stick else "frictionless"])
