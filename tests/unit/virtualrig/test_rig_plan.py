@@ -164,7 +164,7 @@ def test_a_look_that_no_sensor_has_is_refused(tmp_path):
     ):
         refused(said, read_appearances, changed(tmp_path, shipped, (old, new)))
     (tmp_path / "sensors.toml").write_bytes("# Gerät\n[mini_a.light]\n".encode("latin-1"))
-    refused("sensors.toml: not valid TOML: 'utf-8' codec", read_appearances, tmp_path / "sensors.toml")
+    refused("sensors.toml: not UTF-8 text .*save it as UTF-8", read_appearances, tmp_path / "sensors.toml")
     refused("absent.toml: not found", read_appearances, tmp_path / "absent.toml")
 
 
