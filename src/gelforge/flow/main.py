@@ -29,7 +29,7 @@ UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT
 # Packages that only an extra of pyproject.toml installs, by the name of their import.
 EXTRAS = {
     **dict.fromkeys(
-        ("scipy", "numba", "pypardiso", "pymeshlab", "pytetwild", "pyvista", "vtk", "vtkmodules", "emcee", "corner", "jinja2",
+        ("scipy", "numba", "pypardiso", "pymeshlab", "pytetwild", "pyvista", "vtk", "vtkmodules", "emcee", "arviz_stats", "corner", "jinja2",
          "tqdm", "matplotlib", "torch", "safetensors", "pydantic", "annotated_types"),
         "flow",
     ),
