@@ -323,14 +323,14 @@ def _other_shapes(mine: list[Seen], shapes: Shapes) -> list[Finding]:
             rows = tuple(one.row for one, _ in those)
             text = (
                 f"images of {name} show the shape of {other} (likeness {np.median([fit for _, fit in those]):.2f}, of {name}"
-                f" {np.median([one.likeness for one, _ in those]):.2f}) in rows {listed(rows)}: check the column `indenter` and the"
+                f" {np.median([one.likeness for one, _ in those]):.2f}) in rows {row_list(rows)}: check the column `indenter` and the"
                 " catalogue"
             )
             found.append(Finding(text, rows))
     return found
 
 
-def listed(rows: Iterable[int]) -> str:
+def row_list(rows: Iterable[int]) -> str:
     """The first numbers of rows as text."""
     rows = list(rows)
     return ", ".join(map(str, rows[:5])) + (" …" if len(rows) > 5 else "")

@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.evidence.images import listed as listed_rows
+from gelforge.evidence.images import row_list
 from gelforge.evidence.logimages import LogImages
 from gelforge.flow.files import digest_of, listed, publish, read_json, take, write_csv, write_json, write_text
 from gelforge.flow.layout import command_for, planned_shards
@@ -248,7 +248,7 @@ def wrong_imported(args, presses: list[PressRecord]) -> dict[str, str]:
     found = {press.sample_id: fault for press in progress(presses, "images judged") if (fault := images.fault(press))}
     for fault in sorted(set(found.values())):
         rows = [press.row for press in presses if found.get(press.sample_id) == fault]
-        print(f"rejected: {fault} (row {listed_rows(rows)})", file=sys.stderr)
+        print(f"rejected: {fault} (row {row_list(rows)})", file=sys.stderr)
     return found
 
 

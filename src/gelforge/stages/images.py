@@ -5,7 +5,6 @@ dataset, and all other findings are notes. What an image shows is kept beside th
 """
 
 import hashlib
-import os
 import sys
 from argparse import Namespace
 from collections.abc import Iterator, Mapping
@@ -14,9 +13,10 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.evidence.images import Seen, Shapes, findings, listed
+from gelforge.evidence.images import Seen, Shapes, findings, row_list
 from gelforge.evidence.imprints import Window
 from gelforge.evidence.logimages import KEEP, LogImages, read_seen, write_seen
+from gelforge.flow.dates import states_of
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.layout import planned_shards, surfaces_beside
 from gelforge.flow.main import command, option
@@ -35,17 +35,11 @@ CHUNK = 200  # presses that one process looks at
 
 def key_of(press: PosedPress, data: Path, tables: Mapping[str, dict]) -> str:
     """A digest of all that a press's maps are made of."""
-    files = [data / press.image, data / "nocontact" / f"{press.sensor_id}.png"]
-    states = [(state.st_mtime_ns, state.st_size) if (state := _stat(file)) else None for file in files]
-    made_of = (VERSION, vars(press), states, tables["sensors"][press.sensor_id], tables["indenters"][press.indenter])
+    states = states_of([data / press.image, data / "nocontact" / f"{press.sensor_id}.png"])
+    sensor = tables["sensors"][press.sensor_id]
+    gel = tables["gels"].get(sensor["gel"])  # numbers of a gel of one's own
+    made_of = (VERSION, vars(press), states, sensor, gel, tables["indenters"][press.indenter])
     return hashlib.sha256(repr(made_of).encode()).hexdigest()
-
-
-def _stat(path: Path) -> os.stat_result | None:
-    try:
-        return path.stat()
-    except OSError:
-        return None
 
 
 def look(path: Path, presses: list[PosedPress], data: Path, tables: dict, workflow: Path, kept: Path) -> list[Seen]:
@@ -108,7 +102,7 @@ def told(found: dict, seen: list[Seen]) -> list[str]:
             rows.setdefault(found["left_out"][one.sample_id], []).append(one.row)
     kept = "its label is kept, but not in the dataset"
     return [
-        *(f"rejected: {text} (row {listed(at)}); {kept}" for text, at in rows.items()),
+        *(f"rejected: {text} (row {row_list(at)}); {kept}" for text, at in rows.items()),
         *(f"note: {text}" for text in found["notes"]),
     ]
 
@@ -116,7 +110,7 @@ def told(found: dict, seen: list[Seen]) -> list[str]:
 @command(
     option("--poses", type=Path, help="folder 10_poses"),
     option("--shards", type=Path, help="folder of the planned shards"),
-    option("--params", type=Path, help="images.json, beside sensors.json, indenters.json"),
+    option("--params", type=Path, help="images.json, beside sensors.json, indenters.json, gels.json"),
     option("--workflow", type=Path, default=Path("workflow"), help="where STL paths start"),
     option("--data", type=Path, help="data/DATASET"),
     option("--jobs", type=int, default=1, help="processes that read images"),
@@ -127,18 +121,17 @@ def main(args: Namespace) -> None:
     judged = read_parameters(args.params, ForImages).poses
     seen, shapes = [], Shapes((), lambda one, _: one.expected)
     if judged.images and judged.judge_images:
-        tables = {name: read_json(args.params.parent / f"{name}.json") for name in ("sensors", "indenters")}
+        tables = {name: read_json(args.params.parent / f"{name}.json") for name in ("sensors", "indenters", "gels")}
         presses = [one for shard in planned_shards(args.shards) for one in read_poses(args.poses / f"{shard}.csv")]
         presses.sort(key=lambda one: one.row)
+        surfaces = surfaces_beside(args.params)
         parts = [
-            (args.out.parent / f"{at:04d}.npz", part, args.data, tables, args.workflow, surfaces_beside(args.params))
+            (args.out.parent / f"{at:04d}.npz", part, args.data, tables, args.workflow, surfaces)
             for at, part in enumerate(in_chunks(presses))
         ]
         seen = [one for part in in_slots(look, parts, args.jobs) for one in part]
         by_id = {one.sample_id: one for one in presses}
-        shapes = shapes_of(
-            by_id, tables, bodies_of(presses, tables, args.workflow, surfaces_beside(args.params)) if seen else {}
-        )
+        shapes = shapes_of(by_id, tables, bodies_of(presses, tables, args.workflow, surfaces) if seen else {})
     found = judge(seen, shapes, str(args.data / "log.csv"))
     for line in told(found, seen):
         print(line, file=sys.stderr)

@@ -26,6 +26,7 @@ def folder(root, tmp_path):
     (tmp_path / "shards/0000.csv").touch()
     for name in ("sensors", "indenters"):
         write_json(tmp_path / "params" / f"{name}.json", read_toml(root / "workflow" / f"{name}.toml"))
+    write_json(tmp_path / "params/gels.json", {})
     return tmp_path
 
 
@@ -90,3 +91,13 @@ def test_imported_images_are_judged_where_the_dataset_is_made(folder, capsys):
     found = wrong_imported(args, read_poses(folder / "10_poses/0000.csv"))
     assert found.keys() == {"demo-000004", "demo-000005"} and "mirrored left to right" in found["demo-000004"]
     assert "(row 6)" in capsys.readouterr().err
+
+
+def test_maps_are_made_anew_for_a_gel_of_other_numbers(folder):
+    """A pad keeps its name when its thickness is edited: its press is then expected elsewhere."""
+    press = read_poses(folder / "10_poses/0000.csv")[0]
+    tables = {name: read_json(folder / f"params/{name}.json") for name in ("sensors", "indenters")}
+    tables["sensors"][press.sensor_id]["gel"] = "pad"
+    thick, thin = ({**tables, "gels": {"pad": {"height": height}}} for height in (4.0, 3.0))
+    first = images.key_of(press, folder / "data", thick)
+    assert images.key_of(press, folder / "data", dict(thick)) == first != images.key_of(press, folder / "data", thin)
