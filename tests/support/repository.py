@@ -87,13 +87,7 @@ def tree_of(path: Path) -> ast.Module:
 @cache
 def imports(path: Path) -> set[str]:
     """Modules that a file imports anywhere in it, also inside functions."""
-    found: set[str] = set()
-    for node in ast.walk(tree_of(path)):
-        if isinstance(node, ast.Import):
-            found |= {alias.name for alias in node.names}
-        elif isinstance(node, ast.ImportFrom) and node.module:
-            found |= {node.module} | {f"{node.module}.{alias.name}" for alias in node.names}
-    return found
+    return stage_digests.imported(tree_of(path))
 
 
 def folders_used(path: Path) -> set[str]:

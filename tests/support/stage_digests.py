@@ -36,15 +36,20 @@ def tree_of(module: str) -> ast.Module:
     return tree
 
 
-def imports(module: str) -> set[str]:
-    """Modules of the project that a module imports, wherever in it."""
+def imported(tree: ast.AST) -> set[str]:
+    """Names that code imports, wherever in it: modules, and what is taken from them."""
     found: set[str] = set()
-    for node in ast.walk(tree_of(module)):
+    for node in ast.walk(tree):
         if isinstance(node, ast.Import):
             found |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom) and node.module:
             found |= {node.module, *(f"{node.module}.{alias.name}" for alias in node.names)}
-    return {name for name in found if name.startswith("gelforge.") and path_of(name)}
+    return found
+
+
+def imports(module: str) -> set[str]:
+    """Modules of the project that a module imports, wherever in it."""
+    return {name for name in imported(tree_of(module)) if name.startswith("gelforge.") and path_of(name)}
 
 
 @cache

@@ -14,6 +14,7 @@ from gelforge.geometry.gel import load_gel
 from gelforge.geometry.solids import Indenter
 from gelforge.labelling.sensor import Sensor
 from gelforge.networks.preprocess.illumination import Light, Reference
+from gelforge.records.markers import dark_spots
 from gelforge.records.press import Press
 
 ROWS, COLS = 30, 40
@@ -55,11 +56,8 @@ def _between_markers(half: np.ndarray) -> np.ndarray:
     """1 where an image (120, 160, 3) uint8 shows gel, 0 where it shows a marker, float32 (120, 160)."""
     import cv2
 
-    brightest = half.max(axis=2)
     around = cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (MARKER, MARKER))
-    darker = cv2.subtract(cv2.morphologyEx(brightest, cv2.MORPH_CLOSE, around), brightest)
-    ink = cv2.dilate((darker > INK * int(brightest.max())).astype(np.uint8), np.ones((3, 3), np.uint8))
-    return 1.0 - ink.astype(np.float32)
+    return 1.0 - dark_spots(half, around, np.ones((3, 3), np.uint8), INK).astype(np.float32)
 
 
 class Window:

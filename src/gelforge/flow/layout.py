@@ -123,10 +123,6 @@ class Layout:
         """Folder of the gel's meshes."""
         return self.root / MESHES
 
-    def mesh_table(self, shard: str) -> Path:
-        """Table of the mesh of each press of a shard."""
-        return self.meshes / f"{shard}.csv"
-
     def shard(self, name: str) -> Path:
         """Raw rows of a shard."""
         return self.shards / f"{name}.csv"

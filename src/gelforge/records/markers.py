@@ -125,11 +125,21 @@ def marker_mask(image: np.ndarray, px_per_mm: float) -> np.ndarray:
     """Which pixels (h, w) of an image (h, w, 3) uint8 are of markers, or near one."""
     import cv2
 
-    brightest = image.max(axis=2)
     wide, near = (cv2.getStructuringElement(cv2.MORPH_ELLIPSE, (2 * int(half) + 1,) * 2)
                   for half in (MARKER_MM / 2 * px_per_mm, SPREAD_MM / 2 * px_per_mm))  # fmt: skip
-    darker = cv2.morphologyEx(brightest, cv2.MORPH_CLOSE, wide).astype(int) - brightest
-    return cv2.dilate((darker > HIDES * int(brightest.max())).astype(np.uint8), near) > 0
+    return dark_spots(image, wide, near, HIDES)
+
+
+def dark_spots(image: np.ndarray, wide: np.ndarray, near: np.ndarray, darker: float) -> np.ndarray:
+    """Which pixels (h, w) of an image (h, w, 3) uint8 are of spots narrower than `wide`, or within `near` of one.
+
+    wide, near: elements of morphology. darker: fraction of the largest level by which a spot is darker than what surrounds it.
+    """
+    import cv2
+
+    brightest = image.max(axis=2)
+    depth = cv2.subtract(cv2.morphologyEx(brightest, cv2.MORPH_CLOSE, wide), brightest)
+    return cv2.dilate((depth > darker * int(brightest.max())).astype(np.uint8), near) > 0
 
 
 def pitch_of(picture: np.ndarray) -> float:

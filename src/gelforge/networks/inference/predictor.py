@@ -18,7 +18,6 @@ from gelforge.networks.uncertainty.conformal import half_widths
 from gelforge.networks.uncertainty.ood import (
     as_arrays,
     monochrome_fault,
-    pair_diagnostics,
     pair_score_fault,
     relief,
     relief_fault,
@@ -122,7 +121,7 @@ class Predictor:
         seen = self.prepare(self._framed(image))
         cells = (self.raw(seen) - self.rest(seen.nocontact)) * np.float32(self.gain.value)
         total = cells.sum((1, 2), dtype=float)
-        score, unlike = pair_score_fault(self.statistics, seen.lit, pair_diagnostics(seen))
+        score, unlike = pair_score_fault(self.statistics, seen)
         grey = monochrome_fault(self.statistics, seen.image, "the picture")
         faults = (
             "" if self.frame is None else self.frame.fault(image),

@@ -92,6 +92,11 @@ class Prepared:
         """Where the markers of the no-contact image are."""
         return self._reference().markers.track(self.lit)
 
+    @cached_property
+    def darkness(self) -> np.ndarray:
+        """Its `darkness_of`, (h / 2, w / 2), under the light of the no-contact image."""
+        return darkness_of(grey_of(list(np.moveaxis(self.lit, 2, 0))))
+
     def feature(self, name: str) -> np.ndarray:
         """What a graph's input is given, (1, h, w, 3) uint8 RGB: `image`, or `nocontact`; BadInput for another name."""
         if name not in INPUTS:
@@ -145,8 +150,7 @@ class Preprocessor:
         tracks, markers = prepared.tracks, nocontact.markers
         if not tracks.unlike.any():
             return prepared
-        now = darkness_of(grey_of(list(np.moveaxis(prepared.lit, 2, 0))))
-        gone = vanished(markers, nocontact.darkness, tracks, now)
+        gone = vanished(markers, nocontact.darkness, tracks, prepared.darkness)
         if not gone.any():
             return prepared
         worn = nocontact.without(gone)

@@ -81,15 +81,23 @@ def count_markers(depth: np.ndarray) -> tuple[int, float]:
     return int(good.sum()), float(cv2.mean(depth, mask)[0])
 
 
-def describe(image) -> np.ndarray:
-    """Statistics (18,) of an image (h, w, 3) uint8: quadrant colours, spread, sharpness, markers and their depth."""
+def describe(image: np.ndarray, darkness: np.ndarray | None = None) -> np.ndarray:
+    """Statistics (18,) of an image (h, w, 3) uint8: quadrant colours, spread, sharpness, markers and their depth.
+
+    darkness: of the image (`darkness_of`), where it is known.
+    """
     import cv2
 
     colours = cv2.split(image)
     grey = grey_of(colours)
     rough = spread_of(cv2.Laplacian(grey, cv2.CV_16S))
     return np.array(
-        [*quarters(image), *map(spread_of, colours), math.log(1 + rough**2), *count_markers(darkness_of(grey))]
+        [
+            *quarters(image),
+            *map(spread_of, colours),
+            math.log(1 + rough**2),
+            *count_markers(darkness_of(grey) if darkness is None else darkness),
+        ]
     )
 
 
@@ -332,11 +340,12 @@ def pair_fault(limits: dict, pair: PairDiagnostics) -> str:
     return next((fault for fault, seen in faults.items() if seen), "")
 
 
-def pair_score_fault(model: dict, image: np.ndarray, pair: PairDiagnostics | None = None) -> tuple[float, str]:
-    """Score of an image (h, w, 3) uint8 as `score` gives it, and what is wrong with it or its pair, empty for nothing."""
-    statistics = describe(image)
+def pair_score_fault(model: dict, seen: Prepared) -> tuple[float, str]:
+    """Score of a prepared image as `score` gives it, and what is wrong with it or its pair, empty for nothing."""
+    statistics = describe(seen.lit, seen.darkness)
     value = score(model, statistics)
     if value <= model["threshold"]:
+        pair = pair_diagnostics(seen)
         return value, "" if pair is None else pair_fault(model, pair)
     off = np.abs(statistics - model["mean"]) / model["spread"]
     groups = {"colour": off[:12].max(), "contrast": off[12:15].max(), "sharpness": off[15], "markers": off[16:].max()}
