@@ -114,7 +114,7 @@ def test_each_change_that_dates_do_not_tell_is_planned_once(labelled, log):
         (lambda: (plan.touch(), replaced(kept)), False),
         (picture.unlink, True),
         (lambda: picture.write_bytes(kept), False),
-        (lambda: write_text(log.parent / "nocontact/mini_a copy.png", ""), False),  # an odd name disturbs nothing
+        (lambda: write_text(log.parent / "nocontact/a note.txt", ""), False),  # an odd name disturbs nothing
     ):
         before = plan.stat().st_mtime_ns
         change()
