@@ -23,6 +23,8 @@ KINDS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP", "PPM")
 MOST_PIXELS = 4096 * 4096
 MOST_BYTES = 256 * 2**20
 LEAST_CONTRAST = 16  # levels: a frame of fewer is dark or covered, and says nothing of colours
+OF_PALETTE = 3  # the colour type of a PNG whose pixels are numbers of colours
+PALETTE = "has a palette of at most 256 colours, too few to see the light fall; save it in true colour"
 HINT = f"give {', '.join(KINDS[:-1])} or {KINDS[-1]}"
 
 
@@ -106,7 +108,7 @@ def _claim_fault(data: bytes) -> str | None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # what matters is checked below and by the decoder
             with Image.open(io.BytesIO(data), formats=KINDS) as header:
-                return _size_fault(header.size)
+                return _size_fault(header.size) or (PALETTE if header.mode == "P" else None)
     except Image.DecompressionBombError:
         return "is far larger than 4096 x 4096 pixels"
     except UnidentifiedImageError:
@@ -225,9 +227,11 @@ def _chunk_fault(data: bytes) -> tuple[str | None, tuple[int, int]]:
             return "is truncated", size
         if zlib.crc32(body) != struct.unpack(">I", data[at - 4 : at])[0]:
             return "is corrupt: a checksum is wrong", size
-        if kind == b"IHDR" and length >= 8:
+        if kind == b"IHDR" and length >= 10:
             width, height = struct.unpack(">II", body[4:12])
             size = width, height
+            if body[13] == OF_PALETTE:
+                return PALETTE, size
     return None, size
 
 

@@ -31,10 +31,11 @@ from gelforge.records.press import (
     reject,
 )
 from gelforge.records.regular import read_text
-from gelforge.records.table import read_table, write_table
+from gelforge.records.table import other_separator, read_table, write_table
 
 P = TypeVar("P", bound=PressRecord)
 
+MOST_NOTES = 100  # lines above a header among which it is looked for
 REJECTION_COLUMNS = ("file", "row", "sample_id", "column", "value", "reason", "hint")
 POSED_COLUMNS = ("sample_id", "sensor_id", "gel_id", "indenter", *POSE, *FORCES, "image", "stl")
 
@@ -81,6 +82,9 @@ def _read(
             f"{path}: its header has a cell of more than 131072 characters, so it is no table of ours; {hint}"
         )
     header = _spelt([cell.strip() for cell in cells], known)
+    below = _header_below(lines, top, known) if "sample_id" not in header else 0
+    if below:
+        raise BadInput(f"{path}: its header stands in line {below}; remove the lines above it")
     places = _places(path, header, known)
     for name in needed:
         near = get_close_matches(name, sorted(set(header) - set(known)), 1, 0.5) if name not in places else []
@@ -91,6 +95,15 @@ def _read(
             )
     free = set(range(len(header))) - set(places.values())
     return [_row(*record, places, header) for record in _records(lines, top + 1, free)]
+
+
+def _header_below(lines: list[str], top: int, known: tuple[str, ...]) -> int:
+    """Number of the line that is a header further down, as below the notes of a force sensor; 0 where none is."""
+    for at in range(top + 1, min(top + MOST_NOTES, len(lines))):
+        cells = next(_each(_reader([lines[at]])), None)
+        if "sample_id" in _spelt([cell.strip() for cell in cells or []], known):
+            return at + 1
+    return 0
 
 
 def _some(rows: list[RawRow], path: str | Path) -> list[RawRow]:
@@ -112,10 +125,8 @@ def _places(path: Path, header: list[str], known: tuple[str, ...]) -> dict[str, 
     """Where each known column stands in the header."""
     if "sample_id" not in header:
         seen = printable(", ".join(header))[:200] or "no header"
-        other = next((mark for mark in ";\t|" if len(header) == 1 and mark in header[0]), "")
+        other = other_separator(header)
         hint = f"; separate cells by commas, not by {other!r}" if other else ""
-        if header and header[0].startswith("sep="):
-            hint = "; remove this line, which only Excel knows"
         raise BadInput(f"{path}: column sample_id is missing, so it holds no presses; seen: {seen}{hint}")
     for name in known:
         if header.count(name) > 1:

@@ -77,12 +77,20 @@ def numbered_rows(path: str | Path, hint: str, comments: bool = False) -> list[t
         raise BadInput(f"{path}: row {top + lines.line_num}: {error}; {hint}") from error
     if not lines.fieldnames:
         raise BadInput(f"{path}: is empty, not even a header stands in it; {hint}")
+    other = other_separator(lines.fieldnames)
+    if other:
+        raise BadInput(f"{path}: cells are separated by {other!r}; separate them by commas; {hint}")
     for at, row in rows:
         if None in row or None in row.values():
             raise BadInput(
                 f"{path}: row {at} has another number of cells than the header, with commas between the cells; {hint}"
             )
     return rows
+
+
+def other_separator(header: Sequence[str]) -> str:
+    """What separates the cells of a table whose header was read as one cell; empty where commas do."""
+    return next((mark for mark in ";\t|" if len(header) == 1 and mark in header[0]), "")
 
 
 def filled_rows(path: Path, columns: Sequence[str], what: str, hint: str) -> list[tuple[int, dict[str, str]]]:

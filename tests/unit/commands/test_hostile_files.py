@@ -346,6 +346,6 @@ def test_a_model_without_a_limit_is_read(tmp_path, model):
 
 def test_a_table_of_semicolons_and_decimal_commas_is_reported_what_parts_cells(tmp_path):
     """As spreadsheets write them where a comma is decimal."""
-    (tmp_path / "r.csv").write_text("image;force_n\npeak.png;2,5\n")
-    said = "row 2 has another number of cells.* with commas between the cells; write it anew"
-    refused(said, numbered_rows, tmp_path / "r.csv", "write it anew")
+    for mark in ";\t":
+        (tmp_path / "r.csv").write_text(f"image{mark}force_n\na.png{mark}3,5\n")
+        refused("separate them by commas; write it anew", numbered_rows, tmp_path / "r.csv", "write it anew")

@@ -1,5 +1,6 @@
 """The raw log: every kind of bad cell, row and file is refused with its place and a hint, and keeps no good row out."""
 
+import io
 import zipfile
 
 import cv2
@@ -150,7 +151,8 @@ def test_files_that_are_no_log_are_refused(tmp_path):
         ("", "no presses"),
         (HEADER + "\n", "no presses"),
         ((HEADER + "\n" + log_line()).replace(",", ";"), "separate cells by commas, not by ';'"),
-        ("sep=,\n" + WHOLE, "seen: sep=, ; remove this line"),
+        ("sep=,\n" + WHOLE, "header stands in line 2; remove the lines above it"),
+        ("% ATI Nano17\n% N, N m\n\n" + WHOLE, "header stands in line 4; remove the lines above it"),
         ("x" * 200_000 + "\n", "header has a cell of more than 131072"),  # one long line, as JSON often is
         (f"{HEADER},x0_mm\n{log_line()},1\n", "column x0_mm stands 2 times"),
         (f"{HEADER},pressid\n{log_line()},p1\n", "'pressid' is unknown; write press_id"),
@@ -254,6 +256,21 @@ def image_bytes(width=320, height=240, channels=3):
     return cv2.imencode(".png", np.full(shape, 128, np.uint8))[1].tobytes()
 
 
+def of_palette(kind):
+    stream = io.BytesIO()
+    Image.fromarray(np.full((240, 320, 3), 128, np.uint8)).quantize(64).save(stream, kind)
+    return stream.getvalue()
+
+
+def test_a_picture_of_a_palette_is_refused(tmp_path):
+    """The network reads a fifth less in one of 64 colours."""
+    for kind in ("PNG", "BMP", "TIFF"):
+        (tmp_path / "a.png").write_bytes(of_palette(kind))
+        refused(
+            "a.png: has a palette of at most 256 colours, .*save it in true colour", read_image, tmp_path / "a.png"
+        )
+
+
 @pytest.fixture
 def folder(tmp_path):
     (tmp_path / "set" / "images").mkdir(parents=True)
@@ -279,6 +296,7 @@ def test_bad_image_is_refused(folder):
         (good[:60] + b"\x00\x01\x02" + good[63:], "checksum"),
         (image_bytes(320, 241), "320 x 241"),
         (image_bytes(channels=1), "colour"),
+        (of_palette("PNG"), "palette of at most 256 colours"),
     ):
         assert said in judge_image(folder, data).reason
     assert judge_image(folder, good) is None
