@@ -14,6 +14,7 @@ Two sensors of a gripper need no scale to agree, since two fingers that hold one
 contact is not used in either table, because only a part of the force is predicted from it.
 """
 
+import hashlib
 import sys
 from argparse import Namespace
 from collections.abc import Sequence
@@ -121,19 +122,20 @@ def _gain_of_balls(presses: Sequence[BallPress], read: np.ndarray, counts: np.nd
 
 def _pictures(table: Path, rows: list[tuple[int, dict[str, str]]], column: str) -> dict[str, np.ndarray]:
     """The pictures that a column names, (h, w, 3) uint8, by what a row is called; BadInput names one that cannot be used."""
-    lines: dict[str, int] = {}
+    lines: dict[bytes, int] = {}  # by what a picture shows: a camera that froze writes it under several names
     found = {}
     for number, row in rows:
         name, where = row[column], f"{table} line {number}"
-        first = lines.setdefault(name, number)
-        if first != number:
-            raise BadInput(
-                f"{where}: {name} again, as in line {first}; a picture counts once, give one of each press"
-            )
         try:
-            found[f"{where}: {name}"] = read_image(table.parent / name)
+            image = read_image(table.parent / name)
         except BadInput as error:
             raise BadInput(f"{where}: {error}") from None
+        first = lines.setdefault(hashlib.blake2b(image.tobytes()).digest(), number)
+        if first != number:
+            raise BadInput(
+                f"{where}: {name} shows the picture of line {first} again; a picture counts once, give one of each press"
+            )
+        found[f"{where}: {name}"] = image
     return found
 
 

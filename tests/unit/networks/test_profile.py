@@ -225,6 +225,7 @@ def test_a_reading_that_cannot_be_right_is_named_by_its_picture(weighed, capsys)
 def test_readings_that_cannot_be_are_refused(weighed):
     folder, rows = weighed
     image, newtons = rows[0]
+    shutil.copy(folder / image, folder / "copy.png")
     for changed, said in (
         ([[image, f"-{newtons}"]], "above 0 N"),
         ([["rest.png", "5.0"]], "shows no contact"),
@@ -234,7 +235,8 @@ def test_readings_that_cannot_be_are_refused(weighed):
         ([[image, '"3,5"']], "'3,5' is no number; write newtons with a decimal point"),
         ([["", "5.0"]], "line 2: its image is empty"),
         ([rows[0], [], [], ["gone.png", "x"]], "line 5: .*gone.png: not found"),
-        ([rows[0], rows[1], rows[0]], "line 4: .* again, as in line 2"),
+        ([rows[0], rows[1], rows[0]], "line 4: .*the picture of line 2 again"),
+        ([rows[0], rows[1], ["copy.png", "9.0"]], "line 4: copy.png shows the picture of line 2 again"),
         ([], "no readings"),
     ):
         refused(said, make, folder, changed)
