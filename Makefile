@@ -1,7 +1,9 @@
 # gelforge: raw CNC logs to contact-force labels and networks. `make help` lists the targets.
 MAKEFLAGS += -rR --warn-undefined-variables
 # What people and their shells give is text, whatever variable it comes in: make must not expand $(shell …) inside it.
-$(foreach v,$(filter-out MAKE% MFLAGS SHELL -%,$(.VARIABLES)),$(if $(filter command environment,$(firstword $(origin $v))),$(if $(findstring $$,$(value $v)),$(eval override $v := $$(value $v)))))
+by_others = $(filter command environment,$(firstword $(origin $1)))
+as_text = $(if $(call by_others,$1),$(if $(findstring $$,$(value $1)),$(eval override $1 := $$(value $1))))
+$(foreach v,$(filter-out MAKE% MFLAGS SHELL -%,$(.VARIABLES)),$(call as_text,$v))
 # Parallel jobs print whole; tests and benchmarks are one long job, which a person watches.
 ifeq ($(filter test test-% benchmark-%,$(MAKECMDGOALS)),)
 MAKEFLAGS += --output-sync=target
@@ -24,6 +26,7 @@ EXECUTOR ?= local
 NO := 0 no false
 STRICT ?=
 override STRICT := $(filter-out $(NO),$(STRICT))
+STRICTLY := $(if $(STRICT),--strict)
 # nproc would give the number that a shell grants to one program's threads, where it sets these.
 JOBS ?= $(shell env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc)
 
@@ -35,6 +38,8 @@ endef
 given = '$(subst $(NEWLINE), ,$(subst ','\'',$(value $(1))))'
 # Defaults that make works out are no text of others.
 by_hand = $(filter command environment override,$(firstword $(origin $(1))))
+# Those of some variables that a person gave, as words NAME=TEXT.
+if_given = $(foreach v,$1,$(if $(call by_hand,$v),$v=$(call given,$v)))
 
 include rules/00_setup.mk
 include rules/00_plan.mk
@@ -67,5 +72,6 @@ $(DUE): due
 
 .PHONY: help
 help:  ## this list
-	@echo 'make TARGET [DATASET=$(DATASET)] [RES="$(RES)"] [MODEL=NAME] [EXECUTOR=local|slurm] [SLURM_PROFILE=FILE.toml] [JOBS=n] [STRICT=1]'
+	@echo 'make TARGET [DATASET=$(DATASET)] [RES="$(RES)"] [MODEL=NAME] [JOBS=n] [STRICT=1]' \
+	    '[EXECUTOR=local|slurm] [SLURM_PROFILE=FILE.toml]'
 	@sed -nE 's/^([a-z][a-zA-Z0-9%_-]*):.*  ## (.*)/  \1\t\2/p' Makefile rules/*.mk | expand -t 24

@@ -1,28 +1,31 @@
-# Stage 00: shards and stage parameters, so that `make -n` is exact. At each make flow/asked.py judges what is given, sees by
-# the state of all files that the plan was made from whether they must be planned anew, and names results that are due
-# whatever their dates.
+# Stage 00: shards and stage parameters, so that `make -n` is exact. At each make flow/asked.py judges what is given,
+# sees by the state of all files that the plan was made from whether they must be planned anew, and names results that
+# are due whatever their dates.
 D := results/$(DATASET)
 P := $D/00_plan/params
 DATA := data/$(DATASET)
+IMPORTED := $(wildcard $(DATA)/labels)
 PLANNED := $D/00_plan/plan.mk
 MAKE_RESTARTS ?=
 
 # Before set-up there is no environment: names are judged by any Python.
 ASK := $(if $(wildcard $(PY)),PYTHONPATH=src $(PY) -S -m gelforge.flow.asked,python3 src/gelforge/flow/given.py)
-ANSWER := $(shell $(ASK) $(foreach v,SENSOR MODEL FORMAT EXECUTOR JOBS CHARTED TESTS ID STRICT,$(if $(call by_hand,$v),$v=$(call given,$v))) \
+ANSWER := $(shell $(ASK) $(call if_given,SENSOR MODEL FORMAT EXECUTOR JOBS CHARTED TESTS ID STRICT) \
     $(foreach v,DATASET RES MAKE_RESTARTS,$v=$(call given,$v)) GOALS=$(call given,MAKECMDGOALS))
 ifneq ($(.SHELLSTATUS),0)
 $(error $(or $(ANSWER),Python 3.11 or newer is needed as python3))
 endif
 DUE := $(filter $D/%,$(ANSWER))
 MODEL ?= $(patsubst MODEL=%,%,$(filter MODEL=%,$(ANSWER)))
+# The network that `make train` makes: the shipped one is never trained here.
+LEARNT := $(patsubst LEARNT=%,%,$(filter LEARNT=%,$(ANSWER)))
 
 # What labels are made with, once a calibration was frozen: a small file that only `make freeze` changes.
 FROZEN := $(DATA)/calibration.toml
 IS_FROZEN := $(wildcard $(FROZEN))
 
 # The plan's lists, empty where none is read.
-LISTS := SHARDS MESHES BRANCHES PARETO_SCENES PARETO_QUICK PARETO_MESHES MODELS TUNED LEARNER SHAPES NEEDS_CALIBRATION LEARN_ALSO
+LISTS := SHARDS MESHES BRANCHES PARETO_SCENES PARETO_QUICK PARETO_MESHES MODELS TUNED SHAPES CALIBRATED LEARN_ALSO
 $(foreach v,$(LISTS),$(eval $v :=))
 
 ifneq ($(filter plan,$(ANSWER)),)
@@ -35,17 +38,20 @@ endif
 
 .PHONY: again due
 $(PLANNED): $(filter again,$(ANSWER)) | $(SETUP) $(CCX_FOUND)
-	@$(PY) -m gelforge.stages.plan --data $(DATA) --ccx $(CCX_FOUND) --out $@
+	@$(PY) -m gelforge.stages.plan $D --ccx $(CCX_FOUND)
 
-# $(call step,MODULE ARGUMENTS) is the recipe of every artifact: it writes $@.part, the wrapper publishes it.
-# Of more inputs than a shell takes as one command (128 KiB) those of the shards are left out. What a network learns from or
-# is fine-tuned from beside its dataset lies elsewhere.
+# $(call step,MODULE WORDS) is the recipe of every artifact: it writes $@.part, the wrapper publishes it.
+# Of more inputs than a shell takes as one command (128 KiB) those of the shards are left out. What a network learns
+# from or is fine-tuned from beside its dataset lies elsewhere.
 LISTED = $(if $(word 1500,$^),$(filter-out $(POSES) $(FORCES),$^),$^)
-wrapped = $(PY) -m gelforge.flow.step $@ $(filter $D/% $(LEARNT_WITH) $(SHIPPED).onnx $(SHIPPED).safetensors,$(LISTED)) -- $(PY) -m $(1)
+READS = $(filter $D/% $(LEARNT_WITH) $(SHIPPED).onnx $(SHIPPED).safetensors,$(LISTED))
+wrapped = $(PY) -m gelforge.flow.step $@ $(READS) -- $(PY) -m $(strip $(1)) --part
 ifeq ($(EXECUTOR),local)
 step = @$(wrapped)
 barrier =
+IN_SLOTS = --jobs $(SLOTS)
 else
+IN_SLOTS =
 include rules/00_slurm.mk
 endif
 

@@ -8,9 +8,11 @@ SETUP := .venv/ready
 # A linked environment is another checkout's: it is used as it is, and nothing here makes it out of date.
 VENV_IS_LINK := $(filter-out $(CURDIR)/.venv,$(realpath .venv))
 # An environment knows the place it was made in: in a clone that was moved or copied its programs start elsewhere.
-VENV_HOME := $(if $(VENV_IS_LINK),,$(if $(wildcard .venv/pyvenv.cfg),$(shell sed -n 's/^command = .* -m venv \(--[^ ]* \)*//p' .venv/pyvenv.cfg)))
+VENV_CFG := $(if $(VENV_IS_LINK),,$(wildcard .venv/pyvenv.cfg))
+VENV_HOME := $(if $(VENV_CFG),$(shell sed -n 's/^command = .* -m venv \(--[^ ]* \)*//p' $(VENV_CFG)))
 ifneq ($(or $(VENV_HOME),$(CURDIR)/.venv),$(CURDIR)/.venv)
-$(error .venv was made for $(VENV_HOME), not for this folder: it was moved or copied. Run `rm -rf .venv && make setup`)
+$(error .venv was made for $(VENV_HOME), not for this folder: it was moved or copied. \
+    Run `rm -rf .venv && make setup`)
 endif
 CCX_FOUND := .venv/ccx.path
 

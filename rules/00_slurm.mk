@@ -13,14 +13,15 @@ SLURM_STAGE = $(firstword $(subst /, ,$(@:$D/%=%)))
 SLURM_NOTES = $(eval SLURM_NOTES := $$(shell mkdir -p $D/.slurm && echo $D/.slurm/$$$$PPID))$(SLURM_NOTES)
 slurm = $(PY) -m gelforge.flow.slurm $(SLURM_NOTES)-$(1) --profile $(call given,SLURM_PROFILE)
 
+SLURM_ALONE = $(subst /,-,$@)
 step = @$(if $(SLURM_DRY)$(filter-out $D/%,$@),$(wrapped),$(if $(filter $(SLURM_STAGE),$(COLLECT)),$(noted),$(alone)))
-alone = $(shell rm -f $@)$(file >$(SLURM_NOTES)-$(subst /,-,$@),$@	$(wrapped))$(call slurm,$(subst /,-,$@))
-# The first note of a stage replaces what a killed make left. An outdated target goes now: make must see that it changes.
+alone = $(shell rm -f $@)$(file >$(SLURM_NOTES)-$(SLURM_ALONE),$@	$(wrapped))$(call slurm,$(SLURM_ALONE))
+# The first note of a stage replaces what a killed make left. An outdated target goes: make must see that it changes.
 noted = $(file $(if $(filter $(SLURM_STAGE),$(NOTED)),>)>$(SLURM_NOTES)-$(SLURM_STAGE),$@	$(wrapped))$(is_noted)
 is_noted = $(eval NOTED := $(sort $(NOTED) $(SLURM_STAGE)))$(if $(wildcard $@),rm -f $@)
 
-# $(call barrier,STAGE…) as an order-only prerequisite: wait until those stages' tasks have run. What a barrier waits for
-# is known once the stages' rules are read, hence the second expansion.
+# $(call barrier,STAGE…) as an order-only prerequisite: wait until those stages' tasks have run. What a barrier waits
+# for is known once the stages' rules are read, hence the second expansion.
 barrier = $(addprefix barrier-,$(filter $(1),$(COLLECT)))
 BARRIERS := $(COLLECT:%=barrier-%)
 .PHONY: $(BARRIERS)

@@ -1,13 +1,9 @@
-# Stage 20: the tetrahedral gel mesh of each press, one per region and density, made when a press needs it. Hexahedra need
-# no file. The usual gel's meshes ship; what is made here is kept in workflow/meshes.
+# Stage 20: the tetrahedral gel mesh of each press, one per region and density, made when a press needs it. Hexahedra
+# need no file. The usual gel's meshes ship; what is made here is kept in workflow/meshes.
 MESH_TABLES := $(if $(MESHES),$(SHARDS:%=$D/20_meshes/%.csv))
 
 .PHONY: meshes
 meshes: $(MESH_TABLES) $(call barrier,20_meshes)  ## make the gel meshes that the presses need, with quality reports
 
-meshes_of = gelforge.stages.meshes --poses $1/10_poses/$2.csv --params $P/meshes.json --meshes $D/20_meshes \
-    --out $1/20_meshes/$2.csv
-
-$(MESH_TABLES): $D/20_meshes/%.csv: $D/10_poses/%.csv $P/meshes.json $P/fea.json $P/gels.json \
-    | $(call barrier,10_poses)
-	$(HANDS_SLOTS)$(call step,$(call meshes_of,$D,$*).part $(if $(filter local,$(EXECUTOR)),--jobs $(SLOTS)))
+$(MESH_TABLES): $D/20_meshes/%.csv: $D/10_poses/%.csv $P/meshes.json $P/fea.json $P/gels.json | $(call barrier,10_poses)
+	$(HANDS_SLOTS)$(call step,gelforge.stages.meshes $D $* $(IN_SLOTS))

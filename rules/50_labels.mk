@@ -5,10 +5,6 @@ LABELS := $(RES:%=$D/50_labels/%/labels.json)
 .PHONY: labels
 labels: $(LABELS)  ## force per grid cell: make labels RES="12x16 24x32 48x64"
 
-labels_of = gelforge.stages.labels --forces $1/40_forces --poses $1/10_poses --meshes $D/20_meshes \
-    --shards $1/00_plan/shards --sensors $P/sensors.json --resolution $2 --params $P/labels.json \
-    --out $1/50_labels/$2/labels.json
-
 $(LABELS): $D/50_labels/%/labels.json: $(FORCES) $(POSES) $D/00_plan/shards.csv $P/labels.json $P/sensors.json \
     | $(call barrier,10_poses 40_forces)
-	$(call step,$(call labels_of,$D,$*).part)
+	$(call step,gelforge.stages.labels $D $*)

@@ -1,20 +1,19 @@
 # Stage 70: networks. A model is a table of workflow/models.toml; RES names the grid.
 # MODELS, TUNED and NEED_NOCONTACT come from the plan.
 SHIPPED := src/gelforge/networks/weights/default
-# The shipped network is never trained here.
-LEARNT = $(if $(filter shipped,$(MODEL)),$(LEARNER),$(MODEL))
 # Those that fine-tune the shipped network (TUNED) are for one dataset, and write its grid: they are made by name alone.
 LEARNABLE := $(filter-out $(TUNED),$(MODELS))
 TRAINED := $(MODELS:%=$D/70_train/$(RES1)/%.onnx)
 
 .PHONY: train models
-train: $D/70_train/$(RES1)/$(LEARNT).onnx  ## train one network and export it as ONNX: make train MODEL=grid_16 RES=24x32
-models: $(LEARNABLE:%=$D/70_train/$(RES1)/%.onnx)  ## train every network of workflow/models.toml that needs only the dataset
+train: $D/70_train/$(RES1)/$(LEARNT).onnx  ## train one network, write it as ONNX: make train MODEL=grid_16 RES=24x32
+models: $(LEARNABLE:%=$D/70_train/$(RES1)/%.onnx)  ## train every network that needs only the dataset
 
-# Other datasets that are learnt from as well ([train] also). They are made by themselves; flow/asked.py refuses where one is missing.
+# Other datasets that are learnt from as well ([train] also). They are made by themselves; flow/asked.py refuses where
+# one is missing.
 LEARNT_WITH := $(LEARN_ALSO:%=results/%/60_dataset/$(RES1)/dataset.json)
 
 $(TRAINED): $D/70_train/$(RES1)/%.onnx: $D/60_dataset/$(RES1)/dataset.json $P/models/%.json $P/train.json $(LEARNT_WITH)
-	$(call step,gelforge.stages.train --dataset $(<D) $(if $(LEARNT_WITH),--also $(patsubst %/,%,$(dir $(LEARNT_WITH)))) --model $* --models $P/models/$*.json --params $P/train.json --out $@.part)
+	$(call step,gelforge.stages.train $D $(RES1) $*)
 
 $(TUNED:%=$D/70_train/$(RES1)/%.onnx): $(SHIPPED).safetensors

@@ -1,31 +1,33 @@
 # Stage 80: how wrong a network is, and its model card.
 EVALUATED := $(MODELS:%=$D/80_evaluate/$(RES1)/%.json)
-
-.PHONY: evaluate evaluate-models ship
-evaluate: $D/80_evaluate/$(RES1)/$(MODEL).json $D/80_evaluate/$(RES1)/$(MODEL).card.md  ## errors of one network against labels, baselines and force sensors; its card
-evaluate-models: $(LEARNABLE:%=$D/80_evaluate/$(RES1)/%.json)  ## evaluate every network
-
-$(EVALUATED): $D/80_evaluate/$(RES1)/%.json: $D/70_train/$(RES1)/%.onnx $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
-	$(call step,gelforge.stages.evaluate --dataset $(dir $(word 2,$^)) --model $< --params $P/evaluate.json --out $@.part)
-
 # The shipped network, on a dataset that it did not learn from.
 READ := $D/80_evaluate/$(RES1)/shipped.json
+CARDS := $(EVALUATED:.json=.card.md) $(READ:.json=.card.md)
 
-$(READ): $(SHIPPED).onnx $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
-	$(call step,gelforge.stages.evaluate --dataset $(dir $(word 2,$^)) --model $< --params $P/evaluate.json --out $@.part)
+.PHONY: evaluate evaluate-models ship
+evaluate:  ## errors of one network against labels, baselines and force sensors; its card
+evaluate: $D/80_evaluate/$(RES1)/$(MODEL).json $D/80_evaluate/$(RES1)/$(MODEL).card.md
+evaluate-models: $(LEARNABLE:%=$D/80_evaluate/$(RES1)/%.json)  ## evaluate every network
 
-$(READ:.json=.card.md): $(SHIPPED).onnx $(READ) $P/card.json
-	$(call step,gelforge.stages.card --model $< --evaluation $(word 2,$^) --out $@.part)
+$(EVALUATED): $D/80_evaluate/$(RES1)/%.json: $D/70_train/$(RES1)/%.onnx
+$(READ): $(SHIPPED).onnx
+$(EVALUATED) $(READ): $D/80_evaluate/$(RES1)/%.json: $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
+	$(call step,gelforge.stages.evaluate $D $(RES1) $*)
 
-$(EVALUATED:.json=.card.md): $D/80_evaluate/$(RES1)/%.card.md: $D/70_train/$(RES1)/%.onnx $D/80_evaluate/$(RES1)/%.json $P/card.json
-	$(call step,gelforge.stages.card --model $< --evaluation $(word 2,$^) --out $@.part)
+$(EVALUATED:.json=.card.md): $D/80_evaluate/$(RES1)/%.card.md: $D/70_train/$(RES1)/%.onnx
+$(READ:.json=.card.md): $(SHIPPED).onnx
+$(CARDS): $D/80_evaluate/$(RES1)/%.card.md: $D/80_evaluate/$(RES1)/%.json $P/card.json
+	$(call step,gelforge.stages.card $D $(RES1) $*)
 
 # It takes the time of its copy: one that went on from the network whose place it takes is not trained again for that.
 # What benchmark-unseen and benchmark-real measured of this very network goes into the card.
-ship: $D/70_train/$(RES1)/$(LEARNT).onnx $D/80_evaluate/$(RES1)/$(LEARNT).json  ## make a network the default of predict and live
-	@$(PY) -m gelforge.stages.card --model $< --evaluation $(word 2,$^) --measured $(wildcard results/benchmarks/unseen.json results/benchmarks/real.json) --out $(SHIPPED).md.part
+MEASURED := $(wildcard results/benchmarks/unseen.json results/benchmarks/real.json)
+
+ship:  ## make a network the default of predict and live
+ship: $D/70_train/$(RES1)/$(LEARNT).onnx $D/80_evaluate/$(RES1)/$(LEARNT).json
+	@$(PY) -m gelforge.stages.card $D $(RES1) $(LEARNT) --part --measured $(MEASURED)
 	cp $< $(SHIPPED).onnx.part
 	cp $(<:.onnx=.safetensors) $(SHIPPED).safetensors
 	mv $(SHIPPED).onnx.part $(SHIPPED).onnx
-	mv $(SHIPPED).md.part $(SHIPPED).md
+	mv $D/80_evaluate/$(RES1)/$(LEARNT).card.md.part $(SHIPPED).md
 	touch -r $(SHIPPED).onnx $^ $(SHIPPED).safetensors

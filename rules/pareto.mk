@@ -6,7 +6,7 @@ KEPT := $(wildcard $(REFERENCES)/keys.json)
 PARETO_MESH_FILES := $(PARETO_MESHES:%=$D/pareto/meshes/%.npz)
 PARETO_FILES := $(PARETO_SCENES:%=$D/pareto/scenes/%.json)
 PARETO_QUICK_FILES := $(PARETO_QUICK:%=$D/pareto/quick/%.json)
-PARETO_SCENE = gelforge.stages.pareto scene --name $* --scene $< --params $P/pareto.json --sensors $P/sensors.json --references $(REFERENCES)
+SCENE_READS := $P/pareto.json $P/sensors.json $(KEPT)
 
 .PHONY: pareto pareto-quick pareto-meshes
 pareto: $D/pareto/pareto.json  ## speed against accuracy of the mechanics: chart, CSV, JSON (hours; resumes)
@@ -16,32 +16,34 @@ pareto-quick: $D/pareto/quick.json  ## the report's small chart: three scenes, f
 pareto-meshes: $(PARETO_MESH_FILES)
 
 $(PARETO_MESH_FILES): $D/pareto/meshes/%.npz: $P/pareto_meshes.json $P/gels.json
-	$(call step,gelforge.stages.pareto mesh --name $* --params $< --out $@.part)
+	$(call step,gelforge.stages.pareto mesh $D $*)
 
-$(PARETO_FILES): $D/pareto/scenes/%.json: $P/scenes/%.json $P/pareto.json $P/sensors.json $(KEPT) $(PARETO_MESH_FILES)
-	$(call step,$(PARETO_SCENE) --meshes $D/pareto/meshes --out $@.part)
+$(PARETO_FILES): $D/pareto/scenes/%.json: $P/scenes/%.json $(SCENE_READS) $(PARETO_MESH_FILES)
+	$(call step,gelforge.stages.pareto scene $D $*)
 
 # All scenes of the small chart decide which reference it has.
-$(PARETO_QUICK_FILES): $D/pareto/quick/%.json: $P/scenes/%.json $(PARETO_QUICK:%=$P/scenes/%.json) $P/pareto.json $P/sensors.json $(KEPT)
-	$(call step,$(PARETO_SCENE) --set quick --meshes $D/20_meshes --out $@.part)
+$(PARETO_QUICK_FILES): $D/pareto/quick/%.json: $P/scenes/%.json $(PARETO_QUICK:%=$P/scenes/%.json) $(SCENE_READS)
+	$(call step,gelforge.stages.pareto quick $D $*)
 
 # It also writes workflow/charted.toml, by which [fea] fidelity = "auto" chooses.
 $D/pareto/pareto.json: $(PARETO_FILES)
-	$(call step,gelforge.stages.pareto chart --scenes $^ --params $P/pareto.json --out $@.part)
+	$(call step,gelforge.stages.pareto chart $D)
 
 $D/pareto/quick.json: $(PARETO_QUICK_FILES)
-	$(call step,gelforge.stages.pareto chart --scenes $^ --note "a small chart; make pareto DATASET=$(DATASET) draws the large one" --out $@.part)
+	$(call step,gelforge.stages.pareto quick-chart $D)
 
-# The scenes and their references as plain files. It writes what its code says and what the scenes' shapes are, and refuses
-# references whose keys are of other methods or of another version of the chart.
+# The scenes and their references as plain files. It writes what its code says and what the scenes' shapes are, and
+# refuses references whose keys are of other methods or of another version of the chart.
 CHALLENGE := results/fea_challenge/challenge.json
 CHALLENGE_CODE := $(addprefix src/gelforge/,stages/challenge.py stages/pareto.py sweeps/challenge.py sweeps/methods.py)
 
 .PHONY: fea-challenge fea-references
 fea-challenge: $(CHALLENGE)  ## write the scenes as an open benchmark for simulators: results/fea_challenge
 
-$(CHALLENGE): workflow/scenes.toml workflow/indenters.toml workflow/sensors.toml workflow/params.toml $(KEPT) $(CHALLENGE_CODE) $(wildcard $(SHAPES) $(REFERENCES)/*.csv src/gelforge/sweeps/fea_challenge/*) | $(SETUP)
-	@$(PY) -m gelforge.stages.challenge write --references $(REFERENCES) --out $(@D)
+$(CHALLENGE): \
+    $(addprefix workflow/,scenes.toml indenters.toml sensors.toml params.toml) $(KEPT) $(CHALLENGE_CODE) \
+    $(wildcard $(SHAPES) $(REFERENCES)/*.csv src/gelforge/sweeps/fea_challenge/*) | $(SETUP)
+	@$(PY) -m gelforge.stages.challenge write $(@D)
 
 fea-references: $(PARETO_FILES)  ## make the references of fea-challenge again from the large chart (hours)
-	@$(PY) -m gelforge.stages.challenge references --scenes $^ --references $(REFERENCES)
+	@$(PY) -m gelforge.stages.challenge references $D

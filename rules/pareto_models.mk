@@ -6,5 +6,6 @@ CHARTED ?= $(LEARNABLE)
 .PHONY: pareto-models
 pareto-models: $D/pareto_models/$(RES1).json  ## accuracy against latency of every network: chart, CSV, JSON
 
-$D/pareto_models/$(RES1).json: $(CHARTED:%=$D/80_evaluate/$(RES1)/%.json) $(CHARTED:%=$D/70_train/$(RES1)/%.onnx) $D/60_dataset/$(RES1)/dataset.json $P/pareto_models.json
-	$(call step,gelforge.stages.pareto_models --dataset $D/60_dataset/$(RES1) --models $(filter %.onnx,$^) --evaluations $(filter $D/80_evaluate/%.json,$^) --out $@.part)
+$D/pareto_models/$(RES1).json: $P/pareto_models.json $D/60_dataset/$(RES1)/dataset.json \
+    $(CHARTED:%=$D/80_evaluate/$(RES1)/%.json) $(CHARTED:%=$D/70_train/$(RES1)/%.onnx)
+	$(call step,gelforge.stages.pareto_models $D $(RES1) $(CHARTED))

@@ -1,5 +1,5 @@
-# Source rig: the virtual bench writes data/DATASET as a plan says, resumes where it stopped, and appends when a plan grows.
-# Pictures that were removed, for example to give sensors another appearance, are drawn again from kept surfaces without solving.
+# Source rig: the virtual bench writes data/DATASET as a plan says, resumes where it stopped, and appends when a plan
+# grows. Pictures that were removed, for example to give sensors another appearance, are drawn again from kept surfaces.
 PLAN ?= workflow/rig/demo.toml
 ifeq ($(origin REFERENCE),undefined)
 REFERENCE := $(or $(value GELFORGE_REFERENCE),../shared/reference)
@@ -9,10 +9,10 @@ endif
 rig: $(SETUP)  ## simulate the presses of a plan, write them to data/: make rig PLAN=workflow/rig/train.toml
 	@$(PY) -m gelforge.stages.rig --plan $(call given,PLAN) --data data --jobs $(SLOTS)
 
-rig-estimate: $(SETUP)  ## estimate core hours, disk, memory and time of a plan from a few of its presses: make rig-estimate PLAN=workflow/rig/paper.toml
+rig-estimate: $(SETUP)  ## estimate core hours, disk, memory and time of a plan, of a few presses: PLAN=FILE.toml
 	@$(PY) -m gelforge.stages.rig --estimate --plan $(call given,PLAN) --data data --jobs $(SLOTS)
 
-rig-check: $(SETUP)  ## run benchmark-rig, and show images of the rig beside real ones on a page: results/rig-check/index.html
+rig-check: $(SETUP)  ## run benchmark-rig; images of the rig beside real ones: results/rig-check/index.html
 	@$(PY) -m tests.benchmarks.rig --reference $(call given,REFERENCE) --page results/rig-check/index.html
 
 # The table that ships with `gelforge sensor --balls`; to solve it anew remove it first, rows that are there stay.

@@ -2,8 +2,8 @@
 TESTS ?= tests
 # What pytest's -m chooses of test-all: `slow` is what `make test` leaves out.
 MARKED ?=
-# A process of tests that dies is not started again: with --dist loadfile the others would wait for it for ever. Files keep
-# the order of tests/conftest.py.
+# A process of tests that dies is not started again: with --dist loadfile the others would wait for it for ever. Files
+# keep the order of tests/conftest.py.
 PYTEST = $(PY) -m pytest -n $(SLOTS) --dist loadfile --no-loadscope-reorder --max-worker-restart=0 --durations=20
 
 # Tests of pages need a browser.
@@ -23,11 +23,11 @@ $(CHROMIUM_FOUND): envs/chromium.sh | $(SETUP) $(CCX_FOUND) $(SLURM_FOUND)
 
 test test-all benchmark-face: $(CHROMIUM_FOUND)
 
-# LeRobot's package wants other versions than ours; minutes of downloads, so tests take it where it is and do not make it.
+# LeRobot's package wants other versions than ours; minutes of downloads, so tests take it where it is.
 LEROBOT_READY := .venv-lerobot/ready
 
 .PHONY: lerobot-env
-lerobot-env: $(LEROBOT_READY)  ## an environment with LeRobot, in which tests open an export by LeRobot's training factory
+lerobot-env: $(LEROBOT_READY)  ## an environment with LeRobot, in which tests open an export by its own factory
 
 $(LEROBOT_READY): envs/lerobot.sh envs/lerobot.lock | $(SETUP)
 	@envs/lerobot.sh $@
@@ -39,13 +39,13 @@ test: $(SETUP) $(CCX_FOUND)  ## the tests of every change, in minutes: all but t
 test-all: $(SETUP) $(CCX_FOUND)  ## all tests, in a quarter of an hour; MARKED=slow: those that `make test` leaves out
 	@$(PYTEST) $(if $(MARKED),-m $(call given,MARKED)) $(TESTS)
 
-lint: $(SETUP)  ## check style, names, types and imports of the code, and that generated files are those of today, as CI does
+lint: $(SETUP)  ## check style, names, types and imports of the code, and that generated files are those of today
 	@$(PY) -m ruff check
 	@$(PY) -m ruff format --check
 	@$(PY) -m mypy
 	@$(PY) -m tests.support.repository
 
-format: $(SETUP)  ## format the code, and write what is generated: tables of figures, parameters.md, digests of stages' code
+format: $(SETUP)  ## format the code, and write what is generated: tables of figures, parameters.md, digests of stages
 	@$(PY) -m ruff check --fix
 	@$(PY) -m ruff format
 	@$(PY) -m tests.support.repository --fix
@@ -56,19 +56,22 @@ lock: $(SETUP)  ## write envs/requirements.lock from the installed packages
 	@mv envs/.requirements.lock envs/requirements.lock
 
 # What benchmarks share, and is none.
-SHARED := __init__ ball_table balls chart_meshes fea_cost figures films outside_getfem reach readme_pictures real_page rig_page sandbox tables ways
-BENCHMARKS := $(filter-out $(SHARED:%=benchmark-%),$(patsubst tests/benchmarks/%.py,benchmark-%,$(wildcard tests/benchmarks/*.py)))
+SHARED := __init__ ball_table balls chart_meshes fea_cost figures films outside_getfem reach readme_pictures real_page \
+    rig_page sandbox tables ways
+MODULES := $(patsubst tests/benchmarks/%.py,%,$(wildcard tests/benchmarks/*.py))
+BENCHMARKS := $(addprefix benchmark-,$(filter-out $(SHARED),$(MODULES)))
 .PHONY: $(BENCHMARKS)
 $(BENCHMARKS): benchmark-%: $(SETUP) $(CCX_FOUND)
 	@$(PY) -m tests.benchmarks.$* --out results/benchmarks/$*.json
 
 .PHONY: benchmark-tables
-benchmark-tables: $(SETUP)  ## write the figures of results/benchmarks/ into README and guide, name groups whose sources changed
+benchmark-tables: $(SETUP)  ## write figures of results/benchmarks/ into README and guide, name what changed
 	@$(PY) -m tests.benchmarks.tables
 
 .PHONY: real-check
-real-check: $(SETUP)  ## run benchmark-real, and show real images with their predictions on a page: results/real-check/index.html
-	@$(PY) -m tests.benchmarks.real --reference $(call given,REFERENCE) --out results/benchmarks/real.json --page results/real-check/index.html
+real-check: $(SETUP)  ## run benchmark-real; real images with their predictions: results/real-check/index.html
+	@$(PY) -m tests.benchmarks.real --reference $(call given,REFERENCE) --out results/benchmarks/real.json \
+	    --page results/real-check/index.html
 
 .PHONY: benchmark-X
 benchmark-X:  ## measure a group of figures; make benchmark-X lists the names that X may take

@@ -8,16 +8,13 @@ demo: $(if $(IS_FROZEN),report)
 status: | $(SETUP)  ## samples done, failed with reasons and pending, per stage
 	@$(PY) -m gelforge.commands.status --results $D $(if $(MODELS),--meshes $(MESHES))
 
-# What takes one shard from its rows to labels, a word of the shell each; its folder stands as @.
-SHARD_STEPS = $(foreach s,poses $(if $(MESHES),meshes) fea forces,'$(call $s_of,@,0000)') '$(call labels_of,@,$(RES1))'
-
 sample: | $(SETUP)  ## run one sample through all stages and show its log: make sample ID=…
-	@$(PY) -m gelforge.commands.sample --dataset $(DATASET) --id $(call given,ID) --steps $(SHARD_STEPS)
+	@$(PY) -m gelforge.commands.sample $D --id $(call given,ID) --resolution $(RES1)
 
 ID ?=
 
-STAGES := poses:10_poses images:15_images meshes:20_meshes fea:30_fea forces:40_forces labels:50_labels dataset:60_dataset \
-    train:70_train evaluate:80_evaluate report:90_report calibrate:calibrate pareto:pareto \
+STAGES := poses:10_poses images:15_images meshes:20_meshes fea:30_fea forces:40_forces labels:50_labels \
+    dataset:60_dataset train:70_train evaluate:80_evaluate report:90_report calibrate:calibrate pareto:pareto \
     stability:stability pareto_models:pareto_models
 CLEAN := $(foreach s,$(STAGES),clean-$(firstword $(subst :, ,$s)))
 
@@ -43,11 +40,12 @@ parameters: $(SETUP)  ## write workflow/guide/parameters.md, the page of all par
 TARGET ?=
 
 why:  ## explain why a target is outdated: make why TARGET=report
-	@$(PY) -m gelforge.commands.why --target $(call given,TARGET) 'DATASET=$(DATASET)' $(foreach v,RES MODEL CHARTED STRICT FORMAT,$(if $(call by_hand,$v),$v=$(call given,$v)))
+	@$(PY) -m gelforge.commands.why --target $(call given,TARGET) 'DATASET=$(DATASET)' \
+	    $(call if_given,RES MODEL CHARTED STRICT FORMAT)
 
 provenance: | $(SETUP)  ## every file, parameter and cost behind one label: make provenance ID=…
 	@$(PY) -m gelforge.commands.provenance --results $D --id $(call given,ID) --resolution $(RES1)
 
 # Meshes that the pilots need are made, and the run finds them.
-estimate: | $(SETUP)  ## estimate core hours, disk and time of make report before it starts; for a log without images, of labels and calibrate
-	@$(PY) -m gelforge.commands.estimate --data $(DATA) --results $D --resolution $(RES1) --model $(MODEL) --cores $(SLOTS) --steps $(SHARD_STEPS)
+estimate: | $(SETUP)  ## core hours, disk and time of make report, or of what a log without images has, before it starts
+	@$(PY) -m gelforge.commands.estimate $D --resolution $(RES1) --model $(MODEL) --cores $(SLOTS)

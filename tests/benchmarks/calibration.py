@@ -28,7 +28,8 @@ from gelforge.calibration.solves import SolveCache, build_emulator, make_plan, r
 from gelforge.calibration.summary import describe
 from gelforge.errors import SolveFailed
 from gelforge.flow import params as config
-from gelforge.flow.files import read_json, write_json
+from gelforge.flow.files import read_json, write_json, write_text
+from gelforge.flow.layout import CALIBRATE, Layout
 from gelforge.flow.main import command, option
 from gelforge.flow.params.stages import ForCalibrate
 from gelforge.flow.params.tables import CalibrateTable
@@ -183,24 +184,23 @@ def timed_run(args: list[str]) -> tuple[float, float]:
 
 def run_stage(dataset: str, folder: Path, jobs: int) -> tuple[dict, list[Figure]]:
     """Calibrate a dataset as make would, solves included; return the summary and what it cost. All stays in `folder`."""
-    work = folder / dataset
-    shutil.rmtree(work / "solves", ignore_errors=True)
-    params = config.load_params("workflow", Path("data") / dataset / "dataset.toml")
-    write_json(work / "params.json", config.plain(config.parameters_of(params, ForCalibrate, stage.VERSION)))
-    places = {
-        "--data": Path("data") / dataset,
-        "--poses": Path("results") / dataset / "10_poses",
-        "--shards": Path("results") / dataset / "00_plan" / "shards",
-        "--sensors": Path("results") / dataset / "00_plan" / "params" / "sensors.json",
-        "--params": work / "params.json",
-        "--work": work,
-        "--solves": work / "solves",
-        "--out": work / "summary.json",
-    }
-    args = [str(part) for pair in places.items() for part in pair] + ["--jobs", str(jobs)]
+    made, of = Layout(Path("results") / dataset), Layout(folder / "results" / dataset)
+    shutil.rmtree(of.folder(CALIBRATE) / "solves", ignore_errors=True)
+    for name in ("data", "workflow"):
+        if not (of.base / name).exists():
+            of.root.mkdir(parents=True, exist_ok=True)
+            (of.base / name).symlink_to(Path(name).absolute())
+    params = config.load_params("workflow", of.data / "dataset.toml")
+    write_json(of.parameters("calibrate"), config.plain(config.parameters_of(params, ForCalibrate, stage.VERSION)))
+    write_json(of.parameters("sensors"), read_json(made.parameters("sensors")))
+    for name in made.names():
+        write_text(of.shard(name), made.shard(name).read_text(encoding="utf-8"))
+        if made.rejected(name).exists():
+            write_text(of.rejected(name), made.rejected(name).read_text(encoding="utf-8"))
+    args = [str(of.root), "--jobs", str(jobs)]
     wall, spent = timed_run(args)
     _, again = timed_run(args)
-    found = read_json(work / "summary.json")
+    found = read_json(of.calibration())
     note = f"{found['presses']} presses, {found['solves_spent']['total']} solves, {len(found['laws'])} interface laws"
     return found, [
         Figure(f"{dataset}, processor time, solves included", spent, "<=", 71, "s", f"{wall:.0f} s of wall; {note}"),

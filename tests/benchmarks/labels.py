@@ -12,7 +12,8 @@ import numpy as np
 
 from gelforge.commands.projection import read_points
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_json, write_csv
+from gelforge.flow.files import read_json, read_toml, write_csv, write_json
+from gelforge.flow.layout import Layout
 from gelforge.flow.main import command, option, positive
 from gelforge.formats.numpy_pickle import read_npy
 from gelforge.labelling.grid import Grid
@@ -141,7 +142,7 @@ def write_shards(folder: Path, rng, samples: int) -> None:
     surface = mesh.surface_nodes.astype(np.int32)
     stock = [f[surface] for f in bumps(mesh, rng, 40, (6, 8))]
     rest = np.zeros((len(surface), 3), np.float32)
-    (folder / "shards").mkdir()
+    Layout(folder).shards.mkdir(parents=True)
     for shard in range(-(-samples // SHARD)):
         names = [f"p{at:05d}" for at in range(shard * SHARD, min((shard + 1) * SHARD, samples))]
         pressed = [
@@ -151,8 +152,9 @@ def write_shards(folder: Path, rng, samples: int) -> None:
         pose = dict.fromkeys(POSE, "0") | {"sensor_id": "gelsight_mini", "indenter": "sphere_15", "dz_mm": "-1"}
         rows = [{"sample_id": name, **pose} for name in names]
         write_csv(folder / "10_poses" / f"{shard:04d}.csv", list(rows[0]), rows)
-        (folder / "shards" / f"{shard:04d}.csv").touch()
-    write_stage(folder, "labels", labels={"largest_outside_share": 1.0})
+        Layout(folder).shard(f"{shard:04d}").touch()
+    write_stage(Layout(folder).params, "labels", labels={"largest_outside_share": 1.0})
+    write_json(Layout(folder).parameters("sensors"), read_toml(SENSORS))
 
 
 def whole_dataset(rng, samples: int) -> list[Figure]:
@@ -162,28 +164,8 @@ def whole_dataset(rng, samples: int) -> list[Figure]:
         write_shards(folder, rng, samples)
         figures = []
         for text in ("24x32", "96x128"):
-            out = folder / "50_labels" / text / "labels.json"
-            command = [
-                sys.executable,
-                "-m",
-                "gelforge.stages.labels",
-                "--forces",
-                folder / "40_forces",
-                "--poses",
-                folder / "10_poses",
-                "--meshes",
-                folder / "20_meshes",
-                "--shards",
-                folder / "shards",
-                "--sensors",
-                SENSORS,
-                "--resolution",
-                text,
-                "--params",
-                folder / "labels.json",
-                "--out",
-                out,
-            ]
+            out = Layout(folder).labelled(text)
+            command = [sys.executable, "-m", "gelforge.stages.labels", folder, text]
             start, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
             subprocess.run(
                 [str(part) for part in command], check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from gelforge.flow.files import write_csv, write_json
+from gelforge.flow.layout import Layout
 from gelforge.flow.main import command, option
 from gelforge.flow.params import load_params, plain, read_toml
 from gelforge.flow.params.stages import ForTrain
@@ -145,28 +146,15 @@ def train_apart(dataset: Path, name: str, settings: TrainTable, folder: Path):
     """Train in a process of its own, so that its peak memory is its own; return the model."""
     from gelforge.networks.checkpoint.modelfile import load_model
 
-    params = folder / f"{name}.json"
-    write_json(params, plain(ForTrain(version=1, train=settings)))
-    out = folder / f"{name}.onnx"
-    subprocess.run(
-        [
-            sys.executable,
-            "-m",
-            "gelforge.stages.train",
-            "--dataset",
-            dataset,
-            "--model",
-            name,
-            "--params",
-            params,
-            "--out",
-            out,
-        ],
-        check=True,
-        stdout=subprocess.DEVNULL,
-        stderr=subprocess.DEVNULL,
-    )
-    return load_model(out)
+    of = Layout(folder / "results/timed")
+    write_json(of.parameters("train"), plain(ForTrain(version=1, train=settings)))
+    write_json(of.parameters(f"models/{name}"), {name: read_toml("workflow/models.toml")[name]})
+    if not of.dataset(dataset.name).exists():
+        of.dataset(dataset.name).parent.mkdir(parents=True)
+        of.dataset(dataset.name).symlink_to(dataset.absolute())
+    command = [sys.executable, "-m", "gelforge.stages.train", str(of.root), dataset.name, name]
+    subprocess.run(command, check=True, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    return load_model(of.network(dataset.name, name))
 
 
 def training_figures(settings: TrainTable, folder: Path, dataset: Path) -> list[Figure]:

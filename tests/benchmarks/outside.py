@@ -68,8 +68,6 @@ def figures_of(scores: dict) -> list[Figure]:
 
 
 @command(
-    option("--workflow", type=Path, default=Path("workflow")),
-    option("--references", type=Path, default=Path("data/fea_challenge")),
     option("--scenes", nargs="+", choices=GOALS + SHARP, default=GOALS + SHARP),
     option("--work", type=Path, default=Path("results/benchmarks/outside"), help="what is kept"),
     option("--out", type=Path),
@@ -78,9 +76,8 @@ def main(args: Namespace) -> None:
     if not has_getfem():
         print(f"skipped: {PYTHON} has no GetFEM; sudo apt-get install python3-getfem python3-scipy")
         return
-    folder = args.work / "challenge"
-    given = ["--workflow", str(args.workflow), "--references", str(args.references), "--out", str(folder)]
-    challenge.main(["write", *given])
+    folder = Path("results/fea_challenge")
+    challenge.main(["write", str(folder)])
     scores = scored(folder, submission(folder.resolve(), tuple(args.scenes), args.work.resolve()))
     publish_figures(
         args.out, figures_of(scores), scenes=[{"scene": name} | of for name, of in scores["scenes"].items()]

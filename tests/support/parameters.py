@@ -10,6 +10,14 @@ from gelforge.flow.params.schema import ParameterTable, Place, parse
 WORKFLOW = Path(__file__).resolve().parents[2] / "workflow"
 
 
+def place_workflow(folder: Path) -> Path:
+    """Give a folder, in which the data and results of a test lie, the project's workflow and references; return it."""
+    (folder / "data").mkdir(parents=True, exist_ok=True)
+    (folder / "workflow").symlink_to(WORKFLOW)
+    (folder / "data/fea_challenge").symlink_to(WORKFLOW.parent / "data/fea_challenge")
+    return folder
+
+
 def parameters(**tables: dict[str, Any]) -> Params:
     """All tables, with some values changed: parameters(fea={"rounds": 4})."""
     return parse(Params, laid_over(plain(load_params(WORKFLOW)), tables), Place("a test"))

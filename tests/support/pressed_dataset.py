@@ -4,8 +4,9 @@ from pathlib import Path
 
 import numpy as np
 
-from gelforge.flow.files import write_csv, write_json
-from gelforge.flow.params import plain
+from gelforge.flow.files import read_json, read_toml, write_csv, write_if_changed, write_json
+from gelforge.flow.layout import Layout
+from gelforge.flow.params import canonical, plain
 from gelforge.geometry.cropping import cropped
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
@@ -96,39 +97,30 @@ def write_pressed(
     return {"folder": folder, "data": data, "results": results, "mesh": mesh, "loads": loads, "rows": rows}
 
 
+def place_sensors(of: Layout, file: Path) -> None:
+    """Write the sensors of a file where stages read them, if they are others than there."""
+    tables = read_json(file) if file.suffix == ".json" else read_toml(file)
+    write_if_changed(of.parameters("sensors"), canonical(tables))
+
+
 def label(made: dict, resolution: str, sensors=ROOT / "workflow/sensors.toml") -> Path:
     """Run stage 50 on all shards; return the folder of labels."""
     from gelforge.stages import labels
 
-    results, out = made["results"], made["results"] / "50_labels" / resolution / "labels.json"
-    given = {"forces": results / "40_forces", "meshes": results / "20_meshes", "params": params(results, "labels")}
-    labels.main(words(results, resolution, sensors, out, **given))
-    return out.parent
-
-
-def params(results: Path, stage: str) -> Path:
-    return results / "00_plan/params" / f"{stage}.json"
-
-
-def words(results: Path, resolution: str, sensors: Path, out: Path, **more: Path) -> list[str]:
-    """Options of a stage as words, those that stages 50 and 60 share included."""
-    given = {"poses": results / "10_poses", "shards": results / "00_plan/shards", "sensors": sensors}
-    options = given | {"resolution": resolution, "out": out} | more
-    return [word for name, value in options.items() for word in (f"--{name}", str(value))]
+    of = Layout(made["results"])
+    place_sensors(of, sensors)
+    labels.main([str(of.root), resolution])
+    return of.labelled(resolution).parent
 
 
 def collect(made: dict, resolution: str, *flags: str, **settings) -> Path:
     """Run stage 60 with options, and some of its settings changed; return the dataset's folder."""
     from gelforge.stages import dataset
 
-    results, out = made["results"], made["results"] / "60_dataset" / resolution / "dataset.json"
+    of = Layout(made["results"])
+    place_sensors(of, ROOT / "workflow/sensors.toml")
     noise = {"judge_images": False}  # which its images are
-    write_stage(results / "00_plan/params", "dataset", dataset=plain(SETTINGS) | settings, poses=noise)
-    source = made["data"] / "labels" / f"{resolution}.npz"
-    folder = source if source.exists() else results / "50_labels" / resolution
-    given = {"data": made["data"], "labels": folder, "catalogue": params(results, "indenters")}
-    asked = words(
-        results, resolution, ROOT / "workflow/sensors.toml", out, params=params(results, "dataset"), **given
-    )
-    dataset.main([*asked, *flags])
-    return out.parent
+    write_stage(of.params, "dataset", dataset=plain(SETTINGS) | settings, poses=noise)
+    write_json(of.images(), {"left_out": {}})
+    dataset.main([str(of.root), resolution, *flags])
+    return of.dataset(resolution)

@@ -1,38 +1,38 @@
 """The calibration stage on curves that others measured: the four points of FEATS, and a small ball on a thin pad."""
 
-import json
 import shutil
 
 import numpy as np
 import pytest
 
 from gelforge.errors import BadInput
+from gelforge.flow.files import read_json, read_toml, write_json
+from gelforge.flow.layout import Layout
 from gelforge.stages import calibrate
 from gelforge.stages.report import calibration_section
-from tests.support.parameters import parameters, write_stage
+from tests.support.parameters import parameters, place_workflow, write_stage
 
 COARSE = {"size": 1.2, "layers": 3, "widened": []}
 # A ball of 4 mm diameter pressed into the flat gel, 2 mm thick, of another type of sensor (DIGIT): depth, mm, and force, N.
 BALL_ON_PAD = ((0.344, 0.236), (0.468, 0.500), (0.782, 1.495), (1.215, 3.895), (1.461, 6.290))
 
 
-def stage_args(root, folder, **changes):
-    """Arguments of the stage in a folder of its own, and the parameters it gets."""
+def prepared(root, folder, **changes):
+    """The stage's dataset in a folder of its own, with the parameters that it gets; its layout."""
+    of = Layout(place_workflow(folder) / "results/lab")
     usual = {"solver": COARSE, "compare": False, "refine": "none", "friction_nodes": []}
-    write_stage(folder, "calibrate", calibrate=usual | changes)
-    if not (folder / "data").exists():
-        shutil.copytree(root / "data" / "feats_sphere15", folder / "data")
-    names = {"data": "data", "params": "calibrate.json", "work": "work", "out": "work/summary.json"}
-    args = [text for key, name in names.items() for text in (f"--{key}", str(folder / name))]
-    sensors = ["--sensors", str(root / "workflow" / "sensors.toml")]
-    return [*args, *sensors, "--workflow", str(root / "workflow"), "--jobs", "1"]
+    write_stage(of.params, "calibrate", calibrate=usual | changes)
+    write_json(of.parameters("sensors"), read_toml(root / "workflow/sensors.toml"))
+    if not of.data.exists():
+        shutil.copytree(root / "data" / "feats_sphere15", of.data)
+    return of
 
 
 @pytest.fixture(scope="module")
 def done(root, tmp_path_factory):
-    folder = tmp_path_factory.mktemp("feats")
-    assert calibrate.main(stage_args(root, folder)) == 0
-    return folder
+    of = prepared(root, tmp_path_factory.mktemp("feats"))
+    assert calibrate.main([str(of.root)]) == 0
+    return of
 
 
 def test_log_holds_the_measured_points(root, reference):
@@ -43,7 +43,7 @@ def test_log_holds_the_measured_points(root, reference):
 
 
 def test_summary_and_report_say_what_is_known(done, tmp_path):
-    summary = json.loads((done / "work" / "summary.json").read_text())
+    summary = read_json(done.calibration())
     low, high = summary["c10"]["interval95"]
     assert low < summary["c10"]["interval68"][0] < summary["c10"]["median"] < high
     assert 0.05 < summary["c10"]["median"] < 0.15  # soft silicone
@@ -55,10 +55,9 @@ def test_summary_and_report_say_what_is_known(done, tmp_path):
     # its own error of touch explains part of a reading
     assert 0.0 < summary["own_touch_mae_n"]["fz"] < summary["predictive_mae_n"]["fz"]
     for name in ("corner", "predictive", "trace"):
-        assert (done / "work" / f"{name}.png").stat().st_size > 10_000
-    assert not list((done / "work").glob(".*"))  # nothing half-written is left
-    shutil.copytree(done / "work", tmp_path / "calibrate")
-    section = calibration_section(tmp_path)
+        assert (done.root / f"calibrate/{name}.png").stat().st_size > 10_000
+    assert not list(done.folder("calibrate").glob(".*"))  # nothing half-written is left
+    section = calibration_section(done.root)
     (table,) = (item for item in section.items if item["kind"] == "table")
     assert table["rows"][0][0] == "C10 (MPa)" and len({row[0] for row in table["rows"]}) == 8
     assert set(summary["sentences"]) <= {item["text"] for item in section.items if item["kind"] == "text"}
@@ -66,26 +65,26 @@ def test_summary_and_report_say_what_is_known(done, tmp_path):
 
 @pytest.mark.slow
 def test_second_run_solves_nothing_anew_and_says_what_it_sees(root, done, capsys):
-    before = json.loads((done / "work" / "summary.json").read_text())
-    assert calibrate.main(stage_args(root, done)) == 0
+    before = read_json(done.calibration())
+    assert calibrate.main([str(done.root)]) == 0
     assert "0 of them new" in capsys.readouterr().out
-    assert json.loads((done / "work" / "summary.json").read_text())["c10"] == before["c10"]
-    log = done / "data" / "log.csv"
+    assert read_json(done.calibration())["c10"] == before["c10"]
+    log = done.log
     weighed = [line.split(",") for line in log.read_text().splitlines()]
     for line in weighed[1:]:
         line[14] = f"{float(line[14]) / 4.44822:.4f}"
     assert weighed[0][14] == "fz_n"
     log.write_text("\n".join(",".join(line) for line in weighed) + "\n")
-    assert calibrate.main(stage_args(root, done)) == 0
-    (said,) = json.loads((done / "work" / "summary.json").read_text())["evidence"]
+    assert calibrate.main([str(done.root)]) == 0
+    (said,) = read_json(done.calibration())["evidence"]
     assert "pounds-force" in said and f"note: {said}" in capsys.readouterr().out.splitlines()
 
 
 @pytest.mark.slow
 def test_all_laws_follow_a_ball_on_a_thin_pad_that_others_measured(root, tmp_path):
     """Within 5 % of each reading, with a touch offset and a compliance that a hand-held bench may have."""
-    data = tmp_path / "data"
-    data.mkdir()
+    data = tmp_path / "data/lab"
+    data.mkdir(parents=True)
     header = "sample_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg,fx_n,fy_n,fz_n"
     rows = [f"p{k},ball,0,0,0,0,0,-{depth},0,,,-{force}" for k, (depth, force) in enumerate(BALL_ON_PAD)]
     (data / "log.csv").write_text("\n".join([header, *rows]) + "\n")
@@ -95,10 +94,10 @@ def test_all_laws_follow_a_ball_on_a_thin_pad_that_others_measured(root, tmp_pat
     sensors.write_text(
         '[digit]\ngel = "flat_2mm"\nimage = [240, 320]\nprojection = [[0.0, -15.0, 120.0], [-15.0, 0.0, 160.0], [0.0, 0.0, 1.0]]\n'
     )
-    args = stage_args(root, tmp_path, compare=True, refine="draft", friction_nodes=[0.3], solver={"size": 0.5})
-    args[args.index("--sensors") + 1] = str(sensors)
-    assert calibrate.main(args) == 0
-    summary = json.loads((tmp_path / "work" / "summary.json").read_text())
+    of = prepared(root, tmp_path, compare=True, refine="draft", friction_nodes=[0.3], solver={"size": 0.5})
+    write_json(of.parameters("sensors"), read_toml(sensors))
+    assert calibrate.main([str(of.root)]) == 0
+    summary = read_json(of.calibration())
     assert 0.06 < summary["c10"]["median"] < 0.11 and summary["evidence"] == []
     assert {law["law"] for law in summary["laws"]} == {"frictionless", "coulomb", "no_slip"}
     for entry in summary["laws"]:
@@ -106,8 +105,8 @@ def test_all_laws_follow_a_ball_on_a_thin_pad_that_others_measured(root, tmp_pat
 
 
 def test_a_wrong_log_leaves_no_summary_and_solves_nothing(root, tmp_path):
-    args = stage_args(root, tmp_path)
-    log = tmp_path / "data" / "log.csv"
+    of = prepared(root, tmp_path)
+    log = of.log
     whole = log.read_text()
     for text, said in (
         (whole.replace(",-1.6503", ",1.6503").replace(",-5", ",5").replace(",-13", ",13").replace(",-23", ",23"),
@@ -116,7 +115,7 @@ def test_a_wrong_log_leaves_no_summary_and_solves_nothing(root, tmp_path):
     ):  # fmt: skip
         log.write_text(text)
         with pytest.raises(BadInput, match=said):
-            calibrate.main(args)
-        assert not (tmp_path / "work").exists()
+            calibrate.main([str(of.root)])
+        assert not of.calibration().exists()
     with pytest.raises(BadInput, match=r"\[calibrate.solver\] sizes: unknown key; size is meant"):
         parameters(calibrate={"solver": {"sizes": 1.0}})

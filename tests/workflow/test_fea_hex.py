@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv, write_csv, write_json
+from gelforge.flow.files import read_csv, read_toml, write_csv, write_json, write_text
+from gelforge.flow.layout import Layout
 from gelforge.geometry.gel import GELS, Gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.material import Material
@@ -33,26 +34,18 @@ PRESSES = {
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     """A shard solved at quality demo, with its forces and labels."""
-    folder = tmp_path_factory.mktemp("hex")
+    of = Layout(tmp_path_factory.mktemp("hex") / "results/lab")
     rows = [dict(zip(COLUMNS, (name, SENSOR, *press), strict=True)) for name, press in PRESSES.items()]
-    write_csv(folder / "10_poses" / "0000.csv", COLUMNS, rows)
-    params = folder / "params"
-    write_stage(params, "fea", fea={"fidelity": "hex", "hex_quality": "demo"})
-    write_stage(params, "forces")
-    write_stage(params, "labels")
-    write_json(params / "sensors.json", {SENSOR: {"gel": SENSOR}})
-    write_json(params / "indenters.json", {"ball": BALL})
-    for module, *arguments in (
-        (fea, "--poses", folder / "10_poses/0000.csv", "--params", params / "fea.json",
-         "--out", folder / "30_fea/0000.csv"),
-        (forces, "--fea", folder / "30_fea/0000.csv", "--params", params / "forces.json",
-         "--out", folder / "40_forces/0000.npz"),
-        (labels, "--forces", folder / "40_forces", "--poses", folder / "10_poses", "--shards", folder / "10_poses",
-         "--params", params / "labels.json", "--sensors", "workflow/sensors.toml", "--resolution", "24x32",
-         "--out", folder / "50_labels/labels.json"),
-    ):  # fmt: skip
-        assert module.main(list(map(str, ["--meshes", folder / "20_meshes", *arguments]))) == 0
-    return folder
+    write_csv(of.poses("0000"), COLUMNS, rows)
+    write_text(of.shard("0000"), "")
+    write_stage(of.params, "fea", fea={"fidelity": "hex", "hex_quality": "demo"})
+    write_stage(of.params, "forces")
+    write_stage(of.params, "labels")
+    write_json(of.parameters("sensors"), read_toml("workflow/sensors.toml"))
+    write_json(of.parameters("indenters"), {"ball": BALL})
+    for module, word in ((fea, "0000"), (forces, "0000"), (labels, "24x32")):
+        assert module.main([str(of.root), word]) == 0
+    return of.root
 
 
 def test_every_press_names_its_bricks(made):
@@ -67,7 +60,7 @@ def test_every_press_names_its_bricks(made):
 
 def test_force_is_kept_from_solve_to_label(made):
     solved = {row["sample_id"]: [float(row[f"f{c}_n"]) for c in "xyz"] for row in read_csv(made / "30_fea/0000.csv")}
-    found = read_labels(made / "50_labels/0000.npz")
+    found = read_labels(made / "50_labels/24x32/0000.npz")
     with ForceFile(made / "40_forces/0000.npz") as forced:
         for at, name in enumerate(forced.sample_id):
             label, outside = found.label[at].astype(float), found.outside[at]

@@ -14,7 +14,8 @@ import pytest
 
 from gelforge.commands import deck
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv, write_csv, write_json
+from gelforge.flow.files import read_csv, write_csv, write_json, write_text
+from gelforge.flow.layout import Layout
 from gelforge.geometry.gel import GELS
 from gelforge.mechanics.ccx.dat import last_table, read_dat
 from gelforge.mechanics.material import REFERENCE_C10
@@ -34,41 +35,29 @@ FEA = {"fidelity": "ccx-fine", "fine_meshes": ["wide-2.6"], "press_steps": 2, "s
 @pytest.fixture
 def folder(tmp_path):
     """Inputs of stage 30: three presses, one coarse mesh."""
-    (tmp_path / "20_meshes").mkdir()
+    of = Layout(tmp_path / "results/lab")
+    of.meshes.mkdir(parents=True)
     mesh = symmetric_block(GEL, 2.6, 2)
-    mesh.save(tmp_path / "20_meshes" / "ccx-wide-2.6.npz")
-    params = tmp_path / "params"
-    key = source_of(write_stage(params, "meshes"), tmp_path).key("ccx-wide-2.6")
+    mesh.save(of.meshes / "ccx-wide-2.6.npz")
+    key = source_of(write_stage(of.params, "meshes"), of.workflow).key("ccx-wide-2.6")
     report = {"engine": "ccx", "region": "wide", "size": 2.6, "half_mm": [10, 12], "reach_mm": [0, 0], "recipe": key}
-    write_json(tmp_path / "20_meshes" / "ccx-wide-2.6.json", report)
-    write_stage(params, "fea", fea=FEA)
-    write_stage(params, "forces", material={"c10": 0.145})
-    write_json(params / "sensors.json", {"cam": {"gel": GEL.name}})
-    write_json(params / "indenters.json", {"ball": {"kind": "sphere", "diameter": 15, "height": 10}})
-    (tmp_path / "10_poses").mkdir()
-    lay_presses(tmp_path, ROWS)
-    return tmp_path
+    write_json(of.meshes / "ccx-wide-2.6.json", report)
+    write_stage(of.params, "fea", fea=FEA)
+    write_stage(of.params, "forces", material={"c10": 0.145})
+    write_json(of.parameters("sensors"), {"cam": {"gel": GEL.name}})
+    write_json(of.parameters("indenters"), {"ball": {"kind": "sphere", "diameter": 15, "height": 10}})
+    lay_presses(of.root, ROWS)
+    return of.root
 
 
 def lay_presses(folder, rows):
     """The pose table of a shard, and its table of meshes by stage 20."""
-    (folder / "10_poses" / "0000.csv").write_text(HEADER + "".join(rows))
-    table = ["--meshes", f"{folder}/20_meshes", "--out", f"{folder}/20_meshes/0000.csv"]
-    assert (
-        meshes.main(["--poses", f"{folder}/10_poses/0000.csv", "--params", f"{folder}/params/meshes.json", *table])
-        == 0
-    )
+    write_text(Layout(folder).poses("0000"), HEADER + "".join(rows))
+    assert meshes.main(arguments(folder)) == 0
 
 
 def arguments(folder):
-    return ["--poses", f"{folder}/10_poses/0000.csv", "--meshes", f"{folder}/20_meshes",
-            "--chosen", f"{folder}/20_meshes/0000.csv",
-            "--params", f"{folder}/params/fea.json", "--out", f"{folder}/30_fea/0000.csv.part"]  # fmt: skip
-
-
-def forces_arguments(folder):
-    return ["--fea", f"{folder}/30_fea/0000.csv.part", "--meshes", f"{folder}/20_meshes",
-            "--params", f"{folder}/params/forces.json", "--out", f"{folder}/0000.npz"]  # fmt: skip
+    return [str(folder), "0000"]
 
 
 @pytest.fixture
@@ -90,15 +79,15 @@ def test_killed_run_resumes_and_corruption_is_found(folder, held_at_the_second):
     run.send_signal(signal.SIGKILL)
     run.wait()
     first = (out / "s0.json").stat().st_mtime_ns
-    assert not (folder / "30_fea" / "0000.csv.part").exists()
+    assert not (folder / "30_fea" / "0000.csv").exists()
     assert fea.main(arguments(folder)) == 0
     assert (out / "s0.json").stat().st_mtime_ns == first, "a finished sample was solved again"
-    rows = read_csv(folder / "30_fea" / "0000.csv.part")
+    rows = read_csv(folder / "30_fea" / "0000.csv")
     assert [r["status"] for r in rows] == ["OK"] * 3
     assert not list(out.glob(".*")), "scratch is left behind"
 
-    assert forces.main(forces_arguments(folder)) == 0
-    with ForceFile(folder / "0000.npz") as found:
+    assert forces.main(arguments(folder)) == 0
+    with ForceFile(folder / "40_forces/0000.npz") as found:
         assert found.c10 == 0.145
         # forces scale with C10; the table's are at 0.0725
         np.testing.assert_allclose(found.total[:, 2], [2 * float(r["fz_n"]) for r in rows], rtol=1e-4)
@@ -108,20 +97,19 @@ def test_killed_run_resumes_and_corruption_is_found(folder, held_at_the_second):
     (out / "s1.dat.gz").write_bytes(gzip.compress(text[: len(text) // 2]))
     (out / "s2.dat.gz").unlink()
     table = folder / "30_fea" / "0000.csv"
-    shutil.copy(f"{table}.part", table)
     with pytest.raises(BadInput, match=r"s1\.dat\.gz and 1 more: missing, or not as it was written.* run make again"):
-        forces.main(["--fea", str(table), *forces_arguments(folder)[2:]])
+        forces.main(arguments(folder))
     assert not table.exists()
     assert fea.main(arguments(folder)) == 0
     assert (out / "s0.json").stat().st_mtime_ns == first
-    assert forces.main(forces_arguments(folder)) == 0
-    with ForceFile(folder / "0000.npz") as found:
+    assert forces.main(arguments(folder)) == 0
+    with ForceFile(folder / "40_forces/0000.npz") as found:
         assert found.status.tolist() == ["OK"] * 3
         np.testing.assert_allclose(found.total[:, 2], [2 * float(r["fz_n"]) for r in rows], rtol=1e-4)
 
-    params = json.loads((folder / "params" / "fea.json").read_text())
+    params = json.loads((folder / "00_plan/params/fea.json").read_text())
     params["material"]["nu"] = 0.47
-    write_json(folder / "params" / "fea.json", params)
+    write_json(folder / "00_plan/params/fea.json", params)
     assert fea.main(arguments(folder)) == 0
     assert (out / "s0.json").stat().st_mtime_ns != first, "another material must be solved again"
 
@@ -133,15 +121,15 @@ def test_missing_calculix_is_one_clear_error(folder, monkeypatch):
 
 
 def test_a_failed_solve_is_a_row_with_its_reason(folder, ccx):
-    params = json.loads((folder / "params" / "fea.json").read_text())
+    params = json.loads((folder / "00_plan/params/fea.json").read_text())
     params["fea"]["timeout_s"] = 1e-3
-    write_json(folder / "params" / "fea.json", params)
+    write_json(folder / "00_plan/params/fea.json", params)
     lay_presses(folder, ROWS[:1])
     assert fea.main(arguments(folder)) == 0
-    row = read_csv(folder / "30_fea" / "0000.csv.part")[0]
+    row = read_csv(folder / "30_fea" / "0000.csv")[0]
     assert row["status"] == "DIVERGED" and "raise timeout_s in [fea]" in row["reason"]
-    forces.main(forces_arguments(folder))
-    with ForceFile(folder / "0000.npz") as found:
+    forces.main(arguments(folder))
+    with ForceFile(folder / "40_forces/0000.npz") as found:
         assert found.status.tolist() == ["DIVERGED"] and not len(found.node)
 
 
@@ -150,7 +138,7 @@ def test_a_longer_timeout_solves_again_only_what_the_shorter_one_stopped(folder,
     record = folder / "30_fea" / "0000" / "s0.json"
 
     def solved(**changed):
-        write_stage(folder / "params", "fea", fea=FEA | changed)
+        write_stage(folder / "00_plan/params", "fea", fea=FEA | changed)
         assert fea.main(arguments(folder)) == 0
         return json.loads(record.read_text())["status"], record.stat().st_mtime_ns
 
@@ -182,7 +170,7 @@ def forces_by_stock_ccx(ccx, folder, name, forces):
 def test_decks_run_by_stock_calculix_give_the_forces_of_stage_40(folder, ccx, tmp_path_factory):
     lay_presses(folder, ROWS[::2])
     assert fea.main(arguments(folder)) == 0
-    assert forces.main([*forces_arguments(folder)[:-1], f"{folder}/40_forces/0000.npz"]) == 0
+    assert forces.main(arguments(folder)) == 0
     decks = sorted((folder / "30_fea").rglob("*.inp"))
     assert [path.parent.name for path in decks] == ["0000", "0000", "meshes"], "one mesh serves both decks"
     shutil.copytree(folder / "30_fea", copy := tmp_path_factory.mktemp("away") / "fea")
@@ -213,9 +201,9 @@ def test_decks_run_by_stock_calculix_give_the_forces_of_stage_40(folder, ccx, tm
 
 
 def test_a_press_solved_in_process_has_no_deck(folder):
-    params = json.loads((folder / "params" / "fea.json").read_text())
+    params = json.loads((folder / "00_plan/params/fea.json").read_text())
     params["fea"] |= {"fidelity": "hex", "hex_quality": "demo"}
-    write_json(folder / "params" / "fea.json", params)
+    write_json(folder / "00_plan/params/fea.json", params)
     lay_presses(folder, ROWS[:1])
     assert fea.main(arguments(folder)) == 0
     rows = [{"sample_id": "s0", "shard": "0", "logged": "1"}]

@@ -10,6 +10,7 @@ import pytest
 import gelforge
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_csv, write_text
+from gelforge.flow.layout import Layout
 from gelforge.geometry.gel import Gel, catalogue, gel_shape, is_gel, load_gel
 from gelforge.geometry.gelcatalogue import gel_of, names_in
 from gelforge.geometry.triangles import volume, write_stl
@@ -26,6 +27,7 @@ from gelforge.virtualrig.appearance import read_appearances
 from gelforge.virtualrig.fields import unloaded
 from gelforge.virtualrig.render import Renderer
 from tests.support.blocks import symmetric_block
+from tests.support.parameters import place_workflow
 
 OWN = ("flat_2mm", "dome")
 DATASET = """
@@ -59,20 +61,11 @@ def labelled(folder, gel, depth) -> Path:
     write_csv(data / "log.csv", COLUMNS, [row])
     write_text(data / "dataset.toml", DATASET.format(gel=gel))
     write_text(data / "sensors.toml", SENSOR.format(gel=gel))
-    p, shards = results / "00_plan" / "params", results / "00_plan" / "shards"
-    tables = ["--poses", results / "10_poses" / "0000.csv", "--meshes", results / "20_meshes"]
-    for module, *arguments in (
-        (plan, "--data", data, "--out", results / "00_plan" / "plan.mk"),
-        (poses, "--data", data, "--shard", shards / "0000.csv", "--params", p / "poses.json", "--out", tables[1]),
-        (fea, *tables, "--params", p / "fea.json", "--out", results / "30_fea" / "0000.csv"),
-        (forces, "--fea", results / "30_fea" / "0000.csv", *tables[2:], "--params", p / "forces.json",
-         "--out", results / "40_forces" / "0000.npz"),
-        (labels, "--forces", results / "40_forces", "--poses", results / "10_poses", *tables[2:], "--shards", shards,
-         "--sensors", p / "sensors.json", "--params", p / "labels.json", "--resolution", "24x32",
-         "--out", results / "50_labels" / "24x32" / "labels.json"),
-    ):  # fmt: skip
-        Path(arguments[-1]).parent.mkdir(parents=True, exist_ok=True)
-        assert module.main(list(map(str, arguments))) == 0
+    of = Layout(results)
+    if not of.workflow.exists():
+        place_workflow(folder)
+    for module, *words in ((plan,), (poses, "0000"), (fea, "0000"), (forces, "0000"), (labels, "24x32")):
+        assert module.main([str(results), *words]) == 0
     return results
 
 
@@ -219,19 +212,21 @@ WRONG = "\n[bad]\nwidth = 20\nlength = 24\nthickness = 2\ncorner_radius = 0.1\n"
 
 def test_gels_are_read_beside_the_workflow_that_was_given(root, tmp_path, monkeypatch):
     """Not below the working folder; a wrong table harms only the datasets whose presses are on that gel."""
-    workflow = shutil.copytree(root / "workflow", tmp_path / "theirs", ignore=shutil.ignore_patterns("meshes"))
+    workflow = shutil.copytree(
+        root / "workflow", tmp_path / "theirs/workflow", ignore=shutil.ignore_patterns("meshes")
+    )
     text = (workflow / "gels.toml").read_text()
     (workflow / "gels.toml").write_text(text.replace("[dome]", "[mine]") + WRONG)
     row = dict.fromkeys(COLUMNS, "0") | {"sample_id": "one", "sensor_id": "own", "indenter": "sphere_15", "image": ""}
     monkeypatch.chdir(tmp_path)
 
     def planned(gel):
-        write_csv(tmp_path / "data/log.csv", COLUMNS, [row])
-        write_text(tmp_path / "data/dataset.toml", DATASET.format(gel=gel))
-        write_text(tmp_path / "data/sensors.toml", SENSOR.format(gel=gel))
-        out = tmp_path / "results/d/00_plan"
-        assert plan.main(["--data", "data", "--workflow", "theirs", "--out", str(out / "plan.mk")]) == 0
-        return read_json(out / "params/gels.json")
+        of = Layout(Path("theirs/results/d"))
+        write_csv(of.log, COLUMNS, [row])
+        write_text(of.data / "dataset.toml", DATASET.format(gel=gel))
+        write_text(of.data / "sensors.toml", SENSOR.format(gel=gel))
+        assert plan.main([str(of.root)]) == 0
+        return read_json(of.parameters("gels"))
 
     before = planned("mine")
     assert before == {"mine": gel_shape(load_gel("mine"))} and planned("gelsight_mini") == {}

@@ -1,13 +1,13 @@
 """What others recorded as MCAP becomes a dataset on which a network trains."""
 
-import json
 import subprocess
 import sys
 import tomllib
 
 import numpy as np
 
-from gelforge.flow.files import read_csv, write_csv, write_json, write_text
+from gelforge.flow.files import read_csv, read_json, write_csv, write_json, write_text
+from gelforge.flow.layout import Layout
 from gelforge.flow.params import plain
 from gelforge.formats.mcap_import import Topics, import_recordings
 from gelforge.labelling.sensor import load_sensors
@@ -27,6 +27,7 @@ def later(messages, ms):
 
 def test_the_dataset_trains_on_totals(tmp_path, root):
     """From import to network, at one cell; rows that name no sensor are of the dataset's."""
+    of = Layout(tmp_path / "results/lab")
     (tmp_path / "in").mkdir()
     for k, name in enumerate("abcd"):
         times = 100.0 + 40.0 * np.arange(23)
@@ -35,35 +36,23 @@ def test_the_dataset_trains_on_totals(tmp_path, root):
         write(tmp_path / "in" / f"{name}.mcap", filmed(times + 60_000 * k, lambda k: 0.0), later(forces, 60_000 * k))
     write_text(tmp_path / "topics.toml", f'image = "{IMAGE}"\nwrench = "{WRENCH}"\n')
     sensor = load_sensors(root / "workflow" / "sensors.toml")["gelsight_mini"]
-    import_recordings(tmp_path / "in", tmp_path / "lab", Topics.read(tmp_path / "topics.toml"), sensor)
-    log = tmp_path / "lab/log.csv"
+    import_recordings(tmp_path / "in", of.data, Topics.read(tmp_path / "topics.toml"), sensor)
+    log = of.log
     rows = read_csv(log)
     name = rows[0]["sensor_id"]
     write_csv(log, list(rows[0]), [row | {"sensor_id": ""} for row in rows])
-    plan = tmp_path / "00_plan"
-    write_shards(tmp_path / "lab", logged_rows(log, name), plan, 30)
-    out = tmp_path / "60_dataset" / "1x1" / "dataset.json"
-    write_json(tmp_path / "indenters.json", {})
-    write_stage(tmp_path, "dataset", dataset={"validation": 0.2, "test": 0.2, "force_edges": [1.0, 3.0]})
-    write_json(tmp_path / "sensors.json", tomllib.loads((root / "workflow/sensors.toml").read_text()))
-    command = {"data": tmp_path / "lab", "labels": tmp_path / "lab/labels/1x1.npz", "poses": tmp_path, "shards": plan / "shards",
-               "catalogue": tmp_path / "indenters.json", "sensors": tmp_path / "sensors.json", "resolution": "1x1",
-               "params": tmp_path / "dataset.json", "out": out}  # fmt: skip
-    out.parent.mkdir(parents=True)
-    words = [word for name, value in command.items() for word in (f"--{name}", str(value))]
-    ran = subprocess.run(
-        [sys.executable, "-m", "gelforge.stages.dataset", *words], capture_output=True, text=True, check=False
-    )
+    write_shards(of.data, logged_rows(log, name), of.folder("00_plan"), 30)
+    write_json(of.parameters("indenters"), {})
+    write_stage(of.params, "dataset", dataset={"validation": 0.2, "test": 0.2, "force_edges": [1.0, 3.0]})
+    write_json(of.parameters("sensors"), tomllib.loads((root / "workflow/sensors.toml").read_text()))
+    command = [sys.executable, "-m", "gelforge.stages.dataset", str(of.root), "1x1"]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stderr
-    about = json.loads(out.read_text())
+    about = read_json(of.dataset_table("1x1"))
     assert about["grid"] == [1, 1] and about["samples"] == 4 * 23 and {"train", "val", "test"} == set(about["splits"])
-    write_json(tmp_path / "models.json", {"small": {"kind": "resnet", "blocks": [1, 1], "widths": [8, 16]}})
-    write_stage(tmp_path, "train", train={**plain(SETTINGS), "epochs": 1, "shift_cells": 0})
-    command = {"dataset": out.parent, "model": "small", "models": tmp_path / "models.json", "params": tmp_path / "train.json",
-               "out": tmp_path / "small.onnx.part"}  # fmt: skip
-    words = [word for name, value in command.items() for word in (f"--{name}", str(value))]
-    ran = subprocess.run(
-        [sys.executable, "-m", "gelforge.stages.train", *words], capture_output=True, text=True, check=False
-    )
+    write_json(of.parameters("models/small"), {"small": {"kind": "resnet", "blocks": [1, 1], "widths": [8, 16]}})
+    write_stage(of.params, "train", train={**plain(SETTINGS), "epochs": 1, "shift_cells": 0})
+    command = [sys.executable, "-m", "gelforge.stages.train", str(of.root), "1x1", "small"]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stderr
-    assert load_model(tmp_path / "small.onnx.part").metadata["grid"] == [1, 1]
+    assert load_model(of.network("1x1", "small")).metadata["grid"] == [1, 1]

@@ -10,6 +10,7 @@ from gelforge.flow.files import read_json
 from gelforge.geometry.indenters import build
 from gelforge.stages import challenge
 from tests.benchmarks.outside import PROGRAM, PYTHON, figures_of, has_getfem
+from tests.support.parameters import place_workflow
 
 COARSE = """
 import sys
@@ -33,9 +34,8 @@ NEEDS_GETFEM = pytest.mark.skipif(not has_getfem(), reason="needs Debian's pytho
 
 @pytest.fixture(scope="module")
 def folder(root, tmp_path_factory):
-    out = tmp_path_factory.mktemp("outside") / "challenge"
-    given = ["write", "--workflow", str(root / "workflow"), "--references", str(root / "data" / "fea_challenge")]
-    assert challenge.main([*given, "--out", str(out)]) == 0
+    out = place_workflow(tmp_path_factory.mktemp("outside")) / "results/challenge"
+    assert challenge.main(["write", str(out)]) == 0
     return out
 
 

@@ -8,6 +8,7 @@ import pytest
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
+from gelforge.flow.layout import Layout
 from gelforge.flow.params import plain
 from gelforge.geometry.gel import GELS, Gel
 from gelforge.geometry.indenters import load_catalogue
@@ -50,10 +51,10 @@ def coarse_mesh(region, size, folder):
 
 def test_a_mesh_that_ships_is_made_by_nobody_again(tmp_path):
     """pytetwild's are never the same, and all presses of the chart on another one would be solved again."""
-    write_json(tmp_path / "params.json", plain(stage_of("pareto_meshes")))
-    made = tmp_path / "ccx-disc-0.4.npz"
-    command = ["mesh", "--name", "ccx-disc-0.4", "--params", str(tmp_path / "params.json"), "--out", str(made)]
-    assert pareto.main(command) == 0
+    of = Layout(tmp_path / "results/lab")
+    write_json(of.parameters("pareto_meshes"), plain(stage_of("pareto_meshes")))
+    assert pareto.main(["mesh", str(of.root), "ccx-disc-0.4"]) == 0
+    made = of.chart_mesh("ccx-disc-0.4")
     (ships,) = SHIPPED.glob("ccx-disc-0.4-*.npz")
     assert GelMesh.load(made).digest == GelMesh.load(ships).digest
 

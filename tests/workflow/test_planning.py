@@ -283,7 +283,7 @@ def test_results_follow_the_version_of_their_stage(root):
     rules = re.findall(r"^(\S.*)\n\t(?:\$\(HANDS_SLOTS\))?\$\(call step,(\S+?)[ ,]", spelt_out(root), re.MULTILINE)
     for stage in sorted({of.module for of in SOURCES.values()}):
         slices = {f"$P/{name}.json" for name, of in SOURCES.items() if of.module == stage}
-        of_stage = [head for head, module in rules if module in (f"gelforge.stages.{stage}", "$(PARETO_SCENE)")]
+        of_stage = [head for head, module in rules if module == f"gelforge.stages.{stage}"]
         assert any(slices & set(head.split()) for head in of_stage), stage
 
 
@@ -293,33 +293,5 @@ def test_every_stage_that_make_runs_has_a_version(root):
 
 
 def spelt_out(root):
-    """The text of all rules, with the module in place of a macro that names a stage's command (poses_of = MODULE ...)."""
-    text = "".join(path.read_text() for path in sorted((root / "rules").glob("*.mk"))).replace("\\\n", "")
-    modules = dict(re.findall(r"^(\w+_of) = (gelforge\.stages\.\w+) ", text, re.MULTILINE))
-    return re.sub(r"call step,\$\((?:call )?(\w+_of)[,)]", lambda found: f"call step,{modules[found[1]]} ", text)
-
-
-def prerequisites(project, goal, target) -> list[str]:
-    """What make holds a target to depend on, order-only prerequisites left out; the last word where it planned anew."""
-    said = make(project, "-pn", "DATASET=tiny", goal, "MODEL=grid_16").stdout
-    lines = re.findall(rf"^{re.escape(target)}:(.*)$", said, re.MULTILINE)
-    assert lines, said[-2000:]
-    return lines[-1].split("|")[0].split()
-
-
-def test_the_page_is_made_again_for_every_parameter_that_it_prints(built):
-    printed = {str(path.relative_to(built)) for path in built.glob("results/tiny/00_plan/params/*.json")}
-    assert len(printed) > len(SOURCES)  # catalogues, too
-    needed = prerequisites(built, "report", "results/tiny/90_report/index.html")
-    assert printed <= set(needed) and needed[0].endswith("/report.json")
-
-
-def test_the_open_benchmark_is_written_again_for_what_its_files_and_keys_hold(labelled):
-    keys, catalogue = labelled / "data/fea_challenge/keys.json", labelled / "workflow/indenters.toml"
-    text = catalogue.read_text(encoding="utf-8")
-    write_text(keys, "{}")
-    write_text(catalogue, text + '\n[probe]\nkind = "stl"\nfile = "probe.stl"   # closed, tip down\n')
-    block(labelled / "workflow/probe.stl", 2.0)
-    needed = set(prerequisites(labelled, "fea-challenge", "results/fea_challenge/challenge.json"))
-    code = {f"src/gelforge/{name}.py" for name in ("sweeps/challenge", "stages/pareto", "sweeps/methods")}
-    assert {"data/fea_challenge/keys.json", "workflow/probe.stl", *code} <= needed
+    """The text of all rules."""
+    return "".join(path.read_text() for path in sorted((root / "rules").glob("*.mk"))).replace("\\\n", "")

@@ -5,11 +5,11 @@ import signal
 import subprocess
 import sys
 from importlib import import_module
-from pathlib import Path
 
 import pytest
 
 from gelforge.flow.files import read_json, write_json
+from gelforge.flow.layout import Layout
 from gelforge.flow.params import plain
 from gelforge.networks.checkpoint.modelfile import load_model
 from tests.support.parameters import write_stage
@@ -31,37 +31,33 @@ def run(asked: list[str]) -> None:
 
 @pytest.fixture(scope="module")
 def place(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("training")
-    write_dataset(folder / "6x8", 48, (48, 64), (6, 8))
-    write_stage(folder, "train", train={**plain(SETTINGS), "epochs": EPOCHS})
-    write_stage(folder, "evaluate", evaluate={"force_edges": [0.0, 10.0], "bootstrap": 50})
-    write_json(folder / "models.json", {"small": {"kind": "grid", "width": 8, "blocks": 1}})
-    return folder
-
-
-def train_command(place, out, dataset=None) -> list[str]:
-    names = {"dataset": dataset or place / "6x8", "model": "small", "models": place / "models.json",
-             "params": place / "train.json", "out": out}  # fmt: skip
-    return command("train", *(word for name, value in names.items() for word in (f"--{name}", value)))
+    of = Layout(tmp_path_factory.mktemp("training") / "results/made")
+    write_dataset(of.dataset("6x8"), 48, (48, 64), (6, 8))
+    write_stage(of.params, "train", train={**plain(SETTINGS), "epochs": EPOCHS})
+    write_stage(of.params, "evaluate", evaluate={"force_edges": [0.0, 10.0], "bootstrap": 50})
+    for name in ("whole", "killed"):
+        write_json(of.parameters(f"models/{name}"), {name: {"kind": "grid", "width": 8, "blocks": 1}})
+    return of
 
 
 @pytest.fixture(scope="module")
 def whole(place):
-    run(train_command(place, place / "whole.onnx.part"))
-    return load_model(place / "whole.onnx.part").metadata
+    run(command("train", place.root, "6x8", "whole"))
+    return load_model(place.network("6x8", "whole")).metadata
 
 
 def test_killed_training_ends_with_the_same_curve(place, whole):
-    out, checkpoint = place / "killed.onnx.part", place / "killed.checkpoint.pt"
+    out, asked = place.network("6x8", "killed"), command("train", place.root, "6x8", "killed")
+    checkpoint = out.with_name("killed.checkpoint.pt")
     killed = False
     while not killed:  # a machine that looks too late finds the training at its end
         out.unlink(missing_ok=True)
-        running = subprocess.Popen(train_command(place, out), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+        running = subprocess.Popen(asked, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
         wait_until(lambda child=running: checkpoint.exists() or child.poll() is not None)
         running.send_signal(signal.SIGKILL)
         killed = running.wait() == -signal.SIGKILL and checkpoint.exists()
     assert not out.exists()
-    again = subprocess.run(train_command(place, out), check=True, capture_output=True, text=True)
+    again = subprocess.run(asked, check=True, capture_output=True, text=True)
     assert "going on after epoch" in again.stdout and not checkpoint.exists()
     about = load_model(out).metadata
     assert about["curve"] == whole["curve"] and about["cost"]["resumed"] == 1
@@ -69,25 +65,18 @@ def test_killed_training_ends_with_the_same_curve(place, whole):
 
 def test_command_writes_what_it_says(place, whole):
     assert len(whole["curve"]) == EPOCHS and whole["data"]["samples"]["train"] == 24
-    assert (place / "whole.curve.csv").read_text().count("\n") == EPOCHS + 1
-    assert (place / "whole.curve.png").exists()
-    assert read_json(evaluated(place, place / "whole.onnx.part"))["splits"]["test"]["n"] == 6
+    trained = place.network("6x8", "whole")
+    assert trained.with_name("whole.curve.csv").read_text().count("\n") == EPOCHS + 1
+    assert place.curve("6x8", "whole").exists()
+    run(command("evaluate", place.root, "6x8", "whole"))
+    assert read_json(place.evaluation("6x8", "whole"))["splits"]["test"]["n"] == 6
 
 
-def evaluated(place, model: Path) -> Path:
-    """Where the evaluation of a model lies."""
-    out = model.with_name(model.name.split(".")[0] + ".json")
-    asked = command("evaluate", "--dataset", place / "6x8", "--model", model, "--params", place / "evaluate.json")
-    run([*asked, "--out", str(out)])
-    return out
-
-
-def test_unusable_dataset_is_one_line_and_leaves_nothing(place, tmp_path):
-    ran = subprocess.run(
-        train_command(place, tmp_path / "x.onnx.part", tmp_path), capture_output=True, text=True, check=False
-    )
+def test_unusable_dataset_is_one_line_and_leaves_nothing(place):
+    asked = command("train", place.root, "12x16", "whole")
+    ran = subprocess.run(asked, capture_output=True, text=True, check=False)
     assert ran.returncode == 2 and ran.stderr.startswith("error: ") and ran.stderr.count("\n") == 1
-    assert list(tmp_path.iterdir()) == []
+    assert list(place.network("12x16", "whole").parent.iterdir()) == []
 
 
 def test_description_is_plain_json(whole):

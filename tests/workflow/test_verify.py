@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_json, read_toml, write_json
+from gelforge.flow.files import read_json, read_toml, write_json, write_text
+from gelforge.flow.layout import Layout
 from gelforge.geometry.gel import GELS
 from gelforge.mechanics.mesh.meshstore import source_of
 from gelforge.stages import fea, meshes
@@ -26,27 +27,24 @@ WIDE = {"curved_shallow": {"hex-draft": [0.01, 0.1, 0.5], "hex-label": [0.01, 0.
 @pytest.fixture
 def folder(root, tmp_path):
     """Inputs of stage 30: one press of a ball, one coarse mesh."""
-    (tmp_path / "20_meshes").mkdir()
-    symmetric_block(GEL, 2.6, 2).save(tmp_path / "20_meshes" / "ccx-wide-2.6.npz")
-    key = source_of(write_stage(tmp_path / "params", "meshes"), tmp_path).key("ccx-wide-2.6")
+    of = Layout(tmp_path / "results/lab")
+    of.meshes.mkdir(parents=True)
+    symmetric_block(GEL, 2.6, 2).save(of.meshes / "ccx-wide-2.6.npz")
+    key = source_of(write_stage(of.params, "meshes"), of.workflow).key("ccx-wide-2.6")
     report = {"engine": "ccx", "region": "wide", "size": 2.6, "half_mm": [10, 12], "reach_mm": [0, 0], "recipe": key}
-    write_json(tmp_path / "20_meshes" / "ccx-wide-2.6.json", report)
+    write_json(of.meshes / "ccx-wide-2.6.json", report)
     sensor = read_toml(root / "workflow" / "sensors.toml")["gelsight_mini"]
-    write_json(tmp_path / "params" / "sensors.json", {"gelsight_mini": sensor})
-    write_json(tmp_path / "params" / "indenters.json", {"ball": {"kind": "sphere", "diameter": 15, "height": 10}})
-    (tmp_path / "10_poses").mkdir()
-    (tmp_path / "10_poses" / "0000.csv").write_text(HEADER + "s0,gelsight_mini,g,ball,0,0,0,0,0,-0.4,0\n")
-    return tmp_path
+    write_json(of.parameters("sensors"), {"gelsight_mini": sensor})
+    write_json(of.parameters("indenters"), {"ball": {"kind": "sphere", "diameter": 15, "height": 10}})
+    write_text(of.poses("0000"), HEADER + "s0,gelsight_mini,g,ball,0,0,0,0,0,-0.4,0\n")
+    return of.root
 
 
 def solve(folder, verify: float, charted=None) -> list[Verified]:
     table = {"fidelity": "auto", "meshes": ["wide-2.6"], "verify": verify} | ({"charted": charted} if charted else {})
-    write_stage(folder / "params", "fea", fea=table)
-    poses = ["--poses", f"{folder}/10_poses/0000.csv", "--meshes", f"{folder}/20_meshes", "--workflow", str(folder)]
-    chosen = f"{folder}/20_meshes/0000.csv"
-    assert meshes.main([*poses, "--params", f"{folder}/params/meshes.json", "--out", chosen]) == 0
-    params, out = f"{folder}/params/fea.json", f"{folder}/30_fea/0000.csv.part"
-    assert fea.main([*poses, "--chosen", chosen, "--params", params, "--out", out]) == 0
+    write_stage(folder / "00_plan/params", "fea", fea=table)
+    for stage in (meshes, fea):
+        assert stage.main([str(folder), "0000"]) == 0
     return verification.read_verified([folder / "30_fea" / "0000"])
 
 

@@ -12,20 +12,19 @@ import shutil
 import subprocess
 import sys
 from argparse import Namespace
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from math import isnan
 from pathlib import Path
 
 import numpy as np
 
-from gelforge.commands.sample import STEPS, in_folder
+from gelforge.commands.sample import prepared, steps
 from gelforge.errors import BadInput, last_words
 from gelforge.flow import layout
-from gelforge.flow.files import bytes_of, listed, made_at, read_csv, read_json, write_json, write_text
+from gelforge.flow.files import bytes_of, listed, made_at, read_csv, read_json, write_json
 from gelforge.flow.forecast import Cost, on_cores, pilots, presses_an_hour, table, wall_seconds
-from gelforge.flow.layout import Layout, shard_name
-from gelforge.flow.main import command, option, positive
+from gelforge.flow.layout import Layout
+from gelforge.flow.main import RESULTS, command, option, positive
 from gelforge.flow.params.stages import ForCalibrate, ForPareto, ForPoses, ForReport, ForTrain, read_parameters
 from gelforge.flow.params.tables import SHIPPED
 from gelforge.flow.running import duration
@@ -33,7 +32,7 @@ from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.records.frames import presses_of
-from gelforge.records.log import read_shard, shard_text
+from gelforge.records.log import read_shard
 from gelforge.records.networkkind import kind_of
 from gelforge.records.press import POSE, RawRow, parse
 from gelforge.records.samplefile import read_samples
@@ -89,11 +88,11 @@ def pilot_presses(rows: list[RawRow]) -> list[list[RawRow]]:
     return [presses[k] for k in pilots([max(map(depth, press)) for press in presses])]
 
 
-def spend(module: str, arguments: list[str]) -> float:
+def spend(module: str, words: list[str]) -> float:
     """Run a stage in a process of its own; return its processor seconds, children included."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     ran = subprocess.run(
-        [sys.executable, "-m", f"gelforge.stages.{module}", *arguments], capture_output=True, text=True, check=False
+        [sys.executable, "-m", f"gelforge.stages.{module}", *words], capture_output=True, text=True, check=False
     )  # fmt: skip
     if ran.returncode:
         raise BadInput(f"a pilot press failed in stage {module}: {last_words(ran.stderr, ran.returncode)}")
@@ -101,21 +100,20 @@ def spend(module: str, arguments: list[str]) -> float:
     return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
 
 
-def row_and_start(module: str, arguments: list[str], rows: int) -> tuple[float, float]:
+def row_and_start(module: str, words: list[str], rows: int) -> tuple[float, float]:
     """Run a stage on a shard of so many rows; processor seconds of each of them, and of the process's start."""
-    cpu = spend(module, arguments)
+    cpu = spend(module, words)
     # a second run of the solves finds every press solved, and only starts
-    each = ROW_EACH[module] if module in ROW_EACH else (cpu - spend(module, arguments)) / rows
+    each = ROW_EACH[module] if module in ROW_EACH else (cpu - spend(module, words)) / rows
     each = min(max(each, 0.0), cpu / rows)
     return each, cpu - each * rows
 
 
-def uncalibrated(params: Path, work: Path) -> Path:
-    """The parameters of stage 40 with a stiffness in numbers, where the run will find it first: it costs no time."""
-    table = read_json(params / "forces.json")
+def with_stiffness(work: Layout) -> None:
+    """Give the parameters of stage 40 a stiffness in numbers, where the run will find it first: it costs no time."""
+    table = read_json(work.parameters("forces"))
     table["material"] |= {"c10": REFERENCE_C10}
-    write_json(work / "forces.json", table)
-    return work / "forces.json"
+    write_json(work.parameters("forces"), table)
 
 
 def on_hexahedra(table: Path) -> float:
@@ -127,32 +125,29 @@ def on_hexahedra(table: Path) -> float:
     return own / whole if whole else 1.0
 
 
-def pilot(results: Path, work: Path, rows: list[RawRow], steps: Sequence[str]) -> tuple[list[Cost], Pace]:
+def pilot(of: Layout, work: Layout, rows: list[RawRow], resolution: str) -> tuple[list[Cost], Pace]:
     """What each stage takes of a row, from a shard of the rows given, and what starting its processes takes; its pace."""
-    shards = len(Layout(results).names())
-    shutil.rmtree(work, ignore_errors=True)
-    write_text(Layout(work).shard(shard_name(0)), shard_text(rows))
+    shards = len(of.names())
+    shutil.rmtree(work.root, ignore_errors=True)
+    prepared(work, rows)
+    if not of.calibration().exists():
+        with_stiffness(work)
     found, pace = [], Pace()
-    own = None if Layout(results).calibration.exists() else uncalibrated(Layout(results).params, work)
-    for module, arguments in in_folder(steps, work):
-        if module == "forces" and own:
-            arguments = [str(own) if Path(word).name == own.name else word for word in arguments]
-        out = Path(arguments[-1])
-        out.parent.mkdir(parents=True, exist_ok=True)
+    for module, words, out in steps(work, resolution):
         # the first run makes the meshes that are missing, once for all shards
-        made = spend(module, arguments) if module == "meshes" else 0.0
-        each, start = row_and_start(module, arguments, len(rows))
+        made = spend(module, words) if module == "meshes" else 0.0
+        each, start = row_and_start(module, words, len(rows))
         starts = start * (1 if STAGES[module] == layout.LABELS else shards)
-        written = bytes_of(work / STAGES[module])
+        written = bytes_of(work.folder(STAGES[module]))
         # operators are of meshes and sensors, whatever the number of presses
         once = sum(bytes_of(folder) for folder in out.parent.glob("operators"))
         if module == "meshes":
             starts += max(0.0, made - each * len(rows) - start)
-            once = bytes_of(Layout(results).meshes)
+            once = bytes_of(of.meshes)
             written += once
         found.append(Cost(STAGES[module], each, starts, (written - once) / len(rows), once))
         if module == "poses" and not read_csv(out):
-            command = Layout(results).command("poses STRICT=1")
+            command = of.command("poses STRICT=1")
             raise BadInput(f"all {len(rows)} rows that were tried were rejected; {command} says why")
         if module == "fea":
             pace = replace(pace, hex_press=each * on_hexahedra(out))
@@ -161,16 +156,16 @@ def pilot(results: Path, work: Path, rows: list[RawRow], steps: Sequence[str]) -
     return found, pace
 
 
-def measured(results: Path, rows: list[RawRow], steps: Sequence[str]) -> tuple[list[Cost], Pace]:
+def measured(of: Layout, rows: list[RawRow], resolution: str) -> tuple[list[Cost], Pace]:
     """What stages 10 to 50 take of each row, from a shard of pilots, and their pace."""
     presses = pilot_presses(rows)
     print(f"solving {len(presses)} of {len(presses_of(rows))} presses to see what they take", flush=True)
     chosen = [row for press in presses for row in press]
-    work = results / layout.ESTIMATE
+    work = Layout(of.folder(layout.ESTIMATE))
     try:
-        return pilot(results, work, chosen, steps)
+        return pilot(of, work, chosen, resolution)
     finally:
-        shutil.rmtree(work, ignore_errors=True)
+        shutil.rmtree(work.root, ignore_errors=True)
 
 
 def training(results: Layout, resolution: str, model: str, presses: int, start: float = Pace.start * START) -> Cost:
@@ -231,29 +226,29 @@ def later_costs(results: Layout, resolution: str, model: str, rows: list[RawRow]
     ]
 
 
-def estimated(results: Path, resolution: str, model: str, rows: list[RawRow], steps: Sequence[str]) -> list[Cost]:
-    """What every stage of a dataset takes of a row, the rows given being all that it has. steps: STEPS."""
+def estimated(of: Layout, resolution: str, model: str, rows: list[RawRow]) -> list[Cost]:
+    """What every stage of a dataset takes of a row, the rows given being all that it has."""
     # first: a wrong word must not wait for the pilots
-    later_costs(Layout(results), resolution, model, rows)
-    costs, pace = measured(results, rows, steps)
-    return [*costs, *later_costs(Layout(results), resolution, model, rows, pace)]
+    later_costs(of, resolution, model, rows)
+    costs, pace = measured(of, rows, resolution)
+    return [*costs, *later_costs(of, resolution, model, rows, pace)]
 
 
 @command(
-    option("--data", type=Path, help="data/DATASET"),
-    option("--results", type=Path, help="results/DATASET"),
+    RESULTS,
     option("--resolution", default="24x32"),
     option("--model", default=SHIPPED, help="network of the run; `shipped` is not trained"),
     option("--cores", type=positive, default=os.cpu_count(), help="cores that the run may use"),
-    STEPS,
 )
 def main(args: Namespace) -> None:
+    of = Layout(args.results)
     rows = planned_rows(args.results)
     if not rows:
-        command = Layout(args.results).command("poses STRICT=1")
-        raise BadInput(f"{args.data}/log.csv: no row is left to solve; {command} says why each was rejected")
-    costs = estimated(args.results, args.resolution, args.model, rows, args.steps)
-    shards = len(Layout(args.results).names())
+        raise BadInput(
+            f"{of.log}: no row is left to solve; {of.command('poses STRICT=1')} says why each was rejected"
+        )
+    costs = estimated(of, args.resolution, args.model, rows)
+    shards = len(of.names())
     print("\n".join(table(costs, len(rows))))
     an_hour = presses_an_hour(costs, args.cores) * len(presses_of(rows)) / len(rows)
     print(f"{an_hour:.0f} presses an hour become labels {on_cores(args.cores)}")

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import bytes_of
+from gelforge.flow.layout import EXPORT, Layout
 from gelforge.flow.main import command, option
 from gelforge.formats.export.samples import Samples
 
@@ -24,7 +25,7 @@ FORMATS = {
     "webdataset": "webdataset_shards",
     "hdf5": "hdf5",
 }
-
+SUFFIXES = {"mcap": ".mcap", "rerun": ".rrd", "hdf5": ".h5"}  # of those that are one file
 
 MARK = ".gelforge-export"  # a file in every folder that an export wrote: another export may take its place
 
@@ -97,12 +98,14 @@ def refuse_full_disk(path: Path, needed: int) -> None:
     option("--dataset", type=Path, help="60_dataset/RES"),
     option("--sensors", type=Path, help="sensors.json"),
     option("--format", choices=FORMATS),
-    option("--out", type=Path),
+    option("--out", type=Path, default=None, help="default: results/DATASET/export/RES/FORMAT/DATASET"),
 )
 def main(args: Namespace) -> None:
     samples = Samples.open(args.data, args.dataset, args.sensors)
-    export(samples, args.format, args.out)
-    print(f"{len(samples)} samples in {args.out}")
+    of, name = Layout(args.dataset.parents[1]), f"{args.data.name}{SUFFIXES.get(args.format, '')}"
+    out = args.out or of.folder(EXPORT) / args.dataset.name / args.format / name
+    export(samples, args.format, out)
+    print(f"{len(samples)} samples in {out}")
 
 
 if __name__ == "__main__":

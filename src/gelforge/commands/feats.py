@@ -4,7 +4,8 @@ from argparse import Namespace
 from pathlib import Path
 
 from gelforge.errors import BadInput
-from gelforge.flow.main import command, group, option
+from gelforge.flow.layout import Layout
+from gelforge.flow.main import command, group, option, stage
 from gelforge.formats.feats_folder import export_dataset, import_folder, refuse_existing
 from gelforge.formats.featsfile import write_normalisation
 from gelforge.labelling.sensor import find_sensor, load_sensors
@@ -55,14 +56,10 @@ def fetch(args: Namespace) -> None:
     print(f"{args.data}: {found['presses']} presses from {found['files']} files; labels: {found['labels'] or 'none'}")
 
 
-@command(
-    option("--dataset", type=Path, help="60_dataset/RES"),
-    option("--folder", type=Path, help="folder for train/, val/, test/ …"),
-    option("--out", type=Path, help="the normalisation file, written last"),
-)
+@stage(Layout.feats)
 def send_out(args: Namespace) -> None:
     """60_dataset/RES to FEATS' label folders."""
-    write_normalisation(args.out, export_dataset(args.dataset, args.folder))
+    write_normalisation(args.out, export_dataset(args.of.dataset(args.resolution), args.out.parent))
 
 
 main = group(**{"import": bring_in, "export": send_out, "fetch": fetch})

@@ -1,19 +1,21 @@
 """Run one sample through all stages in the foreground and show its log; all frames of a filmed press are solved together."""
 
-import re
+import shutil
 import sys
 from argparse import Namespace
-from collections.abc import Sequence
 from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_text
 from gelforge.flow.layout import Layout, shard_name
-from gelforge.flow.main import command, option
-from gelforge.flow.params.stages import ForForces, read_parameters
+from gelforge.flow.main import RESULTS, command, option
+from gelforge.flow.params.stages import ForFea, ForForces, read_parameters
+from gelforge.mechanics.mesh.family import mesh_names
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses, read_shard, shard_text
 from gelforge.records.press import RawRow, check_id
+
+ONLY = shard_name(0)  # the shard of a folder with one
 
 
 def find_rows(results: Path, sample_id: str) -> list[RawRow]:
@@ -29,51 +31,54 @@ def find_rows(results: Path, sample_id: str) -> list[RawRow]:
     return next(press for press in presses_of(rows) if found in press)
 
 
-STEPS = option(
-    "--steps", nargs="+", help="what takes a shard to labels (SHARD_STEPS of rules/work.mk); @ is its folder"
-)
+def prepared(work: Layout, rows: list[RawRow]) -> Layout:
+    """A folder below a dataset's results, with rows as its only shard and a copy of the dataset's stage parameters."""
+    write_text(work.shard(ONLY), shard_text(rows))
+    shutil.rmtree(work.params, ignore_errors=True)
+    shutil.copytree(Layout(work.dataset_root).params, work.params)
+    return work
 
 
-def in_folder(steps: Sequence[str], work: Path) -> list[tuple[str, list[str]]]:
-    """Stage and arguments of each step for a shard in the folder `work`; the last argument is the output."""
-    words = ([re.sub(r"^@(?=/)", str(work), word) for word in step.split()] for step in steps)
-    return [(module.removeprefix("gelforge.stages."), arguments) for module, *arguments in words]
+def steps(work: Layout, resolution: str) -> list[tuple[str, list[str], Path]]:
+    """Stages that take the only shard of a folder to labels: module, words of its command line, and what it writes."""
+    meshed = mesh_names(read_parameters(work.parameters("fea"), ForFea).fea)
+    of_shard = {"poses": work.poses, "meshes": work.mesh_table, "fea": work.fea, "forces": work.forces}
+    root = str(work.root)
+    found = [(name, [root, ONLY], target(ONLY)) for name, target in of_shard.items() if meshed or name != "meshes"]
+    return [*found, ("labels", [root, resolution], work.labelled(resolution))]
 
 
-def require_stiffness(results: Path) -> None:
+def require_stiffness(of: Layout) -> None:
     """Raise BadInput before a sample is solved where its forces wait for a posterior that was not made yet."""
     from gelforge.stages.forces import material_c10
 
-    of = Layout(results)
-    if not of.calibration.exists():
-        material_c10(read_parameters(of.params / "forces.json", ForForces).material, None, of.calibration)
+    if not of.calibration().exists():
+        material_c10(read_parameters(of.parameters("forces"), ForForces).material, of.calibration())
 
 
 @command(
-    option("--dataset"),
+    RESULTS,
     option("--id", help="sample_id in the raw log"),
-    STEPS,
+    option("--resolution", default="24x32"),
 )
 def main(args: Namespace) -> int:
     import importlib
 
-    data, results = Path("data") / args.dataset, Path("results") / args.dataset
+    of = Layout(args.results)
     if not args.id:
-        raise BadInput(f"no sample named; say {Layout(results).command('sample ID=SAMPLE_ID')}")
-    require_stiffness(results)
-    work = Layout(results).sample(check_id(args.id)).root
-    write_text(Layout(work).shard(shard_name(0)), shard_text(find_rows(results, args.id)))
-    for stage, arguments in in_folder(args.steps, work):
-        Path(arguments[-1]).parent.mkdir(parents=True, exist_ok=True)
+        raise BadInput(f"no sample named; say {of.command('sample ID=SAMPLE_ID')}")
+    require_stiffness(of)
+    work = prepared(of.sample(check_id(args.id)), find_rows(args.results, args.id))
+    for stage, words, target in steps(work, args.resolution):
         print(f"== {stage}", file=sys.stderr, flush=True)
-        code = importlib.import_module(f"gelforge.stages.{stage}").main(arguments)
+        code = importlib.import_module(f"gelforge.stages.{stage}").main(words)
         if code:
             return code
-        if stage == "poses" and args.id not in {press.sample_id for press in read_poses(arguments[-1])}:
-            raise BadInput(f"sample {args.id} was rejected, see above; correct its row of {data}/log.csv")
-        if Path(arguments[-1]).suffix == ".csv":
-            print(Path(arguments[-1]).read_text(encoding="utf-8"))
-    print(f"everything of {args.id} lies in {work}")
+        if stage == "poses" and args.id not in {press.sample_id for press in read_poses(target)}:
+            raise BadInput(f"sample {args.id} was rejected, see above; correct its row of {of.log}")
+        if target.suffix == ".csv":
+            print(target.read_text(encoding="utf-8"))
+    print(f"everything of {args.id} lies in {work.root}")
     return 0
 
 

@@ -40,7 +40,7 @@ class Asked:
         self.data, self.of = Path("data") / self.dataset, Layout(Path("results") / self.dataset)
         self.resolutions = given["RES"].split()
         self.resolution = self.resolutions[0]
-        self.lists = lists_of(self.of.plan)
+        self.lists = lists_of(self.of.plan())
         self.imported = (self.data / "labels").is_dir()
 
     @property
@@ -224,7 +224,7 @@ def holds(path: Path, text: bytes, more_than: int = 0) -> bool:
 
 
 def answer(given: dict[str, str]) -> list[str]:
-    """What make shall do, in words: `plan` where it needs one, `again` where that is out of date, MODEL=NAME, and what is due.
+    """What make shall do, in words: `plan` where it needs one, `again` where that is out of date, MODEL=NAME, LEARNT=NAME, and what is due.
 
     BadInput where it cannot do what it is asked.
     """
@@ -240,7 +240,7 @@ def answer(given: dict[str, str]) -> list[str]:
     if not asked.lists or not (planned_now or unchanged(asked.of.plan_states)):
         return ["plan", "again"]
     asked.refuse()
-    return ["plan", f"MODEL={asked.model}", *map(str, asked.due())]
+    return ["plan", f"MODEL={asked.model}", f"LEARNT={asked.learnt}", *map(str, asked.due())]
 
 
 def main() -> int:

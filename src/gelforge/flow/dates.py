@@ -95,7 +95,7 @@ def main() -> int:
         else:
             print(path)
             Path(path).unlink()
-    Layout(results).plan.unlink(missing_ok=True)
+    Layout(results).plan().unlink(missing_ok=True)
     return 0
 
 

@@ -36,11 +36,6 @@ def planned_shards(folder: Path) -> list[str]:
     return [name.removesuffix(".csv") for name in names_in(folder, ".csv")]
 
 
-def surfaces_beside(params: Path) -> Path:
-    """The folder of what was measured of STL files, by the file of a stage's parameters, 00_plan/params/STAGE.json."""
-    return params.parent.parent / SURFACES
-
-
 def mirror(target: Path, kind: str, suffix: str) -> Path:
     """Where the log or the metrics of a target lie: results/DATASET/KIND/STAGE/stem.suffix."""
     root = dataset_folder(target) or target.parent
@@ -94,6 +89,35 @@ class Layout:
         return self.root / stage
 
     @property
+    def dataset_root(self) -> Path:
+        """results/DATASET: of a sample or a pilot below it the folder of its dataset, or else this folder."""
+        return dataset_folder(self.root / PLAN) or self.root
+
+    @property
+    def base(self) -> Path:
+        """The folder in which data, results and workflow lie."""
+        return self.dataset_root.parent.parent
+
+    @property
+    def workflow(self) -> Path:
+        """Folder of the project's tables; paths of STL files start here, and meshes made are kept in it."""
+        return self.base / "workflow"
+
+    @property
+    def data(self) -> Path:
+        """What came in: data/DATASET."""
+        return self.base / "data" / self.dataset_root.name
+
+    @property
+    def log(self) -> Path:
+        """The raw log."""
+        return self.data / "log.csv"
+
+    @property
+    def references(self) -> Path:
+        """Folder of the references of the chart's scenes, which all datasets share."""
+        return self.base / "data" / "fea_challenge"
+
     def plan(self) -> Path:
         """Lists of words that make reads."""
         return self.root / PLAN / "plan.mk"
@@ -108,6 +132,15 @@ class Layout:
         """Folder of what each stage reads of the parameters, NAME.json."""
         return self.root / PLAN / "params"
 
+    def parameters(self, name: str) -> Path:
+        """Parameters of a stage, or the entries of a catalogue that the dataset uses (sensors, indenters, gels)."""
+        return self.params / f"{name}.json"
+
+    @property
+    def surfaces(self) -> Path:
+        """Folder of what was measured of STL files, by their content."""
+        return self.dataset_root / PLAN / SURFACES
+
     @property
     def shards(self) -> Path:
         """Folder of the planned shards' raw rows."""
@@ -120,8 +153,8 @@ class Layout:
 
     @property
     def meshes(self) -> Path:
-        """Folder of the gel's meshes."""
-        return self.root / MESHES
+        """Folder of the gel's meshes, those of the dataset for its samples and pilots too."""
+        return self.dataset_root / MESHES
 
     def shard(self, name: str) -> Path:
         """Raw rows of a shard."""
@@ -134,6 +167,14 @@ class Layout:
     def rejected(self, shard: str) -> Path:
         """Rows of a shard that stage 10 rejected."""
         return self.root / POSES / f"{shard}.rejected.csv"
+
+    def images(self) -> Path:
+        """What stage 15 found in the images of the log."""
+        return self.root / IMAGES / "images.json"
+
+    def mesh_table(self, shard: str) -> Path:
+        """The mesh of each press of a shard."""
+        return self.root / MESHES / f"{shard}.csv"
 
     def fea(self, shard: str) -> Path:
         """Table of a shard's solves."""
@@ -163,18 +204,69 @@ class Layout:
         """Folder of the arrays to train on."""
         return self.root / DATASET / resolution
 
+    def dataset_table(self, resolution: str) -> Path:
+        """What the arrays of a resolution hold, written after them."""
+        return self.dataset(resolution) / "dataset.json"
+
+    def network(self, resolution: str, model: str) -> Path:
+        """A trained network; its weights and its curve lie beside it by the same stem."""
+        return self.root / TRAIN / resolution / f"{model}.onnx"
+
     def evaluation(self, resolution: str, model: str) -> Path:
         """Figures of a network; pictures, card and predictions lie beside it by the same stem."""
         return self.root / EVALUATE / resolution / f"{model}.json"
+
+    def card(self, resolution: str, model: str) -> Path:
+        """The model card of a network."""
+        return self.root / EVALUATE / resolution / f"{model}.card.md"
 
     def curve(self, resolution: str, model: str) -> Path:
         """Picture of how a network learnt."""
         return self.root / TRAIN / resolution / f"{model}.curve.png"
 
-    @property
+    def report(self) -> Path:
+        """The page for people."""
+        return self.root / REPORT / "index.html"
+
     def calibration(self) -> Path:
-        """Summary of the posterior."""
-        return self.root / CALIBRATE / "summary.json"
+        """Summary of the posterior, that of the dataset for its samples and pilots too."""
+        return self.dataset_root / CALIBRATE / "summary.json"
+
+    def chart_mesh(self, name: str) -> Path:
+        """A mesh of the chart."""
+        return self.root / PARETO / "meshes" / f"{name}.npz"
+
+    def chart_scene(self, name: str) -> Path:
+        """A scene solved by every method."""
+        return self.root / PARETO / "scenes" / f"{name}.json"
+
+    def chart(self) -> Path:
+        """The chart of all scenes and methods."""
+        return self.root / PARETO / "pareto.json"
+
+    def quick_scene(self, name: str) -> Path:
+        """A scene solved by the few methods of the report's chart."""
+        return self.root / PARETO / "quick" / f"{name}.json"
+
+    def quick_chart(self) -> Path:
+        """The report's chart."""
+        return self.root / PARETO / "quick.json"
+
+    def network_chart(self, resolution: str) -> Path:
+        """The chart of networks."""
+        return self.root / PARETO_MODELS / f"{resolution}.json"
+
+    def stability_row(self, row: str) -> Path:
+        """The cases of one factor of the branch stability."""
+        return self.root / STABILITY / "rows" / f"{row}.json"
+
+    def stability_map(self) -> Path:
+        """All cases of the branch stability."""
+        return self.root / STABILITY / "map.json"
+
+    def feats(self, resolution: str) -> Path:
+        """The normalisation file of labels in FEATS' layout, written after them."""
+        return self.root / FEATS / resolution / "normalization_gelforge.npy"
 
     @property
     def logs(self) -> Path:

@@ -1,13 +1,10 @@
-"""A module's command line: its options, its `main`, and how a process ends.
+"""A module's command line: its words and options, its `main`, and how a process ends.
 
-A stage says what it needs and does it; everything else of a program stands here:
+A stage names the method of `Layout` that says where its result lies; that asks for the words of its command line:
 
-    @command(
-        option("--name", help="ccx-REGION-SIZE, such as ccx-centre-0.7"),
-        option("--out", type=Path, help="20_meshes/NAME.npz"),
-    )
-    def main(args):
-        publish(make_mesh(args.name), args.out)
+    @stage(Layout.fea)
+    def main(args):  # python -m gelforge.stages.fea results/demo 0000
+        write_solves(args.out, solve(read_poses(args.of.poses(args.shard))))
 
     if __name__ == "__main__":
         main.exit()
@@ -20,9 +17,12 @@ import os
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import wraps
+from pathlib import Path
 from typing import Any, NoReturn
 
 from gelforge.errors import GelforgeError, printable, unwritable
+from gelforge.flow.layout import Layout
 
 # Of a disk or a folder that takes nothing: no fault of the program.
 UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT)
@@ -54,6 +54,10 @@ def option(*names: str, **about: Any) -> Option:
     if names[0].startswith("-") and not {"default", "action", "required"} & about.keys():
         about["required"] = True
     return Option(names, about)
+
+
+RESULTS = option("results", type=Path, metavar="RESULTS", help="results/DATASET")
+PART = option("--part", action="store_true", help="write TARGET.part, which flow.step publishes")
 
 
 @dataclass(frozen=True)
@@ -118,9 +122,40 @@ def _whole(text: str, least: int, which: str) -> int:
     return value
 
 
+JOBS = option(
+    "--jobs", type=positive, default=int(os.environ.get("SLURM_CPUS_PER_TASK", "1")), help="processes at a time"
+)
+STRICT = option("--strict", action="store_true", help="fail where a sample or an image is refused")
+
+
 def command(*options: Option) -> Callable[[Callable[[argparse.Namespace], int | None]], Command]:
     """Give a function `main(args)` a command line; the module's docstring is its help."""
     return lambda run: Command(run, options)
+
+
+def stage(
+    target: Callable[..., Path], *options: Option
+) -> Callable[[Callable[[argparse.Namespace], int | None]], Command]:
+    """Give a function `main(args)` the command line of a stage: results/DATASET, what `target` asks for, and options.
+
+    target: a method of `Layout`. args.of is the Layout, args.out the file to write: the target, or TARGET.part under --part.
+    """
+    words = list(inspect.signature(target).parameters)[1:]
+
+    def give(run: Callable[[argparse.Namespace], int | None]) -> Command:
+        @wraps(run)
+        def at_place(args: argparse.Namespace) -> int | None:
+            args.of = Layout(args.results)
+            args.out = target(args.of, *(getattr(args, word) for word in words))
+            args.out.parent.mkdir(parents=True, exist_ok=True)
+            if args.part:
+                args.out = args.out.with_name(f"{args.out.name}.part")
+            return run(args)
+
+        given = [option(word, metavar=word.upper()) for word in words]
+        return Command(at_place, (RESULTS, *given, *options, PART))
+
+    return give
 
 
 def group(**members: Command) -> Group:

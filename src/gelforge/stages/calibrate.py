@@ -1,6 +1,5 @@
 """Branch calibrate: posterior of the gel's C10 and of what the rig does to the measurement."""
 
-import os
 import sys
 from argparse import Namespace
 from dataclasses import asdict, dataclass
@@ -17,8 +16,8 @@ from gelforge.calibration.sampling import Chain, Figures, Rules, sample
 from gelforge.errors import BadInput
 from gelforge.evidence import forces as evidence
 from gelforge.flow.files import write_json
-from gelforge.flow.layout import planned_shards, surfaces_beside
-from gelforge.flow.main import command, option, positive
+from gelforge.flow.layout import POSES, Layout
+from gelforge.flow.main import JOBS, stage
 from gelforge.flow.params import DatasetFile, read_dataset_file, read_indenter_tables
 from gelforge.flow.params.stages import ForCalibrate, read_parameters
 from gelforge.flow.params.tables import CalibrateSolverTable, CalibrateTable
@@ -273,48 +272,28 @@ def gels_of(sensors: dict[str, Sensor], of: DatasetFile) -> dict[str, str]:
     return gels | ({"": gels[of.sensor]} if of.sensor in gels else {})
 
 
-def own_cores() -> int:
-    """Cores that this process has for solves: what Slurm gave it, or two of this computer."""
-    return int(os.environ.get("SLURM_CPUS_PER_TASK", min(2, os.cpu_count() or 1)))
-
-
-@command(
-    option("--data", type=Path, help="data/DATASET, with log.csv and dataset.toml"),
-    option("--workflow", type=Path, default=Path("workflow")),
-    option("--poses", type=Path, help="results/DATASET/10_poses; rows rejected there are not used", default=None),
-    option("--shards", type=Path, help="results/DATASET/00_plan/shards, with --poses", default=None),
-    option("--sensors", type=Path, help="parameters of the sensors, .json, with the gel of each"),
-    option("--params", type=Path, help="stage parameters, .json, with tables calibrate and material"),
-    option("--work", type=Path, help="folder for chain and plots"),
-    option("--solves", type=Path, help="folder of cached solves; WORK/solves by default", default=None),
-    option("--jobs", type=positive, default=own_cores(), help="solves at a time"),
-    option("--out", type=Path, help="summary.json"),
-)
+@stage(Layout.calibration, JOBS)
 def main(args: Namespace) -> None:
-    use_gels_of(args.workflow)
     from gelforge.geometry.indenters import build_all
 
-    if (args.poses is None) != (args.shards is None):
-        raise BadInput(
-            "--poses and --shards go together: the plan names the tables of --poses that are of today's log"
-        )
-    tables = read_parameters(args.params, ForCalibrate)
+    of, work = args.of, args.out.parent
+    use_gels_of(of.workflow)
+    tables = read_parameters(of.parameters("calibrate"), ForCalibrate)
     params, nu = tables.calibrate, float(tables.material.nu)
 
-    rejected = load_rejected(args.poses, planned_shards(args.shards)) if args.poses else set()
-    of = read_dataset_file(args.data / "dataset.toml")
-    logged = read_readings(args.data / "log.csv", rejected, gels_of(load_sensors(args.sensors), of))
+    about = read_dataset_file(of.data / "dataset.toml")
+    gels = gels_of(load_sensors(of.parameters("sensors")), about)
+    logged = read_readings(of.log, load_rejected(of.folder(POSES), of.names()), gels)
     check_readings(logged)
     readings = logged.take(choose_presses(logged, params.max_presses))
     models_of(readings, params)  # refuses too few readings before anything is solved
-    known, named = read_indenter_tables(args.workflow, args.data, of.catalogue), set(readings.indenters.tolist())
-    kept = surfaces_beside(args.params)
-    catalogue = build_all(known, args.workflow / of.catalogue, sorted(named), args.workflow, kept)
-    solves = args.solves or args.work / "solves"
-    readings, emulator, spent = emulate(readings, catalogue, params, nu, solves, args.jobs)
+    named = sorted(set(readings.indenters.tolist()))
+    known = read_indenter_tables(of.workflow, of.data, about.catalogue)
+    catalogue = build_all(known, of.workflow / about.catalogue, named, of.workflow, of.surfaces)
+    readings, emulator, spent = emulate(readings, catalogue, params, nu, work / "solves", args.jobs)
     done = calibrate(readings, emulator, params, args.jobs)
-    draw_plots(done, args.work)
-    own = of.params.get("material", {}).get("c10")
+    draw_plots(done, work)
+    own = about.params.get("material", {}).get("c10")
     usual = own if isinstance(own, int | float) else REFERENCE_C10
     result = summarise(done, params, evidence_of(done, logged, usual))
     result["solves_spent"] = spent

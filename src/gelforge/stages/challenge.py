@@ -5,7 +5,8 @@ from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
-from gelforge.flow.main import command, group, option
+from gelforge.flow.layout import Layout
+from gelforge.flow.main import RESULTS, command, group, option
 from gelforge.flow.params import SOURCES, load_params, parameters_of, stage_version
 from gelforge.flow.params.stages import ForPareto
 from gelforge.geometry.gel import use_gels_of
@@ -15,44 +16,39 @@ from gelforge.sweeps.keptreferences import keep_references
 from gelforge.sweeps.scenes import parse_scene, read_tables
 from gelforge.sweeps.trial import ChartBench, given_reference
 
+OUT = option("out", type=Path, metavar="FOLDER", help="folder to write, such as results/fea_challenge")
 
-@command(
-    option("--scenes", type=Path, nargs="+", help="results/DATASET/pareto/scenes/*.json"),
-    option("--references", type=Path, help="folder of the references"),
-    option("--workflow", type=Path, default=Path("workflow")),
-)
+
+@command(RESULTS)
 def references(args: Namespace) -> None:
-    use_gels_of(args.workflow)
     """Take the references from a finished chart."""
-    args.references.mkdir(parents=True, exist_ok=True)
-    keep_references(
-        (read_json(path) for path in args.scenes), args.references, load_params(args.workflow).material.nu
-    )
+    of = Layout(args.results)
+    use_gels_of(of.workflow)
+    of.references.mkdir(parents=True, exist_ok=True)
+    scenes = (read_json(of.chart_scene(name)) for name in read_tables(of.workflow))
+    keep_references(scenes, of.references, load_params(of.workflow).material.nu)
 
 
-@command(
-    option("--workflow", type=Path, default=Path("workflow")),
-    option("--references", type=Path, help="folder of the references"),
-    option("--out", type=Path, help="folder to write"),
-)
+@command(OUT)
 def write(args: Namespace) -> None:
-    use_gels_of(args.workflow)
     """Write the folder that others download."""
-    params, sensors = load_params(args.workflow), load_sensors(args.workflow / "sensors.toml")
+    of = Layout(args.out)
+    use_gels_of(of.workflow)
+    params, sensors = load_params(of.workflow), load_sensors(of.workflow / "sensors.toml")
     name = params.pareto.sensor
     if name not in sensors:
-        raise BadInput(f"[pareto] sensor = {name!r} is not in {args.workflow}/sensors.toml")
-    scenes = [parse_scene(key, table, params.material.nu) for key, table in read_tables(args.workflow).items()]
+        raise BadInput(f"[pareto] sensor = {name!r} is not in {of.workflow}/sensors.toml")
+    scenes = [parse_scene(key, table, params.material.nu) for key, table in read_tables(of.workflow).items()]
     made = parameters_of(params, ForPareto, stage_version(Path(__file__).parent, SOURCES["pareto"]))
-    bench = ChartBench(args.out, sensors[name], made, args.out, args.references)
+    bench = ChartBench(args.out, sensors[name], made, args.out, of.references)
     old = [scene.name for scene in scenes if given_reference(bench, scene) is None]
     if old:
         raise BadInput(
-            f"{args.references}: the reference of {', '.join(old)} is of another scene, sensor or setting than today's; "
+            f"{of.references}: the reference of {', '.join(old)} is of another scene, sensor or setting than today's; "
             "run make fea-references"
         )
     args.out.mkdir(parents=True, exist_ok=True)
-    write_challenge(scenes, sensors[name], args.references, args.out)
+    write_challenge(scenes, sensors[name], of.references, args.out)
     print(f"{args.out}: {len(scenes)} scenes; read {args.out}/README.md")
 
 

@@ -15,8 +15,8 @@ from gelforge.errors import BadInput
 from gelforge.evidence.images import row_list
 from gelforge.evidence.logimages import LogImages
 from gelforge.flow.files import digest_of, listed, publish, read_json, take, write_csv, write_json, write_text
-from gelforge.flow.layout import command_for, planned_shards
-from gelforge.flow.main import command, option
+from gelforge.flow.layout import Layout
+from gelforge.flow.main import STRICT, stage
 from gelforge.flow.params.stages import ForDataset, read_parameters
 from gelforge.flow.params.tables import DatasetTable
 from gelforge.flow.progress import progress
@@ -226,25 +226,24 @@ def image_size(presses: list[PressRecord], sensors: dict, where: str) -> tuple[i
     return next(iter(sizes))
 
 
-def list_shards(args) -> list[tuple[Path, list]]:
-    """Label files with their presses: a stage-50 folder with pose tables, or an imported file with the log."""
-    if args.labels.is_dir():
-        names = planned_shards(args.shards)
-        return [(args.labels / f"{name}.npz", read_poses(args.poses / f"{name}.csv")) for name in names]
-    log = args.data / "log.csv"
+def list_shards(of: Layout, resolution: str) -> list[tuple[Path, list]]:
+    """Label files with their presses: those of stage 50 with pose tables, or an imported file with the log."""
+    imported = of.data / "labels" / f"{resolution}.npz"
+    if not imported.parent.is_dir():
+        return [(of.labels(resolution, name), read_poses(of.poses(name))) for name in of.names()]
     # an image that was imported with its label may have no pose
-    rows = [row for name in planned_shards(args.shards) for row in read_shard(args.shards / f"{name}.csv")]
+    rows = [row for name in of.names() for row in read_shard(of.shard(name))]
     rows.sort(key=lambda row: row.row)
-    parsed = [parse(raw, str(log), ("sample_id", "sensor_id", "image")) for raw in rows]
-    presses, doubled = without_duplicates([press for press, _ in parsed if press], str(log))
+    parsed = [parse(raw, str(of.log), ("sample_id", "sensor_id", "image")) for raw in rows]
+    presses, doubled = without_duplicates([press for press, _ in parsed if press], str(of.log))
     for rejection in [*(r for _, wrong in parsed for r in wrong), *doubled]:
         print(rejection, file=sys.stderr)
-    return [(args.labels, presses)]
+    return [(imported, presses)]
 
 
-def wrong_imported(args, presses: list[PressRecord]) -> dict[str, str]:
+def wrong_imported(of: Layout, presses: list[PressRecord]) -> dict[str, str]:
     """Why images of imported samples are not of their sensors, by sample: without poses stage 15 does not look at them."""
-    images = LogImages(args.data, load_sensors(args.sensors))
+    images = LogImages(of.data, load_sensors(of.parameters("sensors")))
     found = {press.sample_id: fault for press in progress(presses, "images judged") if (fault := images.fault(press))}
     for fault in sorted(set(found.values())):
         rows = [press.row for press in presses if found.get(press.sample_id) == fault]
@@ -252,11 +251,11 @@ def wrong_imported(args, presses: list[PressRecord]) -> dict[str, str]:
     return found
 
 
-def describe(args, grid: Grid, found: list[DatasetSample], splits, left_out, size, material: dict) -> dict:
+def describe(name: str, grid: Grid, found: list[DatasetSample], splits, left_out, size, material: dict) -> dict:
     """Contents of dataset.json."""
     names, counts = np.unique(splits, return_counts=True)
     return {
-        "name": args.data.name,
+        "name": name,
         "grid": list(grid.shape),
         "image": list(size),
         "samples": len(found),
@@ -324,15 +323,15 @@ def refuse_torn_presses(path: Path, presses: list, splits: np.ndarray) -> None:
             )
 
 
-def nothing_left(args, left_out: dict) -> str:
+def nothing_left(of: Layout, left_out: dict) -> str:
     """Why no sample has both a label and an image, and what to do."""
     if left_out.keys() == {NO_IMAGE}:
         return (
-            f"{args.data}/log.csv: names no images, so that its flow ends at labels: run"
-            f" {command_for('labels', args.out)}, or write each press's image into the column image"
+            f"{of.log}: names no images, so that its flow ends at labels: run {of.command('labels')}, or write each press's"
+            " image into the column image"
         )
     why = f"left out: {counted(left_out)}" if left_out else "there are no labels"
-    return f"{args.data}: no sample has both a label and an image ({why}); look at {command_for('status', args.out)}"
+    return f"{of.data}: no sample has both a label and an image ({why}); look at {of.command('status')}"
 
 
 def counted(found: dict) -> str:
@@ -340,30 +339,32 @@ def counted(found: dict) -> str:
     return ", ".join(f"{count} x {name}" for name, count in found.items()) or "none"
 
 
-def build(args) -> dict:
+def build(args: Namespace) -> dict:
     """Write the arrays and tables of one resolution beside args.out; return the contents of dataset.json."""
-    params = read_parameters(args.params, ForDataset)
+    of, folder = args.of, args.out.parent
+    params = read_parameters(of.parameters("dataset"), ForDataset)
     grid, settings = Grid.parse(args.resolution), params.dataset
-    shards = list_shards(args)
+    shards = list_shards(of, args.resolution)
     wrong_images = {}
-    if args.images:
-        wrong_images = read_json(args.images)["left_out"]
+    if not (of.data / "labels").is_dir():
+        wrong_images = read_json(of.images())["left_out"]
     elif params.poses.judge_images:
-        wrong_images = wrong_imported(args, [press for _, presses in shards for press in presses])
-    found, places, left_out, material = collect(shards, read_truth(args.data), wrong_images)
+        wrong_images = wrong_imported(of, [press for _, presses in shards for press in presses])
+    found, places, left_out, material = collect(shards, read_truth(of.data), wrong_images)
     if not found:
-        raise BadInput(nothing_left(args, left_out))
+        raise BadInput(nothing_left(of, left_out))
     presses = [each.press for each in found]
-    size = image_size(presses, load_sensors(args.sensors), f"{args.data}/log.csv")
-    folder = args.out.parent
-    share_images(folder, args.data, presses, size)
-    repeated = repeated_pictures(folder / "images.npy", presses, f"{args.data}/log.csv", args.strict)
-    catalogue = {name: table for name, table in read_json(args.catalogue).items() if isinstance(table, dict)}
+    size = image_size(presses, load_sensors(of.parameters("sensors")), str(of.log))
+    share_images(folder, of.data, presses, size)
+    repeated = repeated_pictures(folder / "images.npy", presses, str(of.log), args.strict)
+    catalogue = {
+        name: table for name, table in read_json(of.parameters("indenters")).items() if isinstance(table, dict)
+    }
     splits, groups = split_presses(
         presses, np.array([each.strength for each in found]), unseen_indenters(catalogue, settings),
         {name: fold(table) for name, table in catalogue.items()}, settings, repeated,
     )  # fmt: skip
-    splits = published_splits(args.data, presses, splits, repeated)
+    splits = published_splits(of.data, presses, splits, repeated)
     write_label_array(folder / "labels.npy", shards, places, grid)
     write_fields(folder, shards, places, grid)
     found = [replace(each, split=str(s), group=str(g)) for each, s, g in zip(found, splits, groups, strict=True)]
@@ -371,24 +372,12 @@ def build(args) -> dict:
     short = ("sample_id", "group", "split")
     write_csv(folder / "split.csv", short, [{name: each.cells()[name] for name in short} for each in found])
     write_json(folder / "normalisation.json", training_ranges(folder, splits))
-    about = describe(args, grid, found, splits, left_out, size, material)
+    about = describe(of.data.name, grid, found, splits, left_out, size, material)
     about |= {"repeated_pictures": len(repeated)} if repeated else {}
-    return about | {"nocontact": write_nocontact(folder / "nocontact.npy", args.data, about["sensors"], size)}
+    return about | {"nocontact": write_nocontact(folder / "nocontact.npy", of.data, about["sensors"], size)}
 
 
-@command(
-    option("--data", type=Path, help="data/DATASET"),
-    option("--labels", type=Path, help="50_labels/RES, or an imported labels/RES.npz"),
-    option("--poses", type=Path, help="folder 10_poses"),
-    option("--shards", type=Path, help="folder of planned shards"),
-    option("--images", type=Path, default=None, help="15_images/images.json"),
-    option("--catalogue", type=Path, help="stage parameters of the indenters, .json"),
-    option("--sensors", type=Path),
-    option("--resolution", help="ROWSxCOLS"),
-    option("--params", type=Path),
-    option("--strict", action="store_true", help="fail where presses share an image"),
-    option("--out", type=Path, help="60_dataset/RES/dataset.json, written last"),
-)
+@stage(Layout.dataset_table, STRICT)
 def main(args: Namespace) -> None:
     about = build(args)
     beside = [path for path in listed(args.out.parent, "*") if path.suffix in (".npy", ".csv")]

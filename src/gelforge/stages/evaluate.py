@@ -1,14 +1,14 @@
 """Stage 80: errors of one trained network, in the paper's tables, against labels, controls and sensors."""
 
 from argparse import Namespace
-from pathlib import Path
 
 import numpy as np
 
 from gelforge.flow.files import publish, write_json
-from gelforge.flow.layout import beside
-from gelforge.flow.main import command, option
+from gelforge.flow.layout import Layout, beside
+from gelforge.flow.main import stage
 from gelforge.flow.params.stages import ForEvaluate, read_parameters
+from gelforge.flow.params.tables import SHIPPED as SHIPS
 from gelforge.records.axes import CHANNELS
 from gelforge.records.predictionfile import write_predictions
 from gelforge.records.splits import TRAINING
@@ -49,22 +49,19 @@ def paper_table(result: dict) -> str:
     return "\n".join(lines)
 
 
-@command(
-    option("--dataset", type=Path, help="60_dataset/RES"),
-    option("--model", type=Path, help="70_train/RES/MODEL.onnx"),
-    option("--params", type=Path),
-    option("--out", type=Path),
-)
+@stage(Layout.evaluation)
 def main(args: Namespace) -> None:
     from gelforge.networks.checkpoint.modelfile import load_model
     from gelforge.networks.data.arrays import open_data
     from gelforge.networks.evaluation.evaluation import evaluate
     from gelforge.networks.inference.predictor import SHIPPED
 
-    data = open_data(args.dataset)
-    model = load_model(args.model)
-    called = "the shipped network" if args.model.resolve() == SHIPPED.resolve() else ""
-    result, predictions = evaluate(data, model, read_parameters(args.params, ForEvaluate).evaluate, called)
+    of = args.of
+    data = open_data(of.dataset(args.resolution))
+    shipped = args.model == SHIPS
+    model = load_model(SHIPPED if shipped else of.network(args.resolution, args.model))
+    settings = read_parameters(of.parameters("evaluate"), ForEvaluate).evaluate
+    result, predictions = evaluate(data, model, settings, "the shipped network" if shipped else "")
     if feats_tables.SENSOR in data.info.get("sensors", ()):
         result["published"] = {
             name: feats_tables.published_errors(predictions[name][1], np.asarray(data.labels[predictions[name][0]]))

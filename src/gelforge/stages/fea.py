@@ -13,8 +13,8 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, publish, read_json, write_json
-from gelforge.flow.layout import beside, surfaces_beside
-from gelforge.flow.main import command, option
+from gelforge.flow.layout import Layout
+from gelforge.flow.main import stage
 from gelforge.flow.params import digest_of_value
 from gelforge.flow.params.stages import ForFea, read_parameters
 from gelforge.flow.progress import progress
@@ -242,39 +242,24 @@ def verify_press(press: PosedPress, keys: tuple[str, str], scenes: list[Scene], 
     verification.write_verified(path, found)
 
 
-def read_shard(params: Path, poses: Path, workflow: Path) -> tuple[ForFea, dict, list[PosedPress], dict]:
-    """What stages 20 and 30 read of a shard: parameters, catalogues, presses, and their bodies by name.
-
-    params: folder of the stages' parameters. workflow: where STL paths start.
-    """
-    tables = {name: read_json(params / f"{name}.json") for name in ("sensors", "indenters")}
-    presses = read_poses(poses)
-    read = read_parameters(params / "fea.json", ForFea)
-    return read, tables, presses, bodies_of(presses, tables, workflow, surfaces_beside(params / "fea.json"))
+def read_shard(of: Layout, shard: str) -> tuple[ForFea, dict, list[PosedPress], dict]:
+    """What stages 20 and 30 read of a shard: parameters, catalogues, presses, and their bodies by name."""
+    tables = {name: read_json(of.parameters(name)) for name in ("sensors", "indenters")}
+    presses = read_poses(of.poses(shard))
+    read = read_parameters(of.parameters("fea"), ForFea)
+    return read, tables, presses, bodies_of(presses, tables, of.workflow, of.surfaces)
 
 
-@command(
-    option("--poses", type=Path, help="10_poses/NNNN.csv"),
-    option("--meshes", type=Path, help="20_meshes"),
-    option("--chosen", type=Path, default=None, help="20_meshes/NNNN.csv, where presses are solved on tetrahedra"),
-    option("--params", type=Path, help="fea.json, beside meshes.json, sensors.json, indenters.json"),
-    option(
-        "--workflow",
-        type=Path,
-        default=Path("workflow"),
-        help="where STL paths start; meshes made here are kept in it",
-    ),
-    option("--out", type=Path, help="30_fea/NNNN.csv; samples go to 30_fea/NNNN/"),
-)
+@stage(Layout.fea)
 def main(args: Namespace) -> None:
-    use_gels_of(args.workflow)
-    params, tables, presses, bodies = read_shard(args.params.parent, args.poses, args.workflow)
-    family, chosen = MeshFamily(args.meshes, []), {}
+    of = args.of
+    use_gels_of(of.workflow)
+    params, tables, presses, bodies = read_shard(of, args.shard)
+    family, chosen = MeshFamily(of.meshes, []), {}
     if names := mesh_names(params.fea):
-        family = MeshFamily(args.meshes, names, source_of(args.params.with_name("meshes.json"), args.workflow))
-        chosen = read_meshes(args.chosen)
-    folder = beside(args.out, "")
-    solves = run_shard(presses, family, chosen, params, tables, bodies, folder)
+        family = MeshFamily(of.meshes, names, source_of(of.parameters("meshes"), of.workflow))
+        chosen = read_meshes(of.mesh_table(args.shard))
+    solves = run_shard(presses, family, chosen, params, tables, bodies, of.solves(args.shard))
     write_solves(args.out, solves)
     for solve in solves:
         if not solve.status.valid:

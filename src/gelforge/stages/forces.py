@@ -11,8 +11,8 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
-from gelforge.flow.layout import command_for
-from gelforge.flow.main import command, option
+from gelforge.flow.layout import Layout, command_for
+from gelforge.flow.main import stage
 from gelforge.flow.params.stages import ForForces, read_parameters
 from gelforge.flow.params.tables import ForcesTable, MaterialTable
 from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat
@@ -92,14 +92,15 @@ def read_sample(
     return found, ""
 
 
-def material_c10(material: MaterialTable, calibration: Path | None, out: Path) -> tuple[float, dict]:
-    """C10 in MPa and its intervals, from [material]: a number, or "calibrated" with a summary file; out: what needs it."""
+def material_c10(material: MaterialTable, calibration: Path) -> tuple[float, dict]:
+    """C10 in MPa and its intervals, from [material]: a number, or "calibrated" with a summary file."""
     if not isinstance(material.c10, str):
         known = {name: getattr(material, name) for name in INTERVALS}
         return float(material.c10), {name: list(pair) for name, pair in known.items() if pair is not None}
-    if calibration is None:
+    if not calibration.exists():
+        command = command_for("calibrate", calibration)
         raise BadInput(
-            f'[material] c10 = "calibrated" needs --calibration FILE; run `{command_for("calibrate", out)}` first'
+            f'[material] c10 = "calibrated" needs {calibration}, which is not there; run `{command}` first'
         )
     try:
         found = read_json(calibration)["c10"]
@@ -130,23 +131,19 @@ def refuse_corrupt(table: Path, solves: list[Solved]) -> None:
         )
 
 
-@command(
-    option("--fea", type=Path, help="30_fea/NNNN.csv"),
-    option("--meshes", type=Path, help="20_meshes"),
-    option("--params", type=Path, help="forces.json"),
-    option("--calibration", type=Path, help="summary of the calibrate branch", default=None),
-    option("--out", type=Path, help="40_forces/NNNN.npz"),
-)
+@stage(Layout.forces)
 def main(args: Namespace) -> None:
-    params = read_parameters(args.params, ForForces)
-    c10, intervals = material_c10(params.material, args.calibration, args.out)
-    load = mesh_loader(args.meshes)
+    of = args.of
+    params = read_parameters(of.parameters("forces"), ForForces)
+    c10, intervals = material_c10(params.material, of.calibration())
+    load = mesh_loader(of.meshes)
     samples: list[SampleForces] = []
     counts: dict[str, int] = {}
-    solves = list(read_solves(args.fea))
-    refuse_corrupt(args.fea, solves)
+    table = of.fea(args.shard)
+    solves = list(read_solves(table))
+    refuse_corrupt(table, solves)
     for solve in solves:
-        sample, reason = read_sample(solve, args.fea.parent, load, params.forces)
+        sample, reason = read_sample(solve, table.parent, load, params.forces)
         if solve.status.valid and reason:  # others were reported by stage 30
             print(f"failed: {sample.sample_id}: {sample.status}, {reason}")
         # At a fixed Poisson's ratio and prescribed motion every force is proportional to C10.

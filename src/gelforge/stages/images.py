@@ -18,8 +18,8 @@ from gelforge.evidence.imprints import Window
 from gelforge.evidence.logimages import KEEP, LogImages, read_seen, write_seen
 from gelforge.flow.dates import states_of
 from gelforge.flow.files import read_json, write_json
-from gelforge.flow.layout import planned_shards, surfaces_beside
-from gelforge.flow.main import command, option
+from gelforge.flow.layout import Layout
+from gelforge.flow.main import JOBS, stage
 from gelforge.flow.params.stages import ForImages, read_parameters
 from gelforge.flow.slots import in_slots
 from gelforge.geometry.gel import use_gels_of
@@ -107,32 +107,25 @@ def told(found: dict, seen: list[Seen]) -> list[str]:
     ]
 
 
-@command(
-    option("--poses", type=Path, help="folder 10_poses"),
-    option("--shards", type=Path, help="folder of the planned shards"),
-    option("--params", type=Path, help="images.json, beside sensors.json, indenters.json, gels.json"),
-    option("--workflow", type=Path, default=Path("workflow"), help="where STL paths start"),
-    option("--data", type=Path, help="data/DATASET"),
-    option("--jobs", type=int, default=1, help="processes that read images"),
-    option("--out", type=Path, help="15_images/images.json"),
-)
+@stage(Layout.images, JOBS)
 def main(args: Namespace) -> None:
-    use_gels_of(args.workflow)
-    judged = read_parameters(args.params, ForImages).poses
+    of = args.of
+    use_gels_of(of.workflow)
+    judged = read_parameters(of.parameters("images"), ForImages).poses
     seen, shapes = [], Shapes((), lambda one, _: one.expected)
     if judged.images and judged.judge_images:
-        tables = {name: read_json(args.params.parent / f"{name}.json") for name in ("sensors", "indenters", "gels")}
-        presses = [one for shard in planned_shards(args.shards) for one in read_poses(args.poses / f"{shard}.csv")]
-        presses.sort(key=lambda one: one.row)
-        surfaces = surfaces_beside(args.params)
+        tables = {name: read_json(of.parameters(name)) for name in ("sensors", "indenters", "gels")}
+        presses = sorted(
+            (one for shard in of.names() for one in read_poses(of.poses(shard))), key=lambda one: one.row
+        )
         parts = [
-            (args.out.parent / f"{at:04d}.npz", part, args.data, tables, args.workflow, surfaces)
+            (args.out.parent / f"{at:04d}.npz", part, of.data, tables, of.workflow, of.surfaces)
             for at, part in enumerate(in_chunks(presses))
         ]
         seen = [one for part in in_slots(look, parts, args.jobs) for one in part]
         by_id = {one.sample_id: one for one in presses}
-        shapes = shapes_of(by_id, tables, bodies_of(presses, tables, args.workflow, surfaces) if seen else {})
-    found = judge(seen, shapes, str(args.data / "log.csv"))
+        shapes = shapes_of(by_id, tables, bodies_of(presses, tables, of.workflow, of.surfaces) if seen else {})
+    found = judge(seen, shapes, str(of.log))
     for line in told(found, seen):
         print(line, file=sys.stderr)
     write_json(args.out, found)

@@ -12,8 +12,8 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, read_csv, write_json
-from gelforge.flow.layout import command_for, planned_shards
-from gelforge.flow.main import command, option
+from gelforge.flow.layout import POSES, Layout, command_for
+from gelforge.flow.main import stage
 from gelforge.flow.params.stages import ForLabels, read_parameters
 from gelforge.flow.progress import progress
 from gelforge.labelling.cellsurface import SurfaceMap, surface_map, traction
@@ -227,23 +227,23 @@ def summarise(forces: ForceFile, outside: np.ndarray, sensor_of: dict[str, str])
     }
 
 
-def label_folder(args, grid: Grid, sensors: dict, channels) -> dict:
-    """Label every shard of a dataset whose labels are older than what they are made of; return a summary."""
-    folder = args.out.parent
-    find = Finder(args.meshes, sensors, grid, folder / "operators", str(args.poses))
-    shards = planned_shards(args.shards)
+def label_folder(of: Layout, grid: Grid, folder: Path, channels) -> dict:
+    """Label every shard of a dataset whose labels, in `folder`, are older than what they are made of; return a summary."""
+    params = of.parameters("sensors"), of.parameters("labels")
+    find = Finder(of.meshes, load_sensors(params[0]), grid, folder / "operators", str(of.folder(POSES)))
+    shards = of.names()
     if not shards:
-        raise BadInput(f"{args.shards}: holds no shards; run make, which plans them")
-    require_good(args.poses, shards)
+        raise BadInput(f"{of.shards}: holds no shards; run make, which plans them")
+    require_good(of.folder(POSES), shards)
     totals: dict[str, Any] = {"resolution": str(grid), "shards": len(shards), "samples": 0, "failed": 0}
     worst: dict[str, Any] = {"worst_sample": "", "worst_outside_share": 0.0}
     seen: Counter[tuple[str, bool]] = Counter()
     for shard in progress(shards, f"labels {grid}"):
-        forces, poses, out = args.forces / f"{shard}.npz", args.poses / f"{shard}.csv", folder / f"{shard}.npz"
-        if up_to_date(out, forces, poses, args.sensors, args.params):
+        forces, poses, out = of.forces(shard), of.poses(shard), folder / f"{shard}.npz"
+        if up_to_date(out, forces, poses, *params):
             found = summary_of(out, forces, poses)
         else:
-            newest = max(time_of(path) for path in (forces, poses, args.sensors, args.params))
+            newest = max(time_of(path) for path in (forces, poses, *params))
             found = label_shard(forces, poses, find, grid, out, channels)
             # as old as what was read: a source that another make replaces meanwhile is newer
             os.utime(out, ns=(newest, newest))
@@ -254,7 +254,7 @@ def label_folder(args, grid: Grid, sensors: dict, channels) -> dict:
         }
         worst = max(worst, found, key=lambda s: s["worst_outside_share"])
         seen.update(found["seen"])
-    require_seen(seen, args.sensors)
+    require_seen(seen, params[0])
     digests = {f"{shard}.npz": digest_of(folder / f"{shard}.npz") for shard in shards}
     return {**totals, **{key: worst[key] for key in ("worst_sample", "worst_outside_share")}, "sha256": digests}
 
@@ -317,20 +317,10 @@ def report(summary: dict, largest_share: float) -> None:
         )
 
 
-@command(
-    option("--forces", type=Path, help="folder 40_forces"),
-    option("--poses", type=Path, help="folder 10_poses"),
-    option("--meshes", type=Path, help="folder 20_meshes"),
-    option("--sensors", type=Path, help="sensors.toml, or stage parameters as .json"),
-    option("--resolution", help="ROWSxCOLS"),
-    option("--params", type=Path),
-    option("--shards", type=Path, help="folder of planned shards, all of which are labelled"),
-    option("--out", type=Path, help="summary; the labels of each shard are written beside it"),
-)
+@stage(Layout.labelled)
 def main(args: Namespace) -> None:
-    grid, sensors = Grid.parse(args.resolution), load_sensors(args.sensors)
-    params = read_parameters(args.params, ForLabels).labels
-    summary = label_folder(args, grid, sensors, params.channels)
+    params = read_parameters(args.of.parameters("labels"), ForLabels).labels
+    summary = label_folder(args.of, Grid.parse(args.resolution), args.out.parent, params.channels)
     write_json(args.out, summary)
     report(summary, params.largest_outside_share)
 

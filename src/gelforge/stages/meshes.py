@@ -5,7 +5,8 @@ from argparse import Namespace
 from pathlib import Path
 
 from gelforge.flow.files import write_csv, write_json
-from gelforge.flow.main import command, option
+from gelforge.flow.layout import Layout
+from gelforge.flow.main import JOBS, stage
 from gelforge.flow.params.stages import ForFea
 from gelforge.flow.params.tables import IN_PROCESS
 from gelforge.flow.slots import in_slots
@@ -50,26 +51,15 @@ def make_missing(names: set[str], source: MeshSource, folder: Path, jobs: int) -
     list(in_slots(source.fetch, [(name, folder) for name in missing], min(jobs, len(missing))))
 
 
-@command(
-    option("--poses", type=Path, help="10_poses/NNNN.csv"),
-    option("--params", type=Path, help="meshes.json, beside fea.json, sensors.json, indenters.json"),
-    option(
-        "--workflow",
-        type=Path,
-        default=Path("workflow"),
-        help="where STL paths start; meshes made here are kept in it",
-    ),
-    option("--jobs", type=int, default=1, help="meshes made at a time"),
-    option("--meshes", type=Path, help="20_meshes, folder for the meshes"),
-    option("--out", type=Path, help="20_meshes/NNNN.csv, the mesh of each press"),
-)
+@stage(Layout.mesh_table, JOBS)
 def main(args: Namespace) -> None:
-    use_gels_of(args.workflow)
     from gelforge.stages.fea import read_shard, scene_of
 
-    source = source_of(args.params, args.workflow)
-    params, tables, presses, bodies = read_shard(args.params.parent, args.poses, args.workflow)
-    family = MeshFamily(args.meshes, mesh_names(params.fea), source)
+    of = args.of
+    use_gels_of(of.workflow)
+    source = source_of(of.parameters("meshes"), of.workflow)
+    params, tables, presses, bodies = read_shard(of, args.shard)
+    family = MeshFamily(of.meshes, mesh_names(params.fea), source)
     scenes = meshed(
         [
             {p.sample_id: scene_of(p, bodies, tables["sensors"], params) for p in frames}
@@ -77,7 +67,7 @@ def main(args: Namespace) -> None:
         ],
         params,
     )
-    make_missing({first_candidate(scene, family) for scene in scenes.values()}, source, args.meshes, args.jobs)
+    make_missing({first_candidate(scene, family) for scene in scenes.values()}, source, of.meshes, args.jobs)
     chosen = {name: choose_mesh(scene, family) for name, scene in scenes.items()}
     write_csv(args.out, COLUMNS, [{"sample_id": p.sample_id, "mesh": chosen.get(p.sample_id, "")} for p in presses])
     print(json.dumps({"presses": len(presses), "meshes": sorted({mesh.split("@")[0] for mesh in chosen.values()})}))

@@ -4,14 +4,14 @@
 """
 
 from argparse import Namespace
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from statistics import median
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import publish, read_json, write_csv, write_if_changed, write_json
-from gelforge.flow.layout import beside
-from gelforge.flow.main import command, group, option
+from gelforge.flow.files import listed, publish, read_json, write_csv, write_if_changed, write_json
+from gelforge.flow.layout import Layout, beside
+from gelforge.flow.main import group, stage
 from gelforge.flow.params import CHARTED, load_params, parameters_of, plain
 from gelforge.flow.params.stages import ForPareto, ForParetoMeshes, read_parameters
 from gelforge.flow.params.tables import CHOOSING, CLASSES, IN_PROCESS, VERIFYING, FeaTable
@@ -227,74 +227,89 @@ def _brief(record: dict) -> dict:
     return {key: record.get(key) for key in keys}
 
 
-@command(
-    option("--name"),
-    option("--scene", type=Path, help="resolved table, .json"),
-    option("--set", choices=("full", "quick"), default="full"),
-    option("--params", type=Path),
-    option("--sensors", type=Path),
-    option("--meshes", type=Path),
-    option(
-        "--references",
-        type=Path,
-        help="folder of references that were solved before",
-        default=None,
-    ),
-    option("--out", type=Path),
-)
+@dataclass(frozen=True)
+class Asked:
+    """What a solve of the chart reads: its stage's parameters, its scene by name, and where its meshes lie."""
+
+    params: ForPareto
+    scene: NamedScene
+    bench: ChartBench
+
+
+def asked(args: Namespace, meshes: Path) -> Asked:
+    """The scene that a command line names."""
+    of = args.of
+    params = read_parameters(of.parameters("pareto"), ForPareto)
+    bench = load_bench(params, load_sensors(of.parameters("sensors")), meshes, args.out.parent, of.references)
+    return Asked(params, planned_scene(of, args.name, params), bench)
+
+
+def planned_scene(of: Layout, name: str, params: ForPareto) -> NamedScene:
+    """A scene by name, its indenter's table resolved."""
+    return parse_scene(name, read_json(of.parameters(f"scenes/{name}")), params.material.nu)
+
+
+@stage(Layout.chart_scene)
 def solve(args: Namespace) -> None:
     """Solve one scene by every method; a rerun resumes."""
-    params = read_parameters(args.params, ForPareto)
-    scene = parse_scene(args.name, read_json(args.scene), params.material.nu)
-    bench = load_bench(params, load_sensors(args.sensors), args.meshes, args.out.parent, args.references)
-    if args.set == "quick":
-        with_ccx = params.fea.fidelity not in IN_PROCESS
-        every = {name: read_json(args.scene.with_name(f"{name}.json")) for name in params.pareto.quick.scenes}
-        scenes = [parse_scene(name, table, params.material.nu) for name, table in every.items()]
-        # one chart, one reference
-        reference_kept = all(given_reference(bench, other) for other in scenes)
-        methods, checks = quick_methods(params.pareto.quick, with_ccx, reference_kept), []
-    else:
-        from gelforge.mechanics.ccx.program import need_ccx
+    from gelforge.mechanics.ccx.program import need_ccx
 
-        need_ccx()
-        methods = every_method(params.pareto, params.fea.hex_quality)
-        checks = checks_of(scene, params)
-    write_json(args.out, solve_scene(bench, scene, methods, checks))
+    need_ccx()
+    found = asked(args, args.of.chart_mesh("any").parent)
+    methods = every_method(found.params.pareto, found.params.fea.hex_quality)
+    write_json(args.out, solve_scene(found.bench, found.scene, methods, checks_of(found.scene, found.params)))
 
 
-@command(
-    option("--scenes", type=Path, nargs="+"),
-    option("--note", default=""),
-    option("--params", type=Path, help="pareto.json; the chart's errors are written for `auto`", default=None),
-    option("--workflow", type=Path, default=Path("workflow"), help="folder for these errors"),
-    option("--out", type=Path),
-)
-def draw(args: Namespace) -> None:
-    """Draw solved scenes: chart, CSV and JSON."""
-    scenes = [read_json(path) for path in args.scenes]
+@stage(Layout.quick_scene)
+def solve_quick(args: Namespace) -> None:
+    """Solve one scene by the few methods of the report's chart."""
+    found = asked(args, args.of.meshes)
+    params = found.params
+    # one chart, one reference: all of its scenes decide which
+    scenes = [planned_scene(args.of, name, params) for name in params.pareto.quick.scenes]
+    reference_kept = all(given_reference(found.bench, other) for other in scenes)
+    methods = quick_methods(params.pareto.quick, params.fea.fidelity not in IN_PROCESS, reference_kept)
+    write_json(args.out, solve_scene(found.bench, found.scene, methods, []))
+
+
+def chart_of(paths: list[Path], out: Path, note: str = "") -> dict:
+    """Draw solved scenes: chart, CSV and JSON; return what the JSON holds."""
+    scenes = [read_json(path) for path in paths]
     references = {scene["reference"] for scene in scenes}
     if len(references) != 1:
         raise BadInput(f"scenes stand against different references ({', '.join(sorted(references))}); run make again")
-    found = publish_chart(args.out, scenes, args.note)
+    found = publish_chart(out, scenes, note)
     print("\n".join(found["reading"]))
-    if args.params:
-        print(keep_charted(found["charted"], read_parameters(args.params, ForPareto), args.workflow))
+    return found
 
 
-@command(
-    option("--name", help="ccx-REGION-SIZE or fine-REGION-SIZE"),
-    option("--params", type=Path, help="pareto_meshes.json"),
-    option("--out", type=Path, help="NAME.npz; NAME.json is written beside it"),
-)
+@stage(Layout.chart)
+def draw(args: Namespace) -> None:
+    """Draw all scenes, and write the chart's errors for `auto`."""
+    of = args.of
+    paths = [of.chart_scene(path.stem) for path in listed(of.params / "scenes", "*.json")]
+    found = chart_of(paths, args.out)
+    print(keep_charted(found["charted"], read_parameters(of.parameters("pareto"), ForPareto), of.workflow))
+
+
+@stage(Layout.quick_chart)
+def draw_quick(args: Namespace) -> None:
+    """Draw the scenes of the report's chart."""
+    of = args.of
+    names = read_parameters(of.parameters("pareto"), ForPareto).pareto.quick.scenes
+    note = f"a small chart; {of.command('pareto')} draws the large one"
+    chart_of([of.quick_scene(name) for name in names], args.out, note)
+
+
+@stage(Layout.chart_mesh)
 def mesh(args: Namespace) -> None:
-    """Make one mesh: a label region at a density of the chart, or a tight fine one for the reference."""
-    params = read_parameters(args.params, ForParetoMeshes)
+    """Make one mesh, ccx-REGION-SIZE: a label region at a density of the chart, or a tight fine one, fine-REGION-SIZE."""
+    params = read_parameters(args.of.parameters("pareto_meshes"), ForParetoMeshes)
     made, report = build_mesh(args.name, load_gel(params.meshes.gel), params)
     publish_mesh(args.name, made, report, args.out)
 
 
-main = group(mesh=mesh, scene=solve, chart=draw)
+main = group(mesh=mesh, scene=solve, quick=solve_quick, chart=draw, **{"quick-chart": draw_quick})
 
 
 if __name__ == "__main__":

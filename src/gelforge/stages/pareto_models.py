@@ -4,32 +4,32 @@ Writes JSON and, beside it, the same as CSV and as a chart.
 """
 
 from argparse import Namespace
-from pathlib import Path
 
 import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_csv, write_json
-from gelforge.flow.layout import beside, command_for
-from gelforge.flow.main import command, option
+from gelforge.flow.layout import Layout, beside
+from gelforge.flow.main import option, stage
 from gelforge.records.axes import CHANNELS
 from gelforge.records.splits import TEST
 from gelforge.reporting.networkcharts import PANELS, draw_networks
 from gelforge.sweeps.deviation import frontier
 
 VERSION = 4
+SECONDS = 3.0  # of timed runs per network and way of running
 BASELINE = "unet"
 FASTER = 5.0  # times that the chosen network must be faster than the baseline, on one CPU thread
 
 
-def row_of(evaluation: dict, split: str, latencies: dict[str, dict]) -> dict:
-    """One network's row: errors on `split`, latency per way of running (`cpu1`, `cpu2`, `cuda`)."""
-    if split not in evaluation["splits"]:
+def row_of(evaluation: dict, latencies: dict[str, dict]) -> dict:
+    """One network's row: errors on the test split, latency per way of running (`cpu1`, `cpu2`, `cuda`)."""
+    if TEST not in evaluation["splits"]:
         raise BadInput(
-            f"evaluation of {evaluation['model']}: has no split {split!r}; known: "
-            f"{', '.join(evaluation['splits'])}; choose one with --split"
+            f"evaluation of {evaluation['model']}: has no split {TEST!r} but {', '.join(evaluation['splits'])}; the chart"
+            " needs it, so raise [dataset] test"
         )
-    errors = evaluation["splits"][split]
+    errors = evaluation["splits"][TEST]
     row = {
         "model": evaluation["model"],
         "kind": evaluation["kind"],
@@ -102,36 +102,25 @@ def fronts_of(rows: list[dict]) -> dict[str, set[str]]:
     return found
 
 
-@command(
-    option("--dataset", type=Path, help="60_dataset/RES, for an image to time on"),
-    option("--models", type=Path, nargs="+", help="70_train/RES/*.onnx"),
-    option("--evaluations", type=Path, nargs="+", help="80_evaluate/RES/*.json"),
-    option("--split", default=TEST),
-    option("--seconds", type=float, default=3.0, help="seconds of timed runs per model and method"),
-    option("--out", type=Path),
-)
+@stage(Layout.network_chart, option("models", nargs="+", help="names of evaluated networks"))
 def main(args: Namespace) -> None:
     from gelforge.networks.checkpoint.modelfile import load_model
     from gelforge.networks.data.arrays import open_data
 
-    models = {path.name.removesuffix(".onnx"): load_model(path) for path in args.models}
-    evaluations = {path.name.removesuffix(".json"): read_json(path) for path in args.evaluations}
-    if models.keys() != evaluations.keys():
-        raise BadInput(
-            f"models {sorted(models)} and evaluations {sorted(evaluations)} must be of the same names; "
-            f"run `{command_for('evaluate', args.out)}` for those that are missing"
-        )
-    image = np.asarray(open_data(args.dataset).images[0])
-    latencies = measure(models, image, args.seconds)
-    rows = [row_of(evaluations[name], args.split, latencies[name]) for name in sorted(models)]
+    of, resolution = args.of, args.resolution
+    evaluations = {name: read_json(of.evaluation(resolution, name)) for name in args.models}
+    models = {name: load_model(of.network(resolution, name)) for name in args.models}
+    image = np.asarray(open_data(of.dataset(resolution)).images[0])
+    latencies = measure(models, image, SECONDS)
+    rows = [row_of(evaluations[name], latencies[name]) for name in sorted(models)]
     fronts = fronts_of(rows)
     for row in rows:
         row["front"] = row["model"] in fronts["percent"]
     chosen = (choose(rows) or {}).get("model")
     write_csv(beside(args.out, ".csv"), list(rows[0]), rows)
     with publish(beside(args.out, ".png")) as part:
-        draw_networks(part, rows, fronts, args.split, chosen)
-    write_json(args.out, {"split": args.split, "chosen": chosen, "baseline": BASELINE, "models": rows})
+        draw_networks(part, rows, fronts, TEST, chosen)
+    write_json(args.out, {"split": TEST, "chosen": chosen, "baseline": BASELINE, "models": rows})
     for row in sorted(rows, key=lambda r: r["cpu1_median_ms"]):
         print(
             f"{row['model']:14s} {row['cpu1_median_ms']:8.2f} ms  {row['cpu2_median_ms']:8.2f} ms  "

@@ -21,7 +21,7 @@ from gelforge.flow.dates import keep_states, states_of
 from gelforge.flow.files import csv_text, listed, write_if_changed, write_text
 from gelforge.flow.kept import Kept
 from gelforge.flow.layout import LOGGED, PLAN, Layout, planned_shards, shard_name
-from gelforge.flow.main import command, option
+from gelforge.flow.main import option, stage
 from gelforge.flow.params import DatasetFile, Params
 from gelforge.flow.params.tables import IN_PROCESS, SHIPPED, SHIPPED_IMAGE
 from gelforge.records.log import read_log, shard_text
@@ -467,20 +467,21 @@ def without_ccx(params: config.Params, dataset_toml: Path) -> config.Params:
     return replace(params, fea=replace(params.fea, fidelity="hex"))
 
 
-@command(
-    option("--data", type=Path, help="data/DATASET"),
-    option("--workflow", type=Path, default=Path("workflow")),
-    option(
-        "--ccx", type=Path, default=None, help="file that names CalculiX' program, or says `none`; without it none"
-    ),
-    option("--out", type=Path, help="results/DATASET/00_plan/plan.mk"),
+# What the report shows of a branch, below results/DATASET.
+SHOWN_OF = {"calibrate": "calibrate/summary.json", "pareto": "pareto/quick.json"}
+CCX = option(
+    "--ccx", type=Path, default=None, help="file that names CalculiX' program, or says `none`; without it none"
 )
+
+
+@stage(Layout.plan, CCX)
 def main(args: Namespace) -> None:
     from gelforge.geometry.gel import use_gels_of
     from gelforge.mechanics.mesh.family import required_meshes
     from gelforge.sweeps.scenes import read_tables
 
-    data, workflow, of = args.data, args.workflow, Layout(args.out.parent.parent)
+    of = args.of
+    data, workflow = of.data, of.workflow
     use_gels_of(workflow)
     dataset_toml = data / "dataset.toml"
     dataset = config.read_dataset_file(dataset_toml)
@@ -489,7 +490,7 @@ def main(args: Namespace) -> None:
     params = config.load_params(workflow, dataset_toml)
     if args.ccx is None or args.ccx.read_text(encoding="utf-8").strip() == "none":
         params = without_ccx(params, dataset_toml)
-    rows = logged_rows(data / "log.csv", dataset.sensor)
+    rows = logged_rows(of.log, dataset.sensor)
     sensors = config.read_sensor_tables(workflow, data)
     indenters = config.read_indenter_tables(workflow, data, dataset.catalogue)
     shapes = list(stl_files(config.read_toml(workflow / "indenters.toml"), workflow).values())
@@ -504,12 +505,12 @@ def main(args: Namespace) -> None:
     tables = {"sensors": seen_by, "indenters": with_content(bodies, workflow), "gels": gels}
     lists: dict[str, list[str]] = {
         "MESHES": required_meshes(params.fea, params.meshes),
-        "BRANCHES": [*params.report.branches],
+        "BRANCHES": [SHOWN_OF[name] for name in params.report.branches],
         **chart_lists(params, scenes),
         **network_lists(models),
         "LEARNER": ["pair_24_mirrored" if (data / "nocontact").is_dir() else "grid_16"],
         "SHAPES": [str(path) for path in shapes if _WORD.fullmatch(str(path))],
-        "NEEDS_CALIBRATION": ["yes"] if params.material.c10 == "calibrated" else [],
+        "CALIBRATED": [SHOWN_OF["calibrate"]] if params.material.c10 == "calibrated" else [],
         "REPORT_MODEL": reported_model(dataset_toml, params, models),
         "LEARN_ALSO": [*params.train.also],
         "IMAGES": ["yes"] if pictures and params.poses.images else [],
@@ -524,7 +525,7 @@ def main(args: Namespace) -> None:
         data, rows, of.folder(PLAN), params.plan.shard_size, {kind: tables[kind] for kind in COLUMN_OF}
     )
     check_count(shards, params.plan.shard_size)
-    write_text(of.plan, f"{make_list('SHARDS', shards)}{text}")
+    write_text(args.out, f"{make_list('SHARDS', shards)}{text}")
     keep_states(of.plan_states, states)
 
 

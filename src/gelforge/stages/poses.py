@@ -14,8 +14,8 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json
-from gelforge.flow.layout import beside, surfaces_beside
-from gelforge.flow.main import command, option
+from gelforge.flow.layout import Layout, beside
+from gelforge.flow.main import STRICT, stage
 from gelforge.flow.params.stages import ForPoses, read_parameters
 from gelforge.flow.params.tables import PosesTable
 from gelforge.geometry import touch
@@ -273,26 +273,18 @@ def write_shard(good, rejections, out: Path, params: PosesTable) -> None:
     write_poses(out, posed)
 
 
-@command(
-    option("--data", type=Path, help="data/DATASET"),
-    option("--shard", type=Path, help="raw rows, 00_plan/shards/NNNN.csv"),
-    option("--params", type=Path, help="poses.json, beside sensors.json, indenters.json"),
-    option("--workflow", type=Path, default=Path("workflow"), help="where STL paths start"),
-    option("--strict", action="store_true", help="fail where a sample is rejected"),
-    option("--out", type=Path, help="pose table, 10_poses/NNNN.csv"),
-)
+@stage(Layout.poses, STRICT)
 def main(args: Namespace) -> None:
-    use_gels_of(args.workflow)
-    params = read_parameters(args.params, ForPoses).poses
-    tables = {name: read_json(args.params.parent / f"{name}.json") for name in ("sensors", "indenters")}
-    rows = read_shard(args.shard)
-    tables["folder"] = args.workflow
-    good, rejections = judge(
-        rows, str(args.data / "log.csv"), args.data, tables, params, surfaces_beside(args.params)
-    )
-    planned = args.shard.with_suffix(".json")
+    of, log = args.of, str(args.of.log)
+    use_gels_of(of.workflow)
+    params = read_parameters(of.parameters("poses"), ForPoses).poses
+    tables = {name: read_json(of.parameters(name)) for name in ("sensors", "indenters")}
+    rows = read_shard(of.shard(args.shard))
+    tables["folder"] = of.workflow
+    good, rejections = judge(rows, log, of.data, tables, params, of.surfaces)
+    planned = of.shard(args.shard).with_suffix(".json")
     repeated = read_json(planned).get("repeated", {}) if params.images and planned.exists() else {}
-    doubtful = repeated_pictures([sample for sample, _ in good], str(args.data / "log.csv"), repeated)
+    doubtful = repeated_pictures([sample for sample, _ in good], log, repeated)
     if args.strict:
         lost = {r.row for r in doubtful}
         good = [(sample, body) for sample, body in good if sample.row not in lost]
@@ -302,7 +294,7 @@ def main(args: Namespace) -> None:
         print(line, file=sys.stderr)
     if args.strict and rejections:
         count = len({r.row for r in rejections})
-        raise BadInput(f"{args.data}: {count} rows rejected; correct them, or run without STRICT")
+        raise BadInput(f"{of.data}: {count} rows rejected; correct them, or run without STRICT")
     print(json.dumps({"good": len(good), "rejected": len(rows) - len(good)}))
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from gelforge.flow.files import listed, read_csv, read_json, write_text
 from gelforge.flow.layout import PARETO, Layout
-from gelforge.flow.main import command, option
+from gelforge.flow.main import option, stage
 from gelforge.flow.params.frozen import FROZEN, read_frozen
 from gelforge.flow.params.stages import ForCalibrate, ForEvaluate, ForForces, ForMeshes, ForReport, read_parameters
 from gelforge.flow.params.tables import SHIPPED
@@ -108,7 +108,7 @@ def compared_laws(laws: list[dict]) -> tuple[list[str], list[list]]:
 def calibration_section(results: Path) -> Section:
     """Posterior of the material."""
     section = Section("Calibration")
-    path = Layout(results).calibration
+    path = Layout(results).calibration()
     if not path.exists():
         command = Layout(results).command("calibrate")
         return section.text(f"Not made: {command} (needs force readings in the log).", absent=True)
@@ -146,7 +146,7 @@ def force_section(results: Path, data: Path, rows: list[dict]) -> Section:
     none = "The log has no force readings of presses that were labelled."
     if not any(row.get("measured_fz") for row in rows):  # as where labels came with the dataset
         return section.text(none, absent=True)
-    frozen, summary = read_frozen(data / FROZEN), of.calibration
+    frozen, summary = read_frozen(data / FROZEN), of.calibration()
     material = read_parameters(of.params / "forces.json", ForForces).material
     spread = spreads(
         material,
@@ -371,29 +371,23 @@ def lead_of(rows: list[dict], resolution: str, samples: int) -> str:
     return f"{labelled} of {len(rows)} presses labelled by finite elements at {resolution} cells a picture."
 
 
-@command(
-    option("--data", type=Path, help="data/DATASET"),
-    option("--results", type=Path, help="results/DATASET"),
-    option("--resolution"),
-    option("--model"),
-    option("--params", type=Path, help="report.json, beside evaluate.json, sensors.json"),
-    option("--out", type=Path),
-)
+@stage(Layout.report, option("resolution", metavar="RESOLUTION"), option("model", metavar="MODEL"))
 def main(args: Namespace) -> None:
-    verification.refuse_beyond(read_verified(args.results))
-    solved = read_solved(args.results)
-    gels = {name: sensor.gel for name, sensor in load_sensors(args.params.parent / "sensors.json").items()}
-    explorer = open_explorer(args.results, args.resolution, args.model, solved, gels)
-    known = about(args.results, args.data.name, args.resolution, args.model, args.params.parent)
-    limit = read_parameters(args.params, ForReport).report.embed_mb * 1e6
+    of, results, resolution, model = args.of, args.results, args.resolution, args.model
+    verification.refuse_beyond(read_verified(results))
+    solved = read_solved(results)
+    gels = {name: sensor.gel for name, sensor in load_sensors(of.parameters("sensors")).items()}
+    explorer = open_explorer(results, resolution, model, solved, gels)
+    known = about(results, of.data.name, resolution, model, of.params)
+    limit = read_parameters(of.parameters("report"), ForReport).report.embed_mb * 1e6
     folder, embedded = place_parts(
         args.out.parent, in_parts(progress(explorer.presses(), "presses", len(explorer.rows))), limit
     )
     data = explorer_data(explorer, known) | {"parts": {"size": PART, "beside": folder}}
-    sections = sections_of(explorer, args.data, args.model, solved)
-    lead = lead_of(explorer.rows, args.resolution, len(explorer.samples))
+    sections = sections_of(explorer, of.data, model, solved)
+    lead = lead_of(explorer.rows, resolution, len(explorer.samples))
     explored = Explored(data, embedded) if explorer.rows else None
-    write_text(args.out, render(args.data.name, lead, sections, explored))
+    write_text(args.out, render(of.data.name, lead, sections, explored))
     forget_parts(args.out.parent, folder)
 
 

@@ -11,9 +11,10 @@ from pathlib import Path
 
 import numpy as np
 
+from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_csv, write_json
-from gelforge.flow.layout import beside
-from gelforge.flow.main import command, group, option
+from gelforge.flow.layout import Layout, beside
+from gelforge.flow.main import group, stage
 from gelforge.flow.params import digest_of_value
 from gelforge.flow.params.stages import ForStability, read_parameters
 from gelforge.flow.progress import progress
@@ -26,6 +27,7 @@ from gelforge.sweeps.trial import ccx_settings, kept, limit_of, solve_isolated
 
 VERSION = 4
 NOT_RUN = "NOT_RUN"
+ROWS = (*FACTORS, "random", "native")
 COLUMNS = ("row", "level", "fidelity", "kind", "shape", "depth", "shear", "place", "nu", "friction", "size", "steps", "status",
            "verdict", "error", "against", "fx_n", "fy_n", "fz_n", "cpu_seconds", "reason")  # fmt: skip
 
@@ -149,18 +151,15 @@ def _place(line: dict) -> str:
     return f"{line['kind']} {factor_of(line['row'])} {line['level']}"
 
 
-@command(
-    option("--row", choices=(*FACTORS, "random", "native")),
-    option("--params", type=Path),
-    option("--meshes", type=Path),
-    option("--cases", type=Path, help="folder of solved cases"),
-    option("--out", type=Path),
-)
+@stage(Layout.stability_row)
 def solve(args: Namespace) -> None:
     """Solve the cases of one row; a rerun resumes."""
-    params = read_parameters(args.params, ForStability)
+    of = args.of
+    if args.row not in ROWS:
+        raise BadInput(f"no row {args.row!r} of cases; there are {', '.join(ROWS)}")
+    params = read_parameters(of.parameters("stability"), ForStability)
     need_ccx()
-    records = solve_row(args.row, params, args.meshes, args.cases)
+    records = solve_row(args.row, params, of.chart_mesh("any").parent, args.out.parents[1] / "cases")
     judged = judge_row(args.row, records, params)
     write_json(args.out, {"row": args.row, "judged": judged, "evidence": [r.get("evidence", {}) for r in records]})
     left = sum(r["status"] == NOT_RUN for r in records)
@@ -168,15 +167,12 @@ def solve(args: Namespace) -> None:
         print(f"{left} of {len(records)} cases were not run: the row's time was over; raise [stability] minutes")
 
 
-@command(
-    option("--rows", type=Path, nargs="+"),
-    option("--out", type=Path),
-)
+@stage(Layout.stability_map)
 def draw(args: Namespace) -> None:
     """Put the rows together: picture, CSV and JSON."""
     from gelforge.reporting.charts import stability_map
 
-    table = [line for path in args.rows for line in read_json(path)["judged"]]
+    table = [line for row in ROWS for line in read_json(args.of.stability_row(row))["judged"]]
     write_csv(beside(args.out, ".csv"), COLUMNS, table)
     with publish(beside(args.out, ".png")) as part:
         part.write_bytes(stability_map(table))

@@ -4,12 +4,11 @@ The curve lies inside the model file and, as a table, beside it.
 """
 
 from argparse import Namespace
-from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_csv
-from gelforge.flow.layout import beside
-from gelforge.flow.main import command, option
+from gelforge.flow.layout import Layout, beside
+from gelforge.flow.main import stage
 from gelforge.flow.params import laid_over, plain
 from gelforge.flow.params.schema import Place, parse
 from gelforge.flow.params.stages import ForTrain, read_parameters
@@ -18,13 +17,6 @@ from gelforge.flow.params.tables import TrainingTable, TrainTable
 from gelforge.records.networkkind import kind_of
 
 VERSION = 22
-
-
-def read_models(path) -> dict:
-    """Read the model table, TOML as written or JSON as stage 00 leaves it."""
-    from gelforge.flow.files import read_toml
-
-    return read_json(path) if Path(path).suffix == ".json" else read_toml(path)
 
 
 def resolve(models: dict, name: str, train: TrainTable) -> tuple[dict, TrainingTable]:
@@ -54,14 +46,7 @@ def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None
     return make_model(data, name, model, settings, VERSION, checkpoint, start, also)
 
 
-@command(
-    option("--dataset", type=Path, help="60_dataset/RES"),
-    option("--also", type=Path, nargs="*", default=[], help="60_dataset/RES of other datasets to learn from"),
-    option("--model", help="name of a table in --models"),
-    option("--models", type=Path, default=Path("workflow/models.toml")),
-    option("--params", type=Path),
-    option("--out", type=Path),
-)
+@stage(Layout.network)
 def main(args: Namespace) -> None:
     from gelforge.networks.checkpoint.weights import load_weights
     from gelforge.networks.data.arrays import open_data
@@ -69,12 +54,14 @@ def main(args: Namespace) -> None:
     from gelforge.networks.pipeline import Start, save_trained
     from gelforge.reporting.networkcharts import draw_curve
 
-    model, settings = resolve(read_models(args.models), args.model, read_parameters(args.params, ForTrain).train)
+    of = args.of
+    params = read_parameters(of.parameters("train"), ForTrain).train
+    model, settings = resolve(read_json(of.parameters(f"models/{args.model}")), args.model, params)
     checkpoint = beside(args.out, ".checkpoint.pt")
-    data = open_data(args.dataset)
+    data = open_data(of.dataset(args.resolution))
     weights = SHIPPED.with_suffix(".safetensors")
     start = Start(*load_weights(weights)) if model.pop("start", None) else None
-    also = [open_data(folder) for folder in args.also]
+    also = [open_data(Layout(of.root.parent / name).dataset(args.resolution)) for name in params.also]
     trained = train(data, args.model, model, settings, checkpoint, start, also)
     curve = trained.metadata["curve"]
     write_csv(beside(args.out, ".curve.csv"), list(curve[0]), curve)

@@ -16,7 +16,7 @@ from gelforge.commands.estimate import (
     on_hexahedra,
     pilot_presses,
     training,
-    uncalibrated,
+    with_stiffness,
 )
 from gelforge.flow.files import read_json, write_csv, write_json, write_text
 from gelforge.flow.forecast import Cost, on_cores, pilots, presses_an_hour, size, table, wall_seconds
@@ -199,10 +199,11 @@ def test_presses_of_other_datasets_cost_what_its_own_do(tmp_path):
 
 def test_pilots_need_no_posterior(tmp_path):
     """c10 = "calibrated" is found by the very run that is estimated."""
-    write_json(
-        tmp_path / "params/forces.json", {"version": 1, "forces": {}, "material": {"c10": "calibrated", "nu": 0.475}}
-    )
-    made = read_json(uncalibrated(tmp_path / "params", tmp_path / "work"))
+    work = Layout(tmp_path)
+    table = {"version": 1, "forces": {}, "material": {"c10": "calibrated", "nu": 0.475}}
+    write_json(work.parameters("forces"), table)
+    with_stiffness(work)
+    made = read_json(work.parameters("forces"))
     assert made["material"]["nu"] == 0.475 and isinstance(made["material"]["c10"], float)
 
 

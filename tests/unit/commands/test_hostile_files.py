@@ -42,7 +42,7 @@ def test_a_table_that_lost_all_its_bytes_is_not_one_without_rows(tmp_path):
 def test_a_sample_id_that_may_name_no_file_never_does(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     for name in ("..", "../../../x", "a/b", "$(touch f)", "", "-rf", "a" * 101, "a\x1b[2Jb\n\u202ec"):
-        refused("", sample.main, ["--dataset", "demo", f"--id={name}", "--steps", "x"])
+        refused("", sample.main, ["results/demo", f"--id={name}"])
         refused("", look.main, ["--data", "data/demo", "--results", "results/demo", f"--id={name}"])
     assert not list(tmp_path.iterdir())
 

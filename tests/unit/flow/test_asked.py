@@ -40,11 +40,11 @@ def refused(goals, **given):
 
 
 def test_a_plan_is_made_again_where_a_file_changed_and_not_for_ever():
-    assert asked("labels") == ["plan", "MODEL=grid_16"] and asked("help") == []
+    assert asked("labels") == ["plan", "MODEL=grid_16", "LEARNT=grid_16"] and asked("help") == []
     write_text("data/tiny/log.csv", "sample_id\nx\n")
     assert asked("labels") == ["plan", "again"] == asked("labels", MODEL="unknown_yet")
     # a log that is being written to changes for ever
-    assert asked("labels", MAKE_RESTARTS=str(MOST_RESTARTS)) == ["plan", "MODEL=grid_16"]
+    assert asked("labels", MAKE_RESTARTS=str(MOST_RESTARTS)) == ["plan", "MODEL=grid_16", "LEARNT=grid_16"]
     os.unlink("results/tiny/00_plan/plan.mk")
     assert asked("labels", MAKE_RESTARTS=str(MOST_RESTARTS)) == ["plan", "again"]
 
@@ -141,5 +141,5 @@ def test_under_strict_what_was_let_through_is_judged_again():
     write_text(tables[0].replace(".csv", ".rejected.csv"), "row,reason\n2,no number\n")
     write_json("results/tiny/00_plan/shards/0001.json", {"repeated": {"2": "row 3"}})
     write_json("results/tiny/60_dataset/24x32/dataset.json", {"repeated_pictures": []})
-    assert asked("poses", STRICT="1")[2:] == [*tables, "results/tiny/60_dataset/24x32/dataset.json"]
-    assert not asked("poses")[2:]
+    assert asked("poses", STRICT="1")[3:] == [*tables, "results/tiny/60_dataset/24x32/dataset.json"]
+    assert not asked("poses")[3:]

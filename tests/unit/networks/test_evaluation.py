@@ -1,15 +1,14 @@
 """Evaluation of networks, its report, and the chart that sets errors against latency; on small networks."""
 
 import csv
-import shutil
 from dataclasses import replace
 
 import cv2
 import numpy as np
 import pytest
 
-from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_csv, write_json
+from gelforge.flow.layout import Layout
 from gelforge.networks.data.arrays import calibration_rows, open_data, press_keys, split_validation
 from gelforge.networks.evaluation.evaluation import (
     FEWEST_DRAWN,
@@ -131,24 +130,21 @@ def test_the_choice_is_faster_and_nowhere_worse():
     assert pareto_models.choose([base, fast, best]) is None and pareto_models.choose([fast]) is None
 
 
-def test_chart_of_models_against_latency(data, models, paths, tmp_path):
-    evaluations = {}
+def test_chart_of_models_against_latency(data, models, paths, tmp_path, monkeypatch):
+    of = Layout(tmp_path / "results/made")
+    of.dataset("6x8").parent.mkdir(parents=True)
+    of.dataset("6x8").symlink_to(data.folder)
     for name, trained in models.items():
-        write_json(tmp_path / f"{name}.json", evaluate(data, trained.model, EVALUATE)[0])
-        evaluations[name] = tmp_path / f"{name}.json"
-    out = tmp_path / "chart" / "6x8.json"
-    argv = [
-        "--dataset", str(data.folder), "--models", *map(str, paths.values()), "--seconds", "0.05",
-        "--evaluations", *map(str, evaluations.values()), "--out", f"{out}.part",
-    ]  # fmt: skip
-    assert pareto_models.main(argv) == 0
-    shutil.move(f"{out}.part", out)
+        write_json(of.evaluation("6x8", name), evaluate(data, trained.model, EVALUATE)[0])
+        of.network("6x8", name).parent.mkdir(parents=True, exist_ok=True)
+        of.network("6x8", name).symlink_to(paths[name])
+    monkeypatch.setattr(pareto_models, "SECONDS", 0.05)
+    assert pareto_models.main([str(of.root), "6x8", *models]) == 0
+    out = of.network_chart("6x8")
     with out.with_suffix(".csv").open() as stream:
         rows = list(csv.DictReader(stream))
     assert {row["model"] for row in rows} == set(MODELS) and all(float(row["cpu2_median_ms"]) > 0 for row in rows)
     assert out.with_suffix(".png").exists()
-    with pytest.raises(BadInput, match="same names"):
-        pareto_models.main([*argv[:4], *argv[6:]])
 
 
 def test_shuffling_leaves_no_press_a_prediction_of_its_own(data, models):

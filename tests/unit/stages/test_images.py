@@ -1,13 +1,13 @@
 """Stage 15 on the demo's images: what stops make, what is left out of the dataset, and what is read again."""
 
 import shutil
-from argparse import Namespace
 
 import numpy as np
 import pytest
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv, read_json, read_toml, write_csv, write_json
+from gelforge.flow.files import read_csv, read_json, read_toml, write_csv, write_json, write_text
+from gelforge.flow.layout import Layout
 from gelforge.records.image import read_image, write_png
 from gelforge.records.log import read_poses
 from gelforge.stages import images
@@ -18,30 +18,27 @@ from tests.support.parameters import write_stage
 @pytest.fixture
 def folder(root, tmp_path):
     """The demo's presses as stage 10 leaves them, and their images."""
-    shutil.copytree(root / "data/demo/images", tmp_path / "data/images")
-    shutil.copytree(root / "data/demo/nocontact", tmp_path / "data/nocontact")
+    of = Layout(tmp_path / "results/demo")
+    for name in ("images", "nocontact"):
+        shutil.copytree(root / "data/demo" / name, of.data / name)
     rows = [row | {"row": at + 2} for at, row in enumerate(read_csv(root / "data/demo/log.csv"))]
-    write_csv(tmp_path / "10_poses/0000.csv", list(rows[0]), rows)
-    (tmp_path / "shards").mkdir()
-    (tmp_path / "shards/0000.csv").touch()
+    write_csv(of.poses("0000"), list(rows[0]), rows)
+    write_text(of.shard("0000"), "")
     for name in ("sensors", "indenters"):
-        write_json(tmp_path / "params" / f"{name}.json", read_toml(root / "workflow" / f"{name}.toml"))
-    write_json(tmp_path / "params/gels.json", {})
-    return tmp_path
+        write_json(of.parameters(name), read_toml(root / "workflow" / f"{name}.toml"))
+    write_json(of.parameters("gels"), {})
+    return of.root
 
 
 def judge(folder, capsys, **poses) -> tuple[int, str]:
     """Exit status of stage 15 and what it writes to people."""
-    write_stage(folder / "params", "images", poses=poses)
-    status = images.main([
-        "--poses", f"{folder}/10_poses", "--shards", f"{folder}/shards", "--params", f"{folder}/params/images.json",
-        "--workflow", str(folder), "--data", f"{folder}/data", "--out", f"{folder}/15_images/images.json",
-    ])  # fmt: skip
+    write_stage(folder / "00_plan/params", "images", poses=poses)
+    status = images.main([str(folder)])
     return status, capsys.readouterr().err
 
 
 def exchange(folder, one: int, other: int) -> None:
-    first, second = (folder / f"data/images/demo-{at:06d}.png" for at in (one, other))
+    first, second = (Layout(folder).data / f"images/demo-{at:06d}.png" for at in (one, other))
     kept = first.read_bytes()
     first.write_bytes(second.read_bytes())
     second.write_bytes(kept)
@@ -55,7 +52,7 @@ def test_good_images_are_read_once_and_wrong_ones_left_out(folder, capsys):
     made = kept.stat().st_mtime_ns
     assert judge(folder, capsys)[0] == 0 and kept.stat().st_mtime_ns == made
     exchange(folder, 10, 16)
-    shutil.copy(folder / "data/images/demo-000003.png", folder / "data/images/demo-000005.png")
+    shutil.copy(Layout(folder).data / "images/demo-000003.png", Layout(folder).data / "images/demo-000005.png")
     status, said = judge(folder, capsys)
     assert status == 0 and kept.stat().st_mtime_ns != made
     assert read_json(folder / "15_images/images.json")["left_out"].keys() == {
@@ -77,18 +74,17 @@ def test_shifted_images_stop_make_unless_all_are_to_be_used(folder, capsys):
 
 
 def test_a_pressed_no_contact_image_stops_make(folder, capsys):
-    shutil.copy(folder / "data/images/demo-000003.png", folder / "data/nocontact/mini_e.png")
+    shutil.copy(Layout(folder).data / "images/demo-000003.png", Layout(folder).data / "nocontact/mini_e.png")
     with pytest.raises(BadInput, match=r"nocontact/mini_e.png: .* touches the gel"):
         judge(folder, capsys)
 
 
 def test_imported_images_are_judged_where_the_dataset_is_made(folder, capsys):
     """Without poses there is no stage 15: an image of another unit and a mirrored one are named by their rows."""
-    mirrored = folder / "data/images/demo-000004.png"
+    mirrored = Layout(folder).data / "images/demo-000004.png"
     write_png(mirrored, np.ascontiguousarray(read_image(mirrored)[:, ::-1]))
-    shutil.copy(folder / "data/images/demo-000003.png", folder / "data/images/demo-000005.png")
-    args = Namespace(data=folder / "data", sensors=folder / "params/sensors.json")
-    found = wrong_imported(args, read_poses(folder / "10_poses/0000.csv"))
+    shutil.copy(Layout(folder).data / "images/demo-000003.png", Layout(folder).data / "images/demo-000005.png")
+    found = wrong_imported(Layout(folder), read_poses(folder / "10_poses/0000.csv"))
     assert found.keys() == {"demo-000004", "demo-000005"} and "mirrored left to right" in found["demo-000004"]
     assert "(row 6)" in capsys.readouterr().err
 
@@ -96,8 +92,12 @@ def test_imported_images_are_judged_where_the_dataset_is_made(folder, capsys):
 def test_maps_are_made_anew_for_a_gel_of_other_numbers(folder):
     """A pad keeps its name when its thickness is edited: its press is then expected elsewhere."""
     press = read_poses(folder / "10_poses/0000.csv")[0]
-    tables = {name: read_json(folder / f"params/{name}.json") for name in ("sensors", "indenters")}
+    tables = {name: read_json(folder / f"00_plan/params/{name}.json") for name in ("sensors", "indenters")}
     tables["sensors"][press.sensor_id]["gel"] = "pad"
     thick, thin = ({**tables, "gels": {"pad": {"height": height}}} for height in (4.0, 3.0))
-    first = images.key_of(press, folder / "data", thick)
-    assert images.key_of(press, folder / "data", dict(thick)) == first != images.key_of(press, folder / "data", thin)
+    first = images.key_of(press, Layout(folder).data, thick)
+    assert (
+        images.key_of(press, Layout(folder).data, dict(thick))
+        == first
+        != images.key_of(press, Layout(folder).data, thin)
+    )

@@ -18,7 +18,7 @@ from gelforge.geometry.gel import GELS
 from gelforge.records.log import read_shard
 from gelforge.stages import plan
 from gelforge.stages.plan import assign_shards, image_digests, logged_rows, networks, write_shards
-from tests.support.parameters import parameters
+from tests.support.parameters import parameters, place_workflow
 
 NAMES = st.lists(st.integers(0, 200).map(str), unique=True, max_size=60)
 
@@ -131,15 +131,22 @@ def test_a_misspelt_override_is_refused(tmp_path, root):
 LOG = "sample_id,sensor_id,indenter\ns1,{},sphere_15\ns2,mini_b,sphere_15\n"
 
 
-def planned(tmp_path, text, sensor="mini_a", ccx="none"):
+@pytest.fixture
+def lab(tmp_path):
+    """The folder data/lab of a place with the project's workflow."""
+    folder = place_workflow(tmp_path) / "data/lab"
+    folder.mkdir()
+    return folder
+
+
+def planned(lab, text, sensor="mini_a", ccx="none"):
     """Plan a log of two rows under a dataset.toml; the sensors of the rows as the shard has them."""
-    (tmp_path / "dataset.toml").write_text(text)
-    (tmp_path / "log.csv").write_text(LOG.format(sensor))
-    (tmp_path / "ccx.path").write_text(ccx)
-    plan.main(
-        ["--data", str(tmp_path), "--ccx", str(tmp_path / "ccx.path"), "--out", str(tmp_path / "00_plan" / "plan.mk")]
-    )
-    return [row.cells["sensor_id"] for row in read_shard(tmp_path / "00_plan" / "shards" / "0000.csv")]
+    (lab / "dataset.toml").write_text(text)
+    (lab / "log.csv").write_text(LOG.format(sensor))
+    (lab / "ccx.path").write_text(ccx)
+    of = Layout(lab.parents[1] / "results/lab")
+    plan.main([str(of.root), "--ccx", str(lab / "ccx.path")])
+    return [row.cells["sensor_id"] for row in read_shard(of.shard("0000"))]
 
 
 def test_images_of_a_linked_folder_count_and_a_path_that_leads_out_does_not(tmp_path):
@@ -160,57 +167,55 @@ def test_images_of_a_linked_folder_count_and_a_path_that_leads_out_does_not(tmp_
 
 
 @pytest.mark.parametrize("name", ["mini_a.jpg", "mini_a.PNG", "mini_a.tiff"])
-def test_a_no_contact_image_that_nobody_would_read_is_named(tmp_path, name):
-    (tmp_path / "nocontact").mkdir()
-    (tmp_path / "nocontact" / name).touch()
+def test_a_no_contact_image_that_nobody_would_read_is_named(lab, name):
+    (lab / "nocontact").mkdir()
+    (lab / "nocontact" / name).touch()
     with pytest.raises(BadInput, match=rf"nocontact/{name}: .*save it as mini_a\.png"):
-        planned(tmp_path, "")
-    (tmp_path / "nocontact/mini_a.png").touch()
-    planned(tmp_path, "")
+        planned(lab, "")
+    (lab / "nocontact/mini_a.png").touch()
+    planned(lab, "")
 
 
-def test_what_belongs_to_no_sensor_is_named_while_a_sensor_lacks_its_no_contact_image(tmp_path):
-    folder = tmp_path / "nocontact"
+def test_what_belongs_to_no_sensor_is_named_while_a_sensor_lacks_its_no_contact_image(lab):
+    folder = lab / "nocontact"
     for stray in ("Mini_A.png", "mini-a.png", "mini_a/0001.png", "old/a.png"):
         (folder / stray).parent.mkdir(parents=True)
         (folder / stray).touch()
         with pytest.raises(
             BadInput, match=rf"nocontact/{stray.split('/')[0]}: .*save one as .*nocontact/mini_a\.png"
         ):
-            planned(tmp_path, "")
-        planned(tmp_path, "[params.poses]\nimages = false\n")
+            planned(lab, "")
+        planned(lab, "[params.poses]\nimages = false\n")
         shutil.rmtree(folder)
     folder.mkdir()
     for name in ("mini_c.png", "notes.txt"):  # of a sensor that is not in this log; no picture
         (folder / name).touch()
-    planned(tmp_path, "")
+    planned(lab, "")
     (folder / "old").mkdir()
     for name in ("mini_a.png", "mini_b.png"):  # nothing is missing
         (folder / name).touch()
-    planned(tmp_path, "")
+    planned(lab, "")
 
 
-def test_a_dataset_may_bring_indenters_of_its_own(tmp_path):
-    own = tmp_path / "indenters.toml"
+def test_a_dataset_may_bring_indenters_of_its_own(lab):
+    own = lab / "indenters.toml"
     own.write_text('[sphere_15]\nkind = "sphere"\n')
-    with pytest.raises(BadInput, match=r"indenters.toml: sphere_15 stands in workflow/indenters.toml, too"):
-        planned(tmp_path, "")
+    with pytest.raises(BadInput, match=r"indenters.toml: sphere_15 stands in .*workflow/indenters.toml, too"):
+        planned(lab, "")
     own.write_text('[mine]\nkind = "stl"\nfile = "shapes/mine.stl"\n')
-    planned(tmp_path, '[params.dataset]\nunseen_indenters = ["mine"]\n')
-    bodies = config.read_indenter_tables("workflow", tmp_path, "indenters.toml")
-    assert (
-        Path("workflow") / bodies["mine"]["file"]
-    ).resolve() == tmp_path / "shapes/mine.stl" and "sphere_15" in bodies
+    planned(lab, '[params.dataset]\nunseen_indenters = ["mine"]\n')
+    bodies = config.read_indenter_tables("workflow", lab, "indenters.toml")
+    assert (Path("workflow") / bodies["mine"]["file"]).resolve() == lab / "shapes/mine.stl" and "sphere_15" in bodies
     with pytest.raises(
-        BadInput, match=r"workflow/data/own/mine.toml: not found; catalogues lie in workflow/; .* go into"
+        BadInput, match=r"workflow/data/own/mine.toml: not found; catalogues lie in .*workflow/; .* go into"
     ):
-        planned(tmp_path, 'catalogue = "data/own/mine.toml"')
+        planned(lab, 'catalogue = "data/own/mine.toml"')
 
 
-def test_rows_that_name_no_sensor_are_of_the_datasets(tmp_path):
-    assert planned(tmp_path, 'sensor = "mini_c"\ngel = "gelsight_mini"\n', "") == ["mini_c", "mini_b"]
-    assert planned(tmp_path, 'sensor = "mini_c"\n', "mini_a") == ["mini_a", "mini_b"]
-    assert planned(tmp_path, "", "") == ["", "mini_b"]
+def test_rows_that_name_no_sensor_are_of_the_datasets(lab):
+    assert planned(lab, 'sensor = "mini_c"\ngel = "gelsight_mini"\n', "") == ["mini_c", "mini_b"]
+    assert planned(lab, 'sensor = "mini_c"\n', "mini_a") == ["mini_a", "mini_b"]
+    assert planned(lab, "", "") == ["", "mini_b"]
 
 
 UNKNOWN = [
@@ -233,26 +238,26 @@ UNKNOWN = [
 ]
 
 
-def test_names_that_are_none_are_refused_at_the_plan(tmp_path, monkeypatch):
+def test_names_that_are_none_are_refused_at_the_plan(lab, monkeypatch):
     monkeypatch.setitem(GELS, "soft", GELS["gelsight_mini"])
     for text, named in UNKNOWN:
         with pytest.raises(BadInput, match=named):
-            planned(tmp_path, text)
+            planned(lab, text)
 
 
-def test_sensors_sit_on_gels_of_their_own_where_bricks_follow_them(tmp_path):
-    (tmp_path / "sensors.toml").write_text(
+def test_sensors_sit_on_gels_of_their_own_where_bricks_follow_them(lab):
+    (lab / "sensors.toml").write_text(
         '[thin]\ngel = "gelsight_mini-3.6mm"\nimage = [320, 240]\n'
         "projection = [[0.0, -14.0, 160.0], [-14.0, 0.0, 120.0], [0.0, 0.0, 1.0]]\n"
     )
     hexahedra = '[params.fea]\nfidelity = "hex"\n'
-    assert planned(tmp_path, hexahedra, "thin") == ["thin", "mini_b"]
+    assert planned(lab, hexahedra, "thin") == ["thin", "mini_b"]
     off = r"sensor '{}' of the log has gel '{}'.*hexahedra .*follow the thickness"
     with pytest.raises(BadInput, match=off.format("thin", "gelsight_mini-3.6mm")):
-        planned(tmp_path, '[params.fea]\nfidelity = "auto"\n', "thin", ccx="/usr/bin/ccx")
+        planned(lab, '[params.fea]\nfidelity = "auto"\n', "thin", ccx="/usr/bin/ccx")
     # of a thickness for all presses nobody has to guess whether it serves sensors that state none
     with pytest.raises(BadInput, match=off.format("mini_b", "gelsight_mini")):
-        planned(tmp_path, hexahedra + '[params.meshes]\ngel = "gelsight_mini-3.6mm"\n', "thin")
+        planned(lab, hexahedra + '[params.meshes]\ngel = "gelsight_mini-3.6mm"\n', "thin")
 
 
 LARGE = """[large]
@@ -262,11 +267,11 @@ projection = [[0.0, -28.0, 320.0], [-28.0, 0.0, 240.0], [0.0, 0.0, 1.0]]
 """
 
 
-def test_pictures_of_several_sizes_are_refused_before_anything_is_solved(tmp_path):
-    (tmp_path / "sensors.toml").write_text(LARGE)
+def test_pictures_of_several_sizes_are_refused_before_anything_is_solved(lab):
+    (lab / "sensors.toml").write_text(LARGE)
     with pytest.raises(BadInput, match=r"several sizes \(large 640 x 480, mini_b 320 x 240\): make one dataset"):
-        planned(tmp_path, "", "large")
-    assert planned(tmp_path, "[params.poses]\nimages = false\n", "large") == ["large", "mini_b"]
+        planned(lab, "", "large")
+    assert planned(lab, "[params.poses]\nimages = false\n", "large") == ["large", "mini_b"]
 
 
 def test_a_network_that_does_not_read_the_pictures_is_refused_before_anything_is_solved(root):

@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import write_csv
+from gelforge.flow.files import write_csv, write_json
+from gelforge.flow.layout import Layout
 from gelforge.geometry import touch, triangles
 from gelforge.geometry.cropping import cropped
 from gelforge.geometry.gel import Gel
@@ -26,26 +27,23 @@ from tests.support.press_records import press_record
 @pytest.fixture
 def lab(tmp_path, root):
     """A dataset folder, parameter files, and a function that runs the stage over rows."""
-    (tmp_path / "data" / "images").mkdir(parents=True)
-    cv2.imwrite(str(tmp_path / "data" / "images" / "a.png"), np.full((240, 320, 3), 90, np.uint8))
-    (tmp_path / "params").mkdir()
+    of = Layout(tmp_path / "results/lab")
+    (of.data / "images").mkdir(parents=True)
+    cv2.imwrite(str(of.data / "images" / "a.png"), np.full((240, 320, 3), 90, np.uint8))
     for name in ("sensors", "indenters"):
-        table = tomllib.loads((root / "workflow" / f"{name}.toml").read_text())
-        (tmp_path / "params" / f"{name}.json").write_text(json.dumps(table))
-    write_stage(tmp_path / "params", "poses")
+        write_json(of.parameters(name), tomllib.loads((root / "workflow" / f"{name}.toml").read_text()))
+    write_stage(of.params, "poses")
 
     def run(rows, *flags, without=()):
-        shard = tmp_path / "0000.csv"
+        shard = of.shard("0000")
         log.write_log(shard, rows)
         lines = [{name: cell for name, cell in row.items() if name not in without} for row in read(shard)]
         write_csv(shard, list(lines[0]), lines)
-        out = tmp_path / "out" / "0000.csv.part"
-        read_from = ["--data", str(tmp_path / "data"), "--shard", str(shard)]
-        params = ["--params", str(tmp_path / "params" / "poses.json")]
-        assert poses.main([*read_from, *params, "--out", str(out), *flags]) == 0
-        return read(out), read(out.parent / "0000.rejected.csv"), out.parent / "0000"
+        assert poses.main([str(of.root), "0000", *flags]) == 0
+        return read(of.poses("0000")), read(of.rejected("0000")), of.root / "10_poses/0000"
 
-    run.sensors = lambda tables: (tmp_path / "params/sensors.json").write_text(json.dumps(tables))
+    run.sensors = lambda tables: write_json(of.parameters("sensors"), tables)
+    run.of = of
     return run
 
 
@@ -104,7 +102,7 @@ def test_unusable_press_is_rejected_and_the_others_go_on(lab, capsys, cells, col
     assert [row["sample_id"] for row in table] == ["good"]
     assert [(r["sample_id"], r["column"], r["row"]) for r in rejected] == [("bad", column, "2")]
     assert says in rejected[0]["reason"]
-    assert rejected[0]["file"].endswith("data/log.csv")
+    assert rejected[0]["file"].endswith("data/lab/log.csv")
     assert f"row 2, bad: {column}" in capsys.readouterr().err
     assert [p.name for p in folder.iterdir()] == ["good.stl"]
 
@@ -124,7 +122,7 @@ def test_faults_that_do_not_depend_on_each_other_are_reported_together(lab):
 def test_strict_fails_after_writing_the_reasons(lab, tmp_path):
     with pytest.raises(BadInput, match="1 rows rejected"):
         lab([sample("bad", z0_mm=1.5), sample("good")], "--strict")
-    assert read(tmp_path / "out" / "0000.rejected.csv")
+    assert read(lab.of.rejected("0000"))
 
 
 def test_strict_run_can_be_followed_by_a_good_one(lab):
@@ -141,7 +139,7 @@ def test_a_log_without_a_column_of_images_is_reported_once_and_can_be_allowed(la
     lines = [line for line in capsys.readouterr().err.splitlines() if line.startswith("rejected: ")]
     assert len(lines) == 1 and "[params.poses] images = false" in lines[0]
     assert lines[0].endswith("the same reason against 8 more rows: 3, 4, 5, 6, 7, …")
-    write_stage(tmp_path / "params", "poses", poses={"images": False})
+    write_stage(lab.of.params, "poses", poses={"images": False})
     for without in ([], ["image"]):
         table, rejected, _ = lab([replace(row, image="") for row in rows], without=without)
         assert not rejected and len(table) == 9
@@ -158,23 +156,19 @@ def test_rows_that_want_something_else_done_are_distinguished():
 
 def test_users_shape_goes_through(lab, tmp_path, root):
     catalogue = load_catalogue(root / "workflow" / "indenters.toml", ["cuboid_7"])
-    path = tmp_path / "params" / "indenters.json"
+    path = lab.of.parameters("indenters")
     path.write_text(json.dumps({"mine": {"kind": "stl", "file": "shapes/mine.stl", "spacing": 0.3}}))
-    (tmp_path / "shapes").mkdir()
-    mine = tmp_path / "shapes" / "mine.stl"
+    (tmp_path / "workflow/shapes").mkdir(parents=True)
+    mine = tmp_path / "workflow/shapes/mine.stl"
     triangles.write_stl(mine, *catalogue["cuboid_7"].surface())
-    table, rejected, folder = lab(
-        [sample("a", indenter="mine"), sample("b", indenter="mine", z0_mm=3.0)], "--workflow", str(tmp_path)
-    )
+    table, rejected, folder = lab([sample("a", indenter="mine"), sample("b", indenter="mine", z0_mm=3.0)])
     assert [row["sample_id"] for row in table] == ["a"]
     assert [row["column"] for row in rejected] == ["dz_mm"]
     assert read_stl(folder / "a.stl")[0][:, 2].max() == pytest.approx(1.5, abs=1e-5)
     mine.write_bytes(mine.read_bytes()[:500])
     table = json.loads(path.read_text()) | {"ball": {"kind": "sphere", "diameter": 15.0, "height": 10.0}}
     path.write_text(json.dumps(table))
-    table, rejected, _ = lab(
-        [sample("a", indenter="mine"), sample("b", indenter="ball")], "--workflow", str(tmp_path)
-    )
+    table, rejected, _ = lab([sample("a", indenter="mine"), sample("b", indenter="ball")])
     assert [row["sample_id"] for row in table] == ["b"]  # a broken shape keeps out its own presses alone
     assert [(row["column"], "mine.stl" in row["hint"]) for row in rejected] == [("indenter", True)]
 
@@ -231,11 +225,12 @@ def test_a_ring_thinner_than_the_points_of_the_gel_touches(root):
 def test_a_body_that_would_vanish_in_the_gel_is_reported_with_its_size(lab, tmp_path, root, unit):
     """A file in inches or centimetres: the gel closes above a body that is lower than the press is deep."""
     vertices, faces = load_catalogue(root / "workflow" / "indenters.toml", ["sphere_15"])["sphere_15"].surface()
-    triangles.write_stl(tmp_path / "ball.stl", vertices / unit, faces)
+    (tmp_path / "workflow").mkdir()
+    triangles.write_stl(tmp_path / "workflow/ball.stl", vertices / unit, faces)
     mine = {"kind": "stl", "file": "ball.stl", "spacing": 0.1}
-    (tmp_path / "params/indenters.json").write_text(json.dumps({"mine": mine}))
+    (lab.of.parameters("indenters")).write_text(json.dumps({"mine": mine}))
     deep = sample("deep", indenter="mine", dz_mm=-1.2)
-    table, rejected, _ = lab([deep, sample("light", indenter="mine", dz_mm=-0.2)], "--workflow", str(tmp_path))
+    table, rejected, _ = lab([deep, sample("light", indenter="mine", dz_mm=-0.2)])
     assert [row["sample_id"] for row in table] == ["light"]
     (row,) = rejected
     size = " x ".join(f"{side / unit:.3g}" for side in np.ptp(vertices, axis=0))
@@ -355,14 +350,14 @@ def test_a_log_with_its_forces_turned_round_says_so_once_with_the_likely_cause(l
 
 def test_presses_that_show_one_picture_are_named_and_refused_where_strict(lab, tmp_path, capsys):
     rows = [sample("a"), sample("b", image="images/b.png", y0_mm=1.0), sample("c", y0_mm=2.0)]
-    cv2.imwrite(str(tmp_path / "data/images/b.png"), np.full((240, 320, 3), 91, np.uint8))
-    (tmp_path / "0000.json").write_text(json.dumps({"repeated": {"2": "row 4, c,", "4": "row 2, a,"}}))
+    cv2.imwrite(str(lab.of.data / "images/b.png"), np.full((240, 320, 3), 91, np.uint8))
+    write_json(lab.of.shards / "0000.json", {"repeated": {"2": "row 4, c,", "4": "row 2, a,"}})
     good, rejected, _ = lab(rows)
     said = capsys.readouterr().err
     assert [row["sample_id"] for row in good] == ["a", "b", "c"] and rejected == []
     assert said.count("kept, in one split") == 2 and "a: image = 'images/a.png': row 4, c, shows a picture" in said
     with pytest.raises(BadInput, match="2 rows rejected"):
         lab(rows, "--strict")
-    folder = tmp_path / "out"
-    assert [row["sample_id"] for row in read(folder / "0000.csv.part")] == ["b"]
+    folder = tmp_path / "results/lab/10_poses"
+    assert [row["sample_id"] for row in read(folder / "0000.csv")] == ["b"]
     assert [row["row"] for row in read(folder / "0000.rejected.csv")] == ["2", "4"]

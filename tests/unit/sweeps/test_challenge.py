@@ -23,14 +23,13 @@ from gelforge.sweeps.methods import LARGE_REFERENCE, REFERENCE, TURNED
 from gelforge.sweeps.scenes import parse_scene, read_tables
 from gelforge.sweeps.symmetry import image_of, images_of, turned, turned_back
 from gelforge.sweeps.trial import GRID, load_bench, measure
-from tests.support.parameters import stage_of
+from tests.support.parameters import place_workflow, stage_of
 
 
 @pytest.fixture(scope="module")
 def folder(root, tmp_path_factory):
-    out = tmp_path_factory.mktemp("challenge") / "out"
-    given = ["write", "--workflow", str(root / "workflow"), "--references", str(root / "data" / "fea_challenge")]
-    assert stage.main([*given, "--out", str(out)]) == 0
+    out = place_workflow(tmp_path_factory.mktemp("challenge")) / "results/out"
+    assert stage.main(["write", str(out)]) == 0
     return out
 
 
@@ -271,9 +270,9 @@ def test_the_folder_is_not_written_with_forces_of_other_scenes(root, tmp_path, c
     changed = re.sub(r"^depth = .*$", "depth = 0.77", text, count=1, flags=re.MULTILINE)
     assert changed != text
     scenes.write_text(changed, encoding="utf-8")
-    given = ["write", "--workflow", str(workflow), "--references", str(root / "data" / "fea_challenge")]
+    (tmp_path / "data").symlink_to(root / "data")
     with pytest.raises(BadInput, match="run make fea-references"):
-        stage.main([*given, "--out", str(tmp_path / "out")])
+        stage.main(["write", str(tmp_path / "results/out")])
 
 
 def test_references_of_scenes_that_are_gone_go(folder, tmp_path):
