@@ -2,6 +2,10 @@
 PY := .venv/bin/python
 # The code of this checkout, whichever one the environment was made in.
 export PYTHONPATH := $(CURDIR)/src
+# A file of this folder that is named like a module of Python's own, such as types.py, does not take its place.
+export PYTHONSAFEPATH := 1
+# Tests are imported from this folder.
+PY_HERE := PYTHONSAFEPATH= $(PY)
 # Gels of one's own, for all processes of this make.
 export GELFORGE_GELS := $(CURDIR)/workflow/gels.toml
 SETUP := .venv/ready

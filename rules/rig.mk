@@ -13,9 +13,9 @@ rig-estimate: $(SETUP)  ## estimate core hours, disk, memory and time of a plan,
 	@$(PY) -m gelforge.stages.rig --estimate --plan $(call given,PLAN) --data data --jobs $(SLOTS)
 
 rig-check: $(SETUP)  ## run benchmark-rig; images of the rig beside real ones: results/rig-check/index.html
-	@$(PY) -m tests.benchmarks.rig --reference $(call given,REFERENCE) --page results/rig-check/index.html
+	@$(PY_HERE) -m tests.benchmarks.rig --reference $(call given,REFERENCE) --page results/rig-check/index.html
 
 # The table that ships with `gelforge sensor --balls`; to solve it anew remove it first, rows that are there stay.
 .PHONY: ball-table
 ball-table: $(SETUP)  ## solve the missing rows of src/gelforge/networks/balls/balls.csv (three minutes for all)
-	@$(PY) -m tests.benchmarks.ball_table
+	@$(PY_HERE) -m tests.benchmarks.ball_table

@@ -8,13 +8,13 @@ README_PICTURES := $(README)/press.png $(README)/real.png $(README)/speed.png $(
 readme-pictures: $(README_PICTURES)  ## draw the README's pictures: a press, real images beside force maps, charts
 
 $(README)/press.png: workflow/indenters.toml | $(SETUP)
-	@$(PY) -m tests.benchmarks.readme_pictures press --catalogue $< --name triangle_10 --out $@
+	@$(PY_HERE) -m tests.benchmarks.readme_pictures press --catalogue $< --name triangle_10 --out $@
 
 $(README)/real.png: src/gelforge/networks/weights/default.onnx | $(SETUP)
-	@$(PY) -m tests.benchmarks.readme_pictures real $(FILMS) --out $@
+	@$(PY_HERE) -m tests.benchmarks.readme_pictures real $(FILMS) --out $@
 
 $(README)/speed.png: $D/pareto/pareto.json
-	@$(PY) -m tests.benchmarks.readme_pictures copy --chart $D/pareto/pareto.png --data $< --out $@
+	@$(PY_HERE) -m tests.benchmarks.readme_pictures copy --chart $D/pareto/pareto.png --data $< --out $@
 
 $(README)/stability.png: $D/stability/map.json
-	@$(PY) -m tests.benchmarks.readme_pictures copy --chart $D/stability/map.png --data $< --out $@
+	@$(PY_HERE) -m tests.benchmarks.readme_pictures copy --chart $D/stability/map.png --data $< --out $@

@@ -4,7 +4,7 @@ TESTS ?= tests
 MARKED ?=
 # A process of tests that dies is not started again: with --dist loadfile the others would wait for it for ever. Files
 # keep the order of tests/conftest.py.
-PYTEST = $(PY) -m pytest -n $(SLOTS) --dist loadfile --no-loadscope-reorder --max-worker-restart=0 --durations=20
+PYTEST = $(PY_HERE) -m pytest -n $(SLOTS) --dist loadfile --no-loadscope-reorder --max-worker-restart=0 --durations=20
 
 # Tests of pages need a browser.
 CHROMIUM_FOUND := .venv/chromium.found
@@ -43,12 +43,12 @@ lint: $(SETUP)  ## check style, names, types and imports of the code, and that g
 	@$(PY) -m ruff check
 	@$(PY) -m ruff format --check
 	@$(PY) -m mypy
-	@$(PY) -m tests.support.repository
+	@$(PY_HERE) -m tests.support.repository
 
 format: $(SETUP)  ## format the code, and write what is generated: tables of figures, parameters.md, digests of stages
 	@$(PY) -m ruff check --fix
 	@$(PY) -m ruff format
-	@$(PY) -m tests.support.repository --fix
+	@$(PY_HERE) -m tests.support.repository --fix
 
 lock: $(SETUP)  ## write envs/requirements.lock from the installed packages
 	@$(PY) -m pip freeze --exclude-editable > envs/.requirements.part
@@ -62,15 +62,15 @@ MODULES := $(patsubst tests/benchmarks/%.py,%,$(wildcard tests/benchmarks/*.py))
 BENCHMARKS := $(addprefix benchmark-,$(filter-out $(SHARED),$(MODULES)))
 .PHONY: $(BENCHMARKS)
 $(BENCHMARKS): benchmark-%: $(SETUP) $(CCX_FOUND)
-	@$(PY) -m tests.benchmarks.$* --out results/benchmarks/$*.json
+	@$(PY_HERE) -m tests.benchmarks.$* --out results/benchmarks/$*.json
 
 .PHONY: benchmark-tables
 benchmark-tables: $(SETUP)  ## write figures of results/benchmarks/ into README and guide, name what changed
-	@$(PY) -m tests.benchmarks.tables
+	@$(PY_HERE) -m tests.benchmarks.tables
 
 .PHONY: real-check
 real-check: $(SETUP)  ## run benchmark-real; real images with their predictions: results/real-check/index.html
-	@$(PY) -m tests.benchmarks.real --reference $(call given,REFERENCE) --out results/benchmarks/real.json \
+	@$(PY_HERE) -m tests.benchmarks.real --reference $(call given,REFERENCE) --out results/benchmarks/real.json \
 	    --page results/real-check/index.html
 
 .PHONY: benchmark-X

@@ -295,3 +295,10 @@ def test_every_phony_name_does_something(planned):
         if re.search(rf"^{name}:\s*\n(?:#.*\n)*\n", said, re.MULTILINE) and name not in ("again", "due", "meshes")
     ]  # fmt: skip
     assert idle == []
+
+
+def test_a_file_beside_the_makefile_takes_the_place_of_no_module_of_python(own):
+    (own / "types.py").write_text("raise RuntimeError('stray')\n")
+    for goal in ("poses", "status"):
+        done = make(own, goal, "DATASET=tiny")
+        assert done.returncode == 0 and "stray" not in done.stdout, done.stdout
