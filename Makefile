@@ -4,10 +4,6 @@ MAKEFLAGS += -rR --warn-undefined-variables
 by_others = $(filter command environment,$(firstword $(origin $1)))
 as_text = $(if $(call by_others,$1),$(if $(findstring $$,$(value $1)),$(eval override $1 := $$(value $1))))
 $(foreach v,$(filter-out MAKE% MFLAGS SHELL -%,$(.VARIABLES)),$(call as_text,$v))
-# Parallel jobs print whole; tests and benchmarks are one long job, which a person watches.
-ifeq ($(filter test test-% benchmark-%,$(MAKECMDGOALS)),)
-MAKEFLAGS += --output-sync=target
-endif
 .SUFFIXES:
 .DELETE_ON_ERROR:
 SHELL := bash

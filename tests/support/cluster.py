@@ -16,7 +16,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 # The flow's own macros over a module that does what the file faults/NAME says, and nothing else.
 MAKEFILE = """
-MAKEFLAGS += -rR --warn-undefined-variables --output-sync=target
+MAKEFLAGS += -rR --warn-undefined-variables
 .SUFFIXES:
 .DELETE_ON_ERROR:
 SHELL := bash

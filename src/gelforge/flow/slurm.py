@@ -27,7 +27,7 @@ from gelforge.flow.main import command, option
 from gelforge.flow.orphans import die_with_parent
 from gelforge.flow.params.schema import ParameterTable, Place, parse
 from gelforge.flow.params.tables import Count, FromNone, Line, Whole
-from gelforge.flow.step import TAIL_LINES, show_notices
+from gelforge.flow.step import SAID_EVERY_S, TAIL_LINES, show_notices
 from gelforge.flow.terminal import show_line, terminal
 
 PUBLISHED = Path("workflow/slurm.toml")
@@ -152,6 +152,7 @@ class Work:
     folder: Path
     file: Path
     profile: Profile
+    every_s: float
     tasks: list[Task] = field(default_factory=list)
 
     def run(self, noted: dict[str, str]) -> int:
@@ -197,7 +198,8 @@ class Work:
 
         None where make was asked to stop; main blocks the signals of that, so that they are noticed here alone.
         """
-        until = math.inf
+        until, started = math.inf, time.monotonic()
+        said = started
         while True:
             over = all(task.sbatch.poll() is not None for task in self.tasks)
             left = self.missing()
@@ -205,9 +207,12 @@ class Work:
                 until = min(until, time.monotonic() + self.profile.visible_seconds)
             if not left or time.monotonic() >= until or (over and all(map(self.cause, left))):
                 return left
+            come, now = f"{self.stage} on Slurm: {len(self.tasks) - len(left)} of {len(self.tasks)} results", time.monotonic()
             if device := terminal():
-                done = len(self.tasks) - len(left)
-                show_line(device, f"{self.stage} on Slurm: {done} of {len(self.tasks)} results")
+                show_line(device, come)
+            elif now - said >= self.every_s:
+                said = now
+                print(f"{come}, {now - started:.0f} s so far", flush=True)
             if signal.sigtimedwait(STOP, LOOK_EVERY_S):
                 return None
 
@@ -278,6 +283,7 @@ class Work:
 @command(
     option("notes", type=Path, help="results/DATASET/.slurm/NAME, a line TARGET<tab>COMMAND each; it is removed"),
     option("--profile", type=Path, default=PUBLISHED, help="settings that differ from workflow/slurm.toml"),
+    option("--every", type=float, default=SAID_EVERY_S, help="seconds between two lines without a terminal"),
 )
 def main(args: Namespace) -> int:
     signal.pthread_sigmask(signal.SIG_BLOCK, STOP)
@@ -290,7 +296,7 @@ def main(args: Namespace) -> int:
     stage = Path(min(noted)).relative_to(args.notes.parents[1]).parts[0]
     folder = args.notes.with_name(f"gelforge-{stage}-{secrets.token_hex(6)}")
     try:
-        return Work(stage, folder, args.profile, read_profile(args.profile, stage)).run(noted)
+        return Work(stage, folder, args.profile, read_profile(args.profile, stage), args.every).run(noted)
     finally:
         # Without its list a task that Slurm starts after all does nothing.
         shutil.rmtree(folder, ignore_errors=True)

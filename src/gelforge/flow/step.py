@@ -1,7 +1,8 @@
 """The wrapper every recipe runs in: log, cost, and a target that is whole or absent.
 
-`python -m gelforge.flow.step TARGET INPUT… -- COMMAND…`: COMMAND writes TARGET.part; this renames it on success. An input
-that is not as it was made is refused, and nothing is made of it.
+`python -m gelforge.flow.step [--every SECONDS] TARGET INPUT… -- COMMAND…`: COMMAND writes TARGET.part; this renames it on
+success. An input that is not as it was made is refused, and nothing is made of it. Jobs of make print at the same time: what
+belongs together is printed at once.
 """
 
 import fcntl
@@ -21,7 +22,7 @@ from typing import IO
 
 from gelforge.errors import BadInput, unwritable
 from gelforge.flow.files import digest_of, last_line, read_json, take, write_json
-from gelforge.flow.layout import dataset_folder, log_of, metrics_of
+from gelforge.flow.layout import Layout, dataset_folder, log_of, metrics_of
 from gelforge.flow.ledger import changed_since
 from gelforge.flow.orphans import die_with_parent
 from gelforge.flow.programs import installed
@@ -30,7 +31,8 @@ from gelforge.flow.slots import handed_on
 from gelforge.flow.terminal import show_line, terminal
 
 TAIL_LINES = 20
-LIVE_EVERY_S = 1.0
+LIVE_EVERY_S = 1.0  # between two looks for the line on a terminal
+SAID_EVERY_S = 25.0  # between two lines where there is no terminal: a run is silent for half a minute at most
 NOTICES = ("rejected: ", "failed: ", "note: ")  # lines of a log that a person must see although the step succeeded
 
 
@@ -42,20 +44,32 @@ def follow(stream: Iterable[str], log: IO[str]) -> None:
 
 
 @contextmanager
-def live_line(log_path: Path) -> Iterator[None]:
-    """While the block runs, keep one line on a person's terminal: how far the whole run has come, and what runs now."""
-    device, results = terminal(), dataset_folder(log_path)
-    if device is None or results is None:
-        yield
-        return
-    over = threading.Event()
+def live_line(target: Path, log_path: Path, every_s: float) -> Iterator[None]:
+    """While the block runs, say how far the whole run has come, and what runs now.
 
-    def show() -> None:
+    A person's terminal gets one line that is kept up to date. Elsewhere a line is printed every `every_s` seconds, by one of a
+    dataset's steps that run at the same time: the one that holds the lock of a file.
+    """
+    device, results, started, over = terminal(), dataset_folder(log_path), time.monotonic(), threading.Event()
+    speaker = (Layout(results).logs if results else log_path.parent) / "speaker"
+
+    def come() -> str:
+        last = last_line(log_path) if log_path.exists() else ""
+        return " | ".join(filter(None, (str(look(results)) if results else "", last)))
+
+    def show(device: str) -> None:
         while not over.wait(LIVE_EVERY_S):
-            show_line(device, " | ".join(filter(None, (str(look(results)), last_line(log_path)))))
+            show_line(device, come())
         show_line(device)
 
-    printer = threading.Thread(target=show, daemon=True)
+    def say() -> None:
+        with speaker.open("w") as lock:
+            while not over.wait(every_s):
+                with suppress(BlockingIOError):
+                    take(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                    print(f"{target}  {time.monotonic() - started:.0f} s so far  [{come()}]", flush=True)
+
+    printer = threading.Thread(target=show if device else say, args=[device] if device else [], daemon=True)
     printer.start()
     try:
         yield
@@ -64,8 +78,8 @@ def live_line(log_path: Path) -> Iterator[None]:
         printer.join()
 
 
-def run(command: list[str], log_path: Path) -> tuple[int, dict]:
-    """Run a command into its log; return its exit code and what it cost."""
+def run(command: list[str], target: Path, log_path: Path, every_s: float) -> tuple[int, dict]:
+    """Run a target's command into its log; return its exit code and what it cost."""
     started = time.time()
     slots, environment = handed_on(os.environ)
     with log_path.open("w", encoding="utf-8", errors="replace") as log:
@@ -83,7 +97,7 @@ def run(command: list[str], log_path: Path) -> tuple[int, dict]:
             pass_fds=slots,
         )
         stopped = pass_on_stops(child)
-        with live_line(log_path):  # after the fork, which must not meet a second thread
+        with live_line(target, log_path, every_s):  # after the fork, which must not meet a second thread
             follow(child.stdout or (), log)
             code, usage = ended(child)
     cost = {
@@ -129,9 +143,9 @@ def ended(child: subprocess.Popen) -> tuple[int, resource.struct_rusage]:
 
 def show_notices(log_path: Path) -> None:
     """Repeat what the command rejected, could not solve or found odd, because a log is not read unless something fails."""
-    for line in log_path.read_text(encoding="utf-8", errors="replace").splitlines():
-        if line.startswith(NOTICES):
-            print(line)
+    lines = log_path.read_text(encoding="utf-8", errors="replace").splitlines()
+    if notices := [line for line in lines if line.startswith(NOTICES)]:
+        print("\n".join(notices), flush=True)
 
 
 def report_failure(target: Path, log_path: Path, code: int, interrupted: bool) -> None:
@@ -140,7 +154,7 @@ def report_failure(target: Path, log_path: Path, code: int, interrupted: bool) -
         print(f"{target}: interrupted; the same make goes on with it", flush=True)
         return
     lines = log_path.read_text(encoding="utf-8", errors="replace").splitlines()[-TAIL_LINES:]
-    print(f"FAILED {target} (exit {code}); log: {log_path}", *(f"  | {line}" for line in lines), sep="\n", flush=True)
+    print("\n".join([f"FAILED {target} (exit {code}); log: {log_path}", *(f"  | {line}" for line in lines)]), flush=True)
 
 
 def refuse_corrupt(path: Path) -> None:
@@ -172,17 +186,17 @@ def changed_beside(path: Path) -> Path | None:
     return next((file for file, digest in beside if not file.is_file() or digest_of(file) != digest), None)
 
 
-def build(target: Path, inputs: list[Path], command: list[str]) -> int:
+def build(target: Path, inputs: list[Path], command: list[str], every_s: float) -> int:
     """Make one target: lock, run, publish; return the exit code."""
     before = file_state(target)
     for path in inputs:
         refuse_corrupt(path)
-    with locked(target) as log_path:
+    with locked(target, every_s) as log_path:
         # A second make that waited here finds the work of the first one done. Clocks cannot tell: a file's time stamp
         # lags by the kernel's tick, and a file server has a clock of its own.
         if file_state(target) not in (None, before) and not changed_since([(str(target), map(str, inputs))]):
             return 0
-        return make_part(target, inputs, command, log_path)
+        return make_part(target, inputs, command, log_path, every_s)
 
 
 def file_state(path: Path) -> tuple[int, int] | None:
@@ -195,7 +209,7 @@ def file_state(path: Path) -> tuple[int, int] | None:
 
 
 @contextmanager
-def locked(target: Path) -> Iterator[Path]:
+def locked(target: Path, every_s: float) -> Iterator[Path]:
     """Hold the lock of a target, which one step has at a time; yield where its log lies."""
     log_path = log_of(target)
     for folder in (target.parent, log_path.parent):
@@ -205,23 +219,26 @@ def locked(target: Path) -> Iterator[Path]:
             take(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             print(f"{target}: another make is at it; waiting", flush=True)
-            take(lock, fcntl.LOCK_EX)
+            with live_line(target, log_path, every_s):
+                take(lock, fcntl.LOCK_EX)
         yield log_path
 
 
-def make_part(target: Path, inputs: list[Path], command: list[str], log_path: Path) -> int:
+def make_part(target: Path, inputs: list[Path], command: list[str], log_path: Path, every_s: float) -> int:
     """Run the command and publish what it wrote, with its cost; return the exit code."""
     part = Path(f"{target}.part")
     try:
-        return publish_part(target, part, inputs, command, log_path)
+        return publish_part(target, part, inputs, command, log_path, every_s)
     finally:
         # a full disk may stop any of this; what is half written must not stay
         shutil.rmtree(part, ignore_errors=True) if part.is_dir() else part.unlink(missing_ok=True)
 
 
-def publish_part(target: Path, part: Path, inputs: list[Path], command: list[str], log_path: Path) -> int:
+def publish_part(
+    target: Path, part: Path, inputs: list[Path], command: list[str], log_path: Path, every_s: float
+) -> int:
     """Run the command, write down its cost, and give what it wrote its final name; return the exit code."""
-    code, cost = run(command, log_path)
+    code, cost = run(command, target, log_path, every_s)
     begun = cost.pop("begun_ns")
     if code == 0 and not part.exists():
         print(f"{target}: the command succeeded but wrote no {part}")
@@ -246,13 +263,16 @@ def publish_part(target: Path, part: Path, inputs: list[Path], command: list[str
 
 def main(argv: Sequence[str] | None = None) -> int:
     argv = sys.argv[1:] if argv is None else list(argv)
+    every_s = SAID_EVERY_S
+    if argv[:1] == ["--every"]:
+        every_s, argv = float(argv[1]), argv[2:]
     if "--" not in argv[1:-1]:
-        print("usage: python -m gelforge.flow.step TARGET INPUT… -- COMMAND…", file=sys.stderr)
+        print("usage: python -m gelforge.flow.step [--every SECONDS] TARGET INPUT… -- COMMAND…", file=sys.stderr)
         return 2
     split = argv.index("--")
     die_with_parent()
     try:
-        return build(Path(argv[0]), [Path(name) for name in argv[1:split]], argv[split + 1 :])
+        return build(Path(argv[0]), [Path(name) for name in argv[1:split]], argv[split + 1 :], every_s)
     except KeyboardInterrupt:
         return 130
     except BadInput as error:

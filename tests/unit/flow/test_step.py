@@ -21,8 +21,9 @@ from tests.support.waiting import HANG, heed_interrupts, wait_until
 FOR_EVER = f"exec sleep {2 * HANG:g}"  # what is waited for to be ended must not end by itself meanwhile
 
 
-def start(target, *command, reads=()):
-    wrapper = [sys.executable, "-m", "gelforge.flow.step", str(target), *map(str, reads), "--", *command]
+def start(target, *command, reads=(), every=None):
+    options = ["--every", str(every)] if every else []
+    wrapper = [sys.executable, "-m", "gelforge.flow.step", *options, str(target), *map(str, reads), "--", *command]
     return subprocess.Popen(wrapper, stdout=subprocess.PIPE, text=True)
 
 
@@ -215,7 +216,7 @@ def test_a_terminal_shows_one_line_that_goes_away(tmp_path, typed_to):
     target, mark = tmp_path / "results/d/30_fea/0000.csv", tmp_path / "seen"
     waits = f"echo press s7; while ! test -e {mark}; do sleep 0.1; done; echo made > {target}.part"
     child = subprocess.Popen(
-        [sys.executable, "-m", "gelforge.flow.step", str(target), "--", "bash", "-c", waits],
+        [sys.executable, "-m", "gelforge.flow.step", "--every", "0.1", str(target), "--", "bash", "-c", waits],
         stdout=subprocess.PIPE, text=True,
         env=os.environ | {"MAKE_TERMERR": device, "COLUMNS": "200"},
     )  # fmt: skip
@@ -238,6 +239,35 @@ def test_without_a_terminal_each_finished_file_says_how_far_the_run_has_come(tmp
     assert said.rstrip().endswith("[30_fea: 1 of 2 shards]")
     target = tmp_path / "results/d/80_evaluate/24x32/pair_8.card.md"  # of which no shards are made
     assert wrapped(target, "bash", "-c", f"echo made > {target}.part")[1].rstrip().endswith("MiB")
+
+
+def test_without_a_terminal_one_of_the_steps_at_work_speaks_in_turn(tmp_path):
+    """How far the run is, what runs, and the last line of its log; a make that waits for another one does as well."""
+    folder, shards = tmp_path / "results/d/30_fea", tmp_path / "results/d/00_plan/shards"
+    shards.mkdir(parents=True)
+
+    def working(name: str) -> subprocess.Popen:
+        (shards / f"{name}.csv").touch()
+        target = folder / f"{name}.csv"
+        text = f"echo press s{name}; while ! test -e {tmp_path}/{name}; do sleep 0.1; done; echo made > {target}.part"
+        return start(target, "bash", "-c", text, every=0.1)
+
+    def said(step: subprocess.Popen, text: str) -> None:
+        while text not in (line := step.stdout.readline()):
+            assert line, f"it ended without {text}"
+
+    first = working("0000")
+    said(first, " s so far  [30_fea: 0 of 1 shards; now: 30_fea/0000 | press s0000]")
+    second, waiting = working("0001"), working("0000")
+    said(waiting, "another make is at it; waiting")
+    said(first, " s so far  [30_fea: 0 of 2 shards; now: 30_fea/0000, 30_fea/0001 | press s0000]")
+    assert not select.select([second.stdout], [], [], 0.5)[0]
+    (tmp_path / "0000").touch()
+    assert first.wait(HANG) == waiting.wait(HANG) == 0
+    said(first, " MiB  [30_fea: 1 of 2 shards")
+    said(second, " s so far  [30_fea: 1 of 2 shards; now: 30_fea/0001 | press s0001]")
+    (tmp_path / "0001").touch()
+    assert second.wait(HANG) == 0
 
 
 def test_an_interrupt_while_another_make_is_waited_for_is_no_traceback(tmp_path):
