@@ -58,13 +58,13 @@ class Posterior:
         return constant - np.log(scale) - (v + 1) / 2 * np.log1p(z * z / v)
 
     def __call__(self, coordinates) -> np.ndarray:
-        """Log-probability (w,) at coordinates (w, free); -inf outside the priors."""
+        """Log-probability (w,) at coordinates (w, free); -inf outside the priors, and where a force is no number."""
         coordinates = np.atleast_2d(coordinates)
         total = self.model.log_prior(coordinates)
         inside = np.isfinite(total)
         if inside.any():
             total[inside] += self.pointwise(coordinates[inside]).sum(axis=1)
-        return total
+        return np.where(np.isnan(total), -np.inf, total)
 
 
 def tare_of(values: dict) -> np.ndarray:

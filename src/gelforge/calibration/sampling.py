@@ -29,11 +29,12 @@ class NotConverged(GelforgeError):
 
 @dataclass(frozen=True)
 class Rules:
-    """When a chain is long enough: autocorrelation times kept after the burn-in. max_steps: bound on its length."""
+    """When a chain is long enough: autocorrelation times kept after the burn-in, and R-hat. max_steps: bound on its length."""
 
     taus: float
     max_steps: int
     seed: int
+    rhat: float = LARGEST_RHAT
 
 
 @dataclass(frozen=True)
@@ -54,7 +55,7 @@ class Figures:
     worst: str
 
     def meets(self, rules: Rules) -> bool:
-        return self.taus >= rules.taus and self.rhat < LARGEST_RHAT
+        return self.taus >= rules.taus and self.rhat < rules.rhat
 
 
 @dataclass(frozen=True)
@@ -112,12 +113,13 @@ def start_points(posterior: Posterior, walkers: int, rng: np.random.Generator) -
     """
     draws = posterior.model.draw(rng, STARTS * walkers)
     score = posterior(draws)
-    if not np.isfinite(score).all():
+    finite = np.isfinite(score)
+    if finite.sum() < walkers:
         raise BadInput(
-            f"{np.isnan(score).sum()} of {len(draws)} draws from the priors have no probability under {posterior.model.law}; "
-            "check the priors in [calibrate.priors] and the units of the log"
+            f"only {finite.sum()} of {len(draws)} draws from the priors have a probability under {posterior.model.law}, and"
+            f" {walkers} are needed to begin with; check the priors in [calibrate.priors] and the units of the log"
         )
-    return draws[np.argsort(-score)[:walkers]]
+    return draws[finite][np.argsort(-score[finite])[:walkers]]
 
 
 def independent_draws(past: np.ndarray):
@@ -160,7 +162,7 @@ def complaint(law: str, figures: Figures, rules: Rules) -> str:
     text = (
         f"{law}: the chain did not converge in {figures.steps} steps: {figures.taus:.0f} autocorrelation times after the"
         f" burn-in (at least {rules.taus:g}), acceptance {figures.acceptance:.2f}, R-hat {figures.rhat:.3f} (below"
-        f" {LARGEST_RHAT:g}), the largest that of {figures.worst}. "
+        f" {rules.rhat:g}), the largest that of {figures.worst}. "
     )
     if figures.taus >= rules.taus:
         return text + (

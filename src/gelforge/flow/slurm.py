@@ -207,12 +207,12 @@ class Work:
                 until = min(until, time.monotonic() + self.profile.visible_seconds)
             if not left or time.monotonic() >= until or (over and all(map(self.cause, left))):
                 return left
-            come, now = f"{self.stage} on Slurm: {len(self.tasks) - len(left)} of {len(self.tasks)} results", time.monotonic()
+            come = f"{self.stage} on Slurm: {len(self.tasks) - len(left)} of {len(self.tasks)} results"
             if device := terminal():
                 show_line(device, come)
-            elif now - said >= self.every_s:
-                said = now
-                print(f"{come}, {now - started:.0f} s so far", flush=True)
+            elif time.monotonic() >= said + self.every_s:
+                said = time.monotonic()
+                print(f"{come}, {said - started:.0f} s so far", flush=True)
             if signal.sigtimedwait(STOP, LOOK_EVERY_S):
                 return None
 

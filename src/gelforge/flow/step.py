@@ -154,7 +154,8 @@ def report_failure(target: Path, log_path: Path, code: int, interrupted: bool) -
         print(f"{target}: interrupted; the same make goes on with it", flush=True)
         return
     lines = log_path.read_text(encoding="utf-8", errors="replace").splitlines()[-TAIL_LINES:]
-    print("\n".join([f"FAILED {target} (exit {code}); log: {log_path}", *(f"  | {line}" for line in lines)]), flush=True)
+    shown = [f"FAILED {target} (exit {code}); log: {log_path}", *(f"  | {line}" for line in lines)]
+    print("\n".join(shown), flush=True)
 
 
 def refuse_corrupt(path: Path) -> None:

@@ -7,7 +7,7 @@ import pytest
 
 from gelforge.calibration.parameters import LAWS, make_model, prior_of
 from gelforge.calibration.readings import check_enough, check_readings, read_readings
-from gelforge.calibration.sampling import Chain, Figures, NotConverged, Rules, complaint, sample
+from gelforge.calibration.sampling import Chain, Figures, NotConverged, Rules, complaint, sample, start_points
 from gelforge.calibration.solves import refuse_no_contact
 from gelforge.errors import BadInput
 from gelforge.flow.params.schema import Place, parse
@@ -118,6 +118,22 @@ def test_a_chain_that_is_too_short_or_whose_walkers_differ_is_refused_with_figur
     apart = Figures(3000, 500, 20.0, 125.0, 0.3, 1.4, "offset")
     assert not apart.meets(RULES)
     assert "Walkers differ in offset, as in two modes" in complaint("coulomb", apart, RULES)
+
+
+def test_draws_whose_forces_are_no_numbers_matter_only_where_too_few_others_are_left():
+    """A stiffness whose prior reaches beyond the largest number, in a few draws of a thousand or in half of them."""
+    posterior, prior = law_posterior(np.random.default_rng(1), DEPTH), {"kind": "lognormal", "median": 0.08}
+    with np.errstate(all="ignore"):
+        for spread in (200.0, 2000.0):
+            wide = prior_of(parse(PriorTable, {**prior, "spread": spread}, Place("a test")))
+            one = replace(posterior, model=replace(posterior.model, free={**posterior.model.free, "c10": wide}))
+            starts = start_points(one, 30, np.random.default_rng(5))
+            assert len(np.unique(starts, axis=0)) == 30 and np.isfinite(one(starts)).all()
+            assert np.isneginf(one(one.model.draw(np.random.default_rng(0), 6000))).any()
+        table = np.full_like(posterior.emulator.table, np.nan)
+        mute = replace(posterior, emulator=replace(posterior.emulator, table=table))
+        with pytest.raises(BadInput, match=r"only 0 of 6000 draws .* 30 are needed .* units of the log"):
+            start_points(mute, 30, np.random.default_rng(5))
 
 
 @pytest.mark.parametrize(
