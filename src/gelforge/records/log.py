@@ -37,7 +37,7 @@ P = TypeVar("P", bound=PressRecord)
 
 MOST_NOTES = 100  # lines above a header among which it is looked for
 REJECTION_COLUMNS = ("file", "row", "sample_id", "column", "value", "reason", "hint")
-POSED_COLUMNS = ("sample_id", "sensor_id", "gel_id", "indenter", *POSE, *FORCES, "image", "stl")
+POSED_COLUMNS = ("row", "sample_id", "sensor_id", "gel_id", "indenter", *POSE, *FORCES, "image", "stl")
 
 
 def _reader(lines: Iterable[str], strict: bool = False) -> Any:
@@ -212,7 +212,10 @@ def write_log(path: str | Path, presses: Iterable[LoggedPress], decimals: dict[s
 
     decimals: digits behind the point, by column, where the shortest text that reads back is not used.
     """
-    _write(path, COLUMNS, list(presses), decimals or {})
+    rows = [press.cells() for press in presses]
+    for cells in rows:
+        cells |= {name: fixed(float(cells[name]), places) for name, places in (decimals or {}).items() if cells[name]}
+    write_table(path, COLUMNS, rows)
 
 
 def read_presses(path: str | Path) -> list[LoggedPress]:
@@ -227,21 +230,8 @@ def read_presses(path: str | Path) -> list[LoggedPress]:
 
 
 def write_poses(path: str | Path, presses: Iterable[PosedPress]) -> None:
-    """Write a pose table, whole or not at all."""
-    _write(path, POSED_COLUMNS, list(presses), {})
-
-
-def _write(
-    path: str | Path,
-    columns: tuple[str, ...],
-    presses: list[LoggedPress] | list[PosedPress],
-    decimals: dict[str, int],
-) -> None:
-    """One row a press."""
-    rows = [press.cells() for press in presses]
-    for cells in rows:
-        cells |= {name: fixed(float(cells[name]), places) for name, places in decimals.items() if cells[name]}
-    write_table(path, columns, rows)
+    """Write a pose table with the lines that its presses have in the log, whole or not at all."""
+    write_table(path, POSED_COLUMNS, [{"row": press.row, **press.cells()} for press in presses])
 
 
 def fixed(value: float, places: int) -> str:
@@ -251,10 +241,9 @@ def fixed(value: float, places: int) -> str:
 
 
 def read_poses(path: str | Path) -> list[PosedPress]:
-    """Presses of a pose table; one that stage 10 cannot have written raises BadInput."""
-    return [
-        parse_posed(raw, str(path)) for raw in _read(Path(path), (*KNOWN, "stl"), f"run {command_for('poses', path)}")
-    ]
+    """Presses of a pose table, by their lines in the log; one that stage 10 cannot have written raises BadInput."""
+    known, hint = (*KNOWN, "row", "stl"), f"run {command_for('poses', path)}"
+    return [parse_posed(raw, str(path)) for raw in _read(Path(path), known, hint)]
 
 
 def without_duplicates(presses: list[P], file: str) -> tuple[list[P], list[Rejection]]:

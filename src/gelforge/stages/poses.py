@@ -45,7 +45,7 @@ from gelforge.records.press import (
     summarised,
 )
 
-VERSION = 7
+VERSION = 8
 # A tip that ends less deep below the apex may press so lightly that any reading is the sensor's own error.
 FIRM_MM = 0.3
 

@@ -22,8 +22,9 @@ def folder(root, tmp_path):
     for name in ("images", "nocontact"):
         shutil.copytree(root / "data/demo" / name, of.data / name)
     rows = [row | {"row": at + 2} for at, row in enumerate(read_csv(root / "data/demo/log.csv"))]
-    write_csv(of.poses("0000"), list(rows[0]), rows)
-    write_text(of.shard("0000"), "")
+    for name, part in (("0000", rows[:24]), ("0001", rows[24:])):
+        write_csv(of.poses(name), list(rows[0]), part)
+        write_text(of.shard(name), "")
     for name in ("sensors", "indenters"):
         write_json(of.parameters(name), read_toml(root / "workflow" / f"{name}.toml"))
     write_json(of.parameters("gels"), {})
@@ -51,22 +52,28 @@ def test_good_images_are_read_once_and_wrong_ones_left_out(folder, capsys):
     kept = folder / "15_images/0000.npz"
     made = kept.stat().st_mtime_ns
     assert judge(folder, capsys)[0] == 0 and kept.stat().st_mtime_ns == made
-    exchange(folder, 10, 16)
+    exchange(folder, 26, 32)  # of the second shard
     shutil.copy(Layout(folder).data / "images/demo-000003.png", Layout(folder).data / "images/demo-000005.png")
     status, said = judge(folder, capsys)
     assert status == 0 and kept.stat().st_mtime_ns != made
     assert read_json(folder / "15_images/images.json")["left_out"].keys() == {
         "demo-000005",
-        "demo-000010",
-        "demo-000016",
+        "demo-000026",
+        "demo-000032",
     }
-    assert said.count("rejected: ") == 3 and "two sensors" in said and "row 12 (demo-000010)" in said
+    assert (
+        said.count("rejected: ") == 3
+        and "two sensors" in said
+        and "row 28 (demo-000026)" in said
+        and "(row 7)" in said
+    )
 
 
 def test_shifted_images_stop_make_unless_all_are_to_be_used(folder, capsys):
     names = [f"images/demo-{at:06d}.png" for at in range(48)]
-    rows = [row | {"image": names[(at + 1) % 48]} for at, row in enumerate(read_csv(folder / "10_poses/0000.csv"))]
-    write_csv(folder / "10_poses/0000.csv", list(rows[0]), rows)
+    for table in (folder / "10_poses").glob("*.csv"):
+        rows = [row | {"image": names[(int(row["row"]) - 1) % 48]} for row in read_csv(table)]
+        write_csv(table, list(rows[0]), rows)
     with pytest.raises(BadInput, match=r"shifted by one row.*judge_images = false"):
         judge(folder, capsys)
     assert not (folder / "15_images/images.json").exists()
