@@ -1,9 +1,10 @@
 """Messages of ROS 2 in an MCAP file, read from its beginning to its end and held to every checksum that it has.
 
 Source: https://mcap.dev/spec. Each chunk of messages has a checksum, and so has the summary at the end. The summary also counts
-the messages, so that a chunk whose head is damaged is missed.
+the messages, so that a chunk whose head is damaged is missed. The library does not look at the checksums of attachments.
 """
 
+import struct
 import zlib
 from collections.abc import Collection, Iterator
 from pathlib import Path
@@ -13,8 +14,10 @@ from gelforge.errors import BadInput
 from gelforge.records.regular import file_fault
 
 LATEST_NS = 2**63 - 1  # in the year 2262
+MCAP = b"\x89MCAP0\r\n"  # what a file begins with
 ZSTD = b"\x28\xb5\x2f\xfd"  # what a Zstandard frame begins with (RFC 8878, 3.1.1)
 AFTER_SUMMARY = 12  # bytes behind what the summary's checksum is of: itself, and the file's last eight
+ATTACHMENT, DATA_END = 0x09, 0x0F  # opcodes
 UNCHECKED = "has no checksums, so damage to it would not be noticed"
 
 
@@ -31,8 +34,9 @@ def messages(path: Path, topics: Collection[str], notes: list[str] | None = None
             raise BadInput(
                 f"{path}: is compressed as a whole; decompress it with `zstd -d {path} -o {whole}` and import what that makes"
             )
-        stream.seek(0)
         try:
+            _check_attachments(stream)
+            stream.seek(0)
             yield from _decoded(path, stream, topics, notes)
         except (BadInput, ModuleNotFoundError):
             raise
@@ -80,6 +84,22 @@ def _decoded(
                 yield channel.topic, record.log_time, decode(record.data)
     if unchecked and notes is not None:
         notes.append(UNCHECKED)
+
+
+def _check_attachments(stream: IO[bytes]) -> None:
+    """ValueError where an attachment is not that of its checksum, its last four bytes; 0 is none."""
+    stream.seek(len(MCAP))
+    while len(head := stream.read(9)) == 9:
+        kind, size = struct.unpack("<BQ", head)
+        if kind == DATA_END:
+            return
+        if kind != ATTACHMENT:
+            stream.seek(size, 1)
+            continue
+        body = memoryview(stream.read(size))
+        checksum = int.from_bytes(body[-4:], "little")
+        if checksum and zlib.crc32(body[:-4]) != checksum:
+            raise ValueError("an attachment is not that of its checksum")
 
 
 def _check_summary(stream: IO[bytes], footer: Any) -> None:

@@ -58,6 +58,19 @@ def test_one_flipped_bit_is_refused_or_changes_nothing(tmp_path, compression):
         assert any(abs(at - around) < 20 for at in refused), around
 
 
+def test_an_attachment_is_held_to_its_checksum(tmp_path):
+    """Without one it is read; the library itself looks at none."""
+    path = record(tmp_path / "a.mcap")
+    whole = path.read_bytes()
+    at, end = whole.index(b"notes of"), whole.index(b"of the day") + len("of the day")
+    for damaged in (at, end):
+        path.write_bytes(whole[:damaged] + bytes([whole[damaged] ^ 4]) + whole[damaged + 1 :])
+        with pytest.raises(BadInput, match="an attachment is not that of its checksum"):
+            read(path)
+    path.write_bytes(whole[:at] + b"N" + whole[at + 1 : end] + bytes(4) + whole[end + 4 :])
+    assert len(read(path)) == COUNT
+
+
 def test_a_recording_without_checksums_is_reported(tmp_path):
     for name, kind in (("whole", {}), ("no_crc", {"crcs": False}), ("no_chunks", {"chunks": False})):
         notes = []
