@@ -12,7 +12,7 @@ from gelforge.networks.inference.predictor import Predictor
 from gelforge.networks.inference.sensorprofile import Gain, fit_opposite
 from gelforge.records.film import frames, numbered, open_source
 from gelforge.records.forcereading import BEYOND
-from gelforge.records.markers import find_blobs
+from gelforge.records.markers import markers_in
 from gelforge.records.nocontactimage import SETTLING, find_nocontact
 from tests.benchmarks.figures import Figure
 from tests.benchmarks.ways import bare
@@ -66,7 +66,7 @@ def read_film(path: Path, model: ForceModel) -> Read:
     """Read every third frame of a film by the shipped network and bare, and follow its markers."""
     images = frames_of(path)
     rest, _ = find_nocontact(numbered(images), str(path))
-    markers, as_it_is, predictor = find_blobs(rest)[0], bare(model, images[0]), Predictor(model, rest)
+    markers, as_it_is, predictor = markers_in(rest).points, bare(model, images[0]), Predictor(model, rest)
     chosen = images[SETTLING::EVERY]  # while a camera sets its exposure nothing is known
     found = [predictor.predict(image) for image in chosen]
     return Read(

@@ -57,11 +57,11 @@ def hardest_frames(film: Path, model):
         picture, at_rest_and_after = find_nocontact(numbered(seen), str(film))
         predictor = Predictor(model, picture)
         read = [predictor.predict(frame.image) for frame in at_rest_and_after]
-    view = predictor.view
+    frame = predictor.prepare.frame
     for part in np.array_split(np.arange(len(read)), SHOWN):
         hardest = max((read[at] for at in part), key=lambda one: -one.cells[2].sum())
-        cells = hardest.cells[(slice(None), *view.cells_shown(hardest.cells.shape[1:]))]
-        yield hardest.image[view.shown(hardest.image.shape)], cells
+        cells = hardest.cells[(slice(None), *frame.cells_shown(hardest.cells.shape[1:]))]
+        yield hardest.image[frame.shown], cells
 
 
 @command(option("films", nargs="+", type=Path), option("--out", type=Path))

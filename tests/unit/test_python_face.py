@@ -22,7 +22,7 @@ from gelforge.networks.inference.sensorprofile import Gain, make_profile, write_
 from gelforge.records.film import numbered
 from gelforge.records.image import read_image, write_png
 from gelforge.records.log import read_presses
-from gelforge.records.markers import pitch_of
+from gelforge.records.markers import markers_in
 from tests.support.pictures import moved
 from tests.support.refused import refused
 
@@ -112,16 +112,18 @@ def test_reading_many_images_of_one_sensor(root):
 
 
 def test_a_nocontact_image_that_shows_nothing_is_reported(root):
-    """What is read against it may be any number: an unmarked gel, one out of focus, three rows, half of it."""
+    """What is read against it may be any number: an unmarked gel, one out of focus, three rows, part of it."""
     rest = read_image(root / "data/demo/nocontact/mini_a.png")
     for spoilt, said in (
         (cv2.medianBlur(rest, 61), "shows no markers"),
         (cv2.GaussianBlur(rest, (0, 0), 30), "shows no markers"),
         (np.ascontiguousarray(rest[:3]), "another shape"),
-        (np.ascontiguousarray(rest[:, :160]), "another shape"),
+        (np.ascontiguousarray(rest[:, :200]), "another shape"),
     ):
         found = gelforge.Reader(nocontact=spoilt)(rest)
         assert found.flag and said in found.reason
+    with pytest.raises(BadInput, match="px apart"):  # half of it, enlarged
+        gelforge.Reader(nocontact=np.ascontiguousarray(rest[:, :160]))
 
 
 def test_the_same_image_gives_the_same_answer_everywhere(root, tmp_path):
@@ -151,7 +153,9 @@ def test_a_profile_scales_what_is_read(root, tmp_path):
     rest = read_image(root / "data/demo/nocontact/mini_a.png")
     image = read_image(sorted(root.glob("data/demo/images/*.png"))[3])
     about = load_for_use(None).metadata
-    write_profile(tmp_path / "mine.toml", make_profile("mine", rest, pitch_of(rest), Gain(1.25, 1.1, 1.4, 3), about))
+    write_profile(
+        tmp_path / "mine.toml", make_profile("mine", rest, markers_in(rest).pitch, Gain(1.25, 1.1, 1.4, 3), about)
+    )
     plain, scaled = gelforge.Reader(nocontact=rest)(image), gelforge.Reader(profile=tmp_path / "mine.toml")(image)
     np.testing.assert_allclose(scaled.cells, 1.25 * plain.cells, rtol=1e-6)
 

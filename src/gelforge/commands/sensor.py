@@ -50,12 +50,12 @@ from gelforge.networks.inference.sensorprofile import (
     read_profile,
     write_profile,
 )
+from gelforge.networks.preprocess.imageframe import reduced
 from gelforge.networks.preprocess.slopetable import SlopeTable
-from gelforge.records.cameraframe import reduced
 from gelforge.records.film import source_name
 from gelforge.records.forcereading import goes_beyond
 from gelforge.records.image import read_image
-from gelforge.records.markers import pitch_of
+from gelforge.records.markers import markers_in
 from gelforge.records.nocontactimage import nocontact_of
 from gelforge.records.press import check_id, parse_number
 from gelforge.records.regular import real_place, refuse_to_replace
@@ -86,7 +86,7 @@ def gain_of(readings: Path, predictor: Predictor, before: Gain = AS_READ) -> Gai
 def nocontact_for_slopes(predictor: Predictor) -> np.ndarray:
     """The no-contact image that a table of slopes is learnt beside; BadInput where images are scaled, turned or cropped."""
     nocontact = predictor.prepare.nocontact
-    if nocontact is None or not nocontact.view.whole or predictor.text:
+    if nocontact is None or not nocontact.frame.shows_rim or predictor.text:
         raise BadInput("images are not of the network's own size and scale, so no table of slopes is learnt")
     return nocontact.picture
 
@@ -309,7 +309,7 @@ def main(args: Namespace) -> None:
         gain = gain_of(args.readings, predictor, gain)
     elif args.grasps:
         gain = gain_beside(args.grasps, predictor, args.opposite)
-    profile = make_profile(name, picture, pitch_of(picture), gain, model.metadata, table)
+    profile = make_profile(name, picture, markers_in(picture).pitch, gain, model.metadata, table)
     write_profile(out, profile)
     what = "grasp" if args.grasps else "press" if args.balls else "reading"
     what += "" if gain.readings == 1 else "es" if args.balls else "s"

@@ -14,6 +14,7 @@ from gelforge.evidence.imprints import COLS, ROWS, Rest, displaced, likeness
 from gelforge.networks.preprocess.illumination import Light, match_light
 from gelforge.networks.uncertainty.ood import distance, relief
 from gelforge.records.image import is_monochrome
+from gelforge.records.markers import markers_in
 
 # Limits of the light. Of 240 frames of real films, 51 real presses of a ball and 48 of the rig, beside their own no-contact images, the
 # pattern is alike to 0.59 and more (0.9 in the median); beside that of another unit to 0.49 to 0.64.
@@ -57,7 +58,7 @@ def nocontact_fault(picture: np.ndarray) -> str:
         return "is monochrome; record it in colour, as the images of the log"
     if int(picture.max()) - int(picture.min()) < 30:
         return "shows no gel: it is dark, covered or of one colour"
-    uneven = relief(picture)
+    uneven = relief(picture, markers_in(picture))
     if uneven > PRESSED:
         return f"shows something that touches the gel: its light is uneven by {uneven:.0f} levels, at most {PRESSED:.0f} are usual"
     return ""

@@ -1,6 +1,7 @@
 """The printed markers of a gel in an image without contact."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -19,6 +20,47 @@ MARKER_PITCH_MM = 2.0  # of a GelSight Mini's printed markers to their nearest n
 HIDES = 0.2  # of the largest level, by which markers are darker than what surrounds them
 MARKER_MM = 1.45  # width of the largest marker
 SPREAD_MM = 0.45  # across a marker's edge, where levels say nothing of slopes
+
+
+@dataclass(frozen=True)
+class Markers:
+    """Dark round markers of an image: points (n, 2) as (u, v) px from the image's corner, and diameters (n,) px.
+
+    background: levels (h, w, 3) of the image as they were without markers, plus 1; None where the markers were moved to another image.
+    """
+
+    points: np.ndarray
+    diameters: np.ndarray
+    background: np.ndarray | None = None
+
+    @cached_property
+    def pitch(self) -> float:
+        """Median distance in px of markers to their nearest neighbours; 0 where they are no even print."""
+        if len(self.points) < LEAST_FOR_PITCH:
+            return 0.0
+        apart = np.hypot(*(self.points[:, None] - self.points[None]).transpose(2, 0, 1))
+        np.fill_diagonal(apart, np.inf)
+        nearest = apart.min(axis=1)
+        pitch = float(np.median(nearest))
+        even = np.abs(nearest - pitch) < UNEVEN * pitch
+        return pitch if even.mean() >= LEAST_FRACTION else 0.0
+
+    @cached_property
+    def lattice(self) -> tuple[np.ndarray, np.ndarray]:
+        """Row and column (k, 2) of the markers that stand on one lattice, and which these are, (k,); none where none do."""
+        try:
+            return lattice_of(self.points)
+        except BadInput:
+            return np.zeros((0, 2), int), np.zeros(0, int)
+
+    def only(self, chosen: np.ndarray) -> "Markers":
+        """Some of them, (n,) bool."""
+        return Markers(self.points[chosen], self.diameters[chosen])
+
+    @property
+    def diameter(self) -> float:
+        """Median diameter, px; 0 where there are none."""
+        return float(np.median(self.diameters)) if len(self.diameters) else 0.0
 
 
 @dataclass(frozen=True)
@@ -55,7 +97,8 @@ def find_markers(image: np.ndarray, rows: int, cols: int, where: str = "image") 
 
     Raises BadInput where no such grid is there.
     """
-    points, widths = find_blobs(image)
+    found = markers_in(image)
+    points, widths = found.points, found.diameters
     if len(points) < max(4, LEAST_FRACTION * rows * cols):
         raise BadInput(
             f"{where}: {len(points)} dark spots found, a grid of {rows} x {cols} is expected; use a sharp image"
@@ -79,8 +122,8 @@ def lattice_of(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return _complete(points, index, used)
 
 
-def find_blobs(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Centres (n, 2) as (u, v) and diameters (n,) of dark round markers, px.
+def markers_in(image: np.ndarray) -> Markers:
+    """The dark round markers of an image (h, w, 3) uint8.
 
     Each colour is divided by its own median-filtered background. Ink is dark in every colour and a marker's
     shadow only in the colour of the light it hides, so the least dark colour counts; a colour whose light
@@ -104,7 +147,7 @@ def find_blobs(image: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     if len(found):
         typical = np.median(found[:, 2])
         found = found[(found[:, 2] > 0.5 * typical) & (found[:, 2] < 1.7 * typical)]
-    return found[:, :2], found[:, 2]
+    return Markers(found[:, :2], found[:, 2], np.stack(light, axis=2))
 
 
 def _blob(label: np.ndarray, dark: np.ndarray, number: int, stats: np.ndarray) -> tuple[float, float, float] | None:
@@ -140,23 +183,6 @@ def dark_spots(image: np.ndarray, wide: np.ndarray, near: np.ndarray, darker: fl
     brightest = image.max(axis=2)
     depth = cv2.subtract(cv2.morphologyEx(brightest, cv2.MORPH_CLOSE, wide), brightest)
     return cv2.dilate((depth > darker * int(brightest.max())).astype(np.uint8), near) > 0
-
-
-def pitch_of(picture: np.ndarray) -> float:
-    """`marker_pitch` of a picture (h, w, 3) uint8 without contact."""
-    return marker_pitch(find_blobs(picture)[0])
-
-
-def marker_pitch(markers: np.ndarray) -> float:
-    """Median distance in px of markers (n, 2) to their nearest neighbours; 0 where they are no even print."""
-    if len(markers) < LEAST_FOR_PITCH:
-        return 0.0
-    apart = np.hypot(*(markers[:, None] - markers[None]).transpose(2, 0, 1))
-    np.fill_diagonal(apart, np.inf)
-    nearest = apart.min(axis=1)
-    pitch = float(np.median(nearest))
-    even = np.abs(nearest - pitch) < UNEVEN * pitch
-    return pitch if even.mean() >= LEAST_FRACTION else 0.0
 
 
 def _steps(points: np.ndarray) -> np.ndarray:

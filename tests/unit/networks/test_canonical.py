@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from gelforge.errors import BadInput
 from gelforge.networks.inference.predictor import Predictor
 from gelforge.networks.preprocess.illumination import Reference, match_light
+from gelforge.networks.preprocess.imageframe import ImageFrame, zoom_of
 from gelforge.networks.preprocess.markertracks import OF_CONTACT, MarkerTracker, rim_shift, shifted_back
-from gelforge.networks.preprocess.scale import fit_size, view_of
 from gelforge.records.image import read_image
-from gelforge.records.markers import pitch_of
+from gelforge.records.markers import markers_in
 from tests.support.pictures import moved
 
 SIZE = (240, 320)
@@ -110,6 +110,12 @@ def test_what_is_read_depends_on_its_picture_alone_and_changes_none(shipped, noc
     assert all(np.array_equal(one, other) for one, other in zip(given, (*pictures, *nocontact), strict=True))
 
 
+def frame_of(picture: np.ndarray, pitch: float) -> ImageFrame:
+    """The frame of a camera whose markers stand `pitch` px apart, for a network that learnt 31 to 33."""
+    red, green, blue = np.rint(picture.mean(axis=(0, 1))).tolist()
+    return ImageFrame(SIZE, SIZE, zoom=zoom_of(pitch, (31.0, 33.0)), fill=(red, green, blue))
+
+
 def smooth(seed: int) -> np.ndarray:
     """A picture without sharp rims, which survives being scaled there and back, (240, 320, 3) uint8."""
     return cv2.GaussianBlur(gel(seed), (0, 0), 3.0)
@@ -122,9 +128,9 @@ def test_a_camera_that_sees_less_shows_the_same_where_it_sees(seed, zoom):
     whole = smooth(seed)
     matrix = np.array([[1 / zoom, 0, (1 - 1 / zoom) * 159.5], [0, 1 / zoom, (1 - 1 / zoom) * 119.5]])
     cropped = cv2.warpAffine(whole, matrix, SIZE[::-1], flags=cv2.INTER_CUBIC)
-    view = view_of(cropped, 32.0 / zoom, (31.0, 33.0))
-    assert view.zoom == pytest.approx(zoom)
-    back, inner = view.of(cropped), view.shown(SIZE)
+    frame = frame_of(cropped, 32.0 / zoom)
+    assert frame.zoom == pytest.approx(zoom)
+    back, inner = frame(cropped), frame.shown
     assert np.abs(back[inner].astype(int) - whole[inner])[2:-2, 2:-2].max() <= 4
     hidden = np.ones(SIZE, bool)
     hidden[inner] = False
@@ -134,26 +140,26 @@ def test_a_camera_that_sees_less_shows_the_same_where_it_sees(seed, zoom):
 
 def test_a_camera_of_the_learnt_scale_or_without_markers_is_left_as_it_is():
     for pitch in (31.0, 32.0, 33.0, 33.5, 0.0):
-        view = view_of(gel(0), pitch, (31.0, 33.0))
-        assert view.zoom == 1.0 and view.of(gel(1)) is not None
-        assert np.array_equal(view.of(gel(1)), gel(1)) and view.shown(SIZE) == (slice(0, 240), slice(0, 320))
+        frame = frame_of(gel(0), pitch)
+        assert frame.shows_rim and frame.shown == (slice(0, 240), slice(0, 320))
+        assert np.array_equal(frame(gel(1)), gel(1))
     for pitch in (15.0, 80.0):
         with pytest.raises(BadInput, match=f"stand {pitch:.1f} px apart, the network learnt from 31 to 33"):
-            view_of(gel(0), pitch, (31.0, 33.0))
+            zoom_of(pitch, (31.0, 33.0))
 
 
 @given(st.integers(0, 99), st.floats(0.8, 1.2), st.floats(-6, 6))
 @settings(max_examples=15)
 def test_light_is_found_in_what_a_narrow_view_shows(seed, gain, offset):
     """The even rim is no evidence of equal light, and stays even whatever the light does."""
-    view = view_of(gel(seed), 44.0, (31.0, 33.0))
-    rest = view.of(gel(seed))
-    seen = view.of(np.clip(np.rint(gain * gel(seed).astype(float) + offset), 0, 255).astype(np.uint8))
-    lit, light = Reference(rest, view).normalised(seen)
+    frame = frame_of(gel(seed), 44.0)
+    rest = frame(gel(seed))
+    seen = frame(np.clip(np.rint(gain * gel(seed).astype(float) + offset), 0, 255).astype(np.uint8))
+    lit, light = Reference(rest, frame.shown).normalised(seen)
     assert light.known and np.abs(light.gain - gain).max() < 0.03
     assert np.abs(lit.astype(float) - rest).mean() < 1.0
     outside = np.ones(SIZE, bool)
-    outside[view.shown(SIZE)] = False
+    outside[frame.shown] = False
     assert np.array_equal(lit[outside], rest[outside])
 
 
@@ -163,15 +169,14 @@ def test_specks_are_no_print():
     picture = np.full((*SIZE, 3), 130, np.uint8)
     for u, v in zip(rng.uniform(10, 310, 25), rng.uniform(10, 230, 25), strict=True):
         cv2.circle(picture, (int(u), int(v)), 4, (40, 40, 40), -1)
-    assert pitch_of(picture) == 0.0
-    assert pitch_of(gel(1)) == pytest.approx(40.0, abs=0.5)
+    assert markers_in(picture).pitch == 0.0
+    assert markers_in(gel(1)).pitch == pytest.approx(40.0, abs=0.5)
 
 
 def test_a_picture_is_flagged_for_its_shape_and_not_for_its_size(shipped, nocontact):
     rest, press = nocontact[0], pressed(nocontact[0], 0.05, 3)
     for size in ((640, 480), (1280, 960), (160, 120)):
         larger = [cv2.resize(picture, size, interpolation=cv2.INTER_CUBIC) for picture in (rest, press)]
-        assert all(fit_size(picture, (240, 320))[1] == "" for picture in larger)
         found = Predictor(shipped, larger[0]).predict(larger[1])
         assert "shape" not in found.reason and "size" not in found.reason
     assert "of another shape" in Predictor(shipped, rest).predict(np.ascontiguousarray(press[:, :240])).reason
@@ -199,7 +204,7 @@ def test_force_does_not_jump_where_a_press_begins(shipped, root):
 def test_a_gel_that_was_shifted_in_its_holder_is_shifted_back(nocontact):
     """As far as contact cannot have done it: not at all below, nearly all of it far beyond."""
     rest = nocontact[0]
-    markers = MarkerTracker(rest)
+    markers = MarkerTracker(rest, markers_in(rest))
     for far in (0.0, 2.0, 4.0, 8.0):
         expected = far * np.array([0.8, 0.6])
         left = expected - rim_shift(markers, markers.track(moved(rest, tuple(expected))))

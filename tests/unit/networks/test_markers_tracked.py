@@ -15,13 +15,13 @@ from gelforge.networks.evaluation.fitting import ENOUGH_PAIRS, usual_rows
 from gelforge.networks.inference.predictor import SHIPPED, Predictor
 from gelforge.networks.pipeline import Start
 from gelforge.networks.preprocess.illumination import match_light
+from gelforge.networks.preprocess.imageframe import ImageFrame
 from gelforge.networks.preprocess.markertracks import MarkerTracker
-from gelforge.networks.preprocess.scale import View
 from gelforge.networks.training.loop import require_scale, scales_before
 from gelforge.records.axes import CHANNELS
 from gelforge.records.forcereading import TOTAL_COLUMNS, ForceReading, edge_peak, goes_beyond, total_columns
 from gelforge.records.image import read_image
-from gelforge.records.markers import pitch_of
+from gelforge.records.markers import markers_in
 from gelforge.stages.train import train
 from tests.support.parameters import with_values
 from tests.support.pictures import moved
@@ -42,12 +42,16 @@ def presses(root, rest):
     return [match_light(picture, rest).undo(picture) for picture in pictures]
 
 
+def tracker(picture):
+    return MarkerTracker(picture, markers_in(picture))
+
+
 def motion_of(markers, image):
     return markers.on_lattice(markers.track(image))
 
 
 def test_markers_at_rest_have_not_moved(rest):
-    markers = MarkerTracker(rest)
+    markers = tracker(rest)
     motion = motion_of(markers, rest)
     assert markers.known and motion[2].sum() == (markers.at[:, 0] >= 0).sum() >= 60
     assert np.abs(motion[:2]).max() < 1e-3
@@ -56,14 +60,14 @@ def test_markers_at_rest_have_not_moved(rest):
 @given(u=st.floats(-6, 6), v=st.floats(-6, 6))
 @settings(max_examples=20)
 def test_all_markers_of_a_moved_picture_have_moved_as_it_did(rest, u, v):
-    motion = motion_of(MarkerTracker(rest), moved(rest, (u, v)))
+    motion = motion_of(tracker(rest), moved(rest, (u, v)))
     seen = motion[2] > 0
     assert seen.sum() >= 45  # a picture that moved does not show them all
     assert np.median(np.hypot(motion[0][seen] - u, motion[1][seen] - v)) < 0.2
 
 
 def test_a_covered_dot_is_not_seen_and_the_others_stay(rest):
-    markers = MarkerTracker(rest)
+    markers = tracker(rest)
     covered, (u, v) = rest.copy(), markers.points[len(markers.points) // 2].astype(int)
     covered[v - 14 : v + 14, u - 14 : u + 14] = np.random.default_rng(0).integers(0, 255, (28, 28, 3))
     motion = motion_of(markers, covered)
@@ -74,7 +78,7 @@ def test_a_covered_dot_is_not_seen_and_the_others_stay(rest):
 
 def test_light_moves_no_dot(rest, presses):
     """A picture at eight tenths of its light, brought back to that of the no-contact image, shows the same motion."""
-    markers = MarkerTracker(rest)
+    markers = tracker(rest)
     for picture in presses:
         dark = np.rint(picture * 0.8).astype(np.uint8)
         motion, again = motion_of(markers, picture), motion_of(markers, match_light(dark, rest).undo(dark))
@@ -86,7 +90,7 @@ def test_light_moves_no_dot(rest, presses):
 def test_a_gel_without_print_has_no_markers():
     for shade in (0, 130):
         picture = np.full((240, 320, 3), shade, np.uint8)
-        markers = MarkerTracker(picture)
+        markers = tracker(picture)
         assert not markers.known and not motion_of(markers, picture).any()
 
 
@@ -117,7 +121,7 @@ def test_the_edge_is_that_of_what_a_camera_shows():
     """A contact at the border of a narrow view is cropped by it, although the map has room there."""
     grid = 24, 32
     for zoom in (0.55, 0.71, 1.0, 1.4):
-        rows, cols = View(zoom, (0.0, 0.0, 0.0)).cells_shown(grid)
+        rows, cols = ImageFrame((240, 320), (240, 320), zoom=zoom).cells_shown(grid)
         assert rows.start == 24 - rows.stop and cols.start == 32 - cols.stop
         assert (rows.stop - rows.start) / 24 == pytest.approx(min(zoom, 1.0), abs=1 / 24)
         forces = np.zeros((3, *grid))
@@ -131,7 +135,7 @@ def test_a_contact_that_the_picture_cuts_goes_on_beyond_it():
     """However much force lies inside; one that ends a cell before the edge does not."""
     for zoom in (0.55, 0.71, 1.0):
         for side in ("top", "bottom", "left", "right"):
-            shown = View(zoom, (0.0, 0.0, 0.0)).cells_shown((24, 32))
+            shown = ImageFrame((240, 320), (240, 320), zoom=zoom).cells_shown((24, 32))
             cut = block_at(side, 0, shown)
             assert goes_beyond(edge_peak(cut, shown))
             # a whole view has nothing beyond it
@@ -170,7 +174,7 @@ def test_a_fine_tuned_network_holds_the_range_of_all_that_it_learnt_from(seen, s
 
 def test_a_network_goes_on_to_scales_a_little_beyond_those_it_knows_and_to_no_other(seen):
     """Units drawn from the same ranges as those that it learnt from stand a little beyond them."""
-    pitches = [pitch_of(picture) for picture in seen.nocontact.values()]
+    pitches = [markers_in(picture).pitch for picture in seen.nocontact.values()]
     require_scale({"name": "other", "pitch_px": [1.03 * max(pitches), 1.1 * max(pitches)]}, seen)
     refused("px apart", require_scale, {"name": "other", "pitch_px": [1.1 * max(pitches), 1.2 * max(pitches)]}, seen)
     shipped = Start(*load_weights(SHIPPED.with_suffix(".safetensors")))

@@ -104,7 +104,7 @@ def test_live_reads_against_the_picture_of_a_profile(data, models, paths, tmp_pa
     args = Namespace(profile=tmp_path / "mine.toml", sensor=None, device="cpu", threads=1)
     held = cv2.cvtColor(data.images[0], cv2.COLOR_RGB2BGR)
     found, seen = live.predictor_of(args, models["pair"].model, None, iter([held] * 20), "held.avi")
-    np.testing.assert_array_equal(found.prepare.nocontact.sized, data.nocontact["mini0"])
+    np.testing.assert_array_equal(found.prepare.nocontact.picture, data.nocontact["mini0"])
     assert len(list(seen)) == 20
 
 

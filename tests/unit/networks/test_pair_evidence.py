@@ -11,6 +11,7 @@ from gelforge.networks.inference.sensorprofile import Gain
 from gelforge.networks.preprocess.illumination import Light
 from gelforge.networks.preprocess.markertracks import COLS, ROWS, MarkerTracker, Tracks
 from gelforge.networks.preprocess.pair import Preprocessor
+from gelforge.networks.uncertainty import ood
 from gelforge.networks.uncertainty.ood import (
     LIMITS,
     MARGIN,
@@ -20,7 +21,6 @@ from gelforge.networks.uncertainty.ood import (
     pair_diagnostics,
     pair_fault,
     pair_limits,
-    relief,
     relief_fault,
     rimless_diagnostics,
     unevenness,
@@ -28,6 +28,7 @@ from gelforge.networks.uncertainty.ood import (
 )
 from gelforge.records.image import read_image
 from gelforge.records.log import read_presses
+from gelforge.records.markers import markers_in
 from tests.support.pictures import moved
 
 
@@ -48,6 +49,10 @@ def preprocessor(picture):
     """Of the shipped network, whose pictures are all at their own scale."""
     metadata = {name: value for name, value in load_for_use(None).metadata.items() if name != "pitch_px"}
     return Preprocessor(metadata, picture)
+
+
+def relief(picture):
+    return ood.relief(picture, markers_in(picture))
 
 
 def diagnostics(image, picture):
@@ -141,7 +146,8 @@ def test_light_alone_is_no_relief_and_no_fault(demo_nocontact, presses, limits):
 
 def test_a_picture_without_markers_has_no_rim_to_look_at():
     grey = np.full((240, 320, 3), 128, np.uint8)
-    assert marker_diagnostics(MarkerTracker(grey), MarkerTracker(grey).track(grey)) == MarkerDiagnostics()
+    markers = MarkerTracker(grey, markers_in(grey))
+    assert marker_diagnostics(markers, markers.track(grey)) == MarkerDiagnostics()
     assert relief(grey) < 1.0 and MARGIN > 1.0
 
 

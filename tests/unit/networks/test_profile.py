@@ -23,9 +23,9 @@ from gelforge.networks.inference.sensorprofile import (
     with_profile,
     write_profile,
 )
-from gelforge.records.cameraframe import reduced
+from gelforge.networks.preprocess.imageframe import reduced
 from gelforge.records.image import read_image
-from gelforge.records.markers import pitch_of
+from gelforge.records.markers import markers_in
 from gelforge.records.nocontactimage import FEWEST
 from tests.benchmarks.real import feats_maps
 from tests.support.films import write_film
@@ -97,7 +97,7 @@ NET = {"name": "net", "sha256": "ab" * 32}
 
 def test_a_profile_comes_back_from_its_file(demo_nocontact, tmp_path):
     picture = demo_nocontact["mini_a"]
-    profile = make_profile("mine", picture, pitch_of(picture), Gain(1.2, 1.1, 1.3, 5), NET)
+    profile = make_profile("mine", picture, markers_in(picture).pitch, Gain(1.2, 1.1, 1.3, 5), NET)
     write_profile(tmp_path / "mine \U0001f916.toml", profile)
     found = read_profile(tmp_path / "mine \U0001f916.toml")
     np.testing.assert_array_equal(found.nocontact, picture)
@@ -105,12 +105,12 @@ def test_a_profile_comes_back_from_its_file(demo_nocontact, tmp_path):
     assert found.pitch == pytest.approx(profile.pitch, abs=1e-3) and 25 < found.pitch < 40
     check_same_sensor(found, found.pitch)
     larger = cv2.resize(picture, None, fx=1.2, fy=1.2)[24:264, 32:352]
-    refused("another sensor, or cropped or scaled", check_same_sensor, found, pitch_of(larger))
+    refused("another sensor, or cropped or scaled", check_same_sensor, found, markers_in(larger).pitch)
     # a factor holds for the network that it was found with; weights identify networks, not names
     retrained = NET | {"sha256": "12" * 32}
     assert with_profile(tmp_path / "mine \U0001f916.toml", None, NET)[1] == profile.gain
     refused("another network.*gelforge sensor", with_profile, tmp_path / "mine \U0001f916.toml", None, retrained)
-    write_profile(tmp_path / "mine.toml", make_profile("mine", picture, pitch_of(picture), Gain(), NET))
+    write_profile(tmp_path / "mine.toml", make_profile("mine", picture, markers_in(picture).pitch, Gain(), NET))
     assert with_profile(tmp_path / "mine.toml", None, retrained)[1].value == 1.0  # no factor, so none that is wrong
 
 
@@ -118,7 +118,9 @@ def test_a_profile_knows_its_sensor_in_the_camera_s_own_size(demo_nocontact, shi
     """A profile keeps a picture of at most 640 px: the same sensor at 1280 px is no other one."""
     large = cv2.resize(demo_nocontact["mini_a"], (1280, 960), interpolation=cv2.INTER_CUBIC)
     small = reduced(large)
-    write_profile(tmp_path / "own.toml", make_profile("own", small, pitch_of(small), Gain(), shipped.metadata))
+    write_profile(
+        tmp_path / "own.toml", make_profile("own", small, markers_in(small).pitch, Gain(), shipped.metadata)
+    )
     assert with_profile(tmp_path / "own.toml", large, shipped.metadata)[0] is large
 
 

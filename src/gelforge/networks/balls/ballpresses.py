@@ -19,7 +19,7 @@ from gelforge.errors import BadInput
 from gelforge.networks.balls.balltable import THICKNESS_MM, BallCurve, ball_table
 from gelforge.networks.balls.imprint import CUT, Circle, contact_place, find_rim
 from gelforge.records.image import read_image
-from gelforge.records.markers import MARKER_PITCH_MM, pitch_of
+from gelforge.records.markers import MARKER_PITCH_MM, markers_in
 from gelforge.records.npz import DAMAGED, in_short
 
 LAYOUT = "give a folder with background.png and DIAMETERmm/N/gelsight.png, as gs_sdk's calibration has it"
@@ -51,7 +51,7 @@ class BallFolder:
 
 def px_per_mm_of(nocontact: np.ndarray) -> float:
     """Scale of pictures of a sensor, by its markers; BadInput where it has none."""
-    pitch = pitch_of(nocontact)
+    pitch = markers_in(nocontact).pitch
     if not pitch:
         raise BadInput(
             "the no-contact image shows no markers, which alone give px per mm: use a gel with markers, and a sharp image"

@@ -7,7 +7,6 @@ import torch
 
 from gelforge.flow.params.tables import AugmentTable
 from gelforge.networks.models.inputs import cell_pixels, inner_part
-from gelforge.networks.preprocess.scale import hidden
 
 # Luma, and the two chroma axes of YIQ (NTSC 1953): hue turns the chroma plane, saturation scales it.
 RGB_TO_YIQ = torch.tensor([[0.299, 0.587, 0.114], [0.5959, -0.2746, -0.3213], [0.2115, -0.5227, 0.3112]])
@@ -111,7 +110,11 @@ def narrow_views(pairs, labels, settings: AugmentTable, generator) -> tuple[np.n
             float(fractions[k]), pairs.shape[1:3], labels.shape[2:], "[train.augment] narrowed"
         )
         shown, force = pairs[k][pixels].copy(), labels[k][(slice(None), *inner)].copy()
-        pairs[k] = hidden(shown)
+        # where a pair shows nothing, the no-contact image's mean colour stands in both
+        mean = shown.sum(axis=0, dtype=np.uint64).sum(axis=0) / (
+            shown.shape[0] * shown.shape[1]
+        )  # by whole lines of memory
+        pairs[k] = np.tile(np.rint(mean[3:]).astype(np.uint8), 2)
         labels[k] = 0.0
         pairs[k][pixels] = shown
         labels[k][(slice(None), *inner)] = force

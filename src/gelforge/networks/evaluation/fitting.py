@@ -22,7 +22,7 @@ from gelforge.networks.uncertainty.ood import (
     relief,
     widened,
 )
-from gelforge.records.markers import pitch_of
+from gelforge.records.markers import markers_in
 from gelforge.records.splits import TRAINING, VALIDATION
 
 ENOUGH_PAIRS = 200  # pictures that show what good pairs are like
@@ -81,7 +81,8 @@ def good_pairs(metadata: dict[str, Any], data: Data, rows: np.ndarray) -> dict[s
         found = pair_diagnostics(prepare[name](np.ascontiguousarray(data.images[row])))
         pairs += [found] if found else []
     return pair_limits(pairs) | {
-        "largest_relief": RELIEF_MARGIN * max(relief(data.nocontact[name]) for name in prepare)
+        "largest_relief": RELIEF_MARGIN
+        * max(relief(data.nocontact[name], markers_in(data.nocontact[name])) for name in prepare)
     }
 
 
@@ -91,7 +92,7 @@ def learnt_pitch(data: Data, before: dict[str, Any] | None) -> dict[str, list[fl
     Nothing where none has markers.
     """
     names = set(data.names("sensor_id")[data.splits[TRAINING]].tolist())
-    pitches = [pitch for pitch in (pitch_of(data.nocontact[name]) for name in sorted(names)) if pitch]
+    pitches = [pitch for pitch in (markers_in(data.nocontact[name]).pitch for name in sorted(names)) if pitch]
     pitches += (before or {}).get("pitch_px", [])
     return {"pitch_px": [min(pitches), max(pitches)]} if pitches else {}
 

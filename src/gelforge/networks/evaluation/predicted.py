@@ -41,8 +41,7 @@ def predict_rows(model: ForceModel, data: Data, rows: np.ndarray) -> Predicted:
         forces[k] = found.cells
         known = known and found.half_width is not None
         widths[k] = found.half_width if known else 0.0
-    views = [one.prepare.nocontact.view for one in beside.values() if one.prepare.nocontact is not None]
-    return Predicted(forces, widths if known else None, all(view.whole for view in views))
+    return Predicted(forces, widths if known else None, all(one.prepare.frame.shows_rim for one in beside.values()))
 
 
 def _predictor(model: ForceModel, data: Data, name: str, row: int) -> Predictor:

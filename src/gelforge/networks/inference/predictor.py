@@ -12,7 +12,6 @@ from gelforge.errors import BadInput
 from gelforge.networks.checkpoint.modelfile import ForceModel, Graph, load_model, require_sensor
 from gelforge.networks.inference.sensorprofile import AS_READ, Gain
 from gelforge.networks.preprocess.pair import NoContact, Prepared, Preprocessor, at_rest
-from gelforge.networks.preprocess.scale import WHOLE, View
 from gelforge.networks.preprocess.slopetable import SlopeTable, height_of
 from gelforge.networks.uncertainty.conformal import half_widths
 from gelforge.networks.uncertainty.ood import (
@@ -22,7 +21,6 @@ from gelforge.networks.uncertainty.ood import (
     relief,
     relief_fault,
 )
-from gelforge.records.cameraframe import CameraFrame, camera_frame
 from gelforge.records.forcereading import ForceReading, edge_peak
 
 MOST_VANISHED = 8  # markers, of 63: with so many painted over in both images, nine of ten forces are within 11 %
@@ -64,24 +62,17 @@ class Predictor:
         table: SlopeTable | None = None,
     ) -> None:
         self.model, self.metadata, self.gain = model, model.metadata, gain
-        self.frame: CameraFrame | None = None  # how images are turned and cropped, which the no-contact image shows
-        if nocontact is not None and model.needs_nocontact:
-            rows, cols = self.metadata["image"]
-            self.frame = camera_frame(nocontact, (rows, cols))
-        self.prepare = Preprocessor(model.metadata, nocontact if nocontact is None else self._framed(nocontact))
+        self.prepare = Preprocessor(model.metadata, nocontact)
         self.graph = Graph(model.graph, f"model {self.metadata['name']}", device, threads)
         self.table = table
         self.statistics = as_arrays(self.metadata["statistics"])
         self._rest: WeakKeyDictionary[NoContact, np.ndarray] = WeakKeyDictionary()
         self.fault = self._nocontact_fault()
 
-    def _framed(self, image: np.ndarray) -> np.ndarray:
-        return image if self.frame is None else self.frame(image)
-
     @property
     def text(self) -> str:
         """What is done to images, in one line; empty for nothing."""
-        return "" if self.frame is None else self.frame.text
+        return self.prepare.frame.text
 
     def rest(self, nocontact: NoContact | None) -> np.ndarray:
         """Forces (3, rows, cols) N that the graph predicts for a no-contact image; 0 beside a model of one picture."""
@@ -90,11 +81,6 @@ class Predictor:
         if nocontact not in self._rest:
             self._rest[nocontact] = self.raw(at_rest(nocontact))
         return self._rest[nocontact]
-
-    @property
-    def view(self) -> View:
-        """How pictures of the sensor are scaled."""
-        return WHOLE if self.prepare.nocontact is None else self.prepare.nocontact.view
 
     def raw(self, seen: Prepared) -> np.ndarray:
         """Forces (3, rows, cols) N of a prepared picture as the graph predicts them, without tare and factor."""
@@ -113,18 +99,17 @@ class Predictor:
         """
         if self.table is None or self.prepare.nocontact is None:
             return None
-        slopes = self.table.slopes(self.prepare(self._framed(image)).lit, self.prepare.nocontact.picture)
+        slopes = self.table.slopes(self.prepare(image).lit, self.prepare.nocontact.picture)
         return height_of(slopes, 2.0 / self.table.px_per_mm)
 
     def predict(self, image: np.ndarray) -> ForceReading:
         """Read an image (h, w, 3) uint8 RGB of any size."""
-        seen = self.prepare(self._framed(image))
+        seen = self.prepare(image)
         cells = (self.raw(seen) - self.rest(seen.nocontact)) * np.float32(self.gain.value)
         total = cells.sum((1, 2), dtype=float)
         score, unlike = pair_score_fault(self.statistics, seen)
         grey = monochrome_fault(self.statistics, seen.image, "the picture")
         faults = (
-            "" if self.frame is None else self.frame.fault(image),
             seen.fault,
             grey,
             self.fault,
@@ -138,7 +123,7 @@ class Predictor:
             total=total,
             half_width=half_widths(self.metadata, total, self.gain),
             reason=next(filter(None, faults), ""),
-            edge_peak=edge_peak(cells, self.view.cells_shown(cells.shape[1:])),
+            edge_peak=edge_peak(cells, self.prepare.frame.cells_shown(cells.shape[1:])),
             ood_score=score,
             vanished=seen.vanished,
             image=seen.image,
@@ -148,9 +133,12 @@ class Predictor:
         nocontact = self.prepare.nocontact
         if nocontact is None or nocontact.fault:
             return "" if nocontact is None else nocontact.fault
-        grey = monochrome_fault(self.statistics, nocontact.sized, "the no-contact image")
-        blue_first = BLUE_FIRST if self.frame is not None and self.frame.blue_first else ""
-        return grey or relief_fault(self.statistics, relief(nocontact.sized)) or blue_first
+        picture, shown = nocontact.picture, nocontact.frame.shown
+        return (
+            monochrome_fault(self.statistics, picture[shown], "the no-contact image")
+            or relief_fault(self.statistics, relief(picture, nocontact.markers.printed, shown))
+            or (BLUE_FIRST if nocontact.frame.blue_first else "")
+        )
 
 
 def wear_fault(seen: Prepared) -> str:

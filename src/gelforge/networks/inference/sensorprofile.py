@@ -18,10 +18,10 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_toml, write_text
 from gelforge.networks.checkpoint.modelfile import fingerprint
+from gelforge.networks.preprocess.imageframe import reduced
 from gelforge.networks.preprocess.slopetable import COLOUR_TERMS, PLACE_TERMS, SlopeTable
-from gelforge.records.cameraframe import reduced
 from gelforge.records.image import read_image, write_png
-from gelforge.records.markers import pitch_of
+from gelforge.records.markers import markers_in
 
 SPREAD = 0.3  # of a factor's logarithm before any reading: gels, prints and cameras differ by a third
 SCATTER, KNOWN = 0.15, 2.0  # of one reading's logarithm, as two readings would give it before any is made
@@ -293,7 +293,7 @@ def with_profile(
     check_same_network(profile, metadata)
     if picture is None:
         return profile.nocontact, profile.gain, profile.table
-    check_same_sensor(profile, pitch_of(reduced(picture)))  # as the profile keeps its own
+    check_same_sensor(profile, markers_in(reduced(picture)).pitch)  # as the profile keeps its own
     return picture, profile.gain, profile.table
 
 

@@ -10,8 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gelforge.networks.preprocess.scale import WHOLE, View
-
 SMALL = (40, 30)  # width and height in px at which light is compared: markers and noise average out
 ROUNDS = 20  # at most of iteratively reweighted least squares; four are usual
 BRIGHTEST = 255.0  # level that a picture may have
@@ -28,6 +26,7 @@ DARK, BRIGHT = 4, 250  # levels between which a camera's answer is believed
 FALL_ROUNDS, FALL_REACH, FALL_SCALES = 4, 4.0, (0.01, 0.06)
 SPARSE = 3  # one of so many places is looked at, which are enough for four numbers
 MOST_GAIN = 2.0  # a factor beyond which pictures are not of one sensor under one light
+ALL = slice(None), slice(None)  # rows and columns of a picture
 
 
 ACROSS, DOWN = (
@@ -74,34 +73,33 @@ def match_light(image: np.ndarray, nocontact: np.ndarray) -> Light:
 class Reference:
     """A no-contact image (h, w, 3) uint8 whose light others are compared with: what is computed of it is computed once.
 
-    view: in which the picture is given (`View.of`); it says what part shows something.
+    shown: rows and columns of the picture that show something.
     """
 
-    def __init__(self, picture: np.ndarray, view: View = WHOLE) -> None:
-        self.picture, self.view = picture, view
-        self._small = _small(picture[view.shown(picture.shape)])
+    def __init__(self, picture: np.ndarray, shown: tuple[slice, slice] = ALL) -> None:
+        self.picture, self.shown = picture, shown
+        self._small = _small(picture[shown])
         self._believed = _believed(self._small)
 
     def normalised(self, image: np.ndarray) -> tuple[np.ndarray, Light]:
-        """An image (h, w, 3) uint8 in the same view under the light of the no-contact image, and what its light was."""
-        if self.view.zoom >= 1.0:
-            light = self.light_of(image)
+        """An image (h, w, 3) uint8 in the same frame under the light of the no-contact image, and what its light was."""
+        seen = image[self.shown]
+        light = self.light_of(seen)
+        if seen.shape == image.shape:
             return light.undo(image), light
-        inner = self.view.shown(image.shape)
-        light = self.light_of(image[inner])
         normalised = self.picture.copy()  # what neither shows is the same in both
-        normalised[inner] = light.undo(image[inner])
+        normalised[self.shown] = light.undo(seen)
         return normalised, light
 
     def fall_of(self, image: np.ndarray, light: Light) -> tuple[float, float]:
         """By which fraction of its level light falls otherwise on an image (h, w, 3) uint8 than on the no-contact image.
 
-        From the middle to the edge of what the view shows: of all colours together, and of the colour that changes most. (0, 0) where
+        From the middle to the edge of what is shown: of all colours together, and of the colour that changes most. (0, 0) where
         the light is not known, or a press shades most of the gel.
         """
         if not light.known:
             return 0.0, 0.0
-        seen, rest = _small(image[self.view.shown(image.shape)])[:, ::SPARSE], self._small[:, ::SPARSE]
+        seen, rest = _small(image[self.shown])[:, ::SPARSE], self._small[:, ::SPARSE]
         expected = light.gain[:, None] * rest + light.offset[:, None]
         good = _believed(rest) & _believed(seen)
         fitted = [_fall(one, good) for one in np.log((seen + 1.0) / np.maximum(expected + 1.0, 1.0))]
@@ -112,7 +110,7 @@ class Reference:
         return max(float(np.hypot(along, across)), abs(float(corners))), float(np.hypot(*falls[:, :2].T).max())
 
     def light_of(self, image: np.ndarray) -> Light:
-        """Light of an image, (h, w, 3) uint8 of what the view shows."""
+        """Light of an image, (h, w, 3) uint8 of what is shown."""
         small = _small(image)
         believed = self._believed & _believed(small)
         if believed.mean() < LEAST_FRACTION:

@@ -9,15 +9,13 @@ grows from nothing without a jump. Turn and zoom are not fitted: contact spreads
 real balls and FEATS' presses it reads forces worse than none does).
 """
 
-import contextlib
 import functools
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from gelforge.errors import BadInput
-from gelforge.records.markers import LEAST_FOR_PITCH, find_blobs, lattice_of, marker_pitch
+from gelforge.records.markers import LEAST_FOR_PITCH, Markers
 
 ROWS, COLS = (
     9,
@@ -51,36 +49,29 @@ class Tracks:
 
 
 class MarkerTracker:
-    """Markers of a no-contact image (h, w, 3) uint8, as many as it shows.
+    """Markers of a no-contact image (h, w, 3) uint8, followed to other images.
 
-    points: (n, 2) px, OpenCV's: a pixel's centre is a whole number. diameter: px, of a typical marker. rim: (n,) bool, which are outermost ones. at: (n, 2) row
-    and column on the lattice, whose middle place has the marker nearest to the picture's middle; -1 for one that stands on no
-    lattice, or outside of ROWS x COLS.
+    printed: they in the no-contact image. points: (n, 2) px, OpenCV's: a pixel's centre is a whole number. diameter: px, of a typical marker. rim: (n,) bool, which are
+    outermost ones. at: (n, 2) row and column on the lattice, whose middle place has the marker nearest to the picture's middle; -1 for
+    one that stands on no lattice, or outside of ROWS x COLS.
     """
 
-    def __init__(self, nocontact: np.ndarray):
+    def __init__(self, nocontact: np.ndarray, markers: Markers):
         import cv2
 
         self.grey = cv2.cvtColor(nocontact, cv2.COLOR_RGB2GRAY)
-        points, widths = find_blobs(nocontact)
+        self.printed, self.diameter = markers, markers.diameter
+        points, reach = markers.points, RIM * markers.pitch
         low, high = (points.min(axis=0), points.max(axis=0)) if len(points) else (np.zeros(2), np.zeros(2))
-        reach = RIM * marker_pitch(points)
         self.rim = ((points < low + reach) | (points > high - reach)).any(axis=1)
         self.points = points - 0.5
-        self.diameter = float(np.median(widths)) if len(widths) else 0.0
-        self.at = self._lattice()
-
-    def _lattice(self) -> np.ndarray:
-        at = np.full((len(self.points), 2), -1)
-        if len(at) < LEAST_FOR_PITCH:
-            return at
-        with contextlib.suppress(BadInput):  # no print of markers, then
-            index, used = lattice_of(self.points)
+        self.at = np.full((len(points), 2), -1)
+        index, used = markers.lattice if len(points) >= LEAST_FOR_PITCH else (np.zeros((0, 2), int), np.zeros(0, int))
+        if len(used):
             middle = np.hypot(*(self.points[used] - np.array(self.grey.shape[::-1]) / 2).T).argmin()
             index = index - index[middle] + (ROWS // 2, COLS // 2)
             inside = ((index >= 0) & (index < (ROWS, COLS))).all(axis=1)
-            at[used[inside]] = index[inside]
-        return at
+            self.at[used[inside]] = index[inside]
 
     @functools.cached_property
     def on_grid(self) -> np.ndarray:

@@ -19,37 +19,31 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.networks.models.inputs import needs_nocontact
 from gelforge.networks.preprocess.illumination import Light, Reference
+from gelforge.networks.preprocess.imageframe import ImageFrame, image_frame
 from gelforge.networks.preprocess.markertracks import MarkerTracker, Tracks, rim_shift, shifted_back
-from gelforge.networks.preprocess.scale import WHOLE, fit_size, view_of
 from gelforge.networks.preprocess.wear import darkness_of, grey_of, painted_over, places_in, vanished
-from gelforge.records.markers import pitch_of
 
 INPUTS = ("image", "nocontact")  # what the inputs of a graph may be named
 MOST_WORN = 8  # no-contact images without vanished markers that are kept
 
 
 class NoContact:
-    """A sensor while nothing touches it, as a model reads it: the picture at the model's scale, its light and its markers.
+    """A sensor while nothing touches it, as a model reads it: the picture in the model's frame, its light and its markers.
 
-    picture: (h, w, 3) uint8 RGB of any size. fault: what is wrong with its shape or markers, empty for nothing.
+    picture: (h, w, 3) uint8 RGB of any size. fault: what is wrong with its markers, empty for nothing.
     """
 
     def __init__(self, picture: np.ndarray, metadata: Mapping[str, Any]) -> None:
-        self.sized, self.fault = fit_size(picture, metadata["image"])
-        learnt, self.view = metadata.get("pitch_px"), WHOLE
-        pitch = pitch_of(self.sized) if learnt else 0.0
-        if learnt and pitch:
-            self.view = view_of(self.sized, pitch, learnt)
-        elif learnt and not self.fault:
+        rows, cols = metadata["image"]
+        learnt = metadata.get("pitch_px")
+        self.frame, markers = image_frame(picture, (rows, cols), learnt)
+        self.fault = ""
+        if learnt and not markers.pitch:
             self.fault = "the no-contact image shows no markers, which the network learnt from: it is blurred, or of another gel"
-        self.picture = self.view.of(self.sized)
-        self.reference = Reference(self.picture, self.view)
+        self.picture = self.frame(picture)
+        self.markers = MarkerTracker(self.picture, markers)
+        self.reference = Reference(self.picture, self.frame.shown)
         self._worn: dict[bytes, NoContact] = {}
-
-    @cached_property
-    def markers(self) -> MarkerTracker:
-        """Its markers."""
-        return MarkerTracker(self.picture)
 
     @cached_property
     def darkness(self) -> np.ndarray:
@@ -63,10 +57,10 @@ class NoContact:
             while len(self._worn) >= MOST_WORN:
                 self._worn.pop(next(iter(self._worn)))
             worn = copy(self)
-            for known in ("markers", "darkness"):
-                worn.__dict__.pop(known, None)
+            worn.__dict__.pop("darkness", None)
             worn.picture = painted_over(self.picture, self.markers.points[gone], self.markers.diameter)
-            worn.reference = Reference(worn.picture, self.view)
+            worn.markers = MarkerTracker(worn.picture, self.markers.printed.only(~gone))
+            worn.reference = Reference(worn.picture, self.frame.shown)
             self._worn[key] = worn
         return self._worn[key]
 
@@ -75,7 +69,7 @@ class NoContact:
 class Prepared:
     """A picture as the graph of a model reads it, and what was measured on the way.
 
-    image: (h, w, 3) uint8 at the model's size and scale, registered; lit: under the light of the no-contact image, too, from which its
+    image: (h, w, 3) uint8 in the model's frame, registered; lit: under the light of the no-contact image, too, from which its
     own differed by `light`. fault: what is wrong with its shape. nocontact and light are None beside a model of one picture. vanished:
     number of markers that were in the no-contact image and are not in this one; they are painted over in `lit` and in `nocontact`.
     """
@@ -122,7 +116,8 @@ class Preprocessor:
     """
 
     def __init__(self, metadata: Mapping[str, Any], nocontact: np.ndarray | None = None) -> None:
-        self.size = metadata["image"]
+        rows, cols = metadata["image"]
+        self.frame = ImageFrame((rows, cols), (rows, cols))  # in which images are read
         self.nocontact: NoContact | None = None
         if needs_nocontact(metadata["normalisation"]["reads"]):
             if nocontact is None:
@@ -131,17 +126,18 @@ class Preprocessor:
                     " give it with --nocontact PICTURE or --profile FILE (in Python nocontact=, and profile= of Reader)"
                 )
             self.nocontact = NoContact(nocontact, metadata)
+            self.frame = self.nocontact.frame
 
     def __call__(self, image: np.ndarray) -> Prepared:
         """Prepare an image (h, w, 3) uint8 RGB of any size."""
-        sized, fault = fit_size(image, self.size)
+        framed, fault = self.frame(image), self.frame.fault(image)
         if self.nocontact is None:
-            return Prepared(sized, sized, fault, None, None)
-        prepared = self._beside(self.nocontact, self.nocontact.view.of(sized), fault)
-        if self.nocontact.view.whole:  # a view without the gel's rim does not show how it is mounted
+            return Prepared(framed, framed, fault, None, None)
+        prepared = self._beside(self.nocontact, framed, fault)
+        if self.frame.shows_rim:  # else it is not known how the gel is mounted
             shift = rim_shift(self.nocontact.markers, prepared.tracks)
             if shift.any():
-                prepared = self._beside(self.nocontact, shifted_back(prepared.image, shift), fault)
+                prepared = self._beside(self.nocontact, shifted_back(framed, shift), fault)
         return self._without_worn(prepared, self.nocontact)
 
     @staticmethod

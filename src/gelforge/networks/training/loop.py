@@ -26,9 +26,9 @@ from gelforge.networks.data.arrays import Data
 from gelforge.networks.data.loader import batches_from, epoch_steps, generator, images_to_tensor, prefetched
 from gelforge.networks.models.inputs import network_input
 from gelforge.networks.models.registry import begin_as, build
-from gelforge.networks.preprocess.scale import at_scale
+from gelforge.networks.preprocess.imageframe import at_scale
 from gelforge.records.axes import CHANNELS
-from gelforge.records.markers import pitch_of
+from gelforge.records.markers import markers_in
 from gelforge.records.networkkind import kind_of
 from gelforge.records.splits import TRAINING, VALIDATION
 
@@ -385,7 +385,7 @@ def require_scale(metadata: dict[str, Any], data: Data) -> None:
         return
     low, high = metadata["pitch_px"]
     for name, picture in sorted(data.nocontact.items()):
-        pitch = pitch_of(picture)
+        pitch = markers_in(picture).pitch
         if not at_scale(pitch, ((1 - FARTHER) * low, (1 + FARTHER) * high)):
             raise BadInput(
                 f"the markers of sensor {name} are {pitch:.1f} px apart, those that {metadata['name']} learnt from {low:.1f} to"

@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gelforge.networks.preprocess.illumination import Light
+from gelforge.networks.preprocess.illumination import ALL, Light
 from gelforge.networks.preprocess.markertracks import COLS, ROWS, MarkerTracker, Tracks
 from gelforge.networks.preprocess.pair import Prepared
 from gelforge.networks.preprocess.wear import darkness_of, grey_of
-from gelforge.records.markers import find_blobs
+from gelforge.records.markers import Markers
 
 # Smallest standard deviation that a statistic is given, so that a uniform training set does not flag
 # what no eye could distinguish: grey levels for the colours, a marker or two for the count.
@@ -162,19 +162,20 @@ def distance(image, nocontact) -> float:
     return quantile((red.astype(np.uint16) + green + blue).ravel(), 0.5) / 3
 
 
-def relief(nocontact) -> float:
+def relief(nocontact: np.ndarray, markers: Markers, shown: tuple[slice, slice] = ALL) -> float:
     """How uneven the light of a no-contact image (h, w, 3) uint8 is between its markers, levels of the three colours together.
+
+    shown: rows and columns of the image that show something.
 
     What touches a gel shades it within a few markers' distance; the gel's own light changes over the whole picture.
     """
     import cv2
 
-    markers, widths = find_blobs(nocontact)
     gel = np.ones(nocontact.shape[:2], np.uint8)
-    for u, v in markers.astype(int).tolist():
-        cv2.circle(gel, (u, v), int(0.9 * np.median(widths)) + 3, 0, -1)
-    small = cv2.resize(nocontact, RELIEF_SIZE, interpolation=cv2.INTER_AREA).astype(np.float32)
-    weight = cv2.resize(gel, RELIEF_SIZE, interpolation=cv2.INTER_NEAREST).astype(np.float32)
+    for u, v in markers.points.astype(int).tolist():
+        cv2.circle(gel, (u, v), int(0.9 * markers.diameter) + 3, 0, -1)
+    small = cv2.resize(nocontact[shown], RELIEF_SIZE, interpolation=cv2.INTER_AREA).astype(np.float32)
+    weight = cv2.resize(gel[shown], RELIEF_SIZE, interpolation=cv2.INTER_NEAREST).astype(np.float32)
 
     def smooth(width: float) -> np.ndarray:
         around = cv2.GaussianBlur(weight, (0, 0), width)[..., None] + 1e-3
@@ -182,8 +183,8 @@ def relief(nocontact) -> float:
 
     uneven = np.abs(smooth(1.5) - smooth(8.0)).sum(axis=2)
     inner = np.s_[6:-6, 6:-6]
-    shown = weight[inner] > 0
-    return float(np.percentile(uneven[inner][shown], 99.5)) if shown.any() else 0.0
+    between = weight[inner] > 0
+    return float(np.percentile(uneven[inner][between], 99.5)) if between.any() else 0.0
 
 
 def relief_fault(limits: dict, value: float) -> str:
@@ -230,7 +231,9 @@ def pair_diagnostics(seen: Prepared) -> PairDiagnostics | None:
         return None
     markers = seen.nocontact.markers
     found = (
-        marker_diagnostics(markers, seen.tracks) if seen.nocontact.view.whole else rimless_diagnostics(seen.tracks)
+        marker_diagnostics(markers, seen.tracks)
+        if seen.nocontact.frame.shows_rim
+        else rimless_diagnostics(seen.tracks)
     )
     return PairDiagnostics(distance(seen.lit, seen.nocontact.picture), seen.light, found)
 

@@ -10,10 +10,10 @@ import pytest
 import gelforge
 from gelforge.commands.camera import best_mode, camera_mode, camera_number, cameras, modes_of
 from gelforge.commands.camera import main as camera
-from gelforge.records.cameraframe import AS_IT_IS, Orientation, camera_frame
+from gelforge.networks.preprocess.imageframe import AS_IT_IS, Orientation, image_frame
 from gelforge.records.film import open_source
 from gelforge.records.image import read_image
-from gelforge.records.markers import find_blobs, pitch_of
+from gelforge.records.markers import markers_in
 from tests.support.crops import CROPS, SIX, raw, resized
 from tests.support.films import write_matroska
 from tests.support.refused import refused
@@ -22,6 +22,10 @@ SIZE = (240, 320)
 WAYS = [Orientation(*flags) for flags in itertools.product((False, True), repeat=3)]
 UNITS = ["mini_a", "mini_e"]
 PRESSED = "images/demo-000000.png"
+
+
+def frame_of(picture):
+    return image_frame(picture, SIZE)[0]
 
 
 @pytest.fixture(scope="module")
@@ -33,16 +37,17 @@ def picture(demo_nocontact):
 def test_every_size_and_crop_shows_the_same_markers_in_the_same_places(demo_nocontact, unit, crop):
     picture = demo_nocontact[unit]
     made = CROPS[crop](picture)
-    frame = camera_frame(made, SIZE)
+    frame = frame_of(made)
     shown = frame(made)
     assert shown.shape == (*SIZE, 3) and shown.flags.c_contiguous
-    pitch, expected = pitch_of(shown), pitch_of(picture)
+    markers = markers_in(shown)
+    pitch, expected = markers.pitch, markers_in(picture).pitch
     # as the maker's driver shows it
     assert pitch == pytest.approx(expected, rel=0.01)
     grown = cv2.warpAffine(
         picture, cv2.getRotationMatrix2D((159.5, 119.5), 0, pitch / expected), SIZE[::-1], borderMode=1
     )
-    (found, _), (places, _) = find_blobs(shown), find_blobs(grown)
+    found, places = markers.points, markers_in(grown).points
     found, places = found - np.median(found, axis=0), places - np.median(places, axis=0)
     apart = np.hypot(*(found[:, None] - places[None]).transpose(2, 0, 1)).min(axis=1)
     assert np.median(apart) < 0.5
@@ -65,7 +70,7 @@ def test_an_image_that_lies_otherwise_is_turned_back(demo_nocontact):
     """Bright sides of the light show which way is up, coloured fringes of the markers whether a mirror is between."""
     for unit, way in itertools.product(UNITS, WAYS):
         made = turned_so_that(way, demo_nocontact[unit])
-        frame = camera_frame(made, SIZE)
+        frame = frame_of(made)
         assert frame.orientation == way
         assert np.array_equal(frame(made), demo_nocontact[unit]), (unit, way)
         assert ("mirrored back" in frame.text) == way.mirrored
@@ -101,11 +106,11 @@ def test_real_sensors_stay_as_they_are_and_are_turned_back(reference):
     """Of 32 films, also of gels whose flat markers leave no fringes: no mirror is found there, but which way is up and BGR."""
     for path in sorted((reference / "gripper_videos").glob("*.avi")):
         picture = no_contact(path)
-        assert camera_frame(picture, SIZE).orientation == AS_IT_IS, path.name
-        assert camera_frame(np.ascontiguousarray(picture[..., ::-1]), SIZE).blue_first, path.name
-        upside = camera_frame(np.ascontiguousarray(picture[::-1, ::-1]), SIZE).orientation
+        assert frame_of(picture).orientation == AS_IT_IS, path.name
+        assert frame_of(np.ascontiguousarray(picture[..., ::-1])).blue_first, path.name
+        upside = frame_of(np.ascontiguousarray(picture[::-1, ::-1])).orientation
         assert upside == Orientation(False, True, True), path.name
-        mirrored = camera_frame(np.ascontiguousarray(picture[:, ::-1]), SIZE).orientation
+        mirrored = frame_of(np.ascontiguousarray(picture[:, ::-1])).orientation
         flat = path.stem.startswith(FLAT) and path.stem.endswith("camera_0")
         assert mirrored == (AS_IT_IS if flat else Orientation(False, True, False)), path.name
 
@@ -115,33 +120,34 @@ def test_feats_sensor_is_turned_back_whichever_way(reference):
     sample = np.load(reference / "feats/images/nocontact_train_sensor.npy", allow_pickle=True).item()
     picture = np.ascontiguousarray(sample["gs_img"])
     for way in WAYS:
-        assert camera_frame(turned_so_that(way, picture), SIZE).orientation == way
+        assert frame_of(turned_so_that(way, picture)).orientation == way
 
 
 def test_an_image_without_markers_or_of_a_part_of_the_gel_is_resized_whole(picture):
     blank = cv2.GaussianBlur(picture, (0, 0), 25)
-    assert camera_frame(blank, SIZE).text == ""
+    assert frame_of(blank).text == ""
     part = resized(picture[40:200, 50:263], 640, 480)
-    frame = camera_frame(part, SIZE)
+    frame = frame_of(part)
     assert frame.text == "images of 640 x 480 are scaled to 320 x 240"
     assert np.abs(frame(part).astype(int) - cv2.resize(part, (320, 240), interpolation=cv2.INTER_AREA)).max() == 0
 
 
 def test_a_square_crop_keeps_the_gels_shape(picture):
     square = resized(picture[:, 40:280], 480, 480)
-    shown = camera_frame(square, SIZE)(square)
-    points, _ = find_blobs(shown)
+    shown = frame_of(square)(square)
+    points = markers_in(shown).points
     across, along = (np.abs(np.subtract.outer(points[:, k], points[:, k])) for k in (0, 1))
     right = np.where((along < 6) & (across > 6), across, np.inf).min(axis=1)
     down = np.where((across < 6) & (along > 6), along, np.inf).min(axis=1)
     assert np.median(right) == pytest.approx(np.median(down), rel=0.06)
 
 
-def test_an_image_of_another_mode_than_the_no_contact_image_stays_as_it_is_and_is_flagged(picture):
-    frame = camera_frame(resized(picture, 640, 480), SIZE)
-    assert frame(raw(picture)).shape == (*SIZE, 3)  # the same shape
+def test_an_image_of_another_mode_than_the_no_contact_image_is_resized_whole_and_flagged(picture):
+    frame = frame_of(resized(picture, 640, 480))
+    assert frame(raw(picture)).shape == (*SIZE, 3) and not frame.fault(raw(picture))
     for other in (resized(picture, 640, 360), np.ascontiguousarray(np.rot90(picture))):
-        assert frame(other) is other
+        whole = cv2.resize(other, SIZE[::-1], interpolation=cv2.INTER_AREA)
+        assert np.array_equal(frame(other), whole) and "of another shape" in frame.fault(other)
 
 
 def test_a_mode_is_a_size_and_a_camera_a_number_or_a_device_file(tmp_path):

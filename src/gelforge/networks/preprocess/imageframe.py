@@ -1,0 +1,340 @@
+"""Where an image stands: from a camera's image of any size, crop and orientation to what a network reads.
+
+    frame, markers = image_frame(nocontact, (240, 320), metadata.get("pitch_px"))  # once for each sensor
+    framed = frame(image)  # turned, cropped, resized, and zoomed about its middle
+
+The no-contact image shows all of it: its markers, which are printed alike on every gel, give scale and middle; the light behind
+them and the coloured fringes that the three lights leave around them give the orientation, and whether it is mirrored.
+"""
+
+import itertools
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.records.markers import Markers, markers_in
+
+MOST_SIDE = 640  # px: longer side at which markers are looked for, and of the image in a profile
+PITCH_PX = 31.2  # between markers in 320 x 240 of the maker's driver (FEATS' sensor and another one)
+OF_WIDTH = 320.0
+# Of each side of the camera's whole image, which the maker's driver cuts off (gsrobotics, gs_sdk).
+DRIVER_CROP = 1 / 7
+GRID = (7, 9)  # markers of a Mini's gel, rows and columns
+LEAST_MARKERS, ON_GRID = 12, 0.6  # of a grid, and the fraction of all dark spots that stand on it
+UNEVEN = 0.12  # fraction by which sensors differ in the distance of their markers, px
+SAME_SHAPE = 0.02  # fraction by which the sides of an image may be in another ratio
+SQUARE = 0.1  # the same below which an image is neither upright nor across
+ZOOMS = (0.5, 1.6)  # between which an image still shows what a network looks for
+SLACK = 0.02  # of the markers' distance: how well an image shows it
+# First moments over the image of the part of red, green and blue in its light, and over a marker's surroundings of the darkness
+# of each colour beyond that of all three: of real Minis, (3, 2) along u and v, length 1.
+LIGHT = np.array([[0.03, 0.74], [-0.11, -0.12], [0.07, -0.62]])
+FRINGES = np.array([[0.28, 0.62], [-0.45, -0.13], [0.15, -0.50]])
+LEAST_FRINGES = 0.02  # of a marker's darkness: printed flat, markers have none
+SURE = 0.6  # least correlation by which an image is turned
+AHEAD = 0.3  # by how much an orientation must agree better than the image as it is
+
+
+@dataclass(frozen=True)
+class Orientation:
+    """How an image is turned: transposed first, then mirrored along u and v."""
+
+    transposed: bool = False
+    flip_u: bool = False
+    flip_v: bool = False
+
+    @property
+    def mirrored(self) -> bool:
+        """Whether it shows the gel as a mirror does."""
+        return self.transposed ^ self.flip_u ^ self.flip_v
+
+    def moments(self, moments: np.ndarray) -> np.ndarray:
+        """Moments (3, 2) along u and v of the image once it is turned."""
+        turned = moments[:, ::-1] if self.transposed else moments
+        return turned * np.array([1 - 2 * self.flip_u, 1 - 2 * self.flip_v])
+
+    def of(self, image: np.ndarray) -> np.ndarray:
+        """The image (h, w, 3), turned."""
+        turned = image.transpose(1, 0, 2) if self.transposed else image
+        return turned[:: -1 if self.flip_v else 1, :: -1 if self.flip_u else 1]
+
+    def points(self, places: np.ndarray) -> np.ndarray:
+        """Places (n, 2) of the image, as fractions of its width and height, in the turned image."""
+        turned = places[:, ::-1] if self.transposed else places
+        return np.where([self.flip_u, self.flip_v], 1.0 - turned, turned)
+
+    def __str__(self) -> str:
+        """In words, empty for an image that stays as it is."""
+        quarter = {(False, False): "", (True, True): "turned by 180 degrees"}
+        turn = "turned by 90 degrees" if self.transposed else quarter.get((self.flip_u, self.flip_v), "")
+        return " and ".join(filter(None, (turn, "mirrored back" if self.mirrored else "")))
+
+
+AS_IT_IS = Orientation()
+WHOLE = (0.0, 0.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True)
+class ImageFrame:
+    """From a camera's images to the (rows, cols) px that a network reads.
+
+    size: (rows, cols). shape: (h, w) of the image in which it was found; others may be larger or smaller, but must have its shape.
+    part: left, top, right and bottom, as fractions of the turned image, of what is shown. zoom: factor on lengths about the middle
+    of that part, so that markers stand as far apart as the network learnt; below 1 there is a margin that shows nothing, of levels
+    `fill`. text: what is done, in one line, empty for nothing. blue_first: whether the image in which it was found seems to have its
+    colours as OpenCV reads them.
+    """
+
+    size: tuple[int, int]
+    shape: tuple[int, int]
+    orientation: Orientation = AS_IT_IS
+    part: tuple[float, float, float, float] = WHOLE
+    zoom: float = 1.0
+    fill: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    text: str = ""
+    blue_first: bool = False
+
+    def __call__(self, image: np.ndarray) -> np.ndarray:
+        """An image (h, w, 3) uint8 as the network reads it; one of another shape is resized whole, and has a `fault`."""
+        import cv2
+
+        if same_shape(image.shape, self.shape):
+            turned = self.orientation.of(image)
+            left, top, right, bottom = self._window(turned.shape)
+            image = turned[top:bottom, left:right]
+        rows, cols = self.size
+        if image.shape[:2] != (rows, cols):
+            smaller = image.shape[0] * image.shape[1] < rows * cols
+            how = cv2.INTER_CUBIC if smaller else cv2.INTER_AREA
+            image = cv2.resize(np.ascontiguousarray(image), (cols, rows), interpolation=how)
+        if self.zoom == 1.0:
+            return np.ascontiguousarray(image)
+        matrix = np.array([[self.zoom, 0.0, cols - 1], [0.0, self.zoom, rows - 1]])
+        matrix[:, 2] *= (1.0 - self.zoom) / 2
+        return cv2.warpAffine(image, matrix, (cols, rows), borderMode=cv2.BORDER_CONSTANT, borderValue=self.fill)
+
+    def markers(self, markers: Markers, shape: tuple[int, ...]) -> Markers:
+        """Markers of an image of a shape (h, w, ...) that are whole in the frame, as they stand in it."""
+        height, width = shape[:2]
+        turned = self.orientation.points(markers.points / (width, height))
+        if self.orientation.transposed:
+            height, width = width, height
+        left, top, right, bottom = self._window((height, width))
+        size = np.array(self.size[::-1])
+        scale = size / (right - left, bottom - top)
+        points = size / 2 + self.zoom * ((turned * (width, height) - (left, top)) * scale - size / 2)
+        diameters = markers.diameters * self.zoom * scale.mean()
+        inside = ((points > diameters[:, None] / 2) & (points < size - diameters[:, None] / 2)).all(axis=1)
+        return Markers(points, diameters).only(inside)
+
+    def _window(self, shape: tuple[int, ...]) -> tuple[int, int, int, int]:
+        """Left, top, right and bottom px of a turned image of a shape (h, w, ...) between which it is shown."""
+        height, width = shape[:2]
+        left, top, right, bottom = self.part
+        return round(left * width), round(top * height), round(right * width), round(bottom * height)
+
+    def fault(self, image: np.ndarray) -> str:
+        """What is wrong with the shape of an image (h, w, 3); empty for nothing."""
+        (height, width), (rows, cols) = image.shape[:2], self.shape
+        if same_shape(image.shape, self.shape):
+            return ""
+        return (
+            f"the picture is {width} x {height}, of another shape than {cols} x {rows}, that of the no-contact image or of what the network"
+            " learnt from: take all pictures in one mode of the camera, or crop them"
+        )
+
+    @property
+    def shows_rim(self) -> bool:
+        """Whether images are at the network's scale without a zoom, and so show the gel's rim."""
+        return self.zoom == 1.0
+
+    @property
+    def shown(self) -> tuple[slice, slice]:
+        """Rows and columns of a framed image that show something."""
+        return self._within(self.size, math.ceil)
+
+    def cells_shown(self, grid: tuple[int, ...]) -> tuple[slice, slice]:
+        """Rows and columns of a map of a framed image, (rows, cols) cells, that show something, to the nearest cell."""
+        return self._within(grid, round)
+
+    def _within(self, shape: tuple[int, ...], whole: Callable[[float], int]) -> tuple[slice, slice]:
+        across, along = (max(0, whole((1.0 - self.zoom) * size / 2)) for size in shape)
+        return slice(across, shape[0] - across), slice(along, shape[1] - along)
+
+
+def same_shape(one: Sequence[int], other: Sequence[int]) -> bool:
+    """Whether sides (h, w, ...) of two images are in one ratio."""
+    return abs(one[1] * other[0] - one[0] * other[1]) <= SAME_SHAPE * one[0] * other[1]
+
+
+def reduced(image: np.ndarray) -> np.ndarray:
+    """An image (h, w, 3) uint8 whose longer side has at most MOST_SIDE px."""
+    import cv2
+
+    height, width = image.shape[:2]
+    scale = MOST_SIDE / max(height, width)
+    if scale >= 1.0:
+        return image
+    size = max(1, round(width * scale)), max(1, round(height * scale))
+    return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
+
+
+def image_frame(
+    nocontact: np.ndarray, size: tuple[int, int], learnt: Sequence[float] | None = None
+) -> tuple[ImageFrame, Markers]:
+    """The frame of a camera by its no-contact image (h, w, 3) uint8 RGB, and the markers of that image as they stand in it.
+
+    size: (rows, cols) that the network reads. learnt: least and largest distance px of markers in the images that it learnt from;
+    None leaves the scale as it is. An image without markers is left as it is, and resized whole. One that shows less of the gel than
+    the network's frame is, too, where its shape allows it, and zoomed; one that no zoom brings near enough raises BadInput.
+    """
+    small = reduced(nocontact)
+    found = markers_in(small)
+    on_grid = len(found.lattice[1]) >= max(LEAST_MARKERS, ON_GRID * len(found.points))
+    pitch = found.pitch if on_grid else 0.0
+    orientation = orientation_of(small, found, pitch) if pitch else AS_IT_IS
+    height, width = small.shape[1::-1] if orientation.transposed else small.shape[:2]
+    part, cut = WHOLE, ""
+    required = PITCH_PX * size[1] / OF_WIDTH
+    if pitch and not (same_shape((height, width), size) and pitch * size[1] / width > (1.0 - UNEVEN) * required):
+        scale, driver = pitch / required, width * (1.0 - 2.0 * DRIVER_CROP) / size[1]
+        as_driver = abs(scale / driver - 1.0) < UNEVEN
+        cut = "cropped as the maker's driver does" if as_driver else "cropped by their markers"
+        turned = ImageFrame((height, width), small.shape[:2], orientation).markers(found, small.shape)
+        part = _part((height, width), turned, driver if as_driver else scale, size)
+    (rows, cols), done = nocontact.shape[:2], [str(orientation), cut]
+    if (rows, cols) != tuple(size):
+        done.append(f"scaled to {size[1]} x {size[0]}")
+    changes = ", ".join(filter(None, done))
+    frame = ImageFrame(
+        size,
+        (rows, cols),
+        orientation,
+        part,
+        text=f"images of {cols} x {rows} are {changes}" if changes else "",
+        # exchanged, red and blue look like a mirrored or turned camera, but a Mini's blue light is the brighter one
+        blue_first=orientation != AS_IT_IS and bool(small[..., 0].mean() > small[..., 2].mean()),
+    )
+    as_it_is = (orientation, part, small.shape[:2]) == (AS_IT_IS, WHOLE, tuple(size))
+    markers = found if as_it_is else frame.markers(found, small.shape)
+    zoom = zoom_of(markers.pitch, learnt) if learnt else 1.0
+    if zoom != 1.0:
+        red, green, blue = np.rint(frame(nocontact).mean(axis=(0, 1))).tolist()
+        frame = replace(frame, zoom=zoom, fill=(red, green, blue))
+        markers = frame.markers(found, small.shape)
+    return frame, markers
+
+
+def at_scale(pitch: float, learnt: Sequence[float]) -> bool:
+    """Whether markers `pitch` px apart stand as those that a network learnt from, of which `learnt` is as in `image_frame`.
+
+    An image without markers (pitch 0) has no known scale and passes.
+    """
+    return pitch == 0.0 or (1 - SLACK) * learnt[0] <= pitch <= (1 + SLACK) * learnt[1]
+
+
+def zoom_of(pitch: float, learnt: Sequence[float]) -> float:
+    """The zoom at which markers `pitch` px apart stand as those that a network learnt from, `learnt` as in `image_frame`.
+
+    Gels are printed alike, so a camera whose markers stand closer or farther apart sees more or less of the gel. One without markers
+    (pitch 0) is left as it is; BadInput where no zoom brings them near enough.
+    """
+    if at_scale(pitch, learnt):
+        return 1.0
+    zoom = sum(learnt) / 2 / pitch
+    if not ZOOMS[0] <= zoom <= ZOOMS[1]:
+        raise BadInput(
+            f"the markers of the no-contact image stand {pitch:.1f} px apart, the network learnt from {learnt[0]:.0f} to"
+            f" {learnt[1]:.0f}: crop or scale all pictures of this sensor so that its markers stand about as far apart"
+        )
+    return zoom
+
+
+def _part(
+    shape: tuple[int, int], markers: Markers, scale: float, size: tuple[int, int]
+) -> tuple[float, float, float, float]:
+    """The part of a turned image of a shape (h, w) that the network's frame shows, smaller where the image does not reach so far.
+
+    markers: of that image. scale: px of it for one of the frame. The part lies about the middle of the image, as the gel does but
+    for its mounting; about the middle of the marker grid where all of it is seen, and its middle is over a pitch away.
+    """
+    height, width = shape
+    scale = min(scale, width / size[1], height / size[0])
+    across, along = scale * size[1], scale * size[0]
+    u, v = width / 2, height / 2
+    index, used = markers.lattice
+    extent = np.ptp(index, axis=0) + 1 if len(used) else np.zeros(2)
+    if tuple(extent) == GRID and len(used) >= 0.8 * math.prod(GRID):
+        design = np.column_stack([np.ones(len(index)), index])
+        model = np.linalg.lstsq(design, markers.points[used], rcond=None)[0]
+        grid = np.array([1.0, *(index.min(axis=0) + (extent - 1) / 2)]) @ model
+        if math.dist(grid, (u, v)) > markers.pitch:
+            u, v = grid.tolist()
+    left, top = min(max(u - across / 2, 0.0), width - across), min(max(v - along / 2, 0.0), height - along)
+    return left / width, top / height, (left + across) / width, (top + along) / height
+
+
+def orientation_of(image: np.ndarray, markers: Markers, pitch: float) -> Orientation:
+    """How a no-contact image (h, w, 3) uint8 RGB must be turned to lie as networks know it; as it is where nothing is sure."""
+    height, width = image.shape[:2]
+    light, fringes = light_moments(image), fringe_moments(image, markers, pitch)
+    both = [(LIGHT, light)]
+    if np.linalg.norm(fringes) >= LEAST_FRINGES:
+        both.append((FRINGES, fringes))
+
+    def agreement(orientation: Orientation) -> list[float]:
+        return [_correlation(known, orientation.moments(seen)) for known, seen in both]
+
+    upright = height > (1 + SQUARE) * width
+    across = width > (1 + SQUARE) * height
+    found, most = AS_IT_IS, sum(agreement(AS_IT_IS)) if not upright else -math.inf
+    candidates = [
+        Orientation(*flags)
+        for flags in itertools.product((False, True), repeat=3)
+        if not ((flags[0] and across) or (upright and not flags[0]))
+    ]
+    # without fringes both sides look alike: a turned camera is likelier than a mirrored one
+    for one in sorted(candidates, key=lambda each: each.mirrored):
+        agreed = agreement(one)
+        if min(agreed) > SURE and sum(agreed) > most + AHEAD:
+            found, most = one, sum(agreed)
+    return found
+
+
+def _correlation(known: np.ndarray, seen: np.ndarray) -> float:
+    size = float(np.linalg.norm(known) * np.linalg.norm(seen))
+    return float((known * seen).sum()) / size if size > 0 else 0.0
+
+
+def light_moments(image: np.ndarray) -> np.ndarray:
+    """First moments (3, 2) along u and v of the fraction of each colour in the light of an image (h, w, 3) uint8."""
+    import cv2
+
+    small = cv2.resize(cv2.medianBlur(np.ascontiguousarray(image), 31), (8, 8), interpolation=cv2.INTER_AREA) + 1.0
+    colours = small / small.sum(axis=2, keepdims=True)
+    return _first_moments(colours - colours.mean(axis=(0, 1)), (np.arange(8) + 0.5) / 8 - 0.5)
+
+
+def fringe_moments(image: np.ndarray, markers: Markers, pitch: float) -> np.ndarray:
+    """First moments (3, 2) along u and v, in pitches, of how much darker each colour is around a marker than all colours are.
+
+    Relative to the marker's darkness. image: (h, w, 3) uint8; markers: of this image, `pitch` px apart.
+    """
+    darkness = 1.0 - image / markers.background
+    reach = max(2, round(pitch / 2))
+    found = []
+    for u, v in np.floor(markers.points).astype(int).tolist():
+        dark = darkness[max(v - reach, 0) : v + reach + 1, max(u - reach, 0) : u + reach + 1]
+        if dark.shape[:2] == (2 * reach + 1, 2 * reach + 1):
+            moments = _first_moments(dark - dark.mean(axis=2, keepdims=True), np.arange(-reach, reach + 1) / pitch)
+            found.append(moments / max(float(dark.mean(axis=2).sum()), 1e-9))
+    return np.median(found, axis=0) if found else np.zeros((3, 2))
+
+
+def _first_moments(colours: np.ndarray, place: np.ndarray) -> np.ndarray:
+    """First moments (3, 2) along u and v of values (n, n, 3) at places (n,) along both sides."""
+    along_u, along_v = colours * place[None, :, None], colours * place[:, None, None]
+    return np.column_stack([along_u.sum((0, 1)), along_v.sum((0, 1))])
