@@ -7,11 +7,10 @@ from gelforge.records.press import PosedPress
 from gelforge.records.samplefile import DatasetSample
 from gelforge.records.solvetable import Solved
 from gelforge.records.status import Status
-from gelforge.reporting.explorer import Explorer
+from gelforge.reporting.explorer import Explorer, grid_points
 from gelforge.reporting.page import Explored, render
 from gelforge.reporting.parts import MICRON, PART, arrows, in_parts, jpeg, pack, place_parts
 from gelforge.reporting.presses import as_columns, press_rows
-from gelforge.reporting.surfacegrid import grid_points
 from tests.support.press_records import press_record
 
 GRID = (24, 32)

@@ -6,7 +6,7 @@ import cv2
 import numpy as np
 
 from gelforge.formats.featsfile import LabelSample, write_label
-from gelforge.records.splits import SPLITS, TRAINING, UNSEEN_SENSOR
+from gelforge.records.samplefile import SPLITS, TRAINING, UNSEEN_SENSOR
 
 DEMO = Path(__file__).parents[2] / "data" / "demo" / "images"
 FRACTIONS = (0.8, 0.05, 0.05, 0.05, 0.05)  # of the published splits

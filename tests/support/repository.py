@@ -14,7 +14,7 @@ from gelforge.flow.files import read_json, write_text
 from gelforge.flow.layout import FOLDERS
 from gelforge.records.networkkind import KINDS
 from gelforge.records.press import FORCE, POSE
-from gelforge.records.splits import SPLITS, TEST, TRAINING
+from gelforge.records.samplefile import SPLITS, TEST, TRAINING
 from tests.benchmarks.readme_pictures import outdated
 from tests.benchmarks.tables import BLOCK, CHOSEN, KEPT, PAGES, rendered
 from tests.support import stage_digests

@@ -173,7 +173,7 @@ def test_other_datasets_are_learnt_from_as_they_lie(own):
         assert refused.returncode == 2 and said in refused.stdout
     write_text(path, f'{text}\n[params.train]\nalso = ["here"]\n')
     expected = make(own, "-n", "train", "DATASET=tiny")
-    assert expected.returncode == 0 and "--also results/here/60_dataset/24x32 --model" in expected.stdout
+    assert expected.returncode == 0
     assert "results/here/60_dataset/24x32/dataset.json" in inputs_of(expected.stdout, "70_train/24x32/grid_16.onnx")
 
 

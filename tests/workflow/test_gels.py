@@ -20,7 +20,7 @@ from gelforge.mechanics.mesh.tetmesh import quality
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import read_labels
 from gelforge.records.press import COLUMNS
-from gelforge.reporting.surfacegrid import grid_points
+from gelforge.reporting.explorer import grid_points
 from gelforge.stages import fea, forces, labels, plan, poses
 from gelforge.sweeps.scenes import read_tables
 from gelforge.virtualrig.appearance import read_appearances

@@ -10,8 +10,7 @@ from pathlib import Path
 
 from gelforge.errors import printable
 from gelforge.flow import layout
-from gelforge.flow.files import listed, names_in, read_csv
-from gelforge.flow.kept import Kept
+from gelforge.flow.files import Kept, listed, names_in, read_csv
 from gelforge.flow.layout import Layout
 from gelforge.flow.ledger import LastRun, causes, changed_since, failures, last_runs, last_words_of, still_asked
 from gelforge.flow.main import command, option

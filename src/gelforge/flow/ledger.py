@@ -5,16 +5,17 @@ Only the standard library: an answer takes a fraction of a second for 15 000 sam
 
 import json
 import os
+import sys
 from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gelforge.flow.files import below, last_line
-from gelforge.flow.kept import Kept
+from gelforge.flow.files import Kept, below, last_line
 from gelforge.flow.layout import FEA, FORCES, MESHES, PLAN, POSES, Layout, dataset_folder
 from gelforge.flow.running import running_targets
 
+PROGRAMS = ("gelforge", "numpy", "scipy", "numba", "torch")  # that numbers depend on
 ASKED = ("exit_code", "interrupted", "inputs", "cpu_seconds", "peak_mib")
 
 
@@ -125,3 +126,19 @@ def last_words_of(results: Path, run: LastRun) -> tuple[str, Path]:
     log = Layout(results).logs / f"{run.name}.log"
     said = last_line(log) if log.exists() else ""
     return said or f"ended with code {run.record['exit_code']} without a word", log
+
+
+def installed(programs: Iterable[str] = PROGRAMS) -> dict[str, str]:
+    """Version of each program, by its name at PyPI, that is installed; pip keeps it in the name of a folder beside it."""
+    wanted = {program.replace("-", "_"): program for program in programs}
+    found: dict[str, str] = {}
+    for place in sys.path:
+        try:
+            names = os.listdir(place)
+        except OSError:
+            continue
+        for name in names:
+            program, _, version = name.removesuffix(".dist-info").partition("-")
+            if name.endswith(".dist-info") and program in wanted:
+                found.setdefault(wanted[program], version)
+    return found

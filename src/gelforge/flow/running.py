@@ -1,10 +1,13 @@
-"""How far a run has come: shards done of all, the time left, and what runs now, from what lies on disk.
+"""How far a run has come: shards done of all, the time left, and what runs now, from what lies on disk; a line on make's terminal.
 
 Only the standard library, because every step of a run asks for it.
 """
 
 import fcntl
+import os
+import shutil
 import time
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -100,3 +103,18 @@ def is_made(of: Layout, stage: str, shard: str) -> bool:
     made = made_at(f"{of.root}/{stage}/{shard}{suffix}")
     since = (made_at(of.params / f"{params}.json"), made_at(f"{of.root}/{source}/{shard}.csv"))
     return made is not None and all(made >= (at or 0.0) for at in since)
+
+
+def terminal() -> str | None:
+    """The device of the terminal make writes to; none where it writes to a file or a pipe."""
+    # make names it here, or says `true` where it cannot tell.
+    name = os.environ.get("MAKE_TERMERR", "")
+    return name if name.startswith("/dev/") else None
+
+
+def show_line(device: str, text: str = "") -> None:
+    """Put a text in place of the line that is shown; nothing takes the line away."""
+    width = shutil.get_terminal_size().columns - 1
+    # The terminal may have been closed since.
+    with suppress(OSError), open(device, "w", encoding="utf-8", errors="replace") as shown:
+        shown.write("\r\033[K" + "".join(c for c in text if c.isprintable())[:width])

@@ -27,8 +27,8 @@ from gelforge.flow.main import command, option
 from gelforge.flow.orphans import die_with_parent
 from gelforge.flow.params.schema import ParameterTable, Place, parse
 from gelforge.flow.params.tables import Count, FromNone, Line, Whole
+from gelforge.flow.running import show_line, terminal
 from gelforge.flow.step import SAID_EVERY_S, TAIL_LINES, show_notices
-from gelforge.flow.terminal import show_line, terminal
 
 PUBLISHED = Path("workflow/slurm.toml")
 STOP = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}

@@ -23,12 +23,10 @@ from typing import IO
 from gelforge.errors import BadInput, unwritable
 from gelforge.flow.files import digest_of, last_line, read_json, take, write_json
 from gelforge.flow.layout import Layout, dataset_folder, log_of, metrics_of
-from gelforge.flow.ledger import changed_since
+from gelforge.flow.ledger import changed_since, installed
 from gelforge.flow.orphans import die_with_parent
-from gelforge.flow.programs import installed
-from gelforge.flow.running import look
+from gelforge.flow.running import look, show_line, terminal
 from gelforge.flow.slots import handed_on
-from gelforge.flow.terminal import show_line, terminal
 
 TAIL_LINES = 20
 LIVE_EVERY_S = 1.0  # between two looks for the line on a terminal

@@ -31,8 +31,7 @@ from gelforge.records.labelfile import write_labels
 from gelforge.records.log import write_log
 from gelforge.records.press import FORCES, POSE, LoggedPress, check_id, pull_fault, size_fault
 from gelforge.records.rowfile import map_array
-from gelforge.records.samplefile import read_samples
-from gelforge.records.splits import SPLITS, TRAINING, UNSEEN_INDENTER, UNSEEN_SENSOR, VALIDATION
+from gelforge.records.samplefile import SPLITS, TRAINING, UNSEEN_INDENTER, UNSEEN_SENSOR, VALIDATION, read_samples
 
 FEATS_C10 = 0.0792  # MPa, the paper's fit, which its labels were made with
 GEL_ID = "feats"  # of every press: their files name no gel

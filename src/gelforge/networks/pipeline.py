@@ -33,7 +33,7 @@ from gelforge.networks.models.inputs import needs_nocontact
 from gelforge.networks.models.registry import parameter_count
 from gelforge.networks.training.loop import Training, device_of, fit, mixes_precision, require_judges, scales_before
 from gelforge.records.networkkind import kind_of
-from gelforge.records.splits import TRAINING, VALIDATION
+from gelforge.records.samplefile import TRAINING, VALIDATION
 
 
 @dataclass(frozen=True)

@@ -11,6 +11,10 @@ from gelforge.errors import BadInput
 from gelforge.records.press import FORCE, KNOWN, POSE, PressRecord, RawRow, parse, parse_number
 from gelforge.records.table import read_table, write_table
 
+# Names of the splits of a dataset: FEATS' own, and those of what training never saw.
+TRAINING, VALIDATION, TEST = "train", "val", "test"
+UNSEEN_INDENTER, UNSEEN_SENSOR, UNSEEN_BOTH = "test_unseen_indenter", "test_unseen_sensor", "test_unseen_both"
+SPLITS = (TRAINING, VALIDATION, TEST, UNSEEN_INDENTER, UNSEEN_SENSOR, UNSEEN_BOTH)
 HINT = "remove the folder and make the dataset again"
 NAMES = ("sample_id", "indenter", "sensor_id", "gel_id")
 COLUMNS = (

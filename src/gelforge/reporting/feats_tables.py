@@ -8,7 +8,7 @@ presses of 40 N and more.
 import numpy as np
 
 from gelforge.records.axes import CHANNELS
-from gelforge.records.splits import TEST, UNSEEN_INDENTER, UNSEEN_SENSOR
+from gelforge.records.samplefile import TEST, UNSEEN_INDENTER, UNSEEN_SENSOR
 
 SENSOR = "feats_mini"  # of datasets that hold the published tests
 STRONGEST_N = 40.0

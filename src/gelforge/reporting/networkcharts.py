@@ -4,7 +4,7 @@ import numpy as np
 
 from gelforge.records.axes import CHANNELS
 from gelforge.records.networkkind import KINDS
-from gelforge.records.splits import TEST
+from gelforge.records.samplefile import TEST
 from gelforge.reporting.canvas import canvas, save_png
 from gelforge.reporting.forcemaps import draw_pressure
 

@@ -29,11 +29,9 @@ from gelforge.records.axes import CHANNEL_OF_AXIS
 from gelforge.records.image import read_logged_image
 from gelforge.records.labelfile import FIELDS, open_labels, read_labels
 from gelforge.records.log import read_poses, read_shard, without_duplicates
-from gelforge.records.press import FORCE, ID_RULE, PressRecord, names_files, parse
-from gelforge.records.repeats import describe_repeats, repeats
+from gelforge.records.press import FORCE, ID_RULE, PressRecord, describe_repeats, names_files, parse, repeats
 from gelforge.records.rowfile import RowFile, array_on_disk, write_rows
-from gelforge.records.samplefile import DatasetSample, write_samples
-from gelforge.records.splits import TRAINING
+from gelforge.records.samplefile import TRAINING, DatasetSample, write_samples
 from gelforge.records.status import Status
 from gelforge.records.table import numbered_rows, read_table
 

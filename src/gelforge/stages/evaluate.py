@@ -11,7 +11,7 @@ from gelforge.flow.params.stages import ForEvaluate, read_parameters
 from gelforge.flow.params.tables import SHIPPED as SHIPS
 from gelforge.records.axes import CHANNELS
 from gelforge.records.predictionfile import write_predictions
-from gelforge.records.splits import TRAINING
+from gelforge.records.samplefile import TRAINING
 from gelforge.reporting import feats_tables
 from gelforge.reporting.errortables import tables
 from gelforge.reporting.networkcharts import draw_predictions

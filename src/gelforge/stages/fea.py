@@ -31,9 +31,8 @@ from gelforge.mechanics.solvers.auto import method_of
 from gelforge.mechanics.solvers.fidelity import Solvers
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses
-from gelforge.records.meshtable import read_meshes
 from gelforge.records.press import SENSOR_TABLES, PosedPress
-from gelforge.records.solvetable import Solved, corrupt, read_record, write_solves
+from gelforge.records.solvetable import Solved, corrupt, read_meshes, read_record, write_solves
 from gelforge.records.status import Status
 from gelforge.sweeps import verification
 

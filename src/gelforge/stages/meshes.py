@@ -17,7 +17,7 @@ from gelforge.mechanics.mesh.meshstore import MeshSource, source_of
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solvers.auto import method_of
 from gelforge.records.frames import presses_of
-from gelforge.records.meshtable import COLUMNS
+from gelforge.records.solvetable import MESH_COLUMNS
 from gelforge.sweeps import verification
 
 VERSION = 6
@@ -69,7 +69,9 @@ def main(args: Namespace) -> None:
     )
     make_missing({first_candidate(scene, family) for scene in scenes.values()}, source, of.meshes, args.jobs)
     chosen = {name: choose_mesh(scene, family) for name, scene in scenes.items()}
-    write_csv(args.out, COLUMNS, [{"sample_id": p.sample_id, "mesh": chosen.get(p.sample_id, "")} for p in presses])
+    write_csv(
+        args.out, MESH_COLUMNS, [{"sample_id": p.sample_id, "mesh": chosen.get(p.sample_id, "")} for p in presses]
+    )
     print(json.dumps({"presses": len(presses), "meshes": sorted({mesh.split("@")[0] for mesh in chosen.values()})}))
 
 

@@ -12,7 +12,7 @@ from gelforge.flow.files import publish, read_json, write_csv, write_json
 from gelforge.flow.layout import Layout, beside
 from gelforge.flow.main import option, stage
 from gelforge.records.axes import CHANNELS
-from gelforge.records.splits import TEST
+from gelforge.records.samplefile import TEST
 from gelforge.reporting.networkcharts import PANELS, draw_networks
 from gelforge.sweeps.deviation import frontier
 

@@ -16,18 +16,15 @@ from types import MappingProxyType
 
 from gelforge.errors import BadInput, nearest, printable
 from gelforge.flow import params as config
-from gelforge.flow.catalogue import stl_files, with_content
 from gelforge.flow.dates import keep_states, states_of
-from gelforge.flow.files import csv_text, listed, write_if_changed, write_text
-from gelforge.flow.kept import Kept
+from gelforge.flow.files import Kept, csv_text, listed, write_if_changed, write_text
 from gelforge.flow.layout import LOGGED, PLAN, Layout, planned_shards, shard_name
 from gelforge.flow.main import option, stage
-from gelforge.flow.params import DatasetFile, Params
+from gelforge.flow.params import DatasetFile, Params, stl_files, with_content
 from gelforge.flow.params.tables import IN_PROCESS, SHIPPED, SHIPPED_IMAGE
 from gelforge.records.log import read_log, shard_text
-from gelforge.records.press import SENSOR_TABLES, RawRow
+from gelforge.records.press import SENSOR_TABLES, RawRow, repeats
 from gelforge.records.regular import file_fault
-from gelforge.records.repeats import repeats
 from gelforge.records.table import read_table
 
 

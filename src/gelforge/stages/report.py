@@ -11,11 +11,11 @@ import numpy as np
 
 from gelforge.flow.files import listed, read_csv, read_json, write_text
 from gelforge.flow.layout import PARETO, Layout
+from gelforge.flow.ledger import installed
 from gelforge.flow.main import option, stage
 from gelforge.flow.params.frozen import FROZEN, read_frozen
 from gelforge.flow.params.stages import ForCalibrate, ForEvaluate, ForForces, ForMeshes, ForReport, read_parameters
 from gelforge.flow.params.tables import SHIPPED
-from gelforge.flow.programs import installed
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
 from gelforge.labelling.grid import Grid

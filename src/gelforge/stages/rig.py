@@ -18,12 +18,11 @@ from typing import Any
 
 import numpy as np
 
-from gelforge.flow.catalogue import with_content
 from gelforge.flow.files import bytes_of
 from gelforge.flow.forecast import Cost, on_cores, pilots, table
 from gelforge.flow.main import command, option, positive
 from gelforge.flow.orphans import pool
-from gelforge.flow.params import overlaid
+from gelforge.flow.params import overlaid, with_content
 from gelforge.flow.progress import progress
 from gelforge.flow.running import duration
 from gelforge.geometry.gel import load_gel, use_gels_of

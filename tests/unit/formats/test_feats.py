@@ -1,6 +1,7 @@
 """FEATS' files: samples and labels in, labels and normalisation out, and what is refused."""
 
 import os
+import shutil
 import subprocess
 import sys
 
@@ -28,8 +29,7 @@ from gelforge.formats.featsfile import (
 from gelforge.labelling.sensor import load_sensors
 from gelforge.networks.data.arrays import open_data
 from gelforge.records.labelfile import read_labels
-from gelforge.records.samplefile import read_samples
-from gelforge.records.splits import SPLITS
+from gelforge.records.samplefile import SPLITS, read_samples
 from tests.support.pressed_dataset import collect, label, write_pressed
 
 IMAGE = np.random.default_rng(0).integers(0, 255, (240, 320, 3), np.uint8)
@@ -236,8 +236,8 @@ def test_our_labels_go_out_and_come_back(tmp_path, sensor):
     assert sorted(order) == again.sample_id.tolist()
     assert np.array_equal(again.label, data.labels[np.argsort(order)])
     # Imported labels feed stage 60 without any stage before it.
-    made["data"] = tmp_path / "again/data/back"
-    trained = open_data(collect({**made, "results": made["results"]}, "6x8"))
+    results = shutil.copytree(made["results"], tmp_path / "again/results/back")
+    trained = open_data(collect({"results": results}, "6x8"))
     assert len(trained.table) == 12 and trained.info["c10"] == pytest.approx(0.0792)
 
 

@@ -17,7 +17,7 @@ from gelforge.formats.featsfile import LabelSample, read_sample, write_label
 from gelforge.labelling.sensor import load_sensors
 from gelforge.records.image import read_image
 from gelforge.records.labelfile import read_labels
-from gelforge.records.splits import SPLITS
+from gelforge.records.samplefile import SPLITS
 from tests.support.feats_published import publish
 from tests.support.hub_server import hub
 from tests.support.waiting import HANG, wait_until

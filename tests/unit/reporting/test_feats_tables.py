@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelforge.records.splits import TEST, UNSEEN_SENSOR
+from gelforge.records.samplefile import TEST, UNSEEN_SENSOR
 from gelforge.reporting.feats_tables import UNET, comparison, published_errors
 
 

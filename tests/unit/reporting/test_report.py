@@ -16,11 +16,10 @@ from gelforge.records.forcefile import SampleForces, write_forces
 from gelforge.records.solvetable import Solved
 from gelforge.records.status import Status
 from gelforge.reporting.costs import stages, target_costs
-from gelforge.reporting.explorer import Explorer, Shard
+from gelforge.reporting.explorer import Explorer, Resampler, Shard, grid_points
 from gelforge.reporting.page import Section, render
 from gelforge.reporting.parts import forget_parts, pack, place_parts, script_json
 from gelforge.reporting.presses import as_columns, press_rows
-from gelforge.reporting.surfacegrid import Resampler, grid_points
 from gelforge.stages import report
 from gelforge.stages.report import branch_section, calibration_section, failures_section, network_section, with_forces
 from tests.support.explored import GELS, tables, write_page

@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelforge.flow.catalogue import with_content
 from gelforge.flow.files import read_json
+from gelforge.flow.params import with_content
 from gelforge.geometry import triangles
 from gelforge.geometry.indenters import build, load_catalogue, load_indenters, read_catalogue
 from gelforge.stages import rig

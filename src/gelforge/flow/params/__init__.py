@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from gelforge.errors import BadInput, nearest
-from gelforge.flow.files import read_toml
+from gelforge.flow.files import digest_of, read_toml
 from gelforge.flow.params.frozen import with_frozen
 from gelforge.flow.params.schema import Place, parse, plain
 from gelforge.flow.params.stages import SOURCES, parameters_of, read_parameters, stage_version
@@ -154,3 +154,24 @@ def canonical(value: Any) -> str:
 def digest_of_value(value: Any) -> str:
     """SHA-256 of a value's canonical text, as hexadecimal digits."""
     return hashlib.sha256(canonical(value).encode()).hexdigest()
+
+
+def stl_files(indenters: dict, folder: Path) -> dict[str, Path]:
+    """STL files that tables of indenters name, by the table's name, those too that are not there yet."""
+    named = {
+        name: table.get("file")
+        for name, table in indenters.items()
+        if isinstance(table, dict) and table.get("kind") == "stl"
+    }
+    return {name: folder / file for name, file in named.items() if isinstance(file, str)}
+
+
+def with_content(indenters: dict, folder: Path) -> dict:
+    """Tables of indenters with a digest of each STL file that they name.
+
+    A file that changes under its name is another shape: all that follows depends on what is in it.
+    """
+    digests = {name: digest_of(path) for name, path in stl_files(indenters, folder).items() if path.is_file()}
+    return {
+        name: {**table, "sha256": digests[name]} if name in digests else table for name, table in indenters.items()
+    }

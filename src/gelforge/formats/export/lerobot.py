@@ -25,8 +25,7 @@ from gelforge.flow.files import write_json, write_text
 from gelforge.formats.export.samples import Samples
 from gelforge.records.image import decode
 from gelforge.records.press import FORCE, POSE
-from gelforge.records.samplefile import DatasetSample
-from gelforge.records.splits import TRAINING
+from gelforge.records.samplefile import TRAINING, DatasetSample
 
 VERSION = "v3.0"
 FPS = 10

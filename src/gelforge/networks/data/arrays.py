@@ -14,8 +14,7 @@ from gelforge.networks.models.inputs import needs_nocontact
 from gelforge.networks.preprocess.illumination import Light, match_light
 from gelforge.records.press import PressRecord
 from gelforge.records.rowfile import ChainedRows, RowFile, Rows, map_array
-from gelforge.records.samplefile import DatasetSample, read_samples
-from gelforge.records.splits import TRAINING, UNSEEN_BOTH, UNSEEN_SENSOR, VALIDATION
+from gelforge.records.samplefile import TRAINING, UNSEEN_BOTH, UNSEEN_SENSOR, VALIDATION, DatasetSample, read_samples
 
 FILES = ("images.npy", "labels.npy", "nocontact.npy", "samples.csv", "normalisation.json", "dataset.json")
 LEAST_TOTAL = 0.01  # of the largest component's scale of total force

@@ -10,7 +10,7 @@ import torch
 from gelforge.flow.params.tables import TrainingTable
 from gelforge.networks.data.augment import augment, mirror_together, misplace_nocontact, narrow_views, shift_together
 from gelforge.networks.models.inputs import needs_nocontact, network_input
-from gelforge.records.splits import TRAINING
+from gelforge.records.samplefile import TRAINING
 
 STREAMS = {"order": 0, "augment": 1, "weights": 2, "shift": 3, "mirror": 4, "seat": 5, "view": 6}
 VARIED = ("augment", "shift", "mirror", "seat", "view")  # what an epoch's pictures draw from

@@ -6,7 +6,7 @@ import numpy as np
 
 from gelforge.flow.params.tables import DatasetTable
 from gelforge.records.press import PressRecord
-from gelforge.records.splits import TEST, TRAINING, UNSEEN_BOTH, UNSEEN_INDENTER, UNSEEN_SENSOR, VALIDATION
+from gelforge.records.samplefile import TEST, TRAINING, UNSEEN_BOTH, UNSEEN_INDENTER, UNSEEN_SENSOR, VALIDATION
 
 CHANCE = 0.5  # samples by which chance may move the lag of a split
 
@@ -20,7 +20,7 @@ def group_presses(
 ) -> np.ndarray:
     """Group number (n,) of each sample: samples of one indenter at one position and angle share it, frames of a press too.
 
-    repeated: numbers of samples that show one picture (records.repeats), which share a group, too. folds: by how many equal turns an indenter comes onto itself, 0: by any (geometry.indenters.fold); one that is not
+    repeated: numbers of samples that show one picture (records.press), which share a group, too. folds: by how many equal turns an indenter comes onto itself, 0: by any (geometry.indenters.fold); one that is not
     named, by a whole turn. Angles that differ by such a turn are one.
 
     Depths and shears of one touch, and the same touch on several sensors, are views of one press: were

@@ -13,7 +13,7 @@ from gelforge.networks.evaluation import metrics
 from gelforge.networks.evaluation.metrics import contact_table
 from gelforge.networks.evaluation.predicted import Predicted, predict_rows, require_fit
 from gelforge.records.axes import CHANNELS, FORCE_OF_CHANNEL
-from gelforge.records.splits import TRAINING
+from gelforge.records.samplefile import TRAINING
 
 # Where a dataset has them, total forces (samples.csv, gel frame: x short side) that did not come from
 # the labels: the force sensor of the rig, and what a virtual rig knows and a real one cannot.

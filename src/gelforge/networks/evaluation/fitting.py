@@ -23,7 +23,7 @@ from gelforge.networks.uncertainty.ood import (
     widened,
 )
 from gelforge.records.markers import markers_in
-from gelforge.records.splits import TRAINING, VALIDATION
+from gelforge.records.samplefile import TRAINING, VALIDATION
 
 ENOUGH_PAIRS = 200  # pictures that show what good pairs are like
 

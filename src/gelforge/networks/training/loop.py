@@ -30,7 +30,7 @@ from gelforge.networks.preprocess.imageframe import at_scale
 from gelforge.records.axes import CHANNELS
 from gelforge.records.markers import markers_in
 from gelforge.records.networkkind import kind_of
-from gelforge.records.splits import TRAINING, VALIDATION
+from gelforge.records.samplefile import TRAINING, VALIDATION
 
 # Of the way from the weights that a network is fine-tuned from to those that it learnt, where validation looks between the two.
 FRACTIONS = (0.25, 0.5, 0.75)
