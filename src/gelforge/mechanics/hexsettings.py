@@ -100,8 +100,8 @@ class HexSettings:
 QUALITIES = {
     "demo": HexSettings(size=1.0, layers=2, gauss=2, press_steps=3, shear_steps=2),
     "draft": HexSettings(
-        size=0.4, across=15, layers=2, widened=(1,), layer_ratio=2.0, growth=2.2, largest=4.0, gauss=2, press_steps=3,
-        shear_steps=2, nested=Nested(factor=2.25, extrapolation=0.61),
+        size=0.5, across=15, layers=2, widened=(1,), layer_ratio=2.0, growth=2.2, largest=4.0, gauss=2, press_steps=3,
+        shear_steps=2, nested=Nested(press_steps=4, shear_steps=2, extrapolation=0.77),
     ),
     "label": HexSettings(
         size=0.3, across=20, layers=2, widened=(1,), layer_ratio=2.0, growth=2.2, largest=4.0, gauss=2, press_steps=4,
