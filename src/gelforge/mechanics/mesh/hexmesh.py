@@ -173,7 +173,7 @@ def build_mesh(
     largest: float = 2.0,
     widened: Sequence[int] = (),
 ) -> HexMesh:
-    """hexahedral mesh of the gel, fine in `box`; in the lowest layers hexahedra are wider (see stepped.planes_of).
+    """Hexahedral mesh of the gel, fine in `box`; in the lowest layers hexahedra are wider (see stepped.planes_of).
 
     layers, layer_ratio: as in `layer_heights`. growth, largest: as in `graded_lines`. BadInput where the box lies beside
     the gel.
@@ -188,9 +188,9 @@ def build_mesh(
 def mesh_on_lines(
     gel: Gel, xs: np.ndarray, ys: np.ndarray, heights: np.ndarray, planes: Planes | None = None
 ) -> HexMesh:
-    """hexahedral mesh on given lines: xs, ys in mm, relative heights (layers + 1,) between which the hexahedra lie, from 0
-    at the base to 1 at the top. Their middle nodes lie halfway.
+    """Hexahedral mesh on given lines, with the middle nodes of hexahedra halfway through their layer.
 
+    xs, ys: in mm. heights: (layers + 1,) relative, between which the hexahedra lie, from 0 at the base to 1 at the top.
     planes: which lines go through each of the 2 layers + 1 planes of nodes; all by default.
     """
     layers = len(heights) - 1
