@@ -121,7 +121,9 @@ def test_elements_are_the_same_in_any_company(element):
     ratios = element.on(nodes, cells).smallest_ratios(u)
     single = [element.on(nodes, one).smallest_ratios(u)[0] for one in each]
     np.testing.assert_allclose(ratios, single, rtol=1e-12)
-    whole, turned = (dense(*matrix_of(element, nodes, one, u, material)) for one in (cells, some(slice(None, None, -1))))
+    whole, turned = (
+        dense(*matrix_of(element, nodes, one, u, material)) for one in (cells, some(slice(None, None, -1)))
+    )
     np.testing.assert_allclose(whole, turned, rtol=0, atol=1e-6 * np.abs(whole).max())
 
 
