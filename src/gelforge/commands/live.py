@@ -21,7 +21,7 @@ from gelforge.commands.camera import camera_number
 from gelforge.commands.sensoroptions import ENGINE, MODE, MODEL, NOCONTACT, PROFILE, SENSOR
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, option, positive
-from gelforge.live.reading import Reading, readings
+from gelforge.live.reading import Reading, StartInDoubt, readings
 from gelforge.live.recording import CsvTable, McapRecording
 from gelforge.live.topics import RosMessages
 from gelforge.live.webpage import PageServer
@@ -182,7 +182,8 @@ def show(args: Namespace, predictor, frames, film: Film, name: str, over: thread
     with ExitStack() as stack:
         outputs = Outputs(args, name, stack)
         paced = bool(outputs.servers) and not film.camera
-        count = outputs.send(until(over, readings(predictor, frames, paced)))
+        start = None if args.nocontact or args.profile else StartInDoubt(predictor, name)
+        count = outputs.send(until(over, readings(predictor, frames, paced, start)))
         asked = over.is_set() or (args.frames is not None and film.taken >= args.frames)
         if film.camera and not asked and not outputs.fault:
             outputs.fault = BadInput(

@@ -33,6 +33,7 @@ from tests.support.films import write_film
 from tests.support.foxglove_client import FoxgloveClient
 from tests.support.limited import limited_python
 from tests.support.readings import reading
+from tests.support.refused import refused
 from tests.support.waiting import HANG, wait_until
 
 TYPES = {
@@ -134,6 +135,19 @@ def test_all_outputs_of_one_run_hold_the_same(film, tmp_path, chromium):
     assert event["grid_z_n"] == float(rows[-1]["grid_z_n"]) and event["frame"] == FRAMES - 1
 
 
+@pytest.mark.parametrize("press", [1, 7, 18])
+def test_a_film_that_begins_in_a_press_is_refused_once_the_gel_reads_as_pressed(root, tmp_path, press):
+    """What was read until then is kept; the same film is read with its no-contact image, and from its end to its start."""
+    names = [f"images/demo-{press:06d}.png", "nocontact/mini_a.png"]
+    pressed, rest = (cv2.imread(str(root / "data/demo" / name)) for name in names)
+    words = ["--csv", str(tmp_path / "live.csv"), "--video"]
+    film = write_film(tmp_path / "film.avi", [pressed] * 14 + [rest] * 14, 10.0)
+    refused("begins in a press: frame .* reads .*give that image with --nocontact", live.main, [*words, str(film)])
+    assert (tmp_path / "live.csv").exists()
+    live.main([*words, str(film), "--nocontact", str(root / "data/demo/nocontact/mini_a.png")])
+    live.main([*words, str(write_film(tmp_path / "right.avi", [rest] * 14 + [pressed] * 14, 10.0))])
+
+
 def test_a_message_says_what_was_read():
     """The bytes are read back by the library of MCAP for ROS 2."""
     read = reading(3, flag=True)
@@ -225,6 +239,7 @@ from pathlib import Path
 import numpy as np
 from gelforge.commands.live import Outputs
 from tests.support.readings import reading
+from tests.support.refused import refused
 noise = np.random.default_rng(0).integers(0, 255, (240, 320, 3), np.uint8)
 with ExitStack() as stack:
     to = Outputs(Namespace(host="127.0.0.1", port=0, sensor=None, profile=None, foxglove=False, {asked}), "film", stack)

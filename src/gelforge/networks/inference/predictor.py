@@ -129,6 +129,14 @@ class Predictor:
             image=seen.image,
         )
 
+    def exchanged(self, image: np.ndarray) -> float:
+        """Normal force in N where an image (h, w, 3) uint8 RGB and the no-contact image change places; 0 beside a model of one picture."""
+        if self.prepare.nocontact is None:
+            return 0.0
+        seen = Preprocessor(self.metadata, self.prepare.frame(image))(self.prepare.nocontact.picture)
+        rest = 0.0 if seen.nocontact is None else self.raw(at_rest(seen.nocontact))
+        return float((self.raw(seen) - rest)[2].sum(dtype=float)) * self.gain.value
+
     def _nocontact_fault(self) -> str:
         nocontact = self.prepare.nocontact
         if nocontact is None or nocontact.fault:
