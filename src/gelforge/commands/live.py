@@ -174,7 +174,15 @@ def predictor_of(args: Namespace, model, picture: np.ndarray | None, seen, name:
     return predictor, seen
 
 
-def show(args: Namespace, predictor, frames, film: Film, name: str, over: threading.Event) -> None:
+def show(
+    args: Namespace,
+    predictor,
+    frames,
+    film: Film,
+    name: str,
+    over: threading.Event,
+    start: StartInDoubt | None = None,
+) -> None:
     """Send what is read of frames to all outputs until they end or `over` is set, and serve viewers until it is.
 
     BadInput at the end where a file was lost, or frames ended before they should.
@@ -182,7 +190,6 @@ def show(args: Namespace, predictor, frames, film: Film, name: str, over: thread
     with ExitStack() as stack:
         outputs = Outputs(args, name, stack)
         paced = bool(outputs.servers) and not film.camera
-        start = None if args.nocontact or args.profile else StartInDoubt(predictor, name)
         count = outputs.send(until(over, readings(predictor, frames, paced, start)))
         asked = over.is_set() or (args.frames is not None and film.taken >= args.frames)
         if film.camera and not asked and not outputs.fault:
@@ -225,7 +232,8 @@ def main(args: Namespace) -> None:
         film = Film(capture, announced, name, args.frames, args.camera is not None, args.video)
         predictor, seen = predictor_of(args, model, picture, film, name)
         with stopping() as over:
-            show(args, predictor, seen, film, name, over)
+            start = None if args.nocontact or args.profile else StartInDoubt(predictor, name)
+            show(args, predictor, seen, film, name, over, start)
 
 
 if __name__ == "__main__":

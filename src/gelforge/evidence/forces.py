@@ -4,6 +4,7 @@ Each function returns one sentence with its number, or None where there is nothi
 sensor` uses them, too. Normal forces are compression here, in N and positive, in the order of the log.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,6 +21,9 @@ UNITS = {
 SEVERAL = 3.0  # times what is usual: no gel of the kind is so soft or so hard
 ALIKE = 1.5  # the factor within which a unit explains forces
 FEWEST = 6  # presses that a statement about their order or directions needs
+ENOUGH = 12  # presses that a constant force or a drift beside labels needs
+OF_ONE = 3  # presses of one indenter that are compared with those of all others
+OTHER_FORCE = 1.15  # the factor by which their forces then differ at least
 LEAST_N = 0.15  # of a constant force or a drift: smaller ones are usual, and change hardly anything
 SURE = 4.0  # standard errors from which on something is no chance
 SURE_OF_FEW = 3.5  # the same for a dozen readings of a scale
@@ -198,10 +202,7 @@ def drift(residual: np.ndarray, rows: np.ndarray) -> str | None:
         at, away = rows[used] - rows[used].mean(), of[used] - of[used].mean()
         per_press, error = _slope(at, away)
         if abs(per_press) > SURE * error and abs(per_press) * np.ptp(at) > 2 * LEAST_N:
-            return (
-                f"The force sensor drifts: what it reads along {axis} beyond the prediction changes by {per_press:+.3f} N a press,"
-                f" {per_press * np.ptp(at):+.2f} N from the first press to the last; tare it more often."
-            )
+            return _drifts(axis, per_press, np.ptp(at))
     return None
 
 
@@ -238,6 +239,89 @@ def noise(found: float, largest: float) -> str | None:
     return (
         f"Readings scatter by {found:.2f} N about the prediction, where the prior of the noise expects {largest:.2f} N at most: the"
         " intervals rest on readings that the model does not explain; check the log's forces, poses and indenters."
+    )
+
+
+def of_labels(log: LogForces, label: np.ndarray, indenters: Sequence[str], usual: float = 1.0) -> list[str]:
+    """What readings say beside the labels of their presses: a cause, without what follows from it.
+
+    label: (m, 3) N on the gel. usual: factor that takes labels to a gel of usual stiffness. Labels may be made without a calibration:
+    stiffness, compliance and depth of touch are fitted here, roughly.
+    """
+    read = np.isfinite(log.force[:, 2]) & np.isfinite(label).all(axis=1) & np.isfinite(log.depth)
+    log = LogForces(log.path[read], log.depth[read], log.rot_deg[read], log.force[read])
+    label, names = label[read], np.asarray(indenters)[read]
+    felt = np.flatnonzero((-label[:, 2] > LEAST_N) & (log.depth > 0))
+    if len(felt) < FEWEST:
+        return []
+    causes = (
+        lambda: unit(log.normal[felt], -usual * label[felt, 2]),
+        lambda: shifted(log.normal, -label[felt, 2], felt),
+        lambda: sideways(log),
+        lambda: _moved(log, label, felt),
+        lambda: _one_indenter(log, label, felt, names),
+    )
+    found = next(filter(None, (cause() for cause in causes)), None)
+    return [found] if found else []
+
+
+def _bench(label: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """What readings (n,) may be made of beside a label (n,) N: stiffness, depth of touch, compliance, (n, 3)."""
+    return np.column_stack([label, label / depth, label**2 / depth])
+
+
+def _moved(log: LogForces, label: np.ndarray, felt: np.ndarray) -> str | None:
+    """A drift, else a constant force, beyond what labels explain."""
+    if len(felt) < ENOUGH:
+        return None
+    order, ones = felt - felt.mean(), np.ones(len(felt))
+    drifts: dict[str, tuple[float, float]] = {}
+    constants: dict[str, tuple[float, float]] = {}
+    for at, axis in ((2, "z"), (0, "x"), (1, "y")):
+        values, own = log.force[felt, at], label[felt, at]
+        terms = _bench(own, log.depth[felt]) if axis == "z" else own[:, None]
+        used = np.isfinite(values)
+        if used.sum() < ENOUGH:
+            continue
+        weight = (1.0 / np.hypot(SPREAD[0] * np.abs(label[felt]).max(axis=1), SPREAD[1]))[used]
+        for found, columns in (
+            (drifts, np.column_stack([terms, ones, order])),
+            (constants, np.column_stack([terms, order, ones])),
+        ):
+            value, sure = _last_term(columns[used], values[used], weight)
+            found[axis] = value, value / sure if sure else np.inf
+    for axis, (per_press, error) in drifts.items():
+        if abs(per_press) > SURE * abs(error) and abs(per_press) * np.ptp(felt) > 2 * LEAST_N:
+            return _drifts(axis, per_press, np.ptp(felt))
+    return constant({axis: (value, abs(error)) for axis, (value, error) in sorted(constants.items())})
+
+
+def _one_indenter(log: LogForces, label: np.ndarray, felt: np.ndarray, names: np.ndarray) -> str | None:
+    """An indenter whose forces differ from its labels by another factor than those of all others."""
+    terms, measured, names = _bench(-label[felt, 2], log.depth[felt]), log.normal[felt], names[felt]
+    weight = 1.0 / np.hypot(SPREAD[0] * terms[:, 0], SPREAD[1])
+    left, ratios = {}, {}
+    for name in sorted(set(names)):
+        own = names == name
+        if own.sum() < OF_ONE or len(set(names[~own])) < 2 or (~own).sum() < FEWEST:
+            continue
+        columns = np.column_stack([terms, np.where(own, terms[:, 0], 0.0)])
+        found, *_ = np.linalg.lstsq(columns * weight[:, None], measured * weight, rcond=None)
+        left[name] = float(np.sum((weight * (measured - columns @ found)) ** 2))
+        ratios[name] = float(np.median((columns @ found)[own] / (terms @ found[:-1])[own]))
+    worst = min(left, key=lambda name: left[name], default="")
+    if not worst or 1.0 / OTHER_FORCE < ratios[worst] < OTHER_FORCE:
+        return None
+    return (
+        f"Forces of {worst} are {ratios[worst]:.2f} times what its labels say beside those of the other indenters: check its shape, size and"
+        " unit in the catalogue, and the column `indenter`."
+    )
+
+
+def _drifts(axis: str, per_press: float, presses: float) -> str:
+    return (
+        f"The force sensor drifts: what it reads along {axis} beyond the prediction changes by {per_press:+.3f} N a press,"
+        f" {per_press * presses:+.2f} N from the first press to the last; tare it more often."
     )
 
 

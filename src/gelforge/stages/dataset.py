@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.evidence.forces import LogForces, of_labels
 from gelforge.evidence.images import row_list
 from gelforge.evidence.logimages import LogImages
 from gelforge.flow.files import digest_of, listed, publish, read_json, take, write_csv, write_json, write_text
@@ -24,6 +25,7 @@ from gelforge.formats.featsfile import LabelSample, Ranges
 from gelforge.geometry.indenters import fold
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import find_sensor, load_sensors
+from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.networks.data.split import split_presses
 from gelforge.records.axes import CHANNEL_OF_AXIS
 from gelforge.records.image import read_logged_image
@@ -35,7 +37,7 @@ from gelforge.records.samplefile import TRAINING, DatasetSample, write_samples
 from gelforge.records.status import Status
 from gelforge.records.table import numbered_rows, read_table
 
-VERSION = 5
+VERSION = 6
 NO_IMAGE = "no image in the log"
 WRONG_IMAGE = "its image is not of this press"
 
@@ -249,6 +251,21 @@ def wrong_imported(of: Layout, presses: list[PressRecord]) -> dict[str, str]:
     return found
 
 
+def doubts_of_forces(found: Sequence[DatasetSample], material: Mapping) -> list[str]:
+    """What the log's force readings say beside the labels of their presses, in the order of the log."""
+    ordered = sorted(found, key=lambda each: each.press.row)
+    presses = [each.press for each in ordered]
+    log = LogForces(
+        path=np.array([(press.dx_mm, press.dy_mm) for press in presses]),
+        depth=np.array([-press.dz_mm for press in presses]),
+        rot_deg=np.array([press.rot_deg for press in presses]),
+        force=np.array([press.force for press in presses], float),
+    )
+    labels = np.array([each.total + np.nan_to_num(each.outside) for each in ordered])
+    usual = REFERENCE_C10 / material["c10"] if "c10" in material else 1.0
+    return of_labels(log, labels, [press.indenter for press in presses], usual)
+
+
 def describe(name: str, grid: Grid, found: list[DatasetSample], splits, left_out, size, material: dict) -> dict:
     """Contents of dataset.json."""
     names, counts = np.unique(splits, return_counts=True)
@@ -372,6 +389,9 @@ def build(args: Namespace) -> dict:
     write_json(folder / "normalisation.json", training_ranges(folder, splits))
     about = describe(of.data.name, grid, found, splits, left_out, size, material)
     about |= {"repeated_pictures": len(repeated)} if repeated else {}
+    about["doubts_of_forces"] = doubts_of_forces(found, material)
+    for doubt in about["doubts_of_forces"]:
+        print(f"note: {of.log}: {doubt}", file=sys.stderr)
     return about | {"nocontact": write_nocontact(folder / "nocontact.npy", of.data, about["sensors"], size)}
 
 

@@ -140,7 +140,7 @@ def calibration_section(results: Path) -> Section:
     return add_pictures(section, path.parent, captions)
 
 
-def force_section(results: Path, data: Path, rows: list[dict]) -> Section:
+def force_section(results: Path, data: Path, rows: list[dict], resolution: str) -> Section:
     """Labels beside the force sensor's readings, press by press."""
     of, section = Layout(results), Section("Labels against the force sensor")
     none = "The log has no force readings of presses that were labelled."
@@ -165,7 +165,8 @@ def force_section(results: Path, data: Path, rows: list[dict]) -> Section:
         section.text(
             f"Labels are made with the calibration {frozen.name} ({frozen.model}, {len(frozen.presses)} presses)."
         )
-    for sentence in force_sentences(presses):
+    doubts = read_json(of.dataset_table(resolution)).get("doubts_of_forces", [])
+    for sentence in [*doubts, *force_sentences(presses)]:
         section.text(sentence)
     return section.table(COMPARED, force_rows(presses), folded="Every press")
 
@@ -183,13 +184,21 @@ def failures_section(results: Path, solved: dict[str, Solved]) -> Section:
     section = Section("Failures")
     rejected = read_tables(Layout(results), Layout(results).rejected)
     failed = [solve for solve in solved.values() if not solve.status.valid]
-    if not rejected and not failed:
+    path = Layout(results).images()
+    images = read_json(path) if path.exists() else {"left_out": {}, "notes": []}
+    if not rejected and not failed and not any(images[kind] for kind in ("left_out", "notes")):
         return section.text("None: every row of the log became a label.")
     if rejected:
         columns = ["sample_id", "row", "column", "value", "reason", "hint"]
         section.text("Rows of the log that were rejected.").table(
             columns, [[r[c] for c in columns] for r in rejected]
         )
+    if images["left_out"]:
+        section.text("Presses whose images are not theirs, so that the dataset lacks them.").table(
+            ["sample_id", "reason"], [list(each) for each in images["left_out"].items()]
+        )
+    for note in images["notes"]:
+        section.text(note)
     if failed:
         columns = ["sample_id", "status", "reason", "fidelity"]
         section.text("Solves that failed.").table(
@@ -348,7 +357,7 @@ def sections_of(explorer: Explorer, data: Path, model: str, solved: dict[str, So
     verified = read_verified(results)
     return [
         network_section(results, resolution, model),
-        force_section(results, data, explorer.rows),
+        force_section(results, data, explorer.rows, resolution),
         calibration_section(results),
         branch_section(
             results,

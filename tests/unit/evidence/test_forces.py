@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelforge.evidence.forces import Fitted, LogForces, drift, mean_forces, of_log, of_readings, sideways
+from gelforge.evidence.forces import Fitted, LogForces, drift, mean_forces, of_labels, of_log, of_readings, sideways
 from gelforge.stages.calibrate import calibrate, evidence_of
 from tests.support.calibration_law import PARAMS, law_session
 from tests.support.parameters import with_values
@@ -114,6 +114,47 @@ def test_a_cause_hides_what_follows_from_it():
     assert ["sign of x" in line for line in of_log(log_of(turned), tare)] == [True]
     weighed = with_force(session, session.force / 9.80665)
     assert ["kilograms" in line for line in of_log(log_of(weighed), tare)] == [True]
+
+
+def labelled(seed):
+    """A session, and labels of a gel three tenths softer whose bench neither yields nor touches late, as before any calibration."""
+    session, _ = law_session(seed)
+    noise = 0.01 * np.random.default_rng(seed).standard_normal(session.force.shape)
+    bent = (
+        0.75 * (1.0 - 0.05 / session.depth[:, None]) * (1.0 + 0.005 * session.force[:, 2:] / session.depth[:, None])
+    )
+    names = np.array(["ball", "bar", "cube"])[np.arange(len(session)) % 3]
+    return session, session.force * (bent + noise), names
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_labels_name_the_trouble_and_of_a_clean_session_nothing(seed):
+    session, label, names = labelled(seed)
+    assert of_labels(log_of(session), label, names) == []
+    turn = np.exp(1j * np.deg2rad(session.pose[:, 6]))
+    for said, change in AXES.items():
+        seen = change(session.force[:, 0] + 1j * session.force[:, 1], turn)
+        force = np.column_stack([seen.real, seen.imag, session.force[:, 2]])
+        (line,) = of_labels(log_of(with_force(session, force)), label, names)
+        assert said in line
+    for name in TROUBLES.keys() - {"noise"}:
+        change, said = TROUBLES[name]
+        (line,) = of_labels(log_of(with_force(session, change(session.force))), label, names)
+        assert re.search(said, line), name
+    for name, factor in (("ball", 1.25), ("cube", 0.8)):
+        wrong = session.force * np.where(names == name, factor, 1.0)[:, None]
+        (line,) = of_labels(log_of(with_force(session, wrong)), label, names)
+        assert f"Forces of {name} are" in line
+
+
+def test_labels_need_readings_and_enough_presses():
+    session, label, names = labelled(0)
+    unread = with_force(session, session.force * np.nan)
+    assert of_labels(log_of(unread), label, names) == []
+    normal_alone = with_force(session, session.force * [np.nan, np.nan, 1.0] - [0.0, 0.0, 1.5])
+    assert ["along z: tare" in line for line in of_labels(log_of(normal_alone), label, names)] == [True]
+    few = session.take(np.arange(5))
+    assert of_labels(log_of(with_force(few, few.force - [0.0, 0.0, 1.5])), label[:5], names[:5]) == []
 
 
 @pytest.mark.slow

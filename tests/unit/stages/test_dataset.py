@@ -344,3 +344,13 @@ def test_a_frozen_camera_is_named_and_its_presses_stay_together(tmp_path, root, 
     with pytest.raises(BadInput, match=r"s003 .* s009 .* s011 .*; give each press its own picture"):
         collect(made, "4x4", "--strict")
     assert not (folder / "dataset.json").exists()
+
+
+def test_forces_of_the_log_that_do_not_suit_the_labels_are_noted(tmp_path, root, capsys):
+    made = write_pressed(tmp_path)
+    label(made, "4x4")
+    for path in (made["results"] / "10_poses").glob("*.csv"):
+        rows = read_csv(path)
+        write_csv(path, list(rows[0]), [row | {"fz_n": float(row["fz_n"]) / 4.44822} for row in rows])
+    (doubt,) = read_json(collect(made, "4x4") / "dataset.json")["doubts_of_forces"]
+    assert "they are in pounds-force" in doubt and f"note: {made['data']}/log.csv: {doubt}" in capsys.readouterr().err
