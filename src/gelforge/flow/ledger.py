@@ -16,7 +16,7 @@ from gelforge.flow.layout import FEA, FORCES, MESHES, PLAN, POSES, Layout, datas
 from gelforge.flow.running import running_targets
 
 PROGRAMS = ("gelforge", "numpy", "scipy", "numba", "torch")  # that numbers depend on
-ASKED = ("exit_code", "interrupted", "inputs", "cpu_seconds", "peak_mib")
+ASKED = ("target", "exit_code", "interrupted", "inputs", "cpu_seconds", "peak_mib")
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,8 @@ class LastRun:
 
     @property
     def target(self) -> str:
-        """The file that it made, "" where the record does not tell: a step's command writes that file's name with .part."""
-        words = (word for word in self.record.get("command", []) if word.endswith(".part"))
-        return next(words, "").removesuffix(".part")
+        """The file that it made, "" where the record does not tell."""
+        return self.record.get("target", "")
 
     @property
     def inputs(self) -> list[str]:
@@ -62,8 +61,7 @@ def read_run(path: Path) -> Any:
     record = json.loads(path.read_bytes())
     if not isinstance(record, dict):
         return None
-    found = {key: record[key] for key in ASKED if key in record}
-    return found | {"command": [word for word in record.get("command", []) if word.endswith(".part")]}
+    return {key: record[key] for key in ASKED if key in record}
 
 
 def still_asked(results: Path, known: list[LastRun], meshes: Collection[str] | None) -> list[LastRun]:

@@ -242,7 +242,7 @@ def publish_part(
     if code == 0 and not part.exists():
         print(f"{target}: the command succeeded but wrote no {part}")
         code = cost["exit_code"] = 1
-    cost["inputs"] = [str(path) for path in inputs]
+    cost |= {"target": str(target), "inputs": [str(path) for path in inputs]}
     cost["bytes"] = part.stat().st_size if code == 0 else 0
     if code == 0:
         cost["sha256"] = digest_of(part)

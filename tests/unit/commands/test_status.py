@@ -142,6 +142,6 @@ def write_dated(path, at):
 def made_of(results, name, at, *inputs):
     """A target of that time with the record that its step left; its path as text."""
     target = write_dated(results / name, at)
-    record = {"exit_code": 0, "inputs": inputs, "command": ["python", "--out", f"{target}.part"]}
+    record = {"exit_code": 0, "inputs": inputs, "target": str(target)}
     write_json((results / "metrics" / name).with_suffix(".json"), record)
     return target

@@ -14,6 +14,7 @@ from importlib.metadata import version
 import pytest
 
 from gelforge.flow.layout import mirror
+from gelforge.flow.ledger import last_runs
 from tests.support.limited import limited
 from tests.support.no_locks import without_locks
 from tests.support.waiting import HANG, heed_interrupts, wait_until
@@ -129,6 +130,15 @@ def test_what_was_made_of_an_input_that_changed_meanwhile_is_due_again(tmp_path)
     said = first.communicate(timeout=HANG)[0]
     assert first.returncode == 0 and str(target) in said
     assert second.wait(HANG) == 0 and target.read_text() == "new\n"
+
+
+def test_a_record_names_its_target_and_what_that_was_made_of(tmp_path):
+    """By which `make status` says what is outdated."""
+    target, source = tmp_path / "results/d/10_poses/0000.csv", tmp_path / "source"
+    source.touch()
+    assert start(target, "cp", str(source), f"{target}.part", reads=[source]).wait(HANG) == 0
+    (run,) = last_runs(tmp_path / "results/d")
+    assert (run.target, run.inputs) == (str(target), [str(source)])
 
 
 def test_nothing_is_made_of_an_input_that_is_not_as_it_was_made(tmp_path):
