@@ -5,9 +5,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from gelforge.records.markers import MarkerGrid, find_markers
+from gelforge.records.markers import MarkerGrid, find_markers, markers_in
 from gelforge.virtualrig.appearance import HEIGHT, WIDTH
-from gelforge.virtualrig.lightfit import marker_free, marker_spots
+from gelforge.virtualrig.lightfit import marker_free
 from gelforge.virtualrig.render import unproject
 from tests.support.surface_values import interpolate_surface
 
@@ -72,7 +72,7 @@ def tracked_markers(
 
     start, expected: (n, 2) px, where the markers stand in `before` and roughly in `after`. Returns (n, 2) and (n,) bool.
     """
-    first, second = marker_spots(before)[0], marker_spots(after)[0]
+    first, second = markers_in(before).points, markers_in(after).points
     i, near_first = _nearest(first, start)
     j, near_second = _nearest(second, expected)
     return second[j] - first[i], (near_first < reach) & (near_second < reach)

@@ -127,7 +127,8 @@ def markers_in(image: np.ndarray) -> Markers:
 
     Each colour is divided by its own median-filtered background. Ink is dark in every colour and a marker's
     shadow only in the colour of the light it hides, so the least dark colour counts; a colour whose light
-    hardly reaches a corner says nothing there.
+    hardly reaches a corner says nothing there. Centres are weighted by darkness; coordinates run from the image's
+    edge, as those of label cells do: a pixel's centre is half a pixel in.
     """
     import cv2
 
@@ -141,27 +142,21 @@ def markers_in(image: np.ndarray) -> Markers:
     dark = np.where(light >= LIT * np.max(light, axis=0), darkness, 1.0).min(axis=0)
     level = cv2.threshold((255 * dark).astype(np.uint8), 0, 255, cv2.THRESH_BINARY + cv2.THRESH_OTSU)[0] / 255
     mask = cv2.morphologyEx((dark > level).astype(np.uint8), cv2.MORPH_OPEN, np.ones((3, 3), np.uint8))
-    number, label, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
-    blobs = [_blob(label, dark, k, stats[k]) for k in range(1, number)]
-    found = np.array([blob for blob in blobs if blob is not None]).reshape(-1, 3)
+    _, label, stats, _ = cv2.connectedComponentsWithStats(mask, connectivity=4)
+    blobs = []
+    for k, (left, top, width, height, area) in enumerate(stats[1:].tolist(), 1):
+        if area < 9 or max(width, height) > 2.5 * min(width, height) or area < 0.45 * width * height:
+            continue
+        window = np.s_[top : top + height, left : left + width]
+        weight = np.where(label[window] == k, dark[window], 0.0)
+        v, u = np.mgrid[top : top + height, left : left + width] + 0.5
+        centre = (u * weight).sum() / weight.sum(), (v * weight).sum() / weight.sum()
+        blobs.append((*centre, 2.0 * np.sqrt(area / np.pi)))
+    found = np.array(blobs).reshape(-1, 3)
     if len(found):
         typical = np.median(found[:, 2])
         found = found[(found[:, 2] > 0.5 * typical) & (found[:, 2] < 1.7 * typical)]
     return Markers(found[:, :2], found[:, 2], np.stack(light, axis=2))
-
-
-def _blob(label: np.ndarray, dark: np.ndarray, number: int, stats: np.ndarray) -> tuple[float, float, float] | None:
-    """Centre, weighted by darkness, and diameter of a component; None where it is no marker.
-
-    Coordinates run from the image's edge, as those of label cells do: a pixel's centre is half a pixel in.
-    """
-    left, top, width, height, area = stats
-    if area < 9 or max(width, height) > 2.5 * min(width, height) or area < 0.45 * width * height:
-        return None
-    window = np.s_[top : top + height, left : left + width]
-    weight = np.where(label[window] == number, dark[window], 0.0)
-    v, u = np.mgrid[top : top + height, left : left + width] + 0.5
-    return (u * weight).sum() / weight.sum(), (v * weight).sum() / weight.sum(), 2.0 * np.sqrt(area / np.pi)
 
 
 def marker_mask(image: np.ndarray, px_per_mm: float) -> np.ndarray:

@@ -10,10 +10,10 @@ from hypothesis import strategies as st
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
 from gelforge.labelling.sensor import load_sensors
+from gelforge.records.markers import markers_in
 from gelforge.records.press import Press
 from gelforge.virtualrig.appearance import TERMS, Appearance, read_appearances
 from gelforge.virtualrig.fields import STEP, body_of, unloaded
-from gelforge.virtualrig.lightfit import marker_spots
 from gelforge.virtualrig.render import RIPPLE_MM, Pressed, Renderer
 from gelforge.virtualrig.rigplan import kind_of, orders, read_plan
 from tests.conftest import ROOT
@@ -75,7 +75,7 @@ def test_markers_go_where_the_gel_goes(name, shift, stretch, turn):
     field, moves = linear_field(np.array(shift), stretch, turn)
     points = gel_points(eye, eye.appearance.markers)
     expected = eye.seen(points, np.column_stack([moves(points), np.zeros(len(points))]))
-    before, after = marker_spots(eye.image())[0], marker_spots(eye.image(field))[0]
+    before, after = markers_in(eye.image()).points, markers_in(eye.image(field)).points
     seen = inside_image(expected, 1.5 * eye.appearance.diameter) & inside_image(
         eye.appearance.markers, 1.5 * eye.appearance.diameter
     )

@@ -2,7 +2,7 @@
 
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 from gelforge.errors import BadInput
@@ -24,85 +24,82 @@ def _numbers(value: Any, count: int | None, above: float = -math.inf) -> bool:
     )
 
 
-def _side(value: Any) -> bool:
+def _sides(value: Any) -> bool:
     return _numbers(value, 2, 0) and all(type(v) is int and v <= MOST_SIDE for v in value)
 
 
-def _names(value: Any) -> bool:
-    return isinstance(value, list) and all(isinstance(name, str) and 0 < len(name) <= 200 for name in value)
+def _text(value: Any) -> bool:
+    return isinstance(value, str) and 0 < len(value) <= 200
 
 
-def _square(value: Any) -> bool:
-    return isinstance(value, list) and all(_numbers(row, len(value)) for row in value)
+def _list_of(good: Callable[[Any], bool]) -> Callable[[Any], bool]:
+    return lambda value: isinstance(value, list) and all(map(good, value))
 
 
-def _tables(value: Any) -> bool:
-    return isinstance(value, list) and all(isinstance(one, dict) for one in value)
-
-
-def _half_widths(value: Any) -> bool:
-    return (
-        isinstance(value, dict)
-        and set(value) == set(CHANNELS)
-        and all(_numbers(width, 3, -1e-300) for width in value.values())
-    )
+def _one_of(names: Iterable[str]) -> tuple[str, Callable[[Any], bool]]:
+    known = tuple(names)
+    return f"one of {', '.join(known)}", lambda value: isinstance(value, str) and value in known
 
 
 def _intervals(value: Any) -> bool:
-    if value is ABSENT:
-        return True
-    return isinstance(value, dict) and (not value.get("total") or _half_widths(value["total"]))
+    widths = value.get("total") if isinstance(value, dict) else None
+    if not widths:
+        return isinstance(value, dict)
+    named = isinstance(widths, dict) and set(widths) == set(CHANNELS)
+    return named and all(_numbers(width, 3, -1e-300) for width in widths.values())
 
 
-def _reads(value: Any) -> bool:
-    return isinstance(value, str) and value in INPUT_CHANNELS
-
-
-def _limit(value: Any) -> bool:
-    return value is ABSENT or _numbers([value], 1)
-
-
-def _pitches(value: Any) -> bool:
-    return value is ABSENT or (_numbers(value, 2, 0) and value[0] <= value[1])
-
+TABLE = "a table", lambda value: isinstance(value, dict)
+NUMBER = "a number", lambda value: _numbers([value], 1)
+POSITIVE = "three numbers above 0", lambda value: _numbers(value, 3, 0)
+SIDES = f"whole numbers to {MOST_SIDE}"
 
 # Every part of a model's metadata that use relies on, and what it must be.
 PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
-    "name": ("a name", lambda v: isinstance(v, str) and 0 < len(v) <= 200),
-    "sha256": ("the digest of its graph", lambda v: isinstance(v, str)),
-    "model": ("a table of its network", lambda v: isinstance(v, dict)),
-    "model.kind": (f"one of {', '.join(KINDS)}", lambda v: isinstance(v, str) and v in KINDS),
-    "model.reads": (f"one of {', '.join(INPUT_CHANNELS)}, or absent", lambda v: v is ABSENT or _reads(v)),
-    "train": ("a table", lambda v: isinstance(v, dict)),
-    "image": (f"[height, width], whole numbers to {MOST_SIDE}", _side),
-    "grid": (f"[rows, cols], whole numbers to {MOST_SIDE}", _side),
-    "known_sensors": ("a list of names", _names),
-    "sensors": ("a list of names", _names),
-    "data": ("a table", lambda v: isinstance(v, dict)),
-    "also": ("a list of tables", _tables),
-    "normalisation": ("a table", lambda v: isinstance(v, dict)),
-    "normalisation.reads": (f"one of {', '.join(INPUT_CHANNELS)}", _reads),
-    "normalisation.image_mean": ("three numbers", lambda v: _numbers(v, 3)),
-    "normalisation.image_std": ("three numbers above 0", lambda v: _numbers(v, 3, 0)),
-    "normalisation.label": ("three numbers above 0", lambda v: _numbers(v, 3, 0)),
-    "pitch_px": ("two numbers above 0, the larger last, or absent", _pitches),
+    "name": ("a name", _text),
+    "sha256": ("the digest of its graph", lambda value: isinstance(value, str)),
+    "model": ("a table of its network", TABLE[1]),
+    "model.kind": _one_of(KINDS),
+    "train": TABLE,
+    "image": (f"[height, width], {SIDES}", _sides),
+    "grid": (f"[rows, cols], {SIDES}", _sides),
+    "known_sensors": ("a list of names", _list_of(_text)),
+    "sensors": ("a list of names", _list_of(_text)),
+    "data": TABLE,
+    "also": ("a list of tables", _list_of(TABLE[1])),
+    "normalisation": TABLE,
+    "normalisation.reads": _one_of(INPUT_CHANNELS),
+    "normalisation.image_mean": ("three numbers", lambda value: _numbers(value, 3)),
+    "normalisation.image_std": POSITIVE,
+    "normalisation.label": POSITIVE,
+    "statistics": TABLE,
+    "statistics.inverse": (
+        "a square of numbers",
+        lambda value: _list_of(lambda row: _numbers(row, len(value)))(value),
+    ),
+    "statistics.threshold": NUMBER,
+    "statistics.mean": ("numbers", lambda value: _numbers(value, None)),
+    "statistics.spread": ("numbers above 0", lambda value: _numbers(value, None, 0)),
+}
+# What may be absent.
+OPTIONAL: dict[str, tuple[str, Callable[[Any], bool]]] = {
+    "model.reads": _one_of(INPUT_CHANNELS),
+    "pitch_px": (
+        "two numbers above 0, the larger last",
+        lambda value: _numbers(value, 2, 0) and value[0] <= value[1],
+    ),
     "intervals": ("a table of three numbers from 0 on, by component", _intervals),
-    "statistics": ("a table", lambda v: isinstance(v, dict)),
-    "statistics.inverse": ("a square of numbers", _square),
-    "statistics.threshold": ("a number", lambda v: _numbers([v], 1)),
-    "statistics.mean": ("numbers", lambda v: _numbers(v, None)),
-    "statistics.spread": ("numbers above 0", lambda v: _numbers(v, None, 0)),
-    **{f"statistics.{name}": ("a number, or absent", _limit) for name in LIMITS},
+    **{f"statistics.{name}": NUMBER for name in LIMITS},
 }
 
 
 def check_metadata(metadata: Any, where: str) -> None:
     """Raise BadInput for the first part of a model's metadata that is missing or cannot be."""
-    for name, (what, good) in PARTS.items():
+    for name, (what, good) in (PARTS | OPTIONAL).items():
         table, _, key = name.partition(".")
         inside = metadata.get(table, ABSENT) if isinstance(metadata, dict) else None
         value = inside.get(key, ABSENT) if key and isinstance(inside, dict) else inside
-        if not good(value):
+        if not (good(value) or (value is ABSENT and name in OPTIONAL)):
             seen = "missing" if value is ABSENT else repr(str(value)[:60])
             raise BadInput(f"{where}: {name} is {seen}, it must be {what}; train the model again")
     statistics = metadata["statistics"]

@@ -158,9 +158,14 @@ def _agreed(seen: np.ndarray, rest: np.ndarray, fraction: float) -> Light:
         total = float(weight.sum())
         if total <= 0.0:
             return NO_LIGHT
-        before = gain, offset
-        gain, offset = _fitted((np.einsum("ijk,k->ij", products, weight) / total).tolist())
-        if _largest_change(*before, gain, offset) < SETTLED:
+        # means by colour of the levels at rest, those seen, their square at rest, and their product
+        means = list(zip(*(np.einsum("ijk,k->ij", products, weight) / total).tolist(), strict=True))
+        before = list(zip(gain, offset, strict=True))
+        gain = [(crossed - a * b + TIED) / (squares - a * a + TIED) for a, b, squares, crossed in means]
+        offset = [b - one * a for (a, b, _, _), one in zip(means, gain, strict=True)]
+        # the change of black and of white, between which all other levels lie
+        changes = [(a - c, b - d) for (a, b), c, d in zip(before, gain, offset, strict=True)]
+        if max(max(abs(black), abs(BRIGHTEST * part + black)) for part, black in changes) < SETTLED:
             break
     fraction *= float((weight > 0.5).mean())
     residual = math.sqrt(float(weight @ squared) / total)
@@ -179,22 +184,3 @@ def _fall(ratio: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, float]:
         scale = max(FALL_SCALES[0], 1.4826 * float(np.median(left[good])))
         weight = np.where(good, np.maximum(0.0, 1.0 - (left / (FALL_REACH * scale)) ** 2) ** 2, 0.0)
     return found[1:], scale
-
-
-def _fitted(means: list[list[float]]) -> tuple[list[float], list[float]]:
-    """Gain and offset by colour from means by colour of the levels at rest, those seen, their square at rest, and product."""
-    gain = [
-        (crossed - rest * seen + TIED) / (squares - rest * rest + TIED)
-        for rest, seen, squares, crossed in zip(*means, strict=True)
-    ]
-    return gain, [seen - one * rest for rest, seen, one in zip(*means[:2], gain, strict=True)]
-
-
-def _largest_change(
-    gain: list[float], offset: list[float], other_gain: list[float], other_offset: list[float]
-) -> float:
-    """Levels that one light makes otherwise than another at most, of black and of white, between which all others lie."""
-    return max(
-        max(abs(c - d), abs(BRIGHTEST * (a - b) + c - d))
-        for a, b, c, d in zip(gain, other_gain, offset, other_offset, strict=True)
-    )

@@ -280,33 +280,27 @@ def _part(
 def orientation_of(image: np.ndarray, markers: Markers, pitch: float) -> Orientation:
     """How a no-contact image (h, w, 3) uint8 RGB must be turned to lie as networks know it; as it is where nothing is sure."""
     height, width = image.shape[:2]
-    light, fringes = light_moments(image), fringe_moments(image, markers, pitch)
-    both = [(LIGHT, light)]
+    compared = [(LIGHT, light_moments(image))]
+    fringes = fringe_moments(image, markers, pitch)
     if np.linalg.norm(fringes) >= LEAST_FRINGES:
-        both.append((FRINGES, fringes))
-
-    def agreement(orientation: Orientation) -> list[float]:
-        return [_correlation(known, orientation.moments(seen)) for known, seen in both]
-
-    upright = height > (1 + SQUARE) * width
-    across = width > (1 + SQUARE) * height
-    found, most = AS_IT_IS, sum(agreement(AS_IT_IS)) if not upright else -math.inf
-    candidates = [
-        Orientation(*flags)
-        for flags in itertools.product((False, True), repeat=3)
-        if not ((flags[0] and across) or (upright and not flags[0]))
-    ]
-    # without fringes both sides look alike: a turned camera is likelier than a mirrored one
-    for one in sorted(candidates, key=lambda each: each.mirrored):
-        agreed = agreement(one)
-        if min(agreed) > SURE and sum(agreed) > most + AHEAD:
-            found, most = one, sum(agreed)
+        compared.append((FRINGES, fringes))
+    upright, across = height > (1 + SQUARE) * width, width > (1 + SQUARE) * height
+    found, most = AS_IT_IS, -math.inf
+    # as it is first; without fringes both sides look alike: a turned camera is likelier than a mirrored one
+    for one in sorted(
+        itertools.starmap(Orientation, itertools.product((False, True), repeat=3)), key=lambda o: o.mirrored
+    ):
+        if (upright and not one.transposed) or (across and one.transposed):
+            continue
+        agreement = [_correlation(of_minis, one.moments(seen)) for of_minis, seen in compared]
+        if one == AS_IT_IS or (min(agreement) > SURE and sum(agreement) > most + AHEAD):
+            found, most = one, sum(agreement)
     return found
 
 
-def _correlation(known: np.ndarray, seen: np.ndarray) -> float:
-    size = float(np.linalg.norm(known) * np.linalg.norm(seen))
-    return float((known * seen).sum()) / size if size > 0 else 0.0
+def _correlation(of_minis: np.ndarray, seen: np.ndarray) -> float:
+    size = float(np.linalg.norm(of_minis) * np.linalg.norm(seen))
+    return float((of_minis * seen).sum()) / size if size > 0 else 0.0
 
 
 def light_moments(image: np.ndarray) -> np.ndarray:
