@@ -30,6 +30,7 @@ LEFT_OUT = {
     "calibration": "an emulator takes minutes: tests/workflow/test_calibrate.py",
     "exact": "solves 68 presses by every method: tests/physics/test_axisymmetric.py",
     "references": "solves the finest meshes: tests/unit/sweeps/test_challenge.py",
+    "troubles": "labels the demo: tests/unit/evidence and tests/unit/stages/test_images.py",
     "outside": "GetFEM takes minutes for a scene: tests/workflow/test_outside.py",
 }
 # Of networks: what they predict from so few images says nothing, so no goal is asked for.
