@@ -163,9 +163,13 @@ def last_line(path: Path) -> str:
 def csv_text(columns: Collection[str], rows: Iterable[Mapping[str, Any]]) -> str:
     """Dict rows as CSV text; a missing cell is empty."""
     text = io.StringIO(newline="")
-    writer = csv.DictWriter(text, columns, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
+    writer = csv.writer(text, lineterminator="\n")  # DictWriter takes half as long again
+    writer.writerow(columns)
+    known = set(columns)
+    for row in rows:
+        if not row.keys() <= known:
+            raise ValueError(f"no such columns: {sorted(row.keys() - known)}")
+        writer.writerow([row.get(name, "") for name in columns])
     return text.getvalue()
 
 
