@@ -13,12 +13,11 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, publish, read_json, read_toml, write_json
 from gelforge.flow.main import command, group, option
 from gelforge.flow.params import digest_of_value
-from gelforge.records.image import encode_png
 
 SHIPPED = Path("src/gelforge/networks/weights/default.onnx")
 PRESSED = 1.4, (0.5, 1.0), (0.4, -0.3)  # depth, place and way sideways of the press that is shown, mm
-ARROW_MM = 2.0  # length of the largest force
-SHOWN = 3  # frames of a film, where it presses hardest
+ARROW_MM = 2.5  # length of the largest force
+SENSOR = "mini_b"  # virtual sensor of the image beside it
 
 
 def digest(source: str) -> str | None:
@@ -44,8 +43,11 @@ def outdated(picture: Path) -> list[str]:
     return [name for name, held in known.items() if digest(name) not in (None, held)]
 
 
-def hardest_frames(film: Path, model):
-    """(image, forces) of a film's frames with the largest force, one each third of it, as far as the camera sees."""
+def hardest_frame(film: Path, model, flagged: bool):
+    """Image, cells (3, rows, cols) and reading of the frame of a film with the largest force, of those that are flagged or are not.
+
+    Image and cells as far as the camera sees.
+    """
     import cv2
 
     from gelforge.networks.inference.predictor import Predictor
@@ -58,33 +60,46 @@ def hardest_frames(film: Path, model):
         predictor = Predictor(model, picture)
         read = [predictor.predict(frame.image) for frame in at_rest_and_after]
     frame = predictor.prepare.frame
-    for part in np.array_split(np.arange(len(read)), SHOWN):
-        hardest = max((read[at] for at in part), key=lambda one: -one.cells[2].sum())
-        cells = hardest.cells[(slice(None), *frame.cells_shown(hardest.cells.shape[1:]))]
-        yield hardest.image[frame.shown], cells
+    hardest = max((one for one in read if one.flag == flagged), key=lambda one: -one.cells[2].sum())
+    cells = hardest.cells[(slice(None), *frame.cells_shown(hardest.cells.shape[1:]))]
+    return hardest.image[frame.shown], cells, hardest
 
 
-@command(option("films", nargs="+", type=Path), option("--out", type=Path))
+@command(
+    option("films", nargs="+", type=Path),
+    option("--flagged", type=Path, help="film of which a flagged frame is shown"),
+    option("--out", type=Path),
+)
 def real(args: Namespace) -> None:
-    """Real sensor pictures beside the force maps that the shipped network reads in them."""
+    """Frames of real sensors above the force maps that the shipped network reads in them, in one scale, and a flagged one."""
+    import textwrap
+
     from gelforge.networks.inference.predictor import load_for_use
     from gelforge.reporting.canvas import canvas_with_axes, to_png
     from gelforge.reporting.forcemaps import draw_pressure
 
     model = load_for_use(None)
-    rows = [list(hardest_frames(film, model)) for film in args.films]
-    figure, axes = canvas_with_axes(len(rows), 2 * SHOWN, 12, 1.6 * len(rows) + 0.3)
-    for line, pairs in zip(axes, rows, strict=True):
-        most = max(float(-forces[2].min()) for _, forces in pairs)  # one scale for the frames of a film
-        for axis in line:
-            axis.set_axis_off()
-        for k, (image, forces) in enumerate(pairs):
-            line[2 * k].imshow(image)
-            draw_pressure(line[2 * k + 1], forces[2], most)
-            pressed = round(-float(forces[2].sum()), 1) + 0.0  # no minus before a zero
-            line[2 * k + 1].set_title(f"{pressed} N", fontsize=9)
+    shown = [hardest_frame(film, model, False) for film in args.films]
+    figure, axes = canvas_with_axes(2, len(shown) + 1, 3.1 * (len(shown) + 1) + 0.8, 4.9)
+    most = max(float(-cells[2].min()) for _, cells, _ in shown)
+    for (above, below), (image, cells, _) in zip(axes.T, shown, strict=False):
+        above.imshow(image)
+        drawn = draw_pressure(below, cells[2], most)
+        below.set_title(f"{-float(cells[2].sum()):.1f} N", fontsize=15)
+    image, cells, reading = hardest_frame(args.flagged, model, True)
+    above, below = axes[:, -1]
+    above.imshow(image)
+    below.imshow(np.full((*cells.shape[1:], 3), 255, np.uint8))
+    below.set_title("flagged", fontsize=15)
+    below.text(
+        0.5, 0.5, textwrap.fill(reading.reason, 30), fontsize=12, ha="center", va="center", transform=below.transAxes
+    )
+    for axis in axes.ravel():
+        axis.set_xticks([])
+        axis.set_yticks([])
+    figure.colorbar(drawn, ax=axes, shrink=0.6).set_label("N per cell", fontsize=12)
     # from the project's root, because the record of the picture is tracked and no machine's
-    films = [os.path.relpath(film) for film in args.films]
+    films = [os.path.relpath(film) for film in (*args.films, args.flagged)]
     publish_picture(args.out, to_png(figure), [SHIPPED, *films])
 
 
@@ -105,49 +120,86 @@ def copy(args: Namespace) -> None:
 @command(
     option("--catalogue", type=Path, help="file of indenters"),
     option("--name", help="name of one of them"),
+    option("--rig", type=Path, help="folder workflow/rig, of whose first sensor the image is"),
     option("--out", type=Path),
 )
 def press(args: Namespace) -> None:
-    """A press of an indenter: the gel's surface by how far it is pushed in, and the forces that act on it."""
-    from gelforge.api import solve
+    """A press in a row: the image of a virtual sensor, the gel with the indenter and the forces on it, the map of normal force."""
+    from gelforge.api import label, solve
     from gelforge.geometry.indenters import load_catalogue
+    from gelforge.labelling.sensor import load_sensors
+    from gelforge.reporting.canvas import canvas, to_png
+    from gelforge.reporting.forcemaps import draw_pressure
 
     body = load_catalogue(args.catalogue, [args.name])[args.name]
-    image = picture_of(body, solve(body, *PRESSED, quality="label"))
-    publish_picture(args.out, encode_png(image), [f"{args.catalogue}#{args.name}"])
+    solved, sensor = solve(body, *PRESSED, quality="label"), load_sensors(args.rig.parent / "sensors.toml")[SENSOR]
+    normal = label(solved, sensor=sensor)[2]
+    figure = canvas(12.5, 3.6)
+    left, middle, right = figure.subplots(1, 3, width_ratios=(1.0, 1.25, 1.15))
+    left.imshow(image_of(body, solved, sensor, args.rig))
+    middle.imshow(trimmed(view_of(body, solved)))
+    shown = draw_pressure(right, normal, float(-normal.min()))
+    bar = figure.colorbar(shown, ax=right, shrink=0.8)
+    bar.set_label("N per cell", fontsize=12)
+    total = -float(normal.sum())
+    for axis, title in zip(
+        (left, middle, right),
+        ("image of the sensor", "gel, indenter, forces", f"normal force: {total:.1f} N"),
+        strict=True,
+    ):
+        axis.set_title(title, fontsize=15)
+        axis.set_xticks([])
+        axis.set_yticks([])
+        for side in axis.spines.values():
+            side.set_visible(axis is not middle)
+    publish_picture(args.out, to_png(figure), [f"{args.catalogue}#{args.name}", f"{args.rig / 'sensors.toml'}#{SENSOR}"])
 
 
-def picture_of(body, solved) -> np.ndarray:
+def image_of(body, solved, sensor, rig: Path) -> np.ndarray:
+    """What a virtual sensor sees of a solved press, (240, 320, 3) uint8 RGB."""
+    from gelforge.geometry.gel import Gel
+    from gelforge.records.press import Press
+    from gelforge.virtualrig.appearance import read_appearances
+    from gelforge.virtualrig.fields import body_of, field_of, surface_of
+    from gelforge.virtualrig.render import Pressed, Renderer
+
+    depth, at, shear = PRESSED
+    press, gel = Press(*at, 0.0, *shear, -depth, 0.0), Gel()
+    camera = Renderer(read_appearances(rig / "sensors.toml")[SENSOR], sensor.projection, gel)
+    field = field_of(gel, surface_of(solved.mesh, solved.displacement, press))
+    return camera.image(field, Pressed(body_of(body, 0.03, 0.65, 45.0), press), np.random.default_rng(1))
+
+
+def trimmed(image: np.ndarray) -> np.ndarray:
+    """An image (h, w, 3) uint8 RGB without its white border."""
+    rows, cols = (np.flatnonzero((image < 250).any(axis=(axis, 2))) for axis in (1, 0))
+    return image[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1]
+
+
+def view_of(body, solved) -> np.ndarray:
     """A picture (h, w, 3) uint8 RGB of a press: the gel's surface, arrows of force, the indenter cut open above the gel."""
     import pyvista as pv
 
     mesh, moved = solved.mesh, solved.mesh.nodes + solved.displacement
     gel = pv.PolyData.from_regular_faces(moved, mesh.faces[:, : 4 if mesh.kind == "hex8" else 3])
-    gel.point_data["downward motion, mm"] = -solved.displacement[:, 2]
     # a force points where it pushes and ends on the gel
     acting = np.flatnonzero(solved.forces.any(axis=1))
-    scale = ARROW_MM / np.linalg.norm(solved.forces, axis=1).max()
+    strongest = np.linalg.norm(solved.forces, axis=1).max()
+    scale = ARROW_MM / strongest
     arrows = pv.PolyData(moved[acting] - scale * solved.forces[acting])
     arrows["force"] = solved.forces[acting]
     vertices, faces = body.surface()
     depth, at, shear = PRESSED
     tool = pv.PolyData.from_regular_faces(vertices + (at[0] + shear[0], at[1] + shear[1], -depth), faces)
 
-    view: Any = pv.Plotter(off_screen=True, window_size=[1300, 640])
+    view: Any = pv.Plotter(off_screen=True, window_size=[1300, 900])
     view.set_background("white")
-    bar = {
-        "color": "black",
-        "position_x": 0.68,
-        "position_y": 0.03,
-        "width": 0.28,
-        "height": 0.14,
-        "n_labels": 3,
-        "fmt": "%.1f",
-    }
-    view.add_mesh(gel, cmap="viridis", scalar_bar_args=bar, show_edges=True, edge_color="#4a5568", line_width=0.5)
-    view.add_mesh(tool.clip("z", origin=(0, 0, 2.5)), color="lightgrey", opacity=0.25, smooth_shading=True)
+    view.add_mesh(gel, color="#dfe7ef", show_edges=True, edge_color="#9fb0c2", line_width=0.6, smooth_shading=True)
+    half = tool.clip("z", origin=(0, 0, 4.0)).clip("y", origin=(0, at[1] + shear[1], 0), invert=False)
+    view.add_mesh(half, color="#2f6db3", opacity=0.55)
+    view.add_mesh(half.extract_feature_edges(25), color="#16406f", line_width=2)
     view.add_mesh(arrows.glyph(orient="force", scale="force", factor=scale), color="firebrick")
-    view.camera_position = [(19, -27, 21), (0, -0.5, -1), (0, 0, 1)]
+    view.camera_position = [(13, -20, 15), (0, 0.3, -0.6), (0, 0, 1)]
     image = np.asarray(view.screenshot(return_img=True))
     view.close()
     return image

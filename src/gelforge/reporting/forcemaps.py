@@ -6,8 +6,8 @@ from gelforge.records.axes import TITLES
 from gelforge.records.image import write_png
 
 # Colour maps, the same in every picture. Of a component: red along its axis, blue against it, as on the pages of the
-# explorer and of `live`. Of pressure: the brighter, the harder.
-SIGNED, PRESSURE = "RdBu_r", "inferno"
+# explorer and of `live`. Of pressure: light where nothing presses, the darker, the harder.
+SIGNED, PRESSURE = "RdBu_r", "OrRd"
 PANEL_PX = 380  # width of each of the panels of a written map
 # Text beside a picture: OpenCV's plain font (cv2.FONT_HERSHEY_SIMPLEX) and its scale, in lines of so many px. Three lines
 # of 640 px hold the longest sentence that a picture is flagged by.
@@ -59,9 +59,9 @@ def draw_component(axis, force, channel: int, note: str = "", **placed) -> None:
     axis.figure.colorbar(shown, ax=axis, shrink=0.85, label="N per cell")
 
 
-def draw_pressure(axis, force, most: float) -> None:
-    """Draw the map (rows, cols) of normal force, N per cell, compression negative; most: what the brightest colour means."""
-    axis.imshow(-force, cmap=PRESSURE, vmin=0, vmax=most)
+def draw_pressure(axis, force, most: float):
+    """Draw the map (rows, cols) of normal force, N per cell, compression negative; most: what the darkest colour means."""
+    return axis.imshow(-force, cmap=PRESSURE, vmin=0, vmax=most)
 
 
 def wrapped(text: str, width: int, most: int) -> list[str]:

@@ -93,7 +93,8 @@ class Worker:
             pressing = pressings[frame]
             if not pressing.result.status.valid:
                 continue
-            surface = surface_of(pressing.result.solved_mesh, pressing.result.displacement, pressing.real)
+            result = pressing.result
+            surface = surface_of(result.solved_mesh, result.displacement, pressing.real, pressing.down)
             surface.save(self.folder / surface_name(seen[0]))
             self._take_pictures(seen, surface)
         of_each = [(order, replace(pressings[order.frame], order=order)) for order in orders]

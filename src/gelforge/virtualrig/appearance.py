@@ -22,7 +22,7 @@ BOUNDS = {
     "vignette": (-1, 1), "slope_gain": (0, 100), "slope_limit": (1e-3, 100), "brightening": (0, 10),
     "camera_mm": (5, 1e4), "blur": (0, 100), "noise": (0, 255), "noise_blur": (0, 100), "markers": (-1e4, 1e4),
     "diameter": (0.1, 1e3), "raggedness": (0, 1), "ink": (0, 1), "flecks": (0, 10), "shadow_depth": (0, 1),
-    "shadow_length": (0, 1e3),
+    "shadow_length": (0, 1e3), "normal_motion": (0, 2),
 }  # fmt: skip
 
 # What workflow/rig/sensors.toml calls them where it names the unit, too.
@@ -36,12 +36,20 @@ KEYS = {
 class Drift:
     """How a unit's light differs from picture to picture, each drawn evenly between two bounds.
 
-    gain: relative, and offset: grey levels, of each colour; field: relative change towards the image's sides.
+    gain: relative, and offset: grey levels, of each colour; field: relative change towards the image's sides. relit: fraction
+    of the pictures that are taken under another fall of light besides; their relative change from the image's middle to
+    its sides, of all colours (gradient) and of each (colour_gradient), and how much darker corners become (vignette).
+    refocus: px of blur that a picture has beyond the unit's.
     """
 
     gain: tuple[float, float]
     offset: tuple[float, float]
     field: tuple[float, float]
+    relit: float = 0.0
+    gradient: tuple[float, float] = (0.0, 0.0)
+    colour_gradient: tuple[float, float] = (0.0, 0.0)
+    vignette: tuple[float, float] = (0.0, 0.0)
+    refocus: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -58,7 +66,9 @@ class Appearance:
     penumbra beside each marker. noise: (3,) standard deviation in grey levels. camera_mm: height of the pinhole
     below the gel's apex, which sets how much a pressed part looks larger. specks: marks of dust and scratches.
     drift: of the light from picture to picture. shade: (3,) relative change of each colour's light per mm by which the
-    gel is pressed in on average. jpeg: quality of a camera that compresses, 0 for one that does not.
+    gel is pressed in on average. jpeg: quality of a camera that compresses, 0 for one that does not. normal_motion: factor on
+    the in-plane motion of the surface that the way down causes, below 1 for a coat stiffer than its gel; sideways travel is
+    not scaled.
     """
 
     name: str
@@ -87,6 +97,7 @@ class Appearance:
     drift: Drift | None = None
     shade: np.ndarray | None = None
     jpeg: int = 0
+    normal_motion: float = 1.0
 
     def fault(self) -> str:
         """What no sensor can look like, as the start of a sentence; empty where nothing is."""

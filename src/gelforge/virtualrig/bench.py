@@ -48,7 +48,8 @@ class Pressing:
     """What one press really was and what the bench reports of it.
 
     real: the path the tip took, mm. log: the same as the bench believes it. force: (3,) N on the gel,
-    moment: (3,) N m about the apex. read_force, read_moment: the load cell's readings of both.
+    moment: (3,) N m about the apex. read_force, read_moment: the load cell's readings of both. down: displacement (n, 3) mm
+    at the end of the way down, for a press that goes sideways on drawn units.
     """
 
     order: Order
@@ -59,6 +60,7 @@ class Pressing:
     read_force: np.ndarray
     read_moment: np.ndarray
     result: HexResult
+    down: np.ndarray | None = None
 
 
 class Bench:
@@ -116,12 +118,24 @@ class Bench:
             results = self._solve(order, real, settings)
             if results[-1].status.valid:
                 break
+        _, at_bottom = self._states(real)
+        down = results.pop(at_bottom).displacement if at_bottom is not None else None
         noises = [self._later_noise(order, k) for k in range(len(results) - 1)] + [(read_noise, moment_noise)]
-        states = frames_along(real, self.plan.frames)
         return [
-            self._reported(order, replace(real, **state), result, _part(play, real, state), noise)
-            for state, result, noise in zip(states, results, noises, strict=True)
+            self._reported(order, replace(real, **state), result, _part(play, real, state), noise, down)
+            for state, result, noise in zip(frames_along(real, self.plan.frames), results, noises, strict=True)
         ]
+
+    def _states(self, real: Press) -> tuple[list[dict[str, float]], int | None]:
+        """States of a press that are solved, in order of time, and which of them is the end of its way down and no frame.
+
+        Drawn units scale the motion of the way down, so that of a press which goes sideways is solved for them.
+        """
+        states = frames_along(real, self.plan.frames)
+        if self.plan.units is None or real.end == 1.0:
+            return states, None
+        at = sum(1 for state in states if not (state["dx"] or state["dy"]))
+        return [*states[:at], {"dx": 0.0, "dy": 0.0, "dz": real.dz}, *states[at:]], at
 
     def _later_noise(self, order: Order, frame: int) -> tuple[np.ndarray, np.ndarray]:
         """Noise of force and moment that the load cell reads at a frame before the last."""
@@ -129,7 +143,7 @@ class Bench:
         truth = self.plan.truth
         return rng.normal(scale=truth.force_noise_n, size=3), rng.normal(scale=truth.moment_noise_nm, size=3)
 
-    def _reported(self, order: Order, real: Press, result: HexResult, play, noise) -> Pressing:
+    def _reported(self, order: Order, real: Press, result: HexResult, play, noise, down) -> Pressing:
         """What the bench reports of one solved frame."""
         truth = self.plan.truth
         depth = float(self.gel.top(real.x0, real.y0)) - (real.z0 + real.dz)
@@ -139,11 +153,11 @@ class Bench:
         moment = np.cross(arm, scale * result.forces).sum(axis=0) * 1e-3
         log = believed(order, real, play, force, truth)
         read = force + load_cell_error(self.plan, order.index) + noise[0]
-        return Pressing(order, real, log, force, moment, read, moment + noise[1], result)
+        return Pressing(order, real, log, force, moment, read, moment + noise[1], result, down)
 
     def _solve(self, order: Order, real: Press, settings: HexSettings) -> list[HexResult]:
         body, gel, material = self.indenters[order.indenter], load_gel(order.gel), Material(nu=self.plan.truth.nu)
-        states = frames_along(real, self.plan.frames)
+        states, _ = self._states(real)
         scenes = [Scene(gel, material, body, replace(real, **state), self._law) for state in states]
         box = self.fine_box(order.indenter, real, settings.size)
         return HexSolver(replace(settings, box=box)).solve_frames(scenes)

@@ -1,6 +1,6 @@
 """The gel's deformed surface as smooth fields, and the indenter's underside as a height map."""
 
-from dataclasses import astuple, dataclass
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -22,12 +22,22 @@ FAR = 4.0  # mm; no part of the body higher than this above its tip can touch th
 class Field:
     """Displacement of the gel's surface on a regular grid, (ny, nx, 3) float32 mm.
 
-    Sample (j, i) lies at x = x0 + i STEP, y = y0 + j STEP of the unloaded surface.
+    Sample (j, i) lies at x = x0 + i STEP, y = y0 + j STEP of the unloaded surface. down: (ny, nx, 2) float32 mm, the in-plane
+    motion that the way down caused; None where it is not known apart from that of the way sideways.
     """
 
     values: np.ndarray
     x0: float
     y0: float
+    down: np.ndarray | None = None
+
+    def scaled(self, factor: float) -> "Field":
+        """The field whose in-plane motion by the way down is multiplied by a factor."""
+        if self.down is None:
+            raise ValueError("the field does not know what the way down alone has moved")
+        values = self.values.copy()
+        values[..., :2] += np.float32(factor - 1.0) * self.down
+        return replace(self, values=values)
 
 
 def unloaded(gel: Gel) -> Field:
@@ -38,35 +48,50 @@ def unloaded(gel: Gel) -> Field:
 
 @dataclass(frozen=True)
 class Surface:
-    """What a picture of a press needs: displacement (ny, nx, 3) mm at the nodes of lines xs, ys, and the path."""
+    """What a picture of a press needs: displacement (ny, nx, 3) mm at the nodes of lines xs, ys, and the path.
+
+    down: (ny, nx, 2) mm, the in-plane motion at the end of the way down; None where that was not kept.
+    """
 
     xs: np.ndarray
     ys: np.ndarray
     moved: np.ndarray
     press: Press
+    down: np.ndarray | None = None
 
     def save(self, path) -> None:
         """Write to an .npz file, whole or not at all."""
         with publish(path) as part:
-            np.savez_compressed(part, xs=self.xs, ys=self.ys, moved=self.moved, press=np.array(astuple(self.press)))
+            arrays = {"xs": self.xs, "ys": self.ys, "moved": self.moved, "press": np.array(astuple(self.press))}
+            np.savez_compressed(part, **arrays, **({} if self.down is None else {"down": self.down}))
 
     @classmethod
     def load(cls, path) -> "Surface":
         """Read what `save` wrote; anything else raises BadInput."""
         try:
             with np.load(path, allow_pickle=False) as file:
-                return cls(file["xs"], file["ys"], file["moved"], Press(*(float(v) for v in file["press"])))
+                down = file["down"] if "down" in file else None
+                return cls(file["xs"], file["ys"], file["moved"], Press(*(float(v) for v in file["press"])), down)
         except DAMAGED as error:
             raise BadInput(
                 f"{path}: no surface of a press ({error!r}); remove it, and the press is repeated"
             ) from error
 
 
-def surface_of(mesh: GelMesh, displacement: np.ndarray, press: Press) -> Surface:
-    """The part of a solved press, displacement (n, 3) on a hexahedral mesh, that a camera can see."""
+def surface_of(mesh: GelMesh, displacement: np.ndarray, press: Press, down: np.ndarray | None = None) -> Surface:
+    """The part of a solved press, displacement (n, 3) on a hexahedral mesh, that a camera can see.
+
+    down: displacement (n, 3) at the end of the way down of a press that then goes sideways.
+    """
     xs, ys, first = surface_lines(mesh)
-    nodal = displacement[first : first + len(xs) * len(ys)].reshape(len(ys), len(xs), 3)
-    return Surface(xs, ys, nodal.astype(np.float32), press)
+
+    def seen(values: np.ndarray) -> np.ndarray:
+        return values[first : first + len(xs) * len(ys)].reshape(len(ys), len(xs), 3).astype(np.float32)
+
+    moved = seen(displacement)
+    if not (press.dx or press.dy):
+        return Surface(xs, ys, moved, press, moved[..., :2])
+    return Surface(xs, ys, moved, press, None if down is None else seen(down)[..., :2])
 
 
 def field_of(gel: Gel, surface: Surface) -> Field:
@@ -77,8 +102,12 @@ def field_of(gel: Gel, surface: Surface) -> Field:
     """
     x, y = _grid(gel)
     along_x, along_y = _interpolation(surface.xs, x), _interpolation(surface.ys, y)
-    values = np.einsum("aj,jik->aik", along_y, surface.moved.astype(float))
-    return Field(np.einsum("bi,aik->abk", along_x, values).astype(np.float32), x[0], y[0])
+
+    def smooth(nodal: np.ndarray) -> np.ndarray:
+        values = np.einsum("aj,jik->aik", along_y, nodal.astype(float))
+        return np.einsum("bi,aik->abk", along_x, values).astype(np.float32)
+
+    return Field(smooth(surface.moved), x[0], y[0], None if surface.down is None else smooth(surface.down))
 
 
 def _grid(gel: Gel) -> tuple[np.ndarray, np.ndarray]:

@@ -55,6 +55,9 @@ class Renderer:
         source_u, source_v, height = (
             (self.pixel_u, self.pixel_v, self.inner_top) if field is None else self._trace(field)
         )
+        if field is not None and self.appearance.normal_motion != 1.0:
+            # the coat holds the printed markers back, the shape of the surface is that of the gel
+            source_u, source_v, _ = self._trace(field.scaled(self.appearance.normal_motion))
         if pressed is not None:
             height = self._against(height, pressed)
         ink = cv2.remap(
@@ -163,12 +166,19 @@ class Renderer:
 
 
 def drifted(picture: np.ndarray, drift: Drift, rng: np.random.Generator) -> np.ndarray:
-    """A picture (h, w, 3) under light that differs by a gain, an offset and a smooth field of each colour."""
+    """A picture (h, w, 3) under light that differs by a gain, an offset and a smooth field of each colour, or in another focus."""
     gain, offset, field = (rng.uniform(*bounds, shape) for bounds, shape in (
         (drift.gain, 3), (drift.offset, 3), (drift.field, (5, 3))))  # fmt: skip
     s, t = normalised_pixels()
     shapes = np.stack([s, t, s * t, s**2, t**2], axis=-1) @ field
-    return picture * (1.0 + gain + shapes).astype(np.float32) + offset.astype(np.float32)
+    light = 1.0 + gain + shapes
+    if rng.random() < drift.relit:
+        both, each = rng.uniform(*drift.gradient, (2, 1)), rng.uniform(*drift.colour_gradient, (2, 3))
+        light *= 1.0 + np.stack([s, t], axis=-1) @ (both + each)
+        light *= 1.0 - rng.uniform(*drift.vignette) * ((s**2 + t**2) / 2)[..., None]
+    seen = picture * light.astype(np.float32) + offset.astype(np.float32)
+    blur = rng.uniform(*drift.refocus)
+    return cv2.GaussianBlur(seen, (0, 0), blur) if blur > 0.1 else seen
 
 
 def _pixels(margin: int) -> tuple[np.ndarray, np.ndarray]:

@@ -25,7 +25,8 @@ class UnitRanges(ParameterTable):
     Lengths are px unless named mm, light is in grey levels of 255, angles in degrees. Names are those of `Appearance` and
     of workflow/rig/sensors.toml. backgrounds: appearances whose light is mixed. pitch_mm: distance of the markers on the gel.
     contrast: of all colours together, drawn evenly in its logarithm; colour_contrast: of each besides.
-    jpeg_fraction: of the units whose camera compresses, with jpeg_quality.
+    jpeg_fraction: of the units whose camera compresses, with jpeg_quality. relit_fraction: of the pictures under another fall
+    of light.
     """
 
     example = "workflow/rig/units.toml"
@@ -65,6 +66,12 @@ class UnitRanges(ParameterTable):
     drift_gain: Span[Annotated[Number, Within(-1, 1)]]
     drift_offset: Span[Annotated[Number, Within(-255, 255)]]
     drift_field: Span[Annotated[Number, Within(-1, 1)]]
+    relit_fraction: Annotated[Number, Within(0, 1)]
+    relit_gradient: Span[Annotated[Number, Within(-0.9, 0.9)]]
+    relit_colour_gradient: Span[Annotated[Number, Within(-0.9, 0.9)]]
+    relit_vignette: Span[Annotated[Number, Within(-0.9, 0.9)]]
+    refocus_px: Span[Annotated[Number, Within(0, 100, "px")]]
+    normal_motion: Span[Annotated[Number, Within(0, 2)]]
     shade_per_mm: Span[Annotated[Number, Within(-10, 10, "1/mm")]]
     jpeg_fraction: Annotated[Number, Within(0, 1)]
     jpeg_quality: Span[Annotated[Number, Within(1, 100)]]
@@ -167,7 +174,13 @@ class Draw:
             shadow_length=self.of("shadow_px", 3),
             seed=int(self.rng.integers(2**31)),
             specks=self.whole("specks"),
-            drift=Drift(*(getattr(self.ranges, f"drift_{part}") for part in ("gain", "offset", "field"))),
+            drift=Drift(
+                **{part: getattr(self.ranges, f"drift_{part}") for part in ("gain", "offset", "field")},
+                relit=self.ranges.relit_fraction,
+                **{part: getattr(self.ranges, f"relit_{part}") for part in ("gradient", "colour_gradient", "vignette")},
+                refocus=self.ranges.refocus_px,
+            ),
             shade=self.of("shade_per_mm", 3),
             jpeg=self.whole("jpeg_quality") if self.rng.random() < self.ranges.jpeg_fraction else 0,
+            normal_motion=self.of("normal_motion"),
         )

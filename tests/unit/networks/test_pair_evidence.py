@@ -23,6 +23,7 @@ from gelforge.networks.uncertainty.ood import (
     pair_limits,
     relief_fault,
     rimless_diagnostics,
+    sharpness_fault,
     unevenness,
     widened,
 )
@@ -132,6 +133,14 @@ def test_contact_shows_in_the_relief_and_gels_without_contact_have_little(demo_n
     known = {"largest_relief": 1.25 * calm}
     assert all(relief_fault(known, relief(picture)) == "" for picture in demo_nocontact.values())
     assert "something seems to touch" in relief_fault(known, max(strong)) and relief_fault({}, max(strong)) == ""
+
+
+def test_a_no_contact_image_that_is_dark_or_blurred_is_named(demo_nocontact):
+    known = load_for_use(None).metadata["statistics"]
+    for picture in demo_nocontact.values():
+        assert sharpness_fault(known, picture) == ""
+        assert "is dark" in sharpness_fault(known, (0.15 * picture).astype(np.uint8))
+        assert "is blurred" in sharpness_fault(known, cv2.GaussianBlur(picture, (0, 0), 3.0))
 
 
 def test_light_alone_is_no_relief_and_no_fault(demo_nocontact, presses, limits):

@@ -69,7 +69,8 @@ def test_markers_are_found_where_the_sensor_has_them(drawn):
 def test_only_drawn_units_differ_in_light_from_picture_to_picture(drawn):
     appearances, sensors = drawn
     name = SOME.names[0]
-    calm = replace(appearances[name], noise=np.zeros(3), jpeg=0)
+    steady = replace(appearances[name].drift, relit=0.0, refocus=(0.0, 0.0))
+    calm = replace(appearances[name], noise=np.zeros(3), jpeg=0, drift=steady)
     camera = Renderer(calm, sensors[name].projection, Gel())
     one, other = (camera.image(rng=np.random.default_rng(k)) for k in (1, 2))
     assert np.abs(one.astype(int) - other).mean() > 1.0
@@ -77,6 +78,10 @@ def test_only_drawn_units_differ_in_light_from_picture_to_picture(drawn):
     assert light.known
     # one gain and one offset a colour take back all but the smooth field
     assert np.abs(light.undo(one).astype(int) - other).mean() < 0.5 * np.abs(one.astype(int) - other).mean()
+    # under another fall of light no gain of a colour takes it back
+    relit = Renderer(replace(calm, drift=replace(steady, relit=1.0, gradient=(0.2, 0.2))), sensors[name].projection, Gel())
+    lopsided = relit.image(rng=np.random.default_rng(1)) / np.maximum(one.astype(float), 1.0)
+    assert lopsided[-60:, -60:].mean() > 1.2 * lopsided[:60, :60].mean()
     still = Renderer(replace(calm, drift=None), sensors[name].projection, Gel())
     assert np.array_equal(*(still.image(rng=np.random.default_rng(k)) for k in (1, 2)))
     assert all(appearance.drift is None for appearance in read_appearances(RIG / "sensors.toml").values())

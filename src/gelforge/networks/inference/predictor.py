@@ -20,6 +20,7 @@ from gelforge.networks.uncertainty.ood import (
     pair_score_fault,
     relief,
     relief_fault,
+    sharpness_fault,
 )
 from gelforge.records.forcereading import ForceReading, edge_peak
 
@@ -144,6 +145,7 @@ class Predictor:
         picture, shown = nocontact.picture, nocontact.frame.shown
         return (
             monochrome_fault(self.statistics, picture[shown], "the no-contact image")
+            or sharpness_fault(self.statistics, picture[shown])
             or relief_fault(self.statistics, relief(picture, nocontact.markers.printed, shown))
             or (BLUE_FIRST if nocontact.frame.blue_first else "")
         )

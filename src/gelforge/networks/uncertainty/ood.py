@@ -31,6 +31,9 @@ ALIKE_FRACTION, ALIKE_PX = 0.55, 1.0
 # no motion is needed. Of 238 frames of real films none is flagged so beside its own no-contact image, beside that of the
 # gripper's other finger 99 % are; of presses of the rig, cropped to seven tenths, 2 %, most of them of 30 N and more.
 OTHER_LOOK, OTHER_LOOK_ALIKE_FRACTION, MOST_OTHER_LOOK = 0.27, 0.25, 0.5
+# Where `describe` has the mean levels of an image's quarters and its sharpness, and what a no-contact image has at least.
+QUARTERS, SHARPNESS = 12, 15
+LEAST_LEVEL, LEAST_SHARP = 40.0, 3.0  # grey levels; deviations below the mean of training images
 GREY = 1.5  # levels by which the colours of a picture differ in the mean where it has none
 LEAST_UNEVEN = 0.2  # px to which markers are tracked, whatever the limit
 USUAL = 99.0  # per cent of good pairs that the limits are set by: the worst of many are odd ones
@@ -185,6 +188,22 @@ def relief(nocontact: np.ndarray, markers: Markers, shown: tuple[slice, slice] =
     inner = np.s_[6:-6, 6:-6]
     between = weight[inner] > 0
     return float(np.percentile(uneven[inner][between], 99.5)) if between.any() else 0.0
+
+
+def sharpness_fault(limits: dict, nocontact: np.ndarray) -> str:
+    """What is wrong with the light or the focus of a no-contact image (h, w, 3) uint8; empty where both are usual.
+
+    limits: the statistics of a network's training images. Of 32 real sensors the dimmest has a mean level of 63 and the least sharp
+    lies 1.7 deviations below the mean; a blur of 1.5 px makes of sharp images 3.3 deviations.
+    """
+    found = describe(nocontact)
+    level = float(found[:QUARTERS].mean())
+    if level < LEAST_LEVEL:
+        return f"the no-contact image is dark: its mean level is {level:.0f} of 255, at least {LEAST_LEVEL:.0f} is usual; check the lamps and the exposure"
+    below = (float(limits["mean"][SHARPNESS]) - found[SHARPNESS]) / float(limits["spread"][SHARPNESS])
+    if below > LEAST_SHARP:
+        return f"the no-contact image is blurred, {below:.1f} deviations below the usual sharpness, at most {LEAST_SHARP:.0f} are usual; focus the camera and hold it still"
+    return ""
 
 
 def relief_fault(limits: dict, value: float) -> str:
