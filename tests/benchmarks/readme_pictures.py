@@ -152,7 +152,9 @@ def press(args: Namespace) -> None:
         axis.set_yticks([])
         for side in axis.spines.values():
             side.set_visible(axis is not middle)
-    publish_picture(args.out, to_png(figure), [f"{args.catalogue}#{args.name}", f"{args.rig / 'sensors.toml'}#{SENSOR}"])
+    publish_picture(
+        args.out, to_png(figure), [f"{args.catalogue}#{args.name}", f"{args.rig / 'sensors.toml'}#{SENSOR}"]
+    )
 
 
 def image_of(body, solved, sensor, rig: Path) -> np.ndarray:

@@ -97,7 +97,9 @@ def see(bench: Bench, order: Order, cameras: dict[str, Renderer], sensors: dict[
     solved = HexSolver(quality("label")).solve(scene)
     if not (pressing.result.status.valid and solved.status.valid):
         return []
-    field = field_of(gel, surface_of(pressing.result.mesh, pressing.result.displacement, pressing.real, pressing.down))
+    field = field_of(
+        gel, surface_of(pressing.result.mesh, pressing.result.displacement, pressing.real, pressing.down)
+    )
     body, axes = Pressed(bench.body(order.indenter), pressing.real), list(AXIS_OF_CHANNEL)
     stiffness, found = truth.c10_mpa / REFERENCE_C10, []
     for k, (name, camera) in enumerate(cameras.items()):

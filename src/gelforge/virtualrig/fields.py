@@ -70,7 +70,7 @@ class Surface:
         """Read what `save` wrote; anything else raises BadInput."""
         try:
             with np.load(path, allow_pickle=False) as file:
-                down = file["down"] if "down" in file else None
+                down = file.get("down")
                 return cls(file["xs"], file["ys"], file["moved"], Press(*(float(v) for v in file["press"])), down)
         except DAMAGED as error:
             raise BadInput(

@@ -177,7 +177,10 @@ class Draw:
             drift=Drift(
                 **{part: getattr(self.ranges, f"drift_{part}") for part in ("gain", "offset", "field")},
                 relit=self.ranges.relit_fraction,
-                **{part: getattr(self.ranges, f"relit_{part}") for part in ("gradient", "colour_gradient", "vignette")},
+                **{
+                    part: getattr(self.ranges, f"relit_{part}")
+                    for part in ("gradient", "colour_gradient", "vignette")
+                },
                 refocus=self.ranges.refocus_px,
             ),
             shade=self.of("shade_per_mm", 3),
