@@ -1,6 +1,7 @@
 """The gel's deformed surface as smooth fields, and the indenter's underside as a height map."""
 
 from dataclasses import astuple, dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
@@ -62,8 +63,15 @@ class Surface:
     def save(self, path) -> None:
         """Write to an .npz file, whole or not at all."""
         with publish(path) as part:
-            arrays = {"xs": self.xs, "ys": self.ys, "moved": self.moved, "press": np.array(astuple(self.press))}
-            np.savez_compressed(part, **arrays, **({} if self.down is None else {"down": self.down}))
+            arrays: dict[str, Any] = {
+                "xs": self.xs,
+                "ys": self.ys,
+                "moved": self.moved,
+                "press": np.array(astuple(self.press)),
+            }
+            if self.down is not None:
+                arrays["down"] = self.down
+            np.savez_compressed(part, **arrays)
 
     @classmethod
     def load(cls, path) -> "Surface":
