@@ -147,6 +147,18 @@ def test_labels_name_the_trouble_and_of_a_clean_session_nothing(seed):
         assert f"Forces of {name} are" in line
 
 
+@pytest.mark.parametrize(
+    "power, said", [(0.12, "the gel is thinner than its table says"), (-0.12, "the gel is thicker")]
+)
+def test_forces_that_grow_otherwise_with_the_contact_name_the_gel_s_thickness(power, said):
+    session, label, names = labelled(1)
+    wide = np.array([{"ball": 1.0, "bar": 4.0, "cube": 2.0}[name] for name in names])[:, None]
+    assert of_labels(log_of(with_force(session, session.force * wide)), label * wide, names) == []
+    size = np.abs(session.force[:, 2:] * wide) ** power
+    (line,) = of_labels(log_of(with_force(session, session.force * wide * size)), label * wide, names)
+    assert said in line
+
+
 def test_labels_need_readings_and_enough_presses():
     session, label, names = labelled(0)
     unread = with_force(session, session.force * np.nan)
