@@ -21,8 +21,7 @@ MODEL ?= $(patsubst MODEL=%,%,$(filter MODEL=%,$(ANSWER)))
 LEARNT := $(patsubst LEARNT=%,%,$(filter LEARNT=%,$(ANSWER)))
 
 # What labels are made with, once a calibration was frozen: a small file that only `make freeze` changes.
-FROZEN := $(DATA)/calibration.toml
-IS_FROZEN := $(wildcard $(FROZEN))
+IS_FROZEN := $(wildcard $(DATA)/calibration.toml)
 
 # The plan's lists, empty where none is read.
 LISTS := SHARDS MESHES BRANCHES PARETO_SCENES PARETO_QUICK PARETO_MESHES MODELS TUNED SHAPES CALIBRATED LEARN_ALSO

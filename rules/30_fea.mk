@@ -10,4 +10,4 @@ $(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $P/fea.json $(if $(MESHES),$D/20_mesh
 
 .PHONY: deck
 deck:  ## CalculiX' deck of one sample as a self-contained folder: make deck ID=…
-	@$(PY) -m gelforge.commands.deck --results $D --id $(call given,ID)
+	@$(PY) -m gelforge.commands.deck $D --id $(call given,ID)

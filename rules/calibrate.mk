@@ -6,7 +6,7 @@ POSTERIOR := $D/calibrate/summary.json
 calibrate: $(POSTERIOR)  ## posterior of C10, touch offset, compliance and friction from the log's force readings
 
 freeze: $(POSTERIOR)  ## write the posterior to data/DATASET/calibration.toml: labels use it until the next make freeze
-	@$(PY) -m gelforge.commands.freeze --summary $< --out $(FROZEN)
+	@$(PY) -m gelforge.commands.freeze $D
 
 # Another make reads what was frozen: poses and stiffness of this one are those before.
 calibrated-labels: $(if $(IS_FROZEN),labels)  ## calibrate by the log's forces, freeze the result, make labels with it

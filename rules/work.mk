@@ -6,7 +6,7 @@ demo: $(if $(IS_FROZEN),report)
 	@echo "report: $D/90_report/index.html"
 
 status: | $(SETUP)  ## samples done, failed with reasons and pending, per stage
-	@$(PY) -m gelforge.commands.status --results $D $(if $(MODELS),--meshes $(MESHES))
+	@$(PY) -m gelforge.commands.status $D $(if $(MODELS),--meshes $(MESHES))
 
 sample: | $(SETUP)  ## run one sample through all stages and show its log: make sample ID=…
 	@$(PY) -m gelforge.commands.sample $D --id $(call given,ID) --resolution $(RES1)
@@ -44,7 +44,7 @@ why:  ## explain why a target is outdated: make why TARGET=report
 	    $(call if_given,RES MODEL CHARTED STRICT FORMAT)
 
 provenance: | $(SETUP)  ## every file, parameter and cost behind one label: make provenance ID=…
-	@$(PY) -m gelforge.commands.provenance --results $D --id $(call given,ID) --resolution $(RES1)
+	@$(PY) -m gelforge.commands.provenance $D --id $(call given,ID) --resolution $(RES1)
 
 # Meshes that the pilots need are made, and the run finds them.
 estimate: | $(SETUP)  ## core hours, disk and time of make report, or of what a log without images has, before it starts

@@ -97,7 +97,6 @@ def time_provenance(folder: Path, presses: int) -> list[Figure]:
         sys.executable,
         "-m",
         "gelforge.commands.provenance",
-        "--results",
         str(results),
         "--id",
         f"s{presses - 1:05d}",

@@ -180,7 +180,7 @@ def test_decks_run_by_stock_calculix_give_the_forces_of_stage_40(folder, ccx, tm
 
     rows = [{"sample_id": name, "shard": "0", "logged": "1"} for name in ("s0", "s2", "s3")]
     write_csv(folder / "00_plan" / "shards.csv", ["sample_id", "shard", "logged"], rows)
-    assert deck.main(["--results", str(folder), "--id", "s2"]) == 0
+    assert deck.main([str(folder), "--id", "s2"]) == 0
     shutil.copytree(folder / "deck" / "s2", alone := tmp_path_factory.mktemp("alone") / "s2")
     printed, ours = forces_by_stock_ccx(ccx, alone, "s2", folder / "40_forces" / "0000.npz")
     assert np.abs(printed - ours).max() <= 1e-6 * np.abs(ours).max()
@@ -189,15 +189,15 @@ def test_decks_run_by_stock_calculix_give_the_forces_of_stage_40(folder, ccx, tm
     assert "times 2, because their C10 is 0.145 MPa (as given)" in readme[2]
 
     with pytest.raises(BadInput, match="s3 was not solved yet; run make sample ID=s3"):
-        deck.main(["--results", str(folder), "--id", "s3"])
+        deck.main([str(folder), "--id", "s3"])
     # without the mesh a deck is worth nothing: the press is solved again, which writes it
     decks[-1].unlink()
     with pytest.raises(
         BadInput, match=r"the mesh that .*s2\.inp includes is missing; remove .*0000\.csv and run make"
     ):
-        deck.main(["--results", str(folder), "--id", "s2"])
+        deck.main([str(folder), "--id", "s2"])
     assert fea.main(arguments(folder)) == 0
-    assert deck.main(["--results", str(folder), "--id", "s2"]) == 0
+    assert deck.main([str(folder), "--id", "s2"]) == 0
 
 
 def test_a_press_solved_in_process_has_no_deck(folder):
@@ -209,4 +209,4 @@ def test_a_press_solved_in_process_has_no_deck(folder):
     rows = [{"sample_id": "s0", "shard": "0", "logged": "1"}]
     write_csv(folder / "00_plan" / "shards.csv", ["sample_id", "shard", "logged"], rows)
     with pytest.raises(BadInput, match="s0 has no deck: it was solved by hex, without CalculiX"):
-        deck.main(["--results", str(folder), "--id", "s0"])
+        deck.main([str(folder), "--id", "s0"])

@@ -9,7 +9,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_text
 from gelforge.flow.layout import DECK, Layout, shard_name
-from gelforge.flow.main import command, option
+from gelforge.flow.main import RESULTS, command, option
 from gelforge.flow.provenance import refuse_rejected
 from gelforge.mechanics.ccx.deck import INCLUDES, include_of
 from gelforge.mechanics.material import REFERENCE_C10
@@ -72,7 +72,7 @@ def hand_out(results: Path, sample_id: str, out: Path) -> None:
 
 
 @command(
-    option("--results", type=Path, help="results/DATASET"),
+    RESULTS,
     option("--id", help="sample_id in the raw log"),
 )
 def main(args: Namespace) -> None:

@@ -1,27 +1,26 @@
 """`make freeze`: write the result of a calibration to data/DATASET/calibration.toml."""
 
 from argparse import Namespace
-from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
-from gelforge.flow.main import command, option
-from gelforge.flow.params.frozen import frozen_of, write_frozen
+from gelforge.flow.layout import Layout
+from gelforge.flow.main import RESULTS, command
+from gelforge.flow.params.frozen import FROZEN, frozen_of, write_frozen
 
 
-@command(
-    option("--summary", type=Path, help="results/DATASET/calibrate/summary.json"),
-    option("--out", type=Path, help="data/DATASET/calibration.toml"),
-)
+@command(RESULTS)
 def main(args: Namespace) -> None:
+    of = Layout(args.results)
+    path, out = of.calibration(), of.data / FROZEN
     try:
-        summary = read_json(args.summary)
+        summary = read_json(path)
     except (OSError, ValueError) as error:
-        raise BadInput(f"{args.summary}: cannot be read ({error}); run make calibrate") from error
-    found = frozen_of(args.out.parent.name, summary)
-    write_frozen(args.out, found)
+        raise BadInput(f"{path}: cannot be read ({error}); run {of.command('calibrate')}") from error
+    found = frozen_of(of.data.name, summary)
+    write_frozen(out, found)
     values = ", ".join(f"{key} = {value}" for table in found.params.values() for key, value in table.items())
-    print(f"{args.out}: {found.name}: {values}")
+    print(f"{out}: {found.name}: {values}")
 
 
 if __name__ == "__main__":

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.flow.layout import FEA, Layout
-from gelforge.flow.main import command, option
+from gelforge.flow.main import RESULTS, command, option
 from gelforge.flow.provenance import (
     Step,
     concerning,
@@ -82,7 +82,7 @@ def solve_lines(solve: dict, target: str) -> list[str]:
 
 
 @command(
-    option("--results", type=Path, help="results/DATASET"),
+    RESULTS,
     option("--id", help="sample_id in the raw log"),
     option("--resolution", default="24x32"),
     option("--json", action="store_true", help="print everything as JSON"),

@@ -13,7 +13,7 @@ from gelforge.flow import layout
 from gelforge.flow.files import Kept, listed, names_in, read_csv
 from gelforge.flow.layout import Layout
 from gelforge.flow.ledger import LastRun, causes, changed_since, failures, last_runs, last_words_of, still_asked
-from gelforge.flow.main import command, option
+from gelforge.flow.main import RESULTS, command, option
 from gelforge.flow.running import duration, look, running_targets
 from gelforge.records.status import VALID, Status
 
@@ -201,7 +201,7 @@ def running_lines(results: Path) -> list[str]:
 
 
 @command(
-    option("--results", type=Path, help="results/DATASET"),
+    RESULTS,
     option("--meshes", nargs="*", default=None, help="meshes that presses may use"),
 )
 def main(args: Namespace) -> None:

@@ -170,7 +170,7 @@ def test_provenance_reads_the_same_files_however_many_samples_there_are(tmp_path
     """15 000 samples: only the sample's own records are opened, beside the plan."""
     results = tmp_path / "results/d"
     lay(results, 15000)
-    words = ["-m", "gelforge.commands.provenance", "--results", str(results), "--id", "s14999"]
+    words = ["-m", "gelforge.commands.provenance", str(results), "--id", "s14999"]
     command = [sys.executable, "-X", "importtime", *words]
     ran = subprocess.run(command, capture_output=True, text=True, check=True)
     assert "149.csv" in ran.stdout
