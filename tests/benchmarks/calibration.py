@@ -23,7 +23,7 @@ from scipy.optimize import minimize_scalar
 
 from gelforge.calibration.emulator import Emulator
 from gelforge.calibration.parameters import LAWS, make_model
-from gelforge.calibration.posterior import ERROR, SIDEWAYS_ERROR, Posterior, tare_of
+from gelforge.calibration.posterior import ERROR, SIDEWAYS_ERROR, SIDEWAYS_ERROR_OF_NORMAL, Posterior, tare_of
 from gelforge.calibration.readings import Readings, choose_presses, read_readings
 from gelforge.calibration.sampling import sample
 from gelforge.calibration.solves import SolveCache, build_emulator, make_plan, refine, solve_all
@@ -221,7 +221,7 @@ def emulator_figures(params: CalibrateTable, folder: Path, jobs: int) -> list[Fi
     error = (solved - emulated)[:, :2]
 
     def unlikely(fraction: float) -> float:
-        scale = np.hypot(normal * emulated[:, 2], fraction * sideways)[:, None]
+        scale = np.hypot(SIDEWAYS_ERROR_OF_NORMAL * emulated[:, 2], fraction * sideways)[:, None]
         return -float(stats.t.logpdf(error / scale, params.tail).sum() - 2.0 * np.log(scale).sum())
 
     fraction = float(minimize_scalar(unlikely, bounds=(1e-4, 0.5), method="bounded").x)

@@ -8,6 +8,7 @@ is one straight down to where it ends.
 
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import chain
 from pathlib import Path
 
 import numpy as np
@@ -209,7 +210,9 @@ class SolveCache:
             if not path.exists()
         ]
         self._made |= {task[0] for task in tasks}
-        for _ in progress(in_slots(_solve_task, tasks, workers), "calibration solves", len(tasks)):
+        # the first one alone: it compiles what the processes of the others would each compile
+        done = chain(in_slots(_solve_task, tasks[:1], 1), in_slots(_solve_task, tasks[1:], workers))
+        for _ in progress(done, "calibration solves", len(tasks)):
             pass
         for path in required:
             if "failed" in self._read(path):
