@@ -10,11 +10,11 @@ from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solvers.hex import HexSolver
+from gelforge.records.markers import markers_in
 from gelforge.records.press import Press
 from gelforge.virtualrig.appearance import read_appearances
 from gelforge.virtualrig.bench import SETTINGS
 from gelforge.virtualrig.fields import Surface, body_of, field_of, surface_of
-from gelforge.virtualrig.lightfit import marker_spots
 from gelforge.virtualrig.render import Pressed, Renderer
 from tests.conftest import ROOT
 
@@ -51,7 +51,7 @@ def test_a_units_factor_scales_what_the_way_down_moves_and_nothing_else(tmp_path
         # a camera far away shows motion in the plane alone
         eye = Renderer(replace(looks, camera_mm=1e4, normal_motion=factor), projection, gel)
         field, pressed = field_of(gel, bottom), Pressed(body, bottom.press)
-        before, after = marker_spots(eye.image())[0], marker_spots(eye.image(field))[0]
+        before, after = markers_in(eye.image()).points, markers_in(eye.image(field)).points
         outward = []
         apex = eye.seen(np.array([[0.4, 0.3]]), np.zeros((1, 3)))[0]
         for marker in before:
