@@ -17,10 +17,8 @@ import numpy as np
 
 from gelforge.records.markers import LEAST_FOR_PITCH, Markers
 
-ROWS, COLS = (
-    9,
-    11,
-)  # of the lattice that is looked at: a GelSight Mini shows 7 x 9 markers, or fewer where it is cropped
+# Of the lattice that is looked at: a GelSight Mini shows 7 x 9 markers, or fewer where it is cropped.
+ROWS, COLS = 9, 11
 FAR = {"winSize": (21, 21), "maxLevel": 3}  # how markers are followed: in a pyramid, which reaches about 40 px
 # How a marker is looked for where it should be: in the pictures themselves, in at most five steps or till one is small.
 NEAR = {"winSize": (15, 15), "maxLevel": 0, "criteria": (3, 5, 0.03)}
@@ -51,9 +49,10 @@ class Tracks:
 class MarkerTracker:
     """Markers of a no-contact image (h, w, 3) uint8, followed to other images.
 
-    printed: they in the no-contact image. points: (n, 2) px, OpenCV's: a pixel's centre is a whole number. diameter: px, of a typical marker. rim: (n,) bool, which are
-    outermost ones. at: (n, 2) row and column on the lattice, whose middle place has the marker nearest to the picture's middle; -1 for
-    one that stands on no lattice, or outside of ROWS x COLS.
+    printed: as they were found. points: (n, 2) px, OpenCV's: a pixel's centre is a whole number. diameter: px, of a typical marker.
+    rim: (n,) bool, which are outermost ones. at: (n, 2) row and column on the lattice, whose middle place has the marker nearest to
+    the picture's middle; -1 for one that stands on no lattice, or outside of ROWS x COLS. on_grid: (n,) bool, which do stand there.
+    known: whether these are enough to read anything from them.
     """
 
     def __init__(self, nocontact: np.ndarray, markers: Markers):
@@ -72,16 +71,8 @@ class MarkerTracker:
             index = index - index[middle] + (ROWS // 2, COLS // 2)
             inside = ((index >= 0) & (index < (ROWS, COLS))).all(axis=1)
             self.at[used[inside]] = index[inside]
-
-    @functools.cached_property
-    def on_grid(self) -> np.ndarray:
-        """Which markers stand on the lattice, (n,) bool."""
-        return np.asarray(self.at[:, 0] >= 0)
-
-    @functools.cached_property
-    def known(self) -> bool:
-        """Whether there are markers enough on a lattice to read anything from them."""
-        return int(self.on_grid.sum()) >= LEAST_FOR_PITCH
+        self.on_grid = self.at[:, 0] >= 0
+        self.known = int(self.on_grid.sum()) >= LEAST_FOR_PITCH
 
     def track(self, image: np.ndarray) -> Tracks:
         """The markers in an image (h, w, 3) uint8 in light and size like the no-contact image."""

@@ -1,6 +1,5 @@
 """Out-of-distribution checks: how unlike its training images an image is, and whether a pair of pictures belongs together."""
 
-import functools
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
@@ -285,27 +284,29 @@ def rimless_diagnostics(tracks: Tracks) -> MarkerDiagnostics:
     )
 
 
-def unevenness(motion: np.ndarray) -> float:
-    """Lower quartile of how far markers' motions (3, ROWS, COLS) (networks.preprocess.markertracks) depart from the middle of two neighbours', px.
-
-    The quartile, because a contact's edge is uneven, too.
-    """
-    before, middle, after = _rows_of_three()
-    moved = motion.reshape(3, -1)
-    found = moved[2] > 0
-    known = found[before] & found[middle] & found[after]
-    before, middle, after = before[known], middle[known], after[known]
-    bend = np.hypot(*(moved[:2, middle] - (moved[:2, before] + moved[:2, after]) / 2))
-    return quantile(bend, 0.25) if len(bend) else 0.0
-
-
-@functools.cache
 def _rows_of_three() -> np.ndarray:
     """Places of the lattice, counted row by row, of three markers in a row along it or across: (3, n), the second between."""
     at = np.arange(ROWS * COLS).reshape(ROWS, COLS)
     along = [at[:, :-2], at[:, 1:-1], at[:, 2:]]
     across = [at[:-2], at[1:-1], at[2:]]
     return np.stack([np.concatenate([a.ravel(), b.ravel()]) for a, b in zip(along, across, strict=True)])
+
+
+ROWS_OF_THREE = _rows_of_three()
+
+
+def unevenness(motion: np.ndarray) -> float:
+    """Lower quartile of how far markers' motions (3, ROWS, COLS) (networks.preprocess.markertracks) depart from the middle of two neighbours', px.
+
+    The quartile, because a contact's edge is uneven, too.
+    """
+    before, middle, after = ROWS_OF_THREE
+    moved = motion.reshape(3, -1)
+    found = moved[2] > 0
+    known = found[before] & found[middle] & found[after]
+    before, middle, after = before[known], middle[known], after[known]
+    bend = np.hypot(*(moved[:2, middle] - (moved[:2, before] + moved[:2, after]) / 2))
+    return quantile(bend, 0.25) if len(bend) else 0.0
 
 
 def quantile(values: np.ndarray, fraction: float) -> float:
