@@ -7,8 +7,9 @@ dataset, and all other findings are notes. What an image shows is kept beside th
 import hashlib
 import sys
 from argparse import Namespace
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 
@@ -20,16 +21,18 @@ from gelforge.flow.dates import states_of
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.main import JOBS, stage
+from gelforge.flow.params import read_dataset_file, read_indenter_tables
 from gelforge.flow.params.stages import ForImages, read_parameters
 from gelforge.flow.slots import in_slots
 from gelforge.geometry.gel import use_gels_of
+from gelforge.geometry.indenters import build
 from gelforge.geometry.solids import Body
 from gelforge.labelling.sensor import sensor_of
 from gelforge.records.log import read_poses
 from gelforge.records.press import SENSOR_TABLES, PosedPress
 from gelforge.stages.fea import bodies_of
 
-VERSION = 1
+VERSION = 2
 CHUNK = 200  # presses that one process looks at
 
 
@@ -62,16 +65,47 @@ def in_chunks(presses: list[PosedPress]) -> Iterator[list[PosedPress]]:
         yield presses[start : start + CHUNK]
 
 
-def shapes_of(presses: Mapping[str, PosedPress], tables: Mapping[str, dict], bodies: Mapping[str, Body]) -> Shapes:
-    """The indenters that a log names, as they would press in any of its presses."""
+def shapes_beside(of: Layout, named: Collection[str]) -> dict[str, dict]:
+    """Tables of the dataset's catalogue that no row names: a row that names another indenter was pressed by one of them, most likely.
+
+    They serve a hint alone, so what an edit of them changes is not made anew. An STL file takes too long to measure.
+    """
+    catalogue = read_dataset_file(of.data / "dataset.toml").catalogue
+    tables = read_indenter_tables(of.workflow, of.data, catalogue)
+    return {
+        name: table
+        for name, table in tables.items()
+        if name not in named and isinstance(table, dict) and table.get("kind") != "stl"
+    }
+
+
+def shapes_of(
+    presses: Mapping[str, PosedPress],
+    tables: Mapping[str, dict],
+    bodies: Mapping[str, Body],
+    beside: Mapping[str, dict] = MappingProxyType({}),
+) -> Shapes:
+    """The indenters that a log names, and those of the tables `beside`, as they would press in any of its presses."""
     windows: dict[str, Window] = {}
+    known: dict[str, Body | None] = dict(bodies)
+
+    def body_of(name: str) -> Body | None:
+        if name not in known:
+            try:
+                known[name] = build(name, beside[name])
+            except BadInput:
+                known[name] = None  # a wrong table harms those alone that use it
+        return known[name]
 
     def expected(seen: Seen, name: str) -> np.ndarray:
         if seen.sensor not in windows:
             windows[seen.sensor] = Window(sensor_of(SENSOR_TABLES, seen.sensor, tables["sensors"][seen.sensor]))
-        return windows[seen.sensor].expected(bodies[name], presses[seen.sample_id].press)
+        body = body_of(name)
+        if body is None:
+            return np.zeros_like(seen.expected)
+        return windows[seen.sensor].expected(body, presses[seen.sample_id].press)
 
-    return Shapes(sorted(bodies), expected)
+    return Shapes(sorted({*bodies, *beside}), expected)
 
 
 def judge(seen: list[Seen], shapes: Shapes, where: str) -> dict:
@@ -124,7 +158,9 @@ def main(args: Namespace) -> None:
         ]
         seen = [one for part in in_slots(look, parts, args.jobs) for one in part]
         by_id = {one.sample_id: one for one in presses}
-        shapes = shapes_of(by_id, tables, bodies_of(presses, tables, of.workflow, of.surfaces) if seen else {})
+        if seen:
+            bodies = bodies_of(presses, tables, of.workflow, of.surfaces)
+            shapes = shapes_of(by_id, tables, bodies, shapes_beside(of, bodies.keys()))
     found = judge(seen, shapes, str(of.log))
     for line in told(found, seen):
         print(line, file=sys.stderr)

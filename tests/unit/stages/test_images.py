@@ -21,6 +21,8 @@ def folder(root, tmp_path):
     of = Layout(tmp_path / "results/demo")
     for name in ("images", "nocontact"):
         shutil.copytree(root / "data/demo" / name, of.data / name)
+    shutil.copy(root / "data/demo/dataset.toml", of.data)
+    write_text(of.workflow / "indenters.toml", (root / "workflow/indenters.toml").read_text())
     rows = [row | {"row": at + 2} for at, row in enumerate(read_csv(root / "data/demo/log.csv"))]
     for name, part in (("0000", rows[:24]), ("0001", rows[24:])):
         write_csv(of.poses(name), list(rows[0]), part)
@@ -78,6 +80,18 @@ def test_shifted_images_stop_make_unless_all_are_to_be_used(folder, capsys):
         judge(folder, capsys)
     assert not (folder / "15_images/images.json").exists()
     assert judge(folder, capsys, judge_images=False) == (0, "")
+
+
+def test_an_indenter_that_no_row_names_is_recognised(folder, capsys):
+    of, tables = Layout(folder), read_json(Layout(folder).parameters("indenters"))
+    for name in ("0000", "0001"):
+        rows = read_csv(of.poses(name))
+        named = [row | {"indenter": row["indenter"].replace("triangle_10", "cylinder_8")} for row in rows]
+        write_csv(of.poses(name), list(rows[0]), named)
+    del tables["triangle_10"]
+    write_json(of.parameters("indenters"), tables)
+    status, said = judge(folder, capsys)
+    assert status == 0 and "images of cylinder_8 show the shape of triangle_10" in said
 
 
 def test_a_pressed_no_contact_image_stops_make(folder, capsys):
