@@ -33,6 +33,7 @@ BETTER, OFTEN = (
     0.15,
     0.8,
 )  # likeness that another explanation gains in the median, and fraction of images that it suits better
+UNLIKE = 0.4  # median likeness up to which the images of a sensor show nothing of their rows
 FITS = 0.5  # likeness from which an imprint is where it was expected
 MOVED_MM = 3.0  # beside its pose, from where on a single imprint is named
 TURNED_DEG, SCALED, OFFSET_MM = 3.0, 0.1, 0.7  # of a projection
@@ -169,7 +170,7 @@ def findings(presses: Sequence[Seen], shapes: Shapes | None = None) -> list[Find
 
 def _of_sensor(mine: list[Seen], presses: Sequence[Seen], shapes: Shapes | None) -> list[Finding]:
     rows = tuple(one.row for one in mine)
-    wrong = _ghost(mine) or _other_order(mine, presses) or _other_axes(mine)
+    wrong = _ghost(mine) or _other_order(mine, presses) or _other_axes(mine) or _unlike(mine)
     if wrong:
         return [Finding(wrong, rows, wrong=True)]
     scale = _all_sizes(mine)
@@ -199,7 +200,8 @@ def _ghost(seen: Sequence[Seen]) -> str:
     row, col = np.argwhere(enough)[common > GHOST].mean(axis=0)
     return (
         f"most images change alike around {(col + 0.5) / COLS:.0%} of their width and {(row + 0.5) / ROWS:.0%} of their height, where no"
-        " pose puts a contact: something touched the gel in the no-contact image, or it is of another unit"
+        " pose puts a contact: something touched the gel in the no-contact image, it is of another unit, or an indenter has another shape,"
+        " as an STL that stands upside down"
     )
 
 
@@ -248,6 +250,19 @@ def _other_axes(mine: list[Seen]) -> str:
     return (
         f"the contacts lie where the poses put them, but {how} (likeness {np.median(best):.2f}, as logged {np.median(base):.2f}):"
         " check the projection, the axes and signs of x0_mm and y0_mm, and whether the camera mirrors"
+    )
+
+
+def _unlike(mine: list[Seen]) -> str:
+    """Images that show nothing of what their rows describe, whatever the reason, each moved as it fits best."""
+    usual = float(np.median([one.likeness for one in mine]))
+    if usual > UNLIKE:
+        return ""
+    moved = [displaced(one.measured, one.expected) for one in mine]
+    fit, away = np.median([fit for fit, _ in moved]), np.median([np.hypot(*move) for _, move in moved]) * mine[0].mm
+    return (
+        f"the images do not show the contacts that their rows describe (likeness {usual:.2f}, 0.8 to 0.97 are usual; {fit:.2f} where each is moved"
+        f" by {away:.0f} mm): check the order of the images, the poses, `projection` in sensors.toml, and the indenters' shapes"
     )
 
 

@@ -188,6 +188,8 @@ AXES = {
 ROWS = {
     "shifted down": (lambda log: replace(log, images=log.images[1:] + log.images[:1]), "pose of the next row"),
     "shifted up": (lambda log: replace(log, images=log.images[-1:] + log.images[:-1]), "pose of the previous row"),
+    "in the order of unpadded names": (lambda log: replace(
+        log, images=[log.images[at] for at in sorted(range(len(log.images)), key=str)]), "do not show the contacts that their rows describe"),
     "two exchanged": (lambda log: with_images(log, {10: log.images[16], 16: log.images[10]}), "row 12 (demo-000010)"),
     "one of another unit": (lambda log: with_images(log, {5: log.images[3]}), "row 7: the image and the no-contact image are of two"),
     "one black": (lambda log: with_images(log, {5: np.zeros_like(log.images[5])}), "row 7: the image shows nothing"),
@@ -203,6 +205,8 @@ SHAPES = {
     "sphere too small": (lambda log: resized(log, "sphere_15", 0.75), "imprints of sphere_15 are 1.1"),
     "cylinder too small": (lambda log: resized(log, "cylinder_8", 0.8), "imprints of cylinder_8 are 1.2"),
     "cuboid too large": (lambda log: resized(log, "cuboid_10", 1.2), "imprints of cuboid_10 are 0.8"),
+    "sphere upside down": (lambda log: replace(log, bodies=log.bodies | {name: build(
+        name, {"kind": "cylinder", "diameter": 15, "height": 10, "fillet": 0.3}) for name in ("sphere_10", "sphere_15")}), "imprints of sphere_15 are 0.6"),
     "triangle called cylinder": (lambda log: renamed(log, "triangle_10", "cylinder_8"), "of cylinder_8 show the shape of triangle_10"),
 }  # fmt: skip
 
