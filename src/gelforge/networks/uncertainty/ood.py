@@ -192,7 +192,7 @@ def relief(nocontact: np.ndarray, markers: Markers, shown: tuple[slice, slice] =
 def sharpness_fault(limits: dict, nocontact: np.ndarray) -> str:
     """What is wrong with the light or the focus of a no-contact image (h, w, 3) uint8; empty where both are usual.
 
-    limits: the statistics of a network's training images. Of 32 real sensors the dimmest has a mean level of 63 and the least sharp
+    limits: the statistics of a network's training images. Of the first frames of 32 real films the dimmest has a mean level of 63 and the least sharp
     lies 1.7 deviations below the mean; a blur of 1.5 px makes of sharp images 3.3 deviations.
     """
     found = describe(nocontact)
