@@ -141,6 +141,13 @@ def sideways(log: LogForces) -> str | None:
     path, force, travel = log.path[used], log.force[used], travel[used]
     size = np.abs(force[:, 2]) * np.minimum(travel / log.depth[used], TAKEN_OVER) / travel
     along, seen = size * (path[:, 0] + 1j * path[:, 1]), force[:, 0] + 1j * force[:, 1]
+    parts = (("fx_n", along.real, seen.real), ("fy_n", along.imag, seen.imag))
+    still = [name for name, moved, of in parts if np.ptp(of) == 0.0 and np.ptp(moved) > 2 * LEAST_N]
+    if still:
+        return (
+            f"{' and '.join(still)} never change{'s' * (len(still) == 1)} in {used.sum()} presses that move sideways: where the force sensor"
+            " has no such axis, leave the cells empty, because 0 would be taken for a reading."
+        )
     if np.sqrt(np.mean(np.abs(_level(seen)) ** 2)) < LEAST_N:
         return None
     turn = np.exp(1j * np.deg2rad(log.rot_deg[used]))

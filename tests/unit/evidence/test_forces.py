@@ -78,6 +78,17 @@ def test_a_few_presses_and_small_sideways_forces_say_nothing():
     assert sideways(log_of(unread)) is None
 
 
+def test_an_axis_that_the_sensor_lacks_is_named():
+    session, label, names = labelled(0)
+    for kept, said in (
+        ([0.0, 0.0, 1.0], "fx_n and fy_n never change in"),
+        ([1.0, 0.0, 1.0], "fy_n never changes in"),
+    ):
+        single = log_of(with_force(session, session.force * kept))
+        assert said in sideways(single)
+        assert [said in line for line in of_labels(single, label, names)] == [True]
+
+
 def test_a_constant_force_shows_in_presses_without_shear():
     noise = 0.05 * np.random.default_rng(0).standard_normal((12, 2))
     (value, error) = mean_forces(noise + [0.8, 0.0])["x"]
