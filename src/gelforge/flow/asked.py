@@ -189,7 +189,7 @@ class Asked:
         """Under STRICT=1: what holds a rejected row or a picture of two presses, which then fails."""
         for shard in shards:
             table = self.of.poses(shard)
-            doubled = holds(self.of.shard(shard).with_suffix(".json"), b'\n "repeated": {')
+            doubled = holds(self.of.shard(shard).with_suffix(".json"), b'"repeated": {')
             if table.exists() and (doubled or holds(self.of.rejected(shard), b"\n", 1)):
                 yield table
         for resolution in self.resolutions:
