@@ -158,7 +158,7 @@ TROUBLES: dict[str, tuple[Change, str]] = {
     "diameter of an indenter a fifth too small": (of_table("workflow/indenters.toml", lambda text: text.replace(
         "[sphere_15]\nkind = \"sphere\"\ndiameter = 15\n", "[sphere_15]\nkind = \"sphere\"\ndiameter = 12\n")), "sphere_15.*(?:size|diameter)"),
     "gel a fifth too thin": (of_table("workflow/sensors.toml", lambda text: re.sub(
-        r"(?s)(\[mini_[ae]\][^\n]*\ngel = \"gelsight_mini)\"", r"\1-3.2mm\"", text)), "thick"),
+        r"(?s)(\[mini_[ae]\][^\n]*\ngel = \"gelsight_mini)\"", r'\1-3.2mm"', text)), "thick"),
 }  # fmt: skip
 
 
