@@ -26,6 +26,7 @@ OF_ONE = 3  # presses of one indenter that are compared with those of all others
 OTHER_FORCE = 1.15  # the factor by which their forces then differ at least
 OTHER_POWER = 0.05  # by which forces grow with another power of labels where the gel has another thickness
 SURE_OF_THICKNESS = 2.0  # standard errors of it, which are never taken to be smaller than those of a scatter of 5 %
+STUCK, DIFFERS = 3, 0.3  # presses that read the same, and the fraction by which their labels differ
 LEAST_N = 0.15  # of a constant force or a drift: smaller ones are usual, and change hardly anything
 SURE = 4.0  # standard errors from which on something is no chance
 SURE_OF_FEW = 3.5  # the same for a dozen readings of a scale
@@ -265,6 +266,7 @@ def of_labels(log: LogForces, label: np.ndarray, indenters: Sequence[str], usual
         return []
     causes = (
         lambda: unit(log.normal[felt], -usual * label[felt, 2]),
+        lambda: _stuck(log, label),
         lambda: shifted(log.normal, -label[felt, 2], felt),
         lambda: sideways(log),
         lambda: _moved(log, label, felt),
@@ -273,6 +275,24 @@ def of_labels(log: LogForces, label: np.ndarray, indenters: Sequence[str], usual
     )
     found = next(filter(None, (cause() for cause in causes)), None)
     return [found] if found else []
+
+
+def _stuck(log: LogForces, label: np.ndarray) -> str | None:
+    """Presses of different forces that all read the same: a reading that was not renewed, or the end of the sensor's range."""
+    normal = log.normal
+    differs = np.abs(np.diff(label[:, 2])) > np.maximum(2 * LEAST_N, OTHER_FORCE - 1.0) * np.abs(label[1:, 2]).clip(
+        1.0
+    )
+    same = (np.nan_to_num(np.diff(log.force, axis=0)) == 0.0).all(axis=1) & differs
+    if same.sum() >= STUCK:
+        return f"{same.sum()} presses read exactly the force of the press before, to which their labels differ: read the force sensor anew for each."
+    largest = normal == normal.max()
+    if largest.sum() >= STUCK and np.ptp(label[largest, 2]) > DIFFERS * normal.max():
+        return (
+            f"{largest.sum()} presses read the same largest force of {normal.max():.2f} N, while their labels differ: it is the end of the"
+            " sensor's range; leave their cells empty, or press less deep."
+        )
+    return None
 
 
 def _bench(label: np.ndarray, depth: np.ndarray) -> np.ndarray:

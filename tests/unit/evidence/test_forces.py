@@ -89,6 +89,16 @@ def test_an_axis_that_the_sensor_lacks_is_named():
         assert [said in line for line in of_labels(single, label, names)] == [True]
 
 
+def test_readings_that_stay_as_they_were_or_end_at_a_limit_are_named():
+    session, label, names = labelled(0)
+    stale, most = np.repeat(session.force[::2], 2, axis=0)[: len(label)], 0.5 * np.abs(session.force).max()
+    for force, said in (
+        (stale, "exactly the force of the press before"),
+        (session.force.clip(-most), "the end of the sensor's range"),
+    ):
+        assert [said in line for line in of_labels(log_of(with_force(session, force)), label, names)] == [True]
+
+
 def test_a_constant_force_shows_in_presses_without_shear():
     noise = 0.05 * np.random.default_rng(0).standard_normal((12, 2))
     (value, error) = mean_forces(noise + [0.8, 0.0])["x"]
