@@ -3,7 +3,7 @@
 import json
 import subprocess
 from argparse import Namespace
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -140,8 +140,8 @@ def calibration_section(results: Path) -> Section:
     return add_pictures(section, path.parent, captions)
 
 
-def force_section(results: Path, data: Path, rows: list[dict], resolution: str) -> Section:
-    """Labels beside the force sensor's readings, press by press."""
+def force_section(results: Path, data: Path, rows: list[dict], doubts: Sequence[str] = ()) -> Section:
+    """Labels beside the force sensor's readings, press by press. doubts: what stage 60 says of the readings."""
     of, section = Layout(results), Section("Labels against the force sensor")
     none = "The log has no force readings of presses that were labelled."
     if not any(row.get("measured_fz") for row in rows):  # as where labels came with the dataset
@@ -165,7 +165,6 @@ def force_section(results: Path, data: Path, rows: list[dict], resolution: str) 
         section.text(
             f"Labels are made with the calibration {frozen.name} ({frozen.model}, {len(frozen.presses)} presses)."
         )
-    doubts = read_json(of.dataset_table(resolution)).get("doubts_of_forces", [])
     for sentence in [*doubts, *force_sentences(presses)]:
         section.text(sentence)
     return section.table(COMPARED, force_rows(presses), folded="Every press")
@@ -355,9 +354,10 @@ def sections_of(explorer: Explorer, data: Path, model: str, solved: dict[str, So
     """What stands below the explorer."""
     results, resolution = explorer.results, explorer.resolution
     verified = read_verified(results)
+    doubts = read_json(Layout(results).dataset_table(resolution)).get("doubts_of_forces", [])
     return [
         network_section(results, resolution, model),
-        force_section(results, data, explorer.rows, resolution),
+        force_section(results, data, explorer.rows, doubts),
         calibration_section(results),
         branch_section(
             results,
