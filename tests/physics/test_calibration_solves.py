@@ -29,7 +29,7 @@ from gelforge.records.status import Status
 from tests.support.calibration_law import true_values
 from tests.support.parameters import parameters
 
-SETTINGS = HexSettings(size=1.2, layers=2, press_steps=8, shear_steps=3, final_tolerance=1e-7)
+SETTINGS = HexSettings(size=1.2, layers=3, press_steps=8, shear_steps=3, final_tolerance=1e-7)
 SOLVER = 1  # version of the solver; any will do
 NU = 0.475
 MU = 0.5
@@ -177,7 +177,7 @@ def test_refined_forces_are_those_of_the_fine_mesh_at_both_limits_of_friction(ca
     plan, cache = make_plan(readings, 0.15, (1.0, 0.65), NU), SolveCache(tmp_path, catalogue, SETTINGS, SOLVER)
     assert not solve_all(plan, cache, [0.0, np.inf])
     emulator = build_emulator(plan, cache, [0.0, np.inf])
-    fine = SolveCache(tmp_path, catalogue, replace(SETTINGS, size=0.9, layers=2), SOLVER)
+    fine = SolveCache(tmp_path, catalogue, replace(SETTINGS, size=0.9, layers=4), SOLVER)
     refined = refine(emulator, plan, fine)
     values = true_values(c10=REFERENCE_C10, offset=0.0, compliance=0.0)
     for mu, end in ((0.0, 0), (np.inf, -1)):

@@ -129,7 +129,7 @@ def test_forces_balance_and_agree_with_hex(solver, law):
     assert result.status is Status.OK, result.evidence
     assert result.evidence["base_mismatch"] < 1e-6  # the demand; the .dat prints seven digits
     assert result.evidence["engine_difference"] < 1e-7  # same elements, same contact
-    hexa = solve_hex(scene(law), HexSettings(size=0.6, layers=3))
+    hexa = solve_hex(scene(law), HexSettings(size=0.6, layers=6))
     # the meshes' own errors at these sizes: 4 % of total force
     assert result.total[2] == pytest.approx(hexa.total[2], rel=0.04)
     # the mesh is not symmetric: its diagonals all run one way
@@ -160,7 +160,7 @@ def test_a_solver_of_a_moved_fine_part_is_as_one_of_its_own(solver, tmp_path):
     np.testing.assert_allclose(solver.solve(middle).total, before, atol=1e-6 * abs(before[2]))
     # what tetrahedra of 1 mm add to the force of hexahedra they add there, too: 3 to 4 %
     stiffer = [
-        found[2] / solve_hex(here, HexSettings(size=0.5, layers=3, gauss=2, press_steps=3)).total[2]
+        found[2] / solve_hex(here, HexSettings(size=0.5, layers=6, gauss=2, press_steps=3)).total[2]
         for found, here in ((before, middle), (one.total, pressed))
     ]
     assert stiffer[1] == pytest.approx(stiffer[0], abs=0.015)

@@ -21,7 +21,7 @@ from gelforge.records.press import Press
 from gelforge.records.status import Status
 from tests.support.flat_pad import FlatPad
 
-COARSE = HexSettings(size=1.2, layers=2, press_steps=3, shear_steps=2)
+COARSE = HexSettings(size=1.2, layers=3, press_steps=3, shear_steps=2)
 
 
 class Sphere:
@@ -107,7 +107,8 @@ def test_evidence_of_a_good_solve(straight):
 
 def test_straight_press_has_no_shear_and_is_symmetric(straight):
     assert np.abs(straight.total[:2]).max() < 1e-3 * abs(straight.total[2])
-    fz = straight.forces[:, 2].reshape(straight.mesh.grid)[-1]
+    nx, ny, nz = straight.mesh.shape
+    fz = straight.forces[:, 2].reshape(nz + 1, ny + 1, nx + 1)[-1]
     # mesh and scene are symmetric; what is left is the load path's tolerance of 1e-4, magnified by touching points
     assert np.abs(fz - fz[::-1]).max() < 5e-3 * np.abs(fz).max()
     assert np.abs(fz - fz[:, ::-1]).max() < 5e-3 * np.abs(fz).max()
@@ -332,7 +333,7 @@ def half_space(size):
         half = np.concatenate([inner, outer])
         return np.concatenate([-half[:0:-1], half])
 
-    depth = np.concatenate([np.arange(0, 1.2 + 1e-9, 2 * size), np.geomspace(1.2 + 1.3 * size, 20.0, 5)])
+    depth = np.concatenate([np.arange(0, 1.2 + 1e-9, size), np.geomspace(1.2 + 1.3 * size, 20.0, 8)])
     return gel, mesh_on_lines(gel, lines(), lines(), 1 - depth[::-1] / 20.0)
 
 
@@ -376,7 +377,7 @@ def test_a_blade_between_the_points_of_contact_is_no_answer_of_zero():
     scene = Scene(Gel(), Material(), blade, Press(0.45, 0, 0, 0, 0, -0.3))
     wide = solve_hex(scene, HexSettings(size=2.0, layers=2, gauss=2, press_steps=2))
     assert wide.status is Status.TOO_COARSE and not wide.forces.any()
-    small = solve_hex(scene, HexSettings(size=0.3, across=4, layers=2, press_steps=2))
+    small = solve_hex(scene, HexSettings(size=0.3, across=4, layers=3, press_steps=2))
     assert small.status is Status.OK and small.total[2] < 0.0
 
 
@@ -386,6 +387,6 @@ def test_flanks_that_hang_beside_the_base_are_no_gel_pressed_through_it(root):
     scene = Scene(Gel(), Material(), bar, Press(1.7, -3.6, 0, 0.35, 0.1, -1.54, 249.0))
     result = solve_hex(scene, quality("draft"))
     x = result.mesh.nodes + result.displacement
-    assert x[:, 2].min() < -Gel().height - 0.02  # they do hang lower
+    assert x[:, 2].min() < -Gel().height - 0.05  # they do hang lower
     assert result.status is Status.OK and result.evidence["below_base_mm"] == 0.0
     assert result.evidence["base_mismatch"] < 1e-6

@@ -11,7 +11,7 @@ from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build, load_catalogue
 from gelforge.geometry.touch import width_of
 from gelforge.mechanics.contact.reach import gaps
-from gelforge.mechanics.elements import hex12
+from gelforge.mechanics.elements import hex8
 from gelforge.mechanics.hexsettings import QUALITIES, HexSettings, Nested
 from gelforge.mechanics.linear.factorisation import symmetric_solver
 from gelforge.mechanics.material import Material
@@ -35,7 +35,7 @@ from tests.support.refused import refused
 COARSE = build_mesh(Gel(), FineBox(-4, 4, -4, 4, 1.0), 3, 2.0)
 FINE = build_mesh(Gel(), FineBox(-4, 4, -4, 4, 0.5), 5, 2.0)
 STEPPED = build_mesh(Gel(), FineBox(-4, 4, -4, 4, 0.5), 5, 2.0, widened=(3, 1))
-PATH = HexSettings(size=0.7, layers=2, layer_ratio=2.0, gauss=2, press_steps=6, shear_steps=3)
+PATH = HexSettings(size=0.7, layers=4, layer_ratio=2.0, gauss=2, press_steps=6, shear_steps=3)
 BALL = build("ball", {"kind": "sphere", "diameter": 15, "height": 10})
 CUBOID = build("cuboid", {"kind": "cuboid", "size": [7, 7], "fillet": 1, "height": 10})
 
@@ -74,7 +74,7 @@ def test_carrying_keeps_trilinear_fields(seed):
 @settings(max_examples=20)
 def test_what_is_tangled_is_made_sound_and_what_is_sound_stays(seed, size):
     """Nodes thrown out of place turn hexahedra over; afterwards none is, the base holds, and the rest has not moved."""
-    rng, hexahedra = np.random.default_rng(seed), hex12.ELEMENT.on(FINE.nodes, FINE.cells)
+    rng, hexahedra = np.random.default_rng(seed), hex8.ELEMENT.on(FINE.nodes, FINE.cells)
     at_rest = np.zeros_like(FINE.nodes)
     assert untangled(FINE, hexahedra, at_rest) is at_rest
     u = at_rest.copy()
@@ -84,7 +84,7 @@ def test_what_is_tangled_is_made_sound_and_what_is_sound_stays(seed, size):
     found = untangled(FINE, hexahedra, u)
     assert hexahedra.smallest_ratios(found).min() >= FLAT
     assert not found[FINE.base].any()
-    flat = np.unique(FINE.cells.nodes[hexahedra.smallest_ratios(u) < FLAT])
+    flat = np.unique(FINE.elements[hexahedra.smallest_ratios(u) < FLAT])
     kept = np.setdiff1d(np.arange(len(u)), flat)
     np.testing.assert_array_equal(found[kept], u[kept])
 
@@ -150,7 +150,7 @@ def test_nested_and_whole_path_come_together_as_hexahedra_shrink(law, body, pres
     for size, bound in ((1.0, 0.03), (0.5, 0.015)):
         scene = Scene(Gel(), Material(), body, press, Interface(law))
         whole = solve_hex(scene, replace(PATH, size=size))
-        nested = solve_hex(scene, replace(PATH, size=size, nested=Nested(layers=1, widened=())))
+        nested = solve_hex(scene, replace(PATH, size=size, nested=Nested(layers=2)))
         assert whole.status is nested.status is Status.OK
         assert nested.evidence["coarse_newton_iterations"] > 0  # it did take the short way
         assert nested.evidence["base_mismatch"] < 1e-6 and nested.evidence["pulling_fraction"] < 2e-3
@@ -162,10 +162,10 @@ def test_nested_and_whole_path_come_together_as_hexahedra_shrink(law, body, pres
 def test_extrapolation_brings_wide_hexahedra_closer_to_small_ones():
     """Forces are too large on wide hexahedra; one factor, found from two sizes, takes most of that back."""
     scene = Scene(Gel(), Material(), BALL, Press(0, 0, 0, 0, 0, -1.0))
-    fine = np.linalg.norm(solve_hex(scene, replace(PATH, size=0.4, layers=4)).total)
-    wide = replace(PATH, size=0.5, layers=3)
-    plain = solve_hex(scene, replace(wide, nested=Nested()))
-    better = solve_hex(scene, replace(wide, nested=Nested(extrapolation=1 / 3)))
+    fine = np.linalg.norm(solve_hex(scene, replace(PATH, size=0.4, layers=7)).total)
+    wide = replace(PATH, size=0.5, layers=5)
+    plain = solve_hex(scene, replace(wide, nested=Nested(layers=3)))
+    better = solve_hex(scene, replace(wide, nested=Nested(layers=3, extrapolation=1 / 3)))
     assert abs(np.linalg.norm(better.total) - fine) < 0.5 * abs(np.linalg.norm(plain.total) - fine)
     np.testing.assert_allclose(better.forces, better.evidence["extrapolated"] * plain.forces, rtol=1e-12)
     end, *force = better.evidence["path"][-1]
@@ -222,10 +222,10 @@ def test_an_indefinite_matrix_is_solved_after_a_definite_one():
 FRAMED = HexSettings(
     size=0.5,
     across=12,
-    layers=2,
+    layers=4,
     layer_ratio=2.0,
     gauss=2,
-    nested=Nested(press_steps=6, extrapolation=0.36),
+    nested=Nested(layers=3, press_steps=6, extrapolation=0.36),
 )
 
 

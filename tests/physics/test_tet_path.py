@@ -136,7 +136,7 @@ def test_where_conjugate_gradients_fail_a_factorisation_follows(mesh, ccx, tmp_p
 
 def test_a_path_followed_on_hexahedra_ends_on_the_tetrahedra_as_one_followed_there(mesh, run):
     """Only where points first touched differs, by what hexahedra and tetrahedra differ in: a few per cent at this size."""
-    guide = HexSolver(HexSettings(size=0.6, layers=2, layer_ratio=2.0, gauss=2, nested=Nested()))
+    guide = HexSolver(HexSettings(size=0.6, layers=5, layer_ratio=2.0, gauss=2, nested=Nested(layers=3)))
     whole, _ = run(scene(), PathSettings())
     found = arrive(
         scene(), TetSolid(mesh), face_points(mesh), mesh.nodes, guide.coarse_path([scene()])[0].path, PathSettings()
@@ -149,7 +149,7 @@ def test_a_path_followed_on_hexahedra_ends_on_the_tetrahedra_as_one_followed_the
 
 
 def test_the_guided_and_the_whole_path_agree_in_calculix(mesh, ccx, tmp_path):
-    guide = HexSolver(HexSettings(size=0.6, layers=2, layer_ratio=2.0, gauss=2, nested=Nested()))
+    guide = HexSolver(HexSettings(size=0.6, layers=5, layer_ratio=2.0, gauss=2, nested=Nested(layers=3)))
     whole = CcxSolver(mesh, tmp_path / "whole", CCX).solve(scene())
     guided = CcxSolver(mesh, tmp_path / "guided", CCX).solve(
         scene(), coarse_path=guide.coarse_path([scene()])[0].path
@@ -162,7 +162,7 @@ def test_the_guided_and_the_whole_path_agree_in_calculix(mesh, ccx, tmp_path):
 
 def test_an_end_that_does_not_converge_is_followed_on_the_tetrahedra(mesh, ccx, tmp_path):
     """A coarse_path that leads elsewhere, twice as deep with every element folded: the press is solved all the same."""
-    guide = HexSolver(HexSettings(size=0.6, layers=2, layer_ratio=2.0, gauss=2, nested=Nested()))
+    guide = HexSolver(HexSettings(size=0.6, layers=5, layer_ratio=2.0, gauss=2, nested=Nested(layers=3)))
     coarse_path = guide.coarse_path([scene()])[0].path
     folded = replace(coarse_path, states=[20.0 * u for u in coarse_path.states])
     result = CcxSolver(mesh, tmp_path / "press", CCX).solve(scene(), coarse_path=folded)

@@ -12,7 +12,7 @@ from gelforge.stages import calibrate
 from gelforge.stages.report import calibration_section
 from tests.support.parameters import parameters, place_workflow, write_stage
 
-COARSE = {"size": 1.2, "layers": 2, "widened": []}
+COARSE = {"size": 1.2, "layers": 3, "widened": []}
 # A ball of 4 mm diameter pressed into the flat gel, 2 mm thick, of another type of sensor (DIGIT): depth, mm, and force, N.
 BALL_ON_PAD = ((0.344, 0.236), (0.468, 0.500), (0.782, 1.495), (1.215, 3.895), (1.461, 6.290))
 

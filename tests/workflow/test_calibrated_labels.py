@@ -26,7 +26,7 @@ friction_nodes = []
 law = "no_slip"
 [params.calibrate.solver]
 size = 1.2
-layers = 2
+layers = 3
 widened = []
 press_steps = 8
 """

@@ -48,7 +48,7 @@ def case_method(case: Case, params: ForStability) -> Method:
         return quality_method("fine")
     if not case.size:
         return Method(f"{case.fidelity}-label", case.fidelity)
-    layers = params.stability.layers.get(str(case.size), 3)
+    layers = params.stability.layers.get(str(case.size), 6)
     return Method("case", case.fidelity, case.size, layers, case.steps)
 
 

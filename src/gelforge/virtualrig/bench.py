@@ -23,8 +23,8 @@ from gelforge.virtualrig.rigplan import Order, Plan, Truth, generator
 # The rig's own mesh, in no ratio to those of the labels: about 40 iterations a press.
 SETTINGS = HexSettings(
     size=0.7,
-    layers=2,
-    widened=(1,),
+    layers=4,
+    widened=(2,),
     layer_ratio=2.5,
     growth=1.8,
     largest=3.0,

@@ -60,7 +60,7 @@ class ElementSet:
 
 @dataclass(frozen=True)
 class FiniteElement:
-    """An element of a Neo-Hookean solid. kind: the name by which meshes choose it. nodes: of one element."""
+    """An element of a Neo-Hookean solid. kind: that of the meshes it serves. nodes: of one element."""
 
     kind: str
     nodes: int
@@ -88,7 +88,7 @@ def isoparametric(local: np.ndarray, parts: float) -> Reference:
 
 @cache
 def elements() -> dict[str, FiniteElement]:
-    """The elements by their kind: the ELEMENT of each module of this folder that has one."""
+    """The kinds of elements by the kind of mesh they serve: the ELEMENT of each module of this folder that has one."""
     names = [name for _, name, _ in pkgutil.iter_modules(package.__path__, f"{package.__name__}.")]
     found = [getattr(import_module(name), "ELEMENT", None) for name in names]
     return {element.kind: element for element in found if element}

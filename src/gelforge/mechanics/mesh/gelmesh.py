@@ -45,11 +45,6 @@ class GelMesh:
             raise BadInput(f"{path}: not a gel mesh ({error}); delete it and run make again") from error
 
     @property
-    def element(self) -> str:
-        """The element of mechanics that it is solved with (`elements.element.elements`)."""
-        return self.kind
-
-    @property
     def digest(self) -> str:
         """Eight hexadecimal digits of the content, the same for equal nodes, elements, faces and base."""
         parts = (self.nodes, self.elements, self.faces, self.base)

@@ -19,9 +19,8 @@ class HexMesh(GelMesh):
     """A GelMesh of hexahedra whose nodes are numbered x fastest, then y, then z from the base up.
 
     xs: (nx + 1,), ys: (ny + 1,) mesh lines before the outline's corners are rounded, mm.
-    layers: hexahedra through the height, of second order along it. planes: which lines go through each of the 2 layers + 1
-    planes of nodes. `elements` are eight-node halves on all lines down to the base, as pictures show them; `cells` are
-    the hexahedra that are solved.
+    layers: number of layers nz. planes: which lines go through each plane of nodes. `elements` are those of all lines
+    down to the base, as pictures show them; `cells` are the hexahedra that are solved.
     """
 
     xs: np.ndarray
@@ -30,14 +29,9 @@ class HexMesh(GelMesh):
     planes: Planes
 
     @property
-    def element(self) -> str:
-        """Twelve-node hexahedra."""
-        return "hex12"
-
-    @property
-    def grid(self) -> tuple[int, int, int]:
-        """Nodes along z, y and x: the shape in which a nodal field lies."""
-        return 2 * self.layers + 1, len(self.ys), len(self.xs)
+    def shape(self) -> tuple[int, int, int]:
+        """Hexahedra along x, y and z, were all lines to go down to the base."""
+        return len(self.xs) - 1, len(self.ys) - 1, self.layers
 
     @property
     def pattern_key(self) -> tuple:
@@ -63,7 +57,7 @@ class HexMesh(GelMesh):
 
     @cached_property
     def heights(self) -> np.ndarray:
-        """Relative heights (2 layers + 1,) of the planes of nodes, 0 at the base and 1 at the top."""
+        """Relative heights (nz + 1,) of the planes of nodes, 0 at the base and 1 at the top."""
         # of a column that goes through all planes: nodes that hang lie on flat faces, a little beside their plane
         x, y = (lines.left for lines in self.planes.lines[0])
         through = np.flatnonzero(y[:, None] & x)
@@ -151,7 +145,7 @@ def elimination_order(mesh: "HexMesh") -> np.ndarray:
     plane = len(mesh.xs) * len(mesh.ys)
     # a line that ends on the way down lies within wide hexahedra: only those that reach the base part the gel
     x, y = mesh.planes.lines[0]
-    nodes = (dissected(x.left, y.left)[:, None] + plane * np.arange(mesh.grid[0])).ravel()
+    nodes = (dissected(x.left, y.left)[:, None] + plane * np.arange(mesh.layers + 1)).ravel()
     number = np.full(len(mesh.nodes), -1)
     number[mesh.unknown] = np.arange(len(mesh.unknown))
     order = number[nodes]
@@ -173,7 +167,7 @@ def build_mesh(
     largest: float = 2.0,
     widened: Sequence[int] = (),
 ) -> HexMesh:
-    """Hexahedral mesh of the gel, fine in `box`; in the lowest layers hexahedra are wider (see stepped.planes_of).
+    """hexahedral mesh of the gel, fine in `box`; in the lowest layers hexahedra are wider (see stepped.planes_of).
 
     layers, layer_ratio: as in `layer_heights`. growth, largest: as in `graded_lines`. BadInput where the box lies beside
     the gel.
@@ -188,17 +182,14 @@ def build_mesh(
 def mesh_on_lines(
     gel: Gel, xs: np.ndarray, ys: np.ndarray, heights: np.ndarray, planes: Planes | None = None
 ) -> HexMesh:
-    """Hexahedral mesh on given lines, with the middle nodes of hexahedra halfway through their layer.
+    """hexahedral mesh on given lines: xs, ys in mm, heights relative from 0 at the base to 1 at the top.
 
-    xs, ys: in mm. heights: (layers + 1,) relative, between which the hexahedra lie, from 0 at the base to 1 at the top.
-    planes: which lines go through each of the 2 layers + 1 planes of nodes; all by default.
+    planes: which lines go through each of the heights; all by default.
     """
-    layers = len(heights) - 1
-    heights = np.interp(np.arange(2 * layers + 1) / 2, np.arange(layers + 1), heights)
     x, y = np.meshgrid(xs, ys, indexing="xy")
     x, y = round_corners(x, y, gel.width / 2, gel.length / 2, gel.corner_radius)
     top = np.asarray(gel.top(x, y), float)
-    z = -gel.height + (top + gel.height)[None] * heights[:, None, None]
+    z = -gel.height + (top + gel.height)[None] * np.asarray(heights)[:, None, None]
     nodes = np.stack([np.broadcast_to(x, z.shape), np.broadcast_to(y, z.shape), z], axis=-1).reshape(-1, 3)
     nx, ny, nz = len(xs) - 1, len(ys) - 1, len(heights) - 1
     plane = (nx + 1) * (ny + 1)
@@ -208,8 +199,8 @@ def mesh_on_lines(
     elements = np.concatenate([quads, quads + plane], axis=2).reshape(-1, 8).astype(np.int32)
     faces = (quad + plane * nz).astype(np.int32)
     xs, ys, base = np.asarray(xs), np.asarray(ys), np.arange(plane, dtype=np.int32)
-    planes = planes or planes_of(xs, ys, layers, (), (0.0, 0.0, 0.0, 0.0))
-    mesh = HexMesh("hex8", nodes, elements, faces, base, xs, ys, layers, planes)
+    planes = planes or planes_of(xs, ys, nz, (), (0.0, 0.0, 0.0, 0.0))
+    mesh = HexMesh("hex8", nodes, elements, faces, base, xs, ys, nz, planes)
     mesh.hanging.hang(nodes)
     return mesh
 

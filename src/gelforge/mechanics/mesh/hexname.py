@@ -17,7 +17,7 @@ MOST_ELEMENTS = 2e6  # a name that asks for more is a mistake, not a mesh
 class HexMeshName:
     """What `hexmesh.build_mesh` builds a gel's mesh from; lengths in mm, the gel by its name (`geometry.gel.load_gel`).
 
-    box: the fine part. layers: hexahedra of second order through the height, the lowest `layer_ratio` times as thick as the uppermost.
+    box: the fine part. layers: hexahedra through the height, the lowest `layer_ratio` times as thick as the uppermost.
     growth, largest: by what factor, and up to what side, hexahedra grow away from the box. widened: see stepped.planes_of;
     a name of a mesh without wide layers ends before it.
     """

@@ -10,6 +10,7 @@ alike.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 
@@ -33,22 +34,21 @@ class Hanging:
 
 @dataclass(frozen=True)
 class Cells:
-    """The elements that are solved: corners (e, k) where they lie, and nodes (e, k) whose motion deforms them.
+    """The hexahedra that are solved: corners (e, 8) where they lie, and nodes (e, 8) whose motion deforms them.
 
     Both are the same but for the hexahedra `standing` (s,) on a wider face, whose lower corner c moves by the share
-    `shares[:, c, n]` (s, 4, 4) of the motion of lower node n. upper: (e,) bool, which halves of hexahedra are upper ones.
+    `shares[:, c, n]` (s, 4, 4) of the motion of lower node n.
     """
 
     corners: np.ndarray
     nodes: np.ndarray
     standing: np.ndarray
     shares: np.ndarray
-    upper: np.ndarray
 
     @classmethod
     def plain(cls, elements: np.ndarray) -> "Cells":
-        """Elements (e, k) of which none stands on a wider face."""
-        return cls(elements, elements, np.empty(0, np.int64), np.empty((0, 4, 4)), np.zeros(len(elements), bool))
+        """Hexahedra (e, 8) of which none stands on a wider face."""
+        return cls(elements, elements, np.empty(0, np.int64), np.empty((0, 4, 4)))
 
 
 def fewer_lines(lines: np.ndarray, kept: np.ndarray, low: float, high: float) -> np.ndarray:
@@ -88,8 +88,7 @@ class Planes:
     """Planes of nodes on a grid of mesh lines, from the base up.
 
     columns: nodes of a row, which run along x. lines: of each plane those that go through it, by their places along x and
-    along y. Planes have all nodes of the grid, `size` of them; the hexahedra use those on lines that go through. A hexahedron
-    has nodes in three planes.
+    along y. Planes have all nodes of the grid, `size` of them; the hexahedra use those on lines that go through.
     """
 
     def __init__(self, columns: int, lines: Sequence[tuple[Sparse, Sparse]]):
@@ -113,24 +112,22 @@ class Planes:
         return Hanging(*(np.concatenate(arrays) for arrays in zip(*parts, strict=True)))
 
     def cells(self) -> Cells:
-        """The lower and the upper halves of the hexahedra, layer by layer; a layer has the lines of the planes above its base."""
+        """The hexahedra between the planes, layer by layer; a layer has the lines of the plane above it."""
         corners, nodes, standing, shares, count = [], [], [], [], 0
-        for k in range(0, len(self.lines) - 1, 2):
-            x, y = self.lines[k + 2]
+        for k, (below, (x, y)) in enumerate(pairwise(self.lines)):
             a, b = np.meshgrid(np.arange(len(x.at) - 1), np.arange(len(y.at) - 1), indexing="xy")
-            top = self._corners(k + 2, a.ravel(), b.ravel())
-            middle, lower = top - self.size, top - 2 * self.size
-            corners += 2 * [np.concatenate([lower, middle, top], axis=1)]
-            if self.lines[k] != (x, y):
+            upper = self._corners(k + 1, a.ravel(), b.ravel())
+            lower = upper - self.size
+            corners.append(np.concatenate([lower, upper], axis=1))
+            if below != (x, y):
                 share, lower = self._on_wider(k, lower - k * self.size)
-                standing.append(count + np.arange(2 * len(lower)))
-                shares += [share, share]
-            nodes += 2 * [np.concatenate([lower, middle, top], axis=1)]
-            count += 2 * len(lower)
-        upper = [np.arange(2 * len(each)) >= len(each) for each in nodes[::2]]
+                standing.append(count + np.arange(len(lower)))
+                shares.append(share)
+            nodes.append(np.concatenate([lower, upper], axis=1))
+            count += len(lower)
         return Cells(
-            np.concatenate(corners), np.concatenate(nodes), np.concatenate([np.empty(0, np.int64), *standing]),
-            np.concatenate([np.empty((0, 4, 4)), *shares]), np.concatenate(upper),
+            np.concatenate(corners), np.concatenate(nodes),
+            np.concatenate([np.empty(0, np.int64), *standing]), np.concatenate([np.empty((0, 4, 4)), *shares]),
         )  # fmt: skip
 
     def _on_wider(self, plane: int, lower: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -150,8 +147,8 @@ def planes_of(
     widened: how many layers, counted from the base, have half of the lines; then how many of these half of those; and so on.
     """
     x, y = np.arange(len(xs)), np.arange(len(ys))
-    planes = [(Sparse(xs, x), Sparse(ys, y))] * (2 * layers + 1)
+    planes = [(Sparse(xs, x), Sparse(ys, y))] * (layers + 1)
     for count in widened:
         x, y = fewer_lines(xs, x, *box[:2]), fewer_lines(ys, y, *box[2:])
-        planes[: 2 * count + 1] = [(Sparse(xs, x), Sparse(ys, y))] * (2 * count + 1)
+        planes[: count + 1] = [(Sparse(xs, x), Sparse(ys, y))] * (count + 1)
     return Planes(len(xs), planes)

@@ -83,7 +83,7 @@ class Equilibrium:
         self.penalty = Penalty(settings.penalty * scale, settings.friction_penalty * scale, self.law)
         self.holding = replace(self.penalty, law=Holding())
         self.moduli = scene.material.shear_modulus, scene.material.bulk_modulus
-        self.elements = elements()[mesh.element].on(mesh.nodes, mesh.cells)
+        self.elements = elements()[mesh.kind].on(mesh.nodes, mesh.cells)
         self.state = contact_points(mesh, settings.gauss, np.flatnonzero(reachable(scene, mesh.nodes[mesh.faces])))
         self.nodes = np.ascontiguousarray(mesh.faces[self.state.face])
         self.u, self.candidates = np.zeros_like(mesh.nodes), np.empty(0, np.int64)

@@ -90,7 +90,7 @@ class TetSolid:
 
 
 def _elements_of(mesh: GelMesh) -> ElementSet:
-    return elements()[mesh.element].on(mesh.nodes, Cells.plain(mesh.elements))
+    return elements()[mesh.kind].on(mesh.nodes, Cells.plain(mesh.elements))
 
 
 @njit(cache=True, nogil=True)

@@ -57,7 +57,7 @@ def line_weights(lines: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 def transferred(coarse: HexMesh, u: np.ndarray, fine: HexMesh) -> np.ndarray:
     """Displacement (n, 3) of the fine nodes: the coarse one (m, 3), trilinear in x, y and relative height."""
-    grid = u.reshape(*coarse.grid, 3)
+    grid = u.reshape(coarse.layers + 1, len(coarse.ys), len(coarse.xs), 3)
     lines = ((coarse.heights, fine.heights), (coarse.ys, fine.ys), (coarse.xs, fine.xs))
     for axis, (old, new) in enumerate(lines):
         weights, index = line_weights(old, new)
@@ -95,7 +95,7 @@ def untangled(mesh: HexMesh, hexahedra: ElementSet, u: np.ndarray) -> np.ndarray
 
 def _mean_of_neighbours(mesh: HexMesh, u: np.ndarray) -> np.ndarray:
     """Mean (n, 3) of u (n, 3) over the six neighbours of each node; past the rim a node stands for its own."""
-    grid = np.pad(u.reshape(*mesh.grid, 3), ((1, 1), (1, 1), (1, 1), (0, 0)), "edge")
+    grid = np.pad(u.reshape(mesh.layers + 1, len(mesh.ys), len(mesh.xs), 3), ((1, 1), (1, 1), (1, 1), (0, 0)), "edge")
     inner = slice(1, -1)
     sides = [
         grid[:-2, inner, inner], grid[2:, inner, inner], grid[inner, :-2, inner],
@@ -106,14 +106,14 @@ def _mean_of_neighbours(mesh: HexMesh, u: np.ndarray) -> np.ndarray:
 
 def surface_motion(coarse: HexMesh, u: np.ndarray, xy: np.ndarray) -> np.ndarray:
     """Displacement (p, 3) of points of the top surface, by their undeformed places xy (p, 2)."""
-    top = u.reshape(*coarse.grid, 3)[-1]
+    top = u.reshape(coarse.layers + 1, len(coarse.ys), len(coarse.xs), 3)[-1]
     (wx, ix), (wy, iy) = line_weights(coarse.xs, xy[:, 0]), line_weights(coarse.ys, xy[:, 1])
     return np.einsum("pa,pb,pabi->pi", wy, wx, top[iy[:, :, None], ix[:, None, :]])
 
 
 def volume_motion(coarse: HexMesh, u: np.ndarray, points: np.ndarray, gel: Gel) -> np.ndarray:
     """Displacement (p, 3) of points of the gel by their undeformed places (p, 3), trilinear in x, y and relative height."""
-    grid = u.reshape(*coarse.grid, 3)
+    grid = u.reshape(coarse.layers + 1, len(coarse.ys), len(coarse.xs), 3)
     height = (points[:, 2] + gel.height) / (gel.top(points[:, 0], points[:, 1]) + gel.height)
     lines = (coarse.heights, height), (coarse.ys, points[:, 1]), (coarse.xs, points[:, 0])
     (wz, iz), (wy, iy), (wx, ix) = (line_weights(line, at) for line, at in lines)
