@@ -31,6 +31,7 @@ LEAST_N = 0.15  # of a constant force or a drift: smaller ones are usual, and ch
 SURE = 4.0  # standard errors from which on something is no chance
 SURE_OF_FEW = 3.5  # the same for a dozen readings of a scale
 SPREAD = 0.1, 0.2  # of a predicted force: as a fraction, and in N
+ALONE = 1e-9  # of a term of a fit that the others must leave, or it cannot be told apart from them
 TAKEN_OVER = 0.6  # sideways over normal force where most contacts slip
 TURNED_DEG = 20.0  # by which sideways forces may be turned against the path, by curved gels and slopes of bodies
 FOLLOWS = 0.6  # fraction of the variance of sideways forces that a cause must explain to be named
@@ -314,22 +315,30 @@ def _moved(log: LogForces, label: np.ndarray, felt: np.ndarray) -> str | None:
         if used.sum() < ENOUGH:
             continue
         weight = (1.0 / np.hypot(SPREAD[0] * np.abs(label[felt]).max(axis=1), SPREAD[1]))[used]
-        for found, columns in (
-            (drifts, np.column_stack([terms, ones, order])),
-            (constants, np.column_stack([terms, order, ones])),
-        ):
-            value, sure = _last_term(columns[used], values[used], weight)
-            found[axis] = value, value / sure if sure else np.inf
+        found, errors, _ = _fitted(np.column_stack([terms, ones, order])[used], values[used], weight)
+        constants[axis], drifts[axis] = zip(found[-2:].tolist(), errors[-2:].tolist(), strict=True)
     for axis, (per_press, error) in drifts.items():
-        if abs(per_press) > SURE * abs(error) and abs(per_press) * np.ptp(felt) > 2 * LEAST_N:
+        if abs(per_press) > SURE * error and abs(per_press) * np.ptp(felt) > 2 * LEAST_N:
             return _drifts(axis, per_press, np.ptp(felt))
-    return constant({axis: (value, abs(error)) for axis, (value, error) in sorted(constants.items())})
+    return constant(dict(sorted(constants.items())))
 
 
-def _fitted(terms: np.ndarray, values: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, float]:
-    """Coefficients of `terms` (n, k) by weighted least squares, and the weighted sum of squares that is left."""
-    found, *_ = np.linalg.lstsq(terms * weight[:, None], values * weight, rcond=None)
-    return found, float(np.sum((weight * (values - terms @ found)) ** 2))
+def _fitted(terms: np.ndarray, values: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
+    """Weighted least squares: coefficients (k,) of `terms` (n, k), their standard errors (k,), and the weighted sum of squares left.
+
+    The error of a term that the others make up is infinite.
+    """
+    weighted = terms * weight[:, None]
+    found, *_ = np.linalg.lstsq(weighted, values * weight, rcond=None)
+    left = float(np.sum((weight * (values - terms @ found)) ** 2))
+    scatter = np.sqrt(max(left / (len(values) - terms.shape[1]), 0.25))
+    errors = np.full(len(found), np.inf)
+    for k, own in enumerate(weighted.T):
+        others = np.delete(weighted, k, axis=1)
+        apart = np.linalg.norm(own - others @ np.linalg.lstsq(others, own, rcond=None)[0])
+        if apart > ALONE * np.linalg.norm(own):
+            errors[k] = scatter / apart
+    return found, errors, left
 
 
 def _one_indenter(log: LogForces, label: np.ndarray, felt: np.ndarray, names: np.ndarray) -> str | None:
@@ -342,11 +351,11 @@ def _one_indenter(log: LogForces, label: np.ndarray, felt: np.ndarray, names: np
         if own.sum() < OF_ONE or len(set(names[~own])) < 2 or (~own).sum() < FEWEST:
             continue
         columns = np.column_stack([terms, np.where(own, terms[:, 0], 0.0)])
-        found, left[name] = _fitted(columns, measured, weight)
+        found, _, left[name] = _fitted(columns, measured, weight)
         ratios[name] = float(np.median((columns @ found)[own] / (terms @ found[:-1])[own]))
     worst = min(left, key=lambda name: left[name], default="")
     by_power = np.column_stack([terms, terms[:, 0] * np.log(terms[:, 0])])
-    if not worst or _fitted(by_power, measured, weight)[1] < left[worst]:
+    if not worst or _fitted(by_power, measured, weight)[2] < left[worst]:
         return None  # rather the gel is of another thickness
     if 1.0 / OTHER_FORCE < ratios[worst] < OTHER_FORCE:
         return None
@@ -367,10 +376,9 @@ def _other_thickness(log: LogForces, label: np.ndarray, felt: np.ndarray) -> str
     normal, depth, measured = -label[felt, 2], log.depth[felt], log.normal[felt]
     weight = 1.0 / np.hypot(SPREAD[0] * normal, SPREAD[1])
     terms = np.column_stack([_bench(normal, depth), normal * np.log(normal)])
-    _, sure = _last_term(terms, measured, weight)
-    found, _ = _fitted(terms, measured, weight)
+    found, errors, _ = _fitted(terms, measured, weight)
     power = float(found[-1] / found[0])
-    if abs(power) < OTHER_POWER or abs(sure) < SURE_OF_THICKNESS:
+    if abs(power) < OTHER_POWER or abs(found[-1]) < SURE_OF_THICKNESS * errors[-1]:
         return None
     ratio = np.quantile(normal, [0.9, 0.1])
     by = float(np.exp(power * np.log(ratio[0] / ratio[1])))
@@ -398,24 +406,16 @@ def of_readings(measured: np.ndarray, predicted: np.ndarray) -> list[str]:
     weight = 1.0 / np.hypot(SPREAD[0] * predicted, SPREAD[1])
     order = np.arange(len(measured)) - (len(measured) - 1) / 2
     proportional = np.column_stack([predicted, np.ones(len(order))])
-    drift, at_drift = _last_term(np.column_stack([proportional, order]), measured, weight)
-    if abs(at_drift) > SURE_OF_FEW and abs(drift) * len(order) > 4 * LEAST_N:
+    found, errors, _ = _fitted(np.column_stack([proportional, order]), measured, weight)
+    drift = float(found[-1])
+    if abs(drift) > SURE_OF_FEW * errors[-1] and abs(drift) * len(order) > 4 * LEAST_N:
         return [f"Readings drift by {drift:+.2f} N a press; tare the scale or sensor more often."]
-    offset, at_offset = _last_term(proportional, measured, weight)
-    if abs(at_offset) > SURE_OF_FEW and abs(offset) > 2 * LEAST_N:
+    found, errors, _ = _fitted(proportional, measured, weight)
+    offset = float(found[-1])
+    if abs(offset) > SURE_OF_FEW * errors[-1] and abs(offset) > 2 * LEAST_N:
         way = "falls" if offset > 0 else "rises"
         return [
             f"Readings are {offset:+.1f} N beyond what is in proportion to the forces that the network reads, so that their ratio"
             f" {way} with force: tare the scale or sensor before each press."
         ]
     return []
-
-
-def _last_term(terms: np.ndarray, values: np.ndarray, weight: np.ndarray) -> tuple[float, float]:
-    """Coefficient of the last of `terms` (n, k) by weighted least squares, and how many standard errors it is."""
-    weighted = terms * weight[:, None]
-    found, *_ = np.linalg.lstsq(weighted, values * weight, rcond=None)
-    left = values * weight - weighted @ found
-    scatter = max(left @ left / (len(values) - terms.shape[1]), 0.25)
-    error = np.sqrt(scatter * np.linalg.inv(weighted.T @ weighted)[-1, -1])
-    return float(found[-1]), float(found[-1] / error)

@@ -190,6 +190,19 @@ def test_labels_need_readings_and_enough_presses():
     assert of_labels(log_of(with_force(few, few.force - [0.0, 0.0, 1.5])), label[:5], names[:5]) == []
 
 
+def test_presses_of_one_depth_or_one_force_stop_nothing():
+    """Depth of touch and compliance then follow from stiffness, and a constant force from either: no fit tells them apart."""
+    rng, one, still = np.random.default_rng(0), np.full(16, 0.8), np.zeros((16, 2))
+    for depth, normal in (
+        (one, rng.uniform(2.0, 9.0, 16)),
+        (one, np.full(16, 5.0)),
+        (rng.uniform(0.3, 1.2, 16), np.full(16, 5.0)),
+    ):
+        label = np.column_stack([still, -normal])
+        read = LogForces(still, depth, np.zeros(16), 1.02 * label + 0.05 * rng.standard_normal((16, 3)))
+        assert of_labels(read, label, ["ball"] * 16) == []
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("seed", range(3))
 def test_a_calibration_of_a_clean_session_says_nothing(seed):
