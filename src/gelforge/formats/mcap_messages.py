@@ -34,9 +34,8 @@ def messages(path: Path, topics: Collection[str], notes: list[str] | None = None
             raise BadInput(
                 f"{path}: is compressed as a whole; decompress it with `zstd -d {path} -o {whole}` and import what that makes"
             )
+        stream.seek(0)
         try:
-            _check_attachments(stream)
-            stream.seek(0)
             yield from _decoded(path, stream, topics, notes)
         except (BadInput, ModuleNotFoundError):
             raise
@@ -67,6 +66,7 @@ def _decoded(
                 raise ValueError(f"{count} messages are there of {record.message_count}")
             elif isinstance(record, of.Footer):
                 _check_summary(stream, record)
+                _check_attachments(stream)
             elif isinstance(record, of.Message):
                 count += 1
                 unchecked |= not checked
@@ -88,11 +88,12 @@ def _decoded(
 
 def _check_attachments(stream: IO[bytes]) -> None:
     """ValueError where an attachment is not that of its checksum, its last four bytes; 0 is none."""
+    place = stream.tell()
     stream.seek(len(MCAP))
     while len(head := stream.read(9)) == 9:
         kind, size = struct.unpack("<BQ", head)
         if kind == DATA_END:
-            return
+            break
         if kind != ATTACHMENT:
             stream.seek(size, 1)
             continue
@@ -100,6 +101,7 @@ def _check_attachments(stream: IO[bytes]) -> None:
         checksum = int.from_bytes(body[-4:], "little")
         if checksum and zlib.crc32(body[:-4]) != checksum:
             raise ValueError("an attachment is not that of its checksum")
+    stream.seek(place)
 
 
 def _check_summary(stream: IO[bytes], footer: Any) -> None:

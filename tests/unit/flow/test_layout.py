@@ -51,7 +51,7 @@ def test_a_sample_is_found_in_the_planned_shards_alone(tmp_path):
 
 def test_a_results_folder_on_the_way_to_another_is_not_taken_for_it():
     for path, folder in (
-        ("/home/results/me/results/demo/10_poses/0000.csv", "/home/results/me/results/demo"),
+        ("/srv/results/me/results/demo/10_poses/0000.csv", "/srv/results/me/results/demo"),
         ("results/results/10_poses/0000.csv", "results/results"),
         ("results/demo/logs/results/x.log", "results/demo"),
         ("results/demo/own/x", "results/demo"),
