@@ -64,17 +64,21 @@ def predictions(chain, posterior) -> tuple[np.ndarray, np.ndarray]:
 def own_forces(chain, posterior) -> np.ndarray:
     """Posterior predictive mean at these very presses, (n, 3) N: what their sensor would read if read again.
 
-    Each press keeps its own error of touch, a latent variable of the model with deviation `scatter`, which the
-    likelihood has integrated out. Given the reading of its normal force, which is thus used twice, the mean of that
-    error follows from the linear slope; it is the same for normal errors and for Student's t.
+    Each press keeps what is its own: an error of touch with deviation `scatter`, and the emulator's error. The likelihood has
+    integrated both out; all but the sensor's noise stays when a press is read again. Given the reading of its normal
+    force, which is thus used twice, their mean follows from the linear slope; it is the same for normal errors and
+    for Student's t. Sideways only the error of touch is carried over.
     """
     coordinates = chain.flat(DRAWS)
     values = posterior.model.values(coordinates)
     forces, slopes, _ = posterior.emulator.forces(posterior.depth, values)
-    tare = tare_of(values)[:, None]
-    slope, residual = slopes[:, :, 2], posterior.observed[:, 2] - (forces + tare)[:, :, 2]
-    error = values["scatter"][:, None] ** 2 * slope * residual / posterior.scale(forces, slopes, values)[:, :, 2] ** 2
-    return (forces + tare + slopes * error[:, :, None]).mean(axis=0)
+    own = forces + tare_of(values)[:, None]
+    slope, residual = slopes[:, :, 2], posterior.observed[:, 2] - own[:, :, 2]
+    explained = residual / posterior.scale(forces, slopes, values)[:, :, 2] ** 2  # by a unit of variance
+    noise, scatter = (values[name][:, None] ** 2 for name in ("noise", "scatter"))
+    own[:, :, :2] += slopes[:, :, :2] * (scatter * slope * explained)[:, :, None]
+    own[:, :, 2] += residual - noise * explained
+    return own.mean(axis=0)
 
 
 def predictive_error(mean, observed) -> dict:
@@ -174,7 +178,7 @@ def predictive_sentence(repeated: dict, own: dict) -> str:
     """How far the normal force is off, in both senses of a predictive mean."""
     return (
         f"The predictive mean of the normal force has an error of {repeated['fz']:.3f} N on average for a press repeated, "
-        f"by {own['fz']:.3f} N at these very presses, each with its own error of touch."
+        f"by {own['fz']:.3f} N at these very presses, each with its own errors of touch and emulator."
     )
 
 

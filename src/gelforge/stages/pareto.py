@@ -228,7 +228,7 @@ def _brief(record: dict) -> dict:
 
 
 @dataclass(frozen=True)
-class AskedPoint:
+class ChartedScene:
     """What a solve of the chart reads: its stage's parameters, its scene by name, and where its meshes lie."""
 
     params: ForPareto
@@ -236,12 +236,12 @@ class AskedPoint:
     bench: ChartBench
 
 
-def asked(args: Namespace, meshes: Path) -> AskedPoint:
+def asked(args: Namespace, meshes: Path) -> ChartedScene:
     """The scene that a command line names."""
     of = args.of
     params = read_parameters(of.parameters("pareto"), ForPareto)
     bench = load_bench(params, load_sensors(of.parameters("sensors")), meshes, args.out.parent, of.references)
-    return AskedPoint(params, planned_scene(of, args.name, params), bench)
+    return ChartedScene(params, planned_scene(of, args.name, params), bench)
 
 
 def planned_scene(of: Layout, name: str, params: ForPareto) -> NamedScene:

@@ -122,7 +122,7 @@ def calibration_section(results: Path) -> Section:
         section.table(*compared_laws(summary["laws"]), folded="Interface laws compared").text(
             "Interface laws by their predictive score (expected log density of a reading left out): how far behind the "
             "best, with its standard error. Last, the mean error of normal force when the presses are repeated, and at "
-            "these presses, each with its own error of touch."
+            "these presses, each with its own errors of touch and emulator."
         )
     for press in summary.get("outliers", []):
         section.text(

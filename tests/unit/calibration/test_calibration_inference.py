@@ -195,9 +195,9 @@ def test_own_touch_explains_a_press_off_in_depth():
 @pytest.mark.slow
 def test_laws_are_compared_by_what_they_predict_of_readings_left_out():
     """Without sideways forces no law is ruled out; a law whose forces are a tenth off at one indenter is."""
-    posterior = law_posterior(np.random.default_rng(7), np.tile(DEPTH, 2), stiffness=[4.0] * 10 + [20.0] * 10)
+    posterior = law_posterior(np.random.default_rng(7), np.tile(DEPTH, 4), stiffness=[4.0] * 20 + [20.0] * 20)
     chain = sample(posterior, RULES)
-    table = posterior.emulator.table * np.where(np.arange(20) < 10, 1.0, 1.1)[:, None, None, None]
+    table = posterior.emulator.table * np.where(np.arange(40) < 20, 1.0, 1.1)[:, None, None, None]
     wrong = replace(posterior, emulator=replace(posterior.emulator, table=table))
     entries = summary.compare([(wrong, sample(wrong, RULES)), (posterior, chain), (posterior, chain)])
     assert [entry["indistinguishable"] for entry in entries] == [True, True, False]
