@@ -271,7 +271,9 @@ def node_lost(project: Path, lab: Cluster) -> None:
     fault(project, "poses-0", ONCE_FOR_EVER)
     process = start_make(project, lab, "poses")
     wait_until(lambda: runs(project)[0] == (1, 0))
-    wait_until(lambda: len(lab.ask("squeue", "-h", "-r").splitlines()) == 1)  # a task whose end Slurm missed runs again
+    wait_until(
+        lambda: len(lab.ask("squeue", "-h", "-r").splitlines()) == 1
+    )  # a task whose end Slurm missed runs again
     lab.do("lose")
     wait_until(lambda: "down" in lab.ask("sinfo", "-h", "-o", "%T"))  # Slurm itself must see that the node is gone
     lab.do("start", "slurmd")

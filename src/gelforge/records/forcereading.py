@@ -29,7 +29,7 @@ class ForceReading:
     empty for nothing. edge_peak: largest normal force of a cell at the edge of what the picture shows, over the largest of
     all; above 0.2 the contact is cropped by the image and the total is too low. NaN where the map has fewer than three rows or
     columns. ood_score: how unlike the training images it is, about 1 for one like them. image: (h, w, 3) uint8 RGB below the
-    cells. vanished: number of markers that the no-contact image has and this one has not; both are compared without them.
+    cells. vanished: number of markers that only the image or only the no-contact image shows; both are compared without them.
     """
 
     cells: np.ndarray

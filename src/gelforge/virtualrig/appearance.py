@@ -39,7 +39,8 @@ class Drift:
     gain: relative, and offset: grey levels, of each colour; field: relative change towards the image's sides. relit: fraction
     of the pictures that are taken under another fall of light besides; their relative change from the image's middle to
     its sides, of all colours (gradient) and of each (colour_gradient), and how much darker corners become (vignette).
-    refocus: px of blur that a picture has beyond the unit's.
+    refocus: px of blur that a picture has beyond the unit's. worn: fraction of the pictures in which further markers are worn
+    off; how many (worn_markers), and how much of their ink is left (worn_ink).
     """
 
     gain: tuple[float, float]
@@ -50,6 +51,9 @@ class Drift:
     colour_gradient: tuple[float, float] = (0.0, 0.0)
     vignette: tuple[float, float] = (0.0, 0.0)
     refocus: tuple[float, float] = (0.0, 0.0)
+    worn: float = 0.0
+    worn_markers: tuple[float, float] = (0, 0)
+    worn_ink: tuple[float, float] = (0.0, 0.0)
 
 
 @dataclass(frozen=True)

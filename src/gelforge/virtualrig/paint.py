@@ -36,6 +36,17 @@ def sample_position(pixel: np.ndarray) -> np.ndarray:
     return (pixel + MARGIN) * SUPER - 0.5
 
 
+def wear_off(paint: np.ndarray, centre: np.ndarray, diameter: float, left: float) -> None:
+    """Leave a share of a marker's ink in a print (h, w, 3), its shadow included; centre (2,) and diameter in px."""
+    reach = int(2 * diameter * SUPER)
+    column, row = np.rint(sample_position(np.asarray(centre))).astype(int).tolist()
+    top, first = max(row - reach, 0), max(column - reach, 0)
+    window = paint[top : row + reach + 1, first : column + reach + 1]
+    v, u = np.ogrid[top : top + window.shape[0], first : first + window.shape[1]]
+    off = np.clip(2.0 - np.hypot(u - column, v - row) / (0.6 * diameter * SUPER), 0.0, 1.0)[..., None]
+    window += ((1.0 - left) * off * (1.0 - window)).astype(np.float32)
+
+
 def _print_marker(cover, fleck, centre, appearance: Appearance, rng: np.random.Generator) -> None:
     reach = int(appearance.diameter * SUPER)
     middle = sample_position(np.asarray(centre))

@@ -11,7 +11,7 @@ from gelforge.records.image import as_jpeg
 from gelforge.records.press import Press
 from gelforge.virtualrig.appearance import HEIGHT, WIDTH, Appearance, Drift, normalised_pixels
 from gelforge.virtualrig.fields import FAR, STEP, Field, RoughBody, body_position, unloaded
-from gelforge.virtualrig.paint import MARGIN, printed, sample_position
+from gelforge.virtualrig.paint import MARGIN, printed, sample_position, wear_off
 
 TOUCH = 0.05  # mm between the computed surface and the body within which the picture lays one on the other
 RIPPLE_MM = 0.2
@@ -60,8 +60,9 @@ class Renderer:
             source_u, source_v, _ = self._trace(field.scaled(self.appearance.normal_motion))
         if pressed is not None:
             height = self._against(height, pressed)
+        drift = self.appearance.drift
         ink = cv2.remap(
-            self.paint,
+            self.paint if drift is None or rng is None else worn(self.paint, self.appearance, drift, rng),
             sample_position(source_u),
             sample_position(source_v),
             cv2.INTER_LINEAR,
@@ -73,8 +74,8 @@ class Renderer:
             sunk = float(np.maximum(self.inner_top - height, 0.0).mean())
             picture *= (1.0 + self.appearance.shade * sunk).astype(np.float32)
         if rng is not None:
-            if self.appearance.drift is not None:
-                picture = drifted(picture, self.appearance.drift, rng)
+            if drift is not None:
+                picture = drifted(picture, drift, rng)
             picture += self._noise(rng)
         taken = np.clip(np.rint(picture, out=picture), 0, 255, out=picture).astype(np.uint8)
         return as_jpeg(taken, self.appearance.jpeg) if self.appearance.jpeg else taken
@@ -163,6 +164,18 @@ class Renderer:
             noise = cv2.GaussianBlur(noise, (0, 0), sigma)
             noise = noise * np.float32(1.0 / _blur_gain(sigma))
         return noise * self.appearance.noise.astype(np.float32)
+
+
+def worn(paint: np.ndarray, appearance: Appearance, drift: Drift, rng: np.random.Generator) -> np.ndarray:
+    """Print as `printed` has it, or, in a part of the pictures, with some markers worn off."""
+    if rng.random() >= drift.worn:
+        return paint
+    least, most = map(int, drift.worn_markers)
+    count = rng.integers(least, most, endpoint=True)
+    left = paint.copy()
+    for centre in rng.permutation(appearance.markers)[:count]:
+        wear_off(left, centre, appearance.diameter, rng.uniform(*drift.worn_ink))
+    return left
 
 
 def drifted(picture: np.ndarray, drift: Drift, rng: np.random.Generator) -> np.ndarray:

@@ -26,7 +26,7 @@ class UnitRanges(ParameterTable):
     of workflow/rig/sensors.toml. backgrounds: appearances whose light is mixed. pitch_mm: distance of the markers on the gel.
     contrast: of all colours together, drawn evenly in its logarithm; colour_contrast: of each besides.
     jpeg_fraction: of the units whose camera compresses, with jpeg_quality. relit_fraction: of the pictures under another fall
-    of light.
+    of light. worn_fraction: of the pictures in which further markers are worn off.
     """
 
     example = "workflow/rig/units.toml"
@@ -71,6 +71,9 @@ class UnitRanges(ParameterTable):
     relit_colour_gradient: Span[Annotated[Number, Within(-0.9, 0.9)]]
     relit_vignette: Span[Annotated[Number, Within(-0.9, 0.9)]]
     refocus_px: Span[Annotated[Number, Within(0, 100, "px")]]
+    worn_fraction: Annotated[Number, Within(0, 1)]
+    worn_markers: Span[Annotated[Number, Within(0, ROWS * COLS - 1)]]
+    worn_ink: Span[Annotated[Number, Within(0, 1)]]
     normal_motion: Span[Annotated[Number, Within(0, 2)]]
     shade_per_mm: Span[Annotated[Number, Within(-10, 10, "1/mm")]]
     jpeg_fraction: Annotated[Number, Within(0, 1)]
@@ -182,6 +185,9 @@ class Draw:
                     for part in ("gradient", "colour_gradient", "vignette")
                 },
                 refocus=self.ranges.refocus_px,
+                worn=self.ranges.worn_fraction,
+                worn_markers=self.ranges.worn_markers,
+                worn_ink=self.ranges.worn_ink,
             ),
             shade=self.of("shade_per_mm", 3),
             jpeg=self.whole("jpeg_quality") if self.rng.random() < self.ranges.jpeg_fraction else 0,

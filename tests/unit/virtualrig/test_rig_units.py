@@ -13,7 +13,7 @@ from gelforge.flow.params.schema import kinds_of, split
 from gelforge.geometry.gel import USUAL_GEL, Gel
 from gelforge.labelling.sensor import check_projection, sensors_of
 from gelforge.networks.preprocess.illumination import match_light
-from gelforge.records.markers import find_markers
+from gelforge.records.markers import find_markers, markers_in
 from gelforge.virtualrig.appearance import read_appearances
 from gelforge.virtualrig.render import Renderer
 from gelforge.virtualrig.rigplan import DrawnUnits, orders, read_plan
@@ -58,7 +58,8 @@ def test_markers_are_found_where_the_sensor_has_them(drawn):
     for name, appearance in appearances.items():
         sensor = sensors[name]
         check_projection(sensor.projection, name)
-        picture = Renderer(appearance, sensor.projection, Gel()).image(rng=np.random.default_rng(1))
+        unworn = replace(appearance, drift=replace(appearance.drift, worn=0.0))
+        picture = Renderer(unworn, sensor.projection, Gel()).image(rng=np.random.default_rng(1))
         found = find_markers(picture, sensor.markers["rows"], sensor.markers["cols"], name)
         whole = {tuple(index) for index in found.index.tolist()}
         assert found.count >= 0.85 * len(appearance.markers) and len(whole) == found.count
@@ -69,7 +70,7 @@ def test_markers_are_found_where_the_sensor_has_them(drawn):
 def test_only_drawn_units_differ_in_light_from_picture_to_picture(drawn):
     appearances, sensors = drawn
     name = SOME.names[0]
-    steady = replace(appearances[name].drift, relit=0.0, refocus=(0.0, 0.0))
+    steady = replace(appearances[name].drift, relit=0.0, refocus=(0.0, 0.0), worn=0.0)
     calm = replace(appearances[name], noise=np.zeros(3), jpeg=0, drift=steady)
     camera = Renderer(calm, sensors[name].projection, Gel())
     one, other = (camera.image(rng=np.random.default_rng(k)) for k in (1, 2))
@@ -87,6 +88,19 @@ def test_only_drawn_units_differ_in_light_from_picture_to_picture(drawn):
     still = Renderer(replace(calm, drift=None), sensors[name].projection, Gel())
     assert np.array_equal(*(still.image(rng=np.random.default_rng(k)) for k in (1, 2)))
     assert all(appearance.drift is None for appearance in read_appearances(RIG / "sensors.toml").values())
+
+
+def test_worn_pictures_show_fewer_markers(drawn):
+    appearances, sensors = drawn
+    name = SOME.names[0]
+    counts = []
+    for count in (0, 6):
+        drift = replace(
+            appearances[name].drift, relit=0.0, worn=1.0, worn_markers=(count, count), worn_ink=(0.0, 0.0)
+        )
+        camera = Renderer(replace(appearances[name], drift=drift), sensors[name].projection, Gel())
+        counts.append(len(markers_in(camera.image(rng=np.random.default_rng(3))).points))
+    assert counts[0] - counts[1] == 6
 
 
 def test_sensors_of_a_dataset_are_read_as_they_were_drawn(drawn, tmp_path):

@@ -152,10 +152,10 @@ class Predictor:
 
 
 def wear_fault(seen: Prepared) -> str:
-    """What is wrong with a gel that lost more markers than a prediction without them allows; empty where it did not."""
+    """What is wrong with a pair that differs by more markers than a prediction without them allows; empty where it does not."""
     if seen.vanished <= MOST_VANISHED:
         return ""
-    return f"{seen.vanished} markers vanished since the no-contact image: take a new one, or change the gel"
+    return f"{seen.vanished} markers are in the image or in the no-contact image alone: take a new one, or change the gel"
 
 
 def light_fault(seen: Prepared) -> str:

@@ -74,6 +74,21 @@ class MarkerTracker:
         self.on_grid = self.at[:, 0] >= 0
         self.known = int(self.on_grid.sum()) >= LEAST_FOR_PITCH
 
+    @functools.cached_property
+    def empty(self) -> np.ndarray:
+        """Places of the lattice where the no-contact image shows no marker, (m, 2) px, between its outermost rows and columns."""
+        index, used = self.printed.lattice if self.known else (np.zeros((0, 2), int), np.zeros(0, int))
+        if not len(used):
+            return np.zeros((0, 2))
+        low, high = index.min(axis=0), index.max(axis=0)
+        grid = np.stack(np.meshgrid(*(np.arange(a, b + 1) for a, b in zip(low, high, strict=True))), -1).reshape(
+            -1, 2
+        )
+        bare = grid[~(grid[:, None] == index[None]).all(axis=2).any(axis=1)]
+        # outer markers stand wider apart, so places are cubic in row and column
+        fit, *_ = np.linalg.lstsq(_cubic(index, low, high), self.points[used], rcond=None)
+        return np.asarray(_cubic(bare, low, high) @ fit)
+
     def track(self, image: np.ndarray) -> Tracks:
         """The markers in an image (h, w, 3) uint8 in light and size like the no-contact image."""
         import cv2
@@ -111,6 +126,12 @@ class MarkerTracker:
         rows, cols = self.at[kept].T
         found[:2, rows, cols], found[2, rows, cols] = tracks.motion[kept].T, 1.0
         return found
+
+
+def _cubic(index: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Terms (n, 6) of row and column (n, 2): 1, both, their product and their cubes, from -1 to 1 between two ends (2,)."""
+    row, col = (2.0 * (index - low) / np.maximum(high - low, 1) - 1.0).T
+    return np.stack([np.ones_like(row), row, col, row * col, row**3, col**3], axis=1)
 
 
 def _follow(

@@ -21,7 +21,7 @@ from gelforge.networks.models.inputs import needs_nocontact
 from gelforge.networks.preprocess.illumination import Light, Reference
 from gelforge.networks.preprocess.imageframe import ImageFrame, image_frame
 from gelforge.networks.preprocess.markertracks import MarkerTracker, Tracks, rim_shift, shifted_back
-from gelforge.networks.preprocess.wear import darkness_of, grey_of, painted_over, places_in, vanished
+from gelforge.networks.preprocess.wear import appeared, darkness_of, grey_of, painted_over, places_in, vanished
 
 INPUTS = ("image", "nocontact")  # what the inputs of a graph may be named
 MOST_WORN = 8  # no-contact images without vanished markers that are kept
@@ -71,7 +71,7 @@ class Prepared:
 
     image: (h, w, 3) uint8 in the model's frame, registered; lit: under the light of the no-contact image, too, from which its
     own differed by `light`. fault: what is wrong with its shape. nocontact and light are None beside a model of one picture. vanished:
-    number of markers that were in the no-contact image and are not in this one; they are painted over in `lit` and in `nocontact`.
+    number of markers that only the image or only the no-contact image shows; they are painted over in `lit` and in `nocontact`.
     """
 
     image: np.ndarray
@@ -142,17 +142,19 @@ class Preprocessor:
 
     @staticmethod
     def _without_worn(prepared: Prepared, nocontact: NoContact) -> Prepared:
-        """The same without the markers that vanished since the no-contact image, in both images."""
+        """The same without the markers that only one of the two images shows."""
         tracks, markers = prepared.tracks, nocontact.markers
-        if not tracks.unlike.any():
+        if not tracks.unlike.any() and not len(markers.empty):
             return prepared
         gone = vanished(markers, nocontact.darkness, tracks, prepared.darkness)
-        if not gone.any():
+        more = appeared(markers, nocontact.darkness, tracks, prepared.darkness)
+        if not gone.any() and not len(more):
             return prepared
-        worn = nocontact.without(gone)
-        image = painted_over(prepared.image, places_in(tracks, markers)[gone], markers.diameter)
+        worn = nocontact.without(gone) if gone.any() else nocontact
+        places = np.concatenate([places_in(tracks, markers)[gone], more])
+        image = painted_over(prepared.image, places, markers.diameter)
         lit, light = worn.reference.normalised(image)
-        return Prepared(prepared.image, lit, prepared.fault, light, worn, int(gone.sum()))
+        return Prepared(prepared.image, lit, prepared.fault, light, worn, len(places))
 
     @staticmethod
     def _beside(nocontact: NoContact, image: np.ndarray, fault: str) -> Prepared:

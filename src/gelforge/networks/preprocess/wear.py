@@ -1,4 +1,4 @@
-"""Markers that vanished since the no-contact image: found by their darkness, and painted over in both images.
+"""Markers that are missing in the image or in the no-contact image alone: found by their darkness, and painted over in the other.
 
 A network takes a marker that is missing in one image alone for a large motion or a bright contact: one of 63 changes a force by a
 tenth, eight double it. Missing in both, it changes nothing.
@@ -14,6 +14,7 @@ PRINTED = 15  # levels by which a marker is darker than what surrounds it
 LEFT = (
     0.35  # of that darkness: below, the marker is gone. Of 1638 markers of real presses of a ball the least has 0.65
 )
+APPEARED = 0.6  # of the darkness of the other markers: a place without a marker that is darker now has got one
 SEEN_WITHIN = (2, 4)  # px at half size around a marker's place: in the no-contact image, and where it is followed to
 WIDER = 0.75  # of a marker's diameter: radius of what is painted
 
@@ -55,6 +56,25 @@ def vanished(markers: MarkerTracker, before: np.ndarray, tracks: Tracks, now: np
         left = _darkest(now, there[at], SEEN_WITHIN[1])
         gone[at] = printed >= PRINTED and 0 <= left < LEFT * printed
     return gone
+
+
+def appeared(markers: MarkerTracker, before: np.ndarray, tracks: Tracks, now: np.ndarray) -> np.ndarray:
+    """Where another image shows markers at places of the lattice that are empty in the no-contact image, (k, 2) px.
+
+    before, now: `darkness_of` both images. Such a marker was hidden or worn in the no-contact image.
+    """
+    places = markers.empty
+    if not len(places) or not tracks.found.any():
+        return np.zeros((0, 2))
+    printed = np.median([_darkest(before, point, SEEN_WITHIN[0]) for point in markers.points])
+    shown = []
+    for place in places:
+        near = np.argsort(np.hypot(*(markers.points - place).T) + np.where(tracks.found, 0.0, np.inf))[:4]
+        there = place + np.median(tracks.motion[near], axis=0)
+        seen = _darkest(now, there, SEEN_WITHIN[1])
+        if seen >= max(PRINTED, APPEARED * printed) and _darkest(before, place, SEEN_WITHIN[0]) < LEFT * seen:
+            shown.append(there)
+    return np.array(shown).reshape(-1, 2)
 
 
 def _darkest(dark: np.ndarray, point: np.ndarray, reach: int) -> int:
