@@ -112,9 +112,9 @@ def test_a_press_that_bends_hexahedra_nearly_flat_takes_the_short_way(name, pres
 
 
 def test_a_deep_press_is_what_its_whole_path_gives(root):
-    plain = replace(QUALITIES["draft"], nested=replace(QUALITIES["draft"].nested, extrapolation=0.0))
+    plain = replace(QUALITIES["label"], nested=replace(QUALITIES["label"].nested, extrapolation=0.0))
     short = solve_hex(deep_press("triangle_8", root), plain)
-    whole = solve_hex(deep_press("triangle_8", root), replace(plain, nested=None, press_steps=10, shear_steps=4))
+    whole = solve_hex(deep_press("triangle_8", root), replace(plain, nested=None, press_steps=6))
     assert np.linalg.norm(short.total - whole.total) < 0.005 * np.linalg.norm(whole.total)
 
 

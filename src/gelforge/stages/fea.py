@@ -36,7 +36,7 @@ from gelforge.records.solvetable import Solved, corrupt, read_meshes, read_recor
 from gelforge.records.status import Status
 from gelforge.sweeps import verification
 
-VERSION = 12
+VERSION = 13
 
 
 def scene_of(press: PosedPress, bodies: dict, sensors: dict, params: ForFea) -> Scene:
