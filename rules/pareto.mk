@@ -42,7 +42,7 @@ fea-challenge: $(CHALLENGE)  ## write the scenes as an open benchmark for simula
 
 $(CHALLENGE): \
     $(addprefix workflow/,scenes.toml indenters.toml sensors.toml params.toml) $(KEPT) $(CHALLENGE_CODE) \
-    $(wildcard $(SHAPES) $(REFERENCES)/*.csv src/gelforge/sweeps/fea_challenge/*) | $(SETUP)
+    $(REFERENCES)/exact.json $(wildcard $(SHAPES) $(REFERENCES)/*.csv src/gelforge/sweeps/fea_challenge/*) | $(SETUP)
 	@$(PY) -m gelforge.stages.challenge write $(@D)
 
 fea-references: $(PARETO_FILES)  ## make the references of fea-challenge again from the large chart (hours)

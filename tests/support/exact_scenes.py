@@ -122,6 +122,12 @@ def key(path: Series) -> dict:
     return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(path).items()}
 
 
+def body_of(path: Series) -> dict:
+    """The body in numbers: all places within a radius of a chain of lines of (r, z), its tip at z = 0."""
+    core = [[float(f"{value:.6g}") for value in point] for point in path.body.core]
+    return {"core_mm": core, "radius_mm": path.body.radius}
+
+
 @command(
     option("--out", type=Path, default=KEPT),
     option("--processes", type=int, default=1),
@@ -133,7 +139,7 @@ def main(args: Namespace) -> None:
     left = [path for path in SERIES if kept.get(path.name, {}).get("path") != key(path) | {"name": path.name}]
     with ProcessPoolExecutor(args.processes) as pool:
         for path, records in zip(left, pool.map(solved, left), strict=True):
-            kept[path.name] = {"path": key(path) | {"name": path.name}, "presses": records}
+            kept[path.name] = {"path": key(path) | {"name": path.name}, "body": body_of(path), "presses": records}
             groups = [kept[each.name] for each in SERIES if each.name in kept]
             write_json(args.out, {"c10_mpa": 0.0725, "pad_mm": [40.0, 40.0], "ring_mm": RING, "paths": groups})
             for record in records:

@@ -1,6 +1,7 @@
 """The scenes of the chart as an open benchmark of plain files, which any simulator can be held against.
 
 Nothing in the folder needs gelforge: scenes are JSON and STL, references are CSV, and the script that scores is NumPy's.
+Beside them lie axisymmetric presses whose forces are known, of the same kind of files.
 """
 
 import shutil
@@ -10,16 +11,20 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import write_json
+from gelforge.flow.files import read_json, write_csv, write_json
 from gelforge.geometry.triangles import write_stl
 from gelforge.labelling.sensor import Sensor
-from gelforge.mechanics.material import REFERENCE_C10
+from gelforge.mechanics.material import REFERENCE_C10, Material
 from gelforge.sweeps.keptreferences import KEYS, scatters
 from gelforge.sweeps.scenes import NamedScene
 from gelforge.sweeps.trial import GRID
 
 TEXTS = Path(__file__).parent / "fea_challenge"  # what the folder holds as it stands: how to take part, the script
 GEL_SIZE_MM = 0.5  # of the triangles of gel.stl
+EXACT = "exact.json"  # among the references: axisymmetric presses whose forces are known
+TOLD = (
+    "name", "thickness_mm", "nu", "interface", "depth_mm", "force_n", "contact_radius_mm", "elements_halved", "pulling",
+)  # fmt: skip
 
 
 def write_challenge(scenes: list[NamedScene], sensor: Sensor, references: Path, out: Path) -> None:
@@ -30,20 +35,22 @@ def write_challenge(scenes: list[NamedScene], sensor: Sensor, references: Path, 
             f"{references}: has references of {', '.join(sorted(held))} and the scenes are {', '.join(sorted(names))}; "
             "run make fea-references"
         )
-    for name in ("references", "scenes"):  # of scenes that there were
+    for name in ("references", "scenes", "exact"):  # of scenes that there were
         shutil.rmtree(out / name, ignore_errors=True)
     for text in TEXTS.iterdir():
         if text.is_file():
             shutil.copyfile(text, out / text.name)
-    shutil.copytree(references, out / "references", ignore=shutil.ignore_patterns(KEYS), dirs_exist_ok=True)
+    shutil.copytree(references, out / "references", ignore=shutil.ignore_patterns(KEYS, EXACT), dirs_exist_ok=True)
     first = scenes[0].scene
     write_stl(out / "gel.stl", *first.gel.surface(GEL_SIZE_MM))
     for scene in scenes:
         write_scene(scene, out / "scenes" / scene.name)
+    known = read_json(references / EXACT)
+    write_exact(known, out / "exact")
     write_json(out / "challenge.json", {
         "gel": asdict(first.gel), "c10_mpa": REFERENCE_C10, "nu": first.material.nu, "d1_per_mpa": first.material.d1,
         "cells": list(GRID.shape), "image": list(sensor.image), "projection": sensor.projection.tolist(),
-        "scenes": sorted(names), "scatter": scatters(references),
+        "scenes": sorted(names), "scatter": scatters(references), "ring_mm": known["ring_mm"],
     })  # fmt: skip
 
 
@@ -63,3 +70,16 @@ def write_scene(named: NamedScene, folder: Path) -> None:
         "scene": named.name, "indenter": named.table["indenter"], "start_mm": start.tolist(), "rot_deg": press.rot_deg,
         "legs_mm": [[0.0, 0.0, press.dz], [press.dx, press.dy, 0.0]], "interface": "no slip",
     })  # fmt: skip
+
+
+def write_exact(known: dict, folder: Path) -> None:
+    """Write the presses whose forces are known: presses.json, and in rings/NAME.csv the force on the gel per ring, N."""
+    (folder / "rings").mkdir(parents=True, exist_ok=True)
+    presses = []
+    for path in known["paths"]:
+        for press in path["presses"]:
+            told = {key: press[key] for key in TOLD} | {"d1_per_mpa": Material(press["nu"]).d1, "body": path["body"]}
+            presses.append(told)
+            rings = [{"ring": ring, "fz_n": -force} for ring, force in enumerate(press["rings_n"])]
+            write_csv(folder / "rings" / f"{press['name']}.csv", ("ring", "fz_n"), rings)
+    write_json(folder / "presses.json", presses)

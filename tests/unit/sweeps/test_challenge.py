@@ -92,7 +92,7 @@ def test_references_score_nothing_against_themselves(folder, tmp_path):
     assert (
         found.returncode == 0
         and reported["total_worst"] == reported["cells_worst"] == 0.0
-        and reported["missing"] == []
+        and reported["missing"] == [path.stem for path in sorted((folder / "exact" / "rings").glob("*.csv"))]
     )
 
 
@@ -109,6 +109,38 @@ def test_the_script_gives_the_errors_of_the_chart(folder, tmp_path):
     larger = (cells - right["cells"]).reshape(3, 12, 2, 16, 2).sum(axis=(2, 4))
     wide = np.linalg.norm(larger, axis=0).sum() / np.linalg.norm(right["total"])
     assert reported["scenes"]["bar"]["cells_2x2"] == pytest.approx(wide, abs=1e-5)
+
+
+def test_exact_presses_are_scored_by_rings_and_by_points(folder, root, tmp_path):
+    """Their own rings have no error; a tenth too much in one is that ring's share of the force; points count by their radius."""
+    known = read_json(root / "data" / "fea_challenge" / "exact.json")
+    kept = {press["name"]: press for path in known["paths"] for press in path["presses"]}
+    presses = {press["name"]: press for press in read_json(folder / "exact" / "presses.json")}
+    assert presses.keys() == kept.keys()
+    body = presses["tube-10-7-0.7-nu0.475-pad4-no_slip-0.5mm"]["body"]
+    assert min(r for r, _ in body["core_mm"]) - body["radius_mm"] == pytest.approx(3.5)  # of its hole
+    assert max(r for r, _ in body["core_mm"]) + body["radius_mm"] == pytest.approx(5.0)
+    done, reported = score(folder, shutil.copytree(folder / "exact" / "rings", tmp_path / "same"))
+    assert done.returncode == 0 and reported["exact"].keys() == kept.keys() and not reported["scenes"]
+    assert reported["exact_total_worst"] == reported["exact_rings_worst"] == 0.0
+    for press in kept.values():
+        assert sum(press["rings_n"]) == pytest.approx(press["force_n"], rel=2e-4)
+    name = "punch-10-1-nu0.475-pad4-no_slip-0.3mm"
+    rings = -np.array(kept[name]["rings_n"])
+    wrong, share = rings.copy(), 0.1 * rings[3] / rings.sum()
+    wrong[3] *= 1.1
+    for form, rows in (
+        (("ring", "fz_n"), enumerate(wrong)),
+        (("x_mm", "y_mm", *COLUMNS[2:]), [[0.3 * (k + 0.5), 0.4 * (k + 0.5), 0, 0, f] for k, f in enumerate(wrong)]),
+    ):
+        (tmp_path / name).mkdir(exist_ok=True)
+        with (tmp_path / name / f"{name}.csv").open("w", newline="") as stream:
+            csv.writer(stream).writerows([form, *rows])
+        done, reported = score(folder, tmp_path / name)
+        assert done.returncode == 0, done.stderr
+        assert reported["exact"][name]["total"] == pytest.approx(share)
+        assert reported["exact"][name]["rings"] == pytest.approx(share)
+        assert name in done.stdout and name not in reported["missing"]
 
 
 def test_points_count_for_the_cell_they_lie_in(folder, root, tmp_path):
@@ -128,13 +160,13 @@ def test_what_cannot_be_scored_is_named(folder, tmp_path):
     header = ",".join(COLUMNS)
     for content, says in (
         ("x,y\n", "columns are"),
-        (f"{header}\n1,2,0.1,0.2,much\n", "line 2: not five numbers"),
+        (f"{header}\n1,2,0.1,0.2,much\n", "line 2: not 5 numbers"),
         (f"{header}\n1,2,0.1,0.2,nan\n", "NaN or infinity"),
         (f"{header}\n1.5,2,0.1,0.2,0.3\n", "whole numbers"),
         (f"{header}\n24,0,0.1,0.2,0.3\n", "outside of 24 x 32"),
         (f"{header}\n{'1' * 200_000}", "bar.csv: "),
         (header.encode("utf-16"), "bar.csv: "),  # as a spreadsheet saves it for Unicode
-        (None, "no SCENE.csv"),
+        (None, "no NAME.csv"),
     ):
         (tmp_path / "bar.csv").unlink(missing_ok=True)
         if content is not None:
