@@ -19,6 +19,7 @@ COMMANDS = {
     "export": "a dataset as MCAP, Rerun, LeRobot, WebDataset or HDF5",
     "look": "images and .vtu of one sample",
     "feats": "datasets in the files of FEATS, read and written",
+    "align": "gauge log, path log and images of a bench as one log",
     "mcap": "MCAP recordings of images and forces as a dataset",
     "background": "illumination of a sensor, from its no-contact image",
 }

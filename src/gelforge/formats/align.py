@@ -1,0 +1,187 @@
+"""Three recordings of a bench as one log: force gauge, path of the CNC and images, each on a clock of its own.
+
+Every press bends the same force, depth and change of the image, so the clocks are matched by them: roughly by cross-correlation over
+the whole recording, then press by press, where force is a smooth function of depth (and of the image's change) only if
+both are looked at for the same time. A line through the offsets of the presses is the clock's offset and drift; their scatter
+about it, and a tenth of a sampling interval, is the error that is told. A recording of one press has no drift.
+"""
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from gelforge.errors import BadInput
+
+LAPSE = 2.5  # of the usual interval: beyond, samples were dropped, and nothing is interpolated
+COARSE_S = 0.02  # step of the cross-correlation
+REACH_S = 0.5  # around its best offset that the presses are looked at
+RIVAL = 0.9  # of the best correlation: another offset that reaches it may be the right one as well
+FEWEST = 12  # samples of a press that give its offset
+ROUNDED = 0.1  # of a sampling interval: what corners between samples cost (five simulated benches: 0.07)
+DEGREE = 3  # of force over depth within a press
+MOST_DRIFT = 1e-3  # 3.6 s an hour, beyond what two clocks do
+
+
+@dataclass(frozen=True)
+class Recording:
+    """Values (n, k) at rising times (n,) s of its own clock; name: in messages."""
+
+    name: str
+    times: np.ndarray
+    values: np.ndarray
+
+    def __post_init__(self) -> None:
+        if len(self.times) < 2:
+            raise BadInput(f"{self.name}: holds {len(self.times)} samples; two at least make a recording")
+        back = np.flatnonzero(np.diff(self.times) <= 0)
+        if len(back):
+            raise BadInput(
+                f"{self.name}: time does not go on after sample {back[0] + 1} ({self.times[back[0]]:.6g} s, then"
+                f" {self.times[back[0] + 1]:.6g} s); sort it by time, and leave out what was written twice"
+            )
+
+    @property
+    def interval(self) -> float:
+        """Usual time from sample to sample, s."""
+        return float(np.median(np.diff(self.times)))
+
+    @property
+    def lapses(self) -> np.ndarray:
+        """Times (m,) s that are too long between two samples."""
+        steps = np.diff(self.times)
+        return np.asarray(steps[steps > LAPSE * self.interval])
+
+    def at(self, times: np.ndarray) -> np.ndarray:
+        """Values (m, k) at other times of its clock, linear between two samples; NaN where samples were dropped and outside."""
+        after = np.clip(np.searchsorted(self.times, times), 1, len(self.times) - 1)
+        known = (times >= self.times[0]) & (times <= self.times[-1])
+        known &= self.times[after] - self.times[after - 1] <= LAPSE * self.interval
+        found = np.stack([np.interp(times, self.times, value) for value in self.values.T], axis=1)
+        found[~known] = np.nan
+        return found
+
+
+@dataclass(frozen=True)
+class Clock:
+    """How a recording's clock goes beside the gauge's: gauge time = time + offset_s + drift (time - middle_s).
+
+    error_s: of the offset: the scatter of the presses, and ROUNDED of the slower recording's interval. presses: from which it was found. rival: whether another offset fits nearly as well.
+    """
+
+    offset_s: float
+    drift: float
+    middle_s: float
+    error_s: float
+    presses: int
+    rival: bool
+
+    def to_gauge(self, times: np.ndarray) -> np.ndarray:
+        """Times (n,) s of the recording on the gauge's clock."""
+        return np.asarray(times + self.offset_s + self.drift * (times - self.middle_s))
+
+    def from_gauge(self, times: np.ndarray) -> np.ndarray:
+        """Times (n,) s of the gauge on the recording's clock."""
+        return np.asarray(self.middle_s + (times - self.offset_s - self.middle_s) / (1.0 + self.drift))
+
+
+def presses_of(force: np.ndarray, touch: float) -> list[slice]:
+    """Samples of each press: where a force (n,) N is at least `touch`, in the order of time."""
+    touched = np.concatenate([[False], force >= touch, [False]])
+    starts, ends = (
+        np.flatnonzero(np.diff(touched.astype(int)) == 1),
+        np.flatnonzero(np.diff(touched.astype(int)) == -1),
+    )
+    return [slice(a, b) for a, b in zip(starts.tolist(), ends.tolist(), strict=True) if b - a >= FEWEST]
+
+
+def match_clock(gauge: Recording, other: Recording, touch: float) -> Clock:
+    """The clock of another recording, whose first value grows with the force that is the gauge's first value, N.
+
+    touch: N from which on something is pressed. Raises BadInput where no press is found, or none that both show.
+    """
+    presses = presses_of(gauge.values[:, 0], touch)
+    if not presses:
+        raise BadInput(
+            f"{gauge.name}: no press of {FEWEST} samples or more with {touch:g} N; the largest force is"
+            f" {gauge.values[:, 0].max():.3g} N: check its unit and sign (--sign -1), or lower --touch"
+        )
+    rough, rival = _correlated(gauge, other)
+    found = [
+        (float(gauge.times[press].mean()), offset)
+        for press in presses
+        for offset in _offset_of(gauge, other, press, rough)
+    ]
+    if not found:
+        raise BadInput(
+            f"{other.name}: shows none of the {len(presses)} presses of {gauge.name}; are they of one session?"
+        )
+    times, offsets = np.array(found).T
+    drift = _slope(times, offsets)
+    middle = float(times.mean())
+    left = offsets - drift * (times - middle)
+    offset = float(np.median(left))
+    scatter = 1.4826 * float(np.median(np.abs(left - offset)))
+    if abs(drift) > MOST_DRIFT:
+        raise BadInput(
+            f"{other.name}: its clock gains {1e6 * drift:.0f} ppm on that of {gauge.name}, which no clock does; are its times in"
+            " the unit that the header names?"
+        )
+    error = math.hypot(scatter / math.sqrt(len(left)), ROUNDED * max(gauge.interval, other.interval))
+    return Clock(offset, drift, middle - offset, error, len(left), rival)
+
+
+def _correlated(gauge: Recording, other: Recording) -> tuple[float, bool]:
+    """Offset in s at which two recordings are alike most, and whether another one reaches nearly as much.
+
+    Both are compared at steps of COARSE_S, dropped samples filled linearly; only here, and nothing of it is written.
+    """
+    from scipy.signal import correlate, correlation_lags, find_peaks
+
+    each = []
+    for one in (gauge, other):
+        steps = np.arange(one.times[0], one.times[-1], COARSE_S)
+        value = np.interp(steps, one.times, one.values[:, 0])
+        each.append((value - value.mean()) / (value.std() or 1.0))
+    alike = correlate(*each, mode="full", method="fft")
+    lags = correlation_lags(*map(len, each), mode="full") * COARSE_S
+    best = int(alike.argmax())
+    peaks, _ = find_peaks(alike, height=RIVAL * alike[best], prominence=0.3 * alike[best])
+    return float(lags[best] + gauge.times[0] - other.times[0]), len(peaks) > 1
+
+
+def _offset_of(gauge: Recording, other: Recording, press: slice, rough: float) -> Iterator[float]:
+    """The offset in s at which the force of a press is a smooth function of the other recording; none where that shows none."""
+    from scipy.optimize import minimize_scalar
+
+    times, force = gauge.times[press], gauge.values[press, 0]
+    slow = (other.times + rough >= times[0]) & (other.times + rough <= times[-1])
+
+    def both(shift: float) -> tuple[np.ndarray, np.ndarray]:
+        """Samples of both at the times of the slower one: to interpolate it would round off its corners."""
+        if other.interval > gauge.interval:
+            return other.values[slow, 0], gauge.at(other.times[slow] + rough + shift)[:, 0]
+        return other.at(times - rough - shift)[:, 0], force
+
+    def left(shift: float) -> float:
+        seen, felt = both(shift)
+        known = np.isfinite(seen) & np.isfinite(felt)
+        if known.sum() < max(FEWEST, 0.8 * len(seen)) or np.ptp(seen[known]) == 0.0:
+            return math.inf
+        terms = np.vander((seen[known] - seen[known].mean()) / np.ptp(seen[known]), DEGREE + 1)
+        fit, *_ = np.linalg.lstsq(terms, felt[known], rcond=None)
+        return float(((terms @ fit - felt[known]) ** 2).mean())
+
+    shifts = np.arange(-REACH_S, REACH_S + 1e-9, COARSE_S / 2)
+    rest = np.array([left(shift) for shift in shifts])
+    best = int(rest.argmin())
+    if not 0 < best < len(shifts) - 1 or not np.isfinite(rest[best - 1 : best + 2]).all():
+        return
+    yield rough + float(minimize_scalar(left, bounds=(shifts[best - 1], shifts[best + 1]), method="bounded").x)
+
+
+def _slope(times: np.ndarray, offsets: np.ndarray) -> float:
+    """Median slope between pairs of points (n,), which single wrong ones do not change; 0 for one point (Sen 1968)."""
+    one, two = np.triu_indices(len(times), 1)
+    return float(np.median((offsets[two] - offsets[one]) / (times[two] - times[one]))) if len(one) else 0.0
