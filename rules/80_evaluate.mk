@@ -25,8 +25,7 @@ MEASURED := $(wildcard results/benchmarks/unseen.json results/benchmarks/real.js
 
 ship:  ## make a network the default of predict and live
 ship: $D/70_train/$(RES1)/$(LEARNT).onnx $D/80_evaluate/$(RES1)/$(LEARNT).json
-	@$(PY) -m gelforge.stages.card $D $(RES1) $(LEARNT) --part --measured $(MEASURED)
-	cp $< $(SHIPPED).onnx.part
+	@$(PY) -m gelforge.stages.card $D $(RES1) $(LEARNT) --part --measured $(MEASURED) --ship $(SHIPPED).onnx.part
 	cp $(<:.onnx=.safetensors) $(SHIPPED).safetensors
 	mv $(SHIPPED).onnx.part $(SHIPPED).onnx
 	mv $D/80_evaluate/$(RES1)/$(LEARNT).card.md.part $(SHIPPED).md

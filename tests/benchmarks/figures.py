@@ -9,6 +9,7 @@ import subprocess
 from dataclasses import asdict, dataclass
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import Any
 
 from gelforge.flow.files import read_json, write_json
 
@@ -97,7 +98,7 @@ def digest_of_sources(name: str) -> str:
     return hashlib.sha256(b"\0".join(path.read_bytes() for path in files)).hexdigest()[:16]
 
 
-def publish_figures(path, figures: list[Figure], model: str = "", **tables: list[dict]) -> None:
+def publish_figures(path, figures: list[Figure], model: str = "", **tables: Any) -> None:
     """Write the figures to `path` (NAME.json) and print them as a table; model: digest of the network that they are of.
 
     Figures of other parts that were measured before stay, each with the date, commit, machine and sources that it is of;

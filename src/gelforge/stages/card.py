@@ -15,17 +15,26 @@ MEASURED = option(
 )
 
 
-@stage(Layout.card, MEASURED)
+SHIP = option("--ship", type=Path, help="write the network there, with the intervals that real sensors showed")
+
+
+@stage(Layout.card, MEASURED, SHIP)
 def main(args: Namespace) -> None:
-    from gelforge.networks.checkpoint.modelfile import fingerprint, load_model
+    from gelforge.networks.checkpoint.modelfile import ForceModel, fingerprint, load_model, save_model
     from gelforge.networks.inference.predictor import SHIPPED
 
     of = args.of
     network = SHIPPED if args.model == SHIPS else of.network(args.resolution, args.model)
-    metadata = load_model(network).metadata
+    model = load_model(network)
+    metadata = model.metadata
     evaluation = read_json(of.evaluation(args.resolution, args.model))
     measured = [read_json(path) for path in args.measured]
     own = [found for found in measured if found.get("model") and found["model"] == fingerprint(metadata)]
+    for found in own:
+        if "real" in found and metadata.get("intervals"):
+            metadata = metadata | {"intervals": metadata["intervals"] | {"real": found["real"]}}
+    if args.ship:
+        save_model(args.ship, ForceModel(metadata, model.graph))
     figures, readings = ([row for found in own for row in found.get(name, [])] for name in ("figures", "readings"))
     write_text(args.out, write_card(metadata, evaluation, figures, readings))
 

@@ -16,6 +16,7 @@ from gelforge.networks.uncertainty.conformal import (
     conformal_size,
     fit_intervals,
     half_widths,
+    real_width,
     usual_error,
 )
 from gelforge.records.axes import CHANNELS
@@ -163,6 +164,7 @@ def test_a_model_file_with_intervals_without_meaning_is_refused(shipped):
         {"total": {"grid_x": [1, 2, 3]}},
         {"total": {name: [1, 0, "x"] for name in CHANNELS}},
         {"total": {name: [1, 0, -2] for name in CHANNELS}},
+        {"total": {name: [1, 0, 2] for name in CHANNELS}, "real": {"unprofiled": -1.0}},
     ):
         refused("intervals", check_metadata, shipped.metadata | {"intervals": wrong}, "m.pt")
     check_metadata(shipped.metadata | {"intervals": {}}, "m.pt")
@@ -176,3 +178,21 @@ def test_what_is_not_known_of_a_profile_widens_intervals():
     np.testing.assert_allclose(unsure, np.hypot(sure, 0.4 * np.abs(total)))
     assert unsure[2] > 0.4 * 9.0
     assert (half_widths(about, total, Gain(readings=0)) == half_widths(about, total)).all()
+
+
+def test_intervals_grow_by_what_real_sensors_showed():
+    rng = np.random.default_rng(6)
+    true = rng.exponential(5.0, 4000) + 0.5
+    read = true * np.exp(rng.normal(0, 0.2, 4000))
+    half = 0.05 * read
+    width = real_width(read[::2], true[::2], half[::2])
+    held = np.abs(read - true)[1::2] <= np.hypot(half, width * read)[1::2]
+    assert abs(held.mean() - HOLDS) < 0.03
+    assert real_width(true, true, half) == 0.0
+    known = dict.fromkeys(CHANNELS, [0.1, 0.1, 0.0])
+    about = {"intervals": {"total": known, "real": {"unprofiled": 0.5, "profiled": 0.2}}}
+    total, plain = np.array([1.0, -2.0, -9.0]), {"intervals": {"total": known}}
+    np.testing.assert_allclose(half_widths(about, total), np.hypot(half_widths(plain, total), 0.5 * np.abs(total)))
+    profile = Gain(1.0, 0.7, 1.3, 5)
+    beside = np.hypot(0.2, profile.unsure) * np.abs(total)
+    np.testing.assert_allclose(half_widths(about, total, profile), np.hypot(half_widths(plain, total), beside))

@@ -46,7 +46,13 @@ def _intervals(value: Any) -> bool:
     if not widths:
         return isinstance(value, dict)
     named = isinstance(widths, dict) and set(widths) == set(CHANNELS)
-    return named and all(_numbers(width, 3, -1e-300) for width in widths.values())
+    real = value.get("real", {})
+    known = (
+        isinstance(real, dict)
+        and set(real) <= {"unprofiled", "profiled"}
+        and _numbers(list(real.values()), None, -1e-300)
+    )
+    return named and known and all(_numbers(width, 3, -1e-300) for width in widths.values())
 
 
 TABLE = "a table", lambda value: isinstance(value, dict)

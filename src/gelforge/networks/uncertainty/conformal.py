@@ -102,18 +102,32 @@ def fit_intervals(scale_on: Errors, size_on: Errors) -> dict[str, dict[str, list
     return {"total": found}
 
 
+def real_width(read: np.ndarray, force: np.ndarray, half: np.ndarray) -> float:
+    """The least fraction of what is read by which intervals (n,) N must grow to hold HOLDS of the forces (n,) N of real sensors.
+
+    read, force, half: normal force as it is read, as it is known, and half the width that the network itself knows.
+    """
+    lacking = np.sqrt(np.maximum((read - force) ** 2 - half**2, 0.0)) / np.maximum(np.abs(read), 1e-9)
+    rank = math.ceil(HOLDS * (len(read) + 1)) - 1
+    return float(np.sort(lacking)[min(rank, len(read) - 1)])
+
+
 def half_widths(metadata: dict[str, Any], totals: np.ndarray, gain: Gain = AS_READ) -> np.ndarray | None:
     """Half widths (3,) N at total forces (3,) N; None where unknown.
 
-    gain: of the sensor's profile, whose factor the forces were multiplied by. What is not known of it widens the intervals.
+    gain: of the sensor's profile, whose factor the forces were multiplied by. What is not known of it widens the intervals, and so
+    does what real sensors showed of a network that learnt from drawn ones (`intervals.real`): without a profile their level is
+    unknown, too, with one what images of one sensor differ by.
     """
     known = metadata.get("intervals", {}).get("total")
     if not known:
         return None
+    real = metadata["intervals"].get("real", {})
+    beside = math.hypot(gain.unsure, real.get("profiled", 0.0)) if gain.readings else real.get("unprofiled", 0.0)
     whole = magnitudes(totals) / gain.value
     return np.array(
         [
-            math.hypot(gain.value * HalfWidth(*known[name]).of(force / gain.value, whole), gain.unsure * force)
+            math.hypot(gain.value * HalfWidth(*known[name]).of(force / gain.value, whole), beside * force)
             for name, force in zip(CHANNELS, totals.tolist(), strict=True)
         ]
     )
