@@ -62,15 +62,13 @@ class Emulator:
         are with respect to the commanded depth. Beyond the table the last slope goes on. A frame that yields sideways
         takes shear_compliance * |sideways force| of the travel.
         """
-        from gelforge.calibration.kernel import evaluate
+        from gelforge.calibration.kernel import Walkers, evaluate
 
         error = np.exp(values["discretisation"][:, None] + values["indenter"][:, self.group])
         scale = values["c10"][:, None] / REFERENCE_C10 * error
         axis = friction_axis(values["mu"]) * (FRICTIONS - 1)
-        return evaluate(
-            self.table, self.top, np.asarray(depth, float), self.travel, scale, values["offset"],
-            values["compliance"], values["shear_compliance"], axis,
-        )  # fmt: skip
+        walkers = Walkers(scale, values["offset"], values["compliance"], values["shear_compliance"], axis)
+        return evaluate(self.table, self.top, np.asarray(depth, float), self.travel, walkers)
 
     def take(self, rows) -> "Emulator":
         """The emulator of some of the presses."""

@@ -1,9 +1,31 @@
 """Compiled evaluation of the emulator's tables for all walkers and presses."""
 
+from typing import NamedTuple
+
 import numpy as np
 from numba import njit
 
 LEAST_WAY = 1e-6  # fraction of the travel that is left at least
+
+
+class Walkers(NamedTuple):
+    """Values of w walkers: scale (w, n) of each press's forces, friction (w,) in steps of its axis, others (w,) in their own units."""
+
+    scale: np.ndarray
+    offset: np.ndarray
+    compliance: np.ndarray
+    shear_compliance: np.ndarray
+    friction: np.ndarray
+
+
+class Found(NamedTuple):
+    """What is found of n presses: forces (n, 3), slopes (n, 3), depths (n,), and the place in the grid: low (n,), -1 off the gel, t (n,)."""
+
+    forces: np.ndarray
+    slopes: np.ndarray
+    depths: np.ndarray
+    low: np.ndarray
+    t: np.ndarray
 
 
 @njit(cache=True, fastmath=False)
@@ -25,8 +47,8 @@ def sideways_left(yielded, exponent):
 
 
 @njit(cache=True, fastmath=False)
-def _press(table, top, at, target, scale, compliance, forces, slopes, depths, low_of, t_of):
-    """Fill forces (n, 3), slopes (n, 3), depths (n,) and the place in the grid: low_of (n,), -1 off the gel, and t_of (n,).
+def _press(table, top, at, target, scale, compliance, found):
+    """Fill in what is found of each press before the frame yields sideways.
 
     target: (n,) mm, the commanded depth with its offset. scale: (n,).
     """
@@ -37,7 +59,7 @@ def _press(table, top, at, target, scale, compliance, forces, slopes, depths, lo
         a, b = table[p, m], table[p, m + 1]
         step = top[p] / (grid - 1)
         if target[p] <= 0.0:
-            depths[p], low_of[p] = target[p], -1
+            found.depths[p], found.low[p] = target[p], -1
             continue
         low, high = 0, grid - 1
         while high - low > 1:
@@ -52,24 +74,25 @@ def _press(table, top, at, target, scale, compliance, forces, slopes, depths, lo
         c0 = low * step + compliance * abs(f0)
         c1 = high * step + compliance * abs(f1)
         t = (target[p] - c0) / (c1 - c0)
-        depths[p], low_of[p], t_of[p] = (low + t) * step, low, t
+        found.depths[p], found.low[p], found.t[p] = (low + t) * step, low, t
         for i in range(3):
             g0 = w0 * a[low, i] + w1 * b[low, i]
             g1 = w0 * a[high, i] + w1 * b[high, i]
-            forces[p, i] = (1 - t) * g0 + t * g1
-            slopes[p, i] = (g1 - g0) / (c1 - c0)
+            found.forces[p, i] = (1 - t) * g0 + t * g1
+            found.slopes[p, i] = (g1 - g0) / (c1 - c0)
 
 
 @njit(cache=True, fastmath=False)
-def _yield_sideways(table, travel, at, over_log_mu, scale, compliance, low_of, t_of, forces, slopes):
-    """Lessen the sideways parts of forces (n, 3) and slopes (n, 3) by what the frame takes of the travel (n,) mm."""
+def _yield_sideways(table, travel, at, over_log_mu, scale, compliance, found):
+    """Lessen the sideways parts of forces and slopes by what the frame takes of the travel (n,) mm."""
     m = at[0]
+    forces, slopes = found.forces, found.slopes
     for p in range(travel.size):
         sideways = np.hypot(forces[p, 0], forces[p, 1])
-        if low_of[p] < 0 or travel[p] <= 0.0 or sideways == 0.0:
+        if found.low[p] < 0 or travel[p] <= 0.0 or sideways == 0.0:
             continue
         a, b = table[p, m], table[p, m + 1]
-        low, high, t = low_of[p], low_of[p] + 1, t_of[p]
+        low, high, t = found.low[p], found.low[p] + 1, found.t[p]
         more = 0.0  # what one grid step of friction adds to the sideways force
         for i in range(2):
             more_here = (1 - t) * (b[low, i] - a[low, i]) + t * (b[high, i] - a[high, i])
@@ -82,30 +105,30 @@ def _yield_sideways(table, travel, at, over_log_mu, scale, compliance, low_of, t
 
 
 @njit(cache=True, fastmath=False)
-def evaluate(table, top, depth, travel, scale, offset, compliance, shear_compliance, friction):
+def evaluate(table, top, depth, travel, of):
     """Forces (w, n, 3) N, slopes (w, n, 3) N per mm, effective depths (w, n) mm; see Emulator.forces.
 
-    scale: (w, n). friction: (w,) position on the friction axis in grid steps. Others (w,) in their own units.
+    of: the Walkers.
     With the force linear between grid depths d_j, the commanded depth that ends at d_j is
     d_j - offset + compliance |f_j|, which increases with j: one bisection finds the interval and
     the answer in it is exact. Sideways, the force at another travel follows from the force at another friction
     coefficient: under Coulomb's law it is proportional when both are scaled (Cattaneo 1938, Mindlin 1949), so its
     exponent over travel is 1 less that over friction.
     """
-    walkers, presses = offset.size, depth.size
+    walkers, presses = of.offset.size, depth.size
     forces = np.zeros((walkers, presses, 3))
     slopes = np.zeros((walkers, presses, 3))
     depths = np.zeros((walkers, presses))
     low, t = np.empty(presses, np.intp), np.empty(presses)
     for w in range(walkers):
-        m = min(max(int(friction[w]), 0), table.shape[1] - 2)
-        at = m, friction[w] - m
-        target = depth + offset[w]
-        _press(table, top, at, target, scale[w], compliance[w], forces[w], slopes[w], depths[w], low, t)
-        if shear_compliance[w] <= 0.0:
+        m = min(max(int(of.friction[w]), 0), table.shape[1] - 2)
+        at = m, of.friction[w] - m
+        target = depth + of.offset[w]
+        found = Found(forces[w], slopes[w], depths[w], low, t)
+        _press(table, top, at, target, of.scale[w], of.compliance[w], found)
+        if of.shear_compliance[w] <= 0.0:
             continue
-        axis = min(friction[w] / (table.shape[1] - 1), 1.0)
+        axis = min(of.friction[w] / (table.shape[1] - 1), 1.0)
         over_log_mu = axis * (1.0 - axis) * (table.shape[1] - 1)  # d (grid steps of friction) / d ln mu
-        give = shear_compliance[w]
-        _yield_sideways(table, travel, at, over_log_mu, scale[w], give, low, t, forces[w], slopes[w])
+        _yield_sideways(table, travel, at, over_log_mu, of.scale[w], of.shear_compliance[w], found)
     return forces, slopes, depths

@@ -93,19 +93,23 @@ def names_in(every: Sequence[Data], column: str, split: str = "") -> list[str]:
     return sorted({name for one, mine in zip(every, rows, strict=True) for name in one.names(column)[mine].tolist()})
 
 
-def describe(
-    every: Sequence[Data],
-    name: str,
-    model: dict[str, Any],
-    settings: TrainingTable,
-    version: int,
-    start: Start | None,
-) -> dict[str, Any]:
+@dataclass(frozen=True)
+class Recipe:
+    """What is trained and how: a table of workflow/models.toml with its name, settings, and the version of how networks are trained."""
+
+    name: str
+    model: dict[str, Any]
+    settings: TrainingTable
+    version: int
+
+
+def describe(every: Sequence[Data], recipe: Recipe, start: Start | None) -> dict[str, Any]:
     """What a model file says about where its network comes from.
 
-    every: datasets that it learns from, the one that it is judged on first. version: of how networks are trained.
+    every: datasets that it learns from, the one that it is judged on first.
     """
     data, *others = every
+    model, settings = recipe.model, recipe.settings
     device = device_of(settings.device)
     begun: dict[str, Any] = {}
     if start is not None:
@@ -113,10 +117,10 @@ def describe(
         begun = {key: start.metadata[key] for key in ("name", "sha256") if key in start.metadata}
         begun |= {"data": learnt["name"], "simulated": learnt["simulated"]}
     return {
-        "name": name,
+        "name": recipe.name,
         "model": model,
         "train": plain(settings),
-        "version": version,
+        "version": recipe.version,
         "torch": torch.__version__,
         "image": list(data.image_size),
         "grid": [1, 1] if kind_of(model).totals_only else list(data.grid),
@@ -137,21 +141,19 @@ def describe(
 
 def make_model(
     data: Data,
-    name: str,
-    model: dict[str, Any],
-    settings: TrainingTable,
-    version: int,
+    recipe: Recipe,
     checkpoint: Path | None = None,
     start: Start | None = None,
     also: Sequence[Data] = (),
 ) -> Trained:
-    """Train the network of a table of workflow/models.toml; return it with its metadata, curve and cost inside.
+    """Train the network of a recipe; return it with its metadata, curve and cost inside.
 
-    version: of how networks are trained, recorded in the metadata. checkpoint: file for resuming, or None. start: the network to
+    checkpoint: file for resuming, or None. start: the network to
     fine-tune; None: from weights that `seed` draws. also: other datasets, whose presses to train on and to validate with it
     learns from as well; its intervals are of `data` alone. Raises BadInput for a dataset that no network can learn from, that
     `start` cannot be fine-tuned on, or that cannot be learnt from beside the others.
     """
+    model, settings = recipe.model, recipe.settings
     for one in (data, *also):
         require_splits(one)
     learnt = concatenate(data, also)
@@ -160,7 +162,7 @@ def make_model(
         # one that lacks its picture is named before hours of training
         learnt.require_nocontact(range(len(learnt.table)))
     torch.set_num_threads(settings.threads)
-    metadata = describe([data, *also], name, model, settings, version, start)
+    metadata = describe([data, *also], recipe, start)
     # half of validation chooses nothing, so that it can measure how wrong the network is
     choosing = replace(learnt, splits=learnt.splits | {VALIDATION: split_validation(learnt)[0]})
     training = begin(choosing, model, settings, metadata, start)

@@ -41,9 +41,9 @@ def resolve(models: dict, name: str, train: TrainTable) -> tuple[dict, TrainingT
 
 def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None, start=None, also=()):
     """A model of a dataset, networks.pipeline.make_model of this VERSION."""
-    from gelforge.networks.pipeline import make_model
+    from gelforge.networks.pipeline import Recipe, make_model
 
-    return make_model(data, name, model, settings, VERSION, checkpoint, start, also)
+    return make_model(data, Recipe(name, model, settings, VERSION), checkpoint, start, also)
 
 
 @stage(Layout.network)

@@ -115,13 +115,12 @@ def evaluate_split(
     rows: np.ndarray,
     predicted: Predicted,
     model: ForceModel,
-    learnt: set[str],
     settings: EvaluateTable,
     lesson: Lesson,
     rng,
 ) -> dict[str, Any]:
     """All tables of one split, of what `predict` gives for its rows."""
-    target, alike = data.totals(rows), what_errs_alike(data, rows, learnt)
+    target, alike = data.totals(rows), what_errs_alike(data, rows, learnt_sensors(model, data))
     totals = predicted.forces.sum((2, 3), dtype=np.float64)
     error = totals - target
     mapped = predicted.in_place and predicted.forces.shape[2:] == data.grid
@@ -196,8 +195,7 @@ def evaluate(
     Returns the figures, and per split its rows and predictions (k, 3, rows, cols) in N per cell. called: of `require_fit`.
     """
     require_fit(model, data, called)
-    learnt = learnt_sensors(model, data)
-    splits = judged_splits(data, learnt=bool(learnt))
+    splits = judged_splits(data, learnt=bool(learnt_sensors(model, data)))
     rng = np.random.default_rng(settings.seed)
     lesson = Lesson.of(data)
     metadata = model.metadata
@@ -222,5 +220,5 @@ def evaluate(
     for name, rows in splits.items():
         predicted = predict_rows(model, data, rows)
         predictions[name] = (rows, predicted.forces)
-        result["splits"][name] = evaluate_split(data, rows, predicted, model, learnt, settings, lesson, rng)
+        result["splits"][name] = evaluate_split(data, rows, predicted, model, settings, lesson, rng)
     return result, predictions
