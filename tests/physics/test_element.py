@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gelforge.mechanics.elements.element import elements
-from gelforge.mechanics.elements.simd import batched
+from gelforge.mechanics.elements.kernels import batched
 from gelforge.mechanics.linear.factorisation import SuperLU, symmetric_solver
 from gelforge.mechanics.linear.pattern import block_places, build_pattern, symmetric_product
 from gelforge.mechanics.material import Material

@@ -12,8 +12,7 @@ from gelforge.mechanics.contact.penalty import FREE, STICK
 from gelforge.mechanics.hexsettings import HexSettings, quality
 from gelforge.mechanics.linear.factorisation import SuperLU
 from gelforge.mechanics.material import Material
-from gelforge.mechanics.mesh.finebox import fine_box
-from gelforge.mechanics.mesh.hexmesh import FineBox, HexMesh, mesh_on_lines
+from gelforge.mechanics.mesh.hexmesh import FineBox, HexMesh, fine_box, mesh_on_lines
 from gelforge.mechanics.path.loadpath import path_pose
 from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvers.hex import MOST_BELOW_MM, MOST_INSIDE_MM, HexSolver, solve_hex

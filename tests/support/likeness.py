@@ -6,8 +6,7 @@ import cv2
 import numpy as np
 
 from gelforge.records.markers import MarkerGrid, find_markers, markers_in
-from gelforge.virtualrig.appearance import HEIGHT, WIDTH
-from gelforge.virtualrig.lightfit import marker_free
+from gelforge.virtualrig.appearance import HEIGHT, WIDTH, marker_free
 from gelforge.virtualrig.render import unproject
 from tests.support.surface_values import interpolate_surface
 

@@ -4,8 +4,7 @@ from argparse import Namespace
 
 from gelforge.flow.main import command, option
 from gelforge.records.image import read_image
-from gelforge.virtualrig.appearance import COLOURS
-from gelforge.virtualrig.lightfit import fit_background
+from gelforge.virtualrig.appearance import COLOURS, fit_background
 
 
 @command(

@@ -1,5 +1,7 @@
 """Triangle meshes as pairs (vertices (v, 3) float64, faces (f, 3) int): building, joining, cutting, writing."""
 
+from functools import lru_cache
+
 import numpy as np
 
 Mesh = tuple[np.ndarray, np.ndarray]
@@ -179,3 +181,10 @@ def write_stl(path, vertices: np.ndarray, faces: np.ndarray) -> None:
         stream.write(b"gelforge, mm".ljust(80))
         stream.write(np.uint32(len(faces)).tobytes())
         stream.write(record.tobytes())
+
+
+@lru_cache(maxsize=64)
+def cropped(body, height: float) -> tuple[np.ndarray, np.ndarray]:
+    """The closed part of an indenter's surface up to `height` mm above its tip: vertices (v, 3), faces (f, 3)."""
+    vertices, faces = body.surface()
+    return (vertices, faces) if height >= vertices[:, 2].max() else below(vertices, faces, height)

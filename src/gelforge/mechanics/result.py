@@ -1,10 +1,12 @@
 """What a solver answers."""
 
 import json
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
 
+from gelforge.mechanics.scene import Scene
 from gelforge.records.status import Status
 
 BALANCE = 1e-6  # of its size, by which the contact force of a valid result may differ from the base's reaction
@@ -48,3 +50,7 @@ class Result:
                 continue
             kept[key] = value
         return kept
+
+
+# State at the end of the scene's path. Failure is a status with its reason, not an exception.
+Solve = Callable[[Scene], Result]

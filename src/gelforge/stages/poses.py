@@ -19,9 +19,9 @@ from gelforge.flow.main import STRICT, stage
 from gelforge.flow.params.stages import ForPoses, read_parameters
 from gelforge.flow.params.tables import PosesTable
 from gelforge.geometry import touch
-from gelforge.geometry.cropping import cropped
 from gelforge.geometry.gel import Gel, load_gel, use_gels_of
 from gelforge.geometry.sampled import INCH_MM, METRE_MM, size_of
+from gelforge.geometry.triangles import cropped
 from gelforge.labelling.sensor import sensor_of
 from gelforge.records.frames import NEAR_MM, check_frames
 from gelforge.records.image import bad_image

@@ -13,10 +13,10 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import write_csv, write_json
 from gelforge.flow.layout import Layout
 from gelforge.geometry import touch, triangles
-from gelforge.geometry.cropping import cropped
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build, load_catalogue
 from gelforge.geometry.stlfile import read_stl
+from gelforge.geometry.triangles import cropped
 from gelforge.records import log
 from gelforge.records.press import FORCES, Press, Rejection, parse, summarised
 from gelforge.stages import poses

@@ -9,8 +9,7 @@ from importlib import import_module
 import numpy as np
 
 from gelforge.mechanics import elements as package
-from gelforge.mechanics.elements.kernels import Kernels
-from gelforge.mechanics.elements.simd import batched
+from gelforge.mechanics.elements.kernels import Kernels, batched
 from gelforge.mechanics.mesh.stepped import Cells
 
 # From nodes (n, 3) mm and cells to gradients (e, points, k, 3) of the shape functions and weights (e, points) mm^3.

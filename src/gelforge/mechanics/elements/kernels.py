@@ -15,12 +15,30 @@ itself: what a point needs is copied there first.
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
 
-from gelforge.mechanics.elements.simd import FAST
 from gelforge.mechanics.linear.pattern import add_entries
+
+# How numba compiles them: sums in any order, but nan and infinity stay what they are, because solvers look for them.
+FAST: dict[str, Any] = {
+    "cache": True,
+    "nogil": True,
+    "error_model": "numpy",
+    "fastmath": {"contract", "reassoc", "nsz", "arcp"},
+}
+
+
+def batched(values: np.ndarray, width: int) -> np.ndarray:
+    """Values (n, ...) of n > 0 elements as batches (b, ..., width); the last batch repeats the last element.
+
+    So kernels work on whole batches; they add up what is of the first n alone.
+    """
+    which = np.minimum(np.arange(-(-len(values) // width) * width), len(values) - 1)
+    return np.ascontiguousarray(np.moveaxis(values[which].reshape(-1, width, *values.shape[1:]), 1, -1))
+
 
 # Rows of `near`, by node: gradients of its shape function in the reference and in space, and F times the first.
 # Rows of `point`: of an integration point, and sums over those of an element.

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from gelforge.geometry.cropping import cropped
 from gelforge.geometry.solids import Indenter
+from gelforge.geometry.triangles import cropped
 from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat
 from gelforge.mechanics.ccx.deck import material_lines, mesh_include
 from gelforge.mechanics.ccx.program import OVERDUE, run_ccx

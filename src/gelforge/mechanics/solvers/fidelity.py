@@ -12,9 +12,8 @@ from gelforge.mechanics.ccx.program import need_ccx
 from gelforge.mechanics.hexsettings import quality
 from gelforge.mechanics.mesh.family import MeshFamily, choose_mesh, unplaced
 from gelforge.mechanics.path.transfer import LoadPath
-from gelforge.mechanics.result import Result
+from gelforge.mechanics.result import Result, Solve
 from gelforge.mechanics.scene import Scene
-from gelforge.mechanics.solver import Solve
 from gelforge.mechanics.solvers.auto import SolveMethod, method_of
 from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver
 from gelforge.mechanics.solvers.hex import HexSolver

@@ -11,8 +11,7 @@ import numpy as np
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.contact.penalty import ContactState
 from gelforge.mechanics.hexsettings import HexSettings, Nested
-from gelforge.mechanics.mesh.finebox import fine_box
-from gelforge.mechanics.mesh.hexmesh import FineBox, HexMesh, build_mesh
+from gelforge.mechanics.mesh.hexmesh import FineBox, HexMesh, build_mesh, fine_box
 from gelforge.mechanics.mesh.hexname import HexMeshName
 from gelforge.mechanics.path.equilibrium import System
 from gelforge.mechanics.path.hexpath import HexPath
