@@ -58,7 +58,6 @@ exit $failed
 """
 
 
-@dataclass(frozen=True)
 class Profile(ParameterTable):
     """What one task of a stage may use; workflow/slurm.toml explains every field."""
 

@@ -71,7 +71,6 @@ class SolidPad(Gel):
         return found.vertices, found.faces
 
 
-@dataclass(frozen=True)
 class PadTable(ParameterTable):
     """A table of gels.toml: a pad, all in mm."""
 
@@ -106,7 +105,6 @@ class PadTable(ParameterTable):
         )  # fmt: skip
 
 
-@dataclass(frozen=True)
 class SolidTable(ParameterTable):
     """A table of gels.toml: a closed STL, and which of its sides is bonded."""
 

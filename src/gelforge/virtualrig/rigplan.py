@@ -27,14 +27,12 @@ DEEPEST = 0.7  # fraction of the gel's height that a press may take
 Millimetres = Annotated[Number, Within(-1e3, 1e3, "mm")]
 
 
-@dataclass(frozen=True)
 class RigTable(ParameterTable):
     """A table of a plan."""
 
     example = "workflow/rig/train.toml"
 
 
-@dataclass(frozen=True)
 class Truth(RigTable):
     """What the bench does to a press and nobody may read from the log; MPa, mm, N, N m, micrometres.
 
@@ -58,7 +56,6 @@ class Truth(RigTable):
     cnc_um: FromNone
 
 
-@dataclass(frozen=True)
 class Kind(RigTable):
     """One kind of press: `weight` of all presses, drawn evenly from these ranges.
 
@@ -81,7 +78,6 @@ class Kind(RigTable):
     seen_by: Annotated[int, Within(1, 1e6)] = 1
 
 
-@dataclass(frozen=True)
 class DrawnUnits(RigTable):
     """Virtual sensors drawn from ranges: `known` ones, known_01 and on, and as many `unseen` ones, unseen_01 and on.
 
@@ -119,7 +115,6 @@ class DrawnUnits(RigTable):
         return self.known_gels + self.unseen_gels
 
 
-@dataclass(frozen=True)
 class Plan(RigTable):
     """A whole plan; `presses` may grow, everything else but `params` makes it another plan.
 

@@ -1,7 +1,7 @@
 """Virtual sensors drawn at random from ranges, so that a network learns what all of them share."""
 
 import zlib
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
@@ -18,7 +18,6 @@ ROWS, COLS = 7, 9  # of the markers that a whole view shows
 AZIMUTH = np.array([90.0, 0.0, 270.0])  # degrees of the red, green and blue light
 
 
-@dataclass(frozen=True)
 class UnitRanges(ParameterTable):
     """What differs between units, each drawn evenly between two bounds; the file says where each range comes from.
 

@@ -1,8 +1,7 @@
-"""What a table of parameters may hold, said by a dataclass, and how a table of TOML is read by it with pydantic.
+"""What a table of parameters may hold, said by a class of it, and how a table of TOML is read by it with pydantic.
 
 A field's type says what kind of value it takes, and which values have a meaning:
 
-    @dataclass(frozen=True)
     class SolverTable(ParameterTable):
         steps: Annotated[int, Within(1, 1000)]
         size: Annotated[Number, Within(0.01, 10.0, "mm")]
@@ -17,7 +16,18 @@ import types
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
 from functools import lru_cache
-from typing import Annotated, Any, ClassVar, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+from typing import (
+    Annotated,
+    Any,
+    ClassVar,
+    Literal,
+    TypeVar,
+    Union,
+    dataclass_transform,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 from annotated_types import Ge, GroupedMetadata, Le, MinLen, Predicate
 
@@ -60,12 +70,19 @@ SOME = MinLen(1)  # of a list: not empty
 NAME = r"[A-Za-z0-9_][A-Za-z0-9_.-]*"  # that make and a shell take as it stands
 
 
+@dataclass_transform(frozen_default=True)
 @dataclass(frozen=True)
 class ParameterTable:
-    """A table of parameters: a frozen dataclass whose fields are its keys. example: a file that has all of them."""
+    """A table of parameters: a class that derives from it is a frozen dataclass whose fields are its keys.
+
+    example: a file that has all of them.
+    """
 
     example: ClassVar[str] = "workflow/params.toml"
     __pydantic_config__: ClassVar[Any] = {"strict": True, "extra": "forbid", "allow_inf_nan": False}
+
+    def __init_subclass__(cls) -> None:
+        dataclass(frozen=True)(cls)
 
     def __post_init__(self) -> None:
         """Refuse values that are sound one by one and cannot go together."""

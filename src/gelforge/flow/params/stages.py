@@ -34,35 +34,30 @@ from gelforge.flow.params.tables import (
 )
 
 
-@dataclass(frozen=True)
 class StageParameters(ParameterTable):
     """Tables of one stage, and the version of its results; by itself what a stage is given that reads no table."""
 
     version: Annotated[int, Within(0, 1e6)]
 
 
-@dataclass(frozen=True)
 class ForPoses(StageParameters):
     """What stage 10 reads."""
 
     poses: PosesTable
 
 
-@dataclass(frozen=True)
 class ForImages(StageParameters):
     """What stage 15 reads."""
 
     poses: ImagesTable
 
 
-@dataclass(frozen=True)
 class ForMeshes(StageParameters):
     """What stage 20 reads."""
 
     meshes: MeshesTable
 
 
-@dataclass(frozen=True)
 class ForFea(StageParameters):
     """What stage 30 reads."""
 
@@ -71,7 +66,6 @@ class ForFea(StageParameters):
     material: PoissonTable
 
 
-@dataclass(frozen=True)
 class ForForces(StageParameters):
     """What stage 40 reads."""
 
@@ -79,14 +73,12 @@ class ForForces(StageParameters):
     material: MaterialTable
 
 
-@dataclass(frozen=True)
 class ForLabels(StageParameters):
     """What stage 50 reads."""
 
     labels: LabelsTable
 
 
-@dataclass(frozen=True)
 class ForDataset(StageParameters):
     """What stage 60 reads."""
 
@@ -94,28 +86,24 @@ class ForDataset(StageParameters):
     poses: ImagesTable
 
 
-@dataclass(frozen=True)
 class ForTrain(StageParameters):
     """What stage 70 reads."""
 
     train: TrainTable
 
 
-@dataclass(frozen=True)
 class ForEvaluate(StageParameters):
     """What stage 80 reads."""
 
     evaluate: EvaluateTable
 
 
-@dataclass(frozen=True)
 class ForReport(StageParameters):
     """What stage 90 reads."""
 
     report: ReportTable
 
 
-@dataclass(frozen=True)
 class ForCalibrate(StageParameters):
     """What branch calibrate reads."""
 
@@ -123,7 +111,6 @@ class ForCalibrate(StageParameters):
     material: PoissonTable
 
 
-@dataclass(frozen=True)
 class ForPareto(StageParameters):
     """What branch pareto reads."""
 
@@ -133,7 +120,6 @@ class ForPareto(StageParameters):
     material: PoissonTable
 
 
-@dataclass(frozen=True)
 class ForParetoMeshes(StageParameters):
     """What the meshes of branch pareto depend on."""
 
@@ -141,7 +127,6 @@ class ForParetoMeshes(StageParameters):
     meshes: MeshesTable
 
 
-@dataclass(frozen=True)
 class ForStability(StageParameters):
     """What branch stability reads."""
 

@@ -4,7 +4,7 @@ What each value is for, and why it is what it is, stands beside it in workflow/p
 """
 
 import re
-from dataclasses import dataclass, fields
+from dataclasses import fields
 from typing import Annotated, Literal, get_args
 
 from annotated_types import MinLen
@@ -51,21 +51,19 @@ FromNone = Annotated[Number, Within(0.0, 1e9)]
 Charted = dict[ContactClass, dict[Way, tuple[FromNone, FromNone, FromNone]]]
 CHOOSING = frozenset(
     {"charted", "tolerance", "cell_tolerance"}
-)  # of [fea]: by these "auto" chooses, nothing else reads them
+)  # of [fea]: "auto" alone reads them, and chooses by them
 VERIFYING = frozenset({"verify"})  # of [fea]: says what is solved twice, and changes no solve
 TETRAHEDRAL = frozenset({"meshes", "fine_meshes"})  # of [fea]: those IN_PROCESS read none of them
 SHIPPED = "shipped"  # the network that predict and live use where none is named, as targets and parameters call it
 SHIPPED_IMAGE = (320, 240)  # width and height of the pictures that it reads
 
 
-@dataclass(frozen=True)
 class PlanTable(ParameterTable):
     """[plan]: how a dataset is cut into shards."""
 
     shard_size: Count
 
 
-@dataclass(frozen=True)
 class ReportTable(ParameterTable):
     """[report]: what the page holds."""
 
@@ -74,7 +72,6 @@ class ReportTable(ParameterTable):
     branches: tuple[Literal["calibrate", "pareto"], ...]
 
 
-@dataclass(frozen=True)
 class AugmentTable(ParameterTable):
     """[train.augment]: how training images vary."""
 
@@ -92,7 +89,6 @@ class AugmentTable(ParameterTable):
     narrowed: Fraction
 
 
-@dataclass(frozen=True)
 class EpochsTable(ParameterTable):
     """[train.epochs_of]: epochs by kind of network, 0 for [train] epochs."""
 
@@ -100,7 +96,6 @@ class EpochsTable(ParameterTable):
     resnet: Whole
 
 
-@dataclass(frozen=True)
 class TrainingTable(ParameterTable):
     """What one network is trained with: [train] with its model's own values laid over it."""
 
@@ -140,7 +135,6 @@ class TrainingTable(ParameterTable):
         return None
 
 
-@dataclass(frozen=True)
 class TrainTable(TrainingTable):
     """[train]: training of networks."""
 
@@ -148,7 +142,6 @@ class TrainTable(TrainingTable):
     also: Names
 
 
-@dataclass(frozen=True)
 class EvaluateTable(ParameterTable):
     """[evaluate]: errors of networks."""
 
@@ -158,7 +151,6 @@ class EvaluateTable(ParameterTable):
     threads: Annotated[int, Within(1, 1e4)]
 
 
-@dataclass(frozen=True)
 class LabelsTable(ParameterTable):
     """[labels]: what a label holds."""
 
@@ -172,7 +164,6 @@ class LabelsTable(ParameterTable):
         return None
 
 
-@dataclass(frozen=True)
 class DatasetTable(ParameterTable):
     """[dataset]: which presses train, validate and test."""
 
@@ -192,7 +183,6 @@ class DatasetTable(ParameterTable):
         return None
 
 
-@dataclass(frozen=True)
 class CalibrateSolverTable(ParameterTable):
     """[calibrate.solver]: hexahedra and load steps of the solves behind the emulator."""
 
@@ -221,7 +211,6 @@ PRIOR_KEYS = {
 }
 
 
-@dataclass(frozen=True)
 class PriorTable(ParameterTable):
     """One table of [calibrate.priors]: the kind of a prior and its numbers, or the value a parameter is held at."""
 
@@ -257,7 +246,6 @@ class PriorTable(ParameterTable):
         return None
 
 
-@dataclass(frozen=True)
 class PriorsTable(ParameterTable):
     """[calibrate.priors]: what is known before the readings."""
 
@@ -287,7 +275,6 @@ class PriorsTable(ParameterTable):
         return None
 
 
-@dataclass(frozen=True)
 class CalibrateTable(ParameterTable):
     """[calibrate]: the posterior from a log's forces."""
 
@@ -307,7 +294,6 @@ class CalibrateTable(ParameterTable):
     priors: PriorsTable
 
 
-@dataclass(frozen=True)
 class ImagesTable(ParameterTable):
     """What of [poses] says how images are judged."""
 
@@ -315,7 +301,6 @@ class ImagesTable(ParameterTable):
     judge_images: bool
 
 
-@dataclass(frozen=True)
 class PosesTable(ParameterTable):
     """[poses]: from commanded paths to those of the tip against the gel."""
 
@@ -330,14 +315,12 @@ class PosesTable(ParameterTable):
     band_mm: Annotated[Number, Within(1e-3, 1e3, "mm")]
 
 
-@dataclass(frozen=True)
 class PoissonTable(ParameterTable):
     """What of [material] changes a solve: Poisson's ratio."""
 
     nu: Nu
 
 
-@dataclass(frozen=True)
 class MaterialTable(PoissonTable):
     """[material]: the gel, in MPa."""
 
@@ -346,7 +329,6 @@ class MaterialTable(PoissonTable):
     c10_interval95: Interval | None = None
 
 
-@dataclass(frozen=True)
 class InterfaceTable(ParameterTable):
     """[interface]: what holds sideways between indenter and gel."""
 
@@ -354,7 +336,6 @@ class InterfaceTable(ParameterTable):
     mu: Annotated[Number, Within(0.0, 1e3)]
 
 
-@dataclass(frozen=True)
 class MeshesTable(ParameterTable):
     """[meshes]: the gel and how its tetrahedra coarsen away from the press."""
 
@@ -375,7 +356,6 @@ class MeshesTable(ParameterTable):
         return None
 
 
-@dataclass(frozen=True)
 class FeaTable(ParameterTable):
     """[fea]: finite element solves of presses."""
 
@@ -404,14 +384,12 @@ class FeaTable(ParameterTable):
         return None
 
 
-@dataclass(frozen=True)
 class ForcesTable(ParameterTable):
     """[forces]: nodal forces out of the solvers' output."""
 
     noise: Annotated[Number, Within(0.0, 0.5)]
 
 
-@dataclass(frozen=True)
 class GradingTable(ParameterTable):
     """[pareto.grading]: how the reference's meshes coarsen."""
 
@@ -422,7 +400,6 @@ class GradingTable(ParameterTable):
 Coordinate = Annotated[Number, Within(-1e3, 1e3, "mm")]
 
 
-@dataclass(frozen=True)
 class RegionTable(ParameterTable):
     """One entry of [pareto.regions]: the fine part of a reference mesh."""
 
@@ -437,7 +414,6 @@ class RegionTable(ParameterTable):
         return None
 
 
-@dataclass(frozen=True)
 class ReferenceTable(ParameterTable):
     """[pareto.reference]: load steps of the reference."""
 
@@ -445,7 +421,6 @@ class ReferenceTable(ParameterTable):
     shear_steps: Steps
 
 
-@dataclass(frozen=True)
 class BrickReferenceTable(ParameterTable):
     """[pareto.quick] reference: the hexahedra that the small chart is held against."""
 
@@ -465,7 +440,6 @@ def uneven(sizes: tuple[float, ...], layers: tuple[int, ...]) -> str | None:
     return None
 
 
-@dataclass(frozen=True)
 class QuickTable(ParameterTable):
     """[pareto.quick]: the report's small chart."""
 
@@ -480,7 +454,6 @@ class QuickTable(ParameterTable):
         return uneven(self.hex_sizes_mm, self.hex_layers)
 
 
-@dataclass(frozen=True)
 class ParetoMeshesTable(ParameterTable):
     """What of [pareto] its meshes depend on."""
 
@@ -488,7 +461,6 @@ class ParetoMeshesTable(ParameterTable):
     regions: dict[str, RegionTable]
 
 
-@dataclass(frozen=True)
 class ParetoTable(ParetoMeshesTable):
     """[pareto]: the chart of speed against accuracy."""
 
@@ -512,7 +484,6 @@ class ParetoTable(ParetoMeshesTable):
 Engine = Literal["hex", "ccx", "ccx-native"]
 
 
-@dataclass(frozen=True)
 class LevelsTable(ParameterTable):
     """[stability.levels]: values of each factor that is varied."""
 
@@ -525,7 +496,6 @@ class LevelsTable(ParameterTable):
     steps: Annotated[tuple[Annotated[int, Within(1, 1000)], ...], SOME]
 
 
-@dataclass(frozen=True)
 class StabilityTable(ParameterTable):
     """[stability]: the map of where solves converge."""
 
@@ -558,7 +528,6 @@ class StabilityTable(ParameterTable):
         return None
 
 
-@dataclass(frozen=True)
 class Params(ParameterTable):
     """All tables of workflow/params.toml."""
 
