@@ -26,7 +26,15 @@ R = TypeVar("R")
 
 @dataclass(frozen=True)
 class SolvedPress:
-    """A solved press: forces (n, 3) N on the gel and displacement (n, 3) mm of the nodes of `mesh`."""
+    """A solved press.
+
+    Attributes:
+        gel: name of the gel.
+        mesh: its n nodes (n, 3) mm in the gel frame, undeformed, and its elements.
+        forces: contact force on the gel at the nodes, (n, 3) N along gel x, y, z; pressing is negative.
+        displacement: of the nodes, (n, 3) mm.
+        evidence: what the solver says of the solve, such as its load steps.
+    """
 
     gel: str
     mesh: GelMesh
@@ -69,12 +77,26 @@ def solve(
     quality: str = "draft",
     gels: Path | str | None = None,
 ) -> SolvedPress:
-    """Press an indenter into a gel, down by `depth` mm and then sideways by `shear` mm, by finite elements in process.
+    """Press an indenter into a gel, down and then sideways, by finite elements in process; points that touch stick.
 
-    indenter: a body, or a table as in workflow/indenters.toml. at: where its tip meets the apex plane, mm.
-    depth: mm from 0 on, positive into the gel. c10: stiffness of the gel, MPa. nu: its Poisson's ratio. quality: "label", "draft" or "demo", slow to fast.
-    gels: file of gels of your own, such as workflow/gels.toml; `gel` may then name one of them.
-    A press that cannot be solved raises GelforgeError with its reason.
+    Args:
+        indenter: a body, or a table as in workflow/indenters.toml, lengths in mm.
+        depth: mm from 0 on that its tip goes below the gel's apex, positive into the gel.
+        at: x, y in mm of the gel frame where the tip goes down.
+        shear: x, y in mm that it moves sideways at that depth.
+        rot_deg: degrees by which it is turned about z.
+        gel: name of a gel; NAME-3.6mm is one of that thickness.
+        c10: stiffness of the neo-Hookean gel, MPa.
+        nu: its Poisson's ratio, from 0 to below 0.5.
+        quality: "fine", "label", "draft" or "demo", slow to fast.
+        gels: file of gels of your own, such as workflow/gels.toml; `gel` may then name one of them.
+
+    Returns:
+        The state at the end of the path: a mesh, and forces in N and displacements in mm of its nodes.
+
+    Raises:
+        BadInput: an argument that has no meaning; the message names it.
+        GelforgeError: the press has no solution; the message says why.
     """
     from gelforge.flow.params.tables import SOFTEST, STIFFEST
 
@@ -112,9 +134,19 @@ def _finite(*values: Any) -> bool:
 
 @_needs_extra
 def label(solved: SolvedPress, resolution: str = "24x32", sensor: Sensor | None = None) -> np.ndarray:
-    """Bin a solved press into force per cell of an image grid, N: (3, rows, cols) in the order of FEATS' channels.
+    """Bin a solved press into force per cell of an image grid.
 
-    sensor: how gel and image meet; `gelsight_mini()` where None. What lies outside its image is left out.
+    Args:
+        solved: what `solve` returned.
+        resolution: rows x columns of the grid, as text.
+        sensor: how gel and image meet; None: a GelSight Mini as its maker's driver shows it.
+
+    Returns:
+        Force on the gel per cell, (3, rows, cols) N, along gel y, gel x and the normal (FEATS' channels; pressing is
+        negative). What acts outside the image is left out.
+
+    Raises:
+        BadInput: a resolution that is none, or a sensor in whose image no part of the gel lies.
     """
     from gelforge.labelling.operator import assemble
 

@@ -15,11 +15,20 @@ from gelforge.records.forcereading import ForceReading
 def predict(
     image: np.ndarray, nocontact: np.ndarray | None = None, model: Any = None
 ) -> tuple[np.ndarray, dict[str, Any]]:
-    """Predict forces from one image (h, w, 3) uint8 RGB; return (3, rows, cols) N and how far to trust it.
+    """Predict forces from one image; for many of one sensor make a `Reader` once.
 
-    nocontact: a picture of the same sensor while nothing touches it. model: path; the network that ships where None.
-    The second value has what `ForceReading` has, by the same names: its `flag` is True where something is wrong with the
-    pictures, and `reason` says what.
+    Args:
+        image: (h, w, 3) uint8 RGB.
+        nocontact: picture (h, w, 3) uint8 RGB of the same sensor while nothing touches it.
+        model: path of a model; None: the network that ships.
+
+    Returns:
+        Force on the gel per cell, (3, rows, cols) N along gel y, gel x and the normal, pressing negative; and a dict of
+        what `ForceReading` has, by the same names. Its `flag` is True where something is wrong with the pictures,
+        and `reason` says what.
+
+    Raises:
+        BadInput: a picture that is none, one that the model needs and that is missing, or a file that is no model.
     """
     found = Reader(nocontact, model=model)(image)
     return found.cells, vars(found) | {"flag": found.flag}
@@ -28,10 +37,16 @@ def predict(
 class Reader:
     """Predicts forces from images of one sensor, NumPy in and out.
 
-    nocontact: picture (h, w, 3) uint8 RGB of the sensor while nothing touches it; may be left out with a profile, which holds
-    one. profile: path of a profile that `gelforge sensor` wrote, whose factor the forces are multiplied by. model:
-    path of a model; the shipped network where None. device: "cpu", or "cuda" where onnxruntime has it. threads: that one
-    image is predicted with. Raises BadInput for pictures that are none of this sensor.
+    Args:
+        nocontact: picture (h, w, 3) uint8 RGB of the sensor while nothing touches it; may be left out with a profile,
+            which holds one.
+        profile: path of a profile that `gelforge sensor` wrote, by whose factor forces are multiplied.
+        model: path of a model; None: the network that ships.
+        device: "cpu", or "cuda" where onnxruntime has it.
+        threads: that one image is predicted with.
+
+    Raises:
+        BadInput: pictures that are none of this sensor, or a file that is no profile or no model.
     """
 
     def __init__(
@@ -48,25 +63,59 @@ class Reader:
         self._predictor = Predictor(loaded, picture, gain, device, threads, table)
 
     def __call__(self, image: np.ndarray) -> ForceReading:
-        """Predict one image (h, w, 3) uint8 RGB. Nothing carries over from one image to the next."""
+        """Predict one image; nothing carries over from one to the next.
+
+        Args:
+            image: (h, w, 3) uint8 RGB.
+
+        Returns:
+            Forces in N, how sure they are, and what is wrong with the picture.
+
+        Raises:
+            BadInput: what is no such image.
+        """
         return self._predictor.predict(check_image(image))
 
     def height(self, image: np.ndarray) -> np.ndarray | None:
-        """Height (h / 2, w / 2) mm of the gel above the unloaded one in an image (h, w, 3) uint8 RGB (`Predictor.height`).
+        """How high the gel's surface stands in an image.
 
-        None without a profile that `gelforge sensor --balls` wrote.
+        Args:
+            image: (h, w, 3) uint8 RGB.
+
+        Returns:
+            Height (h / 2, w / 2) mm above the unloaded gel; None without a profile that `gelforge sensor --balls` wrote.
+
+        Raises:
+            BadInput: what is no such image.
         """
         return self._predictor.height(check_image(image))
 
     def stream(self, images: Iterable[np.ndarray]) -> Iterator[ForceReading]:
-        """Predict images (h, w, 3) uint8 RGB as they come from a camera, one reading each: the same as one by one.
+        """Predict images as they come from a camera: the same as one by one.
 
-        One that is no image raises BadInput and ends the stream.
+        Args:
+            images: each (h, w, 3) uint8 RGB.
+
+        Returns:
+            One reading of each, as soon as it is asked for.
+
+        Raises:
+            BadInput: what is no such image; it ends the stream.
         """
         return map(self, images)
 
     def batch(self, images: Iterable[np.ndarray]) -> list[ForceReading]:
-        """Predict images (h, w, 3) uint8 RGB, one reading each: the same as one by one."""
+        """Predict images: the same as one by one.
+
+        Args:
+            images: each (h, w, 3) uint8 RGB.
+
+        Returns:
+            One reading of each.
+
+        Raises:
+            BadInput: what is no such image.
+        """
         return [self(image) for image in images]
 
 

@@ -13,7 +13,7 @@ from gelforge.records.axes import AXIS_OF_CHANNEL
 
 NAMES = [
     "01_solve_a_press", "02_label_at_two_resolutions", "03_indenter_from_stl", "04_own_gel", "05_calibrate",
-    "06_read_a_film", "07_export", "08_a_sweep",
+    "06_read_a_film", "07_export", "08_a_sweep", "09_a_contact_law", "10_grip_by_force",
 ]  # fmt: skip
 
 
@@ -100,3 +100,16 @@ def test_a_sweep_shows_the_law(run):
     forces = np.array([row["force_n"] for row in names["rows"]]).reshape(2, 3)
     assert (np.diff(forces, axis=1) > 0).all() and (forces[1] > forces[0]).all()
     assert 1.3 < names["power"] < 2.2 and len(Path("sweep.csv").read_text().splitlines()) == 7
+
+
+def test_a_contact_law_of_ones_own_is_solved(run):
+    """The weaker the law, the less of the drag reaches the gel."""
+    names, _ = run("09_a_contact_law")
+    dragged = {law: total[0] for law, total in names["totals"].items()}
+    assert dragged["no_slip"] > dragged["coulomb"] > dragged["orowan"] > 0.0
+
+
+def test_a_gripper_closes_until_the_force_is_reached(run):
+    names, lines = run("10_grip_by_force")
+    forces = [line[0] for line in lines]
+    assert all(force > -names["GRIP_N"] for force in forces[:-1]) and forces[-1] <= -names["GRIP_N"]

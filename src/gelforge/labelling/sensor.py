@@ -20,9 +20,13 @@ FEWEST_DOTS, MOST_DOTS = 2, 100  # in a row or a column of a print
 class Sensor:
     """One sensor unit.
 
-    projection: (3, 3), homography from gel mm (x, y, 1) to pixel (u, v, 1), u right and v down from the
-    image's corner, so that the first pixel's centre is (0.5, 0.5) and label cells start at 0.
-    image: (width, height) in pixels. markers: what is known of the printed markers, see sensors.toml.
+    Args:
+        name: of the unit.
+        image: (width, height) in pixels.
+        projection: (3, 3), homography from gel mm (x, y, 1) to pixel (u, v, 1), u right and v down from the image's
+            corner, so that the first pixel's centre is (0.5, 0.5) and label cells start at 0.
+        gel: name of its gel.
+        markers: what is known of the printed markers, see sensors.toml.
     """
 
     name: str
