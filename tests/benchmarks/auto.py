@@ -14,9 +14,10 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.flow import params as config
+from gelforge.flow.cache import digest_of_value
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.main import command, option, positive
-from gelforge.flow.params import digest_of_value, plain
+from gelforge.flow.params import plain
 from gelforge.flow.params.tables import FeaTable, Params
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel

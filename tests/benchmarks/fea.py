@@ -16,9 +16,9 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow import params as config
+from gelforge.flow.cache import canonical
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.main import command, option
-from gelforge.flow.params import canonical
 from gelforge.flow.params.stages import ForPareto
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel, load_gel

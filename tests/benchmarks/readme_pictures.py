@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.cache import digest_of_value
 from gelforge.flow.files import digest_of, publish, read_json, read_toml, write_json
 from gelforge.flow.main import command, group, option
-from gelforge.flow.params import digest_of_value
 
 SHIPPED = Path("src/gelforge/networks/weights/default.onnx")
 PRESSED = 1.4, (0.5, 1.0), (0.4, -0.3)  # depth, place and way sideways of the press that is shown, mm

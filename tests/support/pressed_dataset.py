@@ -4,13 +4,13 @@ from pathlib import Path
 
 import numpy as np
 
+from gelforge.flow.cache import canonical
 from gelforge.flow.files import read_json, read_toml, write_csv, write_if_changed, write_json
 from gelforge.flow.layout import Layout
-from gelforge.flow.params import canonical, plain
-from gelforge.geometry.cropping import cropped
+from gelforge.flow.params import plain
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
-from gelforge.geometry.triangles import write_stl
+from gelforge.geometry.triangles import cropped, write_stl
 from gelforge.mechanics.mesh.hexmesh import FineBox, build_mesh
 from gelforge.records.forcefile import SampleForces, write_forces
 from gelforge.records.press import COLUMNS

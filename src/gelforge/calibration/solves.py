@@ -16,8 +16,8 @@ import numpy as np
 from gelforge.calibration import emulator as em
 from gelforge.calibration.readings import Readings
 from gelforge.errors import BadInput, SolveFailed, nearest
-from gelforge.flow.files import read_json, write_json
-from gelforge.flow.layout import command_for
+from gelforge.flow.cache import record_of
+from gelforge.flow.files import write_json
 from gelforge.flow.progress import progress
 from gelforge.flow.slots import in_slots
 from gelforge.geometry.gel import load_gel
@@ -207,7 +207,7 @@ class SolveCache:
         tasks = [
             (path, job, self.catalogue[job.indenter], self.settings)
             for path, job in required.items()
-            if not path.exists()
+            if self._read(path) is None
         ]
         self._made |= {task[0] for task in tasks}
         # the first one alone: it compiles what the processes of the others would each compile
@@ -215,22 +215,19 @@ class SolveCache:
         for _ in progress(done, "calibration solves", len(tasks)):
             pass
         for path in required:
-            if "failed" in self._read(path):
-                self.failed[path] = self._read(path)["failed"]
+            if reason := (self._read(path) or {}).get("failed"):
+                self.failed[path] = reason
 
-    def _read(self, path: Path) -> dict:
-        if path not in self._kept:
-            try:
-                self._kept[path] = read_json(path)
-            except (ValueError, OSError) as error:
-                command = command_for("calibrate", path)
-                raise BadInput(f"{path}: not a solve ({error}); delete it and run {command} again") from error
+    def _read(self, path: Path) -> dict | None:
+        if not self._kept.get(path):
+            self._kept[path] = record_of(path)
         return self._kept[path]
 
     def get(self, job: SolveJob) -> dict:
         """The solve of a job that `fill` made."""
         path = self.path(job)
         solve = self._read(path)
+        assert solve is not None, "a job that `fill` did not make"
         if "failed" in solve:
             raise SolveFailed(solve["failed"])
         self._used[path] = job

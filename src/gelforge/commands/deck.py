@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.cache import record_of
 from gelforge.flow.files import write_text
 from gelforge.flow.layout import DECK, Layout, shard_name
 from gelforge.flow.main import RESULTS, command, option
@@ -15,7 +16,6 @@ from gelforge.mechanics.ccx.deck import INCLUDES, include_of
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.press import check_id
-from gelforge.records.solvetable import read_record
 
 README = """\
 `ccx {name}` in this folder solves press {name} of dataset {dataset} with stock CalculiX (mm, N, MPa), in the frame of the gel.
@@ -30,7 +30,7 @@ def solve_of(results: Path, sample_id: str) -> tuple[dict, Path, Path]:
     shard = of.shard_of(sample_id)
     refuse_rejected(results, shard, sample_id)
     for own, name in ((of, shard), (of.sample(sample_id), shard_name(0))):
-        if record := read_record(own.solve(name, sample_id)):
+        if record := record_of(own.solve(name, sample_id)):
             return record, own.solves(name), own.forces(name)
     raise BadInput(f"sample {sample_id} was not solved yet; run {of.command(f'sample ID={sample_id}')}")
 

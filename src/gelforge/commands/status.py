@@ -10,7 +10,8 @@ from pathlib import Path
 
 from gelforge.errors import printable
 from gelforge.flow import layout
-from gelforge.flow.files import Kept, listed, names_in, read_csv
+from gelforge.flow.cache import FileValues
+from gelforge.flow.files import listed, names_in, read_csv
 from gelforge.flow.layout import Layout
 from gelforge.flow.ledger import LastRun, causes, changed_since, failures, last_runs, last_words_of, still_asked
 from gelforge.flow.main import RESULTS, command, option
@@ -48,7 +49,7 @@ def lost_forces(path: Path) -> list[str]:
     return [bad[row["sample_id"]] for row in rows if row["status"] in VALID and row["sample_id"] in bad]
 
 
-def poses_state(results: Path, shards: Collection[str], kept: Kept) -> tuple[int, Counter]:
+def poses_state(results: Path, shards: Collection[str], kept: FileValues) -> tuple[int, Counter]:
     """Good rows of the log and reasons of the rejected ones."""
     folder = Layout(results).folder(layout.POSES)
     done = sum(kept.of(f"{folder}/{shard}.csv", rows_in) or 0 for shard in shards)
@@ -56,7 +57,7 @@ def poses_state(results: Path, shards: Collection[str], kept: Kept) -> tuple[int
     return done, Counter(chain.from_iterable(failed))
 
 
-def fea_state(results: Path, shards: Collection[str], kept: Kept) -> tuple[int, Counter, dict[str, int]]:
+def fea_state(results: Path, shards: Collection[str], kept: FileValues) -> tuple[int, Counter, dict[str, int]]:
     """Solves done, reasons of the failed ones, and the valid ones of each whole shard.
 
     Partly done shards count by their sample files.
@@ -71,7 +72,7 @@ def fea_state(results: Path, shards: Collection[str], kept: Kept) -> tuple[int, 
     return partly + reasons.pop("OK", 0), reasons, valid
 
 
-def forces_state(results: Path, valid: dict[str, int], kept: Kept) -> tuple[int, Counter, dict[str, int]]:
+def forces_state(results: Path, valid: dict[str, int], kept: FileValues) -> tuple[int, Counter, dict[str, int]]:
     """Samples with forces, what became of solves that gave none after all, and the samples left of each shard.
 
     valid: good solves of each shard.
@@ -98,7 +99,7 @@ def lines(results: Path, broken: Collection[str] = (), meshes: Collection[str] |
     broken: stages with a target whose last run failed. meshes: those that presses may take; None where that is not known.
     """
     of = Layout(results)
-    kept, planned = Kept(of.tables), of.shards
+    kept, planned = FileValues(of.tables), of.shards
     counted = {shard: kept.of(f"{planned}/{shard}.csv", rows_in) for shard in of.names()}
     sizes = {shard: size for shard, size in counted.items() if size is not None}
     total = sum(sizes.values())

@@ -8,8 +8,8 @@ import io
 import json
 import os
 import shutil
-from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import IO, Any
 
@@ -182,35 +182,3 @@ def read_csv(path: Path | str) -> list[dict]:
     """Read a CSV file with a header as a list of dicts of strings."""
     with Path(path).open(newline="", encoding="utf-8-sig") as stream:
         return list(csv.DictReader(stream))
-
-
-class Kept:
-    """Values read from files; path: where they are kept."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        self.known: dict[str, Any] = {}
-        self.seen: dict[str, Any] = {}
-        with suppress(OSError, ValueError, AttributeError):  # none yet, or damaged: files are read once more
-            self.known = dict(read_json(path).items())
-
-    def of(self, file: Path | str, read: Callable[[Path], Any]) -> Any:
-        """What `read` finds in a file, a value of JSON; None where there is no file, or it cannot be read."""
-        try:
-            state = os.stat(file)
-            now = [state.st_mtime_ns, state.st_size]
-            match self.known.get(str(file)):
-                case [*before, found] if before == now:
-                    pass
-                case _:
-                    found = read(Path(file))
-        except (OSError, ValueError, csv.Error):
-            return None
-        self.seen[str(file)] = [*now, found]
-        return found
-
-    def keep(self) -> None:
-        """Write what changed; where nothing can be written, files are read again."""
-        if self.seen != self.known:
-            with suppress(OSError):
-                write_json(self.path, self.seen)

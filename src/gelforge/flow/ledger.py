@@ -11,7 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gelforge.flow.files import Kept, below, last_line
+from gelforge.flow.cache import FileValues
+from gelforge.flow.files import below, last_line
 from gelforge.flow.layout import FEA, FORCES, MESHES, PLAN, POSES, Layout, dataset_folder
 from gelforge.flow.running import running_targets
 
@@ -50,7 +51,7 @@ class LastRun:
 def last_runs(results: Path) -> list[LastRun]:
     """Last runs of all targets, in the order of their names; one that is being written is none."""
     of = Layout(results)
-    kept, root = Kept(of.runs), f"{of.metrics}/"
+    kept, root = FileValues(of.runs), f"{of.metrics}/"
     records = {path[len(root) : -len(".json")]: kept.of(path, read_run) for path in below(of.metrics, ".json")}
     kept.keep()
     return [LastRun(name, record) for name, record in records.items() if isinstance(record, dict)]

@@ -18,7 +18,8 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.records.npz import DAMAGED, in_short
+from gelforge.flow.cache import DAMAGED
+from gelforge.records.npz import in_short
 from gelforge.records.regular import file_fault
 
 LARGEST_FILE = 2**30

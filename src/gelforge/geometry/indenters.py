@@ -238,7 +238,7 @@ def _stl(t: _Table, **common) -> Body:
     planned = t.take("sha256", None)
     if planned is not None and planned != digest_of(path):
         t.fail("file", file, f"{path} changed while this was planned; run make again")
-    return sampled_from_stl(path, scale=scale, spacing=spacing, reach=reach, kept=t.kept, **common)
+    return sampled_from_stl(path, scale=scale, spacing=spacing, reach=reach, folder=t.kept, **common)
 
 
 KINDS: dict[str, Callable] = {

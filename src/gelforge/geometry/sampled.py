@@ -1,16 +1,13 @@
 """Indenters from a user's STL: checked, then held as a smooth grid of distances."""
 
-import contextlib
-import fcntl
-import hashlib
-import zipfile
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import digest_of, publish, take
+from gelforge.flow.cache import digest_of_value, kept
+from gelforge.flow.files import digest_of
 from gelforge.geometry.shells import outer_surface, signed_distances
 from gelforge.geometry.solids import Body
 from gelforge.geometry.stlfile import read_stl
@@ -156,26 +153,28 @@ def _distance_grid(vertices, faces, low, spacing, shape) -> np.ndarray:
 
 
 def sampled_from_stl(
-    path: Path, scale=1.0, spacing=0.2, reach=4.0, *, name, kept: Path | None = None, **flags
+    path: Path, scale=1.0, spacing=0.2, reach=4.0, *, name, folder: Path | None = None, **flags
 ) -> Sampled:
     """The indenter that an STL file describes, after the checks of `check_body`.
 
-    kept: folder of what was measured of files, by their content: a fine one takes minutes. Of several processes one
+    folder: of what was measured of files, by their content: a fine one takes minutes. Of several processes one
     measures it, the others wait for it.
     """
     how = {"spacing": spacing, "reach": reach, **flags}
-    if kept is None:
+
+    def measure() -> Sampled:
         return Sampled(name, *check_body(*read_stl(path, scale), f"indenter {name}: {path}"), **how)
-    key = hashlib.sha256(repr((MEASURED, digest_of(path), scale, spacing, reach)).encode()).hexdigest()[:20]
-    file = kept / f"{key}.npz"
-    kept.mkdir(parents=True, exist_ok=True)
-    with (kept / f".{key}.lock").open("a") as lock:
-        take(lock, fcntl.LOCK_EX)
-        with contextlib.suppress(OSError, ValueError, KeyError, EOFError, zipfile.BadZipFile), np.load(file) as found:
+
+    def read(file: Path) -> Sampled:
+        with np.load(file) as found:
             body = Sampled(name, found["vertices"], found["faces"], **how)
             body._coefficients = found["coefficients"]
-            return body
-        body = Sampled(name, *check_body(*read_stl(path, scale), f"indenter {name}: {path}"), **how)
-        with publish(file) as part, part.open("wb") as stream:
-            np.savez(stream, vertices=body.vertices, faces=body.faces, coefficients=body._coefficients)
-    return body
+        return body
+
+    def write(file: Path, body: Sampled) -> None:
+        np.savez(file, vertices=body.vertices, faces=body.faces, coefficients=body._coefficients)
+
+    if folder is None:
+        return measure()
+    key = digest_of_value([MEASURED, digest_of(path), scale, spacing, reach])[:20]
+    return kept(folder / f"{key}.npz", read, measure, write)

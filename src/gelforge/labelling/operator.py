@@ -18,13 +18,12 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import publish
+from gelforge.flow.cache import kept
 from gelforge.labelling.clip import clip_to_grid, polygon_area
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor, transform
 from gelforge.mechanics.mesh.family import load_mesh, mesh_file
 from gelforge.mechanics.mesh.gelmesh import GelMesh
-from gelforge.records.npz import DAMAGED, in_short
 
 VERSION = 1  # of the numbers in an operator file; part of its name
 CORNERS = {"tet10": 3, "hex8": 4}
@@ -83,20 +82,14 @@ class Operator:
             )
 
     def save(self, path) -> None:
-        """Write to an .npz file, whole or not at all."""
-        with publish(path) as part, part.open("wb") as stream:
-            np.savez(stream, grid=np.array(self.grid.shape), ptr=self.ptr, cell=self.cell, weight=self.weight)
+        """Write to an .npz file."""
+        np.savez(path, grid=np.array(self.grid.shape), ptr=self.ptr, cell=self.cell, weight=self.weight)
 
     @classmethod
     def load(cls, path) -> "Operator":
-        """Read what `save` wrote; anything else raises BadInput."""
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                return cls(Grid(*map(int, file["grid"])), file["ptr"], file["cell"], file["weight"])
-        except DAMAGED as error:
-            raise BadInput(
-                f"{path}: not a binning operator ({in_short(error)}); delete it and run make again"
-            ) from error
+        """Read what `save` wrote."""
+        with np.load(path, allow_pickle=False) as file:
+            return cls(Grid(*map(int, file["grid"])), file["ptr"], file["cell"], file["weight"])
 
 
 def assemble(mesh: GelMesh, sensor: Sensor, grid: Grid) -> Operator:
@@ -250,8 +243,6 @@ def operator_path(folder, meshes, name: str, sensor: Sensor, grid: Grid) -> Path
 def cached(folder, meshes, name: str, sensor: Sensor, grid: Grid) -> Operator:
     """Read the operator of a mesh by its name, or assemble and keep it."""
     path = operator_path(folder, meshes, name, sensor, grid)
-    if path.exists():
-        return Operator.load(path)
-    operator = assemble(load_mesh(meshes, name), sensor, grid)
-    operator.save(path)
-    return operator
+    return kept(
+        path, Operator.load, lambda: assemble(load_mesh(meshes, name), sensor, grid), lambda to, of: of.save(to)
+    )

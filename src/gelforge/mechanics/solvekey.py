@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import asdict, fields
 from typing import Any
 
-from gelforge.flow.params import digest_of_value
+from gelforge.flow.cache import digest_of_value
 from gelforge.flow.params.tables import FeaTable
 from gelforge.geometry.gel import gel_shape
 from gelforge.mechanics.hexsettings import HexSettings, quality

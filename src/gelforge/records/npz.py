@@ -1,22 +1,16 @@
 """Archives of arrays (.npz) that others may have written: what a member claims is checked before it is read."""
 
 import math
-import tokenize
 import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.cache import DAMAGED
 from gelforge.records.regular import file_fault
 
-# What reading a corrupt or hostile archive can raise in zipfile, zlib and numpy.
-DAMAGED = (
-    OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, MemoryError, NotImplementedError, OverflowError,
-    SyntaxError, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
-)  # fmt: skip
 MOST_SAID = 200  # characters of an error: numpy quotes a header whole
 # An archive may unpack to so many bytes whatever it has itself, and beyond that to so many times its own.
 FREE_BYTES = 2**30

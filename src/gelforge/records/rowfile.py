@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.records.npz import DAMAGED, in_short
+from gelforge.flow.cache import DAMAGED
+from gelforge.records.npz import in_short
 
 LET_GO = 512  # rows
 HINT = "remove it and make the dataset again"

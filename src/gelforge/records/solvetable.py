@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import digest_of, read_json
+from gelforge.flow.files import digest_of
 from gelforge.flow.layout import command_for
 from gelforge.records.press import FORCE, parse_number
 from gelforge.records.status import Status
@@ -76,15 +76,6 @@ def read_solves(path: str | Path) -> list[Solved]:
         found.append(Solved(**names, status=Status[state], total=(x, y, z), evidence=evidence,
                             press_id=row.get("press_id") or ""))  # fmt: skip
     return found
-
-
-def read_record(path: Path) -> dict[str, Any] | None:
-    """The record that stage 30 wrote of a sample; None where none can be read."""
-    try:
-        record = read_json(path)
-    except (OSError, ValueError):
-        return None
-    return record if isinstance(record, dict) and "files" in record else None
 
 
 def corrupt(folder: Path, record: dict[str, Any]) -> list[Path]:

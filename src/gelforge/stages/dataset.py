@@ -1,6 +1,5 @@
 """Stage 60: images and labels as arrays ready to train on, with a split without leaks and normalisation."""
 
-import fcntl
 import hashlib
 import os
 import sys
@@ -15,7 +14,8 @@ from gelforge.errors import BadInput
 from gelforge.evidence.forces import LogForces, of_labels
 from gelforge.evidence.images import row_list
 from gelforge.evidence.logimages import LogImages
-from gelforge.flow.files import digest_of, listed, publish, read_json, take, write_csv, write_json, write_text
+from gelforge.flow.cache import alone
+from gelforge.flow.files import digest_of, listed, publish, read_json, write_csv, write_json, write_text
 from gelforge.flow.layout import Layout
 from gelforge.flow.main import STRICT, stage
 from gelforge.flow.params.stages import ForDataset, read_parameters
@@ -123,9 +123,7 @@ def share_images(folder: Path, data: Path, presses: list[PressRecord], size) -> 
 
     Resolutions are made side by side: the first writes the copy, the others wait for it.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder.parent / ".images.lock").open("w") as lock:
-        take(lock, fcntl.LOCK_EX)
+    with alone(folder.parent / "images"):
         _share_images(folder, data, presses, size)
 
 

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.cache import digest_of_value, record_of
 from gelforge.flow.files import digest_of, publish, read_json, write_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.main import stage
-from gelforge.flow.params import digest_of_value
 from gelforge.flow.params.stages import ForFea, read_parameters
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel, use_gels_of
@@ -32,7 +32,7 @@ from gelforge.mechanics.solvers.fidelity import Solvers
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses
 from gelforge.records.press import SENSOR_TABLES, PosedPress
-from gelforge.records.solvetable import Solved, corrupt, read_meshes, read_record, write_solves
+from gelforge.records.solvetable import Solved, corrupt, read_meshes, write_solves
 from gelforge.records.status import Status
 from gelforge.sweeps import verification
 
@@ -81,8 +81,8 @@ def finished(folder: Path, sample_id: str, key: str, timeout_s: float) -> dict |
 
     One that was stopped because it took too long is no such record where it may take longer now.
     """
-    record = read_record(folder / f"{sample_id}.json")
-    if record is None or record.get("key") != key or corrupt(folder, record):
+    record = record_of(folder / f"{sample_id}.json", key)
+    if record is None or corrupt(folder, record):
         return None
     if record["evidence"].get("stopped_after_s", timeout_s) < timeout_s:
         return None

@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.cache import DAMAGED, record_of
 from gelforge.flow.files import read_json
 from gelforge.flow.layout import Layout, command_for
 from gelforge.flow.main import stage
@@ -21,8 +22,8 @@ from gelforge.mechanics.mesh.family import mesh_loader
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.result import BALANCE
 from gelforge.records.forcefile import INTERVALS, SampleForces, write_forces
-from gelforge.records.npz import DAMAGED, in_short
-from gelforge.records.solvetable import Solved, corrupt, read_record, read_solves
+from gelforge.records.npz import in_short
+from gelforge.records.solvetable import Solved, corrupt, read_solves
 from gelforge.records.status import Status
 
 VERSION = 2
@@ -121,7 +122,7 @@ def refuse_corrupt(table: Path, solves: list[Solved]) -> None:
     lost = []
     for solve in solves:
         if solve.status.valid:
-            record = read_record(folder / f"{solve.sample_id}.json")
+            record = record_of(folder / f"{solve.sample_id}.json")
             lost += [folder / f"{solve.sample_id}.json"] if record is None else corrupt(folder, record)
     if lost:
         table.unlink()

@@ -11,20 +11,21 @@ import re
 from argparse import Namespace
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from difflib import get_close_matches
 from pathlib import Path
 from types import MappingProxyType
 
-from gelforge.errors import BadInput, nearest, printable
+from gelforge.errors import BadInput, printable
+from gelforge.evidence.settings import check_dataset, check_names
 from gelforge.flow import params as config
+from gelforge.flow.cache import FileValues, canonical
 from gelforge.flow.dates import keep_states, states_of
-from gelforge.flow.files import Kept, csv_text, listed, write_if_changed, write_text
+from gelforge.flow.files import csv_text, listed, write_if_changed, write_text
 from gelforge.flow.layout import LOGGED, PLAN, Layout, planned_shards, shard_name
 from gelforge.flow.main import option, stage
-from gelforge.flow.params import DatasetFile, Params, stl_files, with_content
-from gelforge.flow.params.tables import IN_PROCESS, SHIPPED, SHIPPED_IMAGE
+from gelforge.flow.params import Params, stl_files, with_content
+from gelforge.flow.params.tables import IN_PROCESS, SHIPPED
 from gelforge.records.log import read_log, shard_text
-from gelforge.records.press import SENSOR_TABLES, RawRow, repeats
+from gelforge.records.press import RawRow, repeats
 from gelforge.records.regular import file_fault
 from gelforge.records.table import read_table
 
@@ -151,15 +152,6 @@ def repeated_rows(rows: list[RawRow], pictures: dict[str, str]) -> dict[int, str
     return found
 
 
-PICTURES = (
-    ".png",
-    ".jpg",
-    ".jpeg",
-    ".bmp",
-    ".tif",
-    ".tiff",
-    ".webp",
-)  # names that a no-contact image may be given by
 COLUMN_OF = {"sensors": "sensor_id", "indenters": "indenter"}  # of the log, by catalogue
 
 
@@ -180,7 +172,7 @@ def digests(files: Mapping[str, Path | str], kept: Path, most: int = 2**40) -> d
         with path.open("rb") as stream:
             return hashlib.file_digest(stream, lambda: hashlib.blake2b(digest_size=8)).hexdigest()
 
-    known = Kept(kept)
+    known = FileValues(kept)
     found = {name: known.of(path, read) for name, path in files.items()}
     known.keep()
     return {name: digest for name, digest in found.items() if digest}
@@ -226,42 +218,19 @@ def files_beside(data: Path) -> dict[str, Path]:
     return {str(path.relative_to(data)): path for path in found if path.is_file()}
 
 
-def check_nocontact(data: Path, logged: Iterable[str], known: Iterable[str]) -> None:
-    """Refuse a no-contact image that no stage would read, because of its name.
-
-    logged: sensors of the log; known: all sensors of the catalogue, whose images may lie there, too.
-    """
-    found = listed(data / "nocontact", "*")
-    for path in found:
-        picture = path.suffix.lower() in PICTURES and path.suffix != ".png"
-        if picture and not path.with_suffix(".png").exists():
-            raise BadInput(f"{path}: no-contact images are read as PNG; save it as {path.with_suffix('.png').name}")
-    without = [name for name in sorted(logged) if not (data / "nocontact" / f"{name}.png").exists()]
-    for path in found:
-        stray = path.is_dir() or (path.suffix == ".png" and path.stem not in known)
-        if without and stray:
-            near = get_close_matches(path.stem.lower(), [name.lower() for name in without], 1)
-            meant = next((name for name in without if name.lower() in near), without[0])
-            raise BadInput(
-                f"{path}: {'is a folder' if path.is_dir() else 'is named after no sensor'}, and {', '.join(without)} of the log"
-                f" {'has' if len(without) == 1 else 'have'} no no-contact image; save one as {data / 'nocontact' / meant}.png,"
-                " or move this elsewhere"
-            )
-
-
 def write_parameters(params: Params, workflow: Path, out: Path, tables: dict[str, dict], scenes: dict) -> None:
     """Write the parameters of every stage, and the catalogues' entries that this dataset uses, without their comments."""
     source = Path(__file__).parent
     for name, of in config.SOURCES.items():
         made = config.parameters_of(params, of.kind, config.stage_version(source, of))
-        write_if_changed(out / "params" / f"{name}.json", config.canonical(config.plain(made)))
+        write_if_changed(out / "params" / f"{name}.json", canonical(config.plain(made)))
     for name, entries in tables.items():
-        write_if_changed(out / "params" / f"{name}.json", config.canonical(entries))
+        write_if_changed(out / "params" / f"{name}.json", canonical(entries))
     # One file per network, so that a new network retrains no other.
     for name, table in networks(workflow).items():
-        write_if_changed(out / "params" / "models" / f"{name}.json", config.canonical({name: table}))
+        write_if_changed(out / "params" / "models" / f"{name}.json", canonical({name: table}))
     for name, table in scenes.items():
-        write_if_changed(out / "params" / "scenes" / f"{name}.json", config.canonical(table))
+        write_if_changed(out / "params" / "scenes" / f"{name}.json", canonical(table))
 
 
 def used(catalogue: dict, names: set[str]) -> dict:
@@ -313,13 +282,6 @@ def reported_model(file: Path, params: Params, models: dict) -> list[str]:
     return [name] if name else []
 
 
-def check_names(setting: str, names: Iterable[str], known: Mapping[str, object]) -> None:
-    """Refuse a name that is none of those known: misspelt, it would do nothing."""
-    for name in names:
-        if name not in known:
-            raise BadInput(f"{setting}: {name!r} is unknown{nearest(name, known)}")
-
-
 def chart_lists(params: Params, scenes: dict) -> dict[str, list[str]]:
     """Names that the rules of the branches pareto and stability need."""
     from gelforge.sweeps.references import all_meshes
@@ -346,99 +308,6 @@ def gel_files(workflow: Path) -> list[Path]:
     tables = config.read_toml(path).values() if path.exists() else ()
     named = (table.get("file") for table in tables if isinstance(table, dict))
     return [workflow / file for file in named if isinstance(file, str)]
-
-
-def check_gel(file: Path, of: DatasetFile, params: Params, sensors: dict[str, dict]) -> None:
-    """Refuse a dataset whose gel is not one throughout: in its file, in [meshes], and on the sensors of its log.
-
-    Where presses are solved on hexahedra, which are built for each press, sensors may state a thickness of their own.
-    sensors: tables of those that the log names. A gel that is none is left to stage 10, which rejects its rows.
-    """
-    from gelforge.geometry.gel import is_gel, load_gel, states_thickness
-    from gelforge.geometry.gelcatalogue import refuse_taken
-
-    mesh_gel = params.meshes.gel
-    try:
-        load_gel(mesh_gel)
-    except BadInput as error:
-        raise BadInput(f"{file}: [params.meshes] {error}") from None
-    refuse_taken(mesh_gel)
-    if of.gel is not None and of.gel != mesh_gel:
-        raise BadInput(
-            f"{file}: gel = {of.gel!r}, but [meshes] gel = {mesh_gel!r}, on which presses are solved; name one gel"
-        )
-    hexahedra = params.fea.fidelity in IN_PROCESS
-    for name, table in sorted(sensors.items()):
-        gel = table.get("gel") if isinstance(table, dict) else None
-        if is_gel(gel) and gel != mesh_gel and not (hexahedra and states_thickness(gel, mesh_gel)):
-            raise BadInput(
-                f"{file}: sensor {name!r} of the log has gel {gel!r} ({SENSOR_TABLES}), but"
-                f" [meshes] gel = {mesh_gel!r}: set [params.meshes] gel, and keep presses on different gels in datasets of their own;"
-                ' hexahedra ([params.fea] fidelity = "hex") follow the thickness that each sensor states'
-            )
-
-
-def picture_sizes(sensors: dict[str, dict]) -> dict[tuple[int, int], str]:
-    """Sizes (width, height) of the pictures that sensors take, each with the first sensor of that size.
-
-    A sensor whose table states none is left to stage 10, which rejects its rows.
-    """
-    sizes: dict[tuple[int, int], str] = {}
-    for name, table in sorted(sensors.items()):
-        match table:
-            case {"image": [int(width), int(height)]}:
-                sizes.setdefault((width, height), name)
-    return sizes
-
-
-def check_pictures(file: Path, params: Params, sensors: dict[str, dict], models: dict[str, dict]) -> None:
-    """Refuse pictures of several sizes, which no dataset holds, and of one that the report's network does not read.
-
-    Without this both would show when all presses are solved. sensors: tables of those that the log names. models: of
-    workflow/models.toml.
-    """
-    sizes = picture_sizes(sensors) if params.poses.images else {}
-    seen = ", ".join(f"{name} {width} x {height}" for (width, height), name in sizes.items())
-    if len(sizes) > 1:
-        raise BadInput(
-            f"{file}: sensors of the log take pictures of several sizes ({seen}): make one dataset for each size, or set"
-            " [params.poses] images = false, which goes as far as labels and calibrate"
-        )
-    model = params.report.model
-    goes_on = model == SHIPPED or models.get(model, {}).get("start") == SHIPPED
-    if goes_on and sizes and SHIPPED_IMAGE not in sizes:
-        width, height = SHIPPED_IMAGE
-        raise BadInput(
-            f"{file}: [params.report] model = {model!r}: the shipped network reads pictures of {width} x {height}, the log's"
-            f" sensors take others ({seen}); bring them to that size, also in {SENSOR_TABLES}, or name a network that learns"
-            " from these alone (models.toml)"
-        )
-
-
-def check_dataset(
-    file: Path,
-    of: DatasetFile,
-    params: Params,
-    rows: list[RawRow],
-    workflow: Path,
-    sensors: dict,
-    indenters: dict,
-) -> None:
-    """Refuse settings that name a sensor, an indenter or a gel that there is not, or that is not the log's."""
-    where = f"{file}: [params.dataset]"
-    check_names(f"{where} unseen_indenters", params.dataset.unseen_indenters, indenters)
-    check_names(f"{where} unseen_sensors", params.dataset.unseen_sensors, sensors)
-    check_names(f"{file}: sensor", [of.sensor] if of.sensor is not None else [], sensors)
-    check_names("[pareto] sensor", [params.pareto.sensor], sensors)
-    logged = used(sensors, named(rows, "sensor_id"))
-    check_gel(file, of, params, logged)
-    if params.poses.images:
-        check_nocontact(file.parent, logged, sensors)
-    check_pictures(file, params, logged, networks(workflow))
-    if file.parent.name in params.train.also:
-        raise BadInput(
-            f"{file}: [params.train] also names the dataset itself, {file.parent.name}; name others, or none"
-        )
 
 
 def check_count(shards: list[str], size: int) -> None:
@@ -499,7 +368,7 @@ def main(args: Namespace) -> None:
     bodies = used(indenters, named(rows, "indenter"))
     read: list[Path | str] = [*stl_files(bodies, workflow).values(), *shapes, *gel_files(workflow), *pictures]
     states |= states_of(read)
-    check_dataset(dataset_toml, dataset, params, rows, workflow, sensors, indenters)
+    check_dataset(dataset_toml, dataset, params, used(sensors, named(rows, "sensor_id")), sensors, indenters, models)
     seen_by = used(sensors, named(rows, "sensor_id") | {params.pareto.sensor})
     gels = own_shapes([params.meshes.gel, *gels_of(seen_by)])
     tables = {"sensors": seen_by, "indenters": with_content(bodies, workflow), "gels": gels}
@@ -519,8 +388,8 @@ def main(args: Namespace) -> None:
     write_parameters(params, workflow, of.folder(PLAN), tables, scenes)
     beside = digests(files_beside(data), of.folder(PLAN) / "digests_beside.json")
     nocontact = {name: beside.pop(name) for name in list(beside) if name.startswith("nocontact/")}
-    write_if_changed(of.folder(PLAN) / "nocontact.json", config.canonical(nocontact))
-    write_if_changed(of.folder(PLAN) / "beside.json", config.canonical(beside))
+    write_if_changed(of.folder(PLAN) / "nocontact.json", canonical(nocontact))
+    write_if_changed(of.folder(PLAN) / "beside.json", canonical(beside))
     shards = write_shards(
         data, rows, of.folder(PLAN), params.plan.shard_size, {kind: tables[kind] for kind in COLUMN_OF}
     )

@@ -12,10 +12,10 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.cache import digest_of_value
 from gelforge.flow.files import publish, read_json, write_csv, write_json
 from gelforge.flow.layout import Layout, beside
 from gelforge.flow.main import group, stage
-from gelforge.flow.params import digest_of_value
 from gelforge.flow.params.stages import ForStability, read_parameters
 from gelforge.flow.progress import progress
 from gelforge.mechanics.ccx.program import need_ccx

@@ -10,8 +10,9 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_json, write_json
-from gelforge.flow.params import digest_of_value, plain
+from gelforge.flow.cache import digest_of_value, record_of
+from gelforge.flow.files import write_json
+from gelforge.flow.params import plain
 from gelforge.flow.params.schema import ParameterTable
 from gelforge.flow.params.stages import ForPareto, ForStability
 from gelforge.flow.params.tables import CHOOSING, TETRAHEDRAL, VERIFYING, ParetoTable, StabilityTable
@@ -124,13 +125,10 @@ def kept(path: Path, key: str, limit_s: float) -> dict | None:
     What was refused or ended in a crash is tried again, because what stood in its way may be mended; what ran out of its
     time is, where it may take longer now.
     """
-    try:
-        record = read_json(path)
-    except (OSError, ValueError):
-        return None
+    record = record_of(path, key) or {}
     status = record.get("status")
     again = status in (REFUSED, CRASHED) or (status == TIMED_OUT and record.get("limit_s", 0.0) < limit_s)
-    return record if record.get("key") == key and not again else None
+    return None if again else record or None
 
 
 def limit_of(table: ParetoTable | StabilityTable, fidelity: str) -> float:

@@ -9,7 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import listed, read_json, write_json
+from gelforge.flow.cache import record_of
+from gelforge.flow.files import listed, write_json
 from gelforge.flow.params.tables import FeaTable
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import assemble
@@ -90,10 +91,8 @@ def write_verified(path: Path, found: Verified) -> None:
 
 def kept_verified(path: Path) -> Verified | None:
     """The record of one press; None where there is none that can be read."""
-    try:
-        return Verified(**read_json(path))
-    except (OSError, ValueError, TypeError):
-        return None
+    record = record_of(path)
+    return Verified(**record) if record else None
 
 
 def read_verified(folders: Sequence[Path]) -> list[Verified]:

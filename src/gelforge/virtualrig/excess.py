@@ -14,8 +14,8 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import SolveFailed
+from gelforge.flow.cache import canonical, kept
 from gelforge.flow.files import read_json, write_json
-from gelforge.flow.params import canonical
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.solids import Indenter, surface_digest
 from gelforge.mechanics.hexsettings import HexSettings, quality
@@ -51,23 +51,18 @@ class ForceFactor:
 
 def kept_factor(folder: Path, named: str, make: Callable[[], ForceFactor]) -> ForceFactor:
     """The factor kept in `folder` under a name of `name_of`, or a new one, which is kept; processes may share a folder."""
-    path = folder / f"{named}.json"
-    found = _read(path)
-    if found is None:
-        found = make()
-        values = {"depth": found.depth.tolist(), "factor": found.factor.tolist(), "sideways": found.sideways}
-        write_json(path, values)
-    return found
+    return kept(folder / f"{named}.json", _read, make, _write)
 
 
-def _read(path: Path) -> ForceFactor | None:
-    """The factor of a file; None where there is none or it is broken."""
-    try:
-        held = read_json(path)
-        depth, factor = (np.array(held[name], float) for name in ("depth", "factor"))
-        return ForceFactor(depth, factor, float(held["sideways"]))
-    except (OSError, ValueError, KeyError, TypeError):
-        return None
+def _read(path: Path) -> ForceFactor:
+    held = read_json(path)
+    depth, factor = (np.array(held[name], float) for name in ("depth", "factor"))
+    return ForceFactor(depth, factor, float(held["sideways"]))
+
+
+def _write(path: Path, factor: ForceFactor) -> None:
+    values = {"depth": factor.depth.tolist(), "factor": factor.factor.tolist(), "sideways": factor.sideways}
+    write_json(path, values)
 
 
 def name_of(gel: Gel, material: Material, body: Indenter, interface: Interface, settings: HexSettings) -> str:

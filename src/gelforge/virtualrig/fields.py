@@ -7,12 +7,12 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from gelforge.errors import BadInput
+from gelforge.flow.cache import DAMAGED
 from gelforge.flow.files import publish
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.solids import Indenter
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.hexmesh import surface_lines
-from gelforge.records.npz import DAMAGED
 from gelforge.records.press import Press
 
 STEP = 0.1  # mm between the samples of a field

@@ -8,9 +8,9 @@ from typing import Any, Literal, get_args, get_origin
 import pytest
 
 from gelforge.errors import BadInput
+from gelforge.flow.cache import canonical
 from gelforge.flow.params import (
     SOURCES,
-    canonical,
     laid_over,
     load_params,
     parameters_of,

@@ -15,8 +15,6 @@ from gelforge.formats.export import ros
 from gelforge.formats.mcap_import import Topics, pair, picture
 from gelforge.formats.mcap_messages import messages
 from gelforge.formats.numpy_pickle import read_npy
-from gelforge.labelling.grid import Grid
-from gelforge.labelling.operator import Operator
 from gelforge.networks.checkpoint.modelfile import load_model
 from gelforge.records.forcefile import ForceFile, SampleForces, write_forces
 from gelforge.records.image import read_image
@@ -108,8 +106,6 @@ def whole(tmp_path_factory, root):
     found["npy"] = (folder / "x.npy").read_bytes(), [read_npy]
     np.save(folder / "rows.npy", np.arange(12.0).reshape(4, 3))
     found["rows"] = (folder / "rows.npy").read_bytes(), [lambda path: RowFile(path)[:]]
-    Operator(Grid(2, 2), np.arange(4), np.zeros(3, np.int32), np.ones(3)).save(folder / "o.npz")
-    found["operator"] = (folder / "o.npz").read_bytes(), [Operator.load]
     found["solve"] = archive(np.savez, force=np.ones((3, 3)), displacement=np.zeros((3, 3))), [solved]
     recording(folder / "r.mcap")
     found["mcap"] = (folder / "r.mcap").read_bytes(), [recorded]

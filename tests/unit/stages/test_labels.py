@@ -191,7 +191,12 @@ def test_operators_are_cached_by_content(tmp_path):
     make_mesh(2.5).save(tmp_path / "m.npz")
     assert path_of("m", unit) != path
     path.write_bytes(b"junk")
-    refused("delete it", Operator.load, path)
+    made = cached(tmp_path / "ops", tmp_path, "m", unit, grid)
+    assert made.ptr.size != first.ptr.size, "another mesh"
+    again = path_of("m", unit)
+    again.write_bytes(b"junk")
+    assert np.array_equal(cached(tmp_path / "ops", tmp_path, "m", unit, grid).weight, made.weight)
+    assert np.array_equal(Operator.load(again).weight, made.weight), "a broken one is made anew"
 
 
 def test_forces_come_back(tmp_path):

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from gelforge.commands.sample import find_rows
 from gelforge.errors import BadInput
+from gelforge.evidence.settings import check_pictures
 from gelforge.flow import params as config
 from gelforge.flow.files import read_csv, write_if_changed
 from gelforge.flow.layout import PLAN, Layout
@@ -279,11 +280,11 @@ def test_a_network_that_does_not_read_the_pictures_is_refused_before_anything_is
     sensors, models = tomllib.loads(LARGE), networks(root / "workflow")
     for model in ("shipped", "tuned"):
         with pytest.raises(BadInput, match=f"{model}.*pictures of 320 x 240, .*large 640 x 480"):
-            plan.check_pictures(Path("dataset.toml"), parameters(report={"model": model}), sensors, models)
+            check_pictures(Path("dataset.toml"), parameters(report={"model": model}), sensors, models)
     for model in ("pair_24", ""):
-        plan.check_pictures(Path("dataset.toml"), parameters(report={"model": model}), sensors, models)
+        check_pictures(Path("dataset.toml"), parameters(report={"model": model}), sensors, models)
     small = {"mini": {"image": [320, 240]}, "broken": {"image": 4}}
-    plan.check_pictures(Path("dataset.toml"), parameters(report={"model": "shipped"}), small, models)
+    check_pictures(Path("dataset.toml"), parameters(report={"model": "shipped"}), small, models)
 
 
 def test_a_planned_file_is_written_anew_where_its_bytes_differ_and_there_alone(tmp_path):

@@ -4,8 +4,6 @@
 its own part.
 """
 
-import hashlib
-import json
 import os
 from dataclasses import dataclass, fields
 from pathlib import Path
@@ -22,7 +20,6 @@ __all__ = [
     "SOURCES",
     "DatasetFile",
     "Params",
-    "canonical",
     "load_params",
     "overlaid",
     "parameters_of",
@@ -144,16 +141,6 @@ def read_dataset_file(path: Path | str) -> DatasetFile:
     if Path(catalogue).is_absolute() or ".." in Path(catalogue).parts or not catalogue.endswith(".toml"):
         raise BadInput(f"{path}: catalogue = {catalogue!r}: give the name of a .toml file in workflow/")
     return DatasetFile(given.get("sensor"), given.get("gel"), catalogue, given.get("params", {}))
-
-
-def canonical(value: Any) -> str:
-    """One text per value: sorted keys, no comments, exact floats."""
-    return json.dumps(value, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
-
-
-def digest_of_value(value: Any) -> str:
-    """SHA-256 of a value's canonical text, as hexadecimal digits."""
-    return hashlib.sha256(canonical(value).encode()).hexdigest()
 
 
 def stl_files(indenters: dict, folder: Path) -> dict[str, Path]:

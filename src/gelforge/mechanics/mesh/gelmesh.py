@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.cache import DAMAGED
 from gelforge.flow.files import publish
-from gelforge.records.npz import DAMAGED
 
 
 @dataclass(frozen=True)

@@ -4,15 +4,12 @@ pytetwild draws random numbers that cannot be fixed: the same input gives anothe
 labels and solve every press again. So a mesh that was made once is kept, and those of the usual gel ship.
 """
 
-import contextlib
-import fcntl
 import shutil
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from gelforge.flow.cache import alone, digest_of_value
 from gelforge.flow.files import listed, publish, read_json, write_json
-from gelforge.flow.params import digest_of_value
 from gelforge.flow.params.stages import ForMeshes, read_parameters
 from gelforge.flow.params.tables import MeshesTable
 from gelforge.geometry.gel import Gel, gel_shape, load_gel
@@ -56,19 +53,6 @@ def copied(path: Path, folder: Path) -> Path:
     return folder / path.name
 
 
-@contextlib.contextmanager
-def alone(folder: Path, name: str) -> Iterator[None]:
-    """Hold a lock of that name in a folder: of several processes that miss a mesh one makes it, and the others wait.
-
-    On a file system without locks each makes its own, and the first one found counts.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    with (folder / f".{name}.lock").open("a") as lock:
-        with contextlib.suppress(OSError):
-            fcntl.flock(lock, fcntl.LOCK_EX)
-        yield
-
-
 @dataclass(frozen=True)
 class MeshSource:
     """Where the meshes of a gel come from: the gel, [meshes], and the folder in which those made here are kept."""
@@ -96,7 +80,7 @@ class MeshSource:
         path = find(folder, self.key(name))
         if path:
             return path
-        with alone(folder, name):
+        with alone(folder / name):
             path = self.known(name, folder)
             if path is None:
                 path = add(self.kept, name, *make_mesh(MeshName.parse(name), self.gel, self.meshes))

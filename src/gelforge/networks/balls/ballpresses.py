@@ -16,11 +16,12 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.cache import DAMAGED
 from gelforge.networks.balls.balltable import THICKNESS_MM, BallCurve, ball_table
 from gelforge.networks.balls.imprint import CUT, Circle, contact_place, find_rim
 from gelforge.records.image import read_image
 from gelforge.records.markers import MARKER_PITCH_MM, markers_in
-from gelforge.records.npz import DAMAGED, in_short
+from gelforge.records.npz import in_short
 
 LAYOUT = "give a folder with background.png and DIAMETERmm/N/gelsight.png, as gs_sdk's calibration has it"
 DEPTHS = "which no depth of the table makes, press it 0.3 to 1.7 mm deep"
