@@ -2,11 +2,11 @@
 # workflow/scenes.toml. A full chart is hours of solves; a scene that is cut short resumes at its next method.
 # References are kept in data/, because they are hours of solves; one whose scene or settings changed is solved anew.
 REFERENCES := data/fea_challenge
-KEPT := $(wildcard $(REFERENCES)/keys.json)
+KEPT_REFERENCES := $(wildcard $(REFERENCES)/keys.json)
 PARETO_MESH_FILES := $(PARETO_MESHES:%=$D/pareto/meshes/%.npz)
 PARETO_FILES := $(PARETO_SCENES:%=$D/pareto/scenes/%.json)
 PARETO_QUICK_FILES := $(PARETO_QUICK:%=$D/pareto/quick/%.json)
-SCENE_READS := $P/pareto.json $P/sensors.json $(KEPT)
+SCENE_READS := $P/pareto.json $P/sensors.json $(KEPT_REFERENCES)
 
 .PHONY: pareto pareto-quick pareto-meshes
 pareto: $D/pareto/pareto.json  ## speed against accuracy of the mechanics: chart, CSV, JSON (hours; resumes)
@@ -41,7 +41,7 @@ CHALLENGE_CODE := $(addprefix src/gelforge/,stages/challenge.py stages/pareto.py
 fea-challenge: $(CHALLENGE)  ## write the scenes as an open benchmark for simulators: results/fea_challenge
 
 $(CHALLENGE): \
-    $(addprefix workflow/,scenes.toml indenters.toml sensors.toml params.toml) $(KEPT) $(CHALLENGE_CODE) \
+    $(addprefix workflow/,scenes.toml indenters.toml sensors.toml params.toml) $(KEPT_REFERENCES) $(CHALLENGE_CODE) \
     $(REFERENCES)/exact.json $(wildcard $(SHAPES) $(REFERENCES)/*.csv src/gelforge/sweeps/fea_challenge/*) | $(SETUP)
 	@$(PY) -m gelforge.stages.challenge write $(@D)
 

@@ -9,7 +9,7 @@ from gelforge.calibration.readings import Readings
 from gelforge.calibration.solves import SolveCache, build_emulator, make_plan, refine, solve_all
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.hexsettings import quality
-from gelforge.stages.calibrate import hex_settings
+from gelforge.stages.calibrate import solver_settings
 from tests.support.calibration_law import true_values
 from tests.support.parameters import parameters
 
@@ -32,7 +32,7 @@ def test_a_ball_on_a_thin_pad_is_as_stiff_as_measured(root, tmp_path, monkeypatc
     readings = Readings("published", np.arange(len(DEPTH)), names, names, pose, force, gels)
     ball = {"ball": build("ball", {"kind": "sphere", "diameter": 4.0, "height": 2.0})}
     table = parameters()
-    coarse = replace(hex_settings(table.calibrate.solver), size=SIZE, press_steps=PRESS_STEPS)
+    coarse = replace(solver_settings(table.calibrate.solver), size=SIZE, press_steps=PRESS_STEPS)
     cache, plan = SolveCache(tmp_path, ball, coarse, 1), make_plan(readings, 0.0, (1.0,), table.material.nu)
     assert not solve_all(plan, cache, LIMITS)
     emulator = refine(build_emulator(plan, cache, LIMITS), plan, SolveCache(tmp_path, ball, quality("draft"), 1))

@@ -16,7 +16,7 @@ from gelforge.geometry.gelcatalogue import gel_of, names_in
 from gelforge.geometry.triangles import volume, write_stl
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.mesh.hexmesh import FineBox, build_mesh
-from gelforge.mechanics.mesh.tetmesh import quality
+from gelforge.mechanics.mesh.tetmesh import mesh_report
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import read_labels
 from gelforge.records.press import COLUMNS
@@ -97,9 +97,9 @@ def test_meshes_follow_the_gel(gel):
         top = mesh.nodes[mesh.surface_nodes]
         np.testing.assert_allclose(top[:, 2], gel.top(top[:, 0], top[:, 1]), atol=1e-9)
         assert set(mesh.nodes[mesh.base, 2]) == {-gel.height}
-    assert quality(tetrahedra, gel)["min_scaled_jacobian"] > 0.05
+    assert mesh_report(tetrahedra, gel)["min_scaled_jacobian"] > 0.05
     vertices, faces = gel.surface(0.5)
-    assert quality(tetrahedra, gel)["exact_volume"] == pytest.approx(volume(vertices, faces), rel=5e-3)
+    assert mesh_report(tetrahedra, gel)["exact_volume"] == pytest.approx(volume(vertices, faces), rel=5e-3)
 
 
 @pytest.mark.parametrize("gel", OWN)

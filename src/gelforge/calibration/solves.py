@@ -27,7 +27,7 @@ from gelforge.mechanics.material import Material
 from gelforge.mechanics.mesh.meshratio import mesh_ratios
 from gelforge.mechanics.path.loadpath import first_touch
 from gelforge.mechanics.scene import Interface, Scene
-from gelforge.mechanics.solvekey import hex_settings, solve_key
+from gelforge.mechanics.solvekey import hexahedra_key, solve_key
 from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.records.press import Press
 from gelforge.records.status import Status
@@ -198,7 +198,7 @@ class SolveCache:
             )
         if job.indenter not in self._shapes:
             self._shapes[job.indenter] = surface_digest(self.catalogue[job.indenter])
-        scene, how = scene_of(job, self.catalogue[job.indenter]), hex_settings(self.settings)
+        scene, how = scene_of(job, self.catalogue[job.indenter]), hexahedra_key(self.settings)
         return self.folder / f"{solve_key([scene], self._shapes[job.indenter], how, self.version)[:20]}.json"
 
     def fill(self, jobs: list[SolveJob], workers: int = 1) -> None:

@@ -20,7 +20,7 @@ THINNEST_MM = 0.3  # that a gel may be anywhere
 LEAST_RADIUS_MM = 0.2  # of the outline's corners: meshes need room to turn round them
 RASTER_MM = 0.1  # between heights of an STL's top
 MOST_APART = 0.02  # of its volume by which an STL may differ from the pad that is made of it
-FLAT = 0.8  # of the outline's area that an STL's bonded face must fill
+LEAST_FILLED = 0.8  # of the outline's area that an STL's bonded face must fill
 Size = Annotated[Number, Within(0.5, 100.0, "mm")]
 Drop = Annotated[Number, Within(0.0, 20.0, "mm")]
 
@@ -202,7 +202,7 @@ def _solid(file: str, base: str, scale: float, _sha256: str) -> _Solid:
     cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     bonded = (np.abs(corners[..., 2] - base_z) < 1e-3 * height).all(axis=1)
     area = float(-0.5 * cross[bonded, 2].sum())
-    if area < FLAT * width * length:
+    if area < LEAST_FILLED * width * length:
         raise BadInput(
             f"{file}: its side {base} is no flat base: {area / (width * length):.0%} of {width:.4g} x {length:.4g} mm are;"
             f" name the side that is bonded, one of {', '.join(BASES)}"

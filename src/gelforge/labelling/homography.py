@@ -8,7 +8,7 @@ from gelforge.errors import BadInput
 from gelforge.labelling.sensor import transform
 
 DEGENERATE = 1e-6  # of the largest singular value of the design matrix: below, a second homography fits as well
-FLAT = 1e-3  # of the points' largest extent: three points, or all, closer to one line than this count as on it
+ON_A_LINE = 1e-3  # of the points' largest extent: three points, or all, closer to one line than this count as on it
 STEPS = 20
 
 
@@ -63,12 +63,12 @@ def _check_spread(points, where) -> None:
     extent = np.ptp(points, axis=0).max()
     apart = np.hypot(*(points[:, None] - points[None]).T)
     apart[np.diag_indices(len(points))] = np.inf
-    if apart.min() <= FLAT * extent:
+    if apart.min() <= ON_A_LINE * extent:
         pair = sorted(int(k) + 1 for k in np.unravel_index(apart.argmin(), apart.shape))
         raise BadInput(f"{where}points {pair[0]} and {pair[1]} are the same; give different ones")
-    if _thickness(points) <= FLAT * extent:
+    if _thickness(points) <= ON_A_LINE * extent:
         raise BadInput(f"{where}all points lie on one line; add points beside it")
-    if sum(_thickness(np.delete(points, k, axis=0)) > FLAT * extent for k in range(len(points))) < len(points):
+    if sum(_thickness(np.delete(points, k, axis=0)) > ON_A_LINE * extent for k in range(len(points))) < len(points):
         raise BadInput(f"{where}all points but one lie on one line; add points beside it")
 
 

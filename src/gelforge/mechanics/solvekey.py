@@ -24,7 +24,7 @@ def solve_key(frames: Sequence[Scene], shape: Any, how: Any, version: int, at: i
     """Key of frame `at` of a press, whose frames share one path.
 
     shape: what the indenter's surface is, as a digest of it or the numbers that it is built from. how: settings of the
-    solver and the content of its mesh, see `settings_of` and `hex_settings`. version: of the solver's answers.
+    solver and the content of its mesh, see `settings_of` and `hexahedra_key`. version: of the solver's answers.
     """
     scenes = [frames[0].direct] if len(frames) == 1 else list(frames)
     scene = scenes[at]
@@ -35,7 +35,7 @@ def solve_key(frames: Sequence[Scene], shape: Any, how: Any, version: int, at: i
     )
 
 
-def hex_settings(settings: HexSettings) -> list:
+def hexahedra_key(settings: HexSettings) -> list:
     """What of a solve on hexahedra changes its result."""
     return ["hex", asdict(settings)]
 
@@ -46,7 +46,7 @@ def settings_of(method: SolveMethod, fea: FeaTable, interface: Interface, mesh: 
     mesh: name of its tetrahedra, which has a digest of their content.
     """
     if method.fidelity == "hex":
-        return hex_settings(quality(method.hexahedra))
+        return hexahedra_key(quality(method.hexahedra))
     if method.fidelity == "ccx-native":
         return [method.fidelity, mesh]
     ccx = {f.name: getattr(fea, f.name) for f in fields(CcxSettings) if f.name not in NO_RESULT}

@@ -212,7 +212,7 @@ def draw_plots(done: Calibration, folder: Path) -> None:
     )  # fmt: skip
 
 
-def hex_settings(table: CalibrateSolverTable):
+def solver_settings(table: CalibrateSolverTable):
     """Settings of the solver behind the emulator, from [calibrate.solver]."""
     from gelforge.mechanics.hexsettings import HexSettings
 
@@ -229,7 +229,7 @@ def emulate(readings: Readings, catalogue: dict, params: CalibrateTable, nu: flo
     from gelforge.mechanics.hexsettings import quality
     from gelforge.stages import fea
 
-    cache = SolveCache(folder, catalogue, hex_settings(params.solver), fea.VERSION)
+    cache = SolveCache(folder, catalogue, solver_settings(params.solver), fea.VERSION)
     mus = friction_nodes(params)
     plan = make_plan(readings, params.reach_mm, params.shear_depths, nu)
     failed = solve_all(plan, cache, mus, jobs)

@@ -30,7 +30,7 @@ from gelforge.records.log import read_poses
 from gelforge.records.status import Status
 
 VERSION = 1
-KEPT = 64  # operators in memory
+OPERATORS_KEPT = 64  # operators in memory
 BLOCK_BYTES = 64 * 2**20  # of float64 cells held at a time
 UNSEEN = 0.5  # fraction of its normal force beyond the image from which on a picture does not show a press
 LEAST_PRESSES = 10  # of a sensor before the projection is judged
@@ -100,7 +100,10 @@ class Finder:
 
     def __init__(self, meshes, sensors: dict, grid: Grid, folder, where: str):
         self.meshes, self.sensors, self.grid, self.folder, self.where = meshes, sensors, grid, folder, where
-        self.operator, self.fields = lru_cache(KEPT)(self._operator), lru_cache(KEPT)(self._fields)
+        self.operator, self.fields = (
+            lru_cache(OPERATORS_KEPT)(self._operator),
+            lru_cache(OPERATORS_KEPT)(self._fields),
+        )
         self.sensor = lru_cache(None)(self._sensor)
 
     def _sensor(self, name: str) -> Sensor:

@@ -53,7 +53,7 @@ def build_mesh(name: str, gel: Gel, params: ForParetoMeshes | ForPareto) -> tupl
     """Build one mesh by its name and report on it."""
     if not name.startswith("fine-"):
         return make_mesh(MeshName.parse(name), gel, params.meshes)
-    from gelforge.mechanics.mesh.tetmesh import SIZING_STEP_MM, gel_mesh, quality
+    from gelforge.mechanics.mesh.tetmesh import SIZING_STEP_MM, gel_mesh, mesh_report
 
     _, region, size = name.split("-")
     table = params.pareto.regions[region]
@@ -70,7 +70,7 @@ def build_mesh(name: str, gel: Gel, params: ForParetoMeshes | ForPareto) -> tupl
     at = sizing(half, factor * float(size), graded)
     mesh = gel_mesh(gel, lambda points: at(points - centre), step=step, hold=hold)
     report = {"engine": "fine", "region": region, "size": float(size), "half_mm": list(half), "gel": gel.name}
-    return mesh, report | quality(mesh, gel)
+    return mesh, report | mesh_report(mesh, gel)
 
 
 def density_mesh(scene: Scene, folder: Path, params: Charted, size: float) -> str:

@@ -18,7 +18,7 @@ from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.networks.balls.ballpresses import px_per_mm_of, read_presses
 from gelforge.networks.balls.balltable import ball_table
 from gelforge.networks.balls.imprint import Circle, fit_circle
-from gelforge.networks.inference.sensorprofile import USUAL, fit_gain, of_balls, read_profile
+from gelforge.networks.inference.sensorprofile import REACH, fit_gain, of_balls, read_profile
 from gelforge.records.image import read_image, write_png
 from gelforge.records.press import Press
 from tests.benchmarks.ball_table import contact_radius
@@ -124,7 +124,7 @@ def test_balls_leave_their_level_open():
     read = np.linspace(1.0, 5.0, 200)
     many = of_balls(fit_gain(1.3 * read, read))
     assert many.value == pytest.approx(1.3, rel=0.01)
-    assert np.log(many.high / many.value) == pytest.approx(0.14 * USUAL, rel=0.1)
+    assert np.log(many.high / many.value) == pytest.approx(0.14 * REACH, rel=0.1)
     weighed = fit_gain(1.1 * read, read, many)
     assert weighed.value == pytest.approx(1.1, rel=0.02) and weighed.readings == 400
 

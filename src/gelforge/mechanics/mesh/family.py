@@ -21,7 +21,7 @@ from gelforge.mechanics.mesh.meshstore import MeshSource
 from gelforge.mechanics.mesh.moved import farthest, moved, reach, way_to
 from gelforge.mechanics.scene import Scene
 
-KEPT = 8  # meshes that a loader has at hand
+MESHES_KEPT = 8  # meshes that a loader has at hand
 SPACING, NEAR = 0.25, 0.05  # mm: between points of the top at which a press is looked at, and what counts as touched
 # Elements across a contact that a region's coarser mesh must have: under the 1.5 mm wall of a tube or a tilted edge (2 to 4
 # mm by touch.width_of) those of 0.45 mm are 2 to 4 % too stiff, those of 0.3 mm 0.3 to 1.4 %.
@@ -86,7 +86,7 @@ def sizing(half: tuple[float, float], size: float, meshes: MeshesTable) -> Calla
 
 def make_mesh(name: MeshName, gel: Gel, meshes: MeshesTable) -> tuple[GelMesh, dict]:
     """The mesh that ships of this gel and these sizes, or else a new one; and its report."""
-    from gelforge.mechanics.mesh.tetmesh import gel_mesh, quality
+    from gelforge.mechanics.mesh.tetmesh import gel_mesh, mesh_report
 
     half = region(name, meshes)
     key = meshstore.recipe(asdict(name), half, gel, meshes)
@@ -94,7 +94,7 @@ def make_mesh(name: MeshName, gel: Gel, meshes: MeshesTable) -> tuple[GelMesh, d
         return GelMesh.load(path), read_json(path.with_suffix(".json"))
     mesh = gel_mesh(gel, sizing(half, name.size, meshes), hold=meshes.hold.get(name.region, 0.0))
     report = {"half_mm": list(half), "reach_mm": list(reach(mesh, gel, half)), "gel": gel.name, "recipe": key}
-    return mesh, asdict(name) | report | quality(mesh, gel)
+    return mesh, asdict(name) | report | mesh_report(mesh, gel)
 
 
 def load_mesh(folder: Path | str, name: str) -> GelMesh:
@@ -145,8 +145,8 @@ def _report(folder: Path | str, name: str) -> dict:
 
 
 def mesh_loader(folder: Path | str) -> Callable[[str], GelMesh]:
-    """`load_mesh` of one folder, which keeps the KEPT meshes last used."""
-    return lru_cache(maxsize=KEPT)(partial(load_mesh, folder))
+    """`load_mesh` of one folder, which keeps the MESHES_KEPT meshes last used."""
+    return lru_cache(maxsize=MESHES_KEPT)(partial(load_mesh, folder))
 
 
 class MeshFamily:

@@ -17,7 +17,7 @@ from gelforge.mechanics.mesh.gelmesh import GelMesh
 
 MESHER = 1  # raised when `family.make_mesh` makes other meshes of the same numbers
 SHIPPED = Path(__file__).parents[1] / "gelmeshes"
-KEPT = "meshes"  # folder in workflow/ of those that were made here
+MESH_FOLDER = "meshes"  # folder in workflow/ of those that were made here
 WORKFLOW = Path("workflow")
 
 
@@ -59,7 +59,7 @@ class MeshSource:
 
     gel: Gel
     meshes: MeshesTable
-    kept: Path = WORKFLOW / KEPT
+    kept: Path = WORKFLOW / MESH_FOLDER
 
     def key(self, name: str) -> str:
         """The recipe of a mesh by its name, ccx-REGION-SIZE."""
@@ -90,4 +90,4 @@ class MeshSource:
 def source_of(params: Path, workflow: Path = WORKFLOW) -> MeshSource:
     """Where a stage gets meshes from. params: the slice of [meshes]."""
     table = read_parameters(params, ForMeshes).meshes
-    return MeshSource(load_gel(table.gel), table, workflow / KEPT)
+    return MeshSource(load_gel(table.gel), table, workflow / MESH_FOLDER)

@@ -296,7 +296,7 @@ def analytic_volume(gel: Gel) -> float:
     return float((gel.top(xx, yy) + gel.height)[gel.inside(xx, yy)].sum() * step**2)
 
 
-def quality(mesh: GelMesh, gel: Gel) -> dict:
+def mesh_report(mesh: GelMesh, gel: Gel) -> dict:
     """Report of a C3D10 mesh: counts, sizes (mm), scaled Jacobian, volume (mm^3) against the exact one."""
     corners = mesh.elements[:, :4]
     dets = jacobians(mesh.nodes, mesh.elements)

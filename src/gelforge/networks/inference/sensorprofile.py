@@ -35,9 +35,8 @@ FARTHEST = 5.0  # times that a reading may differ from what the network reads
 ODD = 2.0  # times that a reading's proportion differs from that of most, where one of them is likely wrong
 GRASP_SCATTER = 0.35  # of one grasp's logarithm: fingers see different parts of what they hold
 PROBABILITY = 0.9  # of the probability that an interval holds
-USUAL = NormalDist().inv_cdf(
-    0.5 + PROBABILITY / 2
-)  # standard deviations that such an interval reaches on either side
+# Standard deviations that such an interval reaches on either side.
+REACH = NormalDist().inv_cdf(0.5 + PROBABILITY / 2)
 APART = 0.03  # fraction by which the markers' distance may differ from the profile's
 
 
@@ -46,8 +45,8 @@ class Gain:
     """Factor on all forces of a sensor, an interval that holds it with probability 0.9, and the readings behind it."""
 
     value: float = 1.0
-    low: float = math.exp(-USUAL * SPREAD)
-    high: float = math.exp(USUAL * SPREAD)
+    low: float = math.exp(-REACH * SPREAD)
+    high: float = math.exp(REACH * SPREAD)
     readings: int = 0
 
     @property
@@ -79,7 +78,7 @@ class SensorProfile:
 
 def of_balls(gain: Gain) -> Gain:
     """A factor from presses of a ball, with the uncertainty that all of them have in common: LEVEL."""
-    half = math.hypot(math.log(gain.high / gain.low) / 2, USUAL * LEVEL)
+    half = math.hypot(math.log(gain.high / gain.low) / 2, REACH * LEVEL)
     return replace(gain, low=gain.value * math.exp(-half), high=gain.value * math.exp(half))
 
 
@@ -97,12 +96,12 @@ def fit_gain(measured: np.ndarray, read: np.ndarray, before: Gain = AS_READ) -> 
     centre = float(weight @ ratio / weight.sum())
     freedom = KNOWN + len(ratio) - 1
     scatter = (KNOWN * SCATTER**2 + float(weight @ (ratio - centre) ** 2)) / freedom
-    known = (2 * USUAL / math.log(before.high / before.low)) ** 2
+    known = (2 * REACH / math.log(before.high / before.low)) ** 2
     precision = known + weight.sum() / scatter
     mean = (known * math.log(before.value) + float(weight @ ratio) / scatter) / precision
     # of the readings' part: few do not show their scatter
-    wider = student_quantile(0.5 + PROBABILITY / 2, freedom) / USUAL
-    half = USUAL / math.sqrt(known + weight.sum() / scatter / wider**2)
+    wider = student_quantile(0.5 + PROBABILITY / 2, freedom) / REACH
+    half = REACH / math.sqrt(known + weight.sum() / scatter / wider**2)
     return Gain(math.exp(mean), math.exp(mean - half), math.exp(mean + half), before.readings + len(ratio))
 
 
@@ -130,7 +129,7 @@ def fit_opposite(opposite: np.ndarray, read: np.ndarray, other: Gain) -> Gain:
     scatter = (KNOWN * GRASP_SCATTER**2 + (count - 1) * spread**2) / freedom
     measured, before = count / (math.pi / 2 * scatter), 1.0 / (2 * SPREAD**2)
     mean = (measured * centre + before * math.log(other.value)) / (measured + before)
-    known = math.log(other.high / other.low) / (2 * USUAL)
+    known = math.log(other.high / other.low) / (2 * REACH)
     half = student_quantile(0.5 + PROBABILITY / 2, freedom) * math.sqrt(1.0 / (measured + before) + known**2)
     return Gain(math.exp(mean), math.exp(mean - half), math.exp(mean + half), count)
 

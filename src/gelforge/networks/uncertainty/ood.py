@@ -35,7 +35,7 @@ QUARTERS, SHARPNESS = 12, 15
 LEAST_LEVEL, LEAST_SHARP = 40.0, 3.0  # grey levels; deviations below the mean of training images
 GREY = 1.5  # levels by which the colours of a picture differ in the mean where it has none
 LEAST_UNEVEN = 0.2  # px to which markers are tracked, whatever the limit
-USUAL = 99.0  # per cent of good pairs that the limits are set by: the worst of many are odd ones
+GOOD_PERCENTILE = 99.0  # per cent of good pairs that the limits are set by: the worst of many are odd ones
 
 # What good pairs stay within, by its name in a model file; one that is absent bounds nothing.
 LIMITS = (
@@ -323,13 +323,13 @@ def quantile(values: np.ndarray, fraction: float) -> float:
 def pair_limits(found: Sequence[PairDiagnostics]) -> dict[str, float]:
     """What good pairs stay within, from such ones: beyond, a pair does not belong together."""
     most = {
-        name: float(np.percentile([getattr(one.markers, name) for one in found], USUAL))
+        name: float(np.percentile([getattr(one.markers, name) for one in found], GOOD_PERCENTILE))
         for name in ("rim_px", "rim_lost", "uneven")
     }
     return {
-        "largest_distance": MARGIN * float(np.percentile([one.distance for one in found], USUAL)),
-        "largest_residual": MARGIN * float(np.percentile([one.light.residual for one in found], USUAL)),
-        "least_share": float(np.percentile([one.light.fraction for one in found], 100.0 - USUAL)) / MARGIN,
+        "largest_distance": MARGIN * float(np.percentile([one.distance for one in found], GOOD_PERCENTILE)),
+        "largest_residual": MARGIN * float(np.percentile([one.light.residual for one in found], GOOD_PERCENTILE)),
+        "least_share": float(np.percentile([one.light.fraction for one in found], 100.0 - GOOD_PERCENTILE)) / MARGIN,
         "largest_rim_px": 1.0 + most["rim_px"],
         "largest_rim_lost": 0.15 + most["rim_lost"],
         "largest_uneven": max(LEAST_UNEVEN, MARGIN * most["uneven"]),
