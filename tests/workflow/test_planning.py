@@ -12,8 +12,9 @@ import pytest
 from gelforge.commands.why import ask_make, reasons
 from gelforge.commands.why import lines as why_lines
 from gelforge.errors import BadInput
+from gelforge.flow.cache import digest_of_value
 from gelforge.flow.files import read_csv, write_csv, write_text
-from gelforge.flow.params import SOURCES, digest_of_value, stl_files, with_content
+from gelforge.flow.params import SOURCES, stl_files, with_content
 from gelforge.geometry.triangles import write_stl
 from gelforge.records.forcefile import ForceFile
 from gelforge.stages.fea import shape_of
