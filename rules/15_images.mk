@@ -1,5 +1,6 @@
-# Stage 15: whether the images of the log, taken together, show what its rows describe. Nothing is solved before.
-IMAGES_JUDGED := $(if $(IMPORTED),,$D/15_images/images.json)
+# Stage 15: whether the images of the log, taken together, show what its rows describe. Nothing is solved before. A log
+# without images has none to judge.
+IMAGES_JUDGED := $(if $(IMPORTED),,$(if $(IMAGES),$D/15_images/images.json))
 
 .PHONY: images
 images: $(IMAGES_JUDGED)  ## compare the images of the log with its poses and no-contact images

@@ -5,6 +5,7 @@ mirrored or a covered camera does not show. All images of a sensor together are 
 they lie, how large they are, and whether they follow the poses of the rows.
 """
 
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 
@@ -162,10 +163,24 @@ def findings(presses: Sequence[Seen], shapes: Shapes | None = None) -> list[Find
     """
     found = []
     for sensor in sorted({one.sensor for one in presses}):
+        of_all = _fault_of_most([one for one in presses if one.sensor == sensor])
+        if of_all:
+            found.append(replace(of_all, text=f"sensor {sensor}: {of_all.text}"))
+            continue
         mine = [one for one in presses if one.sensor == sensor and one.telling]
         if len(mine) >= FEWEST:
             found += [replace(one, text=f"sensor {sensor}: {one.text}") for one in _of_sensor(mine, presses, shapes)]
     return found
+
+
+def _fault_of_most(mine: Sequence[Seen]) -> Finding | None:
+    """A fault that most images of a sensor have: most likely it is the no-contact image, or the column `sensor_id`, that is wrong."""
+    counted = Counter(one.fault for one in mine if one.fault)
+    fault, count = counted.most_common(1)[0] if counted else ("", 0)
+    if len(mine) < FEWEST or count <= len(mine) / 2:
+        return None
+    text = f"{count} of {len(mine)} images have one fault, {fault}: check its no-contact image and the column `sensor_id`"
+    return Finding(text, tuple(one.row for one in mine if one.fault == fault), wrong=True)
 
 
 def _of_sensor(mine: list[Seen], presses: Sequence[Seen], shapes: Shapes | None) -> list[Finding]:

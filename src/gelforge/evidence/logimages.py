@@ -26,6 +26,17 @@ SHAPES: dict[str, tuple[int, ...]] = {
 }
 
 
+def nocontact_path(data: Path, name: str) -> Path:
+    """Where the no-contact image of a sensor lies."""
+    return data / "nocontact" / f"{name}.png"
+
+
+def read_nocontact(data: Path, name: str, size: tuple[int, int]) -> np.ndarray | None:
+    """The no-contact image (h, w, 3) uint8 RGB of a sensor, None where there is none; BadInput for one of another size, (width, height)."""
+    path = nocontact_path(data, name)
+    return read_image(path, size, "restore it, or remove it") if path.exists() else None
+
+
 class LogImages:
     """Judges the images of presses against the no-contact images of their sensors, DATA/nocontact/SENSOR.png.
 
@@ -39,18 +50,18 @@ class LogImages:
 
     def _of(self, name: str) -> tuple[Rest, Window] | None:
         if name not in self._known:
-            path = self.data / "nocontact" / f"{name}.png"
-            known = path.exists() and name in self.sensors
-            self._known[name] = self._read(path, name) if known else None
+            self._known[name] = self._read(name)
         return self._known[name]
 
-    def _read(self, path: Path, name: str) -> tuple[Rest, Window]:
-        sensor = self.sensors[name]
-        picture = read_image(path, sensor.image, "restore it, or remove it")
+    def _read(self, name: str) -> tuple[Rest, Window] | None:
+        sensor = self.sensors.get(name)
+        picture = None if sensor is None else read_nocontact(self.data, name, sensor.image)
+        if picture is None or sensor is None:
+            return None
         fault = nocontact_fault(picture)
         if fault:
             raise BadInput(
-                f"{path}: the no-contact image of {name} {fault}. Record it while nothing touches the gel, {KEEP}"
+                f"{nocontact_path(self.data, name)}: the no-contact image of {name} {fault}. Record it while nothing touches the gel, {KEEP}"
             )
         return Rest(picture), Window(sensor)
 

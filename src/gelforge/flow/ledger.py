@@ -17,7 +17,14 @@ from gelforge.flow.layout import FEA, FORCES, MESHES, PLAN, POSES, Layout, datas
 from gelforge.flow.running import running_targets
 
 PROGRAMS = ("gelforge", "numpy", "scipy", "numba", "torch")  # that numbers depend on
-ASKED = ("target", "exit_code", "interrupted", "inputs", "cpu_seconds", "peak_mib")
+ASKED: dict[str, type | tuple[type, ...]] = {  # of a record, and what it is
+    "target": str,
+    "exit_code": int,
+    "interrupted": bool,
+    "inputs": list,
+    "cpu_seconds": (int, float),
+    "peak_mib": (int, float),
+}
 
 
 @dataclass(frozen=True)
@@ -58,11 +65,11 @@ def last_runs(results: Path) -> list[LastRun]:
 
 
 def read_run(path: Path) -> Any:
-    """What of a target's record is asked for of all of them together."""
+    """What of a target's record is asked for of all of them together; without what it lacks or holds as something else."""
     record = json.loads(path.read_bytes())
     if not isinstance(record, dict):
         return None
-    return {key: record[key] for key in ASKED if key in record}
+    return {key: record[key] for key, kind in ASKED.items() if isinstance(record.get(key), kind)}
 
 
 def still_asked(results: Path, known: list[LastRun], meshes: Collection[str] | None) -> list[LastRun]:

@@ -31,9 +31,10 @@ class Step:
 def read_record(path: Path) -> dict:
     """A record of the flow, empty where there is none or it is damaged."""
     try:
-        return json.loads(path.read_text(encoding="utf-8"))
+        record = json.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError):
         return {}
+    return record if isinstance(record, dict) else {}
 
 
 def record_path(results: Path, target: str) -> Path:

@@ -10,11 +10,18 @@ COST = ("seconds", "cpu_seconds", "peak_mib")
 
 
 def target_costs(results: Path) -> dict[str, dict]:
-    """Record of every target that was made, by its path below results/DATASET (without suffix); corrupt ones are left out."""
+    """Record of every target that was made, by its path below results/DATASET (without suffix).
+
+    Corrupt ones, and those that do not say what it cost and when, are left out.
+    """
     folder, found = Layout(results).metrics, {}
     for path in listed(folder, "*.json", below=True):
         with suppress(ValueError):
-            found[str(path.relative_to(folder).with_suffix(""))] = read_json(path)
+            record = read_json(path)
+            if isinstance(record, dict) and all(
+                isinstance(record.get(name), (int, float)) for name in ("started", *COST)
+            ):
+                found[str(path.relative_to(folder).with_suffix(""))] = record
     return found
 
 

@@ -360,7 +360,11 @@ def build(args: Namespace) -> dict:
     shards = list_shards(of, args.resolution)
     wrong_images = {}
     if not (of.data / "labels").is_dir():
-        wrong_images = read_json(of.images())["left_out"]
+        wrong_images = (
+            read_json(of.images())["left_out"]
+            if any(press.image for _, presses in shards for press in presses)
+            else {}
+        )
     elif params.poses.judge_images:
         wrong_images = wrong_imported(of, [press for _, presses in shards for press in presses])
     found, places, left_out, material = collect(shards, read_truth(of.data), wrong_images)

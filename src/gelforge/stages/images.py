@@ -16,7 +16,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.evidence.images import Seen, Shapes, findings, row_list
 from gelforge.evidence.imprints import Window
-from gelforge.evidence.logimages import KEEP, LogImages, read_seen, write_seen
+from gelforge.evidence.logimages import KEEP, LogImages, read_nocontact, read_seen, write_seen
 from gelforge.flow.dates import states_of
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.layout import Layout
@@ -147,11 +147,9 @@ def main(args: Namespace) -> None:
     use_gels_of(of.workflow)
     judged = read_parameters(of.parameters("images"), ForImages).poses
     seen, shapes = [], Shapes((), lambda one, _: one.expected)
+    tables = {name: read_json(of.parameters(name)) for name in ("sensors", "indenters", "gels")}
+    presses = sorted((one for shard in of.names() for one in read_poses(of.poses(shard))), key=lambda one: one.row)
     if judged.images and judged.judge_images:
-        tables = {name: read_json(of.parameters(name)) for name in ("sensors", "indenters", "gels")}
-        presses = sorted(
-            (one for shard in of.names() for one in read_poses(of.poses(shard))), key=lambda one: one.row
-        )
         parts = [
             (args.out.parent / f"{at:04d}.npz", part, of.data, tables, of.workflow, of.surfaces)
             for at, part in enumerate(in_chunks(presses))
@@ -161,6 +159,9 @@ def main(args: Namespace) -> None:
         if seen:
             bodies = bodies_of(presses, tables, of.workflow, of.surfaces)
             shapes = shapes_of(by_id, tables, bodies, shapes_beside(of, bodies.keys()))
+    elif judged.images:
+        for name in sorted({press.sensor_id for press in presses}):
+            read_nocontact(of.data, name, sensor_of(SENSOR_TABLES, name, tables["sensors"][name]).image)
     found = judge(seen, shapes, str(of.log))
     for line in told(found, seen):
         print(line, file=sys.stderr)

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelforge.commands.status import failed_lines, lines, outdated_lines
+from gelforge.commands.status import cost_lines, failed_lines, lines, outdated_lines
 from gelforge.flow.files import write_csv, write_json, write_text
 from gelforge.flow.ledger import failures, last_runs, still_asked
 from gelforge.records.forcefile import SampleForces, write_forces
@@ -145,3 +145,18 @@ def made_of(results, name, at, *inputs):
     record = {"exit_code": 0, "inputs": inputs, "target": str(target)}
     write_json((results / "metrics" / name).with_suffix(".json"), record)
     return target
+
+
+def test_a_record_that_lacks_what_is_asked_for_is_no_traceback(tmp_path):
+    """One that parses may be of a run that was cut off, or of another program."""
+    results = tmp_path / "lab"
+    for name, record in (
+        ("a", {}),
+        ("b", {"exit_code": None, "cpu_seconds": "9", "inputs": None}),
+        ("c", [1]),
+        ("d", {"exit_code": 1}),
+    ):
+        write_json(results / f"metrics/30_fea/{name}.json", record)
+    known = last_runs(results)
+    assert [run.name for run in failures(results, known)] == ["30_fea/d"]
+    assert outdated_lines(results, known) == [] and "cost so far" in cost_lines(known)[0]

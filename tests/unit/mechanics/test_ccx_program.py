@@ -1,7 +1,9 @@
 """How CalculiX is found, and what is left of a run that ends before it has an answer."""
 
+import shlex
 import sys
 
+import numpy as np
 import pytest
 
 from gelforge.errors import BadInput
@@ -65,6 +67,17 @@ def test_a_program_that_does_not_even_print_its_name_is_refused(tmp_path, monkey
     monkeypatch.setenv("CCX", program(tmp_path / "bin/ccx", ending))
     with pytest.raises(BadInput, match=f"bin/ccx: no CalculiX that works here; it ended with .*{said}"):
         run_ccx("press", tmp_path, 60.0)
+
+
+def test_the_memory_of_a_run_is_its_own(tmp_path, monkeypatch):
+    """Neither that of a larger one before it, nor that of the process which starts it."""
+    held = np.ones(2**25)  # 256 MiB
+    hold = f'exec {shlex.quote(sys.executable)} -c \'import time; x = bytes(b"1") * int(sys.argv[1]); print("CalculiX Version"); time.sleep(0.3)\''
+    found = []
+    for size in (2**28, 2**20):
+        monkeypatch.setenv("CCX", program(tmp_path / "bin/ccx", hold.replace("int(sys.argv[1])", str(size))))
+        found.append(run_ccx("press", tmp_path, 60.0).peak_mib)
+    assert held[0] and found[0] > 256.0 > 128.0 > found[1] > 1.0
 
 
 def test_a_table_that_cannot_be_read_is_distinguished_from_a_load_that_was_not_reached():

@@ -9,6 +9,7 @@ from importlib.metadata import version
 
 import numpy as np
 
+from gelforge.flow.files import write_json
 from gelforge.geometry.gel import USUAL_GEL, load_gel
 from gelforge.mechanics.mesh.hexmesh import FineBox
 from gelforge.mechanics.mesh.hexname import HexMeshName
@@ -27,13 +28,16 @@ from tests.support.pressed_dataset import write_pressed
 
 
 def test_a_corrupt_record_of_a_target_keeps_no_page_from_being_written(tmp_path):
-    """What the target cost is lost with it, and nothing else."""
-    folder = tmp_path / "results/lab/metrics/10_poses"
-    folder.mkdir(parents=True)
-    (folder / "0000.json").write_text('{"seconds": 1.0}')
-    for name, content in (("0001", b""), ("0002", b'{"seconds": 1'), ("0003", b"\xff\xfe")):
-        (folder / f"{name}.json").write_bytes(content)
-    assert target_costs(tmp_path / "results/lab") == {"10_poses/0000": {"seconds": 1.0}}
+    """What the target cost is lost with it, and nothing else; also where it parses, but lacks what is asked for."""
+    results = tmp_path / "results/lab"
+    whole = {"started": 1.0, "seconds": 2.0, "cpu_seconds": 1.0, "peak_mib": 10.0}
+    write_json(results / "metrics/10_poses/0000.json", whole)
+    lacking = [json.dumps({key: value for key, value in whole.items() if key != gone}).encode() for gone in whole]
+    broken = (b"", b'{"seconds": 1', b"\xff\xfe", b"[1]", json.dumps(whole | {"seconds": None}).encode(), *lacking)
+    for at, content in enumerate(broken, 1):
+        (results / f"metrics/10_poses/{at:04d}.json").write_bytes(content)
+    costs = target_costs(results)
+    assert costs == {"10_poses/0000": whole} and [one["seconds"] for one in stages(results, costs)] == [2.0]
 
 
 def test_an_indenter_is_drawn_as_far_up_as_the_gel_can_reach(tmp_path):

@@ -100,6 +100,24 @@ def test_a_pressed_no_contact_image_stops_make(folder, capsys):
         judge(folder, capsys)
 
 
+def test_a_no_contact_image_of_another_unit_or_size_stops_make(folder, capsys):
+    """Also where images are used as they are: one size of all is needed, and solves would come first."""
+    of = Layout(folder)
+    mine, other = of.data / "nocontact/mini_a.png", of.data / "nocontact/mini_e.png"
+    picture = read_image(mine)
+    shutil.copy(other, mine)
+    with pytest.raises(
+        BadInput, match=r"sensor mini_a: 35 of 39 images .* are of two sensors.*judge_images = false"
+    ):
+        judge(folder, capsys)
+    assert judge(folder, capsys, judge_images=False) == (0, "")
+    for width, height in ((640, 480), (160, 120)):
+        write_png(mine, np.ascontiguousarray(np.resize(picture, (height, width, 3))))
+        for judged in (True, False):
+            with pytest.raises(BadInput, match=rf"mini_a.png.*{width} x {height}.*320 x 240"):
+                judge(folder, capsys, judge_images=judged)
+
+
 def test_imported_images_are_judged_where_the_dataset_is_made(folder, capsys):
     """Without poses there is no stage 15: an image of another unit and a mirrored one are named by their rows."""
     mirrored = Layout(folder).data / "images/demo-000004.png"

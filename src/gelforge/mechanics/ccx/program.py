@@ -1,7 +1,7 @@
 """Running CalculiX as a child that cannot outlive its parent."""
 
 import os
-import resource
+import re
 import shutil
 import signal
 import subprocess
@@ -18,6 +18,7 @@ from gelforge.records.status import Status
 
 _ENOUGH_BYTES = 1 << 20  # less than this left on the disk counts as full
 BANNER = "CalculiX Version"  # the first words of each run
+LOOK_S = 0.05  # between two looks at the memory of a run
 OVERDUE = -signal.SIGALRM  # return code of a run that was stopped because it took too long
 
 
@@ -42,7 +43,7 @@ def need_ccx() -> str:
 
 @dataclass(frozen=True)
 class Job:
-    """A finished run: returncode, log (stdout), seconds, peak resident memory of any child so far (MiB)."""
+    """A finished run: returncode, log (stdout), seconds, its own peak resident memory, MiB."""
 
     returncode: int
     log: str
@@ -85,15 +86,14 @@ def run_ccx(name: str, folder: Path | str, timeout_s: float) -> Job:
             env=environment, preexec_fn=partial(die_with_parent, signal.SIGKILL),
         )  # fmt: skip
         try:
-            returncode = child.wait(timeout_s)
+            returncode, peak = _ended(child, timeout_s)
         except BaseException as stop:
             child.kill()
             child.wait()
             if not isinstance(stop, subprocess.TimeoutExpired):
                 raise
-            returncode = OVERDUE
+            returncode, peak = OVERDUE, 0.0
     need_room(folder, _ENOUGH_BYTES)
-    peak = resource.getrusage(resource.RUSAGE_CHILDREN).ru_maxrss / 1024.0
     said = log_path.read_text(errors="replace")
     if returncode >= 0 and BANNER not in said:
         words = " ".join(said.split())[:200] or "nothing"
@@ -101,3 +101,28 @@ def run_ccx(name: str, folder: Path | str, timeout_s: float) -> Job:
             f"{program}: no CalculiX that works here; it ended with code {returncode} and printed: {words}"
         )
     return Job(returncode, said, time.perf_counter() - started, peak)
+
+
+def _ended(child: subprocess.Popen, timeout_s: float) -> tuple[int, float]:
+    """Return code of a program once it has ended, and its peak resident memory, MiB; TimeoutExpired after timeout_s.
+
+    The memory is that of LOOK_S before its end at the latest: what the system counts of children is the largest of all of them, and of
+    each at least what this process held when it started it.
+    """
+    peak, until = 0.0, time.monotonic() + timeout_s
+    while True:
+        peak = max(peak, _peak_so_far(child.pid))
+        try:
+            return child.wait(min(LOOK_S, max(until - time.monotonic(), 0.0))), peak
+        except subprocess.TimeoutExpired:
+            if time.monotonic() >= until:
+                raise
+
+
+def _peak_so_far(pid: int) -> float:
+    """Largest resident memory of a running process so far, MiB; 0 of one that has ended."""
+    try:
+        found = re.search(r"VmHWM:\s+(\d+) kB", Path(f"/proc/{pid}/status").read_text())
+    except OSError:
+        return 0.0
+    return int(found[1]) / 1024.0 if found else 0.0
