@@ -106,9 +106,7 @@ def test_a_no_contact_image_of_another_unit_or_size_stops_make(folder, capsys):
     mine, other = of.data / "nocontact/mini_a.png", of.data / "nocontact/mini_e.png"
     picture = read_image(mine)
     shutil.copy(other, mine)
-    with pytest.raises(
-        BadInput, match=r"sensor mini_a: 35 of 39 images .* are of two sensors.*judge_images = false"
-    ):
+    with pytest.raises(BadInput, match=r"sensor mini_a: 35 of 39 images .* are of two sensors.*judge_images = false"):
         judge(folder, capsys)
     assert judge(folder, capsys, judge_images=False) == (0, "")
     for width, height in ((640, 480), (160, 120)):
