@@ -295,3 +295,16 @@ def test_every_stage_that_make_runs_has_a_version(root):
 def spelt_out(root):
     """The text of all rules."""
     return "".join(path.read_text() for path in sorted((root / "rules").glob("*.mk"))).replace("\\\n", "")
+
+
+def test_a_gel_that_is_edited_calibrates_anew(labelled):
+    """It keeps its name, and a calibration waits for no pose."""
+    sensors, gels = (labelled / f"workflow/{name}.toml" for name in ("sensors", "gels"))
+    write_text(sensors, sensors.read_text().replace('gel = "gelsight_mini"', 'gel = "dome"'))
+    assert make(labelled, "poses", "DATASET=tiny").returncode == 0
+    write_text(labelled / "results/tiny/calibrate/summary.json", "{}")
+    text, due = gels.read_text(), "gelforge.stages.calibrate"
+    edits = ((text + "\n", False), (text.replace("[dome]\nwidth = 18.0", "[dome]\nwidth = 19.0"), True))
+    for edited, again in edits:
+        write_text(gels, edited)
+        assert (due in make(labelled, "-n", "calibrate", "DATASET=tiny").stdout) == again

@@ -26,11 +26,17 @@ OF_ONE = 3  # presses of one indenter that are compared with those of all others
 OTHER_FORCE = 1.15  # the factor by which their forces then differ at least
 OTHER_POWER = 0.05  # by which forces grow with another power of labels where the gel has another thickness
 SURE_OF_THICKNESS = 2.0  # standard errors of it, which are never taken to be smaller than those of a scatter of 5 %
+NEARLY = 1.5  # ratio of the sums of squares that two causes leave, within which both are named
 STUCK, DIFFERS = 3, 0.3  # presses that read the same, and the fraction by which their labels differ
 LEAST_N = 0.15  # of a constant force or a drift: smaller ones are usual, and change hardly anything
 SURE = 4.0  # standard errors from which on something is no chance
 SURE_OF_FEW = 3.5  # the same for a dozen readings of a scale
 SPREAD = 0.1, 0.2  # of a predicted force: as a fraction, and in N
+NOT_FOLLOWED, FOLLOWED = (
+    0.5,
+    0.9,
+)  # correlations of normal force with the column that should hold it, and with the one that does
+LAGGING = 0.15  # of the force of the press before, that a reading may hold
 ALONE = 1e-9  # of a term of a fit that the others must leave, or it cannot be told apart from them
 TAKEN_OVER = 0.6  # sideways over normal force where most contacts slip
 TURNED_DEG = 20.0  # by which sideways forces may be turned against the path, by curved gels and slopes of bodies
@@ -78,6 +84,7 @@ def of_log(log: LogForces, fitted: Fitted) -> list[str]:
     felt = fitted.usual > LEAST_N
     rows, usual = fitted.rows[felt], fitted.usual[felt]
     causes = (
+        lambda: misplaced(log.force[rows], usual),
         lambda: unit(log.normal[rows], usual),
         lambda: shifted(log.normal, usual, rows),
         lambda: sideways(log),
@@ -87,6 +94,28 @@ def of_log(log: LogForces, fitted: Fitted) -> list[str]:
     )
     found = next(filter(None, (cause() for cause in causes)), None)
     return [found] if found else []
+
+
+def misplaced(force: np.ndarray, predicted: np.ndarray) -> str | None:
+    """Normal forces that stand in a column of sideways forces: axes of the sensor, or of the world, in place of the gel's.
+
+    force: (n, 3) N. predicted: (n,) N, compression.
+    """
+    if (
+        len(force) < FEWEST
+        or not np.isfinite(force).all()
+        or np.ptp(predicted) == 0.0
+        or (np.ptp(force, axis=0) == 0.0).any()
+    ):
+        return None
+    follows = np.abs(np.corrcoef(force.T, predicted)[-1, :3])
+    best = int(follows[:2].argmax())
+    if follows[2] > NOT_FOLLOWED or follows[best] < FOLLOWED:
+        return None
+    return (
+        f"{('fx_n', 'fy_n')[best]} follows the normal force of the presses (correlation {follows[best]:.2f}), fz_n does not"
+        f" ({follows[2]:.2f}): the axes of the force sensor are not those of the gel; turn the forces into the gel's frame."
+    )
 
 
 def unit(measured: np.ndarray, predicted: np.ndarray, where: str = "fz_n and dz_mm in the log") -> str | None:
@@ -234,9 +263,9 @@ def mean_forces(straight: np.ndarray) -> dict[str, tuple[float, float]]:
     return found
 
 
-def constant(forces: dict[str, tuple[float, float]]) -> str | None:
-    """A constant force in N by axis, with its standard error, where it is surely there."""
-    sure = {axis: value for axis, (value, error) in forces.items() if abs(value) > max(SURE * error, LEAST_N)}
+def constant(forces: dict[str, tuple[float, float]], errors: float = SURE) -> str | None:
+    """A constant force in N by axis, with its standard error, where it is surely there: so many of them."""
+    sure = {axis: value for axis, (value, error) in forces.items() if abs(value) > max(errors * error, LEAST_N)}
     if not sure:
         return None
     said = " and ".join(f"{value:+.2f} N along {axis}" for axis, value in sure.items())
@@ -266,10 +295,13 @@ def of_labels(log: LogForces, label: np.ndarray, indenters: Sequence[str], usual
     if len(felt) < FEWEST:
         return []
     causes = (
+        lambda: misplaced(log.force[felt], -label[felt, 2]),
         lambda: unit(log.normal[felt], -usual * label[felt, 2]),
         lambda: _stuck(log, label),
         lambda: shifted(log.normal, -label[felt, 2], felt),
+        lambda: _lagging(log, label, felt),
         lambda: sideways(log),
+        lambda: _changed(log, label, felt, names),
         lambda: _moved(log, label, felt),
         lambda: _one_indenter(log, label, felt, names),
         lambda: _other_thickness(log, label, felt),
@@ -294,6 +326,50 @@ def _stuck(log: LogForces, label: np.ndarray) -> str | None:
             " sensor's range; leave their cells empty, or press less deep."
         )
     return None
+
+
+def _lagging(log: LogForces, label: np.ndarray, felt: np.ndarray) -> str | None:
+    """Readings that hold a part of the press before, as behind a filter or of a sensor that creeps."""
+    felt = felt[felt > 0]
+    if len(felt) < ENOUGH:
+        return None
+    normal, before = -label[felt, 2], -label[felt - 1, 2]
+    weight = 1.0 / np.hypot(SPREAD[0] * normal, SPREAD[1])
+    found, errors, _ = _fitted(np.column_stack([_bench(normal, log.depth[felt]), before]), log.normal[felt], weight)
+    usual = float(np.median(log.normal[felt]) / np.median(normal))
+    share = float(found[-1]) / usual
+    if share < LAGGING or found[-1] < SURE * errors[-1]:
+        return None
+    return (
+        f"Readings hold {100 * share:.0f} % of the force of the press before: the force sensor or its filter had not settled; wait longer at each"
+        " press, or log what is not filtered."
+    )
+
+
+def _changed(log: LogForces, label: np.ndarray, felt: np.ndarray, names: np.ndarray) -> str | None:
+    """Forces that differ from their labels by another factor from some press on: another gel, or another setting of the sensor."""
+    normal, measured, names = -label[felt, 2], log.normal[felt], names[felt]
+    terms, order = _bench(normal, log.depth[felt]), np.arange(len(felt))
+    weight = 1.0 / np.hypot(SPREAD[0] * normal, SPREAD[1])
+    tried = {
+        at: _fitted(np.column_stack([terms, np.where(order < at, 0.0, normal)]), measured, weight)
+        for at in range(FEWEST, len(felt) - FEWEST + 1)
+        if set(names[:at]) & set(names[at:])  # else it is rather an indenter
+    }
+    if not tried:
+        return None
+    at = min(tried, key=lambda one: tried[one][2])
+    found, errors, left = tried[at]
+    drifting = _fitted(np.column_stack([terms, np.ones(len(felt)), order]), measured, weight)[2]
+    if left > min(drifting, 0.5 * _fitted(terms, measured, weight)[2]) or abs(found[-1]) < SURE * errors[-1]:
+        return None
+    ratio = 1.0 + float(np.median(found[-1] * normal[at:] / (terms @ found[:-1])[at:]))
+    if 1.0 / OTHER_FORCE < ratio < OTHER_FORCE:
+        return None
+    return (
+        f"From press {felt[at] + 1} of those with readings on forces are {ratio:.2f} times as large beside their labels as before: was the gel or the"
+        " range of the force sensor changed? Give each gel a sensor_id and a gel_id of its own."
+    )
 
 
 def _bench(label: np.ndarray, depth: np.ndarray) -> np.ndarray:
@@ -354,9 +430,12 @@ def _one_indenter(log: LogForces, label: np.ndarray, felt: np.ndarray, names: np
         found, _, left[name] = _fitted(columns, measured, weight)
         ratios[name] = float(np.median((columns @ found)[own] / (terms @ found[:-1])[own]))
     worst = min(left, key=lambda name: left[name], default="")
-    by_power = np.column_stack([terms, terms[:, 0] * np.log(terms[:, 0])])
-    if not worst or _fitted(by_power, measured, weight)[2] < left[worst]:
-        return None  # rather the gel is of another thickness
+    for rather in (
+        terms[:, 0] * np.log(terms[:, 0]),
+        np.ones(len(felt)),
+    ):  # the gel is of another thickness, or there is a constant force
+        if not worst or _fitted(np.column_stack([terms, rather]), measured, weight)[2] < left[worst]:
+            return None
     if 1.0 / OTHER_FORCE < ratios[worst] < OTHER_FORCE:
         return None
     return (
@@ -376,16 +455,26 @@ def _other_thickness(log: LogForces, label: np.ndarray, felt: np.ndarray) -> str
     normal, depth, measured = -label[felt, 2], log.depth[felt], log.normal[felt]
     weight = 1.0 / np.hypot(SPREAD[0] * normal, SPREAD[1])
     terms = np.column_stack([_bench(normal, depth), normal * np.log(normal)])
-    found, errors, _ = _fitted(terms, measured, weight)
+    found, errors, left = _fitted(terms, measured, weight)
+    offset, error, by_offset = _fitted(np.column_stack([terms[:, :-1], np.ones(len(felt))]), measured, weight)
+    if (
+        NEARLY * by_offset < left
+    ):  # a tare too small to be sure of beside touch and compliance, but likelier than another thickness
+        return constant({"z": (-float(offset[-1]), float(error[-1]))}, SURE_OF_THICKNESS)
     power = float(found[-1] / found[0])
     if abs(power) < OTHER_POWER or abs(found[-1]) < SURE_OF_THICKNESS * errors[-1]:
         return None
+    other = (
+        f" A constant force of {-offset[-1]:+.2f} N along z would explain them about as well: tare the force sensor, too."
+        if by_offset < NEARLY * left
+        else ""
+    )
     ratio = np.quantile(normal, [0.9, 0.1])
     by = float(np.exp(power * np.log(ratio[0] / ratio[1])))
     return (
         f"Forces grow otherwise with the size of a contact than labels do, by {by:.2f} times from small to large presses beyond what stiffness,"
         f" touch and compliance explain: most likely the gel is {'thinner' if power > 0 else 'thicker'} than its table says; check its thickness,"
-        " and the column `gel_id`."
+        f" and the column `gel_id`.{other}"
     )
 
 

@@ -5,6 +5,7 @@ mirrored or a covered camera does not show. All images of a sensor together are 
 they lie, how large they are, and whether they follow the poses of the rows.
 """
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
@@ -55,6 +56,15 @@ FLIPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 }
 
 
+ORDERS = {**FLIPS, "with red and blue exchanged": lambda image: image[..., ::-1]}
+# What rot_deg may be, by what is then to be done to it.
+TURNS: dict[str, Callable[[float], float]] = {
+    "in radians": math.degrees,
+    "of the other sign": lambda degrees: -degrees,
+    "off by 90 degrees": lambda degrees: degrees + 90.0,
+}
+
+
 def nocontact_fault(picture: np.ndarray) -> str:
     """What is wrong with a no-contact image (h, w, 3) uint8 RGB by itself; empty where nothing is."""
     if is_monochrome(picture):
@@ -84,13 +94,14 @@ def image_fault(image: np.ndarray, rest: Rest, light: Light) -> str:
         return "the image is monochrome, the no-contact image is not"
     pattern, own = light_pattern(image), light_pattern(rest.picture)
     alike = likeness(pattern, own)
+    fits = {how: likeness(pattern, order(own)) for how, order in ORDERS.items()}
+    how = max(fits, key=lambda one: fits[one])
+    if fits[how] > max(OWN_PATTERN, alike + FLIPPED):
+        other = np.ascontiguousarray(ORDERS[how](rest.picture))
+        if _same_light(image, other, match_light(image, other)):
+            return f"the image is {how} against the no-contact image"
     if alike >= OWN_PATTERN:
         return ""
-    for how, flip in FLIPS.items():
-        flipped = np.ascontiguousarray(flip(rest.picture))
-        fits = likeness(pattern, flip(own))
-        if fits > max(OWN_PATTERN, alike + FLIPPED) and _same_light(image, flipped, match_light(image, flipped)):
-            return f"the image is {how} against the no-contact image"
     if not light.known:
         return (
             ""
@@ -150,10 +161,14 @@ class Finding:
 
 @dataclass(frozen=True)
 class Shapes:
-    """The indenters that a log may have used: their names, and the map (30, 40) that a press is expected to give with one of them."""
+    """The indenters that a log may have used: their names, and the map (30, 40) that a press is expected to give.
+
+    expected: with one of them. turned: with its own, its rot_deg replaced by what a function makes of it.
+    """
 
     names: Sequence[str]
     expected: Callable[[Seen, str], np.ndarray]
+    turned: Callable[[Seen, Callable[[float], float]], np.ndarray]
 
 
 def findings(presses: Sequence[Seen], shapes: Shapes | None = None) -> list[Finding]:
@@ -185,9 +200,16 @@ def _fault_of_most(mine: Sequence[Seen]) -> Finding | None:
 
 def _of_sensor(mine: list[Seen], presses: Sequence[Seen], shapes: Shapes | None) -> list[Finding]:
     rows = tuple(one.row for one in mine)
-    wrong = _ghost(mine) or _other_order(mine, presses) or _other_axes(mine) or _unlike(mine)
+    wrong = _ghost(mine) or _other_order(mine, presses) or _other_axes(mine)
+    turned = None if wrong or not shapes else _other_turn(mine, shapes)
+    if turned:
+        return [turned]
+    wrong = wrong or _unlike(mine)
     if wrong:
         return [Finding(wrong, rows, wrong=True)]
+    moved = _moved(mine)
+    if moved:
+        return [Finding(moved, rows)]
     scale = _all_sizes(mine)
     if scale:
         return [Finding(scale, rows)]
@@ -266,6 +288,30 @@ def _other_axes(mine: list[Seen]) -> str:
         f"the contacts lie where the poses put them, but {how} (likeness {np.median(best):.2f}, as logged {np.median(base):.2f}):"
         " check the projection, the axes and signs of x0_mm and y0_mm, and whether the camera mirrors"
     )
+
+
+def _other_turn(mine: Sequence[Seen], shapes: Shapes) -> Finding | None:
+    """Images that show their indenters turned otherwise than rot_deg says, all in one way."""
+    unlike = [one for one in mine if one.likeness < THAT_SHAPE]
+    if len(unlike) < FEWEST_ALIKE:
+        return None
+    chosen = [
+        unlike[at] for at in np.unique(np.linspace(0, len(unlike) - 1, min(LOOKED_AT, len(unlike))).astype(int))
+    ]
+    base = np.array([one.likeness for one in chosen])
+    found = {
+        what: np.array([likeness(one.measured, shapes.turned(one, turn)) for one in chosen])
+        for what, turn in TURNS.items()
+    }
+    what = max(found, key=lambda one: float(np.median(found[one])))
+    if not _gains(base, found[what]) or np.median(found[what]) < THAT_SHAPE:
+        return None
+    rows = tuple(one.row for one in unlike)
+    text = (
+        f"images of {', '.join(sorted({one.indenter for one in unlike}))} show them turned as if rot_deg were {what} (likeness"
+        f" {np.median(found[what]):.2f}, as logged {np.median(base):.2f}) in rows {row_list(rows)}: correct the column rot_deg"
+    )
+    return Finding(text, rows, wrong=True)
 
 
 def _unlike(mine: list[Seen]) -> str:
@@ -368,12 +414,22 @@ def row_list(rows: Iterable[int]) -> str:
     return ", ".join(map(str, rows[:5])) + (" …" if len(rows) > 5 else "")
 
 
+def _moved(mine: list[Seen]) -> str:
+    """What `_projection` says where it says that all contacts are moved: their sizes, taken about where the tips end, then say nothing."""
+    text, moved = _similar(mine)
+    return text if moved else ""
+
+
 def _projection(mine: list[Seen]) -> str:
-    """What a similarity says that takes the expected places of contacts to those seen."""
+    return _similar(mine)[0]
+
+
+def _similar(mine: list[Seen]) -> tuple[str, bool]:
+    """What a similarity says that takes the expected places of contacts to those seen, and whether it moves them all."""
     placed = [(one, *displaced(one.measured, one.expected)) for one in mine]
     good = [(one.centre, move) for one, fit, move in placed if fit > FITS]
     if len(good) < FEWEST:
-        return ""
+        return "", False
     at, move, mm = np.array([at for at, _ in good]), np.array([move for _, move in good]), mine[0].mm
     at -= (COLS - 1) / 2, (ROWS - 1) / 2
     for _ in range(3):  # without the places that fit worst: single wrong rows are named by themselves
@@ -388,14 +444,16 @@ def _projection(mine: list[Seen]) -> str:
             said.append(f"{scale:.2f} times as far from the image's middle")
         if abs(turn) > TURNED_DEG:
             said.append(f"turned by {turn:.1f} degrees about it")
-    if np.hypot(*offset) * mm > OFFSET_MM:
+    moved = bool(np.hypot(*offset) * mm > OFFSET_MM)
+    if moved:
         said.append(f"moved by {np.hypot(*offset) * mm:.1f} mm")
     if not said:
-        return ""
-    return (
+        return "", False
+    text = (
         f"the contacts lie {' and '.join(said)}, against where the poses and the projection put them: check `projection` in sensors.toml"
         " (make projection), and the origin of x0_mm and y0_mm"
     )
+    return text, moved
 
 
 def _similarity(at: np.ndarray, move: np.ndarray) -> tuple[float, float, np.ndarray, np.ndarray]:

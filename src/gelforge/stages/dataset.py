@@ -358,7 +358,7 @@ def build(args: Namespace) -> dict:
     params = read_parameters(of.parameters("dataset"), ForDataset)
     grid, settings = Grid.parse(args.resolution), params.dataset
     shards = list_shards(of, args.resolution)
-    wrong_images = {}
+    wrong_images: dict[str, str] = {}
     if not (of.data / "labels").is_dir():
         wrong_images = (
             read_json(of.images())["left_out"]

@@ -7,7 +7,8 @@ dataset, and all other findings are notes. What an image shows is kept beside th
 import hashlib
 import sys
 from argparse import Namespace
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
@@ -97,18 +98,25 @@ def shapes_of(
                 known[name] = None  # a wrong table harms those alone that use it
         return known[name]
 
+    def window_of(name: str) -> Window:
+        if name not in windows:
+            windows[name] = Window(sensor_of(SENSOR_TABLES, name, tables["sensors"][name]))
+        return windows[name]
+
     def expected(seen: Seen, name: str) -> np.ndarray:
-        if seen.sensor not in windows:
-            windows[seen.sensor] = Window(sensor_of(SENSOR_TABLES, seen.sensor, tables["sensors"][seen.sensor]))
         body = body_of(name)
         if body is None:
             return np.zeros_like(seen.expected)
-        return windows[seen.sensor].expected(body, presses[seen.sample_id].press)
+        return window_of(seen.sensor).expected(body, presses[seen.sample_id].press)
 
-    return Shapes(sorted({*bodies, *beside}), expected)
+    def turned(seen: Seen, turn: Callable[[float], float]) -> np.ndarray:
+        press = presses[seen.sample_id].press
+        return window_of(seen.sensor).expected(bodies[seen.indenter], replace(press, rot_deg=turn(press.rot_deg)))
+
+    return Shapes(sorted({*bodies, *beside}), expected, turned)
 
 
-def judge(seen: list[Seen], shapes: Shapes, where: str) -> dict:
+def judge(seen: list[Seen], shapes: Shapes | None, where: str) -> dict:
     """What images.json says; findings by which no label could be right raise BadInput."""
     found = findings(seen, shapes)
     stopping = [one.text for one in found if one.wrong and len(one.rows) > 1]
@@ -146,7 +154,7 @@ def main(args: Namespace) -> None:
     of = args.of
     use_gels_of(of.workflow)
     judged = read_parameters(of.parameters("images"), ForImages).poses
-    seen, shapes = [], Shapes((), lambda one, _: one.expected)
+    seen, shapes = [], None
     tables = {name: read_json(of.parameters(name)) for name in ("sensors", "indenters", "gels")}
     presses = sorted((one for shard in of.names() for one in read_poses(of.poses(shard))), key=lambda one: one.row)
     if judged.images and judged.judge_images:

@@ -180,6 +180,26 @@ def test_forces_that_grow_otherwise_with_the_contact_name_the_gel_s_thickness(po
     assert said in line
 
 
+# What is done to forces (n, 3) N of n presses and found beside labels only, and what is said of it.
+BESIDE_LABELS = {
+    "x and z exchanged": (lambda f: f[:, [2, 1, 0]], "fx_n follows the normal force .* fz_n does not"),
+    "y and z exchanged": (lambda f: f[:, [0, 2, 1]], "fy_n follows the normal force .* fz_n does not"),
+    "half of the press before": (lambda f: (f + np.vstack([f[:1], f[:-1]])) / 2, r"Readings hold [3-6]\d % of the force of the press before"),
+    "a quarter of the press before": (lambda f: 0.75 * f + 0.25 * np.vstack([f[:1], f[:-1]]), r"Readings hold [23]\d % of the force"),
+    "a stiffer gel halfway": (lambda f: f * np.where(np.arange(len(f)) < len(f) // 2, 1.0, 1.25)[:, None], r"From press 13 .* are 1.2\d times"),
+    "a softer gel halfway": (lambda f: f * np.where(np.arange(len(f)) < len(f) // 2, 1.0, 0.8)[:, None], r"From press 13 .* are 0.8\d? times"),
+    "small tare": (lambda f: f - [0.0, 0.0, 0.4], r"constant force of -0.\d+ N along z"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("trouble", BESIDE_LABELS)
+def test_labels_name_what_a_model_of_forces_would_take_for_another_cause(trouble):
+    session, label, names = labelled(4)
+    change, said = BESIDE_LABELS[trouble]
+    (line,) = of_labels(log_of(with_force(session, change(session.force))), label, names)
+    assert re.search(said, line)
+
+
 def test_labels_need_readings_and_enough_presses():
     session, label, names = labelled(0)
     unread = with_force(session, session.force * np.nan)

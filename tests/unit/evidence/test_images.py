@@ -95,7 +95,13 @@ def judged(log: Log) -> list[str]:
     def shape(one: Seen, name: str) -> np.ndarray:
         return once(expect, log.rows[one.row - 2], log.sensors[one.sensor], log.bodies[name])
 
-    return said + [one.text for one in findings(seen, Shapes(list(log.bodies), shape))]
+    def turned(one: Seen, turn) -> np.ndarray:
+        row = log.rows[one.row - 2]
+        return expect(
+            row | {"rot_deg": str(turn(float(row["rot_deg"])))}, log.sensors[one.sensor], log.bodies[one.indenter]
+        )
+
+    return said + [one.text for one in findings(seen, Shapes(list(log.bodies), shape, turned))]
 
 
 def flipped(images, how: str):
@@ -122,6 +128,10 @@ def projected(log: Log, degrees=0.0, scale=1.0, shift=(0.0, 0.0)) -> Log:
     return replace(
         log, sensors={name: replace(one, projection=about @ one.projection) for name, one in log.sensors.items()}
     )
+
+
+def with_turn(log: Log, change) -> Log:
+    return replace(log, rows=[row | {"rot_deg": str(change(float(row["rot_deg"])))} for row in log.rows])
 
 
 def renamed(log: Log, name: str, other: str) -> Log:
@@ -195,6 +205,8 @@ ROWS = {
     "one black": (lambda log: with_images(log, {5: np.zeros_like(log.images[5])}), "row 7: the image shows nothing"),
     "one of noise": (lambda log: with_images(log, {5: np.random.default_rng(1).integers(0, 255, log.images[5].shape).astype(np.uint8)}),
                      "row 7: the image shows nothing"),
+    "in the order BGR": (lambda log: replace(log, images=[np.ascontiguousarray(image[..., ::-1]) for image in log.images]),
+                         "mini_e: 9 of 9 images have one fault, the image is with red and blue exchanged"),
     "all monochrome": (lambda log: replace(log, images=[grey(image) for image in log.images]), "row 2: the image is monochrome"),
 }  # fmt: skip
 SHAPES = {
@@ -205,6 +217,10 @@ SHAPES = {
     "sphere too small": (lambda log: resized(log, "sphere_15", 0.75), "imprints of sphere_15 are 1.1"),
     "cylinder too small": (lambda log: resized(log, "cylinder_8", 0.8), "imprints of cylinder_8 are 1.2"),
     "cuboid too large": (lambda log: resized(log, "cuboid_10", 1.2), "imprints of cuboid_10 are 0.8"),
+    "projection moved along both axes": (lambda log: projected(log, shift=(14.0, -16.0)), "moved by 1."),
+    "rot_deg in radians": (lambda log: with_turn(log, np.radians), "as if rot_deg were in radians"),
+    "rot_deg of the other sign": (lambda log: with_turn(log, np.negative), "as if rot_deg were of the other sign"),
+    "rot_deg off by a right angle": (lambda log: with_turn(log, lambda turn: turn - 90.0), "as if rot_deg were off by 90 degrees"),
     "sphere upside down": (lambda log: replace(log, bodies=log.bodies | {name: build(
         name, {"kind": "cylinder", "diameter": 15, "height": 10, "fillet": 0.3}) for name in ("sphere_10", "sphere_15")}), "imprints of sphere_15 are 0.6"),
     "triangle called cylinder": (lambda log: renamed(log, "triangle_10", "cylinder_8"), "of cylinder_8 show the shape of triangle_10"),

@@ -189,3 +189,17 @@ def test_a_source_of_one_size_has_one_mode(tmp_path, picture):
 @pytest.mark.skipif(bool(cameras()), reason="this machine has a camera")
 def test_no_camera_is_one_sentence():
     refused("no camera is there.*plug it in", camera, [])
+
+
+def test_an_image_that_shows_more_of_the_gel_than_its_no_contact_image_is_flagged(picture):
+    """As where the one went through the maker's driver, which cuts off a seventh of each side, and the other did not."""
+
+    def part(image, cut):
+        height, width = image.shape[:2]
+        y, x = round(cut * height), round(cut * width)
+        return resized(image[y : height - y, x : width - x], 320, 240)
+
+    for cut in (1 / 7, 1 / 9):
+        cropped = gelforge.Reader(nocontact=part(picture, cut))
+        assert "crop and scale both alike" in cropped(picture).reason
+        assert cropped(part(picture, cut)).reason == ""

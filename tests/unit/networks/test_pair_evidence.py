@@ -143,6 +143,24 @@ def test_a_no_contact_image_that_is_dark_or_blurred_is_named(demo_nocontact):
         assert "is blurred" in sharpness_fault(known, cv2.GaussianBlur(picture, (0, 0), 3.0))
 
 
+# By what a no-contact image is multiplied that was taken under another fall of light; x, y from -1 to 1 over the image.
+FALLS = {
+    "corners 30 % darker": lambda x, y: 1.0 - 0.15 * (x**2 + y**2),
+    "10 % from left to right": lambda x, y: 1.0 - 0.05 * x,
+    "20 % from top to bottom": lambda x, y: 1.0 + 0.1 * y,
+}
+
+
+@pytest.mark.parametrize("fall", FALLS)
+def test_a_no_contact_image_under_another_fall_of_light_is_flagged(demo_nocontact, presses, shipped, fall):
+    name, image, _ = presses[0]
+    picture = demo_nocontact[name]
+    y, x = (np.linspace(-1.0, 1.0, size)[:, None] for size in picture.shape[:2])
+    otherwise = np.clip(picture * FALLS[fall](x[:, 0], y)[..., None], 0, 255).astype(np.uint8)
+    assert Predictor(shipped, picture).predict(image).reason == ""
+    assert "light falls otherwise" in Predictor(shipped, otherwise).predict(image).reason
+
+
 def test_light_alone_is_no_relief_and_no_fault(demo_nocontact, presses, limits):
     """Twice the contrast between the sides, or a tenth less of everything, is light, not contact."""
     for picture in demo_nocontact.values():

@@ -2,6 +2,7 @@
 
 import io
 import zipfile
+from dataclasses import replace
 
 import cv2
 import numpy as np
@@ -116,6 +117,10 @@ def test_bad_cell_is_rejected_with_its_place_and_a_hint():
     sample, _ = parse(sensor_id="mini_x", indenter="spere_15")
     wrong = log.unknown_names(sample, "log.csv", ["gelsight_mini"], ["sphere_15"])
     assert [(r.column, r.value) for r in wrong] == [("sensor_id", "mini_x"), ("indenter", "spere_15")]
+    assert "is sphere_15 meant?" in wrong[1].hint
+    for name, near in (("Sphere15", "sphere_15"), ("cuboid", "cuboid_10"), ("spoon", "")):
+        (r,) = log.unknown_names(replace(sample, indenter=name), "log.csv", ["mini_x"], ["sphere_15", "cuboid_10"])
+        assert (f"is {near} meant?" in r.hint) if near else ("meant" not in r.hint)
 
 
 def test_what_is_shown_obeys_no_text_of_others():

@@ -31,8 +31,9 @@ ALIKE_FRACTION, ALIKE_PX = 0.55, 1.0
 # gripper's other finger 99 % are; of presses of the rig, cropped to seven tenths, 2 %, most of them of 30 N and more.
 OTHER_LOOK, OTHER_LOOK_ALIKE_FRACTION, MOST_OTHER_LOOK = 0.27, 0.25, 0.5
 # Where `describe` has the mean levels of an image's quarters and its sharpness, and what a no-contact image has at least.
-QUARTERS, SHARPNESS = 12, 15
+QUARTERS, SHARPNESS, COUNT = 12, 15, 16
 LEAST_LEVEL, LEAST_SHARP = 40.0, 3.0  # grey levels; deviations below the mean of training images
+MOST_CROWDED = 1.35  # markers of an image over those of its no-contact image: real films have 1.14 at most, one cropped by a seventh 1.8
 GREY = 1.5  # levels by which the colours of a picture differ in the mean where it has none
 LEAST_UNEVEN = 0.2  # px to which markers are tracked, whatever the limit
 GOOD_PERCENTILE = 99.0  # per cent of good pairs that the limits are set by: the worst of many are odd ones
@@ -369,10 +370,18 @@ def pair_score_fault(model: dict, seen: Prepared) -> tuple[float, str]:
     value = score(model, statistics)
     if value <= model["threshold"]:
         pair = pair_diagnostics(seen)
-        return value, "" if pair is None else pair_fault(model, pair)
+        return value, "" if pair is None else crowd_fault(statistics[COUNT], seen) or pair_fault(model, pair)
     off = np.abs(statistics - model["mean"]) / model["spread"]
     groups = {"colour": off[:12].max(), "contrast": off[12:15].max(), "sharpness": off[15], "markers": off[16:].max()}
     return value, f"unlike the training images in its {max(groups, key=lambda name: groups[name])}"
+
+
+def crowd_fault(count: float, seen: Prepared) -> str:
+    """What is wrong with an image that shows many more markers than its no-contact image: their number, and what that means."""
+    known = 0 if seen.nocontact is None else len(seen.nocontact.markers.points)
+    if not known or count <= MOST_CROWDED * known:
+        return ""
+    return f"{count:.0f} markers are in it, {known} in the no-contact image: crop and scale both alike"
 
 
 def monochrome_fault(model: dict, image: np.ndarray, what: str) -> str:
