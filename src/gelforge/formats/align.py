@@ -1,7 +1,7 @@
 """Three recordings of a bench as one log: force gauge, path of the CNC and images, each on a clock of its own.
 
 Every press bends the same force, depth and change of the image, so the clocks are matched by them: roughly by cross-correlation over
-the whole recording, then press by press, where force is a smooth function of depth (and of the image's change) only if
+the whole recording, whose best offsets are all tried, then press by press, where force is a smooth function of depth (and of the image's change) only if
 both are looked at for the same time. A line through the offsets of the presses is the clock's offset and drift; their scatter
 about it, and a tenth of a sampling interval, is the error that is told. A recording of one press has no drift.
 """
@@ -17,7 +17,9 @@ from gelforge.errors import BadInput
 LAPSE = 2.5  # of the usual interval: beyond, samples were dropped, and nothing is interpolated
 COARSE_S = 0.02  # step of the cross-correlation
 REACH_S = 0.5  # around its best offset that the presses are looked at
-RIVAL = 0.9  # of the best correlation: another offset that reaches it may be the right one as well
+MOST_TRIED = 6  # offsets of the cross-correlation
+TOLERATED = 0.1  # of a force's variance within a press, that the other recording may leave unexplained
+RIVAL = 0.9  # of what the best offset explains: another one that reaches it may be the right one as well
 FEWEST = 12  # samples of a press that give its offset
 ROUNDED = 0.1  # of a sampling interval: what corners between samples cost (five simulated benches: 0.07)
 DEGREE = 3  # of force over depth within a press
@@ -107,17 +109,22 @@ def match_clock(gauge: Recording, other: Recording, touch: float) -> Clock:
             f"{gauge.name}: no press of {FEWEST} samples or more with {touch:g} N; the largest force is"
             f" {gauge.values[:, 0].max():.3g} N: check its unit and sign (--sign -1), or lower --touch"
         )
-    rough, rival = _correlated(gauge, other)
-    found = [
-        (float(gauge.times[press].mean()), offset)
-        for press in presses
-        for offset in _offset_of(gauge, other, press, rough)
+    tried = [
+        [
+            (float(gauge.times[press].mean()), *one)
+            for press in presses
+            for one in _offset_of(gauge, other, press, rough)
+        ]
+        for rough in _correlated(gauge, other)
     ]
+    explained = [sum(part for _, _, part in one) for one in tried]
+    found = tried[int(np.argmax(explained))]
     if not found:
         raise BadInput(
             f"{other.name}: shows none of the {len(presses)} presses of {gauge.name}; are they of one session?"
         )
-    times, offsets = np.array(found).T
+    rival = sum(part >= RIVAL * max(explained) for part in explained) > 1
+    times, offsets, _ = np.array(found).T
     drift = _slope(times, offsets)
     middle = float(times.mean())
     left = offsets - drift * (times - middle)
@@ -132,8 +139,8 @@ def match_clock(gauge: Recording, other: Recording, touch: float) -> Clock:
     return Clock(offset, drift, middle - offset, error, len(left), rival)
 
 
-def _correlated(gauge: Recording, other: Recording) -> tuple[float, bool]:
-    """Offset in s at which two recordings are alike most, and whether another one reaches nearly as much.
+def _correlated(gauge: Recording, other: Recording) -> list[float]:
+    """Offsets in s at which two recordings are alike, the MOST_TRIED best.
 
     Both are compared at steps of COARSE_S, dropped samples filled linearly; only here, and nothing of it is written.
     """
@@ -144,15 +151,18 @@ def _correlated(gauge: Recording, other: Recording) -> tuple[float, bool]:
         steps = np.arange(one.times[0], one.times[-1], COARSE_S)
         value = np.interp(steps, one.times, one.values[:, 0])
         each.append((value - value.mean()) / (value.std() or 1.0))
-    alike = correlate(*each, mode="full", method="fft")
-    lags = correlation_lags(*map(len, each), mode="full") * COARSE_S
-    best = int(alike.argmax())
-    peaks, _ = find_peaks(alike, height=RIVAL * alike[best], prominence=0.3 * alike[best])
-    return float(lags[best] + gauge.times[0] - other.times[0]), len(peaks) > 1
+    alike = np.pad(correlate(*each, mode="full", method="fft"), 1, constant_values=-np.inf)
+    lags = np.pad(correlation_lags(*map(len, each), mode="full"), 1) * COARSE_S
+    peaks, _ = find_peaks(alike, distance=round(2 * REACH_S / COARSE_S))
+    best = peaks[np.argsort(-alike[peaks])][:MOST_TRIED]
+    return [float(lags[at] + gauge.times[0] - other.times[0]) for at in best]
 
 
-def _offset_of(gauge: Recording, other: Recording, press: slice, rough: float) -> Iterator[float]:
-    """The offset in s at which the force of a press is a smooth function of the other recording; none where that shows none."""
+def _offset_of(gauge: Recording, other: Recording, press: slice, rough: float) -> Iterator[tuple[float, float]]:
+    """The offset in s at which the force of a press is a smooth function of the other recording, and how much of it that explains.
+
+    1 for all of the force, 0 where TOLERATED of its variance is left; none where the other recording shows no press there.
+    """
     from scipy.optimize import minimize_scalar
 
     times, force = gauge.times[press], gauge.values[press, 0]
@@ -173,12 +183,15 @@ def _offset_of(gauge: Recording, other: Recording, press: slice, rough: float) -
         fit, *_ = np.linalg.lstsq(terms, felt[known], rcond=None)
         return float(((terms @ fit - felt[known]) ** 2).mean())
 
-    shifts = np.arange(-REACH_S, REACH_S + 1e-9, COARSE_S / 2)
+    shifts = np.arange(-REACH_S, REACH_S + 1e-9, 2 * COARSE_S)
     rest = np.array([left(shift) for shift in shifts])
     best = int(rest.argmin())
     if not 0 < best < len(shifts) - 1 or not np.isfinite(rest[best - 1 : best + 2]).all():
         return
-    yield rough + float(minimize_scalar(left, bounds=(shifts[best - 1], shifts[best + 1]), method="bounded").x)
+    found = minimize_scalar(left, bounds=(shifts[best - 1], shifts[best + 1]), method="bounded")
+    explained = 1.0 - float(found.fun) / (TOLERATED * float(force.var()))
+    if explained > 0.0:
+        yield rough + float(found.x), explained
 
 
 def _slope(times: np.ndarray, offsets: np.ndarray) -> float:

@@ -156,9 +156,10 @@ def test_a_bench_becomes_a_dataset(tmp_path, capsys, root):
         "--sensors",
         str(root / "workflow/sensors.toml"),
     ]
-    assert command.main([*argv, "--origin", "12.5,30,0"]) == 2
-    assert "--origin" in capsys.readouterr().err and not (tmp_path / "bench").exists()  # z = 2 is the apex
-    assert command.main([*argv, "--origin", "12.5,30,2"]) == 0
+    with pytest.raises(BadInput, match="--origin"):  # z = 2 is the apex
+        command.main([*argv, "--origin", "12.5,30,0"])
+    assert not (tmp_path / "bench").exists()
+    command.main([*argv, "--origin", "12.5,30,2"])
     told = capsys.readouterr().out
     assert "drift" in told and "one each 16.7 ms" in told
     rows = read_presses(tmp_path / "bench/log.csv")
@@ -168,5 +169,5 @@ def test_a_bench_becomes_a_dataset(tmp_path, capsys, root):
         assert -row.fz_n == pytest.approx(3.0 * max(-row.dz_mm, 0.0) ** 1.6, abs=0.12)
         assert (tmp_path / "bench" / row.image).exists()
     assert (tmp_path / "bench/nocontact/gelsight_mini.png").exists()
-    assert command.main([*argv, "--origin", "12.5,30,2"]) == 2
-    assert "exists already" in capsys.readouterr().err
+    with pytest.raises(BadInput, match="exists already"):
+        command.main([*argv, "--origin", "12.5,30,2"])
