@@ -243,7 +243,9 @@ def main(args: Namespace) -> None:
     if not presses:
         raise BadInput(f"{args.presses}: no press has {args.only!r} in its name")
     args.work.mkdir(parents=True, exist_ok=True)
-    bench, code, figures, table = Bench(load_params(args.workflow), args.work), digest(), [], []
+    before = read_json(args.out)["presses"] if args.out and args.out.exists() else []
+    table = [row for row in before if row["method"] not in args.methods]
+    bench, code, figures = Bench(load_params(args.workflow), args.work), digest(), []
     warm_up()
     for name in args.methods:
         rows = []

@@ -84,11 +84,11 @@ def test_more_than_any_way_can_do_is_refused():
 
 
 @pytest.mark.parametrize(
-    ("shape", "way"), [pytest.param("curved", "hex-draft", marks=pytest.mark.slow), ("flat", "hex-label")]
+    ("shape", "way"), [pytest.param("pointed", "hex-draft", marks=pytest.mark.slow), ("flat", "hex-label")]
 )
 def test_each_press_is_solved_as_its_class_asks(tmp_path, shape, way):
     solvers = Solvers(MeshFamily(tmp_path, []), tmp_path, parameters(fea={"fidelity": "auto"}).fea)
-    press = scene(shape, 0.8)
+    press = scene(shape, 0.9)
     result = solvers.solve(press, "auto")
     assert result.status.valid and result.evidence["way"] == way and result.evidence["class"] == f"{shape}_deep"
     alone = Solvers(
