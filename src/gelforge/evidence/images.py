@@ -14,6 +14,7 @@ import numpy as np
 
 from gelforge.evidence.imprints import COLS, ROWS, Rest, displaced, likeness
 from gelforge.networks.preprocess.illumination import Light, match_light
+from gelforge.networks.preprocess.imageframe import BLUE_FIRST, image_frame
 from gelforge.networks.uncertainty.ood import distance, relief
 from gelforge.records.image import is_monochrome
 from gelforge.records.markers import markers_in
@@ -39,6 +40,7 @@ UNLIKE = 0.4  # median likeness up to which the images of a sensor show nothing 
 FITS = 0.5  # likeness from which an imprint is where it was expected
 MOVED_MM = 3.0  # beside its pose, from where on a single imprint is named
 TURNED_DEG, SCALED, OFFSET_MM = 3.0, 0.1, 0.7  # of a projection
+TOGETHER = 1.0  # place of the map, that most contacts lie within of where one move puts them
 SPREAD_MM = 2.0  # of the poses, from which on a turn and a scale are known
 SIZES = np.geomspace(0.7, 1.4, 15)
 # Of imprints over what is expected: usual one, and by which fraction that of an indenter and that of all may differ.
@@ -73,8 +75,14 @@ def nocontact_fault(picture: np.ndarray) -> str:
         return "shows no gel: it is dark, covered or of one colour"
     uneven = relief(picture, markers_in(picture))
     if uneven > PRESSED:
-        return f"shows something that touches the gel: its light is uneven by {uneven:.0f} levels, at most {PRESSED:.0f} are usual"
+        return f"shows something that touches the gel, or dirt: its light is uneven by {uneven:.0f} levels, at most {PRESSED:.0f} are usual"
     return ""
+
+
+def nocontact_note(picture: np.ndarray) -> str:
+    """What of a no-contact image (h, w, 3) uint8 RGB asks for a look; empty where nothing does."""
+    frame, _ = image_frame(picture, (picture.shape[0], picture.shape[1]))
+    return BLUE_FIRST if frame.blue_first else ""
 
 
 def light_pattern(image: np.ndarray) -> np.ndarray:
@@ -200,6 +208,9 @@ def _fault_of_most(mine: Sequence[Seen]) -> Finding | None:
 
 def _of_sensor(mine: list[Seen], presses: Sequence[Seen], shapes: Shapes | None) -> list[Finding]:
     rows = tuple(one.row for one in mine)
+    moved = _moved(mine)
+    if moved:
+        return [Finding(moved, rows)]
     wrong = _ghost(mine) or _other_order(mine, presses) or _other_axes(mine)
     turned = None if wrong or not shapes else _other_turn(mine, shapes)
     if turned:
@@ -207,9 +218,6 @@ def _of_sensor(mine: list[Seen], presses: Sequence[Seen], shapes: Shapes | None)
     wrong = wrong or _unlike(mine)
     if wrong:
         return [Finding(wrong, rows, wrong=True)]
-    moved = _moved(mine)
-    if moved:
-        return [Finding(moved, rows)]
     scale = _all_sizes(mine)
     if scale:
         return [Finding(scale, rows)]
@@ -415,7 +423,7 @@ def row_list(rows: Iterable[int]) -> str:
 
 
 def _moved(mine: list[Seen]) -> str:
-    """What `_projection` says where it says that all contacts are moved: their sizes, taken about where the tips end, then say nothing."""
+    """What `_projection` says where it moves all contacts by what most then suit: nothing that is taken about their poses is known then."""
     text, moved = _similar(mine)
     return text if moved else ""
 
@@ -453,7 +461,8 @@ def _similar(mine: list[Seen]) -> tuple[str, bool]:
         f"the contacts lie {' and '.join(said)}, against where the poses and the projection put them: check `projection` in sensors.toml"
         " (make projection), and the origin of x0_mm and y0_mm"
     )
-    return text, moved
+    together = len(good) >= OFTEN * len(mine) and float(np.median(left)) < TOGETHER
+    return text, moved and together
 
 
 def _similarity(at: np.ndarray, move: np.ndarray) -> tuple[float, float, np.ndarray, np.ndarray]:

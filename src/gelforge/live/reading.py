@@ -52,7 +52,7 @@ class StartInDoubt:
 
     def __init__(self, predictor: Any, name: str) -> None:
         self.predictor, self.name = predictor, name
-        self.confirmed, self.next = 0, 0
+        self.confirmed, self.next, self.doubt = 0, 0, ""
 
     def look(self, number: int, image: np.ndarray, normal: float) -> None:
         """BadInput once several frames say that the stream began in a press. image: (h, w, 3) uint8 RGB. normal: read of it, N."""
@@ -60,11 +60,18 @@ class StartInDoubt:
             return
         self.next, exchanged = number + APART, self.predictor.exchanged(image)
         self.confirmed = self.confirmed + 1 if exchanged < MORE * normal else 0
-        if self.confirmed == CONFIRMED:
-            raise BadInput(
+        if self.confirmed:
+            self.doubt = (
                 f"{self.name}: begins in a press: frame {number} reads {-normal:.1f} N against the no-contact image found at its start, and"
                 f" {-exchanged:.1f} N where both change places. Let it begin while nothing touches the sensor, or give that image with --nocontact"
             )
+        if self.confirmed == CONFIRMED:
+            raise BadInput(self.doubt)
+
+    def end(self) -> None:
+        """BadInput where the stream ends before enough frames could say so, and the last one that could does."""
+        if self.confirmed:
+            raise BadInput(self.doubt)
 
 
 def readings(
@@ -85,3 +92,5 @@ def readings(
         if start is not None:
             start.look(frame.number, image, float(found.total[2]))
         yield Reading(frame.number, frame.time_s, found, 1e3 * (time.perf_counter() - now))
+    if start is not None:
+        start.end()

@@ -15,9 +15,9 @@ from types import MappingProxyType
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.evidence.images import Seen, Shapes, findings, row_list
+from gelforge.evidence.images import Seen, Shapes, findings, nocontact_note, row_list
 from gelforge.evidence.imprints import Window
-from gelforge.evidence.logimages import KEEP, LogImages, read_nocontact, read_seen, write_seen
+from gelforge.evidence.logimages import KEEP, LogImages, nocontact_path, read_nocontact, read_seen, write_seen
 from gelforge.flow.dates import states_of
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.layout import Layout
@@ -171,6 +171,10 @@ def main(args: Namespace) -> None:
         for name in sorted({press.sensor_id for press in presses}):
             read_nocontact(of.data, name, sensor_of(SENSOR_TABLES, name, tables["sensors"][name]).image)
     found = judge(seen, shapes, str(of.log))
+    for name in sorted({one.sensor for one in seen}):
+        picture = read_nocontact(of.data, name, sensor_of(SENSOR_TABLES, name, tables["sensors"][name]).image)
+        note = "" if picture is None else nocontact_note(picture)
+        found["notes"] += [f"{nocontact_path(of.data, name)}: {note}"] if note else []
     for line in told(found, seen):
         print(line, file=sys.stderr)
     write_json(args.out, found)

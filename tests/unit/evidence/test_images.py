@@ -218,6 +218,8 @@ SHAPES = {
     "cylinder too small": (lambda log: resized(log, "cylinder_8", 0.8), "imprints of cylinder_8 are 1.2"),
     "cuboid too large": (lambda log: resized(log, "cuboid_10", 1.2), "imprints of cuboid_10 are 0.8"),
     "projection moved along both axes": (lambda log: projected(log, shift=(14.0, -16.0)), "moved by 1."),
+    "origin beside the apex": (lambda log: replace(
+        log, rows=[row | {"x0_mm": str(float(row["x0_mm"]) + 5.0)} for row in log.rows]), "mini_e: the contacts lie moved by 4."),
     "rot_deg in radians": (lambda log: with_turn(log, np.radians), "as if rot_deg were in radians"),
     "rot_deg of the other sign": (lambda log: with_turn(log, np.negative), "as if rot_deg were of the other sign"),
     "rot_deg off by a right angle": (lambda log: with_turn(log, lambda turn: turn - 90.0), "as if rot_deg were off by 90 degrees"),

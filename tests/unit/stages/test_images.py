@@ -116,6 +116,15 @@ def test_a_no_contact_image_of_another_unit_or_size_stops_make(folder, capsys):
                 judge(folder, capsys, judge_images=judged)
 
 
+def test_a_sensor_all_of_whose_images_are_as_opencv_reads_them_is_noted(folder, capsys):
+    """They suit each other, but not what the shipped network learnt from."""
+    data = Layout(folder).data
+    for path in [*data.glob("images/*.png"), data / "nocontact/mini_a.png", data / "nocontact/mini_e.png"]:
+        write_png(path, np.ascontiguousarray(read_image(path)[..., ::-1]))
+    status, said = judge(folder, capsys)
+    assert status == 0 and said.count("not in OpenCV's BGR") == 2 and "nocontact/mini_e.png: red and blue" in said
+
+
 def test_imported_images_are_judged_where_the_dataset_is_made(folder, capsys):
     """Without poses there is no stage 15: an image of another unit and a mirrored one are named by their rows."""
     mirrored = Layout(folder).data / "images/demo-000004.png"

@@ -11,6 +11,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.networks.checkpoint.modelfile import ForceModel, Graph, load_model, require_sensor
 from gelforge.networks.inference.sensorprofile import AS_READ, Gain
+from gelforge.networks.preprocess.imageframe import BLUE_FIRST
 from gelforge.networks.preprocess.pair import NoContact, Prepared, Preprocessor, at_rest
 from gelforge.networks.preprocess.slopetable import SlopeTable, height_of
 from gelforge.networks.uncertainty.conformal import half_widths
@@ -29,7 +30,6 @@ MOST_VANISHED = 8  # markers, of 63: with so many painted over in both images, n
 # that nothing else flags none is beyond, of 51 real presses of a ball the largest is 0.8 %.
 MOST_FALL, MOST_COLOUR_FALL = 0.04, 0.055
 LEAST_PULL = 1.0  # N above which a prediction that no contact can make is flagged
-BLUE_FIRST = "red and blue seem to be exchanged in the no-contact image: give all images in RGB, not in OpenCV's BGR"
 SHIPPED = Path(__file__).parents[1] / "weights/default.onnx"
 
 

@@ -75,6 +75,7 @@ class Orientation:
 
 AS_IT_IS = Orientation()
 WHOLE = (0.0, 0.0, 1.0, 1.0)
+BLUE_FIRST = "red and blue seem to be exchanged in the no-contact image: give all images in RGB, not in OpenCV's BGR"
 
 
 @dataclass(frozen=True)
