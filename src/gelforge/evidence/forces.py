@@ -36,6 +36,7 @@ NOT_FOLLOWED, FOLLOWED = (
     0.5,
     0.9,
 )  # correlations of normal force with the column that should hold it, and with the one that does
+SPLITS = 25  # places of a log at which its gel may have been changed, tried at a time
 LAGGING = 0.15  # of the force of the press before, that a reading may hold
 ALONE = 1e-9  # of a term of a fit that the others must leave, or it cannot be told apart from them
 TAKEN_OVER = 0.6  # sideways over normal force where most contacts slip
@@ -351,14 +352,16 @@ def _changed(log: LogForces, label: np.ndarray, felt: np.ndarray, names: np.ndar
     normal, measured, names = -label[felt, 2], log.normal[felt], names[felt]
     terms, order = _bench(normal, log.depth[felt]), np.arange(len(felt))
     weight = 1.0 / np.hypot(SPREAD[0] * normal, SPREAD[1])
-    tried = {
-        at: _fitted(np.column_stack([terms, np.where(order < at, 0.0, normal)]), measured, weight)
-        for at in range(FEWEST, len(felt) - FEWEST + 1)
-        if set(names[:at]) & set(names[at:])  # else it is rather an indenter
-    }
-    if not tried:
-        return None
-    at = min(tried, key=lambda one: tried[one][2])
+    low, high, tried = FEWEST, len(felt) - FEWEST, {}
+    for _ in range(2):  # some, then those about the best of them
+        for at in np.unique(np.linspace(low, high, SPLITS).round().astype(int)) if low <= high else ():
+            if set(names[:at]) & set(names[at:]):  # else it is rather an indenter
+                tried[at] = _fitted(np.column_stack([terms, np.where(order < at, 0.0, normal)]), measured, weight)
+        if not tried:
+            return None
+        at = min(tried, key=lambda one: tried[one][2])
+        step = (high - low) // (SPLITS - 1) + 1
+        low, high = max(FEWEST, at - step), min(len(felt) - FEWEST, at + step)
     found, errors, left = tried[at]
     drifting = _fitted(np.column_stack([terms, np.ones(len(felt)), order]), measured, weight)[2]
     if left > min(drifting, 0.5 * _fitted(terms, measured, weight)[2]) or abs(found[-1]) < SURE * errors[-1]:

@@ -9,6 +9,7 @@ import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -149,10 +150,15 @@ class Seen:
         """Whether there is an imprint in an image without a fault, and one to expect."""
         return bool(not self.fault and np.ptp(self.measured) > SHOWN and np.ptp(self.expected) > 0.0)
 
-    @property
+    @cached_property
     def likeness(self) -> float:
         """Likeness of what is measured and what is expected, from -1 to 1."""
         return likeness(self.measured, self.expected)
+
+    @cached_property
+    def displaced(self) -> tuple[float, np.ndarray]:
+        """That likeness where the expected map is moved as it fits best, and by how much, (2,) columns and rows."""
+        return displaced(self.measured, self.expected)
 
 
 @dataclass(frozen=True)
@@ -327,7 +333,7 @@ def _unlike(mine: list[Seen]) -> str:
     usual = float(np.median([one.likeness for one in mine]))
     if usual > UNLIKE:
         return ""
-    moved = [displaced(one.measured, one.expected) for one in mine]
+    moved = [one.displaced for one in mine]
     fit, away = np.median([fit for fit, _ in moved]), np.median([np.hypot(*move) for _, move in moved]) * mine[0].mm
     return (
         f"the images do not show the contacts that their rows describe (likeness {usual:.2f}, 0.8 to 0.97 are usual; {fit:.2f} where each is moved"
@@ -434,7 +440,7 @@ def _projection(mine: list[Seen]) -> str:
 
 def _similar(mine: list[Seen]) -> tuple[str, bool]:
     """What a similarity says that takes the expected places of contacts to those seen, and whether it moves them all."""
-    placed = [(one, *displaced(one.measured, one.expected)) for one in mine]
+    placed = [(one, *one.displaced) for one in mine]
     good = [(one.centre, move) for one, fit, move in placed if fit > FITS]
     if len(good) < FEWEST:
         return "", False
@@ -485,7 +491,7 @@ def _single(mine: list[Seen]) -> list[Finding]:
     for one, own in zip(mine, base, strict=True):
         if own >= FITS:
             continue
-        fit, move = displaced(one.measured, one.expected)
+        fit, move = one.displaced
         away = float(np.hypot(*move)) * one.mm
         where = f"row {one.row} ({one.sample_id})"
         if fit > max(FITS, own + BETTER) and away > MOVED_MM:
