@@ -301,10 +301,23 @@ def test_a_gel_that_is_edited_calibrates_anew(labelled):
     """It keeps its name, and a calibration waits for no pose."""
     sensors, gels = (labelled / f"workflow/{name}.toml" for name in ("sensors", "gels"))
     write_text(sensors, sensors.read_text().replace('gel = "gelsight_mini"', 'gel = "dome"'))
-    assert make(labelled, "poses", "DATASET=tiny").returncode == 0
+    table = labelled / "data/tiny/dataset.toml"
+    write_text(table, table.read_text().replace("gelsight_mini", "dome") + '[params.meshes]\ngel = "dome"\n')
+    done = make(labelled, "poses", "DATASET=tiny")
+    assert done.returncode == 0, done.stdout
     write_text(labelled / "results/tiny/calibrate/summary.json", "{}")
     text, due = gels.read_text(), "gelforge.stages.calibrate"
     edits = ((text + "\n", False), (text.replace("[dome]\nwidth = 18.0", "[dome]\nwidth = 19.0"), True))
     for edited, again in edits:
         write_text(gels, edited)
         assert (due in make(labelled, "-n", "calibrate", "DATASET=tiny").stdout) == again
+
+
+def test_a_log_without_images_has_none_to_judge(labelled):
+    """Neither a start of the program that would, nor a file of it."""
+    (labelled / "results/tiny/15_images/images.json").unlink()
+    judges = "gelforge.stages.images"
+    assert judges in make(labelled, "-n", "labels", "DATASET=tiny").stdout
+    table = labelled / "data/tiny/dataset.toml"
+    write_text(table, table.read_text() + "\n[params.poses]\nimages = false\n")
+    assert judges not in make(labelled, "-n", "labels", "DATASET=tiny").stdout
