@@ -143,7 +143,6 @@ KINDS = (
     "solves",
     "npy",
     "rows",
-    "operator",
     "solve",
     "mcap",
     "log",
@@ -174,7 +173,7 @@ def unclosed(header: bytes) -> bytes:
     return header[:at] + header[at:].replace(b")", b" ", 1).replace(b"}", b" ", 1)
 
 
-@pytest.mark.parametrize("kind", ["npy", "rows", "operator", "solve", "labels", "forces"])
+@pytest.mark.parametrize("kind", ["npy", "rows", "solve", "labels", "forces"])
 def test_a_header_that_ends_inside_its_dictionary_is_refused(whole, tmp_path, kind):
     data, readers = whole[kind]
     path = tmp_path / f"x.{kind}"
