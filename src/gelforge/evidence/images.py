@@ -156,6 +156,12 @@ class Seen:
         return likeness(self.measured, self.expected)
 
     @cached_property
+    def middle(self) -> np.ndarray:
+        """Columns and rows (2,) of the middle of what is expected: on a dome it lies nearer to the apex than where the tip ends."""
+        rows, cols = np.indices(self.expected.shape)
+        return np.array([np.average(cols, weights=self.expected), np.average(rows, weights=self.expected)])
+
+    @cached_property
     def displaced(self) -> tuple[float, np.ndarray]:
         """That likeness where the expected map is moved as it fits best, and by how much, (2,) columns and rows."""
         return displaced(self.measured, self.expected)
@@ -441,7 +447,7 @@ def _projection(mine: list[Seen]) -> str:
 def _similar(mine: list[Seen]) -> tuple[str, bool]:
     """What a similarity says that takes the expected places of contacts to those seen, and whether it moves them all."""
     placed = [(one, *one.displaced) for one in mine]
-    good = [(one.centre, move) for one, fit, move in placed if fit > FITS]
+    good = [(one.middle, move) for one, fit, move in placed if fit > FITS]
     if len(good) < FEWEST:
         return "", False
     at, move, mm = np.array([at for at, _ in good]), np.array([move for _, move in good]), mine[0].mm
@@ -457,7 +463,7 @@ def _similar(mine: list[Seen]) -> tuple[str, bool]:
         if abs(scale - 1.0) > SCALED:
             said.append(f"{scale:.2f} times as far from the image's middle")
         if abs(turn) > TURNED_DEG:
-            said.append(f"turned by {turn:.1f} degrees about it")
+            said.append(f"turned by {_best_turn(mine, turn, scale, offset):.1f} degrees about it")
     moved = bool(np.hypot(*offset) * mm > OFFSET_MM)
     if moved:
         said.append(f"moved by {np.hypot(*offset) * mm:.1f} mm")
@@ -469,6 +475,24 @@ def _similar(mine: list[Seen]) -> tuple[str, bool]:
     )
     together = len(good) >= OFTEN * len(mine) and float(np.median(left)) < TOGETHER
     return text, moved and together
+
+
+def _best_turn(mine: Sequence[Seen], turn: float, scale: float, offset: np.ndarray) -> float:
+    """The turn, degrees, about the middle of the image that suits whole maps best, near one found by their places alone.
+
+    Places alone make it too small: a map that leaves the image, or is turned itself, is found where most of it overlaps.
+    """
+    import cv2
+
+    near = turn + np.arange(-4.0, 4.1, 0.5)
+    fits = []
+    for degrees in near:
+        about = cv2.getRotationMatrix2D(((COLS - 1) / 2, (ROWS - 1) / 2), -degrees, scale)
+        about[:, 2] += offset
+        fits.append(
+            np.mean([likeness(one.measured, cv2.warpAffine(one.expected, about, (COLS, ROWS))) for one in mine])
+        )
+    return float(near[int(np.argmax(fits))])
 
 
 def _similarity(at: np.ndarray, move: np.ndarray) -> tuple[float, float, np.ndarray, np.ndarray]:

@@ -210,7 +210,7 @@ ROWS = {
     "all monochrome": (lambda log: replace(log, images=[grey(image) for image in log.images]), "row 2: the image is monochrome"),
 }  # fmt: skip
 SHAPES = {
-    "projection turned": (lambda log: projected(log, 6.0), "turned by -"),
+    "projection turned": (lambda log: projected(log, 6.0), "turned by -5."),
     "projection too large": (lambda log: projected(log, scale=1.2), "the scale of `projection`"),
     "projection too small": (lambda log: projected(log, scale=0.83), "the scale of `projection`"),
     "projection moved": (lambda log: projected(log, shift=(20.0, 0.0)), "moved by 1."),
