@@ -29,7 +29,7 @@ from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.records.log import rejected_rows
 from gelforge.reporting import cornerplots as plots
 
-VERSION = 11
+VERSION = 12
 MOST_BANDS = 6  # indenters in the plot of predictive bands, the first by name: more hide each other
 
 

@@ -33,7 +33,7 @@ from gelforge.records.log import read_poses
 from gelforge.records.press import SENSOR_TABLES, PosedPress
 from gelforge.stages.fea import bodies_of
 
-VERSION = 2
+VERSION = 3
 CHUNK = 200  # presses that one process looks at
 
 
