@@ -63,13 +63,13 @@ def appeared(markers: MarkerTracker, before: np.ndarray, tracks: Tracks, now: np
 
     before, now: `darkness_of` both images. Such a marker was hidden or worn in the no-contact image.
     """
-    places = markers.empty
-    if not len(places) or not tracks.found.any():
+    places, followed = markers.empty, np.flatnonzero(tracks.found)
+    if not len(places) or not len(followed):
         return np.zeros((0, 2))
     printed = np.median([_darkest(before, point, SEEN_WITHIN[0]) for point in markers.points])
     shown = []
     for place in places:
-        near = np.argsort(np.hypot(*(markers.points - place).T) + np.where(tracks.found, 0.0, np.inf))[:4]
+        near = followed[np.argsort(np.hypot(*(markers.points[followed] - place).T))[:4]]
         there = place + np.median(tracks.motion[near], axis=0)
         seen = _darkest(now, there, SEEN_WITHIN[1])
         if seen >= max(PRINTED, APPEARED * printed) and _darkest(before, place, SEEN_WITHIN[0]) < LEFT * seen:
