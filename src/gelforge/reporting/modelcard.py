@@ -91,7 +91,7 @@ def start_lines(metadata: dict) -> list[str]:
     return [
         f"- Fine-tuned from the network {start['name']}, which learnt from {learnt} ({start['data']}), SHA-256"
         f" {digest[:16]}; what it saw before is not listed here. Its weights lie {100 * start['fraction']:.0f} % of"
-        " the way from that network's to those learnt here, as validation chose."
+        " the way from that network's to those learnt here."
     ]
 
 

@@ -23,18 +23,22 @@ THICKNESS_MM, C10_MPA = 4.0, 0.0725  # of a gel of which nothing else is known; 
 
 @dataclass(frozen=True)
 class BallCurve:
-    """One ball at growing depth: radius of contact as an image shows it and of the rim around it, mm, and normal force, N, (k,) each."""
+    """One ball at growing depth: radius of contact, the same as an image shows it, and of the rim around it, mm, and normal force, N, (k,) each."""
 
     radius: np.ndarray
+    seen: np.ndarray
     rim: np.ndarray
     force: np.ndarray
 
     def force_at(self, radius: float) -> float:
-        """Normal force in N at a radius of contact in mm; NaN for one that the table does not cover."""
-        return _power_law(radius, self.radius, self.force)
+        """Normal force in N at a radius of contact in mm as an image shows it; NaN for one that the table does not cover."""
+        return _power_law(radius, self.seen, self.force)
 
     def radius_at(self, rim: float) -> float:
-        """Radius of contact in mm within a rim in mm; NaN for one that the table does not cover."""
+        """Radius of contact in mm within a rim in mm, both as an image shows them; NaN for a rim that the table does not cover.
+
+        The rim looks larger by about as much as the contact does, so their ratio is that of the table.
+        """
         return _power_law(rim, self.rim, self.radius)
 
 
@@ -72,7 +76,7 @@ class BallTable:
                 )
         of_ball = _between(np.log(self.solves), np.log(self.diameters), np.log(diameter), 1)
         depth, radius, rim, force = np.exp(_between(of_ball, np.log(self.thicknesses), np.log(thickness), 1))
-        return BallCurve(as_seen(radius, diameter, depth), rim, force)
+        return BallCurve(radius, as_seen(radius, diameter, depth), rim, force)
 
 
 def _between(values: np.ndarray, known: np.ndarray, at: float, axis: int) -> np.ndarray:
