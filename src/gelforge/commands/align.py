@@ -5,7 +5,7 @@ from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, option, positive
-from gelforge.formats.benchfiles import Bench, Images, align, read_gauge, read_path
+from gelforge.formats.benchfiles import Images, Setup, align, read_gauge, read_path
 from gelforge.labelling.sensor import find_sensor, load_sensors
 
 
@@ -39,7 +39,7 @@ def main(args: Namespace) -> None:
         raise BadInput(f"--every {args.every}: give a whole number from 1")
     sensor = find_sensor(load_sensors(args.sensors), args.sensor, "--sensor", str(args.sensors))
     gauge, path = read_gauge(args.gauge, args.sign), read_path(args.path, args.origin)
-    bench = Bench(sensor, args.indenter, args.gel_id)
+    bench = Setup(sensor, args.indenter, args.gel_id)
     print(*align(gauge, path, Images.of(args.images), bench, args.data, args.touch, args.every), sep="\n")
     print(f"next: make DATASET={args.data.name} labels")
 

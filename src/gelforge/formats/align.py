@@ -66,7 +66,7 @@ class Recording:
 
 
 @dataclass(frozen=True)
-class Clock:
+class MatchedClock:
     """How a recording's clock goes beside the gauge's: gauge time = time + offset_s + drift (time - middle_s).
 
     error_s: of the offset: the scatter of the presses, and ROUNDED of the slower recording's interval. presses: from which it was found. rival: whether another offset fits nearly as well.
@@ -98,7 +98,7 @@ def presses_of(force: np.ndarray, touch: float) -> list[slice]:
     return [slice(a, b) for a, b in zip(starts.tolist(), ends.tolist(), strict=True) if b - a >= FEWEST]
 
 
-def match_clock(gauge: Recording, other: Recording, touch: float) -> Clock:
+def match_clock(gauge: Recording, other: Recording, touch: float) -> MatchedClock:
     """The clock of another recording, whose first value grows with the force that is the gauge's first value, N.
 
     touch: N from which on something is pressed. Raises BadInput where no press is found, or none that both show.
@@ -136,7 +136,7 @@ def match_clock(gauge: Recording, other: Recording, touch: float) -> Clock:
             " the unit that the header names?"
         )
     error = math.hypot(scatter / math.sqrt(len(left)), ROUNDED * max(gauge.interval, other.interval))
-    return Clock(offset, drift, middle - offset, error, len(left), rival)
+    return MatchedClock(offset, drift, middle - offset, error, len(left), rival)
 
 
 def _correlated(gauge: Recording, other: Recording) -> list[float]:

@@ -15,13 +15,13 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_text
-from gelforge.formats.align import Clock, Recording, match_clock, presses_of
+from gelforge.formats.align import MatchedClock, Recording, match_clock, presses_of
 from gelforge.formats.feats_folder import NO_PRESS, new_folder
 from gelforge.records.film import Film, open_source
 from gelforge.records.image import read_image, write_png
 from gelforge.records.log import write_log
 from gelforge.records.nocontactimage import STILL
-from gelforge.records.press import LoggedPress
+from gelforge.records.press import FORCE, POSE, LoggedPress
 from gelforge.records.regular import read_text
 from gelforge.records.table import filled_rows
 
@@ -131,7 +131,7 @@ class Images:
 
 
 @dataclass(frozen=True)
-class Bench:
+class Setup:
     """What is known of a bench beside its recordings: sensor (labelling.sensor.Sensor), indenter and piece of gel by name."""
 
     sensor: object
@@ -169,21 +169,19 @@ def align(
             name = f"p{number:04d}-{image:06d}"
             chosen[image] = name
             x, y, z, turn = places[image, 1:]
-            pose = {
-                "x0_mm": begin[1],
-                "y0_mm": begin[2],
-                "z0_mm": 0.0,
-                "dx_mm": x - begin[1],
-                "dy_mm": y - begin[2],
-                "dz_mm": z,
-                "rot_deg": turn,
+            pose = (begin[1], begin[2], 0.0, x - begin[1], y - begin[2], z, turn)
+            known_of_it = {
+                **NO_PRESS,
+                **dict(zip(POSE, map(float, pose), strict=True)),
+                **dict(zip(FORCE, felt[image, 1:].tolist(), strict=True)),
+                "sample_id": name,
+                "sensor_id": bench.sensor.name,
+                "gel_id": bench.gel_id,
+                "indenter": bench.indenter,
+                "image": f"images/{name}.png",
+                "press_id": f"p{number:04d}",
             }
-            forces = dict(zip(("fx_n", "fy_n", "fz_n"), felt[image, 1:].tolist(), strict=True))
-            told = {"sample_id": name, "sensor_id": bench.sensor.name, "gel_id": bench.gel_id, "indenter": bench.indenter,
-                    "image": f"images/{name}.png", "press_id": f"p{number:04d}"}  # fmt: skip
-            rows.append(
-                LoggedPress(row=0, **{**NO_PRESS, **told, **{k: float(v) for k, v in pose.items()}, **forces})
-            )
+            rows.append(LoggedPress(row=0, **known_of_it))
     if not rows:
         raise BadInput(f"{images.path}: no image lies within a press of both gauge and path; " + "; ".join(notes))
     _check_height(path, rows)
@@ -228,7 +226,7 @@ def _told(*recordings: Recording) -> list[str]:
     return said
 
 
-def _clock_told(name: str, clock: Clock) -> str:
+def _clock_told(name: str, clock: MatchedClock) -> str:
     """Offset, drift and error of a clock, one sentence."""
     rival = (
         "; another offset fits nearly as well, as where presses are alike and evenly apart: check it"

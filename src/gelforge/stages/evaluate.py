@@ -16,7 +16,7 @@ from gelforge.reporting import feats_tables
 from gelforge.reporting.errortables import tables
 from gelforge.reporting.networkcharts import draw_predictions
 
-VERSION = 18
+VERSION = 19
 
 
 def keep_predictions(path, data, model, predictions: dict) -> None:
