@@ -41,7 +41,9 @@ def folder(root, tmp_path):
 
 
 def solve(folder, verify: float, charted=None) -> list[Verified]:
-    table = {"fidelity": "auto", "meshes": ["wide-2.6"], "verify": verify} | ({"charted": charted} if charted else {})
+    table = {"fidelity": "auto", "tolerance": 0.05, "meshes": ["wide-2.6"], "verify": verify} | (
+        {"charted": charted} if charted else {}
+    )
     write_stage(folder / "00_plan/params", "fea", fea=table)
     for stage in (meshes, fea):
         assert stage.main([str(folder), "0000"]) == 0
@@ -53,7 +55,8 @@ def test_a_verified_press_has_a_deck_a_difference_and_limits(folder, ccx):
     (found,) = solve(folder, 1.0, WIDE)
     assert (found.sample_id, found.kind, found.way, found.reason) == ("s0", "curved_shallow", "hex-draft", "")
     assert 0 < found.total < 0.6 and found.total < found.cells < 2.0 and not found.beyond
-    assert found.limit_total == pytest.approx(0.6142) and found.limit_cells == pytest.approx(2.1)
+    worst = parameters().fea.charted["curved_deep"]["hex-draft"][0]  # the worst of all classes of a shape counts
+    assert found.limit_total == pytest.approx(0.6 + worst) and found.limit_cells == pytest.approx(2.1)
     solves = folder / "30_fea" / "0000"
     own, twin = read_json(solves / "s0.json"), read_json(solves / "s0.ccx.json")
     assert (own["fidelity"], twin["fidelity"]) == ("hex", "ccx") and (solves / "s0.ccx.inp").exists()
