@@ -15,7 +15,9 @@ MEASURED = option(
 )
 
 
-SHIP = option("--ship", type=Path, help="write the network there, with the intervals that real sensors showed")
+SHIP = option(
+    "--ship", type=Path, default=None, help="write the network there, with the intervals that real sensors showed"
+)
 
 
 @stage(Layout.card, MEASURED, SHIP)
