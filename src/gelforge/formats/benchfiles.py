@@ -92,21 +92,25 @@ def _timed_code(path: Path) -> tuple[np.ndarray, np.ndarray]:
 
 @dataclass(frozen=True)
 class Images:
-    """A film, or a folder of images with their times: names (n,), times (n,) s, and where they are."""
+    """A film, or a folder of images with their times: names (n,), times (n,) s, small copies (n, rows, cols, 3), and where they are."""
 
     path: Path
     names: list[str]
     times: np.ndarray
+    small: np.ndarray
 
     @classmethod
     def of(cls, path: Path) -> "Images":
-        """Read names and times; BadInput where there are none."""
+        """Read names, times and small copies; BadInput where there are none."""
         if path.is_dir():
             rows, times = _timed_rows(path / "times.csv", "images", ("image",))
-            return cls(path, [row["image"] for row in rows], times)
+            names = [row["image"] for row in rows]
+            return cls(path, names, times, np.array([_small(read_image(path / name)) for name in names], np.float32))
         with open_source(path, None) as (source, announced):
-            seen = [frame.time_s for frame in Film(source, announced, str(path), None, camera=False)]
-        return cls(path, [f"{path.stem}-{number:06d}" for number in range(len(seen))], np.array(seen))
+            film = Film(source, announced, str(path), None, camera=False)
+            seen, small = zip(*((frame.time_s, _small(frame.image)) for frame in film), strict=True)
+        names = [f"{path.stem}-{number:06d}" for number in range(len(seen))]
+        return cls(path, names, np.array(seen), np.array(small, np.float32))
 
     def __iter__(self) -> Iterator[np.ndarray]:
         """Images (h, w, 3) uint8 RGB in the order of time."""
@@ -120,14 +124,15 @@ class Images:
 
     def change(self) -> Recording:
         """Mean change in levels (n, 1) since the first STILL images, which show no contact."""
-        import cv2
+        change = np.abs(self.small - self.small[:STILL].mean(axis=0)).mean(axis=(1, 2, 3))
+        return Recording(str(self.path), self.times, change[:, None].astype(float))
 
-        small = np.array([cv2.resize(image, SMALL, interpolation=cv2.INTER_AREA) for image in self], np.float32)
-        return Recording(
-            str(self.path),
-            self.times,
-            np.abs(small - small[:STILL].mean(axis=0)).mean(axis=(1, 2, 3))[:, None].astype(float),
-        )
+
+def _small(image: np.ndarray) -> np.ndarray:
+    """An image (h, w, 3) at the size at which its change is measured."""
+    import cv2
+
+    return cv2.resize(image, SMALL, interpolation=cv2.INTER_AREA)
 
 
 @dataclass(frozen=True)

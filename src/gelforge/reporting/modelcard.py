@@ -44,18 +44,16 @@ def interval_lines(metadata: dict) -> list[str]:
         f"{name} {base:.2f} N + {100 * fraction:.1f} % of it + {100 * of_whole:.1f} % of the whole force"
         for name, (base, fraction, of_whole) in known["total"].items()
     )
-    real = known.get("real")
-    beside = (
-        f"- Beside that, of the force that is read: {100 * real['unprofiled']:.0f} % without a profile of the sensor and"
-        f" {100 * real['profiled']:.0f} % with one, by what real sensors showed (`make benchmark-real`)."
-        if real
-        else ""
-    )
-    return [
+    lines = [
         f"- 90 % prediction intervals of total force, set on {named(known['sensors'])} of dataset {known['data']}:"
         f" +- {widths}.",
-        *([beside] if beside else []),
     ]
+    if real := known.get("real"):
+        lines.append(
+            f"- Beside that, of the force that is read: {100 * real['unprofiled']:.0f} % without a profile of the sensor and"
+            f" {100 * real['profiled']:.0f} % with one, by what real sensors showed (`make benchmark-real`)."
+        )
+    return lines
 
 
 def data_lines(metadata: dict) -> list[str]:

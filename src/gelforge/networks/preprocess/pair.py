@@ -21,7 +21,15 @@ from gelforge.networks.models.inputs import needs_nocontact
 from gelforge.networks.preprocess.illumination import Light, Reference
 from gelforge.networks.preprocess.imageframe import ImageFrame, image_frame
 from gelforge.networks.preprocess.markertracks import MarkerTracker, Tracks, rim_shift, shifted_back
-from gelforge.networks.preprocess.wear import appeared, darkness_of, grey_of, painted_over, places_in, vanished
+from gelforge.networks.preprocess.wear import (
+    appeared,
+    darkness_of,
+    grey_of,
+    painted_over,
+    places_in,
+    usual_darkness,
+    vanished,
+)
 
 INPUTS = ("image", "nocontact")  # what the inputs of a graph may be named
 MOST_WORN = 8  # no-contact images without vanished markers that are kept
@@ -50,6 +58,11 @@ class NoContact:
         """Its `darkness_of`, (h / 2, w / 2)."""
         return darkness_of(grey_of(list(np.moveaxis(self.picture, 2, 0))))
 
+    @cached_property
+    def usual_darkness(self) -> float:
+        """Usual darkness of its markers."""
+        return usual_darkness(self.markers, self.darkness)
+
     def without(self, gone: np.ndarray) -> "NoContact":
         """The same with some of its markers, (n,) bool, painted over. Kept for the next image, as wear stays."""
         key = gone.tobytes()
@@ -57,7 +70,8 @@ class NoContact:
             while len(self._worn) >= MOST_WORN:
                 self._worn.pop(next(iter(self._worn)))
             worn = copy(self)
-            worn.__dict__.pop("darkness", None)
+            for name in ("darkness", "usual_darkness"):
+                worn.__dict__.pop(name, None)
             worn.picture = painted_over(self.picture, self.markers.points[gone], self.markers.diameter)
             worn.markers = MarkerTracker(worn.picture, self.markers.printed.only(~gone))
             worn.reference = Reference(worn.picture, self.frame.shown)
@@ -147,7 +161,9 @@ class Preprocessor:
         if not tracks.unlike.any() and not len(markers.empty):
             return prepared
         gone = vanished(markers, nocontact.darkness, tracks, prepared.darkness)
-        more = appeared(markers, nocontact.darkness, tracks, prepared.darkness)
+        more = np.zeros((0, 2))
+        if len(markers.empty):
+            more = appeared(markers, nocontact.darkness, nocontact.usual_darkness, tracks, prepared.darkness)
         if not gone.any() and not len(more):
             return prepared
         worn = nocontact.without(gone) if gone.any() else nocontact

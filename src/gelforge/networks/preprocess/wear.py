@@ -58,15 +58,22 @@ def vanished(markers: MarkerTracker, before: np.ndarray, tracks: Tracks, now: np
     return gone
 
 
-def appeared(markers: MarkerTracker, before: np.ndarray, tracks: Tracks, now: np.ndarray) -> np.ndarray:
+def usual_darkness(markers: MarkerTracker, before: np.ndarray) -> float:
+    """Median of the largest darkness at each marker of a no-contact image. before: its `darkness_of`."""
+    return float(np.median([_darkest(before, point, SEEN_WITHIN[0]) for point in markers.points]))
+
+
+def appeared(
+    markers: MarkerTracker, before: np.ndarray, printed: float, tracks: Tracks, now: np.ndarray
+) -> np.ndarray:
     """Where another image shows markers at places of the lattice that are empty in the no-contact image, (k, 2) px.
 
-    before, now: `darkness_of` both images. Such a marker was hidden or worn in the no-contact image.
+    before, now: `darkness_of` both images. printed: the `usual_darkness` of the no-contact image. Such a marker was hidden or
+    worn in the no-contact image.
     """
     places, followed = markers.empty, np.flatnonzero(tracks.found)
     if not len(places) or not len(followed):
         return np.zeros((0, 2))
-    printed = np.median([_darkest(before, point, SEEN_WITHIN[0]) for point in markers.points])
     shown = []
     for place in places:
         near = followed[np.argsort(np.hypot(*(markers.points[followed] - place).T))[:4]]
