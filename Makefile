@@ -15,13 +15,10 @@ DATASET ?= demo
 RES ?= 24x32
 # Training, evaluation and the report take the first resolution.
 RES1 = $(firstword $(RES))
-# The grid of the shipped network.
-SHIPPED_RES := 24x32
 EXECUTOR ?= local
 # What switches nothing on: STRICT=0 is as if it were not given.
 NO := 0 no false
-STRICT ?=
-override STRICT := $(filter-out $(NO),$(STRICT))
+override STRICT := $(filter-out $(NO),$(value STRICT))
 STRICTLY := $(if $(STRICT),--strict)
 # nproc would give the number that a shell grants to one program's threads, where it sets these.
 JOBS ?= $(shell env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc)
@@ -66,8 +63,10 @@ include rules/work.mk
 # Results that must be made again whatever their dates (flow/asked.py).
 $(DUE): due
 
-.PHONY: help
+# What `make help` lists is no file.
+.PHONY: $(shell sed -nE 's/^([a-z][a-zA-Z0-9_-]*):.*  ## .*/\1/p' Makefile rules/*.mk)
+
 help:  ## this list
 	@echo 'make TARGET [DATASET=$(DATASET)] [RES="$(RES)"] [MODEL=NAME] [JOBS=n] [STRICT=1]' \
 	    '[EXECUTOR=local|slurm] [SLURM_PROFILE=FILE.toml]'
-	@sed -nE 's/^([a-z][a-zA-Z0-9%_-]*):.*  ## (.*)/  \1\t\2/p' Makefile rules/*.mk | expand -t 24
+	@sed -nE 's/^([a-z][a-zA-Z0-9_-]*):.*  ## (.*)/  \1\t\2/p' Makefile rules/*.mk | expand -t 24

@@ -6,15 +6,12 @@ P := $D/00_plan/params
 DATA := data/$(DATASET)
 IMPORTED := $(wildcard $(DATA)/labels)
 PLANNED := $D/00_plan/plan.mk
-MAKE_RESTARTS ?=
 
 # Before set-up there is no environment: names are judged by any Python.
 ASK := $(if $(wildcard $(PY)),PYTHONPATH=src $(PY) -P -S -m gelforge.flow.asked,python3 src/gelforge/flow/given.py)
 ANSWER := $(shell $(ASK) $(call if_given,SENSOR MODEL FORMAT EXECUTOR JOBS CHARTED TESTS ID STRICT) \
     $(foreach v,DATASET RES MAKE_RESTARTS,$v=$(call given,$v)) GOALS=$(call given,MAKECMDGOALS))
-ifneq ($(.SHELLSTATUS),0)
-$(error $(or $(ANSWER),Python 3.11 or newer is needed as python3))
-endif
+$(if $(filter-out 0,$(.SHELLSTATUS)),$(error $(or $(ANSWER),Python 3.11 or newer is needed as python3)))
 DUE := $(filter $D/%,$(ANSWER))
 MODEL ?= $(patsubst MODEL=%,%,$(filter MODEL=%,$(ANSWER)))
 # The network that `make train` makes: the shipped one is never trained here.
@@ -24,12 +21,10 @@ LEARNT := $(patsubst LEARNT=%,%,$(filter LEARNT=%,$(ANSWER)))
 IS_FROZEN := $(wildcard $(DATA)/calibration.toml)
 
 # The plan's lists, empty where none is read.
-LISTS := SHARDS MESHES BRANCHES PARETO_SCENES PARETO_QUICK PARETO_MESHES MODELS TUNED SHAPES CALIBRATED LEARN_ALSO IMAGES
+LISTS := SHARDS MESHES BRANCHES PARETO_SCENES PARETO_QUICK PARETO_MESHES MODELS TUNED CALIBRATED LEARN_ALSO IMAGES
 $(foreach v,$(LISTS),$(eval $v :=))
 
-ifneq ($(filter plan,$(ANSWER)),)
-include $(PLANNED)
-endif
+include $(if $(filter plan,$(ANSWER)),$(PLANNED))
 # Status makes nothing: without the shards' targets make starts in half the time.
 ifeq ($(MAKECMDGOALS),status)
 SHARDS :=
@@ -45,15 +40,13 @@ $(PLANNED): $(filter again,$(ANSWER)) | $(SETUP) $(CCX_FOUND)
 LISTED = $(if $(word 1500,$^),$(filter-out $(POSES) $(FORCES),$^),$^)
 READS = $(filter $D/% $(LEARNT_WITH) $(SHIPPED).onnx $(SHIPPED).safetensors,$(LISTED))
 wrapped = $(PY) -m gelforge.flow.step $@ $(READS) -- $(PY) -m $(strip $(1)) --part
+IN_SLOTS = $(if $(filter local,$(EXECUTOR)),--jobs $(SLOTS))
 ifeq ($(EXECUTOR),local)
 step = @$(wrapped)
 barrier =
-IN_SLOTS = --jobs $(SLOTS)
 else
-IN_SLOTS =
 include rules/00_slurm.mk
 endif
 
-.PHONY: clean-ahead
 clean-ahead:  ## remove results dated ahead of this machine's clock, so that make makes them again; keeps solved presses
 	@$(PY) -m gelforge.flow.dates $D

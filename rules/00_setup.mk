@@ -26,16 +26,16 @@ export MKL_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
 # Jobs default to the cores of the machine; -jN on the command line wins. A make below this one shares its slots.
-HAS_SLOTS ?=
-ifeq ($(HAS_SLOTS)$(filter -j%,$(MAKEFLAGS)),)
+ifeq ($(value HAS_SLOTS)$(filter -j%,$(MAKEFLAGS)),)
 MAKEFLAGS += -j$(JOBS)
 endif
 # Jobs of a program that runs several at a time by itself. Known when a recipe is expanded, not before.
 SLOTS = $(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),$(JOBS))
-# Before the recipe of such a program: it then takes slots that are free (flow/slots.py), and is still only shown by -n.
-HANDS_SLOTS = $(if $(strip $(foreach f,n q t,$(findstring $f,$(firstword -$(MAKEFLAGS))))),,+)
+# What of -n, -q and -t make was given, under which nothing is done.
+ONLY_SHOWN = $(strip $(foreach f,n q t,$(findstring $f,$(firstword -$(MAKEFLAGS)))))
+# Before the recipe of such a program: it then takes slots that are free (flow/slots.py).
+HANDS_SLOTS = $(if $(ONLY_SHOWN),,+)
 
-.PHONY: setup
 setup: $(SETUP) $(CCX_FOUND)  ## virtual environment and CalculiX, inside the project; only system packages go outside
 
 $(SETUP): $(if $(VENV_IS_LINK),,envs/requirements.lock pyproject.toml envs/venv.sh)

@@ -6,15 +6,14 @@ COLLECT := $(if $(filter $D/%,$(MAKECMDGOALS)),,10_poses 20_meshes 30_fea 40_for
 # Of these stages, those with a note.
 NOTED :=
 
-# Under -n, -q and -t nothing is noted or submitted: `make -n` prints the same steps as on one machine.
-SLURM_DRY = $(strip $(foreach f,n q t,$(findstring $f,$(firstword -$(MAKEFLAGS)))))
 SLURM_STAGE = $(firstword $(subst /, ,$(@:$D/%=%)))
 # Notes are named by make's process as well, because another make may be at work.
 SLURM_NOTES = $(eval SLURM_NOTES := $$(shell mkdir -p $D/.slurm && echo $D/.slurm/$$$$PPID))$(SLURM_NOTES)
 slurm = $(PY) -m gelforge.flow.slurm $(SLURM_NOTES)-$(1) --profile $(call given,SLURM_PROFILE)
 
 SLURM_ALONE = $(subst /,-,$@)
-step = @$(if $(SLURM_DRY)$(filter-out $D/%,$@),$(wrapped),$(if $(filter $(SLURM_STAGE),$(COLLECT)),$(noted),$(alone)))
+# Under -n, -q and -t nothing is noted or submitted: `make -n` prints the same steps as on one machine.
+step = @$(if $(ONLY_SHOWN)$(filter-out $D/%,$@),$(wrapped),$(if $(filter $(SLURM_STAGE),$(COLLECT)),$(noted),$(alone)))
 alone = $(shell rm -f $@)$(file >$(SLURM_NOTES)-$(SLURM_ALONE),$@	$(wrapped))$(call slurm,$(SLURM_ALONE))
 # The first note of a stage replaces what a killed make left. An outdated target goes: make must see that it changes.
 noted = $(file $(if $(filter $(SLURM_STAGE),$(NOTED)),>)>$(SLURM_NOTES)-$(SLURM_STAGE),$@	$(wrapped))$(is_noted)

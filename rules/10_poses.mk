@@ -1,7 +1,5 @@
-# Stage 10: raw log rows to checked poses and posed surfaces.
 POSES := $(SHARDS:%=$D/10_poses/%.csv)
 
-.PHONY: poses
 poses: $(POSES) $(call barrier,10_poses)  ## check the log, place every indenter's surface as the CNC did
 
 $(POSES): $D/10_poses/%.csv: $D/00_plan/shards/%.csv $D/00_plan/shards/%.json $P/poses.json

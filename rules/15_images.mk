@@ -2,7 +2,6 @@
 # without images has none to judge.
 IMAGES_JUDGED := $(if $(IMPORTED),,$(if $(IMAGES),$D/15_images/images.json))
 
-.PHONY: images
 images: $(IMAGES_JUDGED)  ## compare the images of the log with its poses and no-contact images
 
 $D/15_images/images.json: $(POSES) $P/images.json $P/gels.json $D/00_plan/nocontact.json | $(call barrier,10_poses)

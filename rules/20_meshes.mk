@@ -2,7 +2,6 @@
 # need no file. The usual gel's meshes ship; what is made here is kept in workflow/meshes.
 MESH_TABLES := $(if $(MESHES),$(SHARDS:%=$D/20_meshes/%.csv))
 
-.PHONY: meshes
 meshes: $(MESH_TABLES) $(call barrier,20_meshes)  ## make the gel meshes that the presses need, with quality reports
 
 $(MESH_TABLES): $D/20_meshes/%.csv: $D/10_poses/%.csv $P/meshes.json $P/fea.json $P/gels.json | $(call barrier,10_poses)

@@ -2,7 +2,6 @@
 # of date, because starting one per shard would cost more than the labels; labels.json is written last.
 LABELS := $(RES:%=$D/50_labels/%/labels.json)
 
-.PHONY: labels
 labels: $(LABELS)  ## force per grid cell: make labels RES="12x16 24x32 48x64"
 
 $(LABELS): $D/50_labels/%/labels.json: $(FORCES) $(POSES) $D/00_plan/shards.csv $P/labels.json $P/sensors.json \

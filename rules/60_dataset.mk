@@ -2,7 +2,6 @@
 DATASETS := $(RES:%=$D/60_dataset/%/dataset.json)
 LABEL_SOURCE := $(if $(IMPORTED),$(DATA)/labels/%.npz $D/00_plan/shards.csv,$D/50_labels/%/labels.json $(POSES))
 
-.PHONY: dataset
 dataset: $(DATASETS)  ## images and labels, split without leaks, with normalisation
 
 # Digests of the no-contact images, and of splits, truth and imported labels beside the log.

@@ -1,13 +1,10 @@
 # Stage 70: networks. A model is a table of workflow/models.toml; RES names the grid.
-# MODELS, TUNED and NEED_NOCONTACT come from the plan.
 SHIPPED := src/gelforge/networks/weights/default
 # Those that fine-tune the shipped network (TUNED) are for one dataset, and write its grid: they are made by name alone.
 LEARNABLE := $(filter-out $(TUNED),$(MODELS))
 TRAINED := $(MODELS:%=$D/70_train/$(RES1)/%.onnx)
 
-.PHONY: train models
 train: $D/70_train/$(RES1)/$(LEARNT).onnx  ## train one network, write it as ONNX: make train MODEL=grid_16 RES=24x32
-models: $(LEARNABLE:%=$D/70_train/$(RES1)/%.onnx)  ## train every network that needs only the dataset
 
 # Other datasets that are learnt from as well ([train] also). They are made by themselves; flow/asked.py refuses where
 # one is missing.

@@ -4,10 +4,8 @@ EVALUATED := $(MODELS:%=$D/80_evaluate/$(RES1)/%.json)
 READ := $D/80_evaluate/$(RES1)/shipped.json
 CARDS := $(EVALUATED:.json=.card.md) $(READ:.json=.card.md)
 
-.PHONY: evaluate evaluate-models ship
 evaluate:  ## errors of one network against labels, baselines and force sensors; its card
 evaluate: $D/80_evaluate/$(RES1)/$(MODEL).json $D/80_evaluate/$(RES1)/$(MODEL).card.md
-evaluate-models: $(LEARNABLE:%=$D/80_evaluate/$(RES1)/%.json)  ## evaluate every network
 
 $(EVALUATED): $D/80_evaluate/$(RES1)/%.json: $D/70_train/$(RES1)/%.onnx
 $(READ): $(SHIPPED).onnx
@@ -23,8 +21,7 @@ $(CARDS): $D/80_evaluate/$(RES1)/%.card.md: $D/80_evaluate/$(RES1)/%.json $P/car
 # What benchmark-unseen and benchmark-real measured of this very network goes into the card.
 MEASURED := $(wildcard results/benchmarks/unseen.json results/benchmarks/real.json)
 
-ship:  ## make a network the default of predict and live
-ship: $D/70_train/$(RES1)/$(LEARNT).onnx $D/80_evaluate/$(RES1)/$(LEARNT).json
+ship: $D/70_train/$(RES1)/$(LEARNT).onnx $D/80_evaluate/$(RES1)/$(LEARNT).json  ## make a network the default one
 	@$(PY) -m gelforge.stages.card $D $(RES1) $(LEARNT) --part --measured $(MEASURED) --ship $(SHIPPED).onnx.part
 	cp $(<:.onnx=.safetensors) $(SHIPPED).safetensors
 	mv $(SHIPPED).onnx.part $(SHIPPED).onnx

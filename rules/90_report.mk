@@ -1,11 +1,9 @@
-# Stage 90: one page for people.
 REPORT := $D/90_report/index.html
 # What this dataset's report shows of branches ([report] branches), and those that were made without being asked for.
 SHOWN := $(sort $(BRANCHES:%=$D/%) $(wildcard $D/calibrate/summary.json $D/pareto/pareto.json $D/pareto/quick.json))
 # What was solved here. A dataset with imported labels is not: of its log, which may know no pose, nothing is solved.
 SOLVED := $(if $(IMPORTED),,$(POSES) $(FORCES) $D/50_labels/$(RES1)/labels.json)
 
-.PHONY: report
 report: $(REPORT)  ## one HTML page: presses, labels, errors, posterior, chart, failures
 
 # The page prints the parameters of every stage; the plan writes them before make reads these rules for good.

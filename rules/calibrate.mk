@@ -2,7 +2,6 @@
 # Solves, chain and pictures lie beside the summary, which is published last.
 POSTERIOR := $D/calibrate/summary.json
 
-.PHONY: calibrate freeze calibrated-labels
 calibrate: $(POSTERIOR)  ## posterior of C10, touch offset, compliance and friction from the log's force readings
 
 freeze: $(POSTERIOR)  ## write the posterior to data/DATASET/calibration.toml: labels use it until the next make freeze

@@ -1,12 +1,8 @@
-# FEATS' files in and out.
-FROM ?=
 EXPORTED := $(RES:%=$D/feats/%/normalization_gelforge.npy)
 
-SPLIT ?=
 # The dataset as it is published: DATASET is feats where no other is named.
 PUBLISHED := data/$(if $(call by_hand,DATASET),$(DATASET),feats)
 
-.PHONY: feats-fetch feats-import feats-export
 feats-fetch: $(SETUP)  ## import FEATS' published dataset to data/feats, all or SPLIT="train val", of a copy FROM=folder
 	@$(PY) -m gelforge.commands.feats fetch --from $(call given,FROM) --split $(call given,SPLIT) \
 	    --downloads downloads/feats --data $(PUBLISHED)

@@ -1,19 +1,15 @@
 # Branch pareto: seconds against error of every fidelity, mesh density and load-step count, on the scenes of
 # workflow/scenes.toml. A full chart is hours of solves; a scene that is cut short resumes at its next method.
 # References are kept in data/, because they are hours of solves; one whose scene or settings changed is solved anew.
-REFERENCES := data/fea_challenge
-KEPT_REFERENCES := $(wildcard $(REFERENCES)/keys.json)
+KEPT_REFERENCES := $(wildcard data/fea_challenge/keys.json)
 PARETO_MESH_FILES := $(PARETO_MESHES:%=$D/pareto/meshes/%.npz)
 PARETO_FILES := $(PARETO_SCENES:%=$D/pareto/scenes/%.json)
 PARETO_QUICK_FILES := $(PARETO_QUICK:%=$D/pareto/quick/%.json)
 SCENE_READS := $P/pareto.json $P/sensors.json $(KEPT_REFERENCES)
 
-.PHONY: pareto pareto-quick pareto-meshes
 pareto: $D/pareto/pareto.json  ## speed against accuracy of the mechanics: chart, CSV, JSON (hours; resumes)
 
 pareto-quick: $D/pareto/quick.json  ## the report's small chart: three scenes, few methods
-
-pareto-meshes: $(PARETO_MESH_FILES)
 
 $(PARETO_MESH_FILES): $D/pareto/meshes/%.npz: $P/pareto_meshes.json $P/gels.json
 	$(call step,gelforge.stages.pareto mesh $D $*)
@@ -32,18 +28,9 @@ $D/pareto/pareto.json: $(PARETO_FILES)
 $D/pareto/quick.json: $(PARETO_QUICK_FILES)
 	$(call step,gelforge.stages.pareto quick-chart $D)
 
-# The scenes and their references as plain files. It writes what its code says and what the scenes' shapes are, and
-# refuses references whose keys are of other methods or of another version of the chart.
-CHALLENGE := results/fea_challenge/challenge.json
-CHALLENGE_CODE := $(addprefix src/gelforge/,stages/challenge.py stages/pareto.py sweeps/challenge.py sweeps/methods.py)
-
-.PHONY: fea-challenge fea-references
-fea-challenge: $(CHALLENGE)  ## write the scenes as an open benchmark for simulators: results/fea_challenge
-
-$(CHALLENGE): \
-    $(addprefix workflow/,scenes.toml indenters.toml sensors.toml params.toml) $(KEPT_REFERENCES) $(CHALLENGE_CODE) \
-    $(REFERENCES)/exact.json $(wildcard $(SHAPES) $(REFERENCES)/*.csv src/gelforge/sweeps/fea_challenge/*) | $(SETUP)
-	@$(PY) -m gelforge.stages.challenge write $(@D)
+# It refuses references whose keys are of other methods or of another version of the chart.
+fea-challenge: $(SETUP)  ## write the scenes as an open benchmark for simulators: results/fea_challenge
+	@$(PY) -m gelforge.stages.challenge write results/fea_challenge
 
 fea-references: $(PARETO_FILES)  ## make the references of fea-challenge again from the large chart (hours)
 	@$(PY) -m gelforge.stages.challenge references $D

@@ -1,9 +1,6 @@
-# Branch: error of the networks against the time one image takes.
-# The networks on the chart: all but those that go on from the one that ships (LEARNABLE), or a list: make pareto-models
-# CHARTED="grid_16 unet".
+# All networks but those that go on from the one that ships, or a list: make pareto-models CHARTED="grid_16 unet".
 CHARTED ?= $(LEARNABLE)
 
-.PHONY: pareto-models
 pareto-models: $D/pareto_models/$(RES1).json  ## accuracy against latency of every network: chart, CSV, JSON
 
 $D/pareto_models/$(RES1).json: $P/pareto_models.json $D/60_dataset/$(RES1)/dataset.json \

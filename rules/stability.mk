@@ -1,9 +1,7 @@
-# Branch stability: where each fidelity converges, fails and drifts. One target per factor; solved cases are kept, so
-# that a row that is cut short resumes.
+# One target per factor; solved cases are kept, so that a row that is cut short resumes.
 STABILITY_ROWS := depth shear place tilt ridge nu friction size steps random native
 STABILITY_FILES := $(STABILITY_ROWS:%=$D/stability/rows/%.json)
 
-.PHONY: stability
 stability: $D/stability/map.json  ## where the mechanics converge, fail or lose accuracy: map, CSV (hours; resumes)
 
 # Rows at label setting take meshes that ship; the others those of the chart.

@@ -1,43 +1,32 @@
 # Tests, and benchmarks of what was promised.
 TESTS ?= tests
-# What pytest's -m chooses of test-all: `slow` is what `make test` leaves out.
-MARKED ?=
 # A process of tests that dies is not started again: with --dist loadfile the others would wait for it for ever. Files
 # keep the order of tests/conftest.py.
 PYTEST = $(PY_HERE) -m pytest -n $(SLOTS) --dist loadfile --no-loadscope-reorder --max-worker-restart=0 --durations=20
 
-# Tests of pages need a browser.
+# A browser for tests of pages, Slurm for a cluster of one node: one install at a time, or they would fight for apt's lock.
 CHROMIUM_FOUND := .venv/chromium.found
-
-# Tests of EXECUTOR=slurm need a real cluster of one node; installed after CalculiX, because two installs at once would
-# fight for apt's lock.
 SLURM_FOUND := .venv/slurm.found
 
-$(SLURM_FOUND): envs/slurm.sh | $(SETUP) $(CCX_FOUND)
-	@envs/slurm.sh $@
+$(CHROMIUM_FOUND): | $(SLURM_FOUND)
+$(CHROMIUM_FOUND) $(SLURM_FOUND): .venv/%.found: envs/%.sh | $(SETUP) $(CCX_FOUND)
+	@envs/$*.sh $@
 
-test test-all benchmark-slurm: $(SLURM_FOUND)
-
-$(CHROMIUM_FOUND): envs/chromium.sh | $(SETUP) $(CCX_FOUND) $(SLURM_FOUND)
-	@envs/chromium.sh $@
-
-test test-all benchmark-face: $(CHROMIUM_FOUND)
+test test-all benchmark-face benchmark-slurm: $(CHROMIUM_FOUND) $(SLURM_FOUND)
 
 # LeRobot's package wants other versions than ours; minutes of downloads, so tests take it where it is.
 LEROBOT_READY := .venv-lerobot/ready
 
-.PHONY: lerobot-env
 lerobot-env: $(LEROBOT_READY)  ## an environment with LeRobot, in which tests open an export by its own factory
 
 $(LEROBOT_READY): envs/lerobot.sh envs/lerobot.lock | $(SETUP)
 	@envs/lerobot.sh $@
 
-.PHONY: test test-all lint format lock
 test: $(SETUP) $(CCX_FOUND)  ## the tests of every change, in minutes: all but the slow ones
 	@$(PYTEST) -m 'not slow' $(TESTS)
 
 test-all: $(SETUP) $(CCX_FOUND)  ## all tests, in a quarter of an hour; MARKED=slow: those that `make test` leaves out
-	@$(PYTEST) $(if $(MARKED),-m $(call given,MARKED)) $(TESTS)
+	@$(PYTEST) -m $(call given,MARKED) $(TESTS)
 
 lint: $(SETUP)  ## check style, names, types and imports of the code, and that generated files are those of today
 	@$(PY) -m ruff check
@@ -51,9 +40,8 @@ format: $(SETUP)  ## format the code, and write what is generated: tables of fig
 	@$(PY_HERE) -m tests.support.repository --fix
 
 lock: $(SETUP)  ## write envs/requirements.lock from the installed packages
-	@$(PY) -m pip freeze --exclude-editable > envs/.requirements.part
-	@sed 's/+cpu$$//' envs/.requirements.part > envs/.requirements.lock && rm envs/.requirements.part
-	@mv envs/.requirements.lock envs/requirements.lock
+	@$(PY) -m pip freeze --exclude-editable | sed 's/+cpu$$//' > envs/.requirements.part
+	@mv envs/.requirements.part envs/requirements.lock
 
 # What benchmarks share, and is none.
 SHARED := __init__ ball_table balls chart_meshes fea_cost figures films outside_getfem reach readme_pictures real_page \
@@ -64,15 +52,11 @@ BENCHMARKS := $(addprefix benchmark-,$(filter-out $(SHARED),$(MODULES)))
 $(BENCHMARKS): benchmark-%: $(SETUP) $(CCX_FOUND)
 	@$(PY_HERE) -m tests.benchmarks.$* --out results/benchmarks/$*.json
 
-.PHONY: benchmark-tables
 benchmark-tables: $(SETUP)  ## write figures of results/benchmarks/ into README and guide, name what changed
 	@$(PY_HERE) -m tests.benchmarks.tables
 
-.PHONY: real-check
 real-check: $(SETUP)  ## run benchmark-real; real images with their predictions: results/real-check/index.html
-	@$(PY_HERE) -m tests.benchmarks.real --reference $(call given,REFERENCE) --out results/benchmarks/real.json \
-	    --page results/real-check/index.html
+	@$(PY_HERE) -m tests.benchmarks.real $(AT_REFERENCE) --page results/real-check/index.html
 
-.PHONY: benchmark-X
 benchmark-X:  ## measure a group of figures; make benchmark-X lists the names that X may take
 	@echo "$(BENCHMARKS)"

@@ -1,5 +1,3 @@
-# What people type while they work: the whole flow, its state, one sample, clean-up.
-.PHONY: demo status sample
 demo:  ## the whole flow on the demo dataset: labels, predictions of the shipped network, calibration, chart, report
 demo: $(if $(IS_FROZEN),report)
 	$(if $(IS_FROZEN),,@export HAS_SLOTS=yes; $(MAKE) --no-print-directory freeze && $(MAKE) --no-print-directory report)
@@ -11,14 +9,12 @@ status: | $(SETUP)  ## samples done, failed with reasons and pending, per stage
 sample: | $(SETUP)  ## run one sample through all stages and show its log: make sample ID=…
 	@$(PY) -m gelforge.commands.sample $D --id $(call given,ID) --resolution $(RES1)
 
-ID ?=
-
 STAGES := poses:10_poses images:15_images meshes:20_meshes fea:30_fea forces:40_forces labels:50_labels \
     dataset:60_dataset train:70_train evaluate:80_evaluate report:90_report calibrate:calibrate pareto:pareto \
     stability:stability pareto_models:pareto_models
 CLEAN := $(foreach s,$(STAGES),clean-$(firstword $(subst :, ,$s)))
 
-.PHONY: $(CLEAN) clean-all clean-venv
+.PHONY: $(CLEAN)
 $(CLEAN): clean-%:
 	rm -rf $(addprefix $D/,$(foreach k,. logs metrics,$k/$(patsubst $*:%,%,$(filter $*:%,$(STAGES)))))
 
@@ -27,17 +23,6 @@ clean-STAGE:  ## remove a stage's artifacts, logs and metrics (clean-fea, clean-
 
 clean-all:  ## remove all results of this dataset
 	rm -rf $D
-
-clean-venv:  ## remove the virtual environment
-	rm -rf .venv
-
-.PHONY: parameters
-parameters: $(SETUP)  ## write workflow/guide/parameters.md, the page of all parameters
-	@$(PY) -m gelforge.commands.parameters
-
-# Questions about the flow.
-.PHONY: why provenance estimate
-TARGET ?=
 
 why:  ## explain why a target is outdated: make why TARGET=report
 	@$(PY) -m gelforge.commands.why --target $(call given,TARGET) 'DATASET=$(DATASET)' \

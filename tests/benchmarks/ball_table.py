@@ -1,4 +1,4 @@
-"""`make ball-table`: the finite element solves behind `gelforge sensor --balls`, minutes of a core; rows that are there stay."""
+"""The finite element solves behind `gelforge sensor --balls`, minutes of a core; rows that are there stay."""
 
 from argparse import Namespace
 from itertools import product

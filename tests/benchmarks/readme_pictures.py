@@ -12,12 +12,15 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.cache import digest_of_value
 from gelforge.flow.files import digest_of, publish, read_json, read_toml, write_json
-from gelforge.flow.main import command, group, option
+from gelforge.flow.main import command, option
+from tests.benchmarks.figures import PUBLISHED_DATA
 
-SHIPPED = Path("src/gelforge/networks/weights/default.onnx")
 PRESSED = 1.4, (0.5, 1.0), (0.4, -0.3)  # depth, place and way sideways of the press that is shown, mm
 ARROW_MM = 2.5  # length of the largest force
 SENSOR = "mini_b"  # virtual sensor of the image beside it
+INDENTER = "triangle_10"  # of the press, in workflow/indenters.toml
+FILMS = "cheese_tube_3_camera_0.avi", "tin_box_2_camera_2.avi", "wooden_statue_5_camera_2.avi"  # of real sensors
+FLAGGED = "ball_white_thread_9_camera_2.avi"  # of which a flagged frame is shown
 
 
 def digest(source: str) -> str | None:
@@ -65,11 +68,6 @@ def hardest_frame(film: Path, model, flagged: bool):
     return hardest.image[frame.shown], cells, hardest
 
 
-@command(
-    option("films", nargs="+", type=Path),
-    option("--flagged", type=Path, help="film of which a flagged frame is shown"),
-    option("--out", type=Path),
-)
 def real(args: Namespace) -> None:
     """Frames of real sensors above the force maps that the shipped network reads in them, in one scale, and a flagged one."""
     import textwrap
@@ -79,14 +77,15 @@ def real(args: Namespace) -> None:
     from gelforge.reporting.forcemaps import draw_pressure
 
     model = load_for_use(None)
-    shown = [hardest_frame(film, model, False) for film in args.films]
+    films = [args.reference / "gripper_videos" / name for name in (*FILMS, FLAGGED)]
+    shown = [hardest_frame(film, model, False) for film in films[:-1]]
     figure, axes = canvas_with_axes(2, len(shown) + 1, 3.1 * (len(shown) + 1) + 0.8, 4.9)
     most = max(float(-cells[2].min()) for _, cells, _ in shown)
     for (above, below), (image, cells, _) in zip(axes.T, shown, strict=False):
         above.imshow(image)
         drawn = draw_pressure(below, cells[2], most)
         below.set_title(f"{-float(cells[2].sum()):.1f} N", fontsize=15)
-    image, cells, reading = hardest_frame(args.flagged, model, True)
+    image, cells, reading = hardest_frame(films[-1], model, True)
     above, below = axes[:, -1]
     above.imshow(image)
     below.imshow(np.full((*cells.shape[1:], 3), 255, np.uint8))
@@ -99,30 +98,19 @@ def real(args: Namespace) -> None:
         axis.set_yticks([])
     figure.colorbar(drawn, ax=axes, shrink=0.6).set_label("N per cell", fontsize=12)
     # from the project's root, because the record of the picture is tracked and no machine's
-    films = [os.path.relpath(film) for film in (*args.films, args.flagged)]
-    publish_picture(args.out, to_png(figure), [SHIPPED, *films])
+    publish_picture(args.out, to_png(figure), [*args.data, *map(os.path.relpath, films)])
 
 
-@command(
-    option("--chart", type=Path, help="chart that a branch drew"),
-    option("--data", type=Path),
-    option("--out", type=Path),
-)
-def copy(args: Namespace) -> None:
+def chart(args: Namespace) -> None:
     """A branch's chart as it was drawn."""
-    if not (args.chart.exists() and args.data.exists()):
-        raise BadInput(f"{args.chart}: not there; draw it with make pareto and make stability, which take hours")
+    drawn = args.data[0].with_suffix(".png")
+    if not (drawn.exists() and args.data[0].exists()):
+        raise BadInput(f"{drawn}: not there; draw it with make pareto and make stability, which take hours")
     args.out.parent.mkdir(parents=True, exist_ok=True)
-    publish_picture(args.out, args.chart.read_bytes(), [args.data])
-    shutil.copystat(args.chart, args.out)
+    publish_picture(args.out, drawn.read_bytes(), args.data)
+    shutil.copystat(drawn, args.out)
 
 
-@command(
-    option("--catalogue", type=Path, help="file of indenters"),
-    option("--name", help="name of one of them"),
-    option("--rig", type=Path, help="folder workflow/rig, of whose first sensor the image is"),
-    option("--out", type=Path),
-)
 def press(args: Namespace) -> None:
     """A press in a row: the image of a virtual sensor, the gel with the indenter and the forces on it, the map of normal force."""
     from gelforge.api import label, solve
@@ -131,12 +119,13 @@ def press(args: Namespace) -> None:
     from gelforge.reporting.canvas import canvas, to_png
     from gelforge.reporting.forcemaps import draw_pressure
 
-    body = load_catalogue(args.catalogue, [args.name])[args.name]
-    solved, sensor = solve(body, *PRESSED, quality="label"), load_sensors(args.rig.parent / "sensors.toml")[SENSOR]
+    catalogue, rig = args.data
+    body = load_catalogue(catalogue, [INDENTER])[INDENTER]
+    solved, sensor = solve(body, *PRESSED, quality="label"), load_sensors(catalogue.with_name("sensors.toml"))[SENSOR]
     normal = label(solved, sensor=sensor)[2]
     figure = canvas(12.5, 3.6)
     left, middle, right = figure.subplots(1, 3, width_ratios=(1.0, 1.25, 1.15))
-    left.imshow(image_of(body, solved, sensor, args.rig))
+    left.imshow(image_of(body, solved, sensor, rig))
     middle.imshow(trimmed(view_of(body, solved)))
     shown = draw_pressure(right, normal, float(-normal.min()))
     bar = figure.colorbar(shown, ax=right, shrink=0.8)
@@ -152,9 +141,7 @@ def press(args: Namespace) -> None:
         axis.set_yticks([])
         for side in axis.spines.values():
             side.set_visible(axis is not middle)
-    publish_picture(
-        args.out, to_png(figure), [f"{args.catalogue}#{args.name}", f"{args.rig / 'sensors.toml'}#{SENSOR}"]
-    )
+    publish_picture(args.out, to_png(figure), [f"{catalogue}#{INDENTER}", f"{rig}#{SENSOR}"])
 
 
 def image_of(body, solved, sensor, rig: Path) -> np.ndarray:
@@ -167,7 +154,7 @@ def image_of(body, solved, sensor, rig: Path) -> np.ndarray:
 
     depth, at, shear = PRESSED
     press, gel = Press(*at, 0.0, *shear, -depth, 0.0), Gel()
-    camera = Renderer(read_appearances(rig / "sensors.toml")[SENSOR], sensor.projection, gel)
+    camera = Renderer(read_appearances(rig)[SENSOR], sensor.projection, gel)
     field = field_of(gel, surface_of(solved.mesh, solved.displacement, press))
     return camera.image(field, Pressed(body_of(body, 0.03, 0.65, 45.0), press), np.random.default_rng(1))
 
@@ -207,7 +194,17 @@ def view_of(body, solved) -> np.ndarray:
     return image
 
 
-main = group(real=real, copy=copy, press=press)
+PICTURES = {"press": press, "real": real, "speed": chart, "stability": chart}
+
+
+@command(
+    option("picture", choices=PICTURES),
+    option("--data", nargs="+", type=Path, help="files that it shows"),
+    option("--reference", type=Path, default=PUBLISHED_DATA, help="folder of the real films"),
+    option("--out", type=Path),
+)
+def main(args: Namespace) -> None:
+    PICTURES[args.picture](args)
 
 
 if __name__ == "__main__":

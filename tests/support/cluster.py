@@ -29,7 +29,7 @@ RES := 24x32
 JOBS := 2
 PY := .venv/bin/python
 SETUP := .venv/bin/python
-NO_DATASET := help
+ONLY_SHOWN = $(findstring n,$(firstword -$(MAKEFLAGS)))
 D := results/$(DATASET)
 wrapped = $(PY) -m gelforge.flow.step $@ $(filter $D/%,$^) -- $(PY) -m $(1)
 ifeq ($(EXECUTOR),local)

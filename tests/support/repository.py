@@ -9,7 +9,6 @@ from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 
-from gelforge.commands.parameters import page
 from gelforge.flow.files import read_json, write_text
 from gelforge.flow.layout import FOLDERS
 from gelforge.records.networkkind import KINDS
@@ -18,6 +17,7 @@ from gelforge.records.samplefile import SPLITS, TEST, TRAINING
 from tests.benchmarks.readme_pictures import outdated
 from tests.benchmarks.tables import BLOCK, CHOSEN, KEPT, PAGES, rendered
 from tests.support import stage_digests
+from tests.support.parameters_page import page
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "src" / "gelforge"

@@ -19,12 +19,9 @@ from gelforge.flow.layout import EVALUATE, REPORT, Layout, metrics_of
 
 SHIPPED = "shipped"  # the network that ships; it is never trained here
 SHIPPED_RES = "24x32"
-SHIPPED_WEIGHTS = "src/gelforge/networks/weights/default"
 MOST_RESTARTS = 3  # of one make, whose plan is then taken as it is: a log that is being written to changes for ever
 TRAINS = ("train", "ship")
-READS_IMAGES = ("dataset", "evaluate", "report", "demo", "export", "feats-export", *TRAINS)
-# Goals that work on all networks but those that are fine-tuned from the shipped one.
-MANY = ("models", "evaluate-models", "pareto-models")
+READS_IMAGES = ("dataset", "evaluate", "report", "demo", "export", "feats-export", "pareto-models", *TRAINS)
 
 
 class Asked:
@@ -80,10 +77,7 @@ class Asked:
         """The networks that the goals need, trained or shipped."""
         found = [self.model] if self.asks("evaluate", "report", "demo") else []
         found += [self.learnt] if self.asks(*TRAINS) else []
-        found += self.charted if self.asks("pareto-models") else []
-        if self.asks(*MANY[:2]):
-            found += [name for name in self.networks if name not in self.lists["TUNED"]]
-        return found
+        return found + (self.charted if self.asks("pareto-models") else [])
 
     # -- refusals
 
@@ -91,7 +85,7 @@ class Asked:
         """BadInput where a goal cannot be reached with what was chosen, before anything is made for it."""
         self.check_networks()
         self.check_ship()
-        if self.asks(*READS_IMAGES, *MANY):
+        if self.asks(*READS_IMAGES):
             self.check_data()
 
     def check_networks(self) -> None:

@@ -378,7 +378,6 @@ def main(args: Namespace) -> None:
         **chart_lists(params, scenes),
         **network_lists(models),
         "LEARNER": ["pair_24_mirrored" if (data / "nocontact").is_dir() else "grid_16"],
-        "SHAPES": [str(path) for path in shapes if _WORD.fullmatch(str(path))],
         "CALIBRATED": [SHOWN_OF["calibrate"]] if params.material.c10 == "calibrated" else [],
         "REPORT_MODEL": reported_model(dataset_toml, params, models),
         "LEARN_ALSO": [*params.train.also],

@@ -57,10 +57,7 @@ def test_networks_are_refused_before_anything_is_made_for_them(planned):
         (refused("ship"), "name the one that shall"),
         (refused("ship", MODEL="grid_16", RES="12x16"), "a grid of 24x32; train one of it"),
         *((refused(goal, MODEL="shipped"), f"to {goal}, name one of") for goal in ("train", "ship")),
-        *(
-            (refused(goal), "data/tiny/nocontact is missing")
-            for goal in ("models", "evaluate-models", "pareto-models")
-        ),
+        (refused("pareto-models"), "data/tiny/nocontact is missing"),
         *((refused("report", MODEL=name), f"MODEL={name} reads") for name in ("shipped", "pair_24", "tuned")),
     ]
     for said, words in cases:
@@ -68,7 +65,7 @@ def test_networks_are_refused_before_anything_is_made_for_them(planned):
     assert asked("labels", MODEL="pair_24") and asked("report", MODEL="unet") and asked("ship", MODEL="unet")
     assert asked("pareto-models", CHARTED="grid_16 unet")
     os.mkdir("data/tiny/nocontact")
-    assert asked("models evaluate-models pareto-models") and asked("report", MODEL="shipped")
+    assert asked("pareto-models") and asked("report", MODEL="shipped")
 
 
 def test_the_report_shows_the_network_of_its_table_where_that_has_the_grid(planned):
@@ -83,7 +80,7 @@ def test_the_report_shows_the_network_of_its_table_where_that_has_the_grid(plann
 
 def test_a_dataset_without_images_or_labels_is_refused_at_once(planned):
     planned(IMAGES="")
-    for goal in ("report", "dataset", "train", "models", "export", "demo"):
+    for goal in ("report", "dataset", "train", "pareto-models", "export", "demo"):
         assert "names no images" in refused(goal, FORMAT="hdf5") and "make labels DATASET=tiny" in refused("report")
     assert asked("labels calibrate")
     write_text("data/tiny/labels/1x1.npz", "")  # imported labels come with their images

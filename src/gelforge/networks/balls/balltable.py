@@ -1,6 +1,6 @@
 """Radius of an imprint to the force of the ball that made it, by finite elements that were solved beforehand.
 
-`balls.csv` holds balls on gels of a GelSight Mini at C10 = 0.0725 MPa (`make ball-table` solves them again); force is
+`balls.csv` holds balls on gels of a GelSight Mini at C10 = 0.0725 MPa (`python -m tests.benchmarks.ball_table` solves them again); force is
 proportional to C10. A ball beside the apex, where the gel is a tenth of a millimetre lower, is taken as one on it.
 """
 
@@ -89,7 +89,7 @@ def _between(values: np.ndarray, known: np.ndarray, at: float, axis: int) -> np.
 @cache
 def ball_table() -> BallTable:
     """The table that ships."""
-    rows = np.array([[float(row[name]) for name in COLUMNS] for row in read_table(TABLE, "run make ball-table")])
+    rows = np.array([[float(row[name]) for name in COLUMNS] for row in read_table(TABLE, "install gelforge again")])
     rows = rows[np.lexsort(rows[:, 2::-1].T)]
     diameters, thicknesses = np.unique(rows[:, 0]), np.unique(rows[:, 1])
     return BallTable(diameters, thicknesses, rows[:, 2:].T.reshape(4, len(diameters), len(thicknesses), -1))

@@ -1,20 +1,18 @@
-"""Write workflow/guide/parameters.md, the page of all parameters, from their tables and the comments of workflow/params.toml."""
+"""The page workflow/guide/parameters.md, from the tables of parameters and the comments of workflow/params.toml."""
 
 import json
 import re
-from argparse import Namespace
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from gelforge.flow.files import read_toml, write_text
-from gelforge.flow.main import command, option
+from gelforge.flow.files import read_toml
 from gelforge.flow.params.schema import allowed, is_table, kinds_of, split
 from gelforge.flow.params.tables import Params
 
 HEAD = """# Parameters
 
-Made by `make parameters` from `src/gelforge/flow/params/tables.py` and `workflow/params.toml`. A dataset sets its own values in
+Made by `make format` from `src/gelforge/flow/params/tables.py` and `workflow/params.toml`. A dataset sets its own values in
 `data/DATASET/dataset.toml`, under `[params.TABLE]`; an unknown key, or a value that is not allowed, is refused by name.
 """
 
@@ -63,15 +61,3 @@ def page(params_toml: Path) -> str:
         default = f" = {json.dumps(values[key], ensure_ascii=False)}" if key in values else ""
         blocks[-1] += f"\n- `{key}{default}`: {allowed(hint)}{'' if default else '; may be left out'}"
     return "\n\n".join(block.strip() for block in blocks) + "\n"
-
-
-@command(
-    option("--params", type=Path, default=Path("workflow/params.toml")),
-    option("--out", type=Path, default=Path("workflow/guide/parameters.md")),
-)
-def main(args: Namespace) -> None:
-    write_text(args.out, page(args.params))
-
-
-if __name__ == "__main__":
-    main.exit()
