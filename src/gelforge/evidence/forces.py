@@ -6,6 +6,7 @@ sensor` uses them, too. Normal forces are compression here, in N and positive, i
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import islice
 
 import numpy as np
 
@@ -93,8 +94,7 @@ def of_log(log: LogForces, fitted: Fitted) -> list[str]:
         lambda: constant(fitted.constant),
         lambda: noise(fitted.noise, fitted.largest_noise),
     )
-    found = next(filter(None, (cause() for cause in causes)), None)
-    return [found] if found else []
+    return [*islice(filter(None, (cause() for cause in causes)), 1)]
 
 
 def misplaced(force: np.ndarray, predicted: np.ndarray) -> str | None:
@@ -102,12 +102,9 @@ def misplaced(force: np.ndarray, predicted: np.ndarray) -> str | None:
 
     force: (n, 3) N. predicted: (n,) N, compression.
     """
-    if (
-        len(force) < FEWEST
-        or not np.isfinite(force).all()
-        or np.ptp(predicted) == 0.0
-        or (np.ptp(force, axis=0) == 0.0).any()
-    ):
+    if len(force) < FEWEST or not np.isfinite(force).all():
+        return None
+    if np.ptp(predicted) == 0.0 or (np.ptp(force, axis=0) == 0.0).any():
         return None
     follows = np.abs(np.corrcoef(force.T, predicted)[-1, :3])
     best = int(follows[:2].argmax())
@@ -241,17 +238,12 @@ def drift(residual: np.ndarray, rows: np.ndarray) -> str | None:
         if used.sum() < FEWEST:
             continue
         at, away = rows[used] - rows[used].mean(), of[used] - of[used].mean()
-        per_press, error = _slope(at, away)
+        per_press = float(at @ away / (at @ at))
+        left = away - per_press * at
+        error = float(np.sqrt(left @ left / (len(at) - 2) / (at @ at)))
         if abs(per_press) > SURE * error and abs(per_press) * np.ptp(at) > 2 * LEAST_N:
             return _drifts(axis, per_press, np.ptp(at))
     return None
-
-
-def _slope(at: np.ndarray, values: np.ndarray) -> tuple[float, float]:
-    """Slope of centred values over centred positions and its standard error, by least squares."""
-    slope = float(at @ values / (at @ at))
-    left = values - slope * at
-    return slope, float(np.sqrt(left @ left / (len(at) - 2) / (at @ at)))
 
 
 def mean_forces(straight: np.ndarray) -> dict[str, tuple[float, float]]:
@@ -307,16 +299,14 @@ def of_labels(log: LogForces, label: np.ndarray, indenters: Sequence[str], usual
         lambda: _one_indenter(log, label, felt, names),
         lambda: _other_thickness(log, label, felt),
     )
-    found = next(filter(None, (cause() for cause in causes)), None)
-    return [found] if found else []
+    return [*islice(filter(None, (cause() for cause in causes)), 1)]
 
 
 def _stuck(log: LogForces, label: np.ndarray) -> str | None:
     """Presses of different forces that all read the same: a reading that was not renewed, or the end of the sensor's range."""
     normal = log.normal
-    differs = np.abs(np.diff(label[:, 2])) > np.maximum(2 * LEAST_N, OTHER_FORCE - 1.0) * np.abs(label[1:, 2]).clip(
-        1.0
-    )
+    usual = np.maximum(2 * LEAST_N, OTHER_FORCE - 1.0) * np.abs(label[1:, 2]).clip(1.0)
+    differs = np.abs(np.diff(label[:, 2])) > usual
     same = (np.nan_to_num(np.diff(log.force, axis=0)) == 0.0).all(axis=1) & differs
     if same.sum() >= STUCK:
         return f"{same.sum()} presses read exactly the force of the press before, to which their labels differ: read the force sensor anew for each."
@@ -433,10 +423,8 @@ def _one_indenter(log: LogForces, label: np.ndarray, felt: np.ndarray, names: np
         found, _, left[name] = _fitted(columns, measured, weight)
         ratios[name] = float(np.median((columns @ found)[own] / (terms @ found[:-1])[own]))
     worst = min(left, key=lambda name: left[name], default="")
-    for rather in (
-        terms[:, 0] * np.log(terms[:, 0]),
-        np.ones(len(felt)),
-    ):  # the gel is of another thickness, or there is a constant force
+    # rather the gel is of another thickness, or there is a constant force
+    for rather in (terms[:, 0] * np.log(terms[:, 0]), np.ones(len(felt))):
         if not worst or _fitted(np.column_stack([terms, rather]), measured, weight)[2] < left[worst]:
             return None
     if 1.0 / OTHER_FORCE < ratios[worst] < OTHER_FORCE:
@@ -460,18 +448,15 @@ def _other_thickness(log: LogForces, label: np.ndarray, felt: np.ndarray) -> str
     terms = np.column_stack([_bench(normal, depth), normal * np.log(normal)])
     found, errors, left = _fitted(terms, measured, weight)
     offset, error, by_offset = _fitted(np.column_stack([terms[:, :-1], np.ones(len(felt))]), measured, weight)
-    if (
-        NEARLY * by_offset < left
-    ):  # a tare too small to be sure of beside touch and compliance, but likelier than another thickness
+    # a tare too small to be sure of beside touch and compliance, but likelier than another thickness
+    if NEARLY * by_offset < left:
         return constant({"z": (-float(offset[-1]), float(error[-1]))}, SURE_OF_THICKNESS)
     power = float(found[-1] / found[0])
     if abs(power) < OTHER_POWER or abs(found[-1]) < SURE_OF_THICKNESS * errors[-1]:
         return None
-    other = (
-        f" A constant force of {-offset[-1]:+.2f} N along z would explain them about as well: tare the force sensor, too."
-        if by_offset < NEARLY * left
-        else ""
-    )
+    other = ""
+    if by_offset < NEARLY * left:
+        other = f" A constant force of {-offset[-1]:+.2f} N along z would explain them about as well: tare the force sensor, too."
     ratio = np.quantile(normal, [0.9, 0.1])
     by = float(np.exp(power * np.log(ratio[0] / ratio[1])))
     return (

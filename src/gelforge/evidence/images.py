@@ -15,7 +15,6 @@ import numpy as np
 
 from gelforge.evidence.imprints import COLS, ROWS, Rest, displaced, likeness
 from gelforge.networks.preprocess.illumination import Light, match_light
-from gelforge.networks.preprocess.imageframe import BLUE_FIRST, image_frame
 from gelforge.networks.uncertainty.ood import distance, relief
 from gelforge.records.image import is_monochrome
 from gelforge.records.markers import markers_in
@@ -33,10 +32,8 @@ PRESSED = 20.0  # levels by which the light of a no-contact image is uneven wher
 # 0.97; contacts lie within 0.2 mm of their poses in the median, and are 1.04 to 1.09 times as large as expected.
 FEWEST = 6  # images of a sensor that are judged together
 SHOWN = 3.0  # levels of change that an imprint has at least
-BETTER, OFTEN = (
-    0.15,
-    0.8,
-)  # likeness that another explanation gains in the median, and fraction of images that it suits better
+BETTER = 0.15  # likeness that another explanation gains in the median
+OFTEN = 0.8  # fraction of images that it suits better
 UNLIKE = 0.4  # median likeness up to which the images of a sensor show nothing of their rows
 FITS = 0.5  # likeness from which an imprint is where it was expected
 MOVED_MM = 3.0  # beside its pose, from where on a single imprint is named
@@ -57,8 +54,6 @@ FLIPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "mirrored top to bottom": lambda image: image[::-1],
     "turned by 180 degrees": lambda image: image[::-1, ::-1],
 }
-
-
 ORDERS = {**FLIPS, "with red and blue exchanged": lambda image: image[..., ::-1]}
 # What rot_deg may be, by what is then to be done to it.
 TURNS: dict[str, Callable[[float], float]] = {
@@ -78,12 +73,6 @@ def nocontact_fault(picture: np.ndarray) -> str:
     if uneven > PRESSED:
         return f"shows something that touches the gel, or dirt: its light is uneven by {uneven:.0f} levels, at most {PRESSED:.0f} are usual"
     return ""
-
-
-def nocontact_note(picture: np.ndarray) -> str:
-    """What of a no-contact image (h, w, 3) uint8 RGB asks for a look; empty where nothing does."""
-    frame, _ = image_frame(picture, (picture.shape[0], picture.shape[1]))
-    return BLUE_FIRST if frame.blue_first else ""
 
 
 def light_pattern(image: np.ndarray) -> np.ndarray:
@@ -112,20 +101,17 @@ def image_fault(image: np.ndarray, rest: Rest, light: Light) -> str:
     if alike >= OWN_PATTERN:
         return ""
     if not light.known:
-        return (
-            ""
-            if alike >= NO_PATTERN
-            else "the image shows nothing of this sensor: it is dark, covered or of something else"
-        )
+        other = "the image shows nothing of this sensor: it is dark, covered or of something else"
+        return "" if alike >= NO_PATTERN else other
     if alike >= OTHER_PATTERN or _same_light(image, rest.picture, light):
         return ""
     return "the image and the no-contact image are of two sensors: their light comes from other sides"
 
 
 def _same_light(image: np.ndarray, nocontact: np.ndarray, light: Light) -> bool:
-    if not light.known:
-        return False
-    return light.residual <= OTHER_RESIDUAL and distance(light.undo(image), nocontact) <= OTHER_DISTANCE
+    return (
+        light.known and light.residual <= OTHER_RESIDUAL and distance(light.undo(image), nocontact) <= OTHER_DISTANCE
+    )
 
 
 @dataclass(frozen=True)
@@ -198,31 +184,28 @@ def findings(presses: Sequence[Seen], shapes: Shapes | None = None) -> list[Find
     """
     found = []
     for sensor in sorted({one.sensor for one in presses}):
-        of_all = _fault_of_most([one for one in presses if one.sensor == sensor])
-        if of_all:
-            found.append(replace(of_all, text=f"sensor {sensor}: {of_all.text}"))
-            continue
-        mine = [one for one in presses if one.sensor == sensor and one.telling]
-        if len(mine) >= FEWEST:
-            found += [replace(one, text=f"sensor {sensor}: {one.text}") for one in _of_sensor(mine, presses, shapes)]
+        own = [one for one in presses if one.sensor == sensor]
+        telling = [one for one in own if one.telling]
+        said = _fault_of_most(own) or (_of_sensor(telling, presses, shapes) if len(telling) >= FEWEST else [])
+        found += [replace(one, text=f"sensor {sensor}: {one.text}") for one in said]
     return found
 
 
-def _fault_of_most(mine: Sequence[Seen]) -> Finding | None:
+def _fault_of_most(mine: Sequence[Seen]) -> list[Finding]:
     """A fault that most images of a sensor have: most likely it is the no-contact image, or the column `sensor_id`, that is wrong."""
     counted = Counter(one.fault for one in mine if one.fault)
     fault, count = counted.most_common(1)[0] if counted else ("", 0)
     if len(mine) < FEWEST or count <= len(mine) / 2:
-        return None
+        return []
     text = f"{count} of {len(mine)} images have one fault, {fault}: check its no-contact image and the column `sensor_id`"
-    return Finding(text, tuple(one.row for one in mine if one.fault == fault), wrong=True)
+    return [Finding(text, tuple(one.row for one in mine if one.fault == fault), wrong=True)]
 
 
 def _of_sensor(mine: list[Seen], presses: Sequence[Seen], shapes: Shapes | None) -> list[Finding]:
     rows = tuple(one.row for one in mine)
-    moved = _moved(mine)
-    if moved:
-        return [Finding(moved, rows)]
+    projection, together = _projection(mine)
+    if together:  # nothing that is taken about their poses is known then
+        return [Finding(projection, rows)]
     wrong = _ghost(mine) or _other_order(mine, presses) or _other_axes(mine)
     turned = None if wrong or not shapes else _other_turn(mine, shapes)
     if turned:
@@ -236,7 +219,7 @@ def _of_sensor(mine: list[Seen], presses: Sequence[Seen], shapes: Shapes | None)
     found = _other_shapes(mine, shapes) if shapes else []
     found += _sizes([one for one in mine if not _about(one, found)])
     left = [one for one in mine if not _about(one, found)]
-    projection = _projection(left) if len(left) >= FEWEST else ""
+    projection, _ = _projection(left)
     return [*found, Finding(projection, rows)] if projection else [*found, *_single(left)]
 
 
@@ -284,22 +267,27 @@ def _other_order(mine: list[Seen], presses: Sequence[Seen]) -> str:
     return ""
 
 
+def _turned(expected: np.ndarray, degrees: float) -> np.ndarray:
+    import cv2
+
+    turn = cv2.getRotationMatrix2D(((COLS - 1) / 2, (ROWS - 1) / 2), degrees, 1.0)
+    return cv2.warpAffine(expected, turn, (COLS, ROWS))
+
+
 AXES = {
-    "mirrored left to right": (0.0, True),
-    "mirrored top to bottom": (180.0, True),
-    "turned by 180 degrees": (180.0, False),
-    "turned by 90 degrees": (90.0, False),
-    "turned by -90 degrees": (-90.0, False),
-    "mirrored, with x and y exchanged": (90.0, True),
-    "mirrored, with x and y exchanged and both signs": (-90.0, True),
+    **FLIPS,
+    "turned by 90 degrees": lambda expected: _turned(expected, 90.0),
+    "turned by -90 degrees": lambda expected: _turned(expected, -90.0),
+    "mirrored, with x and y exchanged": lambda expected: _turned(expected[:, ::-1], 90.0),
+    "mirrored, with x and y exchanged and both signs": lambda expected: _turned(expected[:, ::-1], -90.0),
 }
 
 
 def _other_axes(mine: list[Seen]) -> str:
     base = np.array([one.likeness for one in mine])
     best, how = base, ""
-    for what, (degrees, mirrored) in AXES.items():
-        other = np.array([likeness(one.measured, _turned(one.expected, degrees, mirrored)) for one in mine])
+    for what, change in AXES.items():
+        other = np.array([likeness(one.measured, change(one.expected)) for one in mine])
         if _gains(base, other) and np.median(other) > np.median(best):
             best, how = other, what
     if not how:
@@ -315,9 +303,7 @@ def _other_turn(mine: Sequence[Seen], shapes: Shapes) -> Finding | None:
     unlike = [one for one in mine if one.likeness < THAT_SHAPE]
     if len(unlike) < FEWEST_ALIKE:
         return None
-    chosen = [
-        unlike[at] for at in np.unique(np.linspace(0, len(unlike) - 1, min(LOOKED_AT, len(unlike))).astype(int))
-    ]
+    chosen = _some(unlike)
     base = np.array([one.likeness for one in chosen])
     found = {
         what: np.array([likeness(one.measured, shapes.turned(one, turn)) for one in chosen])
@@ -347,22 +333,14 @@ def _unlike(mine: list[Seen]) -> str:
     )
 
 
-def _turned(expected: np.ndarray, degrees: float, mirrored: bool) -> np.ndarray:
-    import cv2
-
-    turn = cv2.getRotationMatrix2D(((COLS - 1) / 2, (ROWS - 1) / 2), degrees, 1.0)
-    return cv2.warpAffine(expected[:, ::-1] if mirrored else expected, turn, (COLS, ROWS))
-
-
 def _best_size(one: Seen) -> tuple[float, float]:
     """Factor by which the expected imprint is to be scaled about the tip to be most like the measured one, and that likeness."""
     import cv2
 
-    def scaled(size: float) -> np.ndarray:
+    fits = []
+    for size in SIZES:
         about = np.column_stack([np.eye(2) * size, (1.0 - size) * one.centre])
-        return cv2.warpAffine(one.expected, about, (COLS, ROWS))
-
-    fits = [likeness(one.measured, scaled(size)) for size in SIZES]
+        fits.append(likeness(one.measured, cv2.warpAffine(one.expected, about, (COLS, ROWS))))
     return float(SIZES[int(np.argmax(fits))]), max(fits)
 
 
@@ -406,12 +384,9 @@ def _other_shapes(mine: list[Seen], shapes: Shapes) -> list[Finding]:
     usual = float(np.median([one.likeness for one in mine]))
     better: dict[tuple[str, str], list[tuple[Seen, float]]] = {}
     for name in sorted({one.indenter for one in mine}):
-        doubtful = [one for one in mine if one.indenter == name and one.likeness < usual - DOUBTFUL]
-        for at in np.unique(np.linspace(0, len(doubtful) - 1, min(LOOKED_AT, len(doubtful))).astype(int)):
-            one = doubtful[at]
-            fits = {
-                other: likeness(one.measured, shapes.expected(one, other)) for other in shapes.names if other != name
-            }
+        for one in _some([one for one in mine if one.indenter == name and one.likeness < usual - DOUBTFUL]):
+            others = (other for other in shapes.names if other != name)
+            fits = {other: likeness(one.measured, shapes.expected(one, other)) for other in others}
             best = max(fits, key=lambda other: fits[other], default="")
             if best and fits[best] > max(THAT_SHAPE, _best_size(one)[1] + OTHER_SHAPE):
                 better.setdefault((name, best), []).append((one, fits[best]))
@@ -428,26 +403,22 @@ def _other_shapes(mine: list[Seen], shapes: Shapes) -> list[Finding]:
     return found
 
 
+def _some(presses: Sequence[Seen]) -> list[Seen]:
+    """At most LOOKED_AT presses, evenly out of all."""
+    return [
+        presses[at] for at in np.unique(np.linspace(0, len(presses) - 1, min(LOOKED_AT, len(presses))).astype(int))
+    ]
+
+
 def row_list(rows: Iterable[int]) -> str:
     """The first numbers of rows as text."""
     rows = list(rows)
     return ", ".join(map(str, rows[:5])) + (" …" if len(rows) > 5 else "")
 
 
-def _moved(mine: list[Seen]) -> str:
-    """What `_projection` says where it moves all contacts by what most then suit: nothing that is taken about their poses is known then."""
-    text, moved = _similar(mine)
-    return text if moved else ""
-
-
-def _projection(mine: list[Seen]) -> str:
-    return _similar(mine)[0]
-
-
-def _similar(mine: list[Seen]) -> tuple[str, bool]:
-    """What a similarity says that takes the expected places of contacts to those seen, and whether it moves them all."""
-    placed = [(one, *one.displaced) for one in mine]
-    good = [(one.middle, move) for one, fit, move in placed if fit > FITS]
+def _projection(mine: list[Seen]) -> tuple[str, bool]:
+    """What a similarity says that takes the expected places of contacts to those seen, and whether most of all fit then."""
+    good = [(one.middle, one.displaced[1]) for one in mine if one.displaced[0] > FITS]
     if len(good) < FEWEST:
         return "", False
     at, move, mm = np.array([at for at, _ in good]), np.array([move for _, move in good]), mine[0].mm
@@ -473,8 +444,7 @@ def _similar(mine: list[Seen]) -> tuple[str, bool]:
         f"the contacts lie {' and '.join(said)}, against where the poses and the projection put them: check `projection` in sensors.toml"
         " (make projection), and the origin of x0_mm and y0_mm"
     )
-    together = len(good) >= OFTEN * len(mine) and float(np.median(left)) < TOGETHER
-    return text, moved and together
+    return text, moved and len(good) >= OFTEN * len(mine) and float(np.median(left)) < TOGETHER
 
 
 def _best_turn(mine: Sequence[Seen], turn: float, scale: float, offset: np.ndarray) -> float:
@@ -489,9 +459,8 @@ def _best_turn(mine: Sequence[Seen], turn: float, scale: float, offset: np.ndarr
     for degrees in near:
         about = cv2.getRotationMatrix2D(((COLS - 1) / 2, (ROWS - 1) / 2), -degrees, scale)
         about[:, 2] += offset
-        fits.append(
-            np.mean([likeness(one.measured, cv2.warpAffine(one.expected, about, (COLS, ROWS))) for one in mine])
-        )
+        maps = (cv2.warpAffine(one.expected, about, (COLS, ROWS)) for one in mine)
+        fits.append(np.mean([likeness(one.measured, expected) for one, expected in zip(mine, maps, strict=True)]))
     return float(near[int(np.argmax(fits))])
 
 

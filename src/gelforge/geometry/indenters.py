@@ -1,6 +1,6 @@
 """The indenter catalogue: tables of a TOML file become rigid bodies."""
 
-from collections.abc import Callable, Collection
+from collections.abc import Callable, Iterable
 from pathlib import Path
 
 import numpy as np
@@ -20,6 +20,7 @@ from gelforge.geometry.profiles import (
     unit,
 )
 from gelforge.geometry.solids import Body, Extrusion, LyingCylinder, RoundedPolyhedron, SphericalCap
+from gelforge.records.press import PosedPress
 
 DEFAULT = object()
 
@@ -340,6 +341,6 @@ def build_all(tables: dict[str, dict], source, names=None, folder=None, kept: Pa
     return {n: build(n, t, source, folder, kept) for n, t in tables.items() if names is None or n in names}
 
 
-def load_indenters(workflow: Path, catalogue: str, names: Collection[str]) -> dict[str, Body]:
-    """Indenters of a dataset's catalogue by name; the paths of it and of its STL files start at `workflow`."""
-    return load_catalogue(workflow / catalogue, names, workflow)
+def bodies_of(presses: Iterable[PosedPress], tables: dict[str, dict], workflow: Path, kept: Path) -> dict[str, Body]:
+    """The indenters of presses by name, of tables whose STL files are named from `workflow`. kept: as of `build`."""
+    return build_all(tables, "indenter catalogue", {press.indenter for press in presses}, workflow, kept)

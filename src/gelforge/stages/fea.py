@@ -5,7 +5,6 @@ import json
 import shutil
 import tempfile
 from argparse import Namespace
-from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,6 +18,7 @@ from gelforge.flow.main import stage
 from gelforge.flow.params.stages import ForFea, read_parameters
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel, use_gels_of
+from gelforge.geometry.indenters import bodies_of
 from gelforge.labelling.sensor import sensor_of
 from gelforge.mechanics.ccx.deck import INCLUDES
 from gelforge.mechanics.material import Material
@@ -66,14 +66,6 @@ def press_keys(
         how = settings_of(method, params.fea, scenes[at].interface, meshes.get(frame.sample_id, ""))
         found.append(solve_key(scenes, shape_of(frame, tables), how, params.version, at))
     return found
-
-
-def bodies_of(presses: Iterable[PosedPress], tables: dict, workflow: Path, kept: Path) -> dict:
-    """The indenters of presses by name. kept: folder of what was measured of STL files."""
-    from gelforge.geometry.indenters import build
-
-    names = sorted({press.indenter for press in presses})
-    return {name: build(name, tables["indenters"][name], "indenter catalogue", workflow, kept) for name in names}
 
 
 def finished(folder: Path, sample_id: str, key: str, timeout_s: float) -> dict | None:
@@ -246,7 +238,7 @@ def read_shard(of: Layout, shard: str) -> tuple[ForFea, dict, list[PosedPress], 
     tables = {name: read_json(of.parameters(name)) for name in ("sensors", "indenters")}
     presses = read_poses(of.poses(shard))
     read = read_parameters(of.parameters("fea"), ForFea)
-    return read, tables, presses, bodies_of(presses, tables, of.workflow, of.surfaces)
+    return read, tables, presses, bodies_of(presses, tables["indenters"], of.workflow, of.surfaces)
 
 
 @stage(Layout.fea)

@@ -15,7 +15,7 @@ from types import MappingProxyType
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.evidence.images import Seen, Shapes, findings, nocontact_note, row_list
+from gelforge.evidence.images import Seen, Shapes, findings, row_list
 from gelforge.evidence.imprints import Window
 from gelforge.evidence.logimages import KEEP, LogImages, nocontact_path, read_nocontact, read_seen, write_seen
 from gelforge.flow.dates import states_of
@@ -26,12 +26,12 @@ from gelforge.flow.params import read_dataset_file, read_indenter_tables
 from gelforge.flow.params.stages import ForImages, read_parameters
 from gelforge.flow.slots import in_slots
 from gelforge.geometry.gel import use_gels_of
-from gelforge.geometry.indenters import build
+from gelforge.geometry.indenters import bodies_of, build
 from gelforge.geometry.solids import Body
 from gelforge.labelling.sensor import sensor_of
+from gelforge.networks.preprocess.imageframe import BLUE_FIRST, image_frame
 from gelforge.records.log import read_poses
 from gelforge.records.press import SENSOR_TABLES, PosedPress
-from gelforge.stages.fea import bodies_of
 
 VERSION = 3
 CHUNK = 200  # presses that one process looks at
@@ -53,7 +53,7 @@ def look(path: Path, presses: list[PosedPress], data: Path, tables: dict, workfl
     if seen is None:
         names = sorted({press.sensor_id for press in presses})
         sensors = {name: sensor_of(SENSOR_TABLES, name, tables["sensors"][name]) for name in names}
-        images, bodies = LogImages(data, sensors), bodies_of(presses, tables, workflow, kept)
+        images, bodies = LogImages(data, sensors), bodies_of(presses, tables["indenters"], workflow, kept)
         every = (images.see(press, bodies[press.indenter]) for press in presses)
         seen = [one for one in every if one is not None]
         write_seen(path, seen, key)
@@ -165,7 +165,7 @@ def main(args: Namespace) -> None:
         seen = [one for part in in_slots(look, parts, args.jobs) for one in part]
         by_id = {one.sample_id: one for one in presses}
         if seen:
-            bodies = bodies_of(presses, tables, of.workflow, of.surfaces)
+            bodies = bodies_of(presses, tables["indenters"], of.workflow, of.surfaces)
             shapes = shapes_of(by_id, tables, bodies, shapes_beside(of, bodies.keys()))
     elif judged.images:
         for name in sorted({press.sensor_id for press in presses}):
@@ -173,8 +173,8 @@ def main(args: Namespace) -> None:
     found = judge(seen, shapes, str(of.log))
     for name in sorted({one.sensor for one in seen}):
         picture = read_nocontact(of.data, name, sensor_of(SENSOR_TABLES, name, tables["sensors"][name]).image)
-        note = "" if picture is None else nocontact_note(picture)
-        found["notes"] += [f"{nocontact_path(of.data, name)}: {note}"] if note else []
+        if picture is not None and image_frame(picture, (picture.shape[0], picture.shape[1]))[0].blue_first:
+            found["notes"].append(f"{nocontact_path(of.data, name)}: {BLUE_FIRST}")
     for line in told(found, seen):
         print(line, file=sys.stderr)
     write_json(args.out, found)

@@ -26,7 +26,7 @@ from gelforge.flow.params import overlaid, with_content
 from gelforge.flow.progress import progress
 from gelforge.flow.running import duration
 from gelforge.geometry.gel import load_gel, use_gels_of
-from gelforge.geometry.indenters import load_indenters, read_catalogue
+from gelforge.geometry.indenters import load_catalogue, read_catalogue
 from gelforge.labelling.sensor import Sensor, load_sensors
 from gelforge.virtualrig import streams
 from gelforge.virtualrig.appearance import Appearance, read_appearances
@@ -58,7 +58,7 @@ class Worker:
         cv2.setNumThreads(1)
         gel = load_gel(plan.gel)
         self.plan, self.folder, self.gel = plan, folder, gel
-        indenters = load_indenters(workflow, plan.catalogue, plan.indenters)
+        indenters = load_catalogue(workflow / plan.catalogue, plan.indenters, workflow)
         self.bench = Bench(plan, indenters, gel, folder / FACTORS)
         self.appearances, self.sensors = units_of(plan, workflow)
         self.camera = lru_cache(CAMERAS)(self._camera)
@@ -225,7 +225,7 @@ def check(plan_path, workflow: Path) -> Plan:
     plan = with_indenters(plan, catalogue)
     appearances, sensors = units_of(plan, workflow)
     check_names(plan, catalogue, sensors, appearances, plan_path)
-    load_indenters(workflow, plan.catalogue, plan.indenters)
+    load_catalogue(workflow / plan.catalogue, plan.indenters, workflow)
     overlaid(workflow, plan.params, str(plan_path))
     return plan
 

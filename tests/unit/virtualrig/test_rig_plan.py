@@ -12,7 +12,7 @@ import pytest
 from gelforge.flow.files import read_json
 from gelforge.flow.params import with_content
 from gelforge.geometry import triangles
-from gelforge.geometry.indenters import build, load_catalogue, load_indenters, read_catalogue
+from gelforge.geometry.indenters import build, load_catalogue, read_catalogue
 from gelforge.stages import rig
 from gelforge.stages.rig import by_press, check, run
 from gelforge.virtualrig import streams
@@ -236,7 +236,7 @@ def test_the_bench_and_the_calibration_read_the_stl_file_that_the_stages_read(tm
     kind = replace(demo.kinds[0], indenters=("probe",), sensors=())
     plan = replace(demo, catalogue="mine/indenters.toml", kinds=(kind,))
     radius = build("probe", tables["probe"], folder=tmp_path).radius()
-    assert load_indenters(tmp_path, plan.catalogue, plan.indenters)["probe"].radius() == radius
+    assert load_catalogue(tmp_path / plan.catalogue, plan.indenters, tmp_path)["probe"].radius() == radius
     assert rig.contents_of(plan, tmp_path, {}, {})[0] == rig.digests(tables)
 
 
