@@ -1,15 +1,13 @@
 """Reader of .npy files that hold a pickled dict, as FEATS' do: Python's unpickler, held to what numpy.save writes.
 
-Its `find_class` knows numpy's constructors alone, so no file can call anything else. Still a file could fill the memory or
-the stack, and numpy's own `__setstate__` trusts what it is given. So the instructions are looked at before they are carried
-out (`check_instructions`), and the constructors are those of this module, which check sizes before numpy makes an array.
+Its `find_class` knows numpy's constructors alone, so no file can call anything else. numpy's own `__setstate__` trusts what it
+is given: the constructors are those of this module, which check types and sizes before numpy makes an array.
 Source: CPython's pickletools; numpy.lib.format for the container.
 """
 
 import io
 import math
 import pickle
-import pickletools
 import re
 from collections.abc import Callable
 from pathlib import Path
@@ -23,57 +21,11 @@ from gelforge.records.npz import in_short
 from gelforge.records.regular import file_fault
 
 LARGEST_FILE = 2**30
-MOST_INSTRUCTIONS = 10_000  # a sample of FEATS takes some hundred; the stack holds containers nested as deep as this
-LONGEST_SHARED = 1000  # characters or bytes that a pickle may name again
 PLAIN_TYPE = re.compile(r"[<>|=]?(b1|[iu][1248]|f[248]|c8|c16|[US][0-9]{1,4})")
-# What numpy.save writes (protocols 3 and 4).
-LITERALS = {
-    "NONE", "NEWTRUE", "NEWFALSE", "BININT", "BININT1", "BININT2", "LONG1", "BINFLOAT", "BINUNICODE", "BINUNICODE8",
-    "SHORT_BINUNICODE", "BINBYTES", "BINBYTES8", "SHORT_BINBYTES",
-}  # fmt: skip
-CONTAINERS = {
-    "EMPTY_LIST", "APPEND", "APPENDS", "EMPTY_TUPLE", "TUPLE", "TUPLE1", "TUPLE2", "TUPLE3", "EMPTY_DICT", "SETITEM",
-    "SETITEMS", "MARK",
-}  # fmt: skip
-OBJECTS = {"GLOBAL", "STACK_GLOBAL", "REDUCE", "BUILD"}
-STORES, FETCHES, FRAMING = {"BINPUT", "LONG_BINPUT", "MEMOIZE"}, {"BINGET", "LONG_BINGET"}, {"PROTO", "FRAME", "STOP"}
-KNOWN = LITERALS | CONTAINERS | OBJECTS | STORES | FETCHES | FRAMING
 
 
 class Refused(ValueError):
     """Why a pickle is not read."""
-
-
-def check_instructions(data: bytes) -> None:
-    """Refuse a pickle that has too many instructions, or one that numpy.save does not write.
-
-    A container or long data that are named again are refused, too: the one could hold itself or unfold without end, the
-    other fill the memory by a copy at each mention.
-    """
-    end, shareable = 0, False  # shareable: what was made last may be named again
-    memo: dict[int, bool] = {}
-    argument: Any
-    for count, (opcode, argument, place) in enumerate(pickletools.genops(data)):
-        name, end = opcode.name, (place or 0) + 1
-        if name not in KNOWN:
-            raise Refused(f"the instruction {name}")
-        if count == MOST_INSTRUCTIONS:
-            raise Refused(f"more than {MOST_INSTRUCTIONS} instructions")
-        if name in STORES:
-            at = len(memo) if name == "MEMOIZE" else argument
-            if at > MOST_INSTRUCTIONS:  # the unpickler makes a table of this size
-                raise Refused(f"memo entry {at}")
-            memo[at] = shareable
-        elif name in FETCHES:
-            shareable = memo.get(argument, False)
-            if not shareable:
-                raise Refused("the same container or data again")
-        elif name in LITERALS:
-            shareable = not isinstance(argument, str | bytes) or len(argument) <= LONGEST_SHARED
-        elif name not in FRAMING:
-            shareable = name in OBJECTS
-    if end != len(data):
-        raise Refused("bytes after the pickle's end")
 
 
 class Name:
@@ -169,12 +121,6 @@ class Unpickler(pickle.Unpickler):
         return NAMES[full]
 
 
-def parse_pickle(data: bytes) -> Any:
-    """Value of a pickle that holds numpy arrays, numpy scalars and plain containers; else Refused or another error."""
-    check_instructions(data)
-    return Unpickler(io.BytesIO(data)).load()
-
-
 def read_npy(path: str | Path) -> Any:
     """Read a .npy file, pickled or not; no code of the file runs.
 
@@ -206,7 +152,7 @@ def _read(stream: Any) -> Any:
     shape, fortran, kind = read_header(stream)
     body = stream.read()
     if kind.hasobject:
-        value = parse_pickle(body)
+        value = Unpickler(io.BytesIO(body)).load()
         if not isinstance(value, Array) or value.dtype != object or value.shape != shape:
             raise Refused("a pickle that is not the object array its header promises")
         return _as_numpy(value[()] if shape == () else value)
