@@ -193,9 +193,9 @@ def sideways(log: LogForces) -> str | None:
     by_turn = {sign: _explained(along * turn**sign, seen) for sign in (1, -1)}
     sign = max(by_turn, key=lambda one: by_turn[one][0])
     if by_turn[sign][0] > max(FOLLOWS, mirrored):
-        way = "against" if sign < 0 else "with"
+        sense = "against" if sign < 0 else "with"
         return _turned(
-            f"they are in a frame that turns {way} the indenter's rot_deg", by_turn[sign][0], "turn them by rot_deg"
+            f"they are in a frame that turns {sense} the indenter's rot_deg", by_turn[sign][0], "turn them by rot_deg"
         )
     if mirrored > FOLLOWS:
         causes = {
@@ -490,9 +490,9 @@ def of_readings(measured: np.ndarray, predicted: np.ndarray) -> list[str]:
     found, errors, _ = _fitted(proportional, measured, weight)
     offset = float(found[-1])
     if abs(offset) > SURE_OF_FEW * errors[-1] and abs(offset) > 2 * LEAST_N:
-        way = "falls" if offset > 0 else "rises"
+        change = "falls" if offset > 0 else "rises"
         return [
             f"Readings are {offset:+.1f} N beyond what is in proportion to the forces that the network reads, so that their ratio"
-            f" {way} with force: tare the scale or sensor before each press."
+            f" {change} with force: tare the scale or sensor before each press."
         ]
     return []

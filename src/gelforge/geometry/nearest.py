@@ -5,17 +5,17 @@ from numba import njit
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def of_edges(points: np.ndarray, starts: np.ndarray, ways: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def of_edges(points: np.ndarray, starts: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Way (n, 3) from the nearest point of edges to points (n, 3), and its length (n,).
 
-    Edge k runs from starts[k] to starts[k] + ways[k], (e, 3) each. Of edges equally near the first counts.
+    Edge k runs from starts[k] to starts[k] + edges[k], (e, 3) each. Of edges equally near the first counts.
     """
     to, length = np.empty_like(points), np.empty(len(points))
     for p in range(len(points)):
         x, y, z = points[p]
         best = np.inf
         for k in range(len(starts)):
-            ux, uy, uz = ways[k]
+            ux, uy, uz = edges[k]
             rx, ry, rz = x - starts[k, 0], y - starts[k, 1], z - starts[k, 2]
             t = (rx * ux + ry * uy + rz * uz) / (ux * ux + uy * uy + uz * uz)
             t = min(max(t, 0.0), 1.0)

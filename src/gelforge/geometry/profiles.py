@@ -86,11 +86,11 @@ class Outline:
         """Signed distance (n,) and outward unit gradient (n, 2) at points (n, 2)."""
         from gelforge.geometry import nearest
 
-        way, length, which, inside = nearest.of_outline(np.asarray(p, float), self.core, self._edge)
+        away, length, which, inside = nearest.of_outline(np.asarray(p, float), self.core, self._edge)
         signed = np.where(inside, -length, length)
         gradient = self._normal[which]
         far = length > 1e-12
-        gradient[far] = way[far] / signed[far, None]
+        gradient[far] = away[far] / signed[far, None]
         return signed - self.radius, gradient
 
     def loops(self, offsets: np.ndarray) -> list[np.ndarray]:

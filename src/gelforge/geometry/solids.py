@@ -234,7 +234,7 @@ class RoundedPolyhedron(Body):
         # points above the cut are brought down to it, so that no edge of the cut is ever the only nearest one
         level = self.core[:, 2] > self.height - 1e-7
         kept = np.array([e for e, faces in edges.items() if len(faces) == 2 and not level[list(e)].all()])
-        self._starts, self._ways = self.core[kept[:, 0]], self.core[kept[:, 1]] - self.core[kept[:, 0]]
+        self._starts, self._edges = self.core[kept[:, 0]], self.core[kept[:, 1]] - self.core[kept[:, 0]]
 
     def distance(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signed distance (n,) and unit outward normal (n, 3) at points (n, 3)."""
@@ -260,8 +260,8 @@ class RoundedPolyhedron(Body):
         foot = points - plane[:, None] * normal
         to, length = normal.copy(), plane.copy()
         rest = np.flatnonzero((foot @ self._normals.T - self._levels).max(axis=1) >= 1e-9)
-        way, length[rest] = nearest.of_edges(points[rest], self._starts, self._ways)
-        to[rest] = way / np.maximum(length[rest], 1e-300)[:, None]
+        away, length[rest] = nearest.of_edges(points[rest], self._starts, self._edges)
+        to[rest] = away / np.maximum(length[rest], 1e-300)[:, None]
         return to, length
 
     def radius(self) -> float:

@@ -105,8 +105,8 @@ def _cut(corners: np.ndarray, count: int, axis: int, bound: float, sign: float, 
             kept[number] = corners[at]
             number += 1
         if (height >= 0.0) != (next_height >= 0.0):
-            way = height / (height - next_height)
-            kept[number] = corners[at] + way * (corners[after] - corners[at])
+            part = height / (height - next_height)
+            kept[number] = corners[at] + part * (corners[after] - corners[at])
             kept[number, axis] = bound
             number += 1
     return number

@@ -101,8 +101,8 @@ def _depth_fault(path: np.ndarray, now: np.ndarray) -> tuple[str, str] | None:
     return None
 
 
-def _sideways_fault(ways: np.ndarray, now: np.ndarray) -> tuple[str, str] | None:
-    farthest = ways[np.argmax(np.hypot(*ways.T))]
+def _sideways_fault(path: np.ndarray, now: np.ndarray) -> tuple[str, str] | None:
+    farthest = path[np.argmax(np.hypot(*path.T))]
     moved, goes = np.hypot(*farthest), np.hypot(*now)
     if moved <= NEAR_MM:
         return None
@@ -111,6 +111,6 @@ def _sideways_fault(ways: np.ndarray, now: np.ndarray) -> tuple[str, str] | None
         return column, "goes back within its press: a press moves sideways in one direction"
     # the farthest point gives the line of the press best, and all others must lie on it
     x, y = now / goes if goes > moved else farthest / moved
-    if np.abs(np.vstack([ways, now]) @ [-y, x]).max() > NEAR_MM:
+    if np.abs(np.vstack([path, now]) @ [-y, x]).max() > NEAR_MM:
         return column, "leaves the line of its press: a press moves sideways in one direction"
     return None

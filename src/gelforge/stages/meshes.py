@@ -37,9 +37,9 @@ def meshed(presses: list[dict[str, Scene]], params: ForFea) -> dict[str, Scene]:
     found: dict[str, Scene] = {}
     for frames in presses:
         last, scene = list(frames.items())[-1]
-        way = method_of(scene, params.fea.fidelity, params.fea)
+        method = method_of(scene, params.fea.fidelity, params.fea)
         verified = params.fea.fidelity == "auto" and verification.chosen(last, params.fea.verify)
-        if way.fidelity not in IN_PROCESS or verified:
+        if method.fidelity not in IN_PROCESS or verified:
             found |= frames
     return found
 

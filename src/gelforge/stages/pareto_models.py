@@ -48,8 +48,8 @@ def row_of(evaluation: dict, latencies: dict[str, dict]) -> dict:
             f"{row['model']}: its training presses all have the same force, so errors are no fraction of a range"
         )
     row["percent"] = float(np.mean(fractions))
-    for way, figures in latencies.items():
-        row |= {f"{way}_{key}": value for key, value in figures.items()}
+    for run, figures in latencies.items():
+        row |= {f"{run}_{key}": value for key, value in figures.items()}
     return row
 
 
@@ -82,14 +82,14 @@ def measure(models: dict, image, seconds: float) -> dict[str, dict[str, dict]]:
     from gelforge.networks.evaluation.predicted import time_predictors
     from gelforge.networks.inference.predictor import Predictor
 
-    ways = {"cpu1": ("cpu", 1), "cpu2": ("cpu", 2)}
+    runs = {"cpu1": ("cpu", 1), "cpu2": ("cpu", 2)}
     if "CUDAExecutionProvider" in onnxruntime.get_available_providers():
-        ways["cuda"] = ("cuda", 1)
+        runs["cuda"] = ("cuda", 1)
     timed = {}
-    for way, (device, threads) in ways.items():
+    for run, (device, threads) in runs.items():
         predictors = {name: Predictor(model, image, device=device, threads=threads) for name, model in models.items()}
-        timed[way] = time_predictors(predictors, image, seconds)
-    return {name: {way: timed[way][name] for way in ways} for name in models}
+        timed[run] = time_predictors(predictors, image, seconds)
+    return {name: {run: timed[run][name] for run in runs} for name in models}
 
 
 def fronts_of(rows: list[dict]) -> dict[str, set[str]]:

@@ -64,9 +64,9 @@ def yielded(sample: LoggedPress, file: str, params: PosesTable) -> tuple[LoggedP
             hint = f"fill it in, or set the compliance of [poses], {compliance:g} mm/N, to 0"
             return sample, [reject(sample, file, column, "no force reading, which the compliance needs", hint)]
     # the force on the gel points along the motion, so what the frame gave way shortens the path
-    way = {name: c * (getattr(sample, f"f{name[1]}_n") or 0.0)
+    given = {name: c * (getattr(sample, f"f{name[1]}_n") or 0.0)
            for name, c in (("dx_mm", sideways), ("dy_mm", sideways), ("dz_mm", normal))}  # fmt: skip
-    moved = {name: getattr(sample, name) - shift for name, shift in way.items() if shift}
+    moved = {name: getattr(sample, name) - shift for name, shift in given.items() if shift}
     if params.touch_offset_mm:
         moved["z0_mm"] = sample.z0_mm - params.touch_offset_mm
     if moved.get("dz_mm", sample.dz_mm) >= 0.0:
