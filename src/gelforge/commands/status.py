@@ -13,7 +13,16 @@ from gelforge.flow import layout
 from gelforge.flow.cache import FileValues
 from gelforge.flow.files import listed, names_in, read_csv
 from gelforge.flow.layout import Layout
-from gelforge.flow.ledger import LastRun, causes, changed_since, failures, last_runs, last_words_of, still_asked
+from gelforge.flow.ledger import (
+    LastRun,
+    causes,
+    changed_since,
+    failures,
+    last_runs,
+    last_words_of,
+    stages,
+    still_asked,
+)
 from gelforge.flow.main import RESULTS, command, option
 from gelforge.flow.running import duration, look, running_targets
 from gelforge.records.status import VALID, Status
@@ -109,18 +118,18 @@ def lines(results: Path, broken: Collection[str] = (), meshes: Collection[str] |
     solved, diverged, valid = fea_state(results, sizes, kept)
     held, unsound, left = forces_state(results, valid, kept)
     kept.keep()
-    stages = [(layout.POSES, good, rejected), (layout.FEA, solved, diverged), (layout.FORCES, held, unsound)]
-    stages += [
+    per_row = [(layout.POSES, good, rejected), (layout.FEA, solved, diverged), (layout.FORCES, held, unsound)]
+    per_row += [
         (f"{layout.LABELS} {f.name}", shard_state(f, left), Counter()) for f in listed(results / layout.LABELS, "*x*")
     ]
     text = [
         f"{results.name}: {total} rows of the log in {len(sizes)} shards",
         f"{'stage':20s} {'done':>7s} {'failed':>7s} {'pending':>7s}",
     ]
-    for name, done, failed in stages:
+    for name, done, failed in per_row:
         bad = failed.total()
         # what a stage before lost never comes to this one
-        lost = sum(before.total() for stage, _, before in stages[:3] if stage < name)
+        lost = sum(before.total() for stage, _, before in per_row[:3] if stage < name)
         text.append(f"{name:20s} {done:7d} {bad:7d} {max(total - done - bad - lost, 0):7d}")
         text += [f"    {count:6d} x {reason}" for reason, count in failed.most_common()]
     return text + whole_lines(results, broken, meshes)
@@ -177,23 +186,13 @@ def failed_lines(results: Path, failed: list[LastRun]) -> list[str]:
     ]
 
 
-def stage_costs(known: list[LastRun]) -> dict[str, tuple[float, float]]:
-    """Processor seconds of all targets of each stage, and the largest memory of one, MiB."""
-    costs: dict[str, tuple[float, float]] = {}
-    for run in known:
-        cpu, peak = run.record.get("cpu_seconds", 0.0), run.record.get("peak_mib", 0.0)
-        before = costs.get(run.stage, (0.0, 0.0))
-        costs[run.stage] = (before[0] + cpu, max(before[1], peak))
-    return costs
-
-
-def cost_lines(known: list[LastRun]) -> list[str]:
+def cost_lines(results: Path, known: list[LastRun]) -> list[str]:
     """Processor time and memory of each stage so far."""
-    costs = stage_costs(known)
-    if not costs:
+    if not known:
         return []
     head = f"{'cost so far':20s} {'processor':>12s} {'largest MiB':>12s}"
-    return [head, *(f"{name:20s} {duration(cpu):>12s} {peak:12.0f}" for name, (cpu, peak) in sorted(costs.items()))]
+    found = sorted(stages(results, {run.name: run.record for run in known}), key=lambda stage: stage["name"])
+    return [head, *(f"{of['name']:20s} {duration(of['cpu_seconds']):>12s} {of['peak_mib']:12.0f}" for of in found)]
 
 
 def running_lines(results: Path) -> list[str]:
@@ -213,7 +212,7 @@ def main(args: Namespace) -> None:
         *lines(results, {run.stage for run in failed}, args.meshes),
         *outdated_lines(results, asked),
         *failed_lines(results, failed),
-        *cost_lines(known),
+        *cost_lines(results, known),
         *running_lines(results),
     ]
     print("\n".join(map(printable, text)))

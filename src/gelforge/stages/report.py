@@ -11,7 +11,7 @@ import numpy as np
 
 from gelforge.flow.files import listed, read_csv, read_json, write_text
 from gelforge.flow.layout import PARETO, Layout
-from gelforge.flow.ledger import installed
+from gelforge.flow.ledger import COST, costs_of, installed, last_runs, stages
 from gelforge.flow.main import option, stage
 from gelforge.flow.params.frozen import FROZEN, read_frozen
 from gelforge.flow.params.stages import ForCalibrate, ForEvaluate, ForForces, ForMeshes, ForReport, read_parameters
@@ -29,7 +29,6 @@ from gelforge.records.samplefile import read_samples
 from gelforge.records.solvetable import Solved, read_solves
 from gelforge.records.status import VALID, Status
 from gelforge.reporting import feats_tables
-from gelforge.reporting.costs import COST, stages, target_costs
 from gelforge.reporting.explorer import Explorer
 from gelforge.reporting.forcesensor import COMPARED, compare_forces, force_rows, force_sentences, spreads
 from gelforge.reporting.page import Explored, Section, render
@@ -340,7 +339,7 @@ def open_explorer(
 
 def explorer_data(explorer: Explorer, known: dict) -> dict:
     """All that the page's explorer is given, but for the parts."""
-    costs = target_costs(explorer.results)
+    costs = costs_of(last_runs(explorer.results))
     return {
         "columns": as_columns(explorer.rows),
         "shared": explorer.shared(),

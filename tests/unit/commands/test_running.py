@@ -91,5 +91,5 @@ def test_costs_add_up_by_stage(tmp_path):
     for shard, cpu in (("0000", 30.0), ("0001", 40.0)):
         write_json(tmp_path / f"metrics/30_fea/{shard}.json", {"cpu_seconds": cpu, "peak_mib": cpu})
     (tmp_path / "metrics/30_fea/0002.json").write_text("{")
-    assert cost_lines(last_runs(tmp_path))[1].split() == ["30_fea", "70", "s", "40"]
+    assert cost_lines(tmp_path, last_runs(tmp_path))[1].split() == ["30_fea", "70", "s", "40"]
     assert [duration(s) for s in (12.2, 125, 7200)] == ["12 s", "2 min", "2.0 h"]

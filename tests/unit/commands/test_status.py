@@ -159,4 +159,4 @@ def test_a_record_that_lacks_what_is_asked_for_is_no_traceback(tmp_path):
         write_json(results / f"metrics/30_fea/{name}.json", record)
     known = last_runs(results)
     assert [run.name for run in failures(results, known)] == ["30_fea/d"]
-    assert outdated_lines(results, known) == [] and "cost so far" in cost_lines(known)[0]
+    assert outdated_lines(results, known) == [] and "cost so far" in cost_lines(results, known)[0]

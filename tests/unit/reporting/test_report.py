@@ -10,13 +10,13 @@ from importlib.metadata import version
 import numpy as np
 
 from gelforge.flow.files import write_json
+from gelforge.flow.ledger import costs_of, last_runs, stages
 from gelforge.geometry.gel import USUAL_GEL, load_gel
 from gelforge.mechanics.mesh.hexmesh import FineBox
 from gelforge.mechanics.mesh.hexname import HexMeshName
 from gelforge.records.forcefile import SampleForces, write_forces
 from gelforge.records.solvetable import Solved
 from gelforge.records.status import Status
-from gelforge.reporting.costs import stages, target_costs
 from gelforge.reporting.explorer import Explorer, Resampler, Shard, grid_points
 from gelforge.reporting.page import Section, render
 from gelforge.reporting.parts import forget_parts, pack, place_parts, script_json
@@ -36,7 +36,7 @@ def test_a_corrupt_record_of_a_target_keeps_no_page_from_being_written(tmp_path)
     broken = (b"", b'{"seconds": 1', b"\xff\xfe", b"[1]", json.dumps(whole | {"seconds": None}).encode(), *lacking)
     for at, content in enumerate(broken, 1):
         (results / f"metrics/10_poses/{at:04d}.json").write_bytes(content)
-    costs = target_costs(results)
+    costs = costs_of(last_runs(results))
     assert costs == {"10_poses/0000": whole} and [one["seconds"] for one in stages(results, costs)] == [2.0]
 
 
