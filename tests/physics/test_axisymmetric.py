@@ -60,6 +60,7 @@ def test_flat_punch_that_sticks_on_a_half_space(nu):
     assert found.force == pytest.approx(4 * MU * radius * depth * np.log(3 - 4 * nu) / (1 - 2 * nu), rel=3e-3)
 
 
+@pytest.mark.slow
 def test_sphere_that_sticks_grows_stiffer_as_a_flat_punch_of_its_contact():
     """Spence 1968, Mossakovskii 1963: each step of the press adds what a flat punch of the contact's radius would."""
     nu, depths = 0.3, [0.95e-4, 1e-4, 1.05e-4]
@@ -70,7 +71,12 @@ def test_sphere_that_sticks_grows_stiffer_as_a_flat_punch_of_its_contact():
     assert found[1].contact_radius == pytest.approx(radius, abs=4e-4)  # known to half an element
 
 
-@pytest.mark.parametrize(("ratio", "kappa"), [(0.4, 1.683), (1.0, 3.609), (2.0, 9.069)])
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    ("ratio", "kappa"), [pytest.param(0.4, 1.683, marks=SLOW), (1.0, 3.609), pytest.param(2.0, 9.069, marks=SLOW)]
+)
 def test_flat_punch_on_a_bonded_layer(ratio, kappa):
     """Hayes, Keer, Herrmann, Mockros 1972 (J. Biomech. 5, 541-551): P = 8 mu a d kappa, frictionless and incompressible."""
     radius, depth, nu = ratio * 1.0, 1e-4, 0.4999

@@ -48,7 +48,8 @@ def with_calculix(body, ccx, folder):
     return result.total
 
 
-@pytest.mark.parametrize("fidelity", [pytest.param("hex", marks=pytest.mark.slow), "ccx"])
+@pytest.mark.slow
+@pytest.mark.parametrize("fidelity", ["hex", "ccx"])
 def test_shells_inside_change_no_force(bodies, fidelity, request, tmp_path):
     def force(name):
         if fidelity == "hex":

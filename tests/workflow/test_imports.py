@@ -1,7 +1,5 @@
 """What others recorded as MCAP becomes a dataset on which a network trains."""
 
-import subprocess
-import sys
 import tomllib
 
 import numpy as np
@@ -12,6 +10,7 @@ from gelforge.flow.params import plain
 from gelforge.formats.mcap_import import Topics, import_recordings
 from gelforge.labelling.sensor import load_sensors
 from gelforge.networks.checkpoint.modelfile import load_model
+from gelforge.stages import dataset, train
 from gelforge.stages.plan import logged_rows, write_shards
 from tests.support.parameters import write_stage
 from tests.support.recordings import IMAGE, MS, WRENCH, filmed, ramp, wrench, write
@@ -45,14 +44,10 @@ def test_the_dataset_trains_on_totals(tmp_path, root):
     write_json(of.parameters("indenters"), {})
     write_stage(of.params, "dataset", dataset={"validation": 0.2, "test": 0.2, "force_edges": [1.0, 3.0]})
     write_json(of.parameters("sensors"), tomllib.loads((root / "workflow/sensors.toml").read_text()))
-    command = [sys.executable, "-m", "gelforge.stages.dataset", str(of.root), "1x1"]
-    ran = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert ran.returncode == 0, ran.stderr
+    assert dataset.main([str(of.root), "1x1"]) == 0
     about = read_json(of.dataset_table("1x1"))
     assert about["grid"] == [1, 1] and about["samples"] == 4 * 23 and {"train", "val", "test"} == set(about["splits"])
     write_json(of.parameters("models/small"), {"small": {"kind": "resnet", "blocks": [1, 1], "widths": [8, 16]}})
     write_stage(of.params, "train", train={**plain(SETTINGS), "epochs": 1, "shift_cells": 0})
-    command = [sys.executable, "-m", "gelforge.stages.train", str(of.root), "1x1", "small"]
-    ran = subprocess.run(command, capture_output=True, text=True, check=False)
-    assert ran.returncode == 0, ran.stderr
+    assert train.main([str(of.root), "1x1", "small"]) == 0
     assert load_model(of.network("1x1", "small")).metadata["grid"] == [1, 1]

@@ -13,19 +13,19 @@ def say(project, *words):
     return done.stdout
 
 
-def test_look_finds_what_sample_made(project):
+def test_look_finds_what_sample_made_and_a_calibration_scales_it(project):
     first = read_csv(project / "data/tiny/log.csv")[0]["sample_id"]
     assert "has no label at 24x32 yet" in make(project, "DATASET=tiny", "look", f"ID={first}").stdout
     assert "everything of" in say(project, "sample", f"ID={first}")
     say(project, "look", f"ID={first}")
+    scaled_by_the_calibrated_material(project, first)
     made = {path.name for path in (project / "results/tiny/look").iterdir()}
     assert made == {f"{first}-24x32.png", f"{first}-indenter.stl", f"{first}.vtu"}
     assert not (project / "results/tiny/50_labels").exists()
 
 
-def test_a_sample_is_scaled_by_the_calibrated_material(project):
-    first = read_csv(project / "data/tiny/log.csv")[0]["sample_id"]
-    say(project, "sample", f"ID={first}")
+def scaled_by_the_calibrated_material(project, first):
+    """What was made, made again with [material] c10 = "calibrated"."""
     sample = project / f"results/tiny/samples/{first}/40_forces/0000.npz"
     plain = ForceFile(sample).force
     toml = project / "data/tiny/dataset.toml"

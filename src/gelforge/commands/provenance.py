@@ -7,6 +7,7 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from gelforge.errors import BadInput
+from gelforge.flow.cache import record_of
 from gelforge.flow.layout import FEA, Layout
 from gelforge.flow.main import RESULTS, command, option
 from gelforge.flow.provenance import (
@@ -14,7 +15,6 @@ from gelforge.flow.provenance import (
     concerning,
     imported_labels,
     pose_of,
-    read_record,
     rejections_of,
     steps_of_label,
     steps_to,
@@ -35,7 +35,7 @@ def provenance(results: Path, sample_id: str, resolution: str) -> dict:
         steps = steps_of_label(results, shard, resolution)
     pose = pose_of(results, shard, sample_id)
     steps = [replace(step, parameters=concerning(step.parameters, pose)) for step in steps]
-    solve = read_record(of.solve(shard, sample_id))
+    solve = record_of(of.solve(shard, sample_id)) or {}
     return {
         "sample_id": sample_id,
         "shard": shard,

@@ -4,14 +4,14 @@ Only the standard library: an answer takes a fraction of a second for 15 000 sam
 """
 
 import csv
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
 from gelforge.errors import BadInput, printable
+from gelforge.flow.cache import record_of
 from gelforge.flow.files import read_csv
-from gelforge.flow.layout import Layout
+from gelforge.flow.layout import Layout, metrics_of
 
 
 @dataclass(frozen=True)
@@ -26,20 +26,6 @@ class Step:
     started: float
     parameters: dict
     programs: dict[str, str]  # versions
-
-
-def read_record(path: Path) -> dict:
-    """A record of the flow, empty where there is none or it is damaged."""
-    try:
-        record = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        return {}
-    return record if isinstance(record, dict) else {}
-
-
-def record_path(results: Path, target: str) -> Path:
-    """Where the record of a target lies."""
-    return Layout(results).metrics / Path(target).relative_to(results).with_suffix(".json")
 
 
 def belongs(path: str, results: Path, shards: set[str], shard: str) -> bool:
@@ -118,14 +104,14 @@ def steps_to(results: Path, target: str, shard: str) -> Iterator[Step]:
         if name in seen:
             return
         seen.add(name)
-        record = read_record(record_path(results, name))
+        record = record_of(metrics_of(Path(name)))
         if not record:
             return
         inputs = [path for path in record.get("inputs", []) if belongs(path, results, shards, shard)]
         for path in inputs:
             yield from walk(path)
         parameters = {
-            Path(path).stem: read_record(Path(path)) for path in inputs if Path(path).is_relative_to(params)
+            Path(path).stem: record_of(Path(path)) or {} for path in inputs if Path(path).is_relative_to(params)
         }
         costs = {key: record.get(key, 0.0) for key in ("seconds", "cpu_seconds", "peak_mib", "started")}
         yield Step(name, inputs, **costs, parameters=parameters, programs=record.get("programs", {}))

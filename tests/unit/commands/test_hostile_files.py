@@ -1,10 +1,8 @@
 """Files of others: what cannot be used is refused in a sentence, quickly, and keeps no good sample out."""
 
-import io
 import json
 import os
 import struct
-import zipfile
 import zlib
 
 import cv2
@@ -194,7 +192,7 @@ SPOILT = {
     "labels of whole numbers": (lambda a: a.update(label=a["label"].astype(int)), "label is int64"),
     "a flat label": (lambda a: a.update(label=a["label"][0]), "which it cannot be"),
     "ids that are numbers": (lambda a: a.update(sample_id=np.arange(3)), "sample_id is int64"),
-    "objects": (lambda a: a.update(status=np.array([{}, [], None], object)), "which it cannot be"),
+    "objects": (lambda a: a.update(status=np.array([{}, [], None], object)), "array status: Object arrays"),
 }
 
 
@@ -230,28 +228,6 @@ def test_good_imported_labels_are_read(tmp_path):
     assert found.sample_id.tolist() == ["a", "b", "c"] and found.material == {"c10": 0.0792}
     np.savez(tmp_path / "1x1.npz", **{name: array for name, array in label_arrays().items() if name != "c10"})
     assert read_labels(tmp_path / "1x1.npz").material == {}
-
-
-def test_an_archive_that_would_fill_the_memory_is_refused(tmp_path):
-    path, stream = tmp_path / "24x32.npz", io.BytesIO()
-    np.lib.format.write_array_header_1_0(
-        stream, {"descr": "<f4", "fortran_order": False, "shape": (3, 3, 10_000, 10_000)}
-    )
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("label.npy", stream.getvalue() + bytes(2**20))
-        for name, array in label_arrays().items():
-            if name != "label":
-                body = io.BytesIO()
-                np.save(body, array)
-                archive.writestr(f"{name}.npy", body.getvalue())
-    refused("label claims", read_labels, path)
-    with (
-        zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as archive,
-        archive.open("label.npy", "w") as member,
-    ):
-        for _ in range(1100):
-            member.write(bytes(2**20))
-    refused("would unpack to", read_labels, path)
 
 
 @pytest.fixture(scope="module")

@@ -51,10 +51,13 @@ def test_results_dated_ahead_are_refused_but_for_moments(tmp_path, monkeypatch):
     results = tmp_path / "results/tiny"
     refuse_ahead(results)  # of a dataset of which nothing was made
     now = time.time()
-    for name in ("10_poses/0000.csv", "50_labels/24x32/labels.json", "00_plan/plan.mk"):
+    late = ["00_plan/plan.mk", "10_poses/0000.csv", "50_labels/24x32/labels.json"]
+    for name in late:
         write_text(results / name, "")
         os.utime(results / name, (now + 3600,) * 2)
-        refused(f"{name} is dated .* make clean-ahead DATASET=tiny, which removes", refuse_ahead, results)
+    assert ahead(results, now) == [str(results / name) for name in late]
+    refused(f"{late[0]} is dated .* make clean-ahead DATASET=tiny, which removes", refuse_ahead, results)
+    for name in late:
         os.utime(results / name, (now - 5,) * 2)
     # no result that make judges by its date
     for name in ("30_fea/0000/s1.json", "logs/x.log", "metrics/30_fea/0000.json", ".slurm/x", "export/a.h5"):
