@@ -101,8 +101,8 @@ def image_fault(image: np.ndarray, rest: Rest, light: Light) -> str:
     if alike >= OWN_PATTERN:
         return ""
     if not light.known:
-        other = "the image shows nothing of this sensor: it is dark, covered or of something else"
-        return "" if alike >= NO_PATTERN else other
+        unknown = "the image shows nothing of this sensor: it is dark, covered or of something else"
+        return "" if alike >= NO_PATTERN else unknown
     if alike >= OTHER_PATTERN or _same_light(image, rest.picture, light):
         return ""
     return "the image and the no-contact image are of two sensors: their light comes from other sides"
