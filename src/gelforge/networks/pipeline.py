@@ -28,7 +28,7 @@ from gelforge.networks.data.arrays import (
     scales,
     split_validation,
 )
-from gelforge.networks.evaluation.fitting import set_intervals, set_limits
+from gelforge.networks.evaluation.fitting import set_intervals, set_limits, unaltered
 from gelforge.networks.models.inputs import needs_nocontact
 from gelforge.networks.models.registry import parameter_count
 from gelforge.networks.training.loop import Training, device_of, fit, mixes_precision, require_judges, scales_before
@@ -161,6 +161,7 @@ def make_model(
     if needs_nocontact(reads):
         # one that lacks its picture is named before hours of training
         learnt.require_nocontact(range(len(learnt.table)))
+    unaltered(learnt)  # as is one whose pictures are all altered
     torch.set_num_threads(settings.threads)
     metadata = describe([data, *also], recipe, start)
     # half of validation chooses nothing, so that it can measure how wrong the network is

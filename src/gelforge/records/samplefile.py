@@ -19,7 +19,7 @@ HINT = "remove the folder and make the dataset again"
 NAMES = ("sample_id", "indenter", "sensor_id", "gel_id")
 COLUMNS = (
     *NAMES, "split", "group", *FORCE, *(f"outside_{name}" for name in FORCE), *(f"measured_{name}" for name in FORCE),
-    *(f"true_{name}" for name in FORCE), *POSE, "image",
+    *(f"true_{name}" for name in FORCE), *POSE, "image", "altered",
 )  # fmt: skip
 
 
@@ -28,7 +28,8 @@ class DatasetSample:
     """A press of a dataset; its record's own force is the one that was measured.
 
     total: force of its label, outside: force that fell outside the image, (3,) N along the gel's axes, NaN where it is
-    not known. truth: what a virtual rig knows of it, cells by FORCE. group: of samples that share a split.
+    not known. truth: what a virtual rig knows of it, cells by FORCE. group: of samples that share a split. altered: how a virtual
+    rig drew its image or no-contact image otherwise than a sound sensor gives it; empty where it did not.
     """
 
     press: PressRecord
@@ -37,6 +38,7 @@ class DatasetSample:
     truth: dict[str, str]
     split: str = ""
     group: str = ""
+    altered: str = ""
 
     @property
     def strength(self) -> float:
@@ -56,8 +58,8 @@ class DatasetSample:
         return found
 
     def text(self, column: str) -> str:
-        """A name of the row by its column: of the press, or its split or group."""
-        return str(getattr(self if column in ("split", "group") else self.press, column))
+        """A text of the row by its column: of the press, or its split, its group or how it was altered."""
+        return str(getattr(self if column in ("split", "group", "altered") else self.press, column))
 
     def cells(self) -> dict[str, Any]:
         """One row of the table."""
@@ -67,7 +69,7 @@ class DatasetSample:
             row[name] = _rounded(self.total[at])
             row[f"outside_{name}"] = _rounded(self.outside[at])
             row[f"measured_{name}"], row[f"true_{name}"] = own[name], self.truth.get(name, "")
-        return row | {"split": self.split, "group": self.group}
+        return row | {"split": self.split, "group": self.group, "altered": self.altered}
 
 
 def _rounded(force: float) -> float | str:
@@ -95,7 +97,7 @@ def _sample(path: str | Path, at: int, row: dict[str, str]) -> DatasetSample:
     total, outside = (np.array([_force(path, at, row.get(f"{kind}{name}") or "") for name in FORCE])
                       for kind in ("", "outside_"))  # fmt: skip
     truth = {name: row.get(f"true_{name}") or "" for name in FORCE}
-    return DatasetSample(press, total, outside, truth, row["split"], row.get("group") or "")
+    return DatasetSample(press, total, outside, truth, row["split"], row.get("group") or "", row.get("altered") or "")
 
 
 def _force(path: str | Path, at: int, text: str) -> float:

@@ -214,7 +214,7 @@ def image_digests(data: Path, names: Iterable[str], kept: Path) -> dict[str, str
 def files_beside(data: Path) -> dict[str, Path]:
     """What lies beside a log and goes into its dataset, by its path there: no-contact images, splits, truth, labels."""
     found = [*listed(data / "nocontact", "*"), *listed(data / "labels", "*.npz")]
-    found += [data / "splits.csv", data / "truth" / "presses.csv"]
+    found += [data / "splits.csv", data / "truth" / "presses.csv", data / "truth" / "pictures.csv"]
     return {str(path.relative_to(data)): path for path in found if path.is_file()}
 
 
@@ -296,7 +296,7 @@ def plan_files(data: Path, workflow: Path, catalogue: str) -> list[Path]:
     """Files that any plan is made from, those too that are not there: tables, the log, what lies beside it, and the code."""
     tables = ("params", "charted", "models", "scenes", "sensors", "gels", "indenters")
     own = ("log.csv", "dataset.toml", "sensors.toml", "indenters.toml", "calibration.toml")
-    beside = ("nocontact", "labels", "splits.csv", "truth/presses.csv")
+    beside = ("nocontact", "labels", "splits.csv", "truth/presses.csv", "truth/pictures.csv")
     found = [*(data / name for name in (*own, *beside)), *files_beside(data).values()]
     found += [*(workflow / f"{name}.toml" for name in tables), workflow / catalogue]
     return list(dict.fromkeys([*found, *listed(Path(__file__).parents[1], "*.py", below=True)]))

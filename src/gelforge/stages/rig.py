@@ -18,7 +18,7 @@ from typing import Any
 
 import numpy as np
 
-from gelforge.flow.files import bytes_of
+from gelforge.flow.files import bytes_of, write_csv
 from gelforge.flow.forecast import Cost, on_cores, pilots, table
 from gelforge.flow.main import command, option, positive
 from gelforge.flow.orphans import pool
@@ -70,8 +70,8 @@ class Worker:
 
     def picture_nocontact(self, sensor: str) -> None:
         """Take the no-contact image of a unit, from which its markers and projection can be found."""
-        noise = np.random.default_rng([self.plan.seed, self.appearances[sensor].seed])
-        save_image(self.folder / nocontact_name(sensor), self.camera(sensor).image(rng=noise))
+        chance = of_nocontact(self.plan, self.appearances[sensor])
+        save_image(self.folder / nocontact_name(sensor), self.camera(sensor).image(rng=chance))
 
     def carry_out(self, orders: list[Order], solved: bool) -> list[tuple]:
         """Press once and take every picture of `orders`, which are of one press and its frames.
@@ -108,9 +108,30 @@ class Worker:
 
         body, field = Pressed(self.bench.body(orders[0].indenter), surface.press), field_of(self.gel, surface)
         for order in orders:
-            noise = generator(self.plan, order.index, streams.camera(order.unit, order.frame))
             camera = self.camera(order.sensor)
-            save_image(self.folder / image_name(order), camera.image(field, body, noise))
+            save_image(self.folder / image_name(order), camera.image(field, body, of_picture(self.plan, order)))
+
+
+def of_nocontact(plan: Plan, appearance: Appearance) -> np.random.Generator:
+    """Randomness of a unit's no-contact image."""
+    return np.random.default_rng([plan.seed, appearance.seed])
+
+
+def of_picture(plan: Plan, order: Order) -> np.random.Generator:
+    """Randomness of an order's picture."""
+    return generator(plan, order.index, streams.camera(order.unit, order.frame))
+
+
+def altered_pictures(plan: Plan, appearances: dict[str, Appearance]) -> list[dict[str, str]]:
+    """Every picture of a plan that is drawn otherwise than a sound sensor gives it, by its path, and how."""
+    chances = [
+        (nocontact_name(name), appearances[name], of_nocontact(plan, appearances[name])) for name in plan.sensors
+    ]
+    chances += [(image_name(one), appearances[one.sensor], of_picture(plan, one)) for one in orders(plan)]
+    drawn = [
+        (path, seen.drift.draw(seen.markers, chance)) for path, seen, chance in chances if seen.drift is not None
+    ]
+    return [{"picture": path, "altered": taken.altered} for path, taken in drawn if taken.altered]
 
 
 @lru_cache(maxsize=1)
@@ -135,6 +156,7 @@ def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
     dataset.begin(*contents)
     if plan.units is not None:
         write_sensors(folder / "sensors.toml", {name: sensors[name] for name in plan.units.names})
+        write_csv(folder / "truth/pictures.csv", ["picture", "altered"], altered_pictures(plan, appearances))
     unseen = [(name,) for name in plan.sensors if not (folder / nocontact_name(name)).exists()]
     todo = by_press(dataset, orders(plan))
     new, drawn, failed = 0, 0, []

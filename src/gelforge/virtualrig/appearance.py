@@ -56,6 +56,44 @@ class Drift:
     worn_markers: tuple[float, float] = (0, 0)
     worn_ink: tuple[float, float] = (0.0, 0.0)
 
+    def draw(self, markers: np.ndarray, rng: np.random.Generator) -> "Circumstances":
+        """Under what one picture is taken; markers: (n, 2) px, those of the unit. They are the first draws of its `rng`."""
+        worn: list[tuple[np.ndarray, float]] = []
+        if rng.random() < self.worn:
+            least, most = map(int, self.worn_markers)
+            count = rng.integers(least, most, endpoint=True)
+            worn = [(centre, rng.uniform(*self.worn_ink)) for centre in rng.permutation(markers)[:count]]
+        gain, offset, field = (
+            rng.uniform(*bounds, shape) for bounds, shape in ((self.gain, 3), (self.offset, 3), (self.field, (5, 3)))
+        )
+        relit = None
+        if rng.random() < self.relit:
+            gradient = rng.uniform(*self.gradient, (2, 1)) + rng.uniform(*self.colour_gradient, (2, 3))
+            relit = gradient, rng.uniform(*self.vignette)
+        return Circumstances(worn, gain, offset, field, relit, rng.uniform(*self.refocus))
+
+
+@dataclass(frozen=True)
+class Circumstances:
+    """Under what one picture is taken, as a `Drift` draws it.
+
+    worn: centre (2,) px and share of the ink that is left of each further worn marker. gain, offset: (3,); field: (5, 3), of
+    s, t, s t, s^2 and t^2. relit: where the picture is taken under another fall of light, the gradients (2, 3) along s and
+    t and how much darker corners become; else None. blur: px.
+    """
+
+    worn: list[tuple[np.ndarray, float]]
+    gain: np.ndarray
+    offset: np.ndarray
+    field: np.ndarray
+    relit: tuple[np.ndarray, float] | None
+    blur: float
+
+    @property
+    def altered(self) -> str:
+        """What a sound sensor, in its own light, would not show; empty where nothing is."""
+        return " and ".join(["relit"] * (self.relit is not None) + ["worn"] * bool(self.worn))
+
 
 @dataclass(frozen=True)
 class Appearance:

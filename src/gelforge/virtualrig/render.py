@@ -9,7 +9,7 @@ import numpy as np
 from gelforge.geometry.gel import Gel
 from gelforge.records.image import as_jpeg
 from gelforge.records.press import Press
-from gelforge.virtualrig.appearance import HEIGHT, WIDTH, Appearance, Drift, normalised_pixels
+from gelforge.virtualrig.appearance import HEIGHT, WIDTH, Appearance, Circumstances, normalised_pixels
 from gelforge.virtualrig.fields import FAR, STEP, Field, RoughBody, body_position, unloaded
 from gelforge.virtualrig.paint import MARGIN, printed, sample_position, wear_off
 
@@ -61,8 +61,11 @@ class Renderer:
         if pressed is not None:
             height = self._against(height, pressed)
         drift = self.appearance.drift
+        taken = None if drift is None or rng is None else drift.draw(self.appearance.markers, rng)
         ink = cv2.remap(
-            self.paint if drift is None or rng is None else worn(self.paint, self.appearance, drift, rng),
+            worn(self.paint, self.appearance.diameter, taken.worn)
+            if taken is not None and taken.worn
+            else self.paint,
             sample_position(source_u),
             sample_position(source_v),
             cv2.INTER_LINEAR,
@@ -74,11 +77,11 @@ class Renderer:
             sunk = float(np.maximum(self.inner_top - height, 0.0).mean())
             picture *= (1.0 + self.appearance.shade * sunk).astype(np.float32)
         if rng is not None:
-            if drift is not None:
-                picture = drifted(picture, drift, rng)
+            if taken is not None:
+                picture = drifted(picture, taken)
             picture += self._noise(rng)
-        taken = np.clip(np.rint(picture, out=picture), 0, 255, out=picture).astype(np.uint8)
-        return as_jpeg(taken, self.appearance.jpeg) if self.appearance.jpeg else taken
+        levels = np.clip(np.rint(picture, out=picture), 0, 255, out=picture).astype(np.uint8)
+        return as_jpeg(levels, self.appearance.jpeg) if self.appearance.jpeg else levels
 
     def seen(self, xy: np.ndarray, moved: np.ndarray) -> np.ndarray:
         """Pixels (n, 2) at which gel points xy (n, 2) mm appear that have moved by (n, 3) mm."""
@@ -166,32 +169,25 @@ class Renderer:
         return noise * self.appearance.noise.astype(np.float32)
 
 
-def worn(paint: np.ndarray, appearance: Appearance, drift: Drift, rng: np.random.Generator) -> np.ndarray:
-    """Print as `printed` has it, or, in a part of the pictures, with some markers worn off."""
-    if rng.random() >= drift.worn:
-        return paint
-    least, most = map(int, drift.worn_markers)
-    count = rng.integers(least, most, endpoint=True)
+def worn(paint: np.ndarray, diameter: float, markers: list[tuple[np.ndarray, float]]) -> np.ndarray:
+    """A print (h, w, 3) some of whose markers are worn off; markers: their centres (2,) px and what is left of their ink."""
     left = paint.copy()
-    for centre in rng.permutation(appearance.markers)[:count]:
-        wear_off(left, centre, appearance.diameter, rng.uniform(*drift.worn_ink))
+    for centre, ink in markers:
+        wear_off(left, centre, diameter, ink)
     return left
 
 
-def drifted(picture: np.ndarray, drift: Drift, rng: np.random.Generator) -> np.ndarray:
-    """A picture (h, w, 3) under light that differs by a gain, an offset and a smooth field of each colour, or in another focus."""
-    gain, offset, field = (rng.uniform(*bounds, shape) for bounds, shape in (
-        (drift.gain, 3), (drift.offset, 3), (drift.field, (5, 3))))  # fmt: skip
+def drifted(picture: np.ndarray, taken: Circumstances) -> np.ndarray:
+    """A picture (h, w, 3) under light that differs by a gain, an offset and a smooth field of each colour, and in another focus."""
     s, t = normalised_pixels()
-    shapes = np.stack([s, t, s * t, s**2, t**2], axis=-1) @ field
-    light = 1.0 + gain + shapes
-    if rng.random() < drift.relit:
-        both, each = rng.uniform(*drift.gradient, (2, 1)), rng.uniform(*drift.colour_gradient, (2, 3))
-        light *= 1.0 + np.stack([s, t], axis=-1) @ (both + each)
-        light *= 1.0 - rng.uniform(*drift.vignette) * ((s**2 + t**2) / 2)[..., None]
-    seen = picture * light.astype(np.float32) + offset.astype(np.float32)
-    blur = rng.uniform(*drift.refocus)
-    return cv2.GaussianBlur(seen, (0, 0), blur) if blur > 0.1 else seen
+    shapes = np.stack([s, t, s * t, s**2, t**2], axis=-1) @ taken.field
+    light = 1.0 + taken.gain + shapes
+    if taken.relit is not None:
+        gradient, vignette = taken.relit
+        light *= 1.0 + np.stack([s, t], axis=-1) @ gradient
+        light *= 1.0 - vignette * ((s**2 + t**2) / 2)[..., None]
+    seen = picture * light.astype(np.float32) + taken.offset.astype(np.float32)
+    return cv2.GaussianBlur(seen, (0, 0), taken.blur) if taken.blur > 0.1 else seen
 
 
 def _pixels(margin: int) -> tuple[np.ndarray, np.ndarray]:

@@ -108,6 +108,10 @@ class Data:
         """Identity of the press of some rows, (k,): several images may show one; where unknown, none does."""
         return np.array([self.table[row].group or f"row {row}" for row in rows])
 
+    def unaltered(self, rows: np.ndarray) -> np.ndarray:
+        """Those of some rows whose image and no-contact image are as a sound sensor gives them: no virtual rig altered them."""
+        return rows[np.array([not self.table[row].altered for row in rows], bool)]
+
     def totals(self, rows) -> np.ndarray:
         """Total force of the labels of some rows, (k, 3) float64 N, in the labels' channel order."""
         return self.labels[rows].sum((2, 3), dtype=np.float64)

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from gelforge.errors import BadInput
 from gelforge.flow.params.tables import TrainingTable
 from gelforge.networks.checkpoint.modelfile import ForceModel
 from gelforge.networks.data.arrays import Data, calibration_rows, press_keys, split_validation
@@ -28,15 +29,32 @@ from gelforge.records.samplefile import TRAINING, VALIDATION
 ENOUGH_PAIRS = 200  # pictures that show what good pairs are like
 
 
-def set_limits(
-    metadata: dict[str, Any], data: Data, settings: TrainingTable, before: dict[str, Any] | None
-) -> dict[str, Any]:
-    """The part of a model's metadata that describes the pictures it learnt from: `statistics`, and the pitch of their markers.
+def unaltered(data: Data) -> Data:
+    """A dataset without the pictures that a virtual rig altered: they teach what else may happen, not what is usual.
 
-    before: metadata of the network that it is fine-tuned from, whose limits are widened where few pictures are new.
+    BadInput where none is left to train on or to validate with.
     """
+    left = {name: data.unaltered(rows) for name, rows in data.splits.items()}
+    if not len(left[TRAINING]) or not len(left[VALIDATION]):
+        raise BadInput(
+            f"{data.folder}: the virtual rig drew every picture under another fall of light or with worn markers, so none shows"
+            " what is usual: lower relit_fraction and worn_fraction of the plan's units"
+        )
+    return replace(data, splits=left)
+
+
+def set_limits(
+    metadata: dict[str, Any], learnt: Data, settings: TrainingTable, before: dict[str, Any] | None
+) -> dict[str, Any]:
+    """The part of a model's metadata that describes the usual ones of its pictures: `statistics`, and the pitch of their markers.
+
+    learnt: all that it learnt from; pictures that were altered set no limits, or a contact in a no-contact image, whose light is
+    uneven, too, would pass. before: metadata of the network that it is fine-tuned from, whose limits are widened where few
+    pictures are new.
+    """
+    data = unaltered(learnt)
     reads = metadata["normalisation"]["reads"]
-    pitch = learnt_pitch(data, before) if needs_nocontact(reads) else {}
+    pitch = learnt_pitch(learnt, before) if needs_nocontact(reads) else {}
     rows = usual_rows(data)
     pairs = good_pairs(metadata | pitch, data, rows) if needs_nocontact(reads) else {}
     if before is not None and len(data.splits[TRAINING]) < ENOUGH_PAIRS:
