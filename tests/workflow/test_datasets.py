@@ -23,13 +23,15 @@ def project(root, tmp_path_factory):
             if row["image"]:  # those of the demo
                 (data / row["image"]).parent.mkdir(exist_ok=True)
                 shutil.copy(root / "data" / "demo" / row["image"], data / row["image"])
-        done = make(project, f"DATASET={name}", goal(name))
+                shutil.copytree(root / "data/demo/nocontact", data / "nocontact", dirs_exist_ok=True)
+        done = make(project, f"DATASET={name}", *goals(name))
         assert done.returncode == 0, done.stdout
     return project
 
 
-def goal(name):
-    return "dataset" if name == "bad_rows" else "labels"
+def goals(name):
+    """What is made of a dataset: the one with images goes on to the card of the shipped network."""
+    return ("dataset", "evaluate", "MODEL=shipped") if name == "bad_rows" else ("labels",)
 
 
 def forces_of(project, name):
@@ -55,7 +57,7 @@ def test_every_row_is_labelled_or_rejected_and_a_second_make_has_nothing_to_do(p
             total = forces[str(sample)][1]
             seen = found.label[k].astype(float).sum(axis=(1, 2)) + found.outside[k]
             assert seen == pytest.approx(total[[1, 0, 2]], abs=1e-6 * np.abs(total).sum())
-    said = make(project, f"DATASET={name}", "-q", goal(name))
+    said = make(project, f"DATASET={name}", "-q", *goals(name))
     assert said.returncode == 0, said.stdout
 
 
@@ -69,6 +71,11 @@ def test_a_sensor_that_is_only_tested_is_in_no_other_split(project):
     rows = read_csv(project / "results/bad_rows/60_dataset/24x32/samples.csv")
     assert [row["sensor_id"] for row in rows if row["split"].startswith("test_unseen")] == ["mini_e"]
     assert len(rows) == 3 and (project / "results/bad_rows/60_dataset/24x32/images.npy").is_file()
+
+
+def test_the_card_of_the_shipped_network_names_what_it_was_judged_on(project):
+    card = (project / "results/bad_rows/80_evaluate/24x32/shipped.card.md").read_text(encoding="utf-8")
+    assert "bad_rows" in card and "| " in card
 
 
 def test_frames_of_a_press_are_moments_of_one_path(project):
