@@ -9,6 +9,7 @@ from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.live.reading import Reading
+from gelforge.records.forcereading import BEYOND
 from gelforge.reporting.forcemaps import FULL_COLOUR_N
 from gelforge.reporting.page import COLOURS, LOOK
 
@@ -145,4 +146,6 @@ def page() -> str:
     html = (WEB / "live.html").read_text(encoding="utf-8")
     for place, path in files.items():
         html = html.replace(place, path.read_text(encoding="utf-8"))
-    return html.replace("/*constants*/", f"const FULL_COLOUR_N = {json.dumps(FULL_COLOUR_N)}, KEPT = {KEPT};")
+    return html.replace(
+        "/*constants*/", f"const FULL_COLOUR_N = {json.dumps(FULL_COLOUR_N)}, BEYOND = {BEYOND}, KEPT = {KEPT};"
+    )

@@ -1,7 +1,7 @@
 "use strict";
 const el = (id) => document.getElementById(id);
 const fixed = (v, digits = 2) => (Number.isFinite(v) ? v.toFixed(digits) : "–");
-const MAPS = [["normal", 2, "normal force"], ["short", 1, "along the short side"], ["long", 0, "along the long side"]];
+const MAPS = [["normal", 2, "z, normal"], ["short", 1, "x, along the short side"], ["long", 0, "y, along the long side"]];
 const TOTALS = [["grid_z_n", 2, "#1f6f8b"], ["grid_y_n", 1, "#d1603d"], ["grid_x_n", 0, "#5b8c3a"]], FLAGGED = "#dde1e6";
 let history = [], drawing = false, latest = null;
 async function unpack(packed) {
@@ -52,8 +52,8 @@ async function show(event) {
   const recent = history.slice(-30), span = recent.at(-1).time_s - recent[0].time_s;
   el("rate").textContent = span > 0 ? fixed((recent.length - 1) / span, 1) : "–";
   el("flag").className = event.flag ? "on" : "";
-  el("flag").textContent = event.flag ? event.reason : "nothing seems wrong with the picture";
-  el("band").textContent = event.half_width ? "band: where 90 % of the forces on unseen sensors lie" : "";
+  el("flag").textContent = event.flag ? event.reason : event.edge_peak >= BEYOND ? "the picture cuts a contact off: the forces are those of the part that it shows" : "nothing seems wrong with the picture";
+  el("band").textContent = event.half_width ? "band: nine of ten forces should lie in it" : "";
   el("state").textContent = `frame ${event.frame}, ${fixed(event.time_s, 1)} s, ${fixed(event.ms, 1)} ms a frame`;
   drawCurve();
   document.body.dataset.frame = event.frame;
