@@ -1,6 +1,5 @@
 """Frames of a camera or a video file, each with its own time."""
 
-import mmap
 import os
 import time
 from collections.abc import Iterable, Iterator
@@ -37,7 +36,7 @@ def open_source(
     source = cv2.VideoCapture(str(video)) if camera is None else cv2.VideoCapture(camera)
     if not source.isOpened():
         what = (
-            f"{video}: cannot be opened as a video{without_index(video)}; convert it to AVI or MP4"
+            f"{video}: cannot be opened as a video; if its recording was ended, convert it to AVI or MP4"
             if video is not None
             else (f"camera {camera} cannot be opened; `ls /dev/video*` lists those there are")
         )
@@ -48,16 +47,6 @@ def open_source(
         yield source, int(max(0, source.get(cv2.CAP_PROP_FRAME_COUNT))) if video is not None else 0
     finally:
         source.release()
-
-
-def without_index(video: Path) -> str:
-    """The sign of an MP4 that lacks its index, which is written last; empty for any other file."""
-    with video.open("rb") as stream:
-        if stream.read(8)[4:] != b"ftyp":
-            return ""
-        with mmap.mmap(stream.fileno(), 0, access=mmap.ACCESS_READ) as data:
-            lacks = data.find(b"moov") < 0
-    return " (its index, moov, is missing: the recording was not ended, or the file is cut short)" if lacks else ""
 
 
 def set_mode(source: Any, mode: tuple[int, int], name: str) -> None:

@@ -176,9 +176,7 @@ def bad_image(press: PressRecord, file: str, folder: str | Path, size: tuple[int
         )
     data, fault = bytes_or_fault(path, MOST_BYTES)
     if fault:
-        other = other_case(path)
-        hint = f"write its name as it is there: {other.name}" if other else "copy the image there, or remove the row"
-        return no(f"cannot be read ({fault})", hint)
+        return no(f"cannot be read ({fault})", "name it as it is there, capital letters too, or copy it there")
     fault, seen = png_fault(data)
     if fault:
         return no(fault, "copy the file again from the source, as PNG")
@@ -188,15 +186,6 @@ def bad_image(press: PressRecord, file: str, folder: str | Path, size: tuple[int
             f"record at that size, or correct `image` of {press.sensor_id} in {SENSOR_TABLES}",
         )
     return None
-
-
-def other_case(path: Path) -> Path | None:
-    """The file beside a missing one whose name differs in capital letters only; None where there is none."""
-    try:
-        beside = [each for each in path.parent.iterdir() if each.name.lower() == path.name.lower()]
-    except OSError:
-        return None
-    return beside[0] if beside and not path.exists() else None
 
 
 def png_fault(data: bytes) -> tuple[str | None, tuple[int, int]]:

@@ -24,7 +24,6 @@ from gelforge.records.labelfile import read_labels
 from gelforge.records.samplefile import read_samples
 from gelforge.records.solvetable import read_solves
 from gelforge.records.table import numbered_rows
-from tests.support.films import write_film
 from tests.support.press_records import press_record
 from tests.support.refused import refused
 
@@ -89,17 +88,6 @@ def test_a_git_lfs_pointer_is_reported_under_any_name(tmp_path):
                        ("a.mp4", film), ("a.mcap", recording)):  # fmt: skip
         (tmp_path / name).write_text("version https://git-lfs.github.com/spec/v1\noid sha256:4d7a\nsize 12345\n")
         refused("git lfs pull", read, tmp_path / name)
-
-
-def test_a_film_without_its_index_is_reported(tmp_path):
-    path = write_film(tmp_path / "a.mp4", [np.full((240, 320, 3), 20 * shade, np.uint8) for shade in range(10)])
-    data = path.read_bytes()
-    with open_source(path, None) as (source, _):
-        assert source.read()[0]
-    for left in (data.find(b"moov") - 4, len(data) // 4):
-        path.write_bytes(data[:left])
-        with pytest.raises(BadInput, match="moov, is missing"), open_source(path, None):
-            pass
 
 
 def test_pictures_of_every_kind_are_read_and_those_of_sixteen_bits_refused(tmp_path):
