@@ -10,7 +10,7 @@ from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import read_labels
 from tests.benchmarks.sandbox import link_project, make
 
-NAMES = ("frames", "bad_rows", "two_gels", "friction")
+NAMES = ("frames", "bad_rows", "two_gels")
 
 
 @pytest.fixture(scope="module")
@@ -86,15 +86,10 @@ def test_frames_of_a_press_are_moments_of_one_path(project):
     assert (np.diff([-total[2] for _, total, _ in film[:4]]) > 0).all() and film[0][1][2] < 0
     alone = forces["alone"][1]
     np.testing.assert_allclose(film[3][1], alone, atol=0.02 * -alone[2])  # load steps are not the same
-    assert film[4][1][0] > 0.1 * -film[4][1][2]  # dragged along x
+    dragged = film[4][1]
+    assert 0.1 * -dragged[2] < dragged[0] < 1.1 * 0.2 * -dragged[2]  # along x, as far as friction holds
 
 
 def test_a_thinner_gel_is_stiffer(project):
     forces = forces_of(project, "two_gels")
     assert forces["thin"][1][2] < 1.05 * forces["usual"][1][2] < 0
-
-
-def test_friction_bounds_the_drag(project):
-    forces = forces_of(project, "friction")
-    straight, dragged = forces["straight"][1], forces["dragged"][1]
-    assert np.abs(straight[:2]).max() < 0.02 * -straight[2] < dragged[0] < 1.1 * 0.2 * -dragged[2]
