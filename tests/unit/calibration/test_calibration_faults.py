@@ -97,7 +97,7 @@ def test_posterior_deeper_than_the_solves_is_named():
     middle[posterior.model.names.index("offset")] = 8.0
     figures = Figures(50, 0, 1.0, 50.0, 0.5, 1.0, "offset")
     with pytest.raises(BadInput, match=r"25 % of the posterior presses deeper .* raise \[calibrate\] reach_mm"):
-        refuse_beyond(posterior, Chain(np.tile(middle, (50, 32, 1)), figures))
+        refuse_beyond(posterior, Chain(np.tile(middle, (10, 8, 1)), figures))
 
 
 def test_fewer_readings_than_vague_parameters():

@@ -129,6 +129,7 @@ def test_a_held_mesh_is_as_fine_as_asked(mesh):
     assert (length <= HOLD * SIZING(flat.mean(axis=1))[on_top] + 1e-9).all()
 
 
+@pytest.mark.slow
 def test_a_steep_rim_inverts_no_element():
     """Edges are 4 mm long where the top falls 3 mm within 2 mm; bowed onto the surface they would invert elements."""
     dome = load_gel("dome")
