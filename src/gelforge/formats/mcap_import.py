@@ -171,7 +171,7 @@ def pair(path: Path, topics: Topics) -> Pairs:
     read: list[np.ndarray] = []
     notes: list[str] = []
     where = f"{path}: topic {topics.wrench}"
-    for topic, time, said in messages(path, (topics.image, topics.wrench), notes):
+    for topic, time, said in messages(path, (topics.image, topics.wrench)):
         if topic == topics.image:
             images.append((time, stamp_of(said)))
         elif (force := wrench_of(said, where, topics)) is not None:
