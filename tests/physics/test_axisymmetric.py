@@ -51,7 +51,7 @@ def test_hertz_where_the_gel_is_thick_and_nothing_sticks():
     assert found.contact_radius == pytest.approx(np.sqrt(radius * depth), rel=0.05)
 
 
-@pytest.mark.parametrize("nu", [0.3, 0.45])
+@pytest.mark.parametrize("nu", [0.3, pytest.param(0.45, marks=pytest.mark.slow)])
 def test_flat_punch_that_sticks_on_a_half_space(nu):
     """Mossakovskii 1954: P = 4 mu a d ln(3 - 4 nu) / (1 - 2 nu)."""
     radius, depth = 0.01, 1e-5
@@ -71,12 +71,8 @@ def test_sphere_that_sticks_grows_stiffer_as_a_flat_punch_of_its_contact():
     assert found[1].contact_radius == pytest.approx(radius, abs=4e-4)  # known to half an element
 
 
-SLOW = pytest.mark.slow
-
-
-@pytest.mark.parametrize(
-    ("ratio", "kappa"), [pytest.param(0.4, 1.683, marks=SLOW), (1.0, 3.609), pytest.param(2.0, 9.069, marks=SLOW)]
-)
+@pytest.mark.slow
+@pytest.mark.parametrize(("ratio", "kappa"), [(0.4, 1.683), (1.0, 3.609), (2.0, 9.069)])
 def test_flat_punch_on_a_bonded_layer(ratio, kappa):
     """Hayes, Keer, Herrmann, Mockros 1972 (J. Biomech. 5, 541-551): P = 8 mu a d kappa, frictionless and incompressible."""
     radius, depth, nu = ratio * 1.0, 1e-4, 0.4999

@@ -30,7 +30,7 @@ def factors(tmp_path_factory):
     return tmp_path_factory.mktemp("factors")
 
 
-@pytest.mark.parametrize("name", ["sphere_10", "triangle_10"])
+@pytest.mark.parametrize("name", [pytest.param("sphere_10", marks=pytest.mark.slow), "triangle_10"])
 def test_hidden_forces_are_those_of_fine_hexahedra(plan, root, tmp_path, name):
     """Within 1.5 % at another place, turn and depth than the factor was found at; the bench's own hexahedra add 3 and 7 %."""
     catalogue = load_catalogue(root / "workflow" / "indenters.toml", [name])
@@ -92,7 +92,7 @@ def test_hidden_sideways_force_is_that_of_fine_hexahedra(plan, root, tmp_path):
     assert pressed.force[2] == pytest.approx(exact[2], rel=0.02)
 
 
-@pytest.mark.parametrize("turn_deg", [20.0, 65.0])
+@pytest.mark.parametrize("turn_deg", [20.0, pytest.param(65.0, marks=pytest.mark.slow)])
 def test_a_flat_body_with_friction_converges_at_every_frame(plan, root, turn_deg):
     """What the last step left pending is carried out where the body stands, with all points held at first.
 
@@ -107,7 +107,7 @@ def test_a_flat_body_with_friction_converges_at_every_frame(plan, root, turn_deg
     assert all(np.diff([-result.total[2] for result in results[:3]]) > 0)
 
 
-@pytest.mark.parametrize("thickness", [3.6, 4.4])
+@pytest.mark.parametrize("thickness", [3.6, pytest.param(4.4, marks=pytest.mark.slow)])
 def test_hidden_forces_on_a_gel_of_other_thickness_are_those_of_fine_hexahedra(plan, root, factors, thickness):
     """The factors of the usual gel serve: what a mesh adds belongs to the shape that is pressed."""
     catalogue, gel = (
