@@ -16,6 +16,7 @@ from gelforge.mechanics.mesh.hexmesh import (
     layer_heights,
     round_corners,
     surface_lines,
+    thinner_layers,
 )
 from gelforge.mechanics.pose import Pose, on_surface, touch_fraction
 from tests.support.surface_values import interpolate_surface
@@ -185,6 +186,16 @@ def test_layers_grow_downwards():
     heights = layer_heights(5, 3.0)
     steps = np.diff(heights)
     assert heights[0] == 0 and heights[-1] == 1 and steps[0] / steps[-1] == pytest.approx(3.0)
+
+
+def test_layers_under_a_small_contact_are_thin_and_grow_slowly():
+    assert thinner_layers(5, 2.0, 4.0, 0.6, 1.6) == (5, 2.0)  # thin enough as they are
+    for thickest, growth in ((0.45, 1.6), (0.24, 1.6), (0.1, 1.6), (0.48, 2.56), (0.01, 2.0)):
+        layers, ratio = thinner_layers(5, 2.0, 4.0, thickest, growth)
+        steps = 4.0 * np.diff(layer_heights(layers, ratio))
+        assert steps[-1] == pytest.approx(thickest, rel=1e-3)
+        assert np.all(steps[:-1] <= growth * 1.001 * steps[1:])
+        assert layers == 5 or thickest * (growth ** (layers - 1) - 1) / (growth - 1) < 4.0  # one fewer would not do
 
 
 def test_mesh_fills_the_gel(mesh):

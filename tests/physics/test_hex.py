@@ -5,6 +5,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from gelforge.flow.files import read_json
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build, load_catalogue
 from gelforge.mechanics.contact.law import laws
@@ -18,6 +19,7 @@ from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvers.hex import MOST_BELOW_MM, MOST_INSIDE_MM, HexSolver, solve_hex
 from gelforge.records.press import Press
 from gelforge.records.status import Status
+from tests.benchmarks.exact import scene_of
 from tests.support.flat_pad import FlatPad
 
 COARSE = HexSettings(size=1.2, layers=3, press_steps=3, shear_steps=2)
@@ -368,6 +370,17 @@ def test_hertz():
     # what is left as hexahedra shrink: the block's finite width, and 0.5 % for a / R
     assert abs(errors[1]) < 0.03 and abs(errors[2]) < 0.03
     assert abs(errors[2] - errors[1]) < 0.6 * abs(errors[2] - errors[0])  # smaller ones close in
+
+
+@pytest.mark.parametrize("name", ["cone-30-0.5-nu0.475-pad4-no_slip-0.1mm", "sphere-4-nu0.475-pad4-no_slip-0.05mm"])
+def test_forces_of_contacts_half_a_millimetre_across_are_the_known_ones(name, root):
+    """An axisymmetric solution, right to 0.1 %, of a round tip and of a small ball."""
+    kept = read_json(root / "data/fea_challenge/exact.json")["paths"]
+    press = next(press for path in kept for press in path["presses"] if press["name"] == name)
+    for name_of, error in (("label", 0.01), ("draft", 0.025)):
+        result = solve_hex(scene_of(press), quality(name_of))
+        assert result.status is Status.OK
+        assert -result.total[2] == pytest.approx(press["force_n"], rel=error)
 
 
 def test_a_blade_between_the_points_of_contact_is_no_answer_of_zero():

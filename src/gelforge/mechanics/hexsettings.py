@@ -5,11 +5,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.mechanics.mesh.hexmesh import FineBox
+from gelforge.mechanics.mesh.hexmesh import SMALLEST, FineBox
 
 # Residual over contact force of a path that only leads to the fine hexahedra. It is far below what their answer needs, because
 # which released points at its end turns on it: at 1e-4 a second thread let ten more points go under a pyramid, 0.2 % of force.
 COARSE_TOLERANCE = 1e-6
+FLATNESS = 1.6  # height over width that hexahedra of the uppermost layer have at most under a small contact
 
 
 @dataclass(frozen=True)
@@ -45,6 +46,9 @@ class HexSettings:
 
     size: side of the hexahedra under the press, mm; smaller where the contact is under `across` of them wide (0: never).
     layers, layer_ratio: hexahedra through the height, and how many times as thick as the uppermost the lowest is.
+    thin_below, steepness: where hexahedra under the press are as small as `thin_below` mm, those of the uppermost layer are
+    at most FLATNESS times as high as wide, each layer is up to `steepness` times as thick as the one above, and layers are
+    added (0: nowhere).
     widened: how many of the lowest layers have hexahedra twice as wide, how many of these hexahedra four times as wide, and so on.
     growth, largest: by what factor, and up to what side in mm, hexahedra grow away from the press.
     press_steps, shear_steps: load steps of the two legs (more where Newton asks for it).
@@ -64,6 +68,8 @@ class HexSettings:
     layers: int = 6
     widened: tuple[int, ...] = ()
     layer_ratio: float = 3.0
+    thin_below: float = 0.0
+    steepness: float = 1.6
     growth: float = 1.5
     largest: float = 2.0
     press_steps: int = 6
@@ -87,6 +93,7 @@ class HexSettings:
         return replace(
             self, size=n.factor * self.size, layers=n.layers, widened=n.widened, growth=n.growth, nested=None, tolerance=COARSE_TOLERANCE,
             final_tolerance=COARSE_TOLERANCE, press_steps=n.press_steps, shear_steps=n.shear_steps,
+            thin_below=n.factor * self.thin_below, steepness=self.steepness**n.factor,
         )  # fmt: skip
 
 
@@ -97,18 +104,20 @@ class HexSettings:
 #   Seven layers, four of them wide, and an extrapolation of 0.16 are better on flat, shallow presses (2.4 for 3.9 %) and on
 #   the scenes (worst 1.5 for 1.7 %), worse under deep narrow ridges (4.3 for 3.5 %), and take a quarter longer.
 # - A hexahedron's face bends too little for 3 x 3 points to stick: 2 x 2 halve the error of flat and sharp indenters.
+# - Under a contact a millimetre or two across, layers of half a millimetre err by up to 12 %: there the uppermost ones are
+#   thinner, and what the coarse hexahedra add is right to 1 % where their layers are those of the fine ones, two in one.
 # - Below the upper layers wide hexahedra do: the same errors in 0.7 (label) and 0.6 (draft) of the time. At least two layers
 #   must be fine: one alone, on wide faces, doubles the error of the cells.
 # - Three press steps cost under 0.6 % of the force with stick points at first touch (12 % where a step ends, one step).
 QUALITIES = {
     "demo": HexSettings(size=1.0, layers=4, gauss=2, press_steps=3, shear_steps=2),
     "draft": HexSettings(
-        size=0.45, across=15, layers=6, widened=(4, 2), layer_ratio=2.0, growth=2.2, largest=4.0, gauss=2, press_steps=3,
-        shear_steps=2, nested=Nested(widened=(1,), press_steps=4, shear_steps=2, extrapolation=0.24),
+        size=0.45, across=15, layers=6, widened=(4, 2), layer_ratio=2.0, thin_below=SMALLEST, growth=2.2, largest=4.0, gauss=2,
+        press_steps=3, shear_steps=2, nested=Nested(widened=(1,), press_steps=4, shear_steps=2, extrapolation=0.24),
     ),
     "label": HexSettings(
-        size=0.35, across=20, layers=5, widened=(2,), layer_ratio=2.0, growth=2.2, largest=4.0, gauss=2, press_steps=4,
-        shear_steps=2, nested=Nested(press_steps=10, shear_steps=4, extrapolation=0.36),
+        size=0.35, across=20, layers=5, widened=(2,), layer_ratio=2.0, thin_below=SMALLEST, growth=2.2, largest=4.0, gauss=2,
+        press_steps=4, shear_steps=2, nested=Nested(press_steps=10, shear_steps=4, extrapolation=0.36),
     ),
     "fine": HexSettings(size=0.3, across=24, layers=8, gauss=2, press_steps=6, shear_steps=3),
 }  # fmt: skip

@@ -160,6 +160,24 @@ def layer_heights(layers: int, ratio: float) -> np.ndarray:
     return np.concatenate([[0.0], np.cumsum(thickness)]) / thickness.sum()
 
 
+def thinner_layers(layers: int, ratio: float, height: float, thickest: float, growth: float) -> tuple[int, float]:
+    """How many layers, and their ratio (see `layer_heights`), where the uppermost is `thickest` at most; mm.
+
+    As given where they are thin enough on a gel of that height. Else each layer is thicker than the one above by one
+    factor, and there are more of them where that would be more than `growth`.
+    """
+    heights = layer_heights(layers, ratio)
+    if (1.0 - heights[-2]) * height <= thickest:
+        return layers, ratio
+    thicknesses = height / thickest  # all, in units of the uppermost
+    while growth ** np.arange(layers) @ np.ones(layers) < thicknesses:
+        layers += 1
+    roots = np.roots([*np.ones(layers - 1), 1.0 - thicknesses])
+    factor = roots[np.abs(roots.imag) < 1e-9].real.max()
+    # few digits, because the ratio is part of a mesh's name
+    return layers, round(float(factor ** (layers - 1)), 3)
+
+
 def build_mesh(
     gel: Gel,
     box: FineBox,
@@ -236,17 +254,29 @@ def surface_lines(mesh: GelMesh) -> tuple[np.ndarray, np.ndarray, int]:
 
 NARROW = 0.8  # of the hexahedra across a whole contact must lie across its parts
 SMALLEST = 0.15  # mm, of hexahedra made smaller for a small contact
-AROUND, RASTER = 0.5, 0.5  # mm of small hexahedra around what is touched, and what their box is rounded outwards to
+# A contact under TINY mm across is looked at with POINTS points across, and at least FEWEST hexahedra are, however small:
+# three of them make the force on a cone's tip a tenth too large. MARGIN of them are small around it.
+TINY, POINTS, FEWEST, MARGIN = 1.2, 40, 6, 5
+SPACING = 0.2  # mm between the points at which other contacts are looked at
+AROUND = 0.5  # mm of small hexahedra around what is touched, whose box is rounded outwards to multiples of it
 
 
 def fine_box(scene: Scene, size: float, across: int = 0) -> FineBox:
-    """Part of the gel that the press can touch, rounded outwards to RASTER so that presses share meshes.
+    """Part of the gel that the press can touch, rounded outwards so that presses share meshes.
 
     The undeformed surface inside the indenter anywhere on the path, and AROUND mm around it. Hexahedra
     are of `size`, or smaller where the shorter side of what is touched is under `across` hexahedra, or its parts are narrow.
     """
-    points, shape = touch.under_path(scene.gel, scene.indenter, scene.press, 0.2)
+    smallest, around = SMALLEST, AROUND
+    points, shape = touch.under_path(scene.gel, scene.indenter, scene.press, SPACING)
     inside = touch.touched(scene.indenter, scene.press, points)
+    if across and inside.any() and np.ptp(points[inside, :2], axis=0).max() < TINY:
+        low, high = points[inside, :2].min(axis=0) - SPACING, points[inside, :2].max(axis=0) + SPACING
+        points, shape = touch.top_points(scene.gel, low, high, float((high - low).max()) / POINTS)
+        inside = touch.touched(scene.indenter, scene.press, points)
+        if inside.any():
+            smallest = min(smallest, max(0.01, float(np.ptp(points[inside, :2], axis=0).max()) / FEWEST))
+            around = min(around, float(np.round(MARGIN * smallest, 2)))
     if not inside.any():
         least = touch.gap(scene.indenter, scene.press, points, 1.0)
         inside = least <= least.min() + 1e-9
@@ -257,9 +287,9 @@ def fine_box(scene: Scene, size: float, across: int = 0) -> FineBox:
             shorter / across,
             touch.width_of(inside.reshape(shape), touch.spacing_of(points, shape)) / (NARROW * across),
         )
-        size = min(size, max(SMALLEST, np.round(narrow, 2)))
+        size = min(size, float(np.round(max(smallest, narrow), 2)))
     gel = scene.gel
     half = np.array([gel.width / 2, gel.length / 2])
-    low = np.maximum(np.floor((met.min(axis=0) - AROUND) / RASTER) * RASTER, -half)
-    high = np.minimum(np.ceil((met.max(axis=0) + AROUND) / RASTER) * RASTER, half)
+    low = np.maximum(np.floor((met.min(axis=0) - around) / around) * around, -half)
+    high = np.minimum(np.ceil((met.max(axis=0) + around) / around) * around, half)
     return FineBox(float(low[0]), float(high[0]), float(low[1]), float(high[1]), size)

@@ -10,8 +10,8 @@ import numpy as np
 
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.contact.penalty import ContactState
-from gelforge.mechanics.hexsettings import HexSettings, Nested
-from gelforge.mechanics.mesh.hexmesh import FineBox, HexMesh, build_mesh, fine_box
+from gelforge.mechanics.hexsettings import FLATNESS, HexSettings, Nested
+from gelforge.mechanics.mesh.hexmesh import FineBox, HexMesh, build_mesh, fine_box, thinner_layers
 from gelforge.mechanics.mesh.hexname import HexMeshName
 from gelforge.mechanics.path.equilibrium import System
 from gelforge.mechanics.path.hexpath import HexPath
@@ -192,12 +192,11 @@ class HexSolver:
         return HexPath(scene, replace(settings, size=size), mesh, self._system(mesh))
 
     def _mesh(self, gel: Gel, box: FineBox, s: HexSettings) -> HexMesh:
-        shape = (s.layers, s.layer_ratio, s.growth, s.largest, s.widened)
+        shape = _shape(gel, box, s)
         return self._meshes.get((gel, box, shape), lambda: build_mesh(gel, box, *shape))
 
     def _mesh_name(self, gel: Gel, box: FineBox) -> HexMeshName:
-        s = self.settings
-        return HexMeshName(gel.name, box, s.layers, s.layer_ratio, s.growth, s.largest, s.widened)
+        return HexMeshName(gel.name, box, *_shape(gel, box, self.settings))
 
     def _system(self, mesh: HexMesh) -> System:
         """Matrix and factorisation, which meshes of one pattern share."""
@@ -225,6 +224,15 @@ class CoarseFrame:
     path: LoadPath
     curve: list[list[float]]
     counts: dict[str, int]
+
+
+def _shape(gel: Gel, box: FineBox, s: HexSettings) -> tuple[int, float, float, float, tuple[int, ...]]:
+    """What `build_mesh` takes beside gel and box: layers, layer_ratio, growth, largest, widened."""
+    layers, ratio = s.layers, s.layer_ratio
+    if box.size <= s.thin_below:
+        layers, ratio = thinner_layers(layers, ratio, gel.height, FLATNESS * box.size, s.steepness)
+    # as many of the upper layers as before are fine
+    return layers, ratio, s.growth, s.largest, tuple(count + layers - s.layers for count in s.widened)
 
 
 def _until(curve: list[list[float]], t: float) -> list[list[float]]:
