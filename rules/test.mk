@@ -45,7 +45,7 @@ lock: $(SETUP)  ## write envs/requirements.lock from the installed packages
 
 # What benchmarks share, and is none.
 SHARED := __init__ ball_table balls chart_meshes fea_cost figures films outside_getfem reach readme_pictures real_page \
-    rig_page sandbox tables ways
+    rig_page sandbox spoilt tables
 MODULES := $(patsubst tests/benchmarks/%.py,%,$(wildcard tests/benchmarks/*.py))
 BENCHMARKS := $(addprefix benchmark-,$(filter-out $(SHARED),$(MODULES)))
 .PHONY: $(BENCHMARKS)

@@ -3,8 +3,9 @@
 The level is uncertain by a quarter (circles are marked by hand, the diameter is a catalogue's); spread and correlation are less so.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -12,43 +13,47 @@ import numpy as np
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
 from gelforge.labelling.sensor import load_sensors
-from gelforge.mechanics.material import Material
+from gelforge.mechanics.material import REFERENCE_C10, Material
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.networks.balls.ballpresses import BACKGROUND, BallPress, read_presses
 from gelforge.networks.balls.balltable import ball_table
 from gelforge.networks.balls.slopefit import fit_slope_table, known_slopes
+from gelforge.networks.checkpoint.modelfile import ForceModel
+from gelforge.networks.inference.predictor import Predictor
 from gelforge.networks.inference.sensorprofile import fit_gain
 from gelforge.networks.preprocess.illumination import match_light
 from gelforge.networks.preprocess.slopetable import SlopeTable, light_change
+from gelforge.records.forcereading import ForceReading
 from gelforge.records.image import read_image, write_png
 from gelforge.records.press import Press
 from gelforge.virtualrig.appearance import read_appearances
 from gelforge.virtualrig.bench import SETTINGS
-from gelforge.virtualrig.fields import body_of, field_of, surface_of
+from gelforge.virtualrig.fields import RoughBody, Surface, body_of, field_of, surface_of
 from gelforge.virtualrig.render import Pressed, Renderer
 from tests.benchmarks.ball_table import DEPTHS
 from tests.benchmarks.figures import Figure
 
 FOLDER = "balls/unit_a"
 ROOT = Path(__file__).parents[2]
+BALLS_MM = (4.0, 6.0)
 # Where balls are pressed that the virtual rig draws: x, y and depth in mm.
 DRAWN = (
     (-3.0, -5.0, 0.6), (3.0, -4.0, 1.4), (2.5, 4.5, 0.8), (-2.5, 5.0, 1.2),
     (0.5, 0.5, 1.0), (-3.5, 0.0, 1.5), (3.5, 1.0, 0.5), (0.0, -6.0, 0.9),
 )  # fmt: skip
-Read = Callable[
-    [np.ndarray], tuple[np.ndarray, bool]
-]  # a picture to its forces (3, rows, cols) N, and whether it is flagged
+UNITS = {"mini_a": "weak", "mini_b": "strong"}  # of the rig's own, and how their light answers to a slope
+MOTIONS = (
+    1.0,
+    0.7,
+    0.5,
+)  # factors on the in-plane motion of the way down; around real balls it is half of what is solved
+RIG_C10 = 0.0785  # MPa, of the plans that the shipped network learnt from
 
 
-def ball_figures(presses: list[BallPress], read: Read) -> list[Figure]:
+def ball_figures(presses: list[BallPress], read: Sequence[ForceReading]) -> list[Figure]:
     """Forces that are read over those of finite elements, and again with a factor from every other press."""
-    found = [read(press.image) for press in presses]
-    normal, force = (
-        np.array([-forces[2].sum(dtype=float) for forces, _ in found]),
-        np.array([p.force for p in presses]),
-    )
+    normal, force = np.array([-one.total[2] for one in read]), np.array([p.force for p in presses])
     note = f"{len(presses)} presses that lie completely in the image; the level is uncertain by a quarter"
     gain = fit_gain(force[::2], normal[::2])
     fitted = (
@@ -56,9 +61,17 @@ def ball_figures(presses: list[BallPress], read: Read) -> list[Figure]:
     )
     return [
         *_level("real balls, read over finite elements", normal, force, note),
+        depth_figure(normal / force, force),
         *_level("real balls, factor of every other press", gain.value * normal[1::2], force[1::2], fitted),
-        Figure("good ball presses flagged", 100 * float(np.mean([flag for _, flag in found])), "<=", 10.0, "%"),
+        Figure("good ball presses flagged", 100 * float(np.mean([one.flag for one in read])), "<=", 2.0, "%"),
     ]
+
+
+def depth_figure(ratio: np.ndarray, force: np.ndarray) -> Figure:
+    """Whether deep presses are read as shallow ones are: ratio (n,) of read forces to known ones (n,) N."""
+    thirds = [float(np.median(ratio[of])) for of in np.array_split(np.argsort(force), 3)]
+    note = "thirds " + ", ".join(f"{third:.2f}" for third in thirds)
+    return Figure("real balls, the deepest third over the shallowest", thirds[2] / thirds[0], ">=", 0.95, "", note)
 
 
 def _level(what: str, normal: np.ndarray, force: np.ndarray, note: str) -> list[Figure]:
@@ -67,10 +80,10 @@ def _level(what: str, normal: np.ndarray, force: np.ndarray, note: str) -> list[
     low, high = (np.quantile(normal / force, [0.1, 0.9]) / median).tolist()
     r = float(np.corrcoef(normal, force)[0, 1])
     return [
-        Figure(f"{what}, median: at least", median, ">=", 0.8, "", note),
-        Figure(f"{what}, median: at most", median, "<=", 1.25),
+        Figure(f"{what}, median: at least", median, ">=", 0.9, "", note),
+        Figure(f"{what}, median: at most", median, "<=", 1.15),
         Figure(f"{what}: over the median, 10 %", low, ">=", 0.8),
-        Figure(f"{what}: over the median, 90 %", high, "<=", 1.25),
+        Figure(f"{what}: over the median, 90 %", high, "<=", 1.2),
         Figure(f"{what}: correlation", r, ">=", 0.75, "", "circles are marked in whole px, and this series spans little force"),
     ]  # fmt: skip
 
@@ -131,13 +144,13 @@ def drawn_figures(folder: Path) -> list[Figure]:
     """Forces of balls that the virtual rig draws, from circles found without marks, over those of their depths."""
     predicted: list[float] = []
     truth: list[float] = []
-    for unit in ("mini_a", "mini_b"):
-        for diameter in (4.0, 6.0):
+    for unit in UNITS:
+        for diameter in BALLS_MM:
             place = draw_balls(folder / f"{unit}_{diameter:g}", unit, diameter, DRAWN)
             found = read_presses(place, read_image(place / BACKGROUND)).presses
             predicted += [press.force for press in found]
             truth += [true_force(diameter, DRAWN[int(Path(press.name).name)][2]) for press in found]
-    asked = 4 * len(DRAWN)
+    asked = len(UNITS) * len(BALLS_MM) * len(DRAWN)
     ratio, note = (
         np.array(predicted) / truth,
         f"{len(predicted)} of {asked} presses: 4 and 6 mm, two units; circles found without marks",
@@ -163,18 +176,68 @@ def draw_balls(folder: Path, unit: str, diameter: float, where: Sequence[tuple[f
         load_sensors(ROOT / "workflow/sensors.toml"),
     )
     camera = Renderer(looks[unit], sensors[unit].projection, gel)
-    ball = build("ball", {"kind": "sphere", "diameter": diameter, "height": diameter}, "a drawn ball")
-    body, solver = body_of(ball, 0.0, 0.6, 0.0), HexSolver(SETTINGS)
     folder.mkdir(parents=True)
     write_png(folder / BACKGROUND, camera.image(rng=np.random.default_rng(0)))
-    for number, (x, y, depth) in enumerate(where):
-        press = Press(x, y, float(gel.top(x, y)), 0.0, 0.0, -depth, 0.0)
-        result = solver.solve(Scene(gel, Material(), ball, press))
-        field = field_of(gel, surface_of(result.solved_mesh, result.displacement, press))
-        picture = camera.image(field, Pressed(body, press), np.random.default_rng(number + 1))
+    for number, place in enumerate(where):
         (path := folder / f"{diameter:.3f}mm" / str(number)).mkdir(parents=True)
-        write_png(path / "gelsight.png", picture)
+        write_png(path / "gelsight.png", drawn_press(camera, diameter, place, number))
     return folder
+
+
+@cache
+def pressed_ball(diameter: float, x: float, y: float, depth: float) -> tuple[RoughBody, Surface]:
+    """A ball pressed into the usual gel, and the gel's surface; solved once for every camera."""
+    gel, ball = Gel(), build("ball", {"kind": "sphere", "diameter": diameter, "height": diameter}, "a drawn ball")
+    press = Press(x, y, float(gel.top(x, y)), 0.0, 0.0, -depth, 0.0)
+    result = HexSolver(SETTINGS).solve(Scene(gel, Material(), ball, press))
+    return body_of(ball, 0.0, 0.6, 0.0), surface_of(result.solved_mesh, result.displacement, press)
+
+
+def drawn_press(camera: Renderer, diameter: float, place: tuple[float, float, float], number: int) -> np.ndarray:
+    """What a camera shows of a ball; place: x, y and depth, mm. number: of the press, which its noise belongs to."""
+    body, surface = pressed_ball(diameter, *place)
+    return camera.image(field_of(Gel(), surface), Pressed(body, surface.press), np.random.default_rng(number + 1))
+
+
+def drawn_totals(model: ForceModel, unit: str, **changed) -> np.ndarray:
+    """Normal forces (n,) N that are predicted of balls on a unit of the rig with another appearance when it is pressed."""
+    look = read_appearances(ROOT / "workflow/rig/sensors.toml")[unit]
+    projection = load_sensors(ROOT / "workflow/sensors.toml")[unit].projection
+    camera = Renderer(replace(look, **changed), projection, Gel())
+    predictor = Predictor(model, Renderer(look, projection, Gel()).image(rng=np.random.default_rng(0)))
+    images = [drawn_press(camera, d, place, k) for d in BALLS_MM for k, place in enumerate(DRAWN)]
+    return np.array([-predictor.predict(image).total[2] for image in images])
+
+
+def motion_figures(model: ForceModel) -> list[Figure]:
+    """Forces predicted of drawn balls whose markers move less than finite elements say, and how much of them hangs on what."""
+    true = np.array([true_force(d, depth) for d in BALLS_MM for *_, depth in DRAWN]) * RIG_C10 / REFERENCE_C10
+    figures, gone = [], {"in-plane motion": {"normal_motion": 0.0}, "slopes": {"slope_gain": np.zeros(3)}}
+    shares: dict[str, list[float]] = {what: [] for what in gone}
+    for unit, contrast in UNITS.items():
+        exponents = []
+        for motion in MOTIONS:
+            read = drawn_totals(model, unit, normal_motion=motion)
+            ratio = read / true
+            exponents.append(float(np.polyfit(np.log(true), np.log(np.maximum(read, 0.05)), 1)[0]))
+            note = f"median {np.median(ratio):.2f}, {ratio.min():.2f} to {ratio.max():.2f}; {len(ratio)} presses of {contrast} contrast"
+            off = 100 * abs(float(np.median(ratio)) - 1)
+            what = f"drawn balls, {unit}, in-plane motion times {motion:g}: predicted force, error"
+            figures.append(Figure(what, off, "<=", 8.0, "%", note))
+            if motion == 1.0:
+                for what, change in gone.items():
+                    shares[what].append(100 * float(np.median(1 - drawn_totals(model, unit, **change) / read)))
+        off, note = max(abs(one - 1) for one in exponents), ", ".join(f"{one:.2f}" for one in exponents)
+        figures.append(
+            Figure(f"drawn balls, {unit}: exponent of predicted over true force, beside 1", off, "<=", 0.05, "", note)
+        )
+    for (what, found), goal in zip(shares.items(), (25.0, 0.0), strict=True):
+        note = ", ".join(f"{unit} {share:.0f} %" for unit, share in zip(UNITS, found, strict=True))
+        compare = "<=" if goal else ""
+        figures.append(
+            Figure(f"drawn balls, force that is gone without {what}", max(found), compare, goal, "%", note)
+        )
+    return figures
 
 
 def true_force(diameter: float, depth: float) -> float:

@@ -15,7 +15,6 @@ from gelforge.records.forcereading import BEYOND
 from gelforge.records.markers import markers_in
 from gelforge.records.nocontactimage import SETTLING, find_nocontact
 from tests.benchmarks.figures import Figure
-from tests.benchmarks.ways import bare
 
 EVERY = 3  # every so manyth frame of a film is read
 RELEASED_PX = 0.6  # nine of ten markers nearer than this to where they are at rest: nothing touches
@@ -32,13 +31,12 @@ def frames_of(path: Path) -> list[np.ndarray]:
 
 @dataclass(frozen=True)
 class Read:
-    """A film as read: totals (n, 3) N, by the shipped network and bare, in the labels' channels, and the markers' motion (n, d, 2) px.
+    """A film as read: totals (n, 3) N in the labels' channels, and the markers' motion (n, d, 2) px.
 
     flagged: (n,) bool, pictures that `predict` flags. peak: (n,) largest force at the picture's edge (records.forcereading).
     """
 
-    used: np.ndarray
-    bare: np.ndarray
+    total: np.ndarray
     motion: np.ndarray
     flagged: np.ndarray
     peak: np.ndarray
@@ -63,15 +61,14 @@ def motion_of(markers: np.ndarray, rest: np.ndarray, image: np.ndarray) -> np.nd
 
 
 def read_film(path: Path, model: ForceModel) -> Read:
-    """Read every third frame of a film by the shipped network and bare, and follow its markers."""
+    """Read every third frame of a film, and follow its markers."""
     images = frames_of(path)
     rest, _ = find_nocontact(numbered(images), str(path))
-    markers, as_it_is, predictor = markers_in(rest).points, bare(model, images[0]), Predictor(model, rest)
+    markers, predictor = markers_in(rest).points, Predictor(model, rest)
     chosen = images[SETTLING::EVERY]  # while a camera sets its exposure nothing is known
     found = [predictor.predict(image) for image in chosen]
     return Read(
-        used=np.array([one.total for one in found]),
-        bare=np.array([as_it_is(image).sum((1, 2)) for image in chosen]),
+        total=np.array([one.total for one in found]),
         motion=np.array([motion_of(markers, rest, image) for image in chosen]),
         flagged=np.array([one.flag for one in found]),
         peak=np.array([one.edge_peak for one in found]),
@@ -80,15 +77,13 @@ def read_film(path: Path, model: ForceModel) -> Read:
 
 def released_figures(films: dict[str, Read]) -> list[Figure]:
     """What is read of a gel that nothing touches."""
-    worst, before = {}, {}
+    worst = {}
     for name, film in films.items():
         free = film.moved < RELEASED_PX
         if free.sum() >= 3:
-            worst[name] = float(np.percentile(np.abs(film.used[free]).max(axis=1), 90))
-            before[name] = float(np.percentile(np.abs(film.bare[free]).max(axis=1), 90))
+            worst[name] = float(np.percentile(np.abs(film.total[free]).max(axis=1), 90))
     name = max(worst, key=worst.get)
-    note = f"{name}; {len(worst)} films, median {np.median(list(worst.values())):.2f}; bare against the first frame: "
-    note += f"worst {max(before.values()):.1f}, median {np.median(list(before.values())):.1f}"
+    note = f"{name}; {len(worst)} films, median {np.median(list(worst.values())):.2f}"
     return [Figure("released gels, nine of ten frames of the worst film", worst[name], "<=", 0.1, "N", note)]
 
 
@@ -116,7 +111,7 @@ def seen_whole(one: Read, two: Read, count: int) -> tuple[np.ndarray, np.ndarray
     return both & whole, compared & whole
 
 
-def grasps_of(films: dict[str, Read], way: str, choose: Callable) -> np.ndarray:
+def grasps_of(films: dict[str, Read], choose: Callable) -> np.ndarray:
     """Median normal force in N of either finger while both are touched, and their correlation over time, (grasps, 3).
 
     choose: `every_frame`, `mostly_seen` or `seen_whole`.
@@ -128,7 +123,7 @@ def grasps_of(films: dict[str, Read], way: str, choose: Callable) -> np.ndarray:
             continue
         count = min(len(one.moved), len(two.moved))
         both, compared = choose(one, two, count)
-        left, right = (-getattr(film, way)[:count, 2] for film in (one, two))
+        left, right = (-film.total[:count, 2] for film in (one, two))
         if both.sum() >= 5 and min(np.median(left[both]), np.median(right[both])) > 0.0:
             likeness = float(np.corrcoef(left[compared], right[compared])[0, 1])
             found.append((float(np.median(left[both])), float(np.median(right[both])), likeness))
@@ -142,48 +137,37 @@ def factor_between(one: np.ndarray, other: np.ndarray) -> float:
 
 def finger_figures(films: dict[str, Read]) -> list[Figure]:
     """Normal forces of two fingers that hold one object, over all frames in which both see most of what touches them."""
-    used, bare = (grasps_of(films, way, mostly_seen) for way in ("used", "bare"))
-    every, whole = (grasps_of(films, "used", choose) for choose in (every_frame, seen_whole))
-    others = [np.delete(used, k, axis=0) for k in range(len(used))]
+    most, every, whole = (grasps_of(films, choose) for choose in (mostly_seen, every_frame, seen_whole))
+    others = [np.delete(most, k, axis=0) for k in range(len(most))]
     gains = [fit_opposite(rest[:, 0], rest[:, 1], Gain()).value for rest in others]
-    usual, plain, of_all = (factor_between(*grasps[:, :2].T) for grasps in (used, bare, every))
+    usual, of_all = (factor_between(*grasps[:, :2].T) for grasps in (most, every))
     # what both cameras see of one object differs too much for a goal
     return [
         Figure("two fingers on one object, factor between them, median", usual, "", usual, "",
-               f"{len(used)} grasps; both see all of the contact in {len(whole)}; bare {plain:.2f}; {of_all:.2f} over all"
-               f" frames of {len(every)}; {factor_between(used[:, 0], gains * used[:, 1]):.2f} once the other grasps brought one finger"
-               f" to the other; correlation over time {np.median(used[:, 2]):.2f}"),
+               f"{len(most)} grasps; both see all of the contact in {len(whole)}; {of_all:.2f} over all"
+               f" frames of {len(every)}; {factor_between(most[:, 0], gains * most[:, 1]):.2f} once the other grasps brought one finger"
+               f" to the other; correlation over time {np.median(most[:, 2]):.2f}"),
     ]  # fmt: skip
 
 
 def sideways_figures(films: dict[str, Read]) -> list[Figure]:
     """Sideways force against the mean motion of the markers: likeness over all films, angle film by film."""
-    found = {}
-    for way in ("used", "bare"):
-        moved, pulled, angles = [], [], []
-        for film in films.values():
-            motion = np.nanmean(film.motion, axis=1)
-            # image columns run against gel y, rows against gel x; the channels hold the forces along these
-            force = -getattr(film, way)[:, :2]
-            held = np.hypot(*motion.T) > HELD_PX
-            if held.sum() < 10:
-                continue
-            moved.append(motion[held])
-            pulled.append(force[held])
-            cross = motion[held, 0] * force[held, 1] - motion[held, 1] * force[held, 0]
-            angles.append(np.median(np.degrees(np.abs(np.arctan2(cross, (motion[held] * force[held]).sum(axis=1))))))
-        motion, force = np.concatenate(moved), np.concatenate(pulled)
-        likeness = min(np.corrcoef(motion[:, k], force[:, k])[0, 1] for k in (0, 1))
-        found[way] = float(likeness), float(np.median(angles)), len(angles)
-    note = f"{found['used'][2]} films; bare {found['bare'][0]:.3f} and {found['bare'][1]:.1f} degrees"
+    moved, pulled, angles = [], [], []
+    for film in films.values():
+        motion = np.nanmean(film.motion, axis=1)
+        # image columns run against gel y, rows against gel x; the channels hold the forces along these
+        force = -film.total[:, :2]
+        held = np.hypot(*motion.T) > HELD_PX
+        if held.sum() < 10:
+            continue
+        moved.append(motion[held])
+        pulled.append(force[held])
+        cross = motion[held, 0] * force[held, 1] - motion[held, 1] * force[held, 0]
+        angles.append(np.median(np.degrees(np.abs(np.arctan2(cross, (motion[held] * force[held]).sum(axis=1))))))
+    motion, force = np.concatenate(moved), np.concatenate(pulled)
+    likeness = float(min(np.corrcoef(motion[:, k], force[:, k])[0, 1] for k in (0, 1)))
+    note = f"{len(angles)} films"
     return [
-        Figure(
-            "sideways force against markers, correlation, lesser of two axes",
-            found["used"][0],
-            ">=",
-            0.98,
-            "",
-            note,
-        ),
-        Figure("sideways force against markers, angle, median", found["used"][1], "<=", 5.0, "degrees"),
+        Figure("sideways force against markers, correlation, lesser of two axes", likeness, ">=", 0.98, "", note),
+        Figure("sideways force against markers, angle, median", float(np.median(angles)), "<=", 5.0, "degrees"),
     ]

@@ -2,13 +2,13 @@
 
 No force was measured beside these pictures. What is known: a ball of known diameter is a force sensor
 (`tests/benchmarks/balls.py`); a released gel bears nothing; a sideways force moves the markers its way; FEATS published its
-own maps of 51 presses; a cuboid leaves a square and a tube a ring, whose sizes are known. Each figure is given for the network as `gelforge live` and `predict` use
-it, and in its note for the bare network that takes a film's first frame for the no-contact image.
+own maps of 51 presses; a cuboid leaves a square and a tube a ring, whose sizes are known. The same images are spoilt on purpose
+(`tests/benchmarks/spoilt.py`), and balls are drawn whose markers move less than finite elements say.
 """
 
 import itertools
 from argparse import Namespace
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -26,13 +26,13 @@ from gelforge.networks.inference.predictor import Predictor, load_for_use
 from gelforge.networks.inference.sensorprofile import fit_gain
 from gelforge.networks.preprocess.illumination import match_light
 from gelforge.networks.uncertainty.conformal import half_widths, real_width
+from gelforge.records.forcereading import ForceReading
 from gelforge.records.image import read_image
 from tests.benchmarks.balls import FOLDER as BALLS
-from tests.benchmarks.balls import ball_figures, circle_figures, drawn_figures, table_figures
+from tests.benchmarks.balls import ball_figures, circle_figures, drawn_figures, motion_figures, table_figures
 from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.benchmarks.films import finger_figures, frames_of, read_film, released_figures, sideways_figures
-from tests.benchmarks.ways import as_used, bare
-from tests.support.pictures import moved
+from tests.benchmarks.spoilt import EACH, Series, spoilt_figures
 
 PANEL = 200  # px of width of each of the four panels of FEATS' film: x, y, normal map, picture
 CUT = 1  # px of height that it lacks at its top: cells of its maps are 6.25 px along both axes, the first row's 5.6 px high
@@ -51,11 +51,6 @@ TUBES = (9, 31, 45, 49)  # frames of FEATS' film in which the whole ring of that
 FOOT = 0.35  # fraction of a map's largest force from which a cell counts as pressed
 NEWTONS = 0.30, 0.17  # a cell at the end of FEATS' colour scale: its code knows both
 PARTS = ("films", "maps", "balls", "drawn", "cuboid")
-SLIPPED = {
-    "a zoom of 4 thousandths": {"zoom": 1.004},
-    "a shift of 0.5 px": {"shift": (0.4, 0.3)},
-}  # that nothing corrects
-LEAST_PRESS = 2.0
 LEAST_TOTAL = 0.05  # N that is taken to be read at least where a logarithm is taken
 # Folders of the reference data, and a kind of file in each.
 HELD = {"gripper_videos": "*.avi", "feats/images": "*.gif", BALLS: "background.png"}
@@ -112,40 +107,29 @@ def likeness(maps: list[tuple[np.ndarray, np.ndarray]], *how: float) -> float:
     return float(np.median([np.corrcoef(laid(own, *how)[SEEN], normal[SEEN])[0, 1] for own, normal in maps]))
 
 
-def gif_figures(
-    presses: list[tuple[np.ndarray, np.ndarray]], model: ForceModel, nocontact: np.ndarray
-) -> list[Figure]:
-    """Normal maps against FEATS' own, which are scaled each to itself; so are the totals' ranks. presses: of feats_maps."""
-    found, own_mm = {}, FEATS_PX_PER_MM / PX_PER_MM
-    for way, make in (("used", as_used), ("bare", bare)):
-        read = make(model, nocontact)
-        found[way] = [(-read(picture)[2], normal) for picture, normal in presses]
-    used, plain = found["used"], found["bare"]
+def gif_figures(own: list[np.ndarray], of_feats: list[np.ndarray]) -> list[Figure]:
+    """Normal maps (24, 32) N that are predicted, larger where pressed more, against FEATS' own, each scaled to itself."""
+    both, own_mm = list(zip(own, of_feats, strict=True)), FEATS_PX_PER_MM / PX_PER_MM
     ways = itertools.product(np.arange(0.8, 1.01, 0.02), *[np.arange(-2.0, 2.01, 0.25)] * 2)
-    best, how = max((likeness(used, *how), how) for how in ways)
-    note = f"{len(presses)} presses, each at its own mm; bare {likeness(plain, own_mm):.2f}; pixel for pixel {likeness(used, 1.0):.2f}"
+    best, how = max((likeness(both, *how), how) for how in ways)
+    note = f"{len(both)} presses, each at its own mm; pixel for pixel {likeness(both, 1.0):.2f}"
     moved_so = "FEATS' maps {:.2f} times as large, {:+.2f} and {:+.2f} cells to the right and down".format(*how)
     return [
-        Figure("normal map against FEATS' maps, correlation, median", likeness(used, own_mm), ">=", 0.9, "", note),
+        Figure("normal map against FEATS' maps, correlation, median", likeness(both, own_mm), ">=", 0.9, "", note),
         Figure("the same after one scale and shift for all of them", best, ">=", 0.93, "", moved_so),
         Figure("place of an imprint beside FEATS' maps", float(np.hypot(*how[1:])), "<=", 0.25, "cells"),
-        Figure("totals against the sums of FEATS' maps, rank correlation", ranks_alike(used), ">=", 0.9, "", f"bare {ranks_alike(plain):.2f}"),
+        Figure("totals against the sums of FEATS' maps, rank correlation", ranks_alike(both), ">=", 0.9),
     ]  # fmt: skip
 
 
-def newton_figures(
-    presses: list[tuple[np.ndarray, np.ndarray]], maps: Path, model: ForceModel, nocontact: np.ndarray
-) -> list[Figure]:
-    """Total normal force against FEATS' maps in newtons; maps: demo_maps.npz, whose pressing runs from 0 to 1 of one scale."""
-    read = as_used(model, nocontact)
-    total = np.array([-read(picture)[2][SEEN].sum(dtype=float) for picture, _ in presses])
-    with np.load(maps) as stored:
-        of_feats = stored["z"][:, SEEN].sum(axis=1, dtype=float)
+def newton_figures(own: list[np.ndarray], of_feats: np.ndarray) -> list[Figure]:
+    """Total normal force against FEATS' maps in newtons; of_feats: (n,) sums of theirs, whose pressing runs from 0 to 1 of one scale."""
+    total = np.array([one[SEEN].sum(dtype=float) for one in own])
     logarithms = np.log(np.maximum(total, LEAST_TOTAL) / of_feats)
     median, other = (float(np.exp(np.median(logarithms))) / newtons for newtons in NEWTONS)
     note = f"{len(logarithms)} presses; with {NEWTONS[1]:.2f} N a cell {other:.2f}"
     return [
-        Figure("totals over FEATS' maps, deviation of the logarithm", float(logarithms.std()), "<=", 0.25, "", f"{len(logarithms)} presses"),
+        Figure("totals over FEATS' maps, deviation of the logarithm", float(logarithms.std()), "<=", 0.3, "", f"{len(logarithms)} presses"),
         Figure(f"the same at {NEWTONS[0]:.2f} N a cell, median: at least", median, ">=", 0.85, "", note),
         Figure(f"the same at {NEWTONS[0]:.2f} N a cell, median: at most", median, "<=", 1.15),
     ]  # fmt: skip
@@ -197,46 +181,47 @@ def interval_figures(
     return figures, {"unprofiled": round(max(unprofiled.values()), 3), "profiled": round(max(profiled.values()), 3)}
 
 
-def readings_of(
-    predictor: Predictor, images: Iterable[np.ndarray], forces: Iterable[float], seen: np.ndarray | None = None
+def evidence_of(
+    model: ForceModel, read: Sequence[ForceReading], forces: np.ndarray, seen: np.ndarray | slice = np.s_[:]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What is read of some images, N, the forces that are known, and half the width that the network itself knows, (n,) each."""
-    read, half = [], []
-    for image in images:
-        found = predictor.predict(image)
-        cells = found.cells[2] if seen is None else found.cells[2][seen]
-        read.append(-float(cells.sum(dtype=float)))
-        own = {**predictor.metadata, "intervals": {**predictor.metadata["intervals"], "real": {}}}
-        widths = half_widths(own, found.total)
-        half.append(0.0 if widths is None else float(widths[2]))
-    return np.array(read), np.array(list(forces)), np.array(half)
+    """Normal force that is predicted, the one that is known, and half the width that the network itself knows, (n,) N each.
+
+    seen: cells that count.
+    """
+    own = {**model.metadata, "intervals": {**model.metadata["intervals"], "real": {}}}
+    widths = [half_widths(own, one.total) for one in read]
+    half = np.array([0.0 if width is None else float(width[2]) for width in widths])
+    return np.array([-float(one.cells[2][seen].sum(dtype=float)) for one in read]), forces, half
 
 
-def slipped_figures(what: str, pictures: list[np.ndarray], model: ForceModel, nocontact: np.ndarray) -> list[Figure]:
-    """How far force changes by a small zoom or shift between picture and no-contact image that nothing corrects."""
-    read, figures = as_used(model, nocontact), []
-    own = np.array([read(picture).sum((1, 2)) for picture in pictures])
-    for move, how in SLIPPED.items():
-        after = np.array([read(moved(picture, **how)).sum((1, 2)) for picture in pictures])
-        change = 100 * float(np.median(np.abs(after - own).max(axis=1) / np.abs(own[:, 2])))
-        note = f"median of {len(pictures)} presses"
-        figures.append(Figure(f"{what}: {move}, uncorrected, changes force by", change, "<=", 5.0, "%", note))
-    return figures
+def feats_figures(
+    reference: Path, model: ForceModel, nocontact: np.ndarray
+) -> tuple[list[Figure], tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Figures of FEATS' presses, and what they show of intervals."""
+    folder, predictor = reference / "feats/images", Predictor(model, nocontact)
+    presses = feats_maps(folder / "demo.gif", nocontact)
+    read = [predictor.predict(image) for image, _ in presses]
+    own = [-one.cells[2] for one in read]
+    with np.load(folder / "demo_maps.npz") as stored:
+        sums = stored["z"][:, SEEN].sum(axis=1, dtype=float)
+    series = Series("FEATS' presses", model, nocontact, [image for image, _ in presses[::EACH]], read[::EACH])
+    figures = [*gif_figures(own, [normal for _, normal in presses]), *tube_figures(own), *newton_figures(own, sums)]
+    flagged = Figure("good FEATS' presses flagged", 100 * float(np.mean([one.flag for one in read])), "<=", 2.0, "%")
+    return [*figures, flagged, *spoilt_figures(series)], evidence_of(model, read, NEWTONS[0] * sums, SEEN)
 
 
-def ball_flow(folder: Path, model: ForceModel) -> list[Figure]:
-    """Figures of the presses of a ball."""
+def real_ball_figures(
+    folder: Path, model: ForceModel
+) -> tuple[list[Figure], tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Figures of the presses of a ball, and what they show of intervals."""
     background = read_image(folder / BACKGROUND)
     presses = read_presses(folder, background, px_per_mm=PX_PER_MM).presses
     predictor = Predictor(model, background)
-
-    def read(image: np.ndarray) -> tuple[np.ndarray, bool]:
-        found = predictor.predict(image)
-        return found.cells, found.flag
-
-    slipped = slipped_figures("real balls", [press.image for press in presses[::3]], model, background)
-    table = table_figures(presses, background, PX_PER_MM)
-    return [*ball_figures(presses, read), *table, *circle_figures(folder, background, PX_PER_MM), *slipped]
+    read = [predictor.predict(press.image) for press in presses]
+    series = Series("real balls", model, background, [press.image for press in presses[::EACH]], read[::EACH])
+    figures = [*ball_figures(presses, read), *table_figures(presses, background, PX_PER_MM)]
+    figures += [*circle_figures(folder, background, PX_PER_MM), *spoilt_figures(series)]
+    return figures, evidence_of(model, read, np.array([press.force for press in presses]))
 
 
 def ranks_alike(maps: list[tuple[np.ndarray, np.ndarray]]) -> float:
@@ -255,14 +240,14 @@ def ring_diameter(pressed: np.ndarray) -> float:
     return float(np.sqrt(along * along + across * across - 4.0 * rest))
 
 
-def tube_figures(
-    presses: list[tuple[np.ndarray, np.ndarray]], model: ForceModel, nocontact: np.ndarray
-) -> list[Figure]:
-    """How wide the rings are read that a tube of known size presses: whether pictures are of the scale that is said."""
-    read = as_used(model, nocontact)
+def tube_figures(own: list[np.ndarray]) -> list[Figure]:
+    """How wide the rings are read that a tube of known size presses: whether pictures are of the scale that is said.
+
+    own: normal map (24, 32) N of each of FEATS' presses.
+    """
     widths = []
     for tube in TUBES:
-        pressed = -read(presses[tube][0])[2]
+        pressed = own[tube].copy()
         pressed[NAMED] = 0.0
         widths.append(ring_diameter(pressed) * 10.0 / PX_PER_MM)
     off = 100 * abs(float(np.mean(widths)) / TUBE_MM - 1.0)
@@ -273,12 +258,11 @@ def tube_figures(
 def cuboid_figures(reference: Path, model: ForceModel, nocontact: np.ndarray) -> list[Figure]:
     """A 10 mm cuboid pressed straight: sideways force beside the normal one, and how much is read where it presses."""
     image = read_image(reference / "feats/images/cuboid_10-2-284.png")[..., :3]
-    used, plain = as_used(model, nocontact)(image), bare(model, nocontact)(image)
-    normal, sideways = -used[2].sum(), float(np.hypot(*used[:2].sum((1, 2))))
-    within = 100 * float(used[2][SQUARE].sum() / used[2].sum())
-    note = f"normal {normal:.1f} N; bare {-plain[2].sum():.1f} N"
+    cells = Predictor(model, nocontact).predict(image).cells
+    normal, sideways = -cells[2].sum(), float(np.hypot(*cells[:2].sum((1, 2))))
+    within = 100 * float(cells[2][SQUARE].sum() / cells[2].sum())
     return [
-        Figure("cuboid pressed straight, sideways over normal force", 100 * sideways / abs(normal), "<=", 3.0, "%", note),
+        Figure("cuboid pressed straight, sideways over normal force", 100 * sideways / abs(normal), "<=", 3.0, "%", f"normal {normal:.1f} N"),
         Figure("cuboid: normal force that is read within its square", within, ">=", 90.0, "%", "the gel is mounted 10 px beside its no-contact image"),
     ]  # fmt: skip
 
@@ -311,24 +295,15 @@ def main(args: Namespace) -> None:
         read = {path.stem: read_film(path, model) for path in progress(films, "films", len(films))}
         figures += [*released_figures(read), *finger_figures(read), *sideways_figures(read)]
     if "maps" in args.parts:
-        presses = feats_maps(args.reference / "feats/images/demo.gif", nocontact)
-        figures += [*gif_figures(presses, model, nocontact), *tube_figures(presses, model, nocontact)]
-        with np.load(args.reference / "feats/images/demo_maps.npz") as stored:
-            known = NEWTONS[0] * stored["z"][:, SEEN].sum(axis=1, dtype=float)
-        pictures = [picture for picture, _ in presses]
-        evidence["FEATS' presses"] = readings_of(Predictor(model, nocontact), pictures, known, SEEN)
-        figures += newton_figures(presses, args.reference / "feats/images/demo_maps.npz", model, nocontact)
-        figures += slipped_figures("FEATS' presses", [picture for picture, _ in presses][::3], model, nocontact)
+        found, evidence["FEATS' presses"] = feats_figures(args.reference, model, nocontact)
+        figures += found
     if "balls" in args.parts:
-        figures += ball_flow(args.reference / BALLS, model)
-        background = read_image(args.reference / BALLS / BACKGROUND)
-        balls = read_presses(args.reference / BALLS, background, px_per_mm=PX_PER_MM).presses
-        evidence["real balls"] = readings_of(
-            Predictor(model, background), [one.image for one in balls], [one.force for one in balls]
-        )
+        found, evidence["real balls"] = real_ball_figures(args.reference / BALLS, model)
+        figures += found
     if "drawn" in args.parts:
         with TemporaryDirectory() as folder:
             figures += drawn_figures(Path(folder))
+        figures += motion_figures(model)
     if "cuboid" in args.parts:
         figures += cuboid_figures(args.reference, model, nocontact)
     told = {}
