@@ -53,7 +53,7 @@ async function show(event) {
   el("rate").textContent = span > 0 ? fixed((recent.length - 1) / span, 1) : "–";
   el("flag").className = event.flag ? "on" : "";
   el("flag").textContent = event.flag ? event.reason : event.edge_peak >= BEYOND ? "the picture cuts a contact off: the forces are those of the part that it shows" : "nothing seems wrong with the picture";
-  el("band").textContent = event.half_width ? "band: nine of ten forces should lie in it" : "";
+  el("band").textContent = event.half_width ? "band: 90 % prediction interval of each force" : "";
   el("state").textContent = `frame ${event.frame}, ${fixed(event.time_s, 1)} s, ${fixed(event.ms, 1)} ms a frame`;
   drawCurve();
   document.body.dataset.frame = event.frame;
