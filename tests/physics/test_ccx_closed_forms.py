@@ -7,10 +7,10 @@ from scipy.optimize import brentq
 from gelforge.mechanics.ccx.dat import last_table, read_dat
 from gelforge.mechanics.ccx.deck import material_lines, mesh_include
 from gelforge.mechanics.ccx.program import run_ccx
+from gelforge.mechanics.elements.element import elements
 from gelforge.mechanics.material import REFERENCE_C10, Material
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.tetmesh import boundary_faces, kuhn_grid, second_order
-from gelforge.mechanics.path.tetsolid import TetSolid
 
 MATERIAL = Material()
 SIDE = np.linspace(0.0, 1.0, 3)
@@ -62,29 +62,10 @@ def test_forces_on_every_side_of_a_cube(case, ccx, tmp_path):
     top = mesh.surface_nodes
     forces = np.zeros_like(mesh.nodes)
     forces[top] = last_table(read_dat((tmp_path / "cube.dat").read_text()), "forces", "NTOP", top + 1)
-    own, _ = TetSolid(mesh).forces(mesh.nodes @ (f - np.eye(3)).T, MATERIAL.shear_modulus, MATERIAL.bulk_modulus)
+    own, u = np.zeros_like(mesh.nodes), mesh.nodes @ (f - np.eye(3)).T
+    solid = elements()[mesh.kind].on(mesh.nodes, mesh.cells)
+    solid.internal_forces(u, MATERIAL.shear_modulus, MATERIAL.bulk_modulus, own)
     # the .dat prints seven digits; forces are of the order of the modulus
     np.testing.assert_allclose(forces[top], own[top], atol=2e-6 * np.abs(own).max())
     # a quadratic element holds a linear field exactly: virtual work with x gives the mean stress
     np.testing.assert_allclose(forces.T @ mesh.nodes, stress(f), atol=2e-6 * np.abs(stress(f)).max())
-
-
-def test_rigid_rotation_costs_no_force():
-    mesh = cube()
-    turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
-    turn *= np.sign(np.linalg.det(turn))
-    forces, smallest = TetSolid(mesh).forces(mesh.nodes @ (turn - np.eye(3)).T, 0.145, 2.85)
-    assert np.abs(forces).max() < 1e-13  # rounding of a modulus of 3 MPa on 1 mm
-    assert smallest == pytest.approx(1.0, abs=1e-12)
-
-
-def test_tangent_is_the_derivative_of_the_forces():
-    mesh, rng = cube(), np.random.default_rng(5)
-    solid = TetSolid(mesh)
-    u = 0.02 * rng.normal(size=mesh.nodes.shape) * solid.free[:, None]
-    empty = np.empty(0, int), np.empty((0, 21, 3, 3))
-    solid.linearise(u, 0.145, 2.85, *empty)
-    way = 1e-5 * rng.normal(size=mesh.nodes.shape) * solid.free[:, None]
-    change = solid.forces(u + way, 0.145, 2.85)[0] - solid.forces(u - way, 0.145, 2.85)[0]
-    # factors are in single precision and the matrix is stiff: a part in a thousand
-    np.testing.assert_allclose(solid.step(change / 2), way, atol=2e-3 * np.abs(way).max())

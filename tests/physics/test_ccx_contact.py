@@ -6,19 +6,19 @@ import numpy as np
 import pytest
 
 from gelforge.geometry.indenters import build
-from gelforge.mechanics.contact.facecontact import SLIDE, STICK, Contact, contact_blocks, contact_forces, judge
-from gelforge.mechanics.contact.facepoints import dunavant12, face_points
 from gelforge.mechanics.contact.law import laws
+from gelforge.mechanics.contact.penalty import FREE, STICK
 from gelforge.mechanics.hexsettings import HexSettings
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.mesh.moved import moved
-from gelforge.mechanics.path.loadpath import first_touch
-from gelforge.mechanics.path.tetpath import PathSettings
+from gelforge.mechanics.path.equilibrium import System
+from gelforge.mechanics.path.loadpath import first_touch, path_pose
+from gelforge.mechanics.path.scenepath import ScenePath
+from gelforge.mechanics.path.settings import PathSettings
 from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver
 from gelforge.mechanics.solvers.ccx_native import solve_native
 from gelforge.mechanics.solvers.hex import solve_hex
-from gelforge.mechanics.solvers.tet import follow
 from gelforge.records.press import Press
 from gelforge.records.status import Status
 from tests.physics.test_hex import SlideThenPress
@@ -64,49 +64,22 @@ def mesh():
     return symmetric_block(PAD, 1.75, 2)
 
 
-def test_face_rule_is_exact_to_degree_six():
-    bary, weights = dunavant12()
-    # integral of l1^2 l2^2 l3^2 over a triangle of area one: 2 (2! 2! 2!) / 8!
-    assert weights @ np.prod(bary**2, axis=1) == pytest.approx(2 * 8 / 40320, rel=1e-12)
-
-
-def some_contact(mesh, rng):
-    points = face_points(mesh)
-    state = rng.choice([0, SLIDE, STICK], size=points.weight.shape)
-    normal = rng.normal(size=points.position.shape)
-    normal /= np.linalg.norm(normal, axis=-1, keepdims=True)
-    target = points.position + 0.1 * rng.normal(size=normal.shape)
-    return points, Contact(state, target, normal, np.zeros_like(normal))
-
-
-def test_blocks_are_the_derivative_of_the_springs(mesh):
-    rng = np.random.default_rng(8)
-    points, contact = some_contact(mesh, rng)
-    way = rng.normal(size=mesh.nodes.shape)
-    change = contact_forces(contact, points, way, 145.0) - contact_forces(contact, points, 0 * way, 145.0)
-    faces, blocks = contact_blocks(contact, points, 145.0)
-    applied = np.zeros_like(way)
-    for face, own in zip(points.faces[faces], blocks, strict=True):
-        for (a, b), block in zip(zip(*np.triu_indices(6), strict=True), own, strict=True):
-            applied[face[a]] -= block @ way[face[b]]
-            if a != b:
-                applied[face[b]] -= block.T @ way[face[a]]
-    np.testing.assert_allclose(applied, change, atol=1e-10 * np.abs(change).max())
-
-
 MIDDLE = np.array([0.2, 0.0, 4.0 - 0.6])  # the ball's middle at the end of the path
 
 
 def test_a_state_is_judged_by_what_pulls_and_by_what_lies_in_the_indenter(mesh):
     """A flat gel under a ball: held points are pushed or pulled along its axis, free ones lie in it or do not."""
     rng, pressed = np.random.default_rng(9), scene("no_slip", dx=0.2, depth=0.6)
-    points, contact = some_contact(mesh, rng)
-    down, push = np.broadcast_to([0.0, 0.0, -1.0], contact.target.shape), rng.uniform(-1, 1, points.weight.shape)
-    contact = Contact(contact.state, points.position + push[..., None] / 145.0 * down, down, contact.drag)
-    verdict = judge(pressed, contact, points, np.zeros_like(mesh.nodes), 145.0)
-    held, force = contact.touching, push * points.weight
+    path = ScenePath(pressed, PathSettings(0.5, 145.0, 14.5), mesh, System(mesh))
+    path.t, state = pressed.press.end, path.state
+    pose, down, push = path_pose(pressed, path.t), np.array([0.0, 0.0, -1.0]), rng.uniform(-1, 1, len(state.status))
+    state.status[:] = rng.choice([FREE, STICK], size=len(push))
+    state.stick_point[:] = pose.to_indenter(state.reference + push[:, None] / 145.0 * down)
+    state.normal[:] = down  # the press turns nothing
+    verdict = path.judge(np.zeros_like(mesh.nodes))
+    held, force = state.status == STICK, push * state.weights
     assert verdict.pulling_fraction == pytest.approx(-force[held & (push < 0)].sum() / abs(force[held].sum()))
-    depth = 4.0 - np.linalg.norm(points.position - MIDDLE, axis=-1)
+    depth = 4.0 - np.linalg.norm(state.reference - MIDDLE, axis=-1)
     assert verdict.penetration == pytest.approx(depth[~held].max()) and verdict.penetration > 0.5
 
 
@@ -114,9 +87,10 @@ def test_a_state_is_judged_by_what_pulls_and_by_what_lies_in_the_indenter(mesh):
 def test_calculix_needs_on_every_node_the_force_that_contact_gives_it(solver, law):
     """CalculiX is given where the touched nodes are, and no force: the in-process solver's must be the ones that hold them there."""
     pressed, s = scene(law, dx=0.1), solver.settings
-    path = PathSettings(s.press_steps, s.shear_steps, s.step_mm, 145.0)
-    found = follow(pressed, solver.solid, solver.points, first_touch(pressed), path)
-    own = contact_forces(found.contact, solver.points, found.displacement, 145.0)
+    touch_at = first_touch(pressed)
+    path = ScenePath(pressed, s.path(pressed, touch_at), solver.mesh, solver.system)
+    assert path.follow(touch_at) is Status.OK, path.reason
+    own = path.contact_forces()
     result = solver.solve(pressed)
     assert result.status is Status.OK, result.evidence
     # residuals of 1e-8 of the force; the .dat prints seven digits

@@ -6,9 +6,18 @@ import pytest
 from gelforge.flow.params.tables import LAWS as CONFIGURED
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
+from gelforge.mechanics.contact.facerule import dunavant12
 from gelforge.mechanics.contact.law import contact_law, laws
-from gelforge.mechanics.contact.penalty import STICK, FacePlaces, Penalty, contact_points, curved, penalty_tractions
-from gelforge.mechanics.linear.pattern import build_pattern
+from gelforge.mechanics.contact.penalty import (
+    STICK,
+    FacePlaces,
+    Penalty,
+    contact_points,
+    curved,
+    penalty_tractions,
+    positions,
+)
+from gelforge.mechanics.linear.pattern import build_pattern, symmetric_product
 from gelforge.mechanics.mesh.hexmesh import (
     FineBox,
     build_mesh,
@@ -19,6 +28,8 @@ from gelforge.mechanics.mesh.hexmesh import (
     thinner_layers,
 )
 from gelforge.mechanics.pose import Pose, on_surface, touch_fraction
+from tests.support.blocks import symmetric_block
+from tests.support.flat_pad import FlatPad
 from tests.support.surface_values import interpolate_surface
 
 NO_SLIP = Penalty(50.0, 5.0, contact_law("no_slip"))
@@ -61,6 +72,19 @@ class Ball:
 @pytest.fixture(scope="module")
 def mesh():
     return build_mesh(Gel(), FineBox(-3, 3, -2, 2, 1.0), 3)
+
+
+@pytest.fixture(scope="module", params=["hexahedra", "tetrahedra"])
+def either(request, mesh):
+    """A mesh of each kind of face."""
+    pad = FlatPad(name="pad", width=7.0, length=7.0, corner_radius=0.0, height=4.0)
+    return mesh if request.param == "hexahedra" else symmetric_block(pad, 1.75, 2)
+
+
+def test_face_rule_is_exact_to_degree_six():
+    bary, weights = dunavant12()
+    # integral of l1^2 l2^2 l3^2 over a triangle of area one: 2 (2! 2! 2!) / 8!
+    assert weights @ np.prod(bary**2, axis=1) == pytest.approx(2 * 8 / 40320, rel=1e-12)
 
 
 def test_rule_covers_the_surface(mesh):
@@ -125,9 +149,34 @@ def test_tangential_traction_stays_within_the_limit_and_opposes_slip(mesh, law):
     assert np.all(np.einsum("pi,pi->p", tangential, back) >= -1e-12)
 
 
-def test_matrix_product_with_slip_is_that_of_the_blocks(mesh):
+def test_stored_stiffness_is_the_derivative_of_the_nodal_forces(either):
+    (state, _), mesh = sticking(either), either
+    pattern, nodes = (
+        build_pattern(mesh.elements, len(mesh.nodes), mesh.base),
+        np.ascontiguousarray(mesh.faces[state.face]),
+    )
+    faces, values = FacePlaces(mesh, pattern), np.zeros(len(pattern.indices))
+
+    def forces(u):
+        x = positions(state.shape, nodes, mesh.nodes + u)
+        tractions, found = penalty_tractions(state, x, HERE, Floor(), NO_SLIP, np.empty(0, int)), np.zeros_like(u)
+        faces.add_forces(state, tractions, found)
+        return tractions, found
+
+    free = pattern.first_row >= 0
+    way = np.random.default_rng(3).normal(size=mesh.nodes.shape) * free[:, None]
+    tractions, before = forces(np.zeros_like(way))
+    faces.add_stiffness(state, tractions, values)
+    # springs of points that all stick are linear
+    change = (forces(way)[1] - before)[free].ravel()
+    assert np.allclose(
+        symmetric_product(pattern, values, way[free].ravel()), change, atol=1e-10 * np.abs(change).max()
+    )
+
+
+def test_matrix_product_with_slip_is_that_of_the_blocks(either):
     """The part of the matrix that is not symmetric, applied without being stored."""
-    state, x = sticking(mesh)
+    (state, x), mesh = sticking(either), either
     pattern = build_pattern(mesh.elements, len(mesh.nodes), mesh.base)
     slip = penalty_tractions(
         state, x, HERE, Floor(), Penalty(50.0, 5.0, contact_law("coulomb", 0.05)), np.empty(0, int)

@@ -14,7 +14,7 @@ from gelforge.labelling.clip import clip_to_grid, polygon_area
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import CORNERS, face_parts, part_to_cell
 from gelforge.labelling.sensor import Sensor, transform
-from gelforge.mechanics.contact.facepoints import shapes
+from gelforge.mechanics.contact.facerule import shapes
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 
 NEWTON_STEPS = 8  # of the inverse of a bilinear map: doubles its digits each

@@ -5,12 +5,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.mechanics.mesh.hexmesh import SMALLEST, FineBox
+from gelforge.mechanics.path.settings import PathSettings
 
 # Residual over contact force of a path that only leads to the fine hexahedra. It is far below what their answer needs, because
 # which released points at its end turns on it: at 1e-4 a second thread let ten more points go under a pyramid, 0.2 % of force.
 COARSE_TOLERANCE = 1e-6
 FLATNESS = 1.6  # height over width that hexahedra of the uppermost layer have at most under a small contact
+ROUGH = 1e-3  # residual at which the end of a path on coarse hexahedra shows what pulls and what presses
+# What a path on coarse hexahedra brought so close to the indenter, in widths of a coarse hexahedron, has touched: between the
+# points where the coarse contact sticks, its faces cut corners. Five times as much also holds points beside the contact: up to
+# 6 % more force on wide shallow contacts and thin gels. Tetrahedra have twelve points a face, of which it holds too many.
+TOUCHED = 0.01
 
 
 @dataclass(frozen=True)
@@ -85,6 +92,14 @@ class HexSettings:
     pull_tolerance: float = 1e-3
     box: FineBox | None = None
     nested: Nested | None = None
+
+    def path(self, size: float) -> PathSettings:
+        """How a path is followed on hexahedra of side `size` mm under the press."""
+        s, scale = self, REFERENCE_C10 / size
+        return PathSettings(
+            size, s.penalty * scale, s.friction_penalty * scale, s.gauss, s.press_steps, s.shear_steps, s.tolerance,
+            s.final_tolerance, ROUGH, s.max_iterations, s.max_cuts, s.settle_rounds, s.pull_tolerance, TOUCHED,
+        )  # fmt: skip
 
     @property
     def coarse(self) -> "HexSettings":

@@ -1,4 +1,4 @@
-"""Penalty contact between a rigid indenter and a gel surface, at Gauss points of the surface faces.
+"""Penalty contact between a rigid indenter and a gel surface, at integration points of the surface faces.
 
 Within a load step points that touch for the first time feel a normal penalty only; those that touched
 earlier stick to a point that travels with the indenter. So a step is a smooth problem but for new
@@ -14,6 +14,7 @@ import numpy as np
 from numba import njit
 
 from gelforge.geometry.solids import Indenter
+from gelforge.mechanics.contact.facerule import face_rule
 from gelforge.mechanics.contact.law import ContactLaw
 from gelforge.mechanics.linear.pattern import Pattern, add_block, block_places
 from gelforge.mechanics.mesh.gelmesh import GelMesh
@@ -26,9 +27,9 @@ _CHANGING = ("status", "stick_point", "normal", "goal", "fading", "multiplier", 
 
 @dataclass
 class ContactState:
-    """Contact at m Gauss points of the surface; positions in mm, tractions in MPa of undeformed area.
+    """Contact at m points of the surface; positions in mm, tractions in MPa of undeformed area.
 
-    face: (m,) index into mesh.faces. shape: (m, 4) weights of the face's nodes. reference: (m, 3)
+    face: (m,) index into mesh.faces. shape: (m, k) weights of the face's nodes. reference: (m, 3)
     undeformed position. weights: (m,) mm^2. status: (m,) FREE, TOUCHING or STICK.
     stick_point: (m, 3) what a sticking point is bound to, in the indenter's frame (nan elsewhere).
     normal: (m, 3) the indenter's outward normal there, in its frame.
@@ -76,20 +77,10 @@ class ContactState:
         self.fading[points] = traction
 
 
-def gauss_points(order: int) -> tuple[np.ndarray, np.ndarray]:
-    """Local coordinates (order^2, 2) and weights (order^2,) of the Gauss rule on [-1, 1]^2."""
-    x, w = np.polynomial.legendre.leggauss(order)
-    a, b = np.meshgrid(x, x, indexing="ij")
-    return np.stack([a.ravel(), b.ravel()], axis=1), np.outer(w, w).ravel()
-
-
 def contact_points(mesh: GelMesh, order: int, faces: np.ndarray | None = None) -> ContactState:
-    """Free Gauss points (order x order) on the chosen faces of a hexahedral mesh (all by default)."""
+    """Free points of `face_rule` on the chosen faces of a mesh (all by default)."""
     faces = np.arange(len(mesh.faces)) if faces is None else faces
-    local, weight = gauss_points(order)
-    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
-    shape = np.prod(1 + local[:, None, :] * signs[None], axis=2) / 4
-    slope = signs[None] * (1 + local[:, None, ::-1] * signs[None, :, ::-1]) / 4
+    shape, slope, weight = face_rule(mesh.faces.shape[1], order)
     corners = mesh.nodes[mesh.faces[faces]]
     reference = np.einsum("ga,fai->fgi", shape, corners)
     tangents = np.einsum("gas,fai->fgsi", slope, corners)
@@ -292,11 +283,11 @@ def _add_skew(rows: np.ndarray, shape: np.ndarray, block: np.ndarray, x: np.ndar
     moved = np.empty(3)
     for p in range(len(shape)):
         moved[:] = 0.0
-        for a in range(4):
+        for a in range(shape.shape[1]):
             if rows[p, a] >= 0:
                 for i in range(3):
                     moved[i] += shape[p, a] * x[rows[p, a] + i]
-        for a in range(4):
+        for a in range(shape.shape[1]):
             if rows[p, a] >= 0:
                 for i in range(3):
                     for k in range(3):
@@ -308,7 +299,7 @@ def _add_forces(
     nodes: np.ndarray, shape: np.ndarray, weights: np.ndarray, traction: np.ndarray, forces: np.ndarray
 ) -> None:
     for p in range(len(weights)):
-        for a in range(4):
+        for a in range(shape.shape[1]):
             factor = shape[p, a] * weights[p]
             for i in range(3):
                 forces[nodes[p, a], i] -= factor * traction[p, i]
@@ -326,8 +317,8 @@ def _add_stiffness(
     block = np.empty((3, 3))
     for p in range(len(weights)):
         pair = 0
-        for a in range(4):
-            for b in range(a, 4):
+        for a in range(shape.shape[1]):
+            for b in range(a, shape.shape[1]):
                 factor = shape[p, a] * shape[p, b] * weights[p]
                 for i in range(3):
                     for k in range(3):
@@ -338,12 +329,12 @@ def _add_stiffness(
 
 @njit(cache=True, nogil=True)
 def positions(shape: np.ndarray, nodes: np.ndarray, x: np.ndarray) -> np.ndarray:
-    """Interpolated points (m, 3) from shape (m, 4), nodes (m, 4) and nodal positions x (n, 3)."""
+    """Interpolated points (m, 3) from shape (m, k), nodes (m, k) and nodal positions x (n, 3)."""
     out = np.empty((len(shape), 3))
     for p in range(len(shape)):
         for i in range(3):
             total = 0.0
-            for a in range(4):
+            for a in range(shape.shape[1]):
                 total += shape[p, a] * x[nodes[p, a], i]
             out[p, i] = total
     return out

@@ -2,6 +2,7 @@
 
 import hashlib
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.cache import DAMAGED
 from gelforge.flow.files import publish
+from gelforge.mechanics.mesh.stepped import Cells, Hanging
 
 
 @dataclass(frozen=True)
@@ -43,6 +45,23 @@ class GelMesh:
                 return cls(str(file["kind"]), file["nodes"], file["elements"], file["faces"], file["base"])
         except DAMAGED as error:
             raise BadInput(f"{path}: not a gel mesh ({error}); delete it and run make again") from error
+
+    @cached_property
+    def cells(self) -> Cells:
+        """The elements that are solved."""
+        return Cells.plain(self.elements)
+
+    @cached_property
+    def hanging(self) -> Hanging:
+        """The nodes that move with others."""
+        return Hanging.none()
+
+    @cached_property
+    def unknown(self) -> np.ndarray:
+        """Nodes (m,) that move by themselves, in the order of the nodes."""
+        moves = np.ones(len(self.nodes), bool)
+        moves[self.base] = moves[self.hanging.nodes] = False
+        return np.flatnonzero(moves)
 
     @property
     def digest(self) -> str:

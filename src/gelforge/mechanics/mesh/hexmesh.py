@@ -51,13 +51,6 @@ class HexMesh(GelMesh):
         return self.planes.hanging()
 
     @cached_property
-    def unknown(self) -> np.ndarray:
-        """Nodes (m,) that move by themselves, in the order of the nodes."""
-        moves = np.ones(len(self.nodes), bool)
-        moves[self.base] = moves[self.hanging.nodes] = False
-        return np.flatnonzero(moves)
-
-    @cached_property
     def heights(self) -> np.ndarray:
         """Relative heights (nz + 1,) of the planes of nodes, 0 at the base and 1 at the top."""
         # of a column that goes through all planes: nodes that hang lie on flat faces, a little beside their plane

@@ -26,6 +26,11 @@ class Hanging:
     masters: np.ndarray
     weights: np.ndarray
 
+    @classmethod
+    def none(cls) -> "Hanging":
+        """No node moves with others."""
+        return cls(np.empty(0, np.int64), np.empty((0, 4), np.int64), np.empty((0, 4)))
+
     def hang(self, field: np.ndarray) -> None:
         """Set the rows of hanging nodes of a nodal field (n, k), in place."""
         if len(self.nodes):
@@ -47,7 +52,7 @@ class Cells:
 
     @classmethod
     def plain(cls, elements: np.ndarray) -> "Cells":
-        """Hexahedra (e, 8) of which none stands on a wider face."""
+        """Elements (e, k) of which none stands on a wider face."""
         return cls(elements, elements, np.empty(0, np.int64), np.empty((0, 4, 4)))
 
 

@@ -1,4 +1,4 @@
-"""Equilibrium of one scene on hexahedra while the indenter stands: Newton's method with a factorisation kept as long as it serves."""
+"""Equilibrium of one scene on one mesh while the indenter stands: Newton's method with a factorisation kept as long as it serves."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -21,12 +21,12 @@ from gelforge.mechanics.contact.penalty import (
 )
 from gelforge.mechanics.contact.reach import gaps, reachable
 from gelforge.mechanics.elements.element import elements
-from gelforge.mechanics.hexsettings import HexSettings
 from gelforge.mechanics.linear.factorisation import symmetric_solver
 from gelforge.mechanics.linear.gmres import gmres, length_of
 from gelforge.mechanics.linear.pattern import block_places, build_pattern, symmetric_product
-from gelforge.mechanics.material import REFERENCE_C10
+from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.hexmesh import HexMesh, elimination_order
+from gelforge.mechanics.path.settings import PathSettings
 from gelforge.mechanics.pose import Pose
 from gelforge.mechanics.result import NoEquilibrium
 from gelforge.mechanics.scene import Scene
@@ -52,17 +52,18 @@ STALE, FRESH = 12, 60
 
 
 class System:
-    """Sparsity pattern, places of blocks in the matrix, and its symbolic factorisation: all that `HexMesh.pattern_key` decides.
+    """Sparsity pattern, places of blocks in the matrix, and its symbolic factorisation: all that the elements' nodes decide.
 
     values: the upper triangle of the matrix at hand; each scene that uses the system fills it anew.
     """
 
-    def __init__(self, mesh: HexMesh):
+    def __init__(self, mesh: GelMesh):
         elements = mesh.cells.nodes
         self.pattern = build_pattern(elements, len(mesh.nodes), np.concatenate([mesh.base, mesh.hanging.nodes]))
         self.base, self.width = block_places(self.pattern, elements)
         self.faces = FacePlaces(mesh, self.pattern)
-        self.linear = symmetric_solver(self.pattern.indptr, self.pattern.indices, elimination_order(mesh))
+        order = elimination_order(mesh) if isinstance(mesh, HexMesh) else None
+        self.linear = symmetric_solver(self.pattern.indptr, self.pattern.indices, order)
         self.free = mesh.unknown
         self.values = np.zeros(len(self.pattern.indices), np.float32)
 
@@ -76,11 +77,10 @@ class Equilibrium:
     is taken in SHORT ones: where no load step could be shortened instead. The counters hold what all solves together took.
     """
 
-    def __init__(self, scene: Scene, settings: HexSettings, mesh: HexMesh, system: System) -> None:
+    def __init__(self, scene: Scene, settings: PathSettings, mesh: GelMesh, system: System) -> None:
         self.scene, self.settings, self.mesh, self.system = scene, settings, mesh, system
         self.law = scene.interface.contact
-        scale = REFERENCE_C10 / settings.size
-        self.penalty = Penalty(settings.penalty * scale, settings.friction_penalty * scale, self.law)
+        self.penalty = Penalty(settings.stiffness, settings.friction_stiffness, self.law)
         self.holding = replace(self.penalty, law=Holding())
         self.moduli = scene.material.shear_modulus, scene.material.bulk_modulus
         self.elements = elements()[mesh.kind].on(mesh.nodes, mesh.cells)
@@ -98,17 +98,18 @@ class Equilibrium:
         return CYCLING if self.law.frictional else 0.0
 
     def points(self, u: np.ndarray) -> np.ndarray:
-        """Deformed places (m, 3) mm of the contact's Gauss points."""
+        """Deformed places (m, 3) mm of the contact's points."""
         return positions(self.state.shape, self.nodes, self.mesh.nodes + u)
 
     def newton_from(self, guesses: list[np.ndarray], pose: Pose) -> tuple[np.ndarray, int]:
         """`newton` from the first of the guesses (n, 3) that leads to an equilibrium, within the tolerance of a path."""
+        failed = NoEquilibrium()
         for guess in guesses:
             try:
                 return self.newton(guess, pose, self.settings.tolerance, enough=self.enough)
-            except NoEquilibrium:
-                continue
-        raise NoEquilibrium
+            except NoEquilibrium as error:
+                failed = error
+        raise failed
 
     def newton(
         self,
@@ -147,7 +148,7 @@ class Equilibrium:
     def _step(
         self, u: np.ndarray, step: np.ndarray, pose: Pose, penalty: Penalty, before: float, parts: Sequence[float]
     ) -> tuple[np.ndarray, tuple[np.ndarray, Tractions]]:
-        """u less the step, or less one of its parts where that inverts hexahedra or leaves the residual above `before`."""
+        """u less the step, or less one of its parts where that inverts elements or leaves the residual above `before`."""
         free, best = self.system.free, None
         for part in SHORT if self.crawls else parts:
             if part < parts[-1] and best is not None:
@@ -181,7 +182,7 @@ class Equilibrium:
         return forces, tractions
 
     def internal(self, u: np.ndarray) -> np.ndarray:
-        """Nodal forces (n, 3) N of the deformed gel; NoEquilibrium where a hexahedron is inverted."""
+        """Nodal forces (n, 3) N of the deformed gel; NoEquilibrium where an element is inverted."""
         forces = np.zeros_like(u)
         smallest = self.elements.internal_forces(u, *self.moduli, forces)
         if not smallest > 0.0:

@@ -18,20 +18,20 @@ from gelforge.flow.params.tables import FeaTable
 from gelforge.mechanics.ccx.dat import DatError, Unfinished, last_table, read_dat, without_set
 from gelforge.mechanics.ccx.deck import DIRECT, INCLUDES, ITERATIVE, press_deck, write_include
 from gelforge.mechanics.ccx.program import OVERDUE, run_ccx
-from gelforge.mechanics.contact.facecontact import Verdict, contact_forces, judge
-from gelforge.mechanics.contact.facepoints import FacePoints, face_points
-from gelforge.mechanics.contact.reach import reachable
+from gelforge.mechanics.contact.penalty import FREE
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.path.equilibrium import System
 from gelforge.mechanics.path.loadpath import first_touch
-from gelforge.mechanics.path.tetpath import Kinematics, PathSettings
-from gelforge.mechanics.path.tetsolid import TetSolid
+from gelforge.mechanics.path.scenepath import ScenePath, Verdict
+from gelforge.mechanics.path.settings import PathSettings
 from gelforge.mechanics.path.transfer import LoadPath
 from gelforge.mechanics.result import BALANCE, Result
 from gelforge.mechanics.scene import Scene
-from gelforge.mechanics.solvers.tet import arrive, follow
 from gelforge.records.status import Status
 
+NEAR_MM = 0.5  # from the indenter: points that may come to touch within a load step
+SOFTER = 0.1  # the springs along the indenter of a law with friction, in those along its normal
 INCREMENT = 0.25  # of the load, the first where a start from the kinematics fails
 
 
@@ -60,6 +60,16 @@ class CcxSettings:
         """What [fea] says."""
         return cls(**{field.name: getattr(table, field.name) for field in fields(cls)})
 
+    def path(self, scene: Scene, touch_at: float) -> PathSettings:
+        """How the path of a scene is followed on tetrahedra from the path parameter `touch_at` on."""
+        travel = max(1.0 - touch_at, 0.0) * abs(scene.press.dz)
+        stiffness = self.stiffness * REFERENCE_C10
+        return PathSettings(
+            NEAR_MM, stiffness, SOFTER * stiffness, press_steps=max(self.press_steps, int(np.ceil(travel / self.step_mm))),
+            shear_steps=self.shear_steps, tolerance=1e-3, final_tolerance=1e-8, rough=0.03, max_iterations=20,
+            settle_rounds=self.rounds,
+        )  # fmt: skip
+
 
 @dataclass
 class CcxResult(Result):
@@ -75,7 +85,7 @@ class CcxSolver:
 
     def __init__(self, mesh: GelMesh, folder: Path | str, settings: CcxSettings) -> None:
         self.mesh, self.folder, self.settings = mesh, Path(folder), settings
-        self.points, self.solid = face_points(mesh), TetSolid(mesh)
+        self.system = System(mesh)
         self._write()
 
     def _write(self) -> None:
@@ -84,10 +94,9 @@ class CcxSolver:
         self.include = write_include(self.mesh, self.folder / INCLUDES)
 
     def on(self, mesh: GelMesh, folder: Path | str) -> "CcxSolver":
-        """A solver of the same elements whose nodes lie elsewhere; both share what their matrices have in common."""
+        """A solver of the same elements whose nodes lie elsewhere; both share matrix and factorisation, so one works at a time."""
         other = copy.copy(self)
         other.mesh, other.folder = mesh, Path(folder)
-        other.points, other.solid = face_points(mesh), self.solid.on(mesh)
         other._write()
         return other
 
@@ -100,7 +109,7 @@ class CcxSolver:
     ) -> CcxResult:
         """State at the end of the scene's path. Failure is a status, not an exception.
 
-        coarse_path: the path as followed on hexahedra, without slip; only its end is then solved on the tetrahedra. None, or an end
+        coarse_path: the path as followed on hexahedra; only its end is then solved on the tetrahedra. None, or an end
         that does not converge: the path is followed on the tetrahedra.
         """
         began = time.perf_counter()
@@ -108,33 +117,23 @@ class CcxSolver:
         touch_at = first_touch(scene)
         if touch_at is None:
             return self._empty(Status.NO_CONTACT, "", began)
-        path = PathSettings(
-            s.press_steps, s.shear_steps, s.step_mm, s.stiffness * REFERENCE_C10,
-            pull_tolerance=s.pull_tolerance / 2, penetration_mm=s.penetration_mm / 2, contact_iterations=s.rounds,
-        )  # fmt: skip
-        points = self.points.only(reachable(scene, self.points.position))
-        found = self._arrived(scene, points, coarse_path, path) or follow(scene, self.solid, points, touch_at, path)
+        path = s.path(scene, touch_at)
+        found = ScenePath(scene, path, self.mesh, self.system)
+        status = found.arrive(coarse_path) if coarse_path else Status.DIVERGED
+        if status is not Status.OK:
+            found = ScenePath(scene, path, self.mesh, self.system)
+            status = found.follow(touch_at)
         kinematics_s = time.perf_counter() - began
-        if found.converged:
-            result = self._state(scene, found, points, name, s)
-            own = contact_forces(found.contact, points, found.displacement, path.stiffness).sum(axis=0)
-            result.evidence["engine_difference"] = _difference(result.total, own)
+        if status is Status.OK:
+            result = self._state(found, name, s)
+            result.evidence["engine_difference"] = _difference(result.total, found.contact_forces().sum(axis=0))
         else:
-            result = self._empty(Status.DIVERGED, found.reason, began)
+            result = self._empty(Status.DIVERGED, found.reason or status.value, began)
         result.evidence |= {
             "kinematics_seconds": kinematics_s, "seconds": time.perf_counter() - began, "load_steps": found.steps,
             "kinematics_iterations": found.iterations, "rounds": found.rounds,
         }  # fmt: skip
         return result
-
-    def _arrived(
-        self, scene: Scene, points: FacePoints, coarse_path: LoadPath | None, path: PathSettings
-    ) -> Kinematics | None:
-        """The end of a path that was followed on hexahedra; None where there is none or its end does not converge."""
-        if coarse_path is None or scene.interface.contact.slips:
-            return None
-        found = arrive(scene, self.solid, points, self.mesh.nodes, coarse_path, path)
-        return found if found.converged else None
 
     def _empty(self, status: Status, reason: str, began: float) -> CcxResult:
         zero = np.zeros_like(self.mesh.nodes)
@@ -145,16 +144,16 @@ class CcxSolver:
         evidence |= {"reason": reason, "seconds": time.perf_counter() - began, "peak_mib": 0.0}
         return CcxResult(status, zero, zero.copy(), evidence)
 
-    def _state(self, scene: Scene, found: Kinematics, points: FacePoints, name: str, s: CcxSettings) -> CcxResult:
-        """CalculiX' equilibrium with the displacement of the touching surface as the kinematics left it."""
-        prescribed = np.unique(points.faces[found.contact.touching.any(axis=1)])
-        run = _Run(self, scene, name, s)
-        answer = run.solve(prescribed, found.displacement)
+    def _state(self, found: ScenePath, name: str, s: CcxSettings) -> CcxResult:
+        """CalculiX' equilibrium with the displacement of the touching surface as the path left it."""
+        touching = found.state.status != FREE
+        prescribed = np.unique(found.nodes[touching])
+        run = _Run(self, found.scene, name, s)
+        answer = run.solve(prescribed, found.u)
         if isinstance(answer, CcxResult):
             return answer
-        verdict = judge(scene, found.contact, points, answer.displacement, s.stiffness * REFERENCE_C10)
-        result = run.result(answer, prescribed, verdict)
-        result.evidence["touching_points"] = int(found.contact.touching.sum())
+        result = run.result(answer, prescribed, found.judge(answer.displacement))
+        result.evidence["touching_points"] = int(touching.sum())
         return result
 
 

@@ -16,10 +16,10 @@ from gelforge.geometry.triangles import cropped
 from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat
 from gelforge.mechanics.ccx.deck import material_lines, mesh_include
 from gelforge.mechanics.ccx.program import OVERDUE, run_ccx
+from gelforge.mechanics.elements.element import elements
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.tetmesh import FACES, boundary_faces, orient, tetrahedralise
 from gelforge.mechanics.path.loadpath import first_touch
-from gelforge.mechanics.path.tetsolid import TetSolid
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solvers.ccx import CcxResult, status_of
 from gelforge.records.status import Status
@@ -122,8 +122,9 @@ def solve_native(scene: Scene, mesh: GelMesh, folder: Path | str, timeout_s: flo
     except DatError as error:
         return CcxResult(status_of(error), zero, zero.copy(), evidence | {"reason": f"{error}; {job.reason()}"}, deck)
     # Stock CalculiX prints no contact force per node; what the elements bear at the top is what contact exerts.
-    solid, material = TetSolid(mesh), scene.material
-    inner, _ = solid.forces(displacement, material.shear_modulus, material.bulk_modulus)
+    inner, material = zero.copy(), scene.material
+    solid = elements()[mesh.kind].on(mesh.nodes, mesh.cells)
+    solid.internal_forces(displacement, material.shear_modulus, material.bulk_modulus, inner)
     forces = zero.copy()
     forces[top] = inner[top]
     total = forces.sum(axis=0)

@@ -14,8 +14,8 @@ from gelforge.mechanics.hexsettings import FLATNESS, HexSettings, Nested
 from gelforge.mechanics.mesh.hexmesh import FineBox, HexMesh, build_mesh, fine_box, thinner_layers
 from gelforge.mechanics.mesh.hexname import HexMeshName
 from gelforge.mechanics.path.equilibrium import System
-from gelforge.mechanics.path.hexpath import HexPath
 from gelforge.mechanics.path.loadpath import first_touch, frame_time
+from gelforge.mechanics.path.scenepath import ScenePath
 from gelforge.mechanics.path.transfer import LoadPath
 from gelforge.mechanics.result import BALANCE, Result
 from gelforge.mechanics.scene import Scene
@@ -101,16 +101,17 @@ class HexSolver:
     def _passed(self, scenes: Sequence[Scene], start: float, box: FineBox) -> list[HexResult]:
         """States at frames of one press, the contact of each iterated where the path on these hexahedra passes it."""
         last, name = scenes[-1], self._mesh_name(scenes[-1].gel, box)
-        run = self._run(last, self.mesh(last.gel, box), self.settings, box.size)
+        mesh = self.mesh(last.gel, box)
+        run = self._run(last, mesh, self.settings, box.size)
         times = [frame_time(scene, last) for scene in scenes]
         found: dict[float, HexResult] = {}
 
-        def keep(ended: HexPath, status: Status) -> None:
-            found[ended.t] = _result(ended, status, time.perf_counter(), name)
+        def keep(ended: ScenePath, status: Status) -> None:
+            found[ended.t] = _result(ended, mesh, status, time.perf_counter(), name)
 
         began = time.perf_counter()
         status = run.follow(start, times, keep)
-        end = _result(run, status, began, name)
+        end = _result(run, mesh, status, began, name)
         results = []
         for scene, t in zip(scenes, times, strict=True):
             if t <= start + TOUCH:
@@ -138,13 +139,14 @@ class HexSolver:
             return none
         settings, box = self.settings.coarse, self._box(last)
         wide = replace(box, size=nested.factor * box.size)
-        run = self._run(last, self._mesh(last.gel, wide, settings), settings, wide.size)
+        mesh = self._mesh(last.gel, wide, settings)
+        run = self._run(last, mesh, settings, wide.size)
         times = [frame_time(scene, last) for scene in scenes]
         status = run.follow(start, times)
         if status is Status.DIVERGED:
             return none
         run.curve[-1][1:] = run.contact_forces().sum(axis=0).tolist()
-        path = run.load_path()
+        path = LoadPath(last, mesh, *run.passed(), wide.size)
         counts = {"coarse_newton_iterations": run.iterations, "coarse_factorisations": run.factorisations}
         return [
             CoarseFrame(path.until(t), _until(run.curve, t), counts) if t > start + TOUCH else None for t in times
@@ -155,22 +157,23 @@ class HexSolver:
         start = first_touch(scene)
         if start is None:
             return self._no_contact(scene, started)
-        name = self._mesh_name(scene.gel, box)
+        mesh, name = self.mesh(scene.gel, box), self._mesh_name(scene.gel, box)
         if reason := _below_base(scene):
-            return _refused(self.mesh(scene.gel, box), name, reason, started)
+            return _refused(mesh, name, reason, started)
         if coarse:
             result = self._arrived(scene, coarse, box, name, started)
             if result.status.valid or result.status is Status.OUT_OF_RANGE:
                 return result
-        run = self._run(scene, self.mesh(scene.gel, box), self.settings, box.size)
-        return _result(run, run.follow(start), started, name)
+        run = self._run(scene, mesh, self.settings, box.size)
+        return _result(run, mesh, run.follow(start), started, name)
 
     def _arrived(
         self, scene: Scene, coarse: "CoarseFrame", box: FineBox, name: HexMeshName, started: float
     ) -> HexResult:
         """The end of a coarse path on the fine hexahedra, and corrected by what both together say of the error."""
-        run = self._run(scene, self.mesh(scene.gel, box), self.settings, box.size)
-        result = _result(run, run.arrive(coarse.path), started, name)
+        mesh = self.mesh(scene.gel, box)
+        run = self._run(scene, mesh, self.settings, box.size)
+        result = _result(run, mesh, run.arrive(coarse.path), started, name)
         result.evidence |= coarse.counts
         # the curve is the coarse hexahedra' but for its end, which is the fine ones'
         curve = [*coarse.curve[:-1], [float(run.t), *result.total.tolist()]]
@@ -188,8 +191,8 @@ class HexSolver:
     def _box(self, scene: Scene) -> FineBox:
         return self.settings.box or fine_box(scene, self.settings.size, self.settings.across)
 
-    def _run(self, scene: Scene, mesh: HexMesh, settings: HexSettings, size: float) -> HexPath:
-        return HexPath(scene, replace(settings, size=size), mesh, self._system(mesh))
+    def _run(self, scene: Scene, mesh: HexMesh, settings: HexSettings, size: float) -> ScenePath:
+        return ScenePath(scene, settings.path(size), mesh, self._system(mesh))
 
     def _mesh(self, gel: Gel, box: FineBox, s: HexSettings) -> HexMesh:
         shape = _shape(gel, box, s)
@@ -267,7 +270,7 @@ class _Kept:
         return self._items[key]
 
 
-def _result(run: HexPath, status: Status, started: float, name: HexMeshName) -> HexResult:
+def _result(run: ScenePath, mesh: HexMesh, status: Status, started: float, name: HexMeshName) -> HexResult:
     """Forces, evidence and contact state at the end of a path."""
     evidence = _evidence(run.residual, run.iterations, run.rounds, run.steps)
     forces = np.zeros_like(run.u)
@@ -287,7 +290,7 @@ def _result(run: HexPath, status: Status, started: float, name: HexMeshName) -> 
     evidence |= {"reached": float(run.t), "cuts": run.control.cuts, "factorisations": run.factorisations}
     evidence["products"] = run.products
     evidence["seconds"] = time.perf_counter() - started
-    return HexResult(status, forces, run.u, evidence, run.mesh, run.state, name)
+    return HexResult(status, forces, run.u, evidence, mesh, run.state, name)
 
 
 def _corrected(fine: np.ndarray, coarse: np.ndarray, extrapolation: float) -> float:

@@ -2,19 +2,19 @@
 
 import copy
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from gelforge.errors import SolveFailed
-from gelforge.mechanics.contact.penalty import STICK, TOUCHING
+from gelforge.mechanics.contact.penalty import FREE, STICK, TOUCHING
 from gelforge.mechanics.contact.reach import gaps
-from gelforge.mechanics.hexsettings import HexSettings
-from gelforge.mechanics.mesh.hexmesh import HexMesh
-from gelforge.mechanics.path.arrival import iterate_arrival
+from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.path.equilibrium import NOISY_INTERPOLATED, PARTS, SHORT, Equilibrium, System
 from gelforge.mechanics.path.loadpath import path_pose
+from gelforge.mechanics.path.settings import PathSettings
 from gelforge.mechanics.path.stepcontrol import StepControl
-from gelforge.mechanics.path.transfer import LoadPath, touches, transferred, untangled
+from gelforge.mechanics.path.transfer import LoadPath, carried, touches
 from gelforge.mechanics.pose import Pose, on_surface, touch_places
 from gelforge.mechanics.result import NoEquilibrium
 from gelforge.mechanics.scene import Scene
@@ -23,25 +23,32 @@ from gelforge.records.status import Status
 BETWEEN = 2  # load steps at least between two frames of a press that are asked for
 EASY = 7  # Newton iterations up to which a shortened step may grow again
 SMALLEST_PART = 0.1  # of pending contact changes carried out in one solve
-ROUGH = 1e-3  # residual at which it shows what pulls and what presses
-# What a path on coarse hexahedra brought so close to the indenter, in widths of a coarse hexahedron, has touched: between the
-# points where the coarse contact sticks, its faces cut corners. Five times as much also holds points beside the contact: up to
-# 6 % more force on wide shallow contacts and thin gels.
-TOUCHED = 0.01
 BEYOND = 1.001  # of its traction is what a slipping point's multiplier wants, or rounding decides which points stick
 ACCEPTED = 1e-7  # residual over contact force that keeps base reactions within 1e-6
 
 
-class HexPath(Equilibrium):
+@dataclass(frozen=True)
+class Verdict:
+    """What is wrong with a solved state.
+
+    pulling_fraction: what touching points pull, as a share of the normal force. penetration: how deep a free point lies in the
+    indenter, mm.
+    """
+
+    pulling_fraction: float
+    penetration: float
+
+
+class ScenePath(Equilibrium):
     """State of one scene on one mesh while its path is followed.
 
     `follow` does it all; afterwards u (n, 3), state (ContactState), tractions (those of the last
-    equilibrium) and the counters hold the end of the path, or the last equilibrium before a failure.
+    equilibrium) and the counters hold the end of the path, or the last equilibrium before a failure, of which `reason` tells.
     """
 
-    def __init__(self, scene: Scene, settings: HexSettings, mesh: HexMesh, system: System) -> None:
+    def __init__(self, scene: Scene, settings: PathSettings, mesh: GelMesh, system: System) -> None:
         super().__init__(scene, settings, mesh, system)
-        self.t, self.rounds, self.steps = 0.0, 0, 0
+        self.t, self.rounds, self.steps, self.reason = 0.0, 0, 0, ""
         self.control = StepControl(settings.max_cuts, EASY)
         self.history: list[tuple[float, np.ndarray]] = []
         self.curve: list[list[float]] = []
@@ -50,7 +57,7 @@ class HexPath(Equilibrium):
     # -- the path
 
     def follow(
-        self, start: float, stops: Sequence[float] = (), at_stop: Callable[["HexPath", Status], None] | None = None
+        self, start: float, stops: Sequence[float] = (), at_stop: Callable[["ScenePath", Status], None] | None = None
     ) -> Status:
         """Follow the path from path parameter `start` (first touch) to its end; a load step ends at each of `stops`.
 
@@ -67,53 +74,65 @@ class HexPath(Equilibrium):
                     if at_stop and stop in stops and stop < self.scene.press.end:
                         ended = self._branch()
                         at_stop(ended, ended._end())
-        except (NoEquilibrium, SolveFailed):
-            return Status.DIVERGED
+        except (NoEquilibrium, SolveFailed) as error:
+            return self._diverged(error)
         return self._end()
 
     def _end(self) -> Status:
         """Contact iterations where a path or one of its frames ends."""
         try:
             return self._iterate_contact()
-        except (NoEquilibrium, SolveFailed):
-            return Status.DIVERGED
+        except (NoEquilibrium, SolveFailed) as error:
+            return self._diverged(error)
+
+    def _diverged(self, error: Exception) -> Status:
+        self.reason = f"no equilibrium at path parameter {self.t:.3g}" + (f": {error}" if str(error) else "")
+        return Status.DIVERGED
 
     def arrive(self, path: LoadPath) -> Status:
-        """Equilibrium at the end of a path that was followed on coarser hexahedra: no slip or no friction only.
+        """Equilibrium at the end of a path that was followed on hexahedra, coarser ones: no slip or no friction only.
 
         The path may be the way to this end of a longer one.
         """
         self.t, self.noisy, self.crawls = self.scene.press.end, NOISY_INTERPOLATED, True
         pose = path_pose(self.scene, self.t)
         try:
-            self.u = untangled(self.mesh, self.elements, transferred(path.mesh, path.states[-1], self.mesh))
+            self.u = carried(path, self.mesh, self.elements)
             if self.law.sticks:
-                touched, places = touches(path, self.state.reference, TOUCHED)
+                touched, places = touches(path, self.state.reference, self.settings.touched)
                 self.stick(touched, places, pose)
-                iterate_arrival(self, places, pose, self.settings.settle_rounds)
+                self._iterate_arrival(places, pose)
             else:
-                self.solve_here(pose, ROUGH)
-            return self._iterate_contact()
-        except (NoEquilibrium, SolveFailed):
-            return Status.DIVERGED
+                self.solve_here(pose, self.settings.rough)
+        except (NoEquilibrium, SolveFailed) as error:
+            return self._diverged(error)
+        return self._end()
 
-    @property
-    def sticking(self) -> np.ndarray:
-        """Points (m,) that stick, bool."""
-        return self.state.status == STICK
+    def _iterate_arrival(self, places: np.ndarray, pose: Pose) -> None:
+        """Change each point's contact at most once either way until nothing pulls and all that presses sticks.
 
-    def equilibrate(self, pose: Pose) -> None:
-        """Equilibrium at a pose, close enough to show what pulls and what presses."""
-        self.state.go(1.0)
-        self.solve_here(pose, ROUGH)
+        places: (m, 3) where points stick, in the indenter's frame. A point that was released and presses again stays
+        loose: it would change for ever.
+        """
+        stuck = self.state.status == STICK
+        for _ in range(self.settings.settle_rounds):
+            self.rounds += 1
+            self.state.go(1.0)
+            self.solve_here(pose, self.settings.rough)
+            new = self.touching() & ~stuck
+            stuck |= new
+            released = self.release(pose)
+            self.stick(new, places, pose)
+            if not released and not new.any():
+                return
 
     def touching(self) -> np.ndarray:
         """Points (m,) that press in the last equilibrium and do not stick, bool."""
         found = np.zeros(len(self.state.status), bool)
         found[self.tractions.point[self.tractions.gap < 0.0]] = True
-        return found & ~self.sticking
+        return found & (self.state.status != STICK)
 
-    def _branch(self) -> "HexPath":
+    def _branch(self) -> "ScenePath":
         """A run that continues from here by itself; both share mesh and factorisation."""
         other = copy.copy(self)
         other.state, other.curve, other._states = copy.deepcopy(self.state), list(self.curve), list(self._states)
@@ -284,10 +303,9 @@ class HexPath(Equilibrium):
 
     # -- evidence
 
-    def load_path(self) -> LoadPath:
-        """The load path so far, for a finer mesh to arrive at its end."""
-        states = [u for _, u in self._states[:-1]]
-        return LoadPath(self.scene, self.mesh, [t for t, _ in self._states], [*states, self.u], self.settings.size)
+    def passed(self) -> tuple[list[float], list[np.ndarray]]:
+        """Path parameters and displacements (n, 3) mm of the load steps so far, the last one as it is now."""
+        return [t for t, _ in self._states], [*(u for _, u in self._states[:-1]), self.u]
 
     def checks(self, forces: np.ndarray) -> dict:
         """Penetration, pull and balance of the final state."""
@@ -302,6 +320,19 @@ class HexPath(Equilibrium):
             "pulling_fraction": float(self.state.weights[point] @ np.maximum(-push, 0.0)) / size,
             "base_mismatch": float(np.linalg.norm(base + total)) / size,
         }
+
+    def judge(self, u: np.ndarray) -> Verdict:
+        """What pulls and what penetrates at displacements u (n, 3) mm that another solver found for this contact."""
+        state, pose, x = self.state, path_pose(self.scene, self.t), self.points(u)
+        gap = gaps(self.scene, x, pose)
+        held = (state.status == STICK) & (not self.law.slips)
+        push = np.where(state.status == FREE, 0.0, -self.penalty.normal * gap)
+        stretch = pose.to_gel(state.stick_point[held]) - x[held]
+        push[held] = self.penalty.normal * np.einsum("pi,pi->p", stretch, pose.turn(state.normal[held]))
+        force = push * state.weights
+        pull = float(-force[force < 0.0].sum())
+        penetration = float(max(0.0, -gap[state.status == FREE].min(initial=0.0)))
+        return Verdict(pull / max(float(abs(force.sum())), 1e-12), penetration)
 
     def _below_base(self) -> float:
         """How deep a node lies below the base that the gel is bonded to, mm; beside it the gel's flanks may hang lower."""

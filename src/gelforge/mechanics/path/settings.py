@@ -1,0 +1,35 @@
+"""How a path is followed, whatever the elements are."""
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class PathSettings:
+    """How the path of a scene is followed on one mesh; residuals are those of free nodes over the contact force.
+
+    size: side of the elements under the press, mm; a free point that is nearer to the indenter may come to touch.
+    stiffness, friction_stiffness: contact penalty along the normal and along the surface (Coulomb), MPa/mm.
+    gauss: order of the contact rule on a face of four nodes.
+    press_steps, shear_steps: load steps of the two legs (more where Newton asks for it).
+    tolerance, final_tolerance: residual within the path and at its end. rough: at which the end of a path that was followed on
+    other elements shows what pulls and what presses.
+    max_iterations: of Newton's method in one solve. max_cuts: how often a load step may be halved.
+    settle_rounds: contact iterations, in which points are released at the end of the path. pull_tolerance: share of the largest
+    pressure by which a sticking point may pull.
+    touched: how close to the indenter a path on other, wider hexahedra must have brought a point that has touched, in their widths.
+    """
+
+    size: float
+    stiffness: float
+    friction_stiffness: float
+    gauss: int = 2
+    press_steps: int = 4
+    shear_steps: int = 3
+    tolerance: float = 1e-4
+    final_tolerance: float = 1e-9
+    rough: float = 1e-3
+    max_iterations: int = 14
+    max_cuts: int = 8
+    settle_rounds: int = 6
+    pull_tolerance: float = 1e-3
+    touched: float = 0.0
