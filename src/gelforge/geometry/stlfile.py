@@ -1,6 +1,5 @@
-"""STL files of any program: binary or text, in any encoding and with any line ends; other files are named by what they are."""
+"""STL files of any program: binary whatever their header says, or text with any line ends."""
 
-import codecs
 import re
 from pathlib import Path
 
@@ -14,24 +13,6 @@ HEADER = 84  # bytes before the triangles of a binary file, the last four their 
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 WELD = 1e-6  # of the largest coordinate: some units in the last place of single precision
 EXPORT = "export the body again as binary STL"
-LFS = "it is a Git LFS pointer, its content was not fetched; run `git lfs pull`"
-MARKS = {codecs.BOM_UTF8: "utf-8", codecs.BOM_UTF16_LE: "utf-16-le", codecs.BOM_UTF16_BE: "utf-16-be"}
-# How other files begin, in lower case without blanks before; what they are.
-KINDS = {
-    b"ply": "a PLY file",
-    b"off": "an OFF file",
-    b"iso-10303-21": "a STEP file",
-    b"pk\x03\x04": "a ZIP archive, as 3MF and compressed files are",
-    b"\x1f\x8b": "a compressed file (gzip)",
-    b"gltf": "a glTF file",
-    b"%pdf": "a PDF file",
-    b"\x89png": "a picture",
-    b"\xff\xd8": "a picture",
-    b"# vtk": "a VTK file",
-    b"{": "a JSON file",
-    b"<": "a page of HTML or XML, as a server sends in place of a file",
-}
-OBJ = re.compile(rb"^\s*v(\s+-?[\d.]\S*){3}", re.MULTILINE)
 NAME = re.compile(r"\b(?:end)?solid\b.*?(?=\bfacet\b|[\r\n]|$)", re.IGNORECASE)
 CORNER = re.compile(r"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
 
@@ -73,23 +54,23 @@ def welded(points: np.ndarray) -> np.ndarray:
 
 
 def _binary(data: bytes) -> np.ndarray | None:
-    """Corners (f, 3, 3) of a binary file, whatever its header says; None where the bytes are none.
-
-    Some programs append what is theirs.
-    """
+    """Corners (f, 3, 3) of a binary file, behind which some programs append what is theirs; None where the bytes are none."""
     count = int.from_bytes(data[HEADER - 4 : HEADER], "little")
     beyond = len(data) - HEADER - RECORD.itemsize * count
-    if beyond < 0 or (beyond and (not count or _other_kind(data))):
+    if beyond < 0 or (beyond and not count):
         return None
     return np.frombuffer(data, RECORD, count, HEADER)["corners"].astype(float)
 
 
 def _text(data: bytes, where: str) -> np.ndarray:
-    """Corners (f, 3, 3) of a text file; BadInput that says what anything else is."""
-    mark = next((mark for mark in MARKS if data.startswith(mark)), b"")
-    text = data.decode(MARKS.get(mark, "utf-8"), errors="replace").lstrip("\ufeff \t\r\n")
+    """Corners (f, 3, 3) of a text file; BadInput for anything else."""
+    text = data.decode(errors="replace").lstrip("\ufeff \t\r\n")
     if text[:5].lower() != "solid":
-        raise BadInput(f"{where}: not a readable STL file ({_kind(data)}); {EXPORT}")
+        count = int.from_bytes(data[HEADER - 4 : HEADER], "little")
+        raise BadInput(
+            f"{where}: not a readable STL file (no text that begins with solid, and {len(data)} bytes where {count} triangles"
+            f" would take {HEADER + RECORD.itemsize * count}); {EXPORT}"
+        )
     text = NAME.sub("", text)  # which may hold any word
     found = CORNER.findall(text)
     facets, ends = (len(re.findall(rf"\b{word}\b", text, re.IGNORECASE)) for word in ("vertex", "endfacet"))
@@ -112,23 +93,3 @@ def _is_number(text: str) -> bool:
     except ValueError:
         return False
     return True
-
-
-def _other_kind(data: bytes) -> str | None:
-    """What bytes are by how they begin, in a few words; None where it is unknown."""
-    if data.startswith(b"version https://git-lfs"):
-        return LFS
-    head = data[:100].lstrip(b"\xef\xbb\xbf \t\r\n").lower()
-    return next((f"it is {kind}" for start, kind in KINDS.items() if head.startswith(start)), None)
-
-
-def _kind(data: bytes) -> str:
-    """What bytes are that are no STL, in a few words."""
-    if not data.strip():
-        return "it is empty"
-    if kind := _other_kind(data):
-        return kind
-    if OBJ.search(data[:100_000]):
-        return "it is an OBJ file"
-    claimed = int.from_bytes(data[HEADER - 4 : HEADER], "little")
-    return f"it has {len(data)} bytes where its {claimed} triangles would take {HEADER + RECORD.itemsize * claimed}"

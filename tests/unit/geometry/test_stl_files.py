@@ -1,7 +1,5 @@
 """STL files as programs write them, and files of other kinds under the name .stl."""
 
-import zipfile
-
 import numpy as np
 import pytest
 
@@ -33,7 +31,6 @@ TEXTS = {
     "capitals": text_stl().upper().encode(),
     "a byte-order mark": b"\xef\xbb\xbf" + text_stl().encode(),
     "two byte-order marks": 2 * b"\xef\xbb\xbf" + text_stl().encode(),
-    "UTF-16": text_stl(name="Fühler").encode("utf-16"),
     "an umlaut": text_stl(name="Fühler").encode(),
     "an umlaut of Latin-1": text_stl(name="Fühler").encode("latin-1"),
     "an umlaut with CR": text_stl(name="Fühler", end="\r").encode(),
@@ -56,30 +53,17 @@ def test_a_binary_file_is_known_by_its_size_whatever_its_header(tmp_path):
     path = tmp_path / "b.stl"
     write_stl(path, *BODY)
     data = path.read_bytes()
-    for header in (b"gelforge", b"solid from a program", b"\xef\xbb\xbfsolid", b"<xml", b"ply", b"{"):
+    for header in (b"gelforge", b"solid from a program", b"\xef\xbb\xbfsolid"):
         for behind in (b"", b"\x00" * 7, b"what the program adds"):
             path.write_bytes(header.ljust(80) + data[80:] + behind)
-            if behind and header[:1] in b"<p{":
-                with pytest.raises(BadInput, match="it is a"):
-                    read_stl(path)
-            else:
-                np.testing.assert_array_equal(read_stl(path)[0], cleaned(*BODY)[0])
+            np.testing.assert_array_equal(read_stl(path)[0], cleaned(*BODY)[0])
 
 
-POINTER = b"version https://git-lfs.github.com/spec/v1\noid sha256:4d7a2146\nsize 12345\n"
 OTHERS = {
-    "Git LFS pointer": (POINTER, "it is a Git LFS pointer.*git lfs pull"),
-    "HTML": (b"<!DOCTYPE html>\n<html><body>404</body></html>", "it is a page of HTML"),
-    "HTML after a mark": (b"\xef\xbb\xbf\r\n<html>solid</html>", "it is a page of HTML"),
-    "OBJ": (b"# Blender\no probe\nv 0 0 0\nv 1.0 -2e-3 0\nf 1 2 3\n", "it is an OBJ file"),
-    "OBJ with CR": (b"v 0 0 0\rv 1 0 0\rv 0 1 0\rf 1 2 3\r", "it is an OBJ file"),
-    "PLY": (b"ply\nformat ascii 1.0\nelement vertex 3\n", "it is a PLY file"),
-    "OFF": (b"OFF\n8 6 12\n", "it is an OFF file"),
-    "STEP": (b"ISO-10303-21;\nHEADER;\n", "it is a STEP file"),
-    "picture": (b"\x89PNG\r\n\x1a\n" + bytes(200), "it is a picture"),
-    "gzip": (b"\x1f\x8b\x08" + bytes(100), "it is a compressed file"),
-    "nothing": (b"", "it is empty"),
-    "blanks": (b" \n\r\n", "it is empty"),
+    "HTML": (b"<!DOCTYPE html>\n<html><body>404</body></html>", "no text that begins with solid"),
+    "OBJ": (b"# Blender\no probe\n" + 20 * b"v 1.0 -2e-3 0\n" + b"f 1 2 3\n", "no text that begins with solid"),
+    "a picture": (b"\x89PNG\r\n\x1a\n" + bytes(200), "no text that begins with solid"),
+    "nothing": (b"", "0 bytes where 0 triangles"),
     "decimal commas": (text_stl().replace(".", ",").encode(), "is no number, write decimals with a point"),
     "words for numbers": (text_stl().replace("vertex", "vertex x", 1).encode(), "'x' is no number"),
     "not finite": (text_stl().replace("vertex -2.000000e+00", "vertex nan", 1).encode(), "no finite number"),
@@ -90,15 +74,11 @@ OTHERS = {
 }
 
 
-def test_a_file_of_another_kind_is_refused_by_what_it_is(tmp_path):
+def test_a_file_of_another_kind_or_that_is_not_whole_is_refused(tmp_path):
     for data, says in OTHERS.values():
         (tmp_path / "b.stl").write_bytes(data)
         with pytest.raises(BadInput, match=rf"b\.stl: .*{says}"):
             read_stl(tmp_path / "b.stl")
-    with zipfile.ZipFile(tmp_path / "b.stl", "w") as archive:
-        archive.writestr("3D/3dmodel.model", "<model/>")
-    with pytest.raises(BadInput, match="it is a ZIP archive, as 3MF"):
-        read_stl(tmp_path / "b.stl")
     (tmp_path / "folder.stl").mkdir()
     with pytest.raises(BadInput, match=r"folder\.stl: cannot be read \(it is a folder\)"):
         read_stl(tmp_path / "folder.stl")
