@@ -250,7 +250,7 @@ def import_recordings(source: Path, data: Path, topics: Topics, sensor) -> dict:
 
 
 def recordings_of(folder: Path) -> list[Path]:
-    """The recordings in a folder, also those compressed as a whole that nobody decompressed yet: none is passed over."""
+    """The recordings in a folder, also those compressed as a whole that nobody decompressed yet: these are refused, not passed over."""
     compressed = [path for path in folder.rglob("*.mcap.zst*") if not path.with_suffix("").exists()]
     return sorted([*folder.rglob("*.mcap"), *compressed])
 

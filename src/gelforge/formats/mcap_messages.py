@@ -12,7 +12,6 @@ from gelforge.errors import BadInput
 from gelforge.records.regular import file_fault
 
 LATEST_NS = 2**63 - 1  # in the year 2262
-ZSTD = b"\x28\xb5\x2f\xfd"  # what a Zstandard frame begins with (RFC 8878, 3.1.1)
 
 
 def messages(path: Path, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
@@ -23,19 +22,13 @@ def messages(path: Path, topics: Collection[str]) -> Iterator[tuple[str, int, An
     if fault := file_fault(path):
         raise BadInput(f"{path}: cannot be read ({fault}); give a recording in MCAP")
     with path.open("rb") as stream:
-        if stream.read(len(ZSTD)) == ZSTD:
-            whole = path.with_suffix("") if ".mcap" in path.stem else "NAME.mcap"
-            raise BadInput(
-                f"{path}: is compressed as a whole; decompress it with `zstd -d {path} -o {whole}` and import what that makes"
-            )
-        stream.seek(0)
         try:
             yield from _decoded(path, stream, topics)
         except (BadInput, ModuleNotFoundError):
             raise
         # a corrupt file makes mcap, the ROS definitions in it, LZ4, Zstandard and struct each raise errors of their own
         except Exception as error:
-            raise BadInput(f"{path}: cannot be read as MCAP with ROS 2 messages ({str(error)[:200] or type(error).__name__}); record it again, mend it with `mcap recover`, or unpack by `ros2 bag convert` what was recorded with --compression-mode") from error  # fmt: skip
+            raise BadInput(f"{path}: cannot be read as MCAP with ROS 2 messages ({str(error)[:200] or type(error).__name__}); record it again, mend it with `mcap recover`, or unpack what was recorded with --compression-mode by `zstd -d` or `ros2 bag convert`") from error  # fmt: skip
 
 
 def _decoded(path: Path, stream: IO[bytes], topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:

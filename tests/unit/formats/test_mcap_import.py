@@ -175,7 +175,7 @@ def test_a_recording_compressed_as_a_whole_is_not_passed_over_beside_others(tmp_
     packed = whole.with_name("a.mcap.zstd")
     packed.write_bytes(zstandard.compress(whole.read_bytes()))
     whole.unlink()
-    with pytest.raises(BadInput, match=rf"zstd -d {packed} -o {whole}` "):
+    with pytest.raises(BadInput, match=r"a\.mcap\.zstd: cannot be read as MCAP .*zstd -d"):
         imported(tmp_path, packed.parent, sensor)
     whole.write_bytes(zstandard.decompress(packed.read_bytes()))
     assert imported(tmp_path, packed.parent, sensor)[0]["files"] == 2
