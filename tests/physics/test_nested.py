@@ -10,13 +10,12 @@ from hypothesis import strategies as st
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build, load_catalogue
 from gelforge.geometry.touch import width_of
-from gelforge.mechanics.contact.reach import gaps
 from gelforge.mechanics.elements import hex8
 from gelforge.mechanics.hexsettings import QUALITIES, HexSettings, Nested
 from gelforge.mechanics.linear.factorisation import symmetric_solver
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.mesh.hexmesh import FineBox, build_mesh, dissected, elimination_order
-from gelforge.mechanics.path.loadpath import frame_time
+from gelforge.mechanics.path.loadpath import frame_time, gaps
 from gelforge.mechanics.path.transfer import (
     FLAT,
     LoadPath,

@@ -19,13 +19,13 @@ from gelforge.mechanics.contact.penalty import (
     penalty_tractions,
     positions,
 )
-from gelforge.mechanics.contact.reach import gaps, reachable
 from gelforge.mechanics.elements.element import elements
 from gelforge.mechanics.linear.factorisation import symmetric_solver
 from gelforge.mechanics.linear.gmres import gmres, length_of
 from gelforge.mechanics.linear.pattern import block_places, build_pattern, symmetric_product
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.hexmesh import HexMesh, elimination_order
+from gelforge.mechanics.path.loadpath import gaps, reachable
 from gelforge.mechanics.path.settings import PathSettings
 from gelforge.mechanics.pose import Pose
 from gelforge.mechanics.result import NoEquilibrium

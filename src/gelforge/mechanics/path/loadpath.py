@@ -1,4 +1,4 @@
-"""The load path of a press: press, then shear, by one parameter; and where its frames lie on it."""
+"""The load path of a press: press, then shear, by one parameter; where its frames lie on it, and what of the gel it meets."""
 
 import numpy as np
 
@@ -9,6 +9,7 @@ from gelforge.mechanics.scene import Scene
 from gelforge.records.frames import MOST_DEEPER_MM, MOST_FARTHER_MM
 
 ROUNDING_MM = 1e-6  # far below what an axis resolves
+WITHIN = 1.0  # mm from the indenter's path within which a face may come into contact
 
 
 def path_pose(scene: Scene, t: float) -> Pose:
@@ -19,6 +20,18 @@ def path_pose(scene: Scene, t: float) -> Pose:
 def first_touch(scene: Scene) -> float | None:
     """Path parameter where the indenter first meets the undeformed gel, or None where it never does."""
     return touch.first_touch(scene.gel, scene.indenter, scene.press)
+
+
+def reachable(scene: Scene, points: np.ndarray) -> np.ndarray:
+    """Which faces (f,), by points (f, k, 3) mm of each, come within WITHIN mm of the indenter on its path, undeformed."""
+    centre = points.mean(axis=1)
+    size = np.linalg.norm(points - centre[:, None], axis=2).max(axis=1)
+    return touch.touched(scene.indenter, scene.press, centre, WITHIN + size)
+
+
+def gaps(scene: Scene, x: np.ndarray, pose: Pose) -> np.ndarray:
+    """Signed distances (m,) mm of places x (m, 3) to the indenter at a pose."""
+    return scene.indenter.distance(pose.to_indenter(x))[0]
 
 
 def frame_time(scene: Scene, last: Scene) -> float:

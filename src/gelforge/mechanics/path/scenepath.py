@@ -8,12 +8,10 @@ import numpy as np
 
 from gelforge.errors import SolveFailed
 from gelforge.mechanics.contact.penalty import FREE, STICK, TOUCHING
-from gelforge.mechanics.contact.reach import gaps
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.path.equilibrium import NOISY_INTERPOLATED, PARTS, SHORT, Equilibrium, System
-from gelforge.mechanics.path.loadpath import path_pose
+from gelforge.mechanics.path.loadpath import gaps, path_pose
 from gelforge.mechanics.path.settings import PathSettings
-from gelforge.mechanics.path.stepcontrol import StepControl
 from gelforge.mechanics.path.transfer import LoadPath, carried, touches
 from gelforge.mechanics.pose import Pose, on_surface, touch_places
 from gelforge.mechanics.result import NoEquilibrium
@@ -23,8 +21,45 @@ from gelforge.records.status import Status
 BETWEEN = 2  # load steps at least between two frames of a press that are asked for
 EASY = 7  # Newton iterations up to which a shortened step may grow again
 SMALLEST_PART = 0.1  # of pending contact changes carried out in one solve
+REST = 0.3  # of a load step: a shorter rest of the leg is taken along with it
 BEYOND = 1.001  # of its traction is what a slipping point's multiplier wants, or rounding decides which points stick
 ACCEPTED = 1e-7  # residual over contact force that keeps base reactions within 1e-6
+
+
+class StepControl:
+    """Load steps of a path's legs: halved where no equilibrium is found, doubled again after easy ones.
+
+    most_cuts: how often a step may be halved. easy: most Newton iterations of an easy one.
+    """
+
+    def __init__(self, most_cuts: int, easy: int) -> None:
+        self.most_cuts, self.easy = most_cuts, easy
+        self.cuts = 0
+
+    def follow(self, start: float, stop: float, largest: float, advance: Callable[[float, float], int]) -> None:
+        """Go from path parameter `start` to exactly `stop` in steps of `largest` at most.
+
+        advance: takes one step to a path parameter, with the share of pending contact changes to carry out, and returns its
+        Newton iterations; raises NoEquilibrium, changing nothing. That of the shortest step passes through.
+        """
+        at, step, pending = start, largest, largest
+        while stop - at > 1e-9:
+            ahead = min(step, stop - at)
+            last = stop - at - ahead < REST * ahead
+            if last:
+                ahead = stop - at
+            aim = stop if last else at + ahead  # exactly the stop: states are looked up by it
+            try:
+                used = advance(aim, min(1.0, ahead / pending))
+            except NoEquilibrium:
+                self.cuts += 1
+                pending, step = max(pending, ahead), 0.5 * ahead
+                if step < largest / 2**self.most_cuts:
+                    raise
+                continue
+            at, pending = aim, step
+            if used <= self.easy:
+                step = min(2.0 * step, largest)
 
 
 @dataclass(frozen=True)

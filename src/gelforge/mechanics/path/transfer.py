@@ -11,11 +11,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.contact.reach import gaps
 from gelforge.mechanics.elements.element import ElementSet
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.hexmesh import HexMesh
-from gelforge.mechanics.path.loadpath import path_pose
+from gelforge.mechanics.path.loadpath import gaps, path_pose
 from gelforge.mechanics.pose import Pose, touch_fraction
 from gelforge.mechanics.result import NoEquilibrium
 from gelforge.mechanics.scene import Scene
