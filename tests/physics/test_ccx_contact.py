@@ -13,8 +13,8 @@ from gelforge.mechanics.material import Material
 from gelforge.mechanics.mesh.moved import moved
 from gelforge.mechanics.path.equilibrium import System
 from gelforge.mechanics.path.loadpath import first_touch, path_pose
+from gelforge.mechanics.path.pathsettings import PathSettings
 from gelforge.mechanics.path.scenepath import ScenePath
-from gelforge.mechanics.path.settings import PathSettings
 from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver
 from gelforge.mechanics.solvers.ccx_native import solve_native

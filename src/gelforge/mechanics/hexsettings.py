@@ -7,7 +7,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.mechanics.mesh.hexmesh import SMALLEST, FineBox
-from gelforge.mechanics.path.settings import PathSettings
+from gelforge.mechanics.path.pathsettings import PathSettings
 
 # Residual over contact force of a path that only leads to the fine hexahedra. It is far below what their answer needs, because
 # which released points at its end turns on it: at 1e-4 a second thread let ten more points go under a pyramid, 0.2 % of force.

@@ -26,7 +26,7 @@ from gelforge.mechanics.linear.pattern import block_places, build_pattern, symme
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.hexmesh import HexMesh, elimination_order
 from gelforge.mechanics.path.loadpath import gaps, reachable
-from gelforge.mechanics.path.settings import PathSettings
+from gelforge.mechanics.path.pathsettings import PathSettings
 from gelforge.mechanics.pose import Pose
 from gelforge.mechanics.result import NoEquilibrium
 from gelforge.mechanics.scene import Scene

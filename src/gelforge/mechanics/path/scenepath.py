@@ -11,7 +11,7 @@ from gelforge.mechanics.contact.penalty import FREE, STICK, TOUCHING
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.path.equilibrium import NOISY_INTERPOLATED, PARTS, SHORT, Equilibrium, System
 from gelforge.mechanics.path.loadpath import gaps, path_pose
-from gelforge.mechanics.path.settings import PathSettings
+from gelforge.mechanics.path.pathsettings import PathSettings
 from gelforge.mechanics.path.transfer import LoadPath, carried, touches
 from gelforge.mechanics.pose import Pose, on_surface, touch_places
 from gelforge.mechanics.result import NoEquilibrium

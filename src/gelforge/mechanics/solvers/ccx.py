@@ -23,8 +23,8 @@ from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.path.equilibrium import System
 from gelforge.mechanics.path.loadpath import first_touch
+from gelforge.mechanics.path.pathsettings import PathSettings
 from gelforge.mechanics.path.scenepath import ScenePath, Verdict
-from gelforge.mechanics.path.settings import PathSettings
 from gelforge.mechanics.path.transfer import LoadPath
 from gelforge.mechanics.result import BALANCE, Result
 from gelforge.mechanics.scene import Scene
