@@ -125,9 +125,9 @@ class ScenePath(Equilibrium):
         return Status.DIVERGED
 
     def arrive(self, path: LoadPath) -> Status:
-        """Equilibrium at the end of a path that was followed on hexahedra, coarser ones: no slip or no friction only.
+        """Equilibrium at the end of a path that was followed on coarser hexahedra; for laws without slip or without friction.
 
-        The path may be the way to this end of a longer one.
+        That path may be the beginning of a longer one.
         """
         self.t, self.noisy, self.crawls = self.scene.press.end, NOISY_INTERPOLATED, True
         pose = path_pose(self.scene, self.t)

@@ -31,7 +31,10 @@ from gelforge.mechanics.scene import Scene
 from gelforge.records.status import Status
 
 NEAR_MM = 0.5  # from the indenter: points that may come to touch within a load step
-SOFTER = 0.1  # the springs along the indenter of a law with friction, in those along its normal
+# Residual at which the end of a path on hexahedra shows what pulls and what presses on tetrahedra: nine scenes end within
+# 0.07 % of what 1e-3 gives, in three quarters of the time; at 0.2 they end up to 1.2 % off.
+ROUGH = 0.03
+FRICTION = 0.1  # stiffness of the springs along the indenter over that along its normal, for laws with friction
 INCREMENT = 0.25  # of the load, the first where a start from the kinematics fails
 
 
@@ -65,8 +68,8 @@ class CcxSettings:
         travel = max(1.0 - touch_at, 0.0) * abs(scene.press.dz)
         stiffness = self.stiffness * REFERENCE_C10
         return PathSettings(
-            NEAR_MM, stiffness, SOFTER * stiffness, press_steps=max(self.press_steps, int(np.ceil(travel / self.step_mm))),
-            shear_steps=self.shear_steps, tolerance=1e-3, final_tolerance=1e-8, rough=0.03, max_iterations=20,
+            NEAR_MM, stiffness, FRICTION * stiffness, press_steps=max(self.press_steps, int(np.ceil(travel / self.step_mm))),
+            shear_steps=self.shear_steps, tolerance=1e-3, final_tolerance=1e-8, rough=ROUGH, max_iterations=20,
             settle_rounds=self.rounds,
         )  # fmt: skip
 
