@@ -170,3 +170,10 @@ def test_an_end_that_does_not_converge_is_followed_on_the_tetrahedra(mesh, ccx, 
     assert result.status is Status.OK
     # the same solve; several threads sum in another order each time, and one component is nothing but rounding
     assert np.linalg.norm(result.total - alone.total) < 1e-6 * np.linalg.norm(alone.total)
+
+
+def test_a_path_ends_after_the_newton_iterations_that_it_may_take(mesh):
+    """A press that the gel cannot bear would be cut into ever shorter steps."""
+    path, status = followed(scene(), replace(TIGHT, most_in_all=5), System(mesh), mesh)
+    assert status is Status.DIVERGED and "more than 5 Newton iterations" in path.reason
+    assert path.iterations <= 5 + TIGHT.max_iterations

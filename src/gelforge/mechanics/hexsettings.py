@@ -97,8 +97,10 @@ class HexSettings:
         """How a path is followed on hexahedra of side `size` mm under the press."""
         s, scale = self, REFERENCE_C10 / size
         return PathSettings(
-            size, s.penalty * scale, s.friction_penalty * scale, s.gauss, s.press_steps, s.shear_steps, s.tolerance,
-            s.final_tolerance, ROUGH, s.max_iterations, s.max_cuts, s.settle_rounds, s.pull_tolerance, TOUCHED,
+            size, s.penalty * scale, s.friction_penalty * scale, gauss=s.gauss, press_steps=s.press_steps,
+            shear_steps=s.shear_steps, tolerance=s.tolerance, final_tolerance=s.final_tolerance, rough=ROUGH,
+            max_iterations=s.max_iterations, max_cuts=s.max_cuts, settle_rounds=s.settle_rounds,
+            pull_tolerance=s.pull_tolerance, touched=TOUCHED,
         )  # fmt: skip
 
     @property

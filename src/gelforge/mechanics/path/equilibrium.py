@@ -126,6 +126,8 @@ class Equilibrium:
         points that slip from a poor guess drag others along, and Newton loses its way. enough: residual that is taken
         where no number of steps meets the tolerance. parts: of a step that are tried in turn. Raises NoEquilibrium.
         """
+        if self.iterations > self.settings.most_in_all:
+            raise NoEquilibrium(f"the path took more than {self.settings.most_in_all:g} Newton iterations")
         penalties = [self.holding, self.penalty] if self.law.frictional and not still else [self.penalty]
         state = self._out_of_balance(u, pose, penalties[0])
         best: tuple[float, np.ndarray, Any] = np.inf, u, None

@@ -1,5 +1,6 @@
 """How a path is followed, whatever the elements are."""
 
+import math
 from dataclasses import dataclass
 
 
@@ -13,7 +14,7 @@ class PathSettings:
     press_steps, shear_steps: load steps of the two legs (more where Newton asks for it).
     tolerance, final_tolerance: residual within the path and at its end. rough: at which the end of a path that was followed on
     other elements shows what pulls and what presses.
-    max_iterations: of Newton's method in one solve. max_cuts: how often a load step may be halved.
+    max_iterations: of Newton's method in one solve. most_in_all: of a path. max_cuts: how often a load step may be halved.
     settle_rounds: contact iterations, in which points are released at the end of the path. pull_tolerance: share of the largest
     pressure by which a sticking point may pull.
     touched: how close to the indenter a path on other, wider hexahedra must have brought a point that has touched, in their widths.
@@ -29,6 +30,7 @@ class PathSettings:
     final_tolerance: float = 1e-9
     rough: float = 1e-3
     max_iterations: int = 14
+    most_in_all: float = math.inf
     max_cuts: int = 8
     settle_rounds: int = 6
     pull_tolerance: float = 1e-3

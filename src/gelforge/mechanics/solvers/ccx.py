@@ -69,7 +69,7 @@ class CcxSettings:
         stiffness = self.stiffness * REFERENCE_C10
         return PathSettings(
             NEAR_MM, stiffness, FRICTION * stiffness, press_steps=max(self.press_steps, int(np.ceil(travel / self.step_mm))),
-            shear_steps=self.shear_steps, tolerance=1e-3, final_tolerance=1e-8, rough=ROUGH, max_iterations=20,
+            shear_steps=self.shear_steps, tolerance=1e-3, final_tolerance=1e-8, rough=ROUGH, max_iterations=20, most_in_all=300,
             settle_rounds=self.rounds,
         )  # fmt: skip
 
