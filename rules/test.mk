@@ -4,7 +4,7 @@ TESTS ?= tests
 # keep the order of tests/conftest.py.
 PYTEST = $(PY_HERE) -m pytest -n $(SLOTS) --dist loadfile --no-loadscope-reorder --max-worker-restart=0 --durations=20
 
-# A browser for tests of pages, Slurm for a cluster of one node: one install at a time, or they would fight for apt's lock.
+# A browser for tests of pages, Slurm for a cluster of one node: one install at a time, else they fight for the lock.
 CHROMIUM_FOUND := .venv/chromium.found
 SLURM_FOUND := .venv/slurm.found
 
@@ -25,7 +25,7 @@ $(LEROBOT_READY): envs/lerobot.sh envs/lerobot.lock | $(SETUP)
 test: $(SETUP) $(CCX_FOUND)  ## the tests of every change, in minutes: all but the slow ones
 	@$(PYTEST) -m 'not slow' $(TESTS)
 
-test-all: $(SETUP) $(CCX_FOUND)  ## all tests, in a quarter of an hour; MARKED=slow: those that `make test` leaves out
+test-all: $(SETUP) $(CCX_FOUND)  ## all tests, in half an hour; MARKED=slow: those that `make test` leaves out
 	@$(PYTEST) -m $(call given,MARKED) $(TESTS)
 
 lint: $(SETUP)  ## check style, names, types and imports of the code, and that generated files are those of today
