@@ -151,13 +151,13 @@ def test_a_path_followed_on_hexahedra_ends_on_the_tetrahedra_as_one_followed_the
 def test_the_guided_and_the_whole_path_agree_in_calculix(mesh, ccx, tmp_path):
     guide = HexSolver(HexSettings(size=0.6, layers=5, layer_ratio=2.0, gauss=2, nested=Nested(layers=3)))
     whole = CcxSolver(mesh, tmp_path / "whole", CCX).solve(scene())
-    guided = CcxSolver(mesh, tmp_path / "guided", CCX).solve(
-        scene(), coarse_path=guide.coarse_path([scene()])[0].path
-    )
+    coarse_path = guide.coarse_path([scene()])[0].path
+    guided = CcxSolver(mesh, tmp_path / "guided", CCX).solve(scene(), coarse_path=coarse_path)
     assert guided.status is whole.status is Status.OK
     assert apart(guided.total, whole.total) < 0.02
     assert guided.evidence["kinematics_iterations"] < whole.evidence["kinematics_iterations"]
     assert guided.evidence["base_mismatch"] < 1e-6
+    assert guided.evidence["load_steps"] == len(coarse_path.times) - 1  # those of the path that led there
 
 
 def test_an_end_that_does_not_converge_is_followed_on_the_tetrahedra(mesh, ccx, tmp_path):

@@ -112,8 +112,8 @@ class CcxSolver:
     ) -> CcxResult:
         """State at the end of the scene's path. Failure is a status, not an exception.
 
-        coarse_path: the path as followed on hexahedra; only its end is then solved on the tetrahedra. None, or an end
-        that does not converge: the path is followed on the tetrahedra.
+        coarse_path: the path as followed on hexahedra, of a law without slip or without friction; only its end is then
+        solved on the tetrahedra. None, or an end that does not converge: the path is followed on the tetrahedra.
         """
         began = time.perf_counter()
         s = settings or self.settings
@@ -121,11 +121,15 @@ class CcxSolver:
         if touch_at is None:
             return self._empty(Status.NO_CONTACT, "", began)
         path = s.path(scene, touch_at)
-        found = ScenePath(scene, path, self.mesh, self.system)
-        status = found.arrive(coarse_path) if coarse_path else Status.DIVERGED
+        status = Status.DIVERGED
+        if coarse_path:
+            found = ScenePath(scene, path, self.mesh, self.system)
+            status = found.arrive(coarse_path)
+            steps = len(coarse_path.times) - 1
         if status is not Status.OK:
             found = ScenePath(scene, path, self.mesh, self.system)
             status = found.follow(touch_at)
+            steps = found.steps
         kinematics_s = time.perf_counter() - began
         if status is Status.OK:
             result = self._state(found, name, s)
@@ -133,7 +137,7 @@ class CcxSolver:
         else:
             result = self._empty(Status.DIVERGED, found.reason or status.value, began)
         result.evidence |= {
-            "kinematics_seconds": kinematics_s, "seconds": time.perf_counter() - began, "load_steps": found.steps,
+            "kinematics_seconds": kinematics_s, "seconds": time.perf_counter() - began, "load_steps": steps,
             "kinematics_iterations": found.iterations, "rounds": found.rounds,
         }  # fmt: skip
         return result
