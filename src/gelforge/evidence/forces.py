@@ -4,9 +4,8 @@ Each function returns one sentence with its number, or None where there is nothi
 sensor` uses them, too. Normal forces are compression here, in N and positive, in the order of the log.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
-from itertools import islice
 
 import numpy as np
 
@@ -81,6 +80,14 @@ class Fitted:
     largest_noise: float
 
 
+def _first_said(causes: Iterable[Callable[[], str | None]]) -> list[str]:
+    """The sentence of the first cause that has one, alone; those after it are not looked at."""
+    for cause in causes:
+        if said := cause():
+            return [said]
+    return []
+
+
 def of_log(log: LogForces, fitted: Fitted) -> list[str]:
     """What the readings say of force sensor and log: a cause, without what follows from it."""
     felt = fitted.usual > LEAST_N
@@ -94,7 +101,7 @@ def of_log(log: LogForces, fitted: Fitted) -> list[str]:
         lambda: constant(fitted.constant),
         lambda: noise(fitted.noise, fitted.largest_noise),
     )
-    return [*islice(filter(None, (cause() for cause in causes)), 1)]
+    return _first_said(causes)
 
 
 def misplaced(force: np.ndarray, predicted: np.ndarray) -> str | None:
@@ -299,7 +306,7 @@ def of_labels(log: LogForces, label: np.ndarray, indenters: Sequence[str], usual
         lambda: _one_indenter(log, label, felt, names),
         lambda: _other_thickness(log, label, felt),
     )
-    return [*islice(filter(None, (cause() for cause in causes)), 1)]
+    return _first_said(causes)
 
 
 def _stuck(log: LogForces, label: np.ndarray) -> str | None:

@@ -92,7 +92,8 @@ class Circumstances:
     @property
     def altered(self) -> str:
         """What a sound sensor, in its own light, would not show; empty where nothing is."""
-        return " and ".join(["relit"] * (self.relit is not None) + ["worn"] * bool(self.worn))
+        relit, worn = self.relit is not None, bool(self.worn)
+        return " and ".join(what for what, so in (("relit", relit), ("worn", worn)) if so)
 
 
 @dataclass(frozen=True)

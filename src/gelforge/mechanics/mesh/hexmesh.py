@@ -163,7 +163,7 @@ def thinner_layers(layers: int, ratio: float, height: float, thickest: float, gr
     if (1.0 - heights[-2]) * height <= thickest:
         return layers, ratio
     thicknesses = height / thickest  # all, in units of the uppermost
-    while growth ** np.arange(layers) @ np.ones(layers) < thicknesses:
+    while (growth ** np.arange(layers)).sum() < thicknesses:
         layers += 1
     roots = np.roots([*np.ones(layers - 1), 1.0 - thicknesses])
     factor = roots[np.abs(roots.imag) < 1e-9].real.max()
@@ -257,7 +257,8 @@ AROUND = 0.5  # mm of small hexahedra around what is touched, whose box is round
 def fine_box(scene: Scene, size: float, across: int = 0) -> FineBox:
     """Part of the gel that the press can touch, rounded outwards so that presses share meshes.
 
-    The undeformed surface inside the indenter anywhere on the path, and AROUND mm around it. Hexahedra
+    The undeformed surface inside the indenter anywhere on the path, and AROUND mm around it, less around a contact under
+    TINY mm across. Hexahedra
     are of `size`, or smaller where the shorter side of what is touched is under `across` hexahedra, or its parts are narrow.
     """
     smallest, around = SMALLEST, AROUND
