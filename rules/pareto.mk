@@ -11,7 +11,7 @@ pareto: $D/pareto/pareto.json  ## speed against accuracy of the mechanics: chart
 
 pareto-quick: $D/pareto/quick.json  ## the report's small chart: three scenes, few methods
 
-$(PARETO_MESH_FILES): $D/pareto/meshes/%.npz: $P/pareto_meshes.json $P/gels.json
+$(PARETO_MESH_FILES): $D/pareto/meshes/%.npz: $P/meshes.json $P/gels.json
 	$(call step,gelforge.stages.pareto mesh $D $*)
 
 $(PARETO_FILES): $D/pareto/scenes/%.json: $P/scenes/%.json $(SCENE_READS) $(PARETO_MESH_FILES)

@@ -6,7 +6,7 @@ from gelforge.flow.files import write_json
 from gelforge.flow.params import Params
 from gelforge.flow.params.stages import ForPareto
 from gelforge.geometry.gel import load_gel
-from gelforge.sweeps.references import build_mesh
+from gelforge.mechanics.mesh.family import MeshName, make_mesh
 from gelforge.sweeps.trial import ChartBench
 
 
@@ -14,7 +14,7 @@ def need_mesh(name: str, folder: Path, params: ForPareto | Params) -> Path:
     """Path of a mesh of the folder, which is built first where it is missing."""
     path = Path(folder) / f"{name}.npz"
     if not (path.exists() and path.with_suffix(".json").exists()):
-        mesh, report = build_mesh(name, load_gel(params.meshes.gel), params)
+        mesh, report = make_mesh(MeshName.parse(name), load_gel(params.meshes.gel), params.meshes)
         write_json(path.with_suffix(".json"), report)
         mesh.save(path)
     return path

@@ -18,17 +18,23 @@ import getfem as gf
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 
-# mm of the hexahedra under the body; scenes with planes of symmetry are solved on a half or a quarter of the gel
+# mm of the hexahedra at the sides of the footprint and inside of it; scenes with planes of symmetry are solved on a half or a
+# quarter of the gel
 EDGES_MM = {
-    "sphere_1mm": 0.45,
-    "cuboid_round": 0.55,
-    "cylinder": 0.65,
-    "pyramid": 0.5,
-    "cuboid_shear": 0.65,
-    "triple_triangle": 0.5,
-    "cuboid_sharp": 0.5,
-    "punch": 0.25,
+    "sphere_1mm": (0.45, 0.45),
+    "cuboid_round": (0.55, 0.55),
+    "cylinder": (0.65, 0.65),
+    "pyramid": (0.5, 0.5),
+    "cuboid_shear": (0.25, 0.9),
+    "sloping_cuboid": (0.3, 0.9),
+    "triple_triangle": (0.5, 0.5),
+    "cuboid_sharp": (0.5, 0.5),
+    "punch": (0.25, 0.25),
 }
+RIM, RIM_GROWTH = (
+    0.6,
+    0.4,
+)  # mm inside of the footprint's sides that have the small hexahedra, and how they grow from there
 GROWTH, LARGEST = 1.6, 3.5  # how they grow away from the body, and the largest, mm
 LAYERS = (1.4, 1.0, 0.7, 0.5, 0.4)  # from the base to the top, of the height
 MARGIN = 0.7  # mm of small hexahedra beside the footprint
@@ -110,7 +116,19 @@ def pyramid(of, x, y, z):
     return np.where((plane > 0) & (near > foot), off_edge, plane) - of["fillet"]
 
 
-KINDS = {body.__name__: body for body in (sphere, cuboid, cylinder, triple_triangle, pyramid)}
+def sloping_cuboid(of, x, y, z):
+    """A block whose lower face falls towards -y, all edges but the upper ones rounded."""
+    if of["deepest_deg"] != -90:
+        raise ValueError("a block whose lower face falls towards -y is all there is")
+    fillet, slope, half = of["fillet"], np.tan(np.deg2rad(of["slope_deg"])), of["size"][1] / 2 - of["fillet"]
+    # the core that is rounded: its lowest corner lies `fillet` above the tip
+    corners = [(-half, fillet), (half, fillet + 2 * slope * half), (half, of["height"]), (-half, of["height"])]
+    across, beside = polygon(np.array(corners), y, z), abs(x) - of["size"][0] / 2 + fillet
+    apart = np.hypot(np.maximum(across, 0), np.maximum(beside, 0))
+    return apart + np.minimum(np.maximum(across, beside), 0) - fillet
+
+
+KINDS = {body.__name__: body for body in (sphere, cuboid, cylinder, triple_triangle, pyramid, sloping_cuboid)}
 
 
 class RigidBody:
@@ -157,10 +175,19 @@ def gel_top(path: Path):
     return LinearNDInterpolator(points[:, :2], points[:, 2])
 
 
-def lines(fine_low: float, fine_high: float, low: float, high: float, edge: float) -> np.ndarray:
-    """Mesh lines from `low` to `high`: hexahedra of `edge` in the fine part, larger ones outwards."""
-    found = list(np.linspace(fine_low, fine_high, max(1, round((fine_high - fine_low) / edge)) + 1))
-    for way, start, end in ((-1, fine_low, low), (1, fine_high, high)):
+def fine_lines(low: float, high: float, sides: list[float], edge: float, inside: float) -> np.ndarray:
+    """Mesh lines from `low` to `high`: hexahedra of `edge` near `sides` of the footprint, up to `inside` away from them."""
+    x = np.linspace(low, high, 4001)
+    away = np.abs(x[:, None] - sides).min(axis=1)
+    size = np.clip(edge + RIM_GROWTH * (away - RIM), edge, inside)
+    count = np.concatenate([[0.0], np.cumsum(np.diff(x) * (1 / size[1:] + 1 / size[:-1]) / 2)])
+    return np.interp(np.linspace(0.0, count[-1], max(1, round(count[-1])) + 1), count, x)
+
+
+def lines(fine: np.ndarray, low: float, high: float, edge: float) -> np.ndarray:
+    """Mesh lines from `low` to `high`: those of the fine part, and hexahedra larger than `edge` outwards."""
+    found = list(fine)
+    for way, start, end in ((-1, fine[0], low), (1, fine[-1], high)):
         size, at = edge, start
         while way * (end - at) > 1.6 * GROWTH * size:
             size = min(GROWTH * size, LARGEST)
@@ -178,15 +205,18 @@ def footprint(body: RigidBody, legs: np.ndarray, top) -> np.ndarray:
     return np.stack([met.min(axis=0), met.max(axis=0)])
 
 
-def gel_mesh(gel: dict, top, near: np.ndarray, halved: list[bool], edge: float):
+def gel_mesh(gel: dict, top, near: np.ndarray, halved: list[bool], edge: float, inside: float):
     """Mesh of the gel, or of its half or quarter, with its lines along x and y; near: the fine part (2, 2) mm.
+
+    edge, inside: mm of the hexahedra at the footprint's sides and within them.
 
     Corners of the outline are left square. Regions: 1 top near the body, 2 base, 3 and 4 the planes of symmetry.
     """
     ends, sides = np.array([gel["width"], gel["length"]]) / 2, []
     for k in (0, 1):
         low, fine_low = (0.0, 0.0) if halved[k] else (-ends[k], near[0, k])
-        sides.append(lines(fine_low, near[1, k], low, ends[k], edge))
+        rims = [near[0, k] + MARGIN, near[1, k] - MARGIN]
+        sides.append(lines(fine_lines(fine_low, near[1, k], rims, edge, inside), low, ends[k], edge))
     mesh = gf.Mesh("cartesian Q1", *sides, np.concatenate([[0.0], np.cumsum(LAYERS)]) / sum(LAYERS))
     points = mesh.pts()
     above = top(points[0], points[1])
@@ -206,16 +236,16 @@ def gel_mesh(gel: dict, top, near: np.ndarray, halved: list[bool], edge: float):
 
 
 class PressedGel:
-    """The gel, the body, and the load steps of one scene; folder: the open benchmark's; edge: of the hexahedra, mm."""
+    """The gel, the body, and the load steps of one scene; folder: the open benchmark's; edges: as `gel_mesh`."""
 
-    def __init__(self, folder: Path, name: str, edge: float):
+    def __init__(self, folder: Path, name: str, edges: tuple[float, float]):
         challenge = json.loads((folder / "challenge.json").read_text())
         scene = json.loads((folder / "scenes" / name / "scene.json").read_text())
         self.body, self.legs = RigidBody(scene), np.array(scene["legs_mm"], float)
         self.halved = [self.body.mirrored(self.legs, axis) for axis in (0, 1)]
         top = gel_top(folder / "gel.stl")
         self.near = footprint(self.body, self.legs, top) + [[-MARGIN], [MARGIN]]
-        mesh, self.sides = gel_mesh(challenge["gel"], top, self.near, self.halved, edge)
+        mesh, self.sides = gel_mesh(challenge["gel"], top, self.near, self.halved, *edges)
         self.traction, displacement = gf.MeshFem(mesh, 3), gf.MeshFem(mesh, 3)
         displacement.set_fem(gf.Fem("FEM_Q2_INCOMPLETE(3)"))
         self.traction.set_fem(gf.Fem("FEM_QK(3,1)"))

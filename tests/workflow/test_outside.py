@@ -15,7 +15,7 @@ from tests.support.parameters import place_workflow
 COARSE = """
 import sys
 import outside_getfem as g
-g.EDGES_MM, g.LAYERS, g.STEP = {"sphere_1mm": 1.2}, (2.0, 1.0, 1.0), 0.4
+g.EDGES_MM, g.LAYERS, g.STEP = {"sphere_1mm": (1.2, 1.2)}, (2.0, 1.0, 1.0), 0.4
 sys.argv = [g.__file__, *sys.argv[1:], "sphere_1mm"]
 g.main()
 """

@@ -52,7 +52,7 @@ def coarse_mesh(region, size, folder):
 def test_a_mesh_that_ships_is_made_by_nobody_again(tmp_path):
     """pytetwild's are never the same, and all presses of the chart on another one would be solved again."""
     of = Layout(tmp_path / "results/lab")
-    write_json(of.parameters("pareto_meshes"), plain(stage_of("pareto_meshes")))
+    write_json(of.parameters("meshes"), plain(stage_of("meshes")))
     assert pareto.main(["mesh", str(of.root), "ccx-disc-0.4"]) == 0
     made = of.chart_mesh("ccx-disc-0.4")
     (ships,) = SHIPPED.glob("ccx-disc-0.4-*.npz")
@@ -60,7 +60,7 @@ def test_a_mesh_that_ships_is_made_by_nobody_again(tmp_path):
 
 
 def scene(name, table):
-    return parse_scene(name, {"depth": 0.5, "fine": "disc", **table}, 0.475)
+    return parse_scene(name, {"depth": 0.5, **table}, 0.475)
 
 
 def test_a_scene_is_solved_once_resumed_and_drawn(bench, tmp_path, capfd):
@@ -115,7 +115,7 @@ def test_every_fidelity_of_the_map_solves_with_what_its_branch_is_given(fidelity
 def test_a_press_beside_the_middle_is_solved_on_its_densitys_mesh_moved_there(ccx, tmp_path):
     params, folder = coarse_mesh("spot", 2.0, tmp_path)
     pressed = scene("ball", {"indenter": {"kind": "sphere", "diameter": 5, "height": 5}, "x0": 2.0, "y0": -1.5}).scene
-    solve = prepare(Method("ccx-2-2", "ccx", 2.0, steps=2), pressed, "", folder, params, tmp_path)
+    solve = prepare(Method("ccx-2-2", "ccx", 2.0, steps=2), pressed, folder, params, tmp_path)
     result, mesh = solve()
     assert result.status is Status.OK, result.evidence
     name = choose_mesh(pressed, MeshFamily(folder, ["ccx-spot-2.0"]))

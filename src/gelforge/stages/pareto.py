@@ -13,22 +13,21 @@ from gelforge.flow.files import listed, publish, read_json, write_csv, write_if_
 from gelforge.flow.layout import Layout, beside
 from gelforge.flow.main import group, stage
 from gelforge.flow.params import CHARTED, load_params, parameters_of, plain
-from gelforge.flow.params.stages import ForPareto, ForParetoMeshes, read_parameters
+from gelforge.flow.params.stages import ForMeshes, ForPareto, read_parameters
 from gelforge.flow.params.tables import CHOOSING, CLASSES, IN_PROCESS, VERIFYING, FeaTable
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
 from gelforge.labelling.sensor import load_sensors
+from gelforge.mechanics.mesh.family import MeshName, make_mesh
 from gelforge.mechanics.solvers.contactclass import contact_class
 from gelforge.stages.meshes import publish_mesh
 from gelforge.sweeps.deviation import errors, frontier
-from gelforge.sweeps.methods import HALVED, REFERENCE, TURNED, Method, every_method, quick_methods
-from gelforge.sweeps.references import build_mesh, turns
+from gelforge.sweeps.methods import DOUBLED, REFERENCE, TURNED, Method, every_method, quick_methods
 from gelforge.sweeps.scenes import NamedScene, parse_scene
 from gelforge.sweeps.symmetry import images_of
 from gelforge.sweeps.trial import ChartBench, given_reference, load_bench, measure
 
-# Also of its meshes: what was solved on others is solved anew.
-VERSION = 3
+VERSION = 4
 GOAL_TOTAL, GOAL_CELLS = 0.02, 0.08  # what a label setting should meet over all scenes
 # By what names the chart has the ways among which fidelity "auto" chooses. Hexahedra of quality "label" stand under the first
 # of theirs where [fea] hex_quality is another one, which has the second name then.
@@ -43,11 +42,9 @@ COLUMNS = ("method", "fidelity", "size_mm", "load_steps", "scenes", "failed", "c
            "frontier_total", "frontier_cells")  # fmt: skip
 
 
-def checks_of(scene: NamedScene, params: ForPareto) -> list[Method]:
-    """Further solves of a scene's reference: on halved elements where asked, half a turn about z where it has no image."""
-    halved = [Method(HALVED, REFERENCE, halved=True)] * (scene.name in params.pareto.halved)
-    alone = turns(params, scene.fine) and not images_of(scene.scene)
-    return [*halved, *[Method(TURNED, REFERENCE)] * alone]
+def checks_of(scene: NamedScene) -> list[Method]:
+    """Further solves of a scene's reference: on elements of twice the size, and half a turn about z where it has no image."""
+    return [Method(DOUBLED, REFERENCE, doubled=True), *[Method(TURNED, REFERENCE)] * (not images_of(scene.scene))]
 
 
 def solve_scene(bench: ChartBench, scene: NamedScene, methods: list[Method], checks: list[Method]) -> dict:
@@ -58,16 +55,14 @@ def solve_scene(bench: ChartBench, scene: NamedScene, methods: list[Method], che
     reference = methods[-1].name
     methods = [*methods, *checks]
     records = {m.name: measure(bench, scene, m) for m in progress(methods, scene.name)}
-    halved = HALVED in records
     compared: dict[str, dict] = {}
     for method in methods:
         record = records[method.name] | {"method": asdict(method)}
-        against = HALVED if method.name == reference and halved else reference
-        compared[method.name] = record | {"errors": errors(record, records[against])}
+        compared[method.name] = record | {"errors": errors(record, records[reference])}
     found: dict = {"scene": scene.name, "class": contact_class(scene.scene), "table": scene.table}
     found |= {"reference": reference, "methods": compared}
-    if halved:
-        found["reference_check"] = errors(records[reference], records[HALVED])
+    if DOUBLED in records:
+        found["reference_check"] = compared[DOUBLED]["errors"]
     return found
 
 
@@ -78,7 +73,7 @@ def summarise(scenes: list[dict]) -> list[dict]:
     much for it.
     """
     names = dict.fromkeys(name for scene in scenes for name in scene["methods"])
-    reference = {scene["reference"] for scene in scenes} | {HALVED, TURNED}
+    reference = {scene["reference"] for scene in scenes} | {DOUBLED, TURNED}
     rows = [_row(name, scenes) for name in names if name not in reference]
     for kind in ("total", "cells"):
         usable = [row for row in rows if row[f"{kind}_worst"] is not None and not row["failed"]]
@@ -199,7 +194,7 @@ def reading(rows: list[dict], scenes: list[dict], fails: list[dict]) -> list[str
             effect = "failed"
             if check:
                 effect = f"moves total force by {check['total']:.2%} and cells by {check['cells']:.1%}"
-            said.append(f"Halving the reference's element size and load step on {scene['scene']} {effect}.")
+            said.append(f"Halving element size and load step of the reference on {scene['scene']} {effect}.")
     if fails:
         said.append(f"{len(fails)} solves gave no result; they are listed with their reasons.")
     return said
@@ -257,7 +252,7 @@ def solve(args: Namespace) -> None:
     need_ccx()
     found = asked(args, args.of.chart_mesh("any").parent)
     methods = every_method(found.params.pareto, found.params.fea.hex_quality)
-    write_json(args.out, solve_scene(found.bench, found.scene, methods, checks_of(found.scene, found.params)))
+    write_json(args.out, solve_scene(found.bench, found.scene, methods, checks_of(found.scene)))
 
 
 @stage(Layout.quick_scene)
@@ -303,9 +298,9 @@ def draw_quick(args: Namespace) -> None:
 
 @stage(Layout.chart_mesh)
 def mesh(args: Namespace) -> None:
-    """Make one mesh, ccx-REGION-SIZE: a label region at a density of the chart, or a tight fine one, fine-REGION-SIZE."""
-    params = read_parameters(args.of.parameters("pareto_meshes"), ForParetoMeshes)
-    made, report = build_mesh(args.name, load_gel(params.meshes.gel), params)
+    """Make one mesh, ccx-REGION-SIZE: a label region at a density of the chart."""
+    meshes = read_parameters(args.of.parameters("meshes"), ForMeshes).meshes
+    made, report = make_mesh(MeshName.parse(args.name), load_gel(meshes.gel), meshes)
     publish_mesh(args.name, made, report, args.out)
 
 

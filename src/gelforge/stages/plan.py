@@ -284,12 +284,11 @@ def reported_model(file: Path, params: Params, models: dict) -> list[str]:
 
 def chart_lists(params: Params, scenes: dict) -> dict[str, list[str]]:
     """Names that the rules of the branches pareto and stability need."""
-    from gelforge.sweeps.references import all_meshes
+    from gelforge.sweeps.references import chart_meshes
 
     quick = list(params.pareto.quick.scenes)
     check_names("[pareto.quick] scenes", quick, scenes)
-    check_names("[pareto] halved", params.pareto.halved, scenes)
-    return {"PARETO_SCENES": list(scenes), "PARETO_QUICK": quick, "PARETO_MESHES": all_meshes(params, scenes)}
+    return {"PARETO_SCENES": list(scenes), "PARETO_QUICK": quick, "PARETO_MESHES": chart_meshes(params)}
 
 
 def plan_files(data: Path, workflow: Path, catalogue: str) -> list[Path]:

@@ -65,7 +65,7 @@ def solve_case(case: Case, params: ForStability, meshes: Path, folder: Path) -> 
     record = kept(path, key, limit)
     if record is None:
         method = case_method(case, params)
-        make = partial(prepare, method, case.scene, "", meshes, params)
+        make = partial(prepare, method, case.scene, meshes, params)
         found = solve_isolated(make, None, limit, folder)
         record = {"key": key, "case": case.describe()} | found
         write_json(path, record)

@@ -7,14 +7,15 @@ none any more and is solved anew. The version of stage 30 is left out: it rises 
 
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, read_csv, read_json, write_csv, write_json
 from gelforge.records.press import FORCE
-from gelforge.sweeps.deviation import cell_error
-from gelforge.sweeps.methods import REFERENCE, TURNED
+from gelforge.sweeps.deviation import cell_error, errors
+from gelforge.sweeps.methods import DOUBLED, REFERENCE, TURNED
 from gelforge.sweeps.scenes import parse_scene
 from gelforge.sweeps.symmetry import image_of, images_of
 
@@ -44,7 +45,8 @@ def keep_references(charted: Iterable[dict], folder: Path, nu: float) -> None:
     """Write references from scenes of the chart (pareto/scenes/*.json), one file each; those of other scenes go.
 
     A scene that is its own mirror image gets the mean of its forces and their images, which a mesh keeps apart; by how
-    much is its `scatter`. Others get the mean with what was solved half a turn about z, where that was. nu: Poisson's ratio.
+    much is its `scatter`. Others get the mean with what was solved half a turn about z, where that was. By how much the solve on
+    elements and load steps of twice the size differs from it is its `elements_doubled`. nu: Poisson's ratio.
     """
     keys = {}
     for scene in charted:
@@ -58,7 +60,10 @@ def keep_references(charted: Iterable[dict], folder: Path, nu: float) -> None:
             images = images_of(parse_scene(scene["scene"], scene["table"], nu).scene)
             record = record | averaged(record, scene["methods"].get(TURNED), images)
         write_csv(path, COLUMNS, reference_rows(record))
-        keys[scene["scene"]] = {"key": record["key"], "sha256": digest_of(path), "scatter": record.get("scatter")}
+        keys[scene["scene"]] = {
+            "key": record["key"], "sha256": digest_of(path), "scatter": record.get("scatter"),
+            "elements_doubled": errors(scene["methods"].get(DOUBLED, {}), record),
+        }  # fmt: skip
     for path in folder.glob("*.csv"):
         if path.stem not in keys:
             path.unlink()
@@ -84,9 +89,14 @@ def averaged(record: dict, other: dict | None, images: list[tuple[int, int]]) ->
     }
 
 
-def scatters(folder: Path) -> dict[str, float | None]:
-    """By scene, how far the solves were apart whose mean its reference is; None: it is a single one."""
-    return {name: of.get("scatter") for name, of in read_json(folder / KEYS).items()}
+def known_of(folder: Path, what: str) -> dict[str, Any]:
+    """By scene, one thing that is known of its reference.
+
+    "scatter": how far the solves were apart whose mean it is, summed over the cells (None: it is a single one).
+    "elements_doubled": {"total", "cells"}, by what share of the force a solve on elements and load steps of twice the size
+    differs from it (None: there is none).
+    """
+    return {name: of.get(what) for name, of in read_json(folder / KEYS).items()}
 
 
 def kept_reference(folder: Path, scene: str, key: str, shape: tuple[int, int]) -> dict | None:

@@ -19,8 +19,9 @@ from gelforge.sweeps import references as meshes
 from gelforge.sweeps.symmetry import turned
 
 LABEL_METHODS = ("hex", "ccx", "auto")
-# TURNED: the reference of a scene that is no mirror image of itself, solved once more half a turn about z.
-REFERENCE, HALVED, TURNED = "ccx-fine", "ccx-fine-halved", "ccx-fine-turned"
+# DOUBLED: a scene's reference on elements and load steps of twice the size. TURNED: that of a scene which is no mirror image
+# of itself, solved once more half a turn about z.
+REFERENCE, DOUBLED, TURNED = "ccx-fine", "ccx-fine-doubled", "ccx-fine-turned"
 
 
 @dataclass(frozen=True)
@@ -36,7 +37,7 @@ class Method:
     size: float | None = None
     layers: int | None = None
     steps: int | None = None
-    halved: bool = False
+    doubled: bool = False
 
 
 LARGE_REFERENCE = Method(REFERENCE, REFERENCE)  # what the large chart stands against
@@ -99,14 +100,13 @@ def warm_up() -> None:
 def prepare(
     method: Method,
     scene: Scene,
-    fine: str,
     folder: Path,
     params: ForPareto | ForStability,
     work: Path,
 ) -> Callable[[], tuple[Result, GelMesh]]:
     """Read meshes and set up solvers, which many presses share; the function returned solves the scene.
 
-    fine: region of the reference mesh. folder: meshes. work: an empty folder for CalculiX' files.
+    folder: meshes. work: an empty folder for CalculiX' files.
     """
     if method.fidelity == "hex" and method.name != "hex-label":
         return _prepare_hex(method, scene, params.fea)
@@ -114,7 +114,9 @@ def prepare(
         return _prepare_label(method, scene, folder, params, work)
     if method.fidelity == "ccx-native":
         return _prepare_native(method, scene, folder, params, work)
-    return _prepare_ccx(method, scene, fine, folder, params, work)
+    if method.fidelity == REFERENCE:
+        return _prepare_reference(method, scene, params, work)
+    return _prepare_ccx(method, scene, folder, params, work)
 
 
 def hex_settings(method: Method, fea: FeaTable) -> HexSettings:
@@ -162,17 +164,21 @@ def _prepare_native(method, scene, folder, params, work):
     return lambda: (solve_native(scene, mesh, work / "native", params.fea.timeout_s), mesh)
 
 
-def _prepare_ccx(method, scene, fine, folder, params, work):
+def _prepare_reference(method, scene, params, work):
+    pressed = turned(scene) if method.name == TURNED else scene
+    table, factor = params.pareto.reference, 2 if method.doubled else 1
+    mesh = meshes.reference_mesh(pressed, params, method.doubled)
+    return _solve_ccx(pressed, mesh, table.press_steps // factor, table.shear_steps // factor, params, work)
+
+
+def _prepare_ccx(method, scene, folder, params, work):
+    mesh = load_mesh(folder, meshes.density_mesh(scene, folder, params, method.size))
+    return _solve_ccx(scene, mesh, method.steps, (method.steps + 1) // 2, params, work)
+
+
+def _solve_ccx(scene, mesh, press_steps, shear_steps, params, work):
     from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver
 
-    if method.fidelity == REFERENCE:
-        table, factor = params.pareto.reference, 2 if method.halved else 1
-        name = meshes.reference_mesh(params, fine, method.halved)
-        steps = {"press_steps": factor * table.press_steps, "shear_steps": factor * table.shear_steps}
-    else:
-        name = meshes.density_mesh(scene, folder, params, method.size)
-        steps = {"press_steps": method.steps, "shear_steps": (method.steps + 1) // 2}
-    settings = replace(CcxSettings.of(params.fea), **steps, step_mm=np.inf)
-    solver = CcxSolver(load_mesh(folder, name), work, settings)
-    pressed = turned(scene) if method.name == TURNED else scene
-    return lambda: (solver.solve(pressed), solver.mesh)
+    usual = CcxSettings.of(params.fea)
+    solver = CcxSolver(mesh, work, replace(usual, press_steps=press_steps, shear_steps=shear_steps, step_mm=np.inf))
+    return lambda: (solver.solve(scene), mesh)

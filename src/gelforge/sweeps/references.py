@@ -1,4 +1,4 @@
-"""Gel meshes of the chart: the label regions at several densities, and tight regions for references."""
+"""Gel meshes of the chart: the label regions at several densities, and those of references, which follow the edge of contact."""
 
 from dataclasses import replace
 from pathlib import Path
@@ -7,13 +7,18 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.params import Params
-from gelforge.flow.params.stages import ForPareto, ForParetoMeshes, ForStability
-from gelforge.geometry.gel import Gel
-from gelforge.mechanics.mesh.family import MeshFamily, MeshName, choose_mesh, make_mesh, required_meshes, sizing
+from gelforge.flow.params.stages import ForPareto, ForStability
+from gelforge.mechanics.mesh.family import MeshFamily, choose_mesh, required_meshes, sizing
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.scene import Scene
 
 Charted = Params | ForPareto | ForStability  # what names the meshes and the solver of labels
+
+EDGE_QUALITY = "label"  # of the hexahedra that show where the contact ends
+BESIDE = 1.6  # spacings of their points, within which a point that touches and one that does not are neighbours
+RIM_MM, RIM_GROWTH = 0.15, 0.7  # how far beside the edge of contact edges are shortest, and how they grow from there
+MARGIN_MM = 0.5  # of the small tetrahedra beside the contact
+LONGEST = 1.3  # of the edges asked for: what pytetwild leaves longer is split
 
 
 def label_meshes(params: Charted) -> list[str]:
@@ -21,59 +26,57 @@ def label_meshes(params: Charted) -> list[str]:
     return required_meshes(replace(params.fea, fidelity="ccx"), params.meshes)
 
 
-def density_meshes(params: ForPareto | Params) -> list[str]:
-    """Names of the tetrahedral meshes of the chart's densities, in every label region."""
+def chart_meshes(params: ForPareto | Params) -> list[str]:
+    """Names of the tetrahedral meshes that scenes share: those of labels, and the chart's densities in every label region."""
     sizes, regions = params.pareto.ccx_sizes_mm, params.meshes.regions
-    return [f"ccx-{region}-{size}" for size in sizes for region in regions]
-
-
-def reference_mesh(params: ForPareto | Params, region: str, halved: bool = False) -> str:
-    """Name of the reference mesh of a region of [pareto.regions], or of the one of half its size."""
-    regions = params.pareto.regions
-    if region not in regions:
-        known = ", ".join(regions)
-        raise BadInput(f"workflow/scenes.toml: fine = {region!r} is no region; [pareto.regions] has {known}")
-    return f"fine-{region}-{regions[region].size * (0.5 if halved else 1.0)}"
-
-
-def turns(params: ForPareto | Params, region: str) -> bool:
-    """Whether a region of [pareto.regions] is the same after half a turn about z."""
-    x_min, x_max, y_min, y_max = params.pareto.regions[region].box
-    return (x_min, y_min) == (-x_max, -y_max)
-
-
-def all_meshes(params: ForPareto | Params, tables: dict[str, dict]) -> list[str]:
-    """Every mesh that the chart of these scenes (raw tables by name) needs, without repetition."""
-    fine = [reference_mesh(params, tables[name]["fine"]) for name in tables]
-    fine += [reference_mesh(params, tables[name]["fine"], True) for name in params.pareto.halved]
-    return list(dict.fromkeys([*label_meshes(params), *density_meshes(params), *fine]))
-
-
-def build_mesh(name: str, gel: Gel, params: ForParetoMeshes | ForPareto) -> tuple[GelMesh, dict]:
-    """Build one mesh by its name and report on it."""
-    if not name.startswith("fine-"):
-        return make_mesh(MeshName.parse(name), gel, params.meshes)
-    from gelforge.mechanics.mesh.tetmesh import SIZING_STEP_MM, gel_mesh, mesh_report
-
-    _, region, size = name.split("-")
-    table = params.pareto.regions[region]
-    x_min, x_max, y_min, y_max = table.box
-    centre = np.array([(x_min + x_max) / 2, (y_min + y_max) / 2, 0.0])
-    half = (x_max - x_min) / 2, (y_max - y_min) / 2
-    # pytetwild's edges come out longer than asked for, the more so where the grid that holds the sizes is coarse
-    # beside them: asked like this, those of disc are 0.41 mm, and half of that where the reference is halved
-    # (where `hold` splits them, they are as asked)
-    halved, hold = float(size) < table.size, table.hold or 0.0
-    factor, step = (1.0, SIZING_STEP_MM) if hold else (0.8, 0.4) if halved else (0.9, SIZING_STEP_MM)
-    grading = params.pareto.grading
-    graded = replace(params.meshes, growth=grading.growth, fine_depth_mm=grading.fine_depth_mm)
-    at = sizing(half, factor * float(size), graded)
-    mesh = gel_mesh(gel, lambda points: at(points - centre), step=step, hold=hold)
-    report = {"engine": "fine", "region": region, "size": float(size), "half_mm": list(half), "gel": gel.name}
-    return mesh, report | mesh_report(mesh, gel)
+    densities = [f"ccx-{region}-{size}" for size in sizes for region in regions]
+    return list(dict.fromkeys([*label_meshes(params), *densities]))
 
 
 def density_mesh(scene: Scene, folder: Path, params: Charted, size: float) -> str:
     """The mesh of one density that a press would be given among the label regions."""
     names = [f"ccx-{region}-{size}" for region in params.meshes.regions]
     return choose_mesh(scene, MeshFamily(folder, names))
+
+
+def edge_of_contact(scene: Scene) -> np.ndarray:
+    """Where the contact ends on the undeformed gel, as hexahedra have it: places (k, 2) mm; BadInput where they find no force."""
+    from scipy.spatial import cKDTree
+
+    from gelforge.mechanics.contact.penalty import FREE
+    from gelforge.mechanics.hexsettings import quality
+    from gelforge.mechanics.solvers.hex import HexSolver
+
+    result = HexSolver(quality(EDGE_QUALITY)).solve(scene)
+    contact = result.contact
+    if not result.status.valid or contact is None:
+        raise BadInput(f"the edge of contact of {scene.indenter.name} is not known: {result.status.value}")
+    places, touches = contact.reference[:, :2], contact.status != FREE
+    apart, nearest = cKDTree(places[touches]).query(places[~touches])
+    beside = apart < BESIDE * np.sqrt(np.median(contact.weights[touches]))
+    return (places[~touches][beside] + places[touches][nearest[beside]]) / 2
+
+
+def reference_mesh(scene: Scene, params: ForPareto, doubled: bool = False) -> GelMesh:
+    """Tetrahedra for the reference of one scene: small under the press, smallest where the contact ends.
+
+    doubled: all of them of twice the size.
+    """
+    from scipy.spatial import cKDTree
+
+    from gelforge.mechanics.mesh.tetmesh import gel_mesh
+
+    table, factor = params.pareto.reference, 2.0 if doubled else 1.0
+    edge = edge_of_contact(scene)
+    low, high = edge.min(axis=0) - MARGIN_MM, edge.max(axis=0) + MARGIN_MM
+    half, centre = (high - low) / 2, np.append((high + low) / 2, 0.0)
+    graded = replace(params.meshes, growth=table.growth, fine_depth_mm=table.fine_depth_mm)
+    at = sizing((float(half[0]), float(half[1])), factor * table.size_mm, graded)
+    tree = cKDTree(edge)
+
+    def longest(points: np.ndarray) -> np.ndarray:
+        apart, _ = tree.query(points[:, :2])
+        away = np.maximum(np.hypot(apart, points[:, 2]) - RIM_MM, 0.0)
+        return np.minimum(factor * table.edge_mm + RIM_GROWTH * away, LONGEST * at(points - centre))
+
+    return gel_mesh(scene.gel, lambda points: at(points - centre), longest=longest)

@@ -12,23 +12,22 @@ from gelforge.records.press import Press
 
 SOURCE = "workflow/scenes.toml"
 _NUMBERS = {"x0": 0.0, "y0": 0.0, "z0": 0.0, "dx": 0.0, "dy": 0.0, "rot_deg": 0.0}
-_KEYS = {"indenter", "depth", "fine", "gel", *_NUMBERS}
+_KEYS = {"indenter", "depth", "gel", *_NUMBERS}
 
 
 @dataclass(frozen=True)
 class NamedScene:
-    """A scene with its name, the region of its reference mesh, and its resolved table."""
+    """A scene with its name and its resolved table."""
 
     name: str
     scene: Scene
-    fine: str
     table: dict
 
 
 def resolve(name: str, table: dict, catalogue: dict) -> dict:
     """The table with its indenter spelt out: `indenter` may be a name of the catalogue (raw tables)."""
     unknown = sorted(set(table) - _KEYS)
-    missing = sorted({"indenter", "depth", "fine"} - set(table))
+    missing = sorted({"indenter", "depth"} - set(table))
     if unknown or missing:
         raise BadInput(f"{SOURCE}: [{name}]: unknown keys {unknown}, missing keys {missing}; correct the table")
     indenter = table["indenter"]
@@ -70,4 +69,4 @@ def parse_scene(name: str, table: dict, nu: float) -> NamedScene:
     body = build(name, table["indenter"], SOURCE)
     gel = load_gel(str(table.get("gel", "gelsight_mini")))
     scene = Scene(gel, Material(nu=nu), body, Press(**at, dz=-depth), Interface())
-    return NamedScene(name, scene, table["fine"], table | at)
+    return NamedScene(name, scene, table | at)

@@ -23,6 +23,7 @@ from gelforge.mechanics.hexsettings import QUALITIES, quality
 from gelforge.sweeps.isolate import CRASHED, REFUSED, TIMED_OUT, Clock, isolated, peak_mib
 from gelforge.sweeps.keptreferences import kept_reference
 from gelforge.sweeps.methods import LARGE_REFERENCE, REFERENCE, TURNED, Method, hex_settings, prepare, warm_up
+from gelforge.sweeps.references import EDGE_QUALITY
 from gelforge.sweeps.scenes import NamedScene
 from gelforge.sweeps.symmetry import turned_back
 
@@ -49,16 +50,15 @@ class ChartBench:
     def key(self, scene: NamedScene, method: Method) -> str:
         """Digest of all that a record depends on."""
         parts = [scene.table, asdict(method), self.params.version, self.params.material.nu,
-                 self.sensor.projection.tolist(), self._settings(scene, method)]  # fmt: skip
+                 self.sensor.projection.tolist(), self._settings(method)]  # fmt: skip
         return digest_of_value(parts)
 
-    def _settings(self, scene, method) -> list:
+    def _settings(self, method) -> list:
         p = self.params
         if method.fidelity == "hex":
             return [asdict(hex_settings(method, p.fea))]
         if method.fidelity == REFERENCE:
-            mesh = [plain(p.pareto.regions.get(scene.fine)), plain(p.pareto.grading)]
-            return [plain(p.pareto.reference), *mesh, *ccx_settings(p)]
+            return [plain(p.pareto.reference), asdict(quality(EDGE_QUALITY)), *ccx_settings(p)]
         if method.name == "auto-label":
             fea = {key: value for key, value in plain(p.fea).items() if key not in VERIFYING}
             return [fea, plain(p.meshes), *(asdict(quality(name)) for name in QUALITIES)]
@@ -168,7 +168,7 @@ def given_reference(bench: ChartBench, scene: NamedScene) -> dict | None:
 
 def solve_method(bench: ChartBench, scene: NamedScene, method: Method, work: Path) -> dict:
     """The record of a scene solved now, in a process of its own."""
-    make = partial(prepare, method, scene.scene, scene.fine, bench.meshes, bench.params)
+    make = partial(prepare, method, scene.scene, bench.meshes, bench.params)
     found = solve_isolated(make, bench.sensor, limit_of(bench.params.pareto, method.fidelity), work)
     return turned_back(found) if method.name == TURNED else found
 

@@ -146,7 +146,6 @@ MEANINGLESS = (
     ("[params.labels]\nchannels = ['traction']", "channels = .*\"force\" first"),
     ("[params.meshes]\nregions = {spot = [1.0]}", r"\[params.meshes.regions\] spot = \[1.0\]: give a list of 2"),
     ("[params.meshes.hold]\nspt = 1.0", "hold.spt: is no region"),
-    ("[params.pareto.regions.spot]\nbox = [1, 0, 0, 1]", "box = .* rising"),
     ("[params.pareto]\nhex_layers = [3]", "hex_sizes_mm has 5 sizes and hex_layers 1"),
     ("[params.stability.sizes]\nhx = [1.0]", "hx: unknown name; hex is meant"),
     ("[params.stability]\nlayers = {}\nsizes = {hex = [2.0, 1.0, 0.7, 0.5]}", "layers has no \"2.0\""),

@@ -65,7 +65,7 @@ SIZING, HOLD = sizing((4.0, 4.0), 2.0, TABLE), 1.3
 @pytest.fixture(scope="module")
 def mesh():
     """The one mesh of the usual gel that is made here: pytetwild takes ten seconds and more."""
-    return gel_mesh(GEL, SIZING, hold=HOLD)
+    return gel_mesh(GEL, SIZING, longest=lambda points: HOLD * SIZING(points))
 
 
 def test_an_interrupt_after_meshing_is_still_one_that_python_can_answer():
@@ -137,7 +137,7 @@ def test_a_steep_rim_inverts_no_element():
 
 
 def test_sizing_grid_fills_the_gel():
-    vertices, tets, values = sizing_grid(GEL, lambda p: 1 + 0 * p[:, 0], step=2.0)
+    vertices, tets, values = sizing_grid(GEL, lambda p: 1 + 0 * p[:, 0])
     volume = signed_volumes(vertices, tets)
     assert volume.min() > 0
     assert volume.sum() == pytest.approx(np.prod(np.ptp(vertices, axis=0)))

@@ -18,7 +18,7 @@ from gelforge.stages import challenge as stage
 from gelforge.stages import pareto
 from gelforge.sweeps.challenge import write_challenge
 from gelforge.sweeps.deviation import errors
-from gelforge.sweeps.keptreferences import COLUMNS, KEYS, keep_references, kept_reference, reference_rows, scatters
+from gelforge.sweeps.keptreferences import COLUMNS, KEYS, keep_references, kept_reference, known_of, reference_rows
 from gelforge.sweeps.methods import LARGE_REFERENCE, REFERENCE, TURNED
 from gelforge.sweeps.scenes import parse_scene, read_tables
 from gelforge.sweeps.symmetry import image_of, images_of, turned, turned_back
@@ -207,7 +207,7 @@ def test_a_symmetric_scene_has_a_symmetric_reference_and_its_scatter_beside_it(f
     keep_references([charted_scene("cross", {**noisy, "key": "k"})], tmp_path, 0.475)
     difference = np.linalg.norm(image_of(noisy["cells"], (-1, 1)) - noisy["cells"], axis=0).sum()
     size = np.linalg.norm(noisy["cells"].sum(axis=(1, 2)) + noisy["outside"])
-    assert scatters(tmp_path)["cross"] == pytest.approx(difference / size)
+    assert known_of(tmp_path, "scatter")["cross"] == pytest.approx(difference / size)
     kept = np.array(kept_reference(tmp_path, "cross", "k", GRID.shape)["cells"])
     np.testing.assert_allclose(image_of(kept, (-1, 1)), kept, atol=2e-7)
 

@@ -21,13 +21,13 @@ from gelforge.flow.files import write_json
 from gelforge.flow.orphans import die_with_parent
 from gelforge.flow.params import load_params
 from gelforge.labelling.sensor import load_sensors
-from gelforge.mechanics.mesh.family import footprint
 from gelforge.stages import stability
 from gelforge.stages.pareto import charted, keep_charted, summarise
 from gelforge.sweeps import cases
 from gelforge.sweeps.deviation import cell_error, errors, frontier, total_error
 from gelforge.sweeps.isolate import isolated
 from gelforge.sweeps.methods import Method, every_method, quick_methods
+from gelforge.sweeps.references import edge_of_contact, reference_mesh
 from gelforge.sweeps.scenes import parse_scene, read_tables, resolve
 from gelforge.sweeps.trial import kept, load_bench
 from tests.support.parameters import parameters, stage_of
@@ -103,18 +103,37 @@ def test_a_method_that_failed_on_a_scene_takes_no_other_off_the_frontier():
     assert found == {"sound": (0, True, True), "failing": (1, False, False)}
 
 
-def test_scenes_are_many_shapes_inside_their_reference_mesh(scenes, params):
+def test_scenes_are_many_shapes(scenes):
     assert len(scenes) >= 12
     assert len({str(scene.table["indenter"]) for scene in scenes.values()}) >= 10
-    for name, scene in scenes.items():
-        x_min, x_max, y_min, y_max = params.pareto.regions[scene.fine].box
-        foot = footprint(scene.scene)
-        assert x_min <= foot.low[0] and foot.high[0] <= x_max, name
-        assert y_min <= foot.low[1] and foot.high[1] <= y_max, name
+
+
+@pytest.mark.slow
+def test_a_reference_has_its_smallest_tetrahedra_where_the_contact_ends(scenes, params):
+    """Of a punch that moves sideways; those of the doubled one are about twice as long there."""
+    scene = scenes["cylinder"].scene
+    edge = edge_of_contact(scene)
+    # a flat end of 4 mm radius with an edge of 1 mm radius, about its axis
+    radius = np.linalg.norm(edge - edge.mean(axis=0), axis=1)
+    assert np.abs(edge.mean(axis=0)).max() < 0.3 and radius.min() > 3.2 and radius.max() < 4.3
+    lengths = []
+    for doubled in (False, True):
+        mesh = reference_mesh(scene, params, doubled)
+        corners = mesh.nodes[mesh.faces[:, :3]]
+        middle, longest = (
+            corners.mean(axis=1),
+            np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1),
+        )
+        apart = np.linalg.norm(middle[:, None, :2] - edge[None], axis=2).min(axis=1)
+        at_edge, factor = longest[apart < 0.05], 2.0 if doubled else 1.0
+        assert at_edge.max() < 1.2 * factor * params.pareto.reference.edge_mm
+        assert np.median(longest[middle[:, 0] ** 2 + middle[:, 1] ** 2 < 4.0]) > 1.3 * np.median(at_edge)
+        lengths.append(np.median(at_edge))
+    assert 1.6 < lengths[1] / lengths[0] < 2.5
 
 
 def test_a_scene_that_is_wrong_is_named():
-    sphere = {"indenter": {"kind": "sphere", "diameter": 15, "height": 10}, "depth": 1.0, "fine": "disc"}
+    sphere = {"indenter": {"kind": "sphere", "diameter": 15, "height": 10}, "depth": 1.0}
     for change, named in (
         ({"indenter": "spheer"}, "spheer"), ({"indenter": ["ball"]}, "ball"), ({"gel": 5}, "gel '5'"),
         ({"detph": 1.0}, "detph"), ({"depth": -1.0}, "depth"), ({"x0": "1"}, "x0"),

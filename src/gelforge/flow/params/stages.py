@@ -24,7 +24,6 @@ from gelforge.flow.params.tables import (
     MaterialTable,
     MeshesTable,
     Params,
-    ParetoMeshesTable,
     ParetoTable,
     PoissonTable,
     PosesTable,
@@ -120,13 +119,6 @@ class ForPareto(StageParameters):
     material: PoissonTable
 
 
-class ForParetoMeshes(StageParameters):
-    """What the meshes of branch pareto depend on."""
-
-    pareto: ParetoMeshesTable
-    meshes: MeshesTable
-
-
 class ForStability(StageParameters):
     """What branch stability reads."""
 
@@ -162,7 +154,6 @@ SOURCES = {
     "report": Source(ForReport, "report"),
     "calibrate": Source(ForCalibrate, "calibrate", solves=True),
     "pareto": Source(ForPareto, "pareto"),
-    "pareto_meshes": Source(ForParetoMeshes, "pareto"),
     "stability": Source(ForStability, "stability", solves=True),
     "pareto_models": Source(StageParameters, "pareto_models"),
 }

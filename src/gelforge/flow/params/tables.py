@@ -390,35 +390,15 @@ class ForcesTable(ParameterTable):
     noise: Annotated[Number, Within(0.0, 0.5)]
 
 
-class GradingTable(ParameterTable):
-    """[pareto.grading]: how the reference's meshes coarsen."""
-
-    growth: Annotated[Number, Within(0.0, 1e3)]
-    fine_depth_mm: Annotated[Number, Within(0.0, 1e3, "mm")]
-
-
-Coordinate = Annotated[Number, Within(-1e3, 1e3, "mm")]
-
-
-class RegionTable(ParameterTable):
-    """One entry of [pareto.regions]: the fine part of a reference mesh."""
-
-    box: tuple[Coordinate, Coordinate, Coordinate, Coordinate]
-    size: Size
-    hold: Annotated[Number, Within(0.0, 1e3)] | None = None
-
-    def fault(self) -> str | None:
-        """A box without a width."""
-        if self.box[0] >= self.box[1] or self.box[2] >= self.box[3]:
-            return f"box = {list(self.box)}: give [x_min, x_max, y_min, y_max] in mm, each pair rising"
-        return None
-
-
 class ReferenceTable(ParameterTable):
-    """[pareto.reference]: load steps of the reference."""
+    """[pareto.reference]: load steps of the reference, and its mesh."""
 
     press_steps: Steps
     shear_steps: Steps
+    size_mm: Size
+    edge_mm: Size
+    growth: Annotated[Number, Within(0.0, 1e3)]
+    fine_depth_mm: Annotated[Number, Within(0.0, 1e3, "mm")]
 
 
 class BrickReferenceTable(ParameterTable):
@@ -454,14 +434,7 @@ class QuickTable(ParameterTable):
         return uneven(self.hex_sizes_mm, self.hex_layers)
 
 
-class ParetoMeshesTable(ParameterTable):
-    """What of [pareto] its meshes depend on."""
-
-    grading: GradingTable
-    regions: dict[str, RegionTable]
-
-
-class ParetoTable(ParetoMeshesTable):
+class ParetoTable(ParameterTable):
     """[pareto]: the chart of speed against accuracy."""
 
     sensor: Name
@@ -471,7 +444,6 @@ class ParetoTable(ParetoMeshesTable):
     load_steps: Annotated[tuple[Annotated[int, Within(1, 1000)], ...], SOME]
     native_sizes_mm: tuple[Annotated[Number, Within(0.1, 10.0, "mm")], ...]
     native_limit_s: Seconds
-    halved: Names
     limit_s: Seconds
     reference: ReferenceTable
     quick: QuickTable

@@ -92,7 +92,8 @@ def make_mesh(name: MeshName, gel: Gel, meshes: MeshesTable) -> tuple[GelMesh, d
     key = meshstore.recipe(asdict(name), half, gel, meshes)
     if path := meshstore.find(meshstore.SHIPPED, key):
         return GelMesh.load(path), read_json(path.with_suffix(".json"))
-    mesh = gel_mesh(gel, sizing(half, name.size, meshes), hold=meshes.hold.get(name.region, 0.0))
+    at, hold = sizing(half, name.size, meshes), meshes.hold.get(name.region, 0.0)
+    mesh = gel_mesh(gel, at, longest=(lambda points: hold * at(points)) if hold else None)
     report = {"half_mm": list(half), "reach_mm": list(reach(mesh, gel, half)), "gel": gel.name, "recipe": key}
     return mesh, asdict(name) | report | mesh_report(mesh, gel)
 

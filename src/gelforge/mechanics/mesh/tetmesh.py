@@ -58,11 +58,9 @@ def prism(polygon: np.ndarray, height: float) -> tuple[np.ndarray, np.ndarray]:
     return vertices, np.concatenate(faces).astype(np.int32)
 
 
-def sizing_grid(
-    gel: Gel, size: Callable[[np.ndarray], np.ndarray], step: float = SIZING_STEP_MM
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def sizing_grid(gel: Gel, size: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Background tetrahedra for pytetwild: vertices, tets and edge lengths from size(points) -> mm."""
-    margin = step
+    margin = step = SIZING_STEP_MM
     axes = [
         np.linspace(-extent / 2 - margin, extent / 2 + margin, int(np.ceil(extent / step)) + 3)
         for extent in (gel.width, gel.length)
@@ -125,27 +123,25 @@ def gel_mesh(
     gel: Gel,
     size: Callable[[np.ndarray], np.ndarray],
     threads: int = 1,
-    step: float = SIZING_STEP_MM,
-    hold: float = 0.0,
+    longest: Callable[[np.ndarray], np.ndarray] | None = None,
 ) -> GelMesh:
     """Mesh the gel with second-order tetrahedra.
 
-    gel: the pad. size: points (n, 3) mm -> edge lengths (n,) mm, on the flat pad (top at z = 0). step:
-    spacing, mm, of the grid on which sizes are given; between its points they are interpolated. hold: edges
-    longer than so many sizes are split (0: they stay as pytetwild leaves them, two to three sizes long where
-    the fine part is small).
+    gel: the pad. size: points (n, 3) mm -> edge lengths (n,) mm, on the flat pad (top at z = 0). longest:
+    points -> edge lengths (n,) mm above which edges are split (None: they stay as pytetwild leaves them, two to
+    three sizes long where the fine part is small).
     The pad is meshed as a flat prism and then bent column by column onto `gel.top`, so that every
     top node, midsides included, lies on the exact surface and every base node on z = -height.
     """
     vertices, faces = prism(outline(gel), gel.height)
-    background, bg_tets, values = sizing_grid(gel, size, step)
+    background, bg_tets, values = sizing_grid(gel, size)
     envelope = ENVELOPE_MM / float(np.linalg.norm(np.ptp(vertices, axis=0)))  # of the diagonal
     nodes, tets = tetrahedralise(
         vertices, faces, edge_length_abs=float(values.max()), epsilon=envelope, num_threads=threads,
         bg_vertices=background, bg_tets=bg_tets, bg_values=values,
     )  # fmt: skip
-    if hold:
-        nodes, tets = split_long_edges(nodes, tets, lambda points: hold * size(points))
+    if longest:
+        nodes, tets = split_long_edges(nodes, tets, longest)
     return from_flat(gel, nodes, tets)
 
 
