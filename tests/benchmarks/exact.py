@@ -36,6 +36,8 @@ from gelforge.records.press import Press
 from gelforge.stages.pareto import VERSION
 from gelforge.sweeps.isolate import Clock
 from gelforge.sweeps.methods import LARGE_REFERENCE, prepare, warm_up
+from gelforge.virtualrig.bench import SETTINGS
+from gelforge.virtualrig.excess import force_factor, kept_factor, name_of
 from tests.benchmarks.figures import ROOT, Figure, publish_figures
 from tests.support import axisymmetric
 from tests.support.exact_scenes import KEPT
@@ -150,10 +152,12 @@ class Bench:
     def method(self, name: str, scene: Scene) -> Callable[[], tuple[Result, GelMesh]]:
         """The solve of a scene by a method's name, with the mesh of its forces."""
         if name.startswith("hex-") or name == "rig":
-            solver = HexSolver(rig_settings() if name == "rig" else quality(name.removeprefix("hex-")))
+            solver = HexSolver(SETTINGS if name == "rig" else quality(name.removeprefix("hex-")))
+            scale = self.rig_factor(scene) if name == "rig" else 1.0
 
             def run():
                 result = solver.solve(scene)
+                result.forces *= scale
                 return result, result.mesh
 
             return run
@@ -169,12 +173,11 @@ class Bench:
 
         return ask
 
-
-def rig_settings():
-    """The hexahedra of the virtual rig, which bears friction; its own factors are left out."""
-    from gelforge.virtualrig.bench import SETTINGS
-
-    return SETTINGS
+    def rig_factor(self, scene: Scene) -> float:
+        """What the virtual rig multiplies a press's normal force by."""
+        of = scene.gel, scene.material, scene.indenter, scene.interface, SETTINGS
+        found = kept_factor(self.work / "factors", name_of(*of), lambda: force_factor(*of, lambda press: None))
+        return float(found.at(-scene.press.dz)[2])
 
 
 def digest() -> str:

@@ -22,9 +22,8 @@ from gelforge.mechanics.mesh.family import MeshName, make_mesh
 from gelforge.mechanics.solvers.contactclass import contact_class
 from gelforge.stages.meshes import publish_mesh
 from gelforge.sweeps.deviation import errors, frontier
-from gelforge.sweeps.methods import DOUBLED, REFERENCE, TURNED, Method, every_method, quick_methods
+from gelforge.sweeps.methods import DOUBLED, REFERENCE, Method, every_method, quick_methods
 from gelforge.sweeps.scenes import NamedScene, parse_scene
-from gelforge.sweeps.symmetry import images_of
 from gelforge.sweeps.trial import ChartBench, given_reference, load_bench, measure
 
 VERSION = 4
@@ -42,15 +41,10 @@ COLUMNS = ("method", "fidelity", "size_mm", "load_steps", "scenes", "failed", "c
            "frontier_total", "frontier_cells")  # fmt: skip
 
 
-def checks_of(scene: NamedScene) -> list[Method]:
-    """Further solves of a scene's reference: on elements of twice the size, and half a turn about z where it has no image."""
-    return [Method(DOUBLED, REFERENCE, doubled=True), *[Method(TURNED, REFERENCE)] * (not images_of(scene.scene))]
-
-
 def solve_scene(bench: ChartBench, scene: NamedScene, methods: list[Method], checks: list[Method]) -> dict:
     """Every method on one scene, the last of `methods` being the reference; records by method with their errors.
 
-    checks: other solves of the reference (checks_of).
+    checks: other solves of the reference.
     """
     reference = methods[-1].name
     methods = [*methods, *checks]
@@ -73,7 +67,7 @@ def summarise(scenes: list[dict]) -> list[dict]:
     much for it.
     """
     names = dict.fromkeys(name for scene in scenes for name in scene["methods"])
-    reference = {scene["reference"] for scene in scenes} | {DOUBLED, TURNED}
+    reference = {scene["reference"] for scene in scenes} | {DOUBLED}
     rows = [_row(name, scenes) for name in names if name not in reference]
     for kind in ("total", "cells"):
         usable = [row for row in rows if row[f"{kind}_worst"] is not None and not row["failed"]]
@@ -252,7 +246,7 @@ def solve(args: Namespace) -> None:
     need_ccx()
     found = asked(args, args.of.chart_mesh("any").parent)
     methods = every_method(found.params.pareto, found.params.fea.hex_quality)
-    write_json(args.out, solve_scene(found.bench, found.scene, methods, checks_of(found.scene)))
+    write_json(args.out, solve_scene(found.bench, found.scene, methods, [Method(DOUBLED, REFERENCE, doubled=True)]))
 
 
 @stage(Layout.quick_scene)

@@ -290,21 +290,28 @@ class ScenePath(Equilibrium):
     # -- the end of the path
 
     def _iterate_contact(self) -> Status:
-        """Equilibrium at the end of the path in which nothing pulls, to the final tolerance."""
+        """Equilibrium at the end of the path in which nothing pulls, to the final tolerance.
+
+        There it is looked for pulls again: few points that are released at the edge of contact leave less out of balance than
+        the path's tolerance, so their neighbours pull only in the tight equilibrium.
+        """
         pose = path_pose(self.scene, self.t)
-        status = Status.UNSETTLED
         for _ in range(self.settings.settle_rounds):
             self._carry_out(pose)
             self.rounds += 1
+            if self.release(pose):
+                continue
+            if self.law.frictional:
+                self._slide(pose)
+                self._carry_out(pose)
+            self._polish(pose)
             if not self.release(pose):
-                status = Status.OK
-                break
-        if self.law.frictional:
-            self._slide(pose)
+                self.state.status[self.touching()] = TOUCHING
+                return Status.OK
         self._carry_out(pose)
         self._polish(pose)
         self.state.status[self.touching()] = TOUCHING
-        return status
+        return Status.UNSETTLED
 
     def _carry_out(self, pose: Pose) -> None:
         """Carry out all pending contact changes at a fixed pose, in parts where one go fails."""
