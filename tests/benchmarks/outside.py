@@ -58,9 +58,9 @@ def figures_of(scores: dict) -> list[Figure]:
     for name, errors in scores["scenes"].items():
         if name in SHARP:
             continue
-        own = "unknown" if errors["scatter"] is None else f"{100 * errors['scatter']:.1f} %"
+        own = "unknown" if errors["reference"] is None else f"{100 * errors['reference']:.1f} %"
         seconds = scores["seconds"].get(name)
-        note = f"cells {100 * errors['cells']:.1f} %; the two solves of the reference differ by {own}"
+        note = f"cells {100 * errors['cells']:.1f} %; the reference on doubled elements differs by {own}"
         note += f"; {seconds:.0f} s of processor time" if seconds is not None else ""
         found.append(Figure(f"{name}, total force", 100 * errors["total"], "<=", TOTAL, "%", note))
         found.append(Figure(f"{name}, 2 x 2 cells", 100 * errors["cells_2x2"], "<=", CELLS, "%"))

@@ -70,7 +70,7 @@ def test_an_engine_of_others_meets_the_reference_of_a_ball(folder, tmp_path):
     reported = read_json(tmp_path / "score.json")
     errors = reported["scenes"]["sphere_1mm"]
     assert errors["total"] < 0.03 and errors["cells_2x2"] < errors["cells"] < 0.3
-    assert errors["scatter"] == pytest.approx(0.0158, abs=1e-3) and reported["seconds"]["sphere_1mm"] > 0
+    assert 0.0 < errors["reference"] < 0.05 and reported["seconds"]["sphere_1mm"] > 0
     # a quarter was solved: what is written is symmetric to the last digit
     rows = np.loadtxt(tmp_path / "sphere_1mm.csv", delimiter=",", skiprows=1)
     np.testing.assert_allclose(rows[:, 2:4].sum(axis=0), 0.0, atol=1e-6)

@@ -7,15 +7,14 @@ none any more and is solved anew. The version of stage 30 is left out: it rises 
 
 from collections.abc import Iterable
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, read_csv, read_json, write_csv, write_json
 from gelforge.records.press import FORCE
-from gelforge.sweeps.deviation import cell_error, errors
-from gelforge.sweeps.methods import DOUBLED, REFERENCE, TURNED
+from gelforge.sweeps.deviation import errors
+from gelforge.sweeps.methods import DOUBLED, REFERENCE
 from gelforge.sweeps.scenes import parse_scene
 from gelforge.sweeps.symmetry import image_of, images_of
 
@@ -44,9 +43,8 @@ def _row(row: int, column: int, force: np.ndarray) -> dict:
 def keep_references(charted: Iterable[dict], folder: Path, nu: float) -> None:
     """Write references from scenes of the chart (pareto/scenes/*.json), one file each; those of other scenes go.
 
-    A scene that is its own mirror image gets the mean of its forces and their images, which a mesh keeps apart; by how
-    much is its `scatter`. Others get the mean with what was solved half a turn about z, where that was. By how much the solve on
-    elements and load steps of twice the size differs from it is its `elements_doubled`. nu: Poisson's ratio.
+    A scene that is its own mirror image gets the mean of its forces and their images, which a mesh keeps apart. By how much a
+    solve on elements and load steps of twice the size differs from it is its `elements_doubled`. nu: Poisson's ratio.
     """
     keys = {}
     for scene in charted:
@@ -58,45 +56,29 @@ def keep_references(charted: Iterable[dict], folder: Path, nu: float) -> None:
         path = folder / f"{scene['scene']}.csv"
         if record.get("cells") is not None:
             images = images_of(parse_scene(scene["scene"], scene["table"], nu).scene)
-            record = record | averaged(record, scene["methods"].get(TURNED), images)
+            record = record | averaged(record, images)
         write_csv(path, COLUMNS, reference_rows(record))
-        keys[scene["scene"]] = {
-            "key": record["key"], "sha256": digest_of(path), "scatter": record.get("scatter"),
-            "elements_doubled": errors(scene["methods"].get(DOUBLED, {}), record),
-        }  # fmt: skip
+        moved = errors(scene["methods"].get(DOUBLED, {}), record)
+        keys[scene["scene"]] = {"key": record["key"], "sha256": digest_of(path), "elements_doubled": moved}
     for path in folder.glob("*.csv"):
         if path.stem not in keys:
             path.unlink()
     write_json(folder / KEYS, keys)
 
 
-def averaged(record: dict, other: dict | None, images: list[tuple[int, int]]) -> dict:
-    """Cells (3, rows, columns) N, force outside (3,) N and scatter of a reference, the mean of several solves.
-
-    Of its mirror images, else of itself and `other`, solved half a turn about z. A kept one is such a mean already.
-    """
-    if record.get("scatter") is not None:
-        return {key: record[key] for key in ("cells", "outside", "scatter")}
+def averaged(record: dict, images: list[tuple[int, int]]) -> dict:
+    """Cells (3, rows, columns) N and force outside (3,) N of a reference, the mean of its mirror images."""
     cells, outside = (np.asarray(record[key], float) for key in ("cells", "outside"))
-    others = [(image_of(cells, signs), outside * [*signs, 1.0]) for signs in images]
-    if not others and other is not None and other.get("cells") is not None:
-        others = [(np.asarray(other["cells"], float), np.asarray(other["outside"], float))]
-    total = cells.sum(axis=(1, 2)) + outside
+    every = [(1, 1), *images]
     return {
-        "cells": np.mean([cells, *(there for there, _ in others)], axis=0),
-        "outside": np.mean([outside, *(beside for _, beside in others)], axis=0),
-        "scatter": max((cell_error(there, cells, total) for there, _ in others), default=None),
+        "cells": np.mean([image_of(cells, signs) for signs in every], axis=0),
+        "outside": np.mean([outside * [*signs, 1.0] for signs in every], axis=0),
     }
 
 
-def known_of(folder: Path, what: str) -> dict[str, Any]:
-    """By scene, one thing that is known of its reference.
-
-    "scatter": how far the solves were apart whose mean it is, summed over the cells (None: it is a single one).
-    "elements_doubled": {"total", "cells"}, by what share of the force a solve on elements and load steps of twice the size
-    differs from it (None: there is none).
-    """
-    return {name: of.get(what) for name, of in read_json(folder / KEYS).items()}
+def elements_doubled(folder: Path) -> dict[str, dict | None]:
+    """By scene, {"total", "cells"} by what share of the force a solve on elements and load steps of twice the size differs."""
+    return {name: of.get("elements_doubled") for name, of in read_json(folder / KEYS).items()}
 
 
 def kept_reference(folder: Path, scene: str, key: str, shape: tuple[int, int]) -> dict | None:
@@ -125,5 +107,4 @@ def kept_reference(folder: Path, scene: str, key: str, shape: tuple[int, int]) -
         "total": total.tolist(),
         "cells": cells.tolist(),
         "outside": outside.tolist(),
-        "scatter": known.get("scatter"),
     }

@@ -16,12 +16,9 @@ from gelforge.mechanics.mesh.meshstore import MeshSource
 from gelforge.mechanics.result import Result
 from gelforge.mechanics.scene import Scene
 from gelforge.sweeps import references as meshes
-from gelforge.sweeps.symmetry import turned
 
 LABEL_METHODS = ("hex", "ccx", "auto")
-# DOUBLED: a scene's reference on elements and load steps of twice the size. TURNED: that of a scene which is no mirror image
-# of itself, solved once more half a turn about z.
-REFERENCE, DOUBLED, TURNED = "ccx-fine", "ccx-fine-doubled", "ccx-fine-turned"
+REFERENCE, DOUBLED = "ccx-fine", "ccx-fine-doubled"  # DOUBLED: on elements and load steps of twice the size
 
 
 @dataclass(frozen=True)
@@ -165,10 +162,9 @@ def _prepare_native(method, scene, folder, params, work):
 
 
 def _prepare_reference(method, scene, params, work):
-    pressed = turned(scene) if method.name == TURNED else scene
     table, factor = params.pareto.reference, 2 if method.doubled else 1
-    mesh = meshes.reference_mesh(pressed, params, method.doubled)
-    return _solve_ccx(pressed, mesh, table.press_steps // factor, table.shear_steps // factor, params, work)
+    mesh = meshes.reference_mesh(scene, params, method.doubled)
+    return _solve_ccx(scene, mesh, table.press_steps // factor, table.shear_steps // factor, params, work)
 
 
 def _prepare_ccx(method, scene, folder, params, work):

@@ -1,13 +1,10 @@
 """Scenes that are their own mirror image: what a mesh adds to their forces is not, and cancels in the mean of both."""
 
-from dataclasses import replace
-
 import numpy as np
 
 from gelforge.mechanics.scene import Scene
 
-HALF_TURN = (-1, -1)  # signs of x and y
-IMAGES = ((-1, 1), (1, -1), HALF_TURN)
+IMAGES = ((-1, 1), (1, -1), (-1, -1))  # signs of x and y
 POINTS, REACH_MM = 4000, 12.0
 LEAST_MM = 1e-6
 
@@ -33,24 +30,6 @@ def images_of(scene: Scene) -> list[tuple[int, int]]:
     ]
 
 
-def turned(scene: Scene) -> Scene:
-    """The scene half a turn about z: on another part of the mesh, with forces that are the image (-1, -1) of its own."""
-    press = scene.press
-    return replace(
-        scene,
-        press=replace(press, x0=-press.x0, y0=-press.y0, dx=-press.dx, dy=-press.dy, rot_deg=press.rot_deg + 180.0),
-    )
-
-
 def image_of(cells: np.ndarray, signs: tuple[int, int]) -> np.ndarray:
     """The mirror image of cells (3, rows, columns) N along gel x, y, z; rows run along x and columns along y."""
     return cells[:, :: signs[0], :: signs[1]] * np.array([*signs, 1.0])[:, None, None]
-
-
-def turned_back(record: dict) -> dict:
-    """A record of a scene that was solved half a turn about z, as one of the scene itself."""
-    if record.get("cells") is None:
-        return record
-    signs = np.array([*HALF_TURN, 1.0])
-    cells = image_of(np.asarray(record["cells"], float), HALF_TURN).tolist()
-    return record | {"cells": cells, **{key: (signs * record[key]).tolist() for key in ("outside", "total")}}

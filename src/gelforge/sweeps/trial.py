@@ -22,10 +22,9 @@ from gelforge.labelling.sensor import Sensor
 from gelforge.mechanics.hexsettings import QUALITIES, quality
 from gelforge.sweeps.isolate import CRASHED, REFUSED, TIMED_OUT, Clock, isolated, peak_mib
 from gelforge.sweeps.keptreferences import kept_reference
-from gelforge.sweeps.methods import LARGE_REFERENCE, REFERENCE, TURNED, Method, hex_settings, prepare, warm_up
+from gelforge.sweeps.methods import LARGE_REFERENCE, REFERENCE, Method, hex_settings, prepare, warm_up
 from gelforge.sweeps.references import EDGE_QUALITY
 from gelforge.sweeps.scenes import NamedScene
-from gelforge.sweeps.symmetry import turned_back
 
 GRID = Grid(24, 32)  # of FEATS' labels
 NOT_SOLVER = CHOOSING | TETRAHEDRAL | VERIFYING | {"fidelity", "timeout_s"}
@@ -169,8 +168,7 @@ def given_reference(bench: ChartBench, scene: NamedScene) -> dict | None:
 def solve_method(bench: ChartBench, scene: NamedScene, method: Method, work: Path) -> dict:
     """The record of a scene solved now, in a process of its own."""
     make = partial(prepare, method, scene.scene, bench.meshes, bench.params)
-    found = solve_isolated(make, bench.sensor, limit_of(bench.params.pareto, method.fidelity), work)
-    return turned_back(found) if method.name == TURNED else found
+    return solve_isolated(make, bench.sensor, limit_of(bench.params.pareto, method.fidelity), work)
 
 
 def load_bench(

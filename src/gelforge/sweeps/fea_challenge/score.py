@@ -12,6 +12,7 @@ import csv
 import json
 import sys
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -82,10 +83,11 @@ def cell_of(points: np.ndarray, challenge: dict) -> np.ndarray:
     return np.floor(np.column_stack([pixel[:, 1] / height * rows, pixel[:, 0] / width * columns])).astype(int)
 
 
-def errors(path: Path, reference: Path, challenge: dict) -> dict[str, float]:
+def errors(path: Path, reference: Path, challenge: dict) -> dict[str, Any]:
     """Errors of one scene over the reference's total force: of the total, and summed over the cells and over 2 x 2 of them.
 
-    scatter: how far the solves were apart whose mean the reference is, None where it is a single one.
+    reference: how far a solve of the reference on elements and load steps of twice the size is from it, summed over the cells;
+    None where there is none.
     """
     cells, outside = to_cells(path, challenge)
     right, beside = to_cells(reference, challenge)
@@ -96,7 +98,7 @@ def errors(path: Path, reference: Path, challenge: dict) -> dict[str, float]:
         "total": float(np.linalg.norm(total - expected) / size),
         "cells": float(np.linalg.norm(cells - right, axis=2).sum() / size),
         "cells_2x2": float(np.linalg.norm(larger[0] - larger[1], axis=2).sum() / size),
-        "scatter": challenge.get("scatter", {}).get(reference.stem),
+        "reference": (challenge["elements_doubled"].get(reference.stem) or {}).get("cells"),
     }
 
 
@@ -161,7 +163,7 @@ def table(result: dict) -> str:
     if result["scenes"]:
         lines.append(f"{'scene':20} {'total force':>12} {'cells':>8} {'2 x 2':>8} {'reference':>10} {'seconds':>9}")
         for name, scene in result["scenes"].items():
-            own = "unknown" if scene["scatter"] is None else f"{scene['scatter']:.2%}"
+            own = "unknown" if scene["reference"] is None else f"{scene['reference']:.2%}"
             errors = f"{scene['total']:12.2%} {scene['cells']:8.2%} {scene['cells_2x2']:8.2%}"
             lines.append(f"{name:20} {errors} {own:>10} {seconds.get(name, ''):>9}")
         for kind in ("median", "worst"):
