@@ -20,6 +20,7 @@ ARROW_MM = 2.5  # length of the largest force
 SENSOR = "mini_b"  # virtual sensor of the image beside it
 INDENTER = "triangle_10"  # of the press, in workflow/indenters.toml
 FILMS = "cheese_tube_3_camera_0.avi", "tin_box_2_camera_2.avi", "wooden_statue_5_camera_2.avi"  # of real sensors
+LEAST_SHOWN = 0.005  # % of error: smaller ones are drawn there
 FLAGGED = "ball_white_thread_9_camera_2.avi"  # of which a flagged frame is shown
 
 
@@ -194,7 +195,40 @@ def view_of(body, solved) -> np.ndarray:
     return image
 
 
-PICTURES = {"press": press, "real": real, "speed": chart, "stability": chart}
+METHODS = {"hex-demo": "#9ecae1", "hex-draft": "#4292c6", "hex-label": "#084594", "rig": "#31a354", "ccx": "#d1603d", "ccx-native": "#7a7a7a",
+           "reference": "#111111"}  # fmt: skip
+
+
+def exact(args: Namespace) -> None:
+    """Processor time of presses whose force is known against their error, each method: a dot a press, a ring at the medians."""
+    from gelforge.reporting.canvas import canvas_with_axes, to_png
+
+    figure, axes = canvas_with_axes(1, 2, 12, 5.4)
+    presses = [row for row in read_json(args.data[0])["presses"] if row["total"] is not None]
+    for axis, (kind, what) in zip(
+        axes[0], (("total", "total force"), ("rings", "rings of 0.5 mm, summed")), strict=True
+    ):
+        for method, colour in METHODS.items():
+            own = [row for row in presses if row["method"] == method and row[kind] is not None]
+            x, y = [row["seconds"] for row in own], [max(abs(row[kind]), LEAST_SHOWN) for row in own]
+            if not own:
+                continue
+            axis.plot(x, y, ".", color=colour, ms=5, alpha=0.55)
+            label = f"{method}, {len(own)} presses" if kind == "total" else None
+            axis.plot([np.median(x)], [np.median(y)], "o", color=colour, ms=11, mec="black", mew=1.2, label=label)
+        axis.set(
+            xscale="log",
+            yscale="log",
+            xlabel="processor seconds of a press, one thread",
+            ylabel=f"error of {what}, %",
+        )
+        axis.grid(alpha=0.25, which="both")
+    figure.legend(loc="outside lower center", ncols=len(METHODS), fontsize=8)
+    figure.suptitle("Axisymmetric presses of known force: a dot for each press, a ring at the medians", fontsize=10)
+    publish_picture(args.out, to_png(figure), args.data)
+
+
+PICTURES = {"press": press, "real": real, "speed": chart, "stability": chart, "exact": exact}
 
 
 @command(
