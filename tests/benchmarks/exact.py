@@ -37,7 +37,7 @@ from gelforge.stages.pareto import VERSION
 from gelforge.sweeps.isolate import Clock
 from gelforge.sweeps.methods import LARGE_REFERENCE, prepare, warm_up
 from gelforge.virtualrig.bench import SETTINGS
-from gelforge.virtualrig.excess import force_factor, kept_factor, name_of
+from gelforge.virtualrig.excess import ForceFactor, force_factor
 from tests.benchmarks.figures import ROOT, Figure, publish_figures
 from tests.support import axisymmetric
 from tests.support.exact_scenes import KEPT
@@ -130,11 +130,14 @@ def ring_forces(mesh: GelMesh, forces: np.ndarray, width: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Bench:
-    """Where methods solve: parameters of the flow, folder of what is kept, and solvers by thickness of the pad, mm."""
+    """Where methods solve: parameters of the flow, folder of what is kept, solvers by thickness of the pad in mm, factors of the
+    virtual rig.
+    """
 
     params: Params
     work: Path
     made: dict[float, Solvers] = field(default_factory=dict)
+    factors: dict[str, ForceFactor] = field(default_factory=dict)
 
     def solvers(self, thickness: float) -> Solvers:
         """Solvers with CalculiX on meshes of a pad, kept."""
@@ -149,11 +152,12 @@ class Bench:
         names = [f"ccx-{name}" for name in tables.fea.meshes]
         return Solvers(MeshFamily(meshes / gel.name, names, source), tempfile.mkdtemp(dir=self.work), tables.fea)
 
-    def method(self, name: str, scene: Scene) -> Callable[[], tuple[Result, GelMesh]]:
-        """The solve of a scene by a method's name, with the mesh of its forces."""
+    def method(self, name: str, press: dict) -> Callable[[], tuple[Result, GelMesh]]:
+        """The solve of a press by a method's name, with the mesh of its forces."""
+        scene = scene_of(press)
         if name.startswith("hex-") or name == "rig":
             solver = HexSolver(SETTINGS if name == "rig" else quality(name.removeprefix("hex-")))
-            scale = self.rig_factor(scene) if name == "rig" else 1.0
+            scale = self.rig_factor(press, scene) if name == "rig" else 1.0
 
             def run():
                 result = solver.solve(scene)
@@ -173,11 +177,13 @@ class Bench:
 
         return ask
 
-    def rig_factor(self, scene: Scene) -> float:
-        """What the virtual rig multiplies a press's normal force by."""
-        of = scene.gel, scene.material, scene.indenter, scene.interface, SETTINGS
-        found = kept_factor(self.work / "factors", name_of(*of), lambda: force_factor(*of, lambda press: None))
-        return float(found.at(-scene.press.dz)[2])
+    def rig_factor(self, press: dict, scene: Scene) -> float:
+        """What the virtual rig multiplies the normal force of a press by."""
+        path = str([press[key] for key in ("kind", "sizes_mm", "nu", "thickness_mm", "interface")])
+        if path not in self.factors:
+            of = scene.gel, scene.material, scene.indenter, scene.interface, SETTINGS
+            self.factors[path] = force_factor(*of, lambda _: None)
+        return float(self.factors[path].at(press["depth_mm"])[2])
 
 
 def digest() -> str:
@@ -195,7 +201,7 @@ def record_of(bench: Bench, press: dict, name: str, code: str) -> dict:
     key = [code, press["force_n"]]
     if path.exists() and (kept := read_json(path))["key"] == key:
         return kept
-    solve = bench.method(name, scene_of(press))
+    solve = bench.method(name, press)
     with Clock() as clock:
         result, mesh = solve()
     found = {"key": key, "status": result.status.name, "seconds": clock.cpu_seconds, "force": 0.0, "rings": []}

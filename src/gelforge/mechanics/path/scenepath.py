@@ -290,28 +290,42 @@ class ScenePath(Equilibrium):
     # -- the end of the path
 
     def _iterate_contact(self) -> Status:
-        """Equilibrium at the end of the path in which nothing pulls, to the final tolerance.
-
-        There it is looked for pulls again: few points that are released at the edge of contact leave less out of balance than
-        the path's tolerance, so their neighbours pull only in the tight equilibrium.
-        """
+        """Equilibrium at the end of the path in which nothing pulls, to the final tolerance."""
         pose = path_pose(self.scene, self.t)
+        status = Status.UNSETTLED
         for _ in range(self.settings.settle_rounds):
             self._carry_out(pose)
             self.rounds += 1
-            if self.release(pose):
-                continue
-            if self.law.frictional:
-                self._slide(pose)
-                self._carry_out(pose)
-            self._polish(pose)
             if not self.release(pose):
-                self.state.status[self.touching()] = TOUCHING
-                return Status.OK
+                status = Status.OK
+                break
+        if self.law.frictional:
+            self._slide(pose)
         self._carry_out(pose)
         self._polish(pose)
+        if status is Status.OK:
+            self._release_in_balance(pose)
         self.state.status[self.touching()] = TOUCHING
-        return Status.UNSETTLED
+        return status
+
+    def _release_in_balance(self, pose: Pose) -> None:
+        """Release what pulls in the tight equilibrium only, as long as there is one without it.
+
+        Few points that are released at the edge of contact leave less out of balance than the path's tolerance, so that their
+        neighbours pull nowhere before.
+        """
+        for _ in range(self.settings.settle_rounds):
+            kept, u = self.state.snapshot(), self.u
+            if not self.release(pose):
+                return
+            self.rounds += 1
+            try:
+                self._carry_out(pose)
+                self._polish(pose)
+            except NoEquilibrium:
+                self.state.restore(kept)
+                self.u = u
+                return self._polish(pose)
 
     def _carry_out(self, pose: Pose) -> None:
         """Carry out all pending contact changes at a fixed pose, in parts where one go fails."""
