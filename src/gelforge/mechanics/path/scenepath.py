@@ -325,7 +325,8 @@ class ScenePath(Equilibrium):
             except NoEquilibrium:
                 self.state.restore(kept)
                 self.u = u
-                return self._polish(pose)
+                self._polish(pose)
+                return
 
     def _carry_out(self, pose: Pose) -> None:
         """Carry out all pending contact changes at a fixed pose, in parts where one go fails."""
