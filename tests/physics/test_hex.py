@@ -402,3 +402,15 @@ def test_flanks_that_hang_beside_the_base_are_no_gel_pressed_through_it(root):
     assert x[:, 2].min() < -Gel().height - 0.05  # they do hang lower
     assert result.status is Status.OK and result.evidence["below_base_mm"] == 0.0
     assert result.evidence["base_mismatch"] < 1e-6
+
+
+def test_what_pulls_in_the_tight_equilibrium_alone_is_released():
+    """Points released at the edge of contact leave less out of balance than a loose path's tolerance: nothing moved then."""
+    scene = Scene(
+        Gel(), Material(), build("ball", {"kind": "sphere", "diameter": 60, "height": 10}), Press(0, 0, 0, 0, 0, -0.3)
+    )
+    loose = HexSettings(size=0.7, layers=3, gauss=3, press_steps=3, tolerance=5e-2)
+    result = solve_hex(scene, loose)
+    assert result.status is Status.OK and result.evidence["pulling_fraction"] < loose.pull_tolerance
+    tight = solve_hex(scene, replace(loose, tolerance=1e-4))
+    assert result.total[2] == pytest.approx(tight.total[2], rel=0.01)
