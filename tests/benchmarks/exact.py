@@ -45,8 +45,7 @@ from tests.support.exact_scenes import KEPT
 NATIVE = ("sphere-15-nu0.475-pad4-no_slip-0.4mm", "punch-10-1-nu0.475-pad4-no_slip-0.3mm")  # minutes each
 # Of the bodies that differ most, for the references of the scenes: minutes each.
 REFERENCED = (
-    "sphere-15-nu0.475-pad4-no_slip-0.4mm", "sphere-15-nu0.475-pad4-no_slip-1mm", "sphere-60-nu0.475-pad4-no_slip-0.3mm",
-    "punch-6-0.1-nu0.475-pad4-no_slip-0.3mm", "punch-6-0.3-nu0.475-pad4-no_slip-0.5mm",
+    "sphere-15-nu0.475-pad4-no_slip-1mm", "sphere-60-nu0.475-pad4-no_slip-0.3mm", "punch-6-0.1-nu0.475-pad4-no_slip-0.3mm",
     "punch-10-1-nu0.475-pad4-no_slip-0.3mm", "cone-30-0.5-nu0.475-pad4-no_slip-0.5mm",
     "tube-10-7-0.7-nu0.475-pad4-no_slip-0.2mm",
 )  # fmt: skip
