@@ -164,7 +164,8 @@ def _prepare_native(method, scene, folder, params, work):
 def _prepare_reference(method, scene, params, work):
     table, factor = params.pareto.reference, 2 if method.doubled else 1
     mesh = meshes.reference_mesh(scene, params, method.doubled)
-    return _solve_ccx(scene, mesh, table.press_steps // factor, table.shear_steps // factor, params, work)
+    press_steps, shear_steps = (max(1, count // factor) for count in (table.press_steps, table.shear_steps))
+    return _solve_ccx(scene, mesh, press_steps, shear_steps, params, work)
 
 
 def _prepare_ccx(method, scene, folder, params, work):
