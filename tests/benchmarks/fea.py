@@ -331,7 +331,7 @@ def cost_figures(scenes: dict[str, Scene], sensor: Sensor) -> list[Figure]:
     option("--reference", type=Path, default=PUBLISHED_DATA),
     option("--scenes", nargs="+", help="only these of workflow/scenes.toml", default=None),
     option("--envelope", type=int, default=ENVELOPE, help="random scenes"),
-    option("--only", choices=PARTS, help="do one part, for its kept records; no figures are written", default=None),
+    option("--only", choices=PARTS, help="do one part; figures of the others stay as they are", default=None),
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:
@@ -343,13 +343,15 @@ def main(args: Namespace) -> None:
     scenes = {n: parse_scene(n, t, params.material.nu) for n, t in tables.items()
               if not args.scenes or n in args.scenes}  # fmt: skip
     parts = (args.only,) if args.only else PARTS
-    figures, decks = [], {}
+    figures: list[Figure] = []
     if "deck" in parts:
-        decks = {depth: run_deck(args.reference, args.work, depth) for depth in SPEED}
+        for depth in SPEED:
+            run_deck(args.reference, args.work, depth)
     if "scenes" in parts:
-        found = solve_scenes(bench, scenes)
-        if not args.only:
-            figures += scene_figures(found, decks)
+        figures += scene_figures(solve_scenes(bench, scenes), kept_decks(args.work))
+        path = args.pareto / "pareto.json"
+        chart = read_json(path) if path.exists() else {}
+        figures += [*reference_figures(chart.get("reference_check", {})), *chart_figures(chart.get("rows", []))]
     if "envelope" in parts:
         catalogue = load_catalogue(args.workflow / "indenters.toml")
         folder, engines = args.work / "envelope", (Method("hex-label", "hex"), Method("ccx-label", "ccx"))
@@ -359,13 +361,6 @@ def main(args: Namespace) -> None:
     if "cost" in parts:
         sensor = sensors[params.pareto.sensor]
         figures += cost_figures({name: scene.scene for name, scene in scenes.items()}, sensor)
-    if args.only:
-        figures += scene_figures(found, kept_decks(args.work)) if args.only == "scenes" else []
-        print("\n".join(str(figure) for figure in figures))
-        return
-    path = args.pareto / "pareto.json"
-    chart = read_json(path) if path.exists() else {}
-    figures += [*reference_figures(chart.get("reference_check", {})), *chart_figures(chart.get("rows", []))]
     publish_figures(args.out, figures)
 
 
