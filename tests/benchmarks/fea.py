@@ -1,7 +1,7 @@
 """What the fea stage promises: speed and error against FEATS' deck, errors over all scenes, validity, balance.
 
-Everything costly is kept below --work and resumed, so that it may run in the background for hours: first
-`--only deck`, `--only scenes`, `--only envelope`, then all of it for the figures. Seconds are processor seconds
+Everything costly is kept below --work and resumed, so that it may run in the background for hours, or part by part: first
+`--only deck`, whose times `--only scenes` compares with. Seconds are processor seconds
 of one thread, so that other work on the machine does not enter the ratios.
 """
 
