@@ -29,7 +29,6 @@ LEFT_OUT = {
     "fea": "solves with CalculiX, FEATS' deck for hours: tests/physics/test_ccx_contact.py and test_ccx_closed_forms.py",
     "calibration": "an emulator takes minutes: tests/workflow/test_calibrate.py",
     "exact": "solves 68 presses by every method: tests/physics/test_axisymmetric.py",
-    "references": "solves the finest meshes: tests/unit/sweeps/test_challenge.py",
     "troubles": "labels the demo: tests/unit/evidence and tests/unit/stages/test_images.py",
     "outside": "GetFEM takes minutes for a scene: tests/workflow/test_outside.py",
 }
