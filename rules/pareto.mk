@@ -5,7 +5,7 @@ KEPT_REFERENCES := $(wildcard data/fea_challenge/keys.json)
 PARETO_MESH_FILES := $(PARETO_MESHES:%=$D/pareto/meshes/%.npz)
 PARETO_FILES := $(PARETO_SCENES:%=$D/pareto/scenes/%.json)
 PARETO_QUICK_FILES := $(PARETO_QUICK:%=$D/pareto/quick/%.json)
-SCENE_READS := $P/pareto.json $P/sensors.json $(KEPT_REFERENCES)
+SCENE_READS := $P/sensors.json $(KEPT_REFERENCES)
 
 pareto: $D/pareto/pareto.json  ## speed against accuracy of the mechanics: chart, CSV, JSON (hours; resumes)
 
@@ -14,11 +14,12 @@ pareto-quick: $D/pareto/quick.json  ## the report's small chart: three scenes, f
 $(PARETO_MESH_FILES): $D/pareto/meshes/%.npz: $P/meshes.json $P/gels.json
 	$(call step,gelforge.stages.pareto mesh $D $*)
 
-$(PARETO_FILES): $D/pareto/scenes/%.json: $P/scenes/%.json $(SCENE_READS) $(PARETO_MESH_FILES)
+$(PARETO_FILES): $D/pareto/scenes/%.json: $P/pareto.json $P/scenes/%.json $(SCENE_READS) $(PARETO_MESH_FILES)
 	$(call step,gelforge.stages.pareto scene $D $*)
 
 # All scenes of the small chart decide which reference it has.
-$(PARETO_QUICK_FILES): $D/pareto/quick/%.json: $P/scenes/%.json $(PARETO_QUICK:%=$P/scenes/%.json) $(SCENE_READS)
+$(PARETO_QUICK_FILES): $D/pareto/quick/%.json: $P/pareto.json $P/scenes/%.json \
+    $(PARETO_QUICK:%=$P/scenes/%.json) $(SCENE_READS)
 	$(call step,gelforge.stages.pareto quick $D $*)
 
 # It also writes workflow/charted.toml, by which [fea] fidelity = "auto" chooses.

@@ -10,6 +10,7 @@ from gelforge.flow.files import read_json, read_toml, write_json, write_text
 from gelforge.flow.layout import Layout
 from gelforge.geometry.gel import GELS
 from gelforge.mechanics.mesh.meshstore import source_of
+from gelforge.mechanics.solvers.auto import charted_errors
 from gelforge.stages import fea, meshes
 from gelforge.stages.report import verified_section
 from gelforge.sweeps import verification
@@ -77,7 +78,7 @@ def made(name: str, total: float, cells: float) -> Verified:
 
 
 def test_a_difference_beyond_both_errors_is_named_and_more_than_one_in_twenty_are_refused():
-    charted = parameters().fea.charted["flat_deep"]
+    charted = charted_errors("flat_deep", parameters().fea)
     limit = charted["hex-label"][1] + charted["ccx"][1]
     fine, odd = [made(f"s{i}", 0.01, 0.9 * limit) for i in range(19)], made("odd", 0.01, 1.1 * limit)
     assert not any(one.beyond for one in fine) and odd.beyond
