@@ -31,10 +31,8 @@ EDGES_MM = {
     "cuboid_sharp": (0.5, 0.5),
     "punch": (0.25, 0.25),
 }
-RIM, RIM_GROWTH = (
-    0.6,
-    0.4,
-)  # mm inside of the footprint's sides that have the small hexahedra, and how they grow from there
+# mm beside the footprint's sides that have the small hexahedra, and how they grow from there
+RIM, RIM_GROWTH = 0.6, 0.4
 GROWTH, LARGEST = 1.6, 3.5  # how they grow away from the body, and the largest, mm
 LAYERS = (1.4, 1.0, 0.7, 0.5, 0.4)  # from the base to the top, of the height
 MARGIN = 0.7  # mm of small hexahedra beside the footprint
