@@ -60,11 +60,11 @@ def edge_of_contact(scene: Scene) -> np.ndarray:
 def reference_mesh(scene: Scene, params: ForPareto, doubled: bool = False) -> GelMesh:
     """Tetrahedra for the reference of one scene: small under the press, smallest where the contact ends.
 
-    doubled: all of them of twice the size.
+    doubled: all of them of twice the size. BadInput where an element is inverted.
     """
     from scipy.spatial import cKDTree
 
-    from gelforge.mechanics.mesh.tetmesh import gel_mesh
+    from gelforge.mechanics.mesh.tetmesh import gel_mesh, mesh_report
 
     table, factor = params.pareto.reference, 2.0 if doubled else 1.0
     edge = edge_of_contact(scene)
@@ -79,4 +79,6 @@ def reference_mesh(scene: Scene, params: ForPareto, doubled: bool = False) -> Ge
         away = np.maximum(np.hypot(apart, points[:, 2]) - RIM_MM, 0.0)
         return np.minimum(factor * table.edge_mm + RIM_GROWTH * away, LONGEST * at(points - centre))
 
-    return gel_mesh(scene.gel, lambda points: at(points - centre), longest=longest)
+    mesh = gel_mesh(scene.gel, lambda points: at(points - centre), longest=longest)
+    mesh_report(mesh, scene.gel)  # which refuses inverted elements
+    return mesh
