@@ -63,6 +63,27 @@ LONG = (
 )
 
 
+# What --strict-tools asks for: words of the reasons with which tests skip where a tool or the reference data are missing.
+TOOLS = ("CalculiX", "Slurm", "chromium", "getfem", "reference data")
+
+
+def pytest_addoption(parser):
+    parser.addoption(
+        "--strict-tools",
+        action="store_true",
+        help=f"fail, not skip, where one of these is missing: {', '.join(TOOLS)}",
+    )
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_runtest_makereport(item):
+    """Under --strict-tools a skip for want of a tool is a failure with the same reason."""
+    report = (yield).get_result()
+    reason = report.longrepr[2] if report.skipped and isinstance(report.longrepr, tuple) else ""
+    if item.config.getoption("--strict-tools") and any(tool in reason for tool in TOOLS):
+        report.outcome, report.longrepr = "failed", f"{reason} (--strict-tools)"
+
+
 def pytest_collection_modifyitems(config, items):
     """Tests that take long come first, where no other order is asked for."""
     if not config.pluginmanager.hasplugin("randomly"):
