@@ -59,8 +59,8 @@ class Reader:
     ):
         picture = None if nocontact is None else check_image(nocontact)
         path, loaded = None if profile is None else Path(profile), load_for_use(model)
-        picture, gain, table = with_profile(path, picture, loaded.metadata)
-        self._predictor = Predictor(loaded, picture, gain, device, threads, table)
+        picture, gain = with_profile(path, picture, loaded.metadata)
+        self._predictor = Predictor(loaded, picture, gain, device, threads)
 
     def __call__(self, image: np.ndarray) -> ForceReading:
         """Predict one image; nothing carries over from one to the next.
@@ -75,20 +75,6 @@ class Reader:
             BadInput: what is no such image.
         """
         return self._predictor.predict(check_image(image))
-
-    def height(self, image: np.ndarray) -> np.ndarray | None:
-        """How high the gel's surface stands in an image.
-
-        Args:
-            image: (h, w, 3) uint8 RGB.
-
-        Returns:
-            Height (h / 2, w / 2) mm above the unloaded gel; None without a profile that `gelforge sensor --balls` wrote.
-
-        Raises:
-            BadInput: what is no such image.
-        """
-        return self._predictor.height(check_image(image))
 
     def stream(self, images: Iterable[np.ndarray]) -> Iterator[ForceReading]:
         """Predict images as they come from a camera: the same as one by one.

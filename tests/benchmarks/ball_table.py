@@ -1,24 +1,23 @@
-"""The finite element solves behind `gelforge sensor --balls`, minutes of a core; rows that are there stay."""
+"""The finite element solves of balls by whose imprints `benchmark-real` knows the force, minutes of a core; rows that are there stay."""
 
 from argparse import Namespace
 from itertools import product
 from pathlib import Path
 
 import numpy as np
-from scipy.ndimage import gaussian_filter
 
 from gelforge.errors import GelforgeError
 from gelforge.flow.files import read_csv, write_csv
 from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
-from gelforge.geometry.gel import USUAL_GEL, Gel, load_gel
+from gelforge.geometry.gel import USUAL_GEL, load_gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.hexsettings import quality
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solvers.hex import HexResult, HexSolver
-from gelforge.networks.balls.balltable import BLUR_MM, COLUMNS, RIM, TABLE
 from gelforge.records.press import Press
+from tests.benchmarks.ball_presses import COLUMNS, TABLE
 
 THICKNESSES = 4.0, 3.6, 4.4  # mm of gel at its apex
 DIAMETERS = 5.0, 4.0, 6.0, 8.0, 10.0, 12.0  # mm of ball
@@ -27,10 +26,6 @@ DEPTHS = 0.3, 0.5, 0.8, 1.1, 1.4, 1.7  # mm
 CLOSED_MM = 0.01
 # The gap of a smooth body opens with the power 3/2 of the distance from the contact (Johnson 1985, Contact Mechanics, 3.4).
 POWER, FITTED_MM = 2.0 / 3.0, (0.3 * CLOSED_MM, 10 * CLOSED_MM)
-# What pictures make of slopes: the gel's coating bridges this much, and flanks steeper than this are hardly brighter. With both
-# 45 real circles come out as they were marked (1.01 in the median), and those of 39 rendered balls 3 % too wide.
-SKIN_MM, LEVELS_OFF = 0.2, 0.5
-REACH_MM, BIN_MM, PIXEL_MM = 8.0, 0.1, 0.04  # how far, in what rings, and how finely slopes are sampled
 
 
 def contact_radius(result: HexResult, diameter: float, depth: float) -> float:
@@ -45,25 +40,6 @@ def contact_radius(result: HexResult, diameter: float, depth: float) -> float:
     return float(edge + slope * CLOSED_MM**POWER)
 
 
-def rim_radius(result: HexResult, gel: Gel) -> float:
-    """Radius in mm beyond the contact at which the brightness that slopes make has fallen to RIM of its largest."""
-    if result.contact is None:
-        raise GelforgeError("a ball that touches nothing has no rim")
-    x, y, z = result.contact.position.T
-    bins = np.arange(0.0, REACH_MM, BIN_MM)
-    at = np.digitize(np.hypot(x, y), bins)
-    held = [k for k in range(1, len(bins)) if (at == k).any()]
-    radius, sunk = (np.array([of[at == k].mean() for k in held]) for of in (np.hypot(x, y), z - gel.top(x, y)))
-    axis = np.arange(-REACH_MM, REACH_MM, PIXEL_MM)
-    height = gaussian_filter(np.interp(np.hypot(axis, axis[:, None]), radius, sunk, right=0.0), SKIN_MM / PIXEL_MM)
-    slope = np.hypot(*np.gradient(height, PIXEL_MM))
-    bright = gaussian_filter(slope / np.sqrt(1.0 + (slope / LEVELS_OFF) ** 2), BLUR_MM / PIXEL_MM)
-    middle = len(axis) // 2
-    seen = bright[middle, middle:] / bright[middle].max()
-    past = int(seen.argmax()) + int(np.argmax(seen[seen.argmax() :] < RIM))
-    return float(axis[middle] + (past - 1 + (seen[past - 1] - RIM) / (seen[past - 1] - seen[past])) * PIXEL_MM)
-
-
 def solved_rows(solver: HexSolver, diameter: float, thickness: float) -> list[dict[str, float]]:
     """Rows of the table for one ball on one gel, from one load path; GelforgeError where a frame is not solved."""
     gel = load_gel(f"{USUAL_GEL}-{thickness:g}mm")
@@ -75,7 +51,7 @@ def solved_rows(solver: HexSolver, diameter: float, thickness: float) -> list[di
             raise GelforgeError(
                 f"ball of {diameter:g} mm, gel of {thickness:g} mm, {depth:g} mm deep: {result.status.value}"
             )
-        found = contact_radius(result, diameter, depth), rim_radius(result, gel), -result.total[2]
+        found = contact_radius(result, diameter, depth), -result.total[2]
         rows.append(dict(zip(COLUMNS, (diameter, thickness, depth, *np.round(found, 4).tolist()), strict=True)))
     return rows
 

@@ -9,7 +9,6 @@ import numpy as np
 
 from gelforge.networks.checkpoint.modelfile import ForceModel
 from gelforge.networks.inference.predictor import Predictor
-from gelforge.networks.inference.sensorprofile import Gain, fit_opposite
 from gelforge.records.film import frames, numbered, open_source
 from gelforge.records.forcereading import BEYOND
 from gelforge.records.markers import markers_in
@@ -138,15 +137,12 @@ def factor_between(one: np.ndarray, other: np.ndarray) -> float:
 def finger_figures(films: dict[str, Read]) -> list[Figure]:
     """Normal forces of two fingers that hold one object, over all frames in which both see most of what touches them."""
     most, every, whole = (grasps_of(films, choose) for choose in (mostly_seen, every_frame, seen_whole))
-    others = [np.delete(most, k, axis=0) for k in range(len(most))]
-    gains = [fit_opposite(rest[:, 0], rest[:, 1], Gain()).value for rest in others]
     usual, of_all = (factor_between(*grasps[:, :2].T) for grasps in (most, every))
     # what both cameras see of one object differs too much for a goal
     return [
         Figure("two fingers on one object, factor between them, median", usual, "", usual, "",
                f"{len(most)} grasps; both see all of the contact in {len(whole)}; {of_all:.2f} over all"
-               f" frames of {len(every)}; {factor_between(most[:, 0], gains * most[:, 1]):.2f} once the other grasps brought one finger"
-               f" to the other; correlation over time {np.median(most[:, 2]):.2f}"),
+               f" frames of {len(every)}; correlation over time {np.median(most[:, 2]):.2f}"),
     ]  # fmt: skip
 
 

@@ -10,7 +10,6 @@ import itertools
 from argparse import Namespace
 from collections.abc import Iterator, Sequence
 from pathlib import Path
-from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
@@ -20,7 +19,6 @@ from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.formats.numpy_pickle import read_npy
-from gelforge.networks.balls.ballpresses import BACKGROUND, read_presses
 from gelforge.networks.checkpoint.modelfile import ForceModel, fingerprint
 from gelforge.networks.inference.predictor import Predictor, load_for_use
 from gelforge.networks.inference.sensorprofile import fit_gain
@@ -28,8 +26,9 @@ from gelforge.networks.preprocess.illumination import match_light
 from gelforge.networks.uncertainty.conformal import half_widths, real_width
 from gelforge.records.forcereading import ForceReading
 from gelforge.records.image import read_image
+from tests.benchmarks.ball_presses import BACKGROUND, read_presses
 from tests.benchmarks.balls import FOLDER as BALLS
-from tests.benchmarks.balls import ball_figures, circle_figures, drawn_figures, motion_figures, table_figures
+from tests.benchmarks.balls import ball_figures, motion_figures
 from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.benchmarks.films import finger_figures, frames_of, read_film, released_figures, sideways_figures
 from tests.benchmarks.spoilt import EACH, Series, spoilt_figures
@@ -215,12 +214,11 @@ def real_ball_figures(
 ) -> tuple[list[Figure], tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Figures of the presses of a ball, and what they show of intervals."""
     background = read_image(folder / BACKGROUND)
-    presses = read_presses(folder, background, px_per_mm=PX_PER_MM).presses
+    presses = read_presses(folder, PX_PER_MM)
     predictor = Predictor(model, background)
     read = [predictor.predict(press.image) for press in presses]
     series = Series("real balls", model, background, [press.image for press in presses[::EACH]], read[::EACH])
-    figures = [*ball_figures(presses, read), *table_figures(presses, background, PX_PER_MM)]
-    figures += [*circle_figures(folder, background, PX_PER_MM), *spoilt_figures(series)]
+    figures = [*ball_figures(presses, read), *spoilt_figures(series)]
     return figures, evidence_of(model, read, np.array([press.force for press in presses]))
 
 
@@ -301,8 +299,6 @@ def main(args: Namespace) -> None:
         found, evidence["real balls"] = real_ball_figures(args.reference / BALLS, model)
         figures += found
     if "drawn" in args.parts:
-        with TemporaryDirectory() as folder:
-            figures += drawn_figures(Path(folder))
         figures += motion_figures(model)
     if "cuboid" in args.parts:
         figures += cuboid_figures(args.reference, model, nocontact)

@@ -25,7 +25,7 @@ CHOSEN = {
 | measured | value |
 | --- | --- |
 | presses of a ball, predicted force divided by that of finite elements: median; 10 % and 90 % quantile divided by the median; correlation of both forces | {real: real balls, read over finite elements, median: at least|.2f}; {real: real balls, read over finite elements: over the median, 10 %|.2f} to {real: real balls, read over finite elements: over the median, 90 %|.2f}; {real: real balls, read over finite elements: correlation|.2f} |
-| the same, factor of a profile from every other press (`gelforge sensor --balls`) | {real: real balls, factor of every other press, median: at least|.2f}; {real: real balls, factor of every other press: over the median, 10 %|.2f} to {real: real balls, factor of every other press: over the median, 90 %|.2f}; {real: real balls, factor of every other press: correlation|.2f} |
+| the same, factor of a profile from every other press | {real: real balls, factor of every other press, median: at least|.2f}; {real: real balls, factor of every other press: over the median, 10 %|.2f} to {real: real balls, factor of every other press: over the median, 90 %|.2f}; {real: real balls, factor of every other press: correlation|.2f} |
 | FEATS' 51 images, predicted force divided by that of FEATS' map: median; standard deviation of its natural logarithm | {real: the same at 0.30 N a cell, median: at least|.2f}; {real: totals over FEATS' maps, deviation of the logarithm|.2f} |
 """,
 }  # fmt: skip

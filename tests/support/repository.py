@@ -54,7 +54,6 @@ ROOMS: dict[str, dict[str, set[str]]] = {
     "networks": {
         "models": set(),
         "preprocess": {"models"},
-        "balls": {"preprocess"},
         "uncertainty": {"preprocess", "inference"},
         "checkpoint": {"models", "uncertainty"},
         "inference": {"checkpoint", "preprocess", "uncertainty"},

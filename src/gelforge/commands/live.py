@@ -167,8 +167,8 @@ def predictor_of(args: Namespace, model, picture: np.ndarray | None, seen, name:
         report(f"{name}: frames before the no-contact image are not read: {first.number}")
         seen = itertools.chain([first], seen)
         picture = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
-    picture, gain, table = with_profile(args.profile, picture, model.metadata)
-    predictor = Predictor(model, picture, gain, args.device, args.threads, table)
+    picture, gain = with_profile(args.profile, picture, model.metadata)
+    predictor = Predictor(model, picture, gain, args.device, args.threads)
     if predictor.text:
         report(f"{name}: {predictor.text}")
     return predictor, seen

@@ -2,8 +2,6 @@
 
 Every image gives a picture and a map as .npy, float32 (3, rows, cols) in N per cell; all images give one totals.csv. After
 Ctrl-C this table has the rows of the images that were done.
---height also writes the gel's height as NAME_height.npy, float32 (rows, cols) in mm above the unloaded gel, negative where it
-is pressed in, at half of the image's size. It needs a profile that `gelforge sensor --balls` wrote.
 Columns grid_x_n, grid_y_n, grid_z_n are FEATS' channels: force along gel y, along gel x, along the normal.
 ..._half_width_n: half of the 90 % prediction interval, for sensors that training never saw with gels as stiff as in training.
 ood_score: distance of an image's colours, sharpness and markers from those of the training images; about 1 for an image like
@@ -16,7 +14,6 @@ flagged if the gel moved in its holder since the no-contact image was taken: tak
 import tempfile
 from argparse import Namespace
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack
 from pathlib import Path
 
 import numpy as np
@@ -34,7 +31,6 @@ from gelforge.records.regular import FOLDER, file_fault, refuse_to_replace
 from gelforge.records.table import GrowingTable
 
 FILMS = (".avi", ".mp4", ".mkv", ".mov", ".webm")  # names that no picture has
-HEIGHT = "_height.npy"
 COLUMNS = [
     "image",
     "map",
@@ -88,24 +84,18 @@ def need_folder(out: Path) -> None:
 
 
 def predict_files(
-    paths: Sequence[Path], predictor: Predictor, out: Path, read: Sequence[Path] = (), height: bool = False
+    paths: Sequence[Path], predictor: Predictor, out: Path, read: Sequence[Path] = ()
 ) -> Iterator[dict]:
     """Predict image files and write their maps below `out`, one after another; yield each one's row of totals.csv.
 
     Every image is read before anything is written, and again when its turn comes: there may be more than memory holds.
     totals.csv grows with each image: whoever stops keeps the rows of what was read.
-    read: other files that were read, whose place nothing that is written may take. height: whether the gel's height is written,
-    too; BadInput beside a model that does not estimate slopes, where the profile holds no table of them either.
+    read: other files that were read, whose place nothing that is written may take.
     """
     from gelforge.reporting.forcemaps import write_maps
 
-    if height and not predictor.measures_height:
-        raise BadInput(
-            "--height: no table of the sensor's slopes is there; give --profile, one that `gelforge sensor --balls` wrote"
-        )
     names = output_names(paths)
-    endings = (".png", ".npy", *([HEIGHT] if height else []))
-    written = [out / f"{name}{ending}" for name in names for ending in endings]
+    written = [out / f"{name}{ending}" for name in names for ending in (".png", ".npy")]
     refuse_to_replace(f"--out {out}", [*written, out / "totals.csv"], [*paths, *read])
     for path in paths:
         read_image(path)
@@ -117,14 +107,11 @@ def predict_files(
             found = predictor.predict(image)
             row = totals_row(printable(path), printable(name), found)
             # the maps of an image and its row are written together or, where the disk is full, not at all
-            with publish(out / f"{name}.npy") as cells, publish(out / f"{name}.png") as drawn, ExitStack() as stack:
+            with publish(out / f"{name}.npy") as cells, publish(out / f"{name}.png") as drawn:
                 np.save(cells, found.cells)
                 flag = f" | FLAGGED: {found.reason}" if found.flag else ""
                 title = f"{printable(name)}, OOD score {found.ood_score:.1f}{flag}"
                 write_maps(drawn, found.image, found.cells, title)
-                if height:
-                    part = stack.enter_context(publish(out / f"{name}{HEIGHT}"))
-                    np.save(part, np.asarray(predictor.height(image), np.float32))
                 table.add(row)
             yield row
     finally:
@@ -149,11 +136,6 @@ def line_of(row: dict) -> str:
     NOCONTACT,
     PROFILE,
     option("--out", type=Path, default=Path("predictions"), help="folder (default: %(default)s)"),
-    option(
-        "--height",
-        action="store_true",
-        help="also write the gel's height, NAME_height.npy (needs --profile made by `gelforge sensor --balls`)",
-    ),
     *ENGINE,
 )
 def main(args: Namespace) -> None:
@@ -164,12 +146,12 @@ def main(args: Namespace) -> None:
             raise BadInput(f"{path}: is a film; `gelforge live --video {path} --csv readings.csv` reads it")
     picture = read_image(args.nocontact) if args.nocontact else None
     model = load_for_use(args.model, args.sensor)
-    picture, gain, table = with_profile(args.profile, picture, model.metadata)
-    predictor = Predictor(model, picture, gain, args.device, args.threads, table)
+    picture, gain = with_profile(args.profile, picture, model.metadata)
+    predictor = Predictor(model, picture, gain, args.device, args.threads)
     if predictor.text:
         print(predictor.text)
     kept = [*filter(None, [args.nocontact]), *files_of(args.profile)]
-    for row in predict_files(args.images, predictor, args.out, kept, args.height):
+    for row in predict_files(args.images, predictor, args.out, kept):
         print(line_of(row), flush=True)
     print(f"maps and totals.csv in {args.out}")
 

@@ -17,7 +17,6 @@ from gelforge.networks.inference.sensorprofile import (
     SensorProfile,
     check_same_sensor,
     fit_gain,
-    fit_opposite,
     make_profile,
     read_profile,
     with_profile,
@@ -69,27 +68,6 @@ def test_a_reading_says_the_less_the_weaker_it_is():
         fit_gain(np.append(read, 2 * weak), np.append(read, weak)).value for weak in (0.1, 0.5, 1.0, 3.0, 20.0)
     ]
     assert reported == sorted(reported) and np.log(reported[0]) < 0.1 * np.log(reported[-1])
-
-
-@given(st.floats(0.3, 3.0), st.integers(3, 30), st.integers(0, 2**32 - 1))
-@settings(max_examples=50)
-def test_grasps_bring_one_finger_to_the_other(factor, count, seed):
-    """A third of the grasps, of which one finger sees hardly anything, move the factor little; weak ones do not count."""
-    rng = np.random.default_rng(seed)
-    read = rng.uniform(4.0, 20.0, count)
-    opposite = np.where(np.arange(count) % 3 == 2, 20.0, factor) * read
-    gain = fit_opposite(np.append(opposite, 0.1), np.append(read, 5.0), Gain(1.0, 0.95, 1.05, 20))
-    assert gain.low < gain.value < gain.high and gain.readings == count
-    assert abs(np.log(gain.value / factor)) <= abs(np.log(factor)) / (1 + count) + 1e-9
-
-
-def test_what_is_not_known_of_the_other_finger_is_not_known_of_this_one():
-    read = np.linspace(3.0, 10.0, 8)
-    known, unknown = (fit_opposite(1.4 * read, read, other) for other in (Gain(1.0, 0.98, 1.02, 9), Gain()))
-    assert known.value == unknown.value == pytest.approx(1.4, rel=0.1)
-    assert np.log(unknown.high / unknown.low) > np.log(Gain().high / Gain().low) > np.log(known.high / known.low)
-    with pytest.raises(BadInput, match="none of 2 grasps is felt by both"):
-        fit_opposite(np.array([0.2, 9.0]), np.array([7.0, -1.0]), Gain())
 
 
 NET = {"name": "net", "sha256": "ab" * 32}
@@ -199,7 +177,7 @@ def test_a_profile_that_was_weighed_is_not_replaced_by_one_that_was_not(weighed,
     for gone in ([], [folder / "mine.png"]):
         for path in gone:
             path.unlink()
-        with pytest.raises(BadInput, match=f"comes from {len(rows)} readings or grasps.* remove .*mine.toml"):
+        with pytest.raises(BadInput, match=f"comes from {len(rows)} readings.* remove .*mine.toml"):
             sensor.main(asked)
         assert (folder / "mine.toml").read_text() == reported
     assert make(folder, rows[:-1]) == 0
@@ -247,32 +225,29 @@ def test_readings_that_cannot_be_are_refused(weighed):
     assert not (folder / "mine.toml").exists()
 
 
-def test_fingers_that_grasp_one_object_read_alike_with_their_profiles(weighed, shipped):
-    """The same pictures of both fingers, one of which has a factor: the other gets nearly as much."""
-    folder, rows = weighed
-    left = make_profile("left", read_image(folder / "rest.png"), 0.0, Gain(1.3, 1.25, 1.35, 9), shipped.metadata)
-    write_profile(folder / "left.toml", left)
-    grasps = folder / "grasps.csv"
-    grasps.write_text("\n".join(["image,opposite", *(f"{row[0]},{row[0]}" for row in rows)]) + "\n")
-    asked = ["--name", "right", "--nocontact", str(folder / "rest.png"), "--out", str(folder / "right.toml")]
-    assert sensor.main([*asked, "--opposite", str(folder / "left.toml"), "--grasps", str(grasps)]) == 0
-    assert read_profile(folder / "right.toml").gain.value == pytest.approx(1.3, rel=1e-3)
-
-
 def test_what_a_profile_is_made_from_keeps_its_place(weighed, shipped):
     """Also the picture of a profile whose own file was renamed, by which nothing but what the file says leads to it."""
     folder, _ = weighed
     profile = make_profile("other", read_image(folder / "rest.png"), 0.0, Gain(), shipped.metadata)
     write_profile(folder / "other.toml", profile)
     (folder / "other.toml").rename(folder / "renamed.toml")
-    read = ["--opposite", str(folder / "renamed.toml"), "--grasps", str(folder / "grasps.csv")]
-    asked = ["--name", "a", "--nocontact", str(folder / "rest.png"), *read]
     image = folder / "seen" / "other.png"
     image.parent.mkdir()
     shutil.copyfile(folder / "rest.png", image)
     for call, words in (
-        (sensor.main, [*asked, "--out", str(folder / "renamed.toml")]),
-        (sensor.main, [*asked, "--out", str(folder / "other.toml")]),
+        (
+            sensor.main,
+            [
+                "--name",
+                "a",
+                "--nocontact",
+                str(folder / "rest.png"),
+                "--readings",
+                str(folder / "a.toml"),
+                "--out",
+                str(folder / "a.toml"),
+            ],
+        ),
         (predict.main, [str(image), "--profile", str(folder / "renamed.toml"), "--out", str(folder)]),
     ):
         refused("would take the place of a file that is read", call, words)
@@ -305,14 +280,11 @@ def test_one_source_of_the_nocontact_image_and_of_the_factor_is_asked_for(weighe
     folder, _ = weighed
     rest = ["--nocontact", str(folder / "rest.png")]
     moving = write_film(folder / "moving.avi", [np.full((60, 80, 3), 18 * k, np.uint8) for k in range(FEWEST)])
-    grasps = ["--opposite", "l.toml", "--grasps", "g.csv"]
     for more, said in (
         ([], "give one of --nocontact IMAGE"),
         ([*rest, "--camera", "0"], "give one of --nocontact IMAGE"),
         (["--video", str(folder / "gone.avi")], "no such video"),
         (["--video", str(moving)], "without movement"),
-        ([*rest, "--grasps", "g.csv"], "--opposite and --grasps go together"),
-        ([*rest, *grasps, "--readings", "r.csv"], "either --readings or --grasps"),
     ):
         refused(said, sensor.main, ["--name", "mine", "--out", str(folder / "mine.toml"), *more])
     assert not (folder / "mine.toml").exists()
@@ -331,9 +303,3 @@ def test_a_picture_that_shows_a_part_of_the_contact_does_not_count(reference, tm
     assert len(reported) == 1 and "line 4: bar.png: does not count" in reported[0]
     assert read_profile(tmp_path / "mine.toml").gain.readings == 2
     refused("in none of 1 pictures is all of the contact seen", make, tmp_path, rows[2:])
-    asked = ["--name", "right", "--nocontact", str(tmp_path / "rest.png"), "--opposite", str(tmp_path / "mine.toml"),
-             "--grasps", str(tmp_path / "g.csv"), "--out", str(tmp_path / "right.toml")]  # fmt: skip
-    (tmp_path / "g.csv").write_text("image,opposite\nball.png,bar.png\n")
-    refused("in none of 1 grasps do both pictures show all of the contact", sensor.main, asked)
-    (tmp_path / "g.csv").write_text("image,opposite\nball.png,bar.png\nsmall_ball.png,ball.png\n")
-    assert sensor.main(asked) == 0 and read_profile(tmp_path / "right.toml").gain.readings == 1

@@ -13,7 +13,6 @@ from gelforge.networks.checkpoint.modelfile import ForceModel, Graph, load_model
 from gelforge.networks.inference.sensorprofile import AS_READ, Gain
 from gelforge.networks.preprocess.imageframe import BLUE_FIRST
 from gelforge.networks.preprocess.pair import NoContact, Prepared, Preprocessor, at_rest
-from gelforge.networks.preprocess.slopetable import SlopeTable, height_of
 from gelforge.networks.uncertainty.conformal import half_widths
 from gelforge.networks.uncertainty.ood import (
     as_arrays,
@@ -49,8 +48,7 @@ class Predictor:
     """Predicts the forces in pictures of one sensor, of any size, crop and orientation of its camera.
 
     nocontact: (h, w, 3) uint8 RGB of any size, of the sensor while nothing touches it, where the model needs one. gain: what all
-    forces are multiplied by, of the sensor's profile. device, threads: of onnxruntime (networks.checkpoint.modelfile). table:
-    the sensor's own, of its profile, by which heights are read. fault: what is wrong with the no-contact image, empty for nothing.
+    forces are multiplied by, of the sensor's profile. device, threads: of onnxruntime (networks.checkpoint.modelfile). fault: what is wrong with the no-contact image, empty for nothing.
     """
 
     def __init__(
@@ -60,12 +58,10 @@ class Predictor:
         gain: Gain = AS_READ,
         device: str = "cpu",
         threads: int = 1,
-        table: SlopeTable | None = None,
     ) -> None:
         self.model, self.metadata, self.gain = model, model.metadata, gain
         self.prepare = Preprocessor(model.metadata, nocontact)
         self.graph = Graph(model.graph, f"model {self.metadata['name']}", device, threads)
-        self.table = table
         self.statistics = as_arrays(self.metadata["statistics"])
         self._rest: WeakKeyDictionary[NoContact, np.ndarray] = WeakKeyDictionary()
         self.fault = self._nocontact_fault()
@@ -87,21 +83,6 @@ class Predictor:
         """Forces (3, rows, cols) N of a prepared picture as the graph predicts them, without tare and factor."""
         found = self.graph({name: seen.feature(name) for name in self.graph.inputs})
         return np.asarray(found["forces"][0])
-
-    @property
-    def measures_height(self) -> bool:
-        """Whether there is what heights are computed from: a table of the sensor's slopes, beside a no-contact image."""
-        return self.table is not None and self.prepare.nocontact is not None
-
-    def height(self, image: np.ndarray) -> np.ndarray | None:
-        """Height (h / 2, w / 2) mm of the gel's surface above the unloaded one in an image (h, w, 3) uint8 RGB of any size.
-
-        None where `measures_height` says so.
-        """
-        if self.table is None or self.prepare.nocontact is None:
-            return None
-        slopes = self.table.slopes(self.prepare(image).lit, self.prepare.nocontact.picture)
-        return height_of(slopes, 2.0 / self.table.px_per_mm)
 
     def predict(self, image: np.ndarray) -> ForceReading:
         """Read an image (h, w, 3) uint8 RGB of any size."""

@@ -8,7 +8,7 @@ sensor give it.
 import datetime
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from statistics import NormalDist
 from typing import TypeGuard
@@ -19,21 +19,16 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_toml, write_text
 from gelforge.networks.checkpoint.modelfile import fingerprint
 from gelforge.networks.preprocess.imageframe import reduced
-from gelforge.networks.preprocess.slopetable import COLOUR_TERMS, PLACE_TERMS, SlopeTable
 from gelforge.records.image import read_image, write_png
 from gelforge.records.markers import markers_in
 
 SPREAD = 0.3  # of a factor's logarithm before any reading: gels, prints and cameras differ by a third
 SCATTER, KNOWN = 0.15, 2.0  # of one reading's logarithm, as two readings would give it before any is made
 MAKE_IT = "make it with `gelforge sensor`"  # what to do where there is no profile
-# Of the logarithm of the factor from balls, in all presses alike: circles are seen 5 % too wide or too narrow, and force goes with the
-# fourth power of the radius; diameters are a catalogue's. A quarter in nine of ten cases.
-LEVEL = 0.14
 WEAK_N = 1.0  # forces of about this size and below say little of a factor
 LEAST_N = 0.5  # read by the network: below, nothing touches
 FARTHEST = 5.0  # times that a reading may differ from what the network reads
 ODD = 2.0  # times that a reading's proportion differs from that of most, where one of them is likely wrong
-GRASP_SCATTER = 0.35  # of one grasp's logarithm: fingers see different parts of what they hold
 PROBABILITY = 0.9  # of the probability that an interval holds
 # Standard deviations that such an interval reaches on either side.
 REACH = NormalDist().inv_cdf(0.5 + PROBABILITY / 2)
@@ -60,7 +55,7 @@ AS_READ = Gain()  # of a sensor that has no profile
 
 @dataclass(frozen=True)
 class SensorProfile:
-    """One sensor: name, date of the profile, no-contact image (h, w, 3) uint8 RGB, distance of its markers, gain, table of slopes.
+    """One sensor: name, date of the profile, no-contact image (h, w, 3) uint8 RGB, distance of its markers, gain.
 
     pitch: px between neighbouring markers, 0 where the gel has none. model: name of the network whose readings were compared,
     network: its identity (`fingerprint`).
@@ -73,65 +68,29 @@ class SensorProfile:
     gain: Gain
     model: str
     network: str
-    table: SlopeTable | None = None
 
 
-def of_balls(gain: Gain) -> Gain:
-    """A factor from presses of a ball, with the uncertainty that all of them have in common: LEVEL."""
-    half = math.hypot(math.log(gain.high / gain.low) / 2, REACH * LEVEL)
-    return replace(gain, low=gain.value * math.exp(-half), high=gain.value * math.exp(half))
-
-
-def fit_gain(measured: np.ndarray, read: np.ndarray, before: Gain = AS_READ) -> Gain:
+def fit_gain(measured: np.ndarray, read: np.ndarray) -> Gain:
     """Factor from normal forces (n,) N measured and read by the network, both larger where pressed more.
 
-    before: what is known of the factor without them. Normal posterior of the factor's logarithm under that prior, its scatter
+    Normal posterior of the factor's logarithm under the prior of AS_READ, its scatter
     estimated from the readings and a prior of two (Gelman et al., Bayesian Data Analysis, 3rd ed., sections 2.5 and 2.6), interval
     by Student's t.
     """
     if not len(measured):
-        return before
+        return AS_READ
     ratio = np.log(np.asarray(measured, float) / read)
     weight = read**2 / (read**2 + WEAK_N**2)
     centre = float(weight @ ratio / weight.sum())
     freedom = KNOWN + len(ratio) - 1
     scatter = (KNOWN * SCATTER**2 + float(weight @ (ratio - centre) ** 2)) / freedom
-    known = (2 * REACH / math.log(before.high / before.low)) ** 2
+    known = 1.0 / SPREAD**2
     precision = known + weight.sum() / scatter
-    mean = (known * math.log(before.value) + float(weight @ ratio) / scatter) / precision
+    mean = float(weight @ ratio) / scatter / precision
     # of the readings' part: few do not show their scatter
     wider = student_quantile(0.5 + PROBABILITY / 2, freedom) / REACH
     half = REACH / math.sqrt(known + weight.sum() / scatter / wider**2)
-    return Gain(math.exp(mean), math.exp(mean - half), math.exp(mean + half), before.readings + len(ratio))
-
-
-def felt_by_both(one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Which grasps (n,) bool both fingers feel, by what each of them reads, (n,) N."""
-    return (one >= WEAK_N) & (other >= WEAK_N)
-
-
-def fit_opposite(opposite: np.ndarray, read: np.ndarray, other: Gain) -> Gain:
-    """Factor from grasps (n,) of one object by two fingers, whose normal forces are equal (Newton's third law).
-
-    opposite: N, read by the other finger with its own factor `other`; read: by this one without any. The median of their
-    ratios' logarithms, because in some grasps one finger hardly sees what it holds, under a normal prior; what is not
-    known of the other finger's factor widens the interval. Raises BadInput where no grasp is felt by both.
-    """
-    felt = felt_by_both(opposite, read)
-    if not felt.any():
-        raise BadInput(
-            f"none of {len(read)} grasps is felt by both fingers ({WEAK_N:g} N and more); give pictures of firmer ones"
-        )
-    ratio = np.log(opposite[felt] / read[felt])
-    centre, count = float(np.median(ratio)), len(ratio)
-    freedom = KNOWN + count - 1
-    spread = 1.4826 * float(np.median(np.abs(ratio - centre)))
-    scatter = (KNOWN * GRASP_SCATTER**2 + (count - 1) * spread**2) / freedom
-    measured, before = count / (math.pi / 2 * scatter), 1.0 / (2 * SPREAD**2)
-    mean = (measured * centre + before * math.log(other.value)) / (measured + before)
-    known = math.log(other.high / other.low) / (2 * REACH)
-    half = student_quantile(0.5 + PROBABILITY / 2, freedom) * math.sqrt(1.0 / (measured + before) + known**2)
-    return Gain(math.exp(mean), math.exp(mean - half), math.exp(mean + half), count)
+    return Gain(math.exp(mean), math.exp(mean - half), math.exp(mean + half), len(ratio))
 
 
 def student_quantile(fraction: float, freedom: float) -> float:
@@ -176,12 +135,10 @@ def odd_readings(names: list[str], measured: np.ndarray, read: np.ndarray) -> di
     }
 
 
-def make_profile(
-    name: str, nocontact: np.ndarray, pitch: float, gain: Gain, metadata: dict, table: SlopeTable | None = None
-) -> SensorProfile:
+def make_profile(name: str, nocontact: np.ndarray, pitch: float, gain: Gain, metadata: dict) -> SensorProfile:
     """The profile of a sensor, dated today. metadata: of the network whose readings gave the factor."""
     today = datetime.datetime.now(datetime.UTC).date().isoformat()
-    return SensorProfile(name, today, nocontact, pitch, gain, metadata["name"], fingerprint(metadata), table)
+    return SensorProfile(name, today, nocontact, pitch, gain, metadata["name"], fingerprint(metadata))
 
 
 def write_profile(path: Path, profile: SensorProfile) -> None:
@@ -195,36 +152,7 @@ def write_profile(path: Path, profile: SensorProfile) -> None:
         f"nocontact = {json.dumps(picture.name, ensure_ascii=False)}", f"pitch_px = {profile.pitch:.3f}", "",
         "# What forces are multiplied by, between `low` and `high` with probability 0.9.",
         "[gain]", f"value = {gain.value:.6f}", f"low = {gain.low:.6f}", f"high = {gain.high:.6f}", f"readings = {gain.readings}", "",
-        *(_table_lines(profile.table) if profile.table else []),
     ]))  # fmt: skip
-
-
-def _table_lines(table: SlopeTable) -> list[str]:
-    """A table of slopes as lines of TOML."""
-    values = ", ".join(f"{value:.6g}" for value in table.coefficients.ravel().tolist())
-    return [
-        "# Slopes of the gel by the change of light, learnt from presses of a ball (gelforge.networks.preprocess.slopetable).",
-        "[slopes]",
-        f"px_per_mm = {table.px_per_mm:.6f}",
-        f"coefficients = [{values}]",
-        "",
-    ]
-
-
-def _table_of(where: Path, profile: dict) -> SlopeTable | None:
-    """The table of slopes of a profile's table, if it has one; BadInput where it is none."""
-    given = profile.get("slopes")
-    if given is None:
-        return None
-    values, scale = (given.get("coefficients"), given.get("px_per_mm")) if isinstance(given, dict) else (None, None)
-    shape = (COLOUR_TERMS, PLACE_TERMS, 2)
-    numbers = values if isinstance(values, list) and all(map(_is_number, values)) else []
-    good = len(numbers) == math.prod(shape) and all(map(math.isfinite, numbers))
-    if not (good and _is_number(scale) and 0 < scale < 1e4):
-        raise BadInput(
-            f"{where}: [slopes] is no table of {math.prod(shape)} coefficients; make the profile again with --balls"
-        )
-    return SlopeTable(np.reshape(np.asarray(numbers, float), shape), float(scale))
 
 
 def read_profile(path: Path) -> SensorProfile:
@@ -236,8 +164,7 @@ def read_profile(path: Path) -> SensorProfile:
         raise BadInput(f"{path}: not a sensor's profile; {MAKE_IT}")
     picture = read_image(_picture_of(path, table), hint="make the profile again")
     date = str(table.get("date", ""))
-    known = table["model"], table["network"], _table_of(path, table)
-    return SensorProfile(table["name"], date, picture, float(pitch), found, *known)
+    return SensorProfile(table["name"], date, picture, float(pitch), found, table["model"], table["network"])
 
 
 def _gain_of(table: dict) -> Gain | None:
@@ -279,21 +206,19 @@ def _is_number(value: object) -> TypeGuard[int | float]:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def with_profile(
-    path: Path | None, picture: np.ndarray | None, metadata: dict
-) -> tuple[np.ndarray | None, Gain, SlopeTable | None]:
-    """The no-contact image, the given one or the profile's, and the profile's factor on forces and table of slopes.
+def with_profile(path: Path | None, picture: np.ndarray | None, metadata: dict) -> tuple[np.ndarray | None, Gain]:
+    """The no-contact image, the given one or the profile's, and the profile's factor on forces.
 
     metadata: of the network that reads; BadInput where the profile's factor was found with another one.
     """
     if path is None:
-        return picture, AS_READ, None
+        return picture, AS_READ
     profile = read_profile(path)
     check_same_network(profile, metadata)
     if picture is None:
-        return profile.nocontact, profile.gain, profile.table
+        return profile.nocontact, profile.gain
     check_same_sensor(profile, markers_in(reduced(picture)).pitch)  # as the profile keeps its own
-    return picture, profile.gain, profile.table
+    return picture, profile.gain
 
 
 def check_same_network(profile: SensorProfile, metadata: dict) -> None:
