@@ -17,7 +17,6 @@ from gelforge.labelling.sensor import Sensor
 from gelforge.mechanics.material import REFERENCE_C10, Material
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.scene import Scene
-from gelforge.records.axes import AXIS_OF_CHANNEL
 from gelforge.records.press import Press
 
 P = ParamSpec("P")
@@ -142,7 +141,7 @@ def label(solved: SolvedPress, resolution: str = "24x32", sensor: Sensor | None 
         sensor: how gel and image meet; None: a GelSight Mini as its maker's driver shows it.
 
     Returns:
-        Force on the gel per cell, (3, rows, cols) N, along gel y, gel x and the normal (FEATS' channels; pressing is
+        Force on the gel per cell, (3, rows, cols) N, along gel x, y and z (pressing is
         negative). What acts outside the image is left out.
 
     Raises:
@@ -153,7 +152,7 @@ def label(solved: SolvedPress, resolution: str = "24x32", sensor: Sensor | None 
     nodes = np.flatnonzero(solved.forces.any(axis=1))
     operator = assemble(solved.mesh, sensor or gelsight_mini(), Grid.parse(resolution))
     cells, _outside = operator.apply([0, len(nodes)], nodes, solved.forces[nodes])
-    return cells[0][list(AXIS_OF_CHANNEL)]
+    return cells[0]
 
 
 def gelsight_mini() -> Sensor:

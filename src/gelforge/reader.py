@@ -23,7 +23,7 @@ def predict(
         model: path of a model; None: the network that ships.
 
     Returns:
-        Force on the gel per cell, (3, rows, cols) N along gel y, gel x and the normal, pressing negative; and a dict of
+        Force on the gel per cell, (3, rows, cols) N along gel x, y and z, pressing negative; and a dict of
         what `ForceReading` has, by the same names. Its `flag` is True where something is wrong with the pictures,
         and `reason` says what.
 

@@ -151,8 +151,8 @@ def sideways_figures(films: dict[str, Read]) -> list[Figure]:
     moved, pulled, angles = [], [], []
     for film in films.values():
         motion = np.nanmean(film.motion, axis=1)
-        # image columns run against gel y, rows against gel x; the channels hold the forces along these
-        force = -film.total[:, :2]
+        # image columns run against gel y, rows against gel x
+        force = -film.total[:, [1, 0]]
         held = np.hypot(*motion.T) > HELD_PX
         if held.sum() < 10:
             continue

@@ -47,7 +47,6 @@ def write_made_up(folder: Path) -> Path:
         for i in range(count)
     ]
     write_csv(folder / "samples.csv", list(rows[0]), rows)
-    write_json(folder / "normalisation.json", {})
     np.save(folder / "nocontact.npy", rng.integers(0, 256, (1, *IMAGE, 3), np.uint8))
     write_json(folder / "dataset.json", {"name": "made up", "grid": list(GRID), "nocontact": ["none"]})
     return folder

@@ -10,7 +10,6 @@ from gelforge.flow.files import write_text
 from gelforge.formats.numpy_pickle import read_npy
 from gelforge.networks.checkpoint.modelfile import ForceModel
 from gelforge.networks.inference.predictor import Predictor
-from gelforge.records.axes import CHANNEL_OF_AXIS
 from gelforge.records.film import numbered
 from gelforge.records.image import encode_png, read_image
 from gelforge.records.nocontactimage import find_nocontact
@@ -44,12 +43,11 @@ def read_over(predictor: Predictor, image: np.ndarray) -> np.ndarray:
 
 
 def total_lines(total: np.ndarray, half_width: np.ndarray | None) -> list[str]:
-    """Totals (3,) N and half of their intervals, in the channels' order, reported along the gel's axes as `live` does."""
+    """Totals (3,) N and half of their intervals, as `live` reports them."""
     within = [""] * 3 if half_width is None else [f" +- {value:.1f}" for value in half_width]
-    x, y, z = CHANNEL_OF_AXIS
     return [
-        f"z {total[z]:+.1f}{within[z]} N",
-        f"x {total[x]:+.2f}{within[x]}  y {total[y]:+.2f}{within[y]} N",
+        f"z {total[2]:+.1f}{within[2]} N",
+        f"x {total[0]:+.2f}{within[0]}  y {total[1]:+.2f}{within[1]} N",
     ]
 
 

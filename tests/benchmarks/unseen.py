@@ -28,7 +28,7 @@ from gelforge.networks.checkpoint.modelfile import ForceModel, fingerprint
 from gelforge.networks.inference.predictor import Predictor, load_for_use
 from gelforge.networks.inference.sensorprofile import fit_gain
 from gelforge.networks.uncertainty.conformal import half_widths
-from gelforge.records.axes import AXIS_OF_CHANNEL, CHANNELS
+from gelforge.records.axes import CHANNELS
 from gelforge.stages.rig import units_of
 from gelforge.sweeps.trial import cells_of
 from gelforge.virtualrig import streams
@@ -39,7 +39,7 @@ from gelforge.virtualrig.rigplan import Order, generator, orders, read_plan
 from tests.benchmarks.figures import Figure, publish_figures
 from tests.support.pictures import moved
 
-RANGE = {"grid_x": 10.0, "grid_y": 10.0, "grid_z": 40.0}  # N, of the FEATS paper
+RANGE = {"fy": 10.0, "fx": 10.0, "fz": 40.0}  # N, of the FEATS paper
 SOFTER_HARDER = 0.15  # fraction by which gels of one kind differ in stiffness
 READ_NOISE = 0.03  # N, of a force sensor
 COUNTS = (0, 1, 2, 5, 10, 20)  # readings of a force sensor
@@ -100,7 +100,7 @@ def see(bench: Bench, order: Order, cameras: dict[str, Renderer], sensors: dict[
     field = field_of(
         gel, surface_of(pressing.result.mesh, pressing.result.displacement, pressing.real, pressing.down)
     )
-    body, axes = Pressed(bench.body(order.indenter), pressing.real), list(AXIS_OF_CHANNEL)
+    body = Pressed(bench.body(order.indenter), pressing.real)
     stiffness, found = truth.c10_mpa / REFERENCE_C10, []
     for k, (name, camera) in enumerate(cameras.items()):
         noise = generator(bench.plan, order.index, streams.camera(98 + k, 0))  # far from the plan's own cameras
@@ -108,7 +108,7 @@ def see(bench: Bench, order: Order, cameras: dict[str, Renderer], sensors: dict[
         # what falls outside the picture is no part of what it shows
         cells, outside = cells_of(solved.mesh, solved.forces, sensors[name])
         total, rig_total = stiffness * cells.sum(axis=(1, 2)), pressing.force - stiffness * outside
-        found.append(Seen(name, image, total[axes], rig_total[axes]))
+        found.append(Seen(name, image, total, rig_total))
     return found
 
 
@@ -125,7 +125,7 @@ def error_figures(units: Units, read: np.ndarray) -> list[Figure]:
     note = f"{len(true)} pictures of {len(true) // len(units.nocontact)} presses by {len(units.nocontact)} units; "
     note += f"against the rig's own forces {', '.join(f'{value:.2f}' for value in rig)} N"
     return [
-        Figure(f"unseen units, total {name}", 100 * value / RANGE[name], "<=", 2.5 if name == "grid_z" else 1.2,
+        Figure(f"unseen units, total {name}", 100 * value / RANGE[name], "<=", 2.5 if name == "fz" else 1.2,
                "% of range", f"{value:.2f} N of {RANGE[name]:g}; {note}")
         for name, value in zip(CHANNELS, mae, strict=True)
     ]  # fmt: skip
@@ -259,7 +259,7 @@ def gain_figures(left: list[dict]) -> list[Figure]:
     held = np.mean([row["held_percent"] for row in left if row["readings"]])
     return [
         Figure("error of a gel's factor after five readings", five["factor_percent"], "<=", 3.0, "%"),
-        Figure("normal force after five readings", 100 * five["force_n"] / RANGE["grid_z"], "<=", 1.5, "% of range"),
+        Figure("normal force after five readings", 100 * five["force_n"] / RANGE["fz"], "<=", 1.5, "% of range"),
         Figure("intervals of the factor that hold it, mean", held, ">=", 87.0, "%"),
     ]
 

@@ -41,7 +41,7 @@ def tables(count: int):
         if good:
             # Two frames are one press.
             samples[name] = DatasetSample(posed, np.array(force), np.zeros(3), {}, SPLITS[k // 2 % 5], str(k // 2))
-            totals[name] = (-0.1 + 0.02, 0.3, force[2] + rng.normal(0, 0.5))
+            totals[name] = (0.3, -0.1 + 0.02, force[2] + rng.normal(0, 0.5))
     rejected = [{"sample_id": "", "shard": "0000", "row": "7", "column": "dz_mm", "value": "x",
                  "reason": "not a number", "hint": "write a number of millimetres"}]  # fmt: skip
     return poses, rejected, solved, samples, totals, GELS
@@ -68,8 +68,7 @@ def write_page(folder, count: int, limit: float = 12e6):
     shown = (made[k % 16] if row["status"] == "OK" else press(k, False) for k, row in enumerate(rows))
     beside, held = place_parts(folder, in_parts(shown), limit)
     controls = {
-        name: {"n": 9, "controls": {"constant_guess": {"grid_y": 1.0, "grid_x": 1.0, "grid_z": 4.0}}}
-        for name in set(SPLITS)
+        name: {"n": 9, "controls": {"constant_guess": {"fx": 1.0, "fy": 1.0, "fz": 4.0}}} for name in set(SPLITS)
     }
     data = {
         "columns": as_columns(rows), "shared": explorer.shared(), "costs": {"10_poses/0000": [2.0, 1.5, 100.0]},

@@ -7,6 +7,7 @@ import numpy as np
 from gelforge.flow.files import write_csv, write_json
 from gelforge.flow.params.stages import narrowed
 from gelforge.flow.params.tables import TrainingTable
+from gelforge.records.press import FORCE
 from tests.support.parameters import parameters
 
 SPLITS = ("train", "val", "test", "test_unseen_indenter", "test_unseen_sensor")
@@ -31,7 +32,7 @@ def draw_press(rng, image, grid, strength: float = 1.0):
     field = bump(height, width)
     v, u = np.meshgrid(np.arange(height), np.arange(width), indexing="ij")
     pitch, travel = height / 7, height / 60
-    du, dv = (u - travel * force[0] * field) / pitch, (v - travel * force[1] * field) / pitch
+    du, dv = (u - travel * force[1] * field) / pitch, (v - travel * force[0] * field) / pitch
     markers = np.exp(-(((du % 1) - 0.5) ** 2 + ((dv % 1) - 0.5) ** 2) * 30)
     slope = np.gradient(field, axis=(0, 1))
     light = 120 + 4 * height / 10 * np.stack(
@@ -53,8 +54,7 @@ def write_dataset(folder, n=48, image=(240, 320), grid=(24, 32), seed=0) -> Path
     rows = []
     for i, total in enumerate(labels.sum((2, 3))):
         split = "train" if i % 8 < 4 else SPLITS[i % 8 - 3]
-        # Label channels are FEATS': the first runs along gel y, the second along gel x.
-        forces = {"fx_n": total[1], "fy_n": total[0], "fz_n": total[2]}
+        forces = dict(zip(FORCE, total, strict=True))
         measured = {f"measured_{name}": value + 0.1 for name, value in forces.items()}
         true = {f"true_{name}": value for name, value in forces.items()}
         rows.append(
@@ -69,7 +69,6 @@ def write_dataset(folder, n=48, image=(240, 320), grid=(24, 32), seed=0) -> Path
             }
         )
     write_csv(folder / "samples.csv", list(rows[0]), rows)
-    write_json(folder / "normalisation.json", {})
     np.save(folder / "nocontact.npy", draw_press(rng, image, grid, strength=0.0)[0][None])
     about = {"name": "made up", "sensor": "mini0", "nocontact": ["mini0"], "grid": list(grid)}
     write_json(folder / "dataset.json", about)

@@ -7,7 +7,7 @@ import gelforge
 press = gelforge.solve({"kind": "cuboid", "size": [7, 7], "fillet": 1, "height": 10}, depth=0.5, quality="demo")
 
 for resolution in ("12x16", "24x32"):
-    cells = gelforge.label(press, resolution)  # (3, rows, cols) N: along gel y, along gel x, along the normal
+    cells = gelforge.label(press, resolution)  # (3, rows, cols) N: along gel x, y, z
     normal = cells[2]
     row, col = np.unravel_index(normal.argmin(), normal.shape)
     print(

@@ -30,6 +30,6 @@ without = cv2.cvtColor(cv2.imread(still or str(DEMO / "nocontact" / "mini_a.png"
 
 read = gelforge.Reader(without)
 for number, found in enumerate(read.stream(frames(film))):
-    y, x, z = found.total  # N along gel y, gel x and the normal: the order of FEATS' channels
+    x, y, z = found.total  # N along gel x, y, z; pressing is negative
     width = "" if found.half_width is None else f" +- {found.half_width[2]:.2f}"
     print(f"{number:4d}  x {x:+6.2f}  y {y:+6.2f}  z {z:+7.2f}{width} N  {found.reason if found.flag else ''}")

@@ -146,7 +146,7 @@ def arrows(look: Pictured) -> tuple[np.ndarray, np.ndarray]:
     place = np.stack(np.meshgrid(u * look.sensor.image[0] / cols, v * look.sensor.image[1] / rows), axis=-1).reshape(
         -1, 2
     )
-    force = merged[::-1].reshape(2, -1).T  # channels are gel y, gel x
+    force = merged.reshape(2, -1).T
     size = np.hypot(*force.T)
     gel, step = look.sensor.unproject(place), 1e-4
     ahead = gel + step * force / np.maximum(size, 1e-300)[:, None]

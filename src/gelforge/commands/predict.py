@@ -2,7 +2,7 @@
 
 Every image gives a picture and a map as .npy, float32 (3, rows, cols) in N per cell; all images give one totals.csv. After
 Ctrl-C this table has the rows of the images that were done.
-Columns grid_x_n, grid_y_n, grid_z_n are FEATS' channels: force along gel y, along gel x, along the normal.
+Columns fx_n, fy_n, fz_n are the force along gel x (short side), y (long side) and z (pressing is negative).
 ..._half_width_n: half of the 90 % prediction interval, for sensors that training never saw with gels as stiff as in training.
 ood_score: distance of an image's colours, sharpness and markers from those of the training images; about 1 for an image like
 them.

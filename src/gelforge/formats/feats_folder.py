@@ -21,6 +21,7 @@ from gelforge.formats.featsfile import (
     LabelSample,
     Ranges,
     RawSample,
+    exchanged,
     is_normalisation,
     read_normalisation,
     read_sample,
@@ -157,7 +158,7 @@ def refuse_beyond_limits(path: Path, sample: LabelSample | RawSample) -> None:
     if isinstance(sample, RawSample):
         numbers = {field: (column, sample.values[column]) for field, column in (POSE_FIELDS | FORCE_FIELDS).items()}
     else:
-        totals = sample.label.sum((1, 2)).tolist()
+        totals = exchanged(sample.label).sum((1, 2)).tolist()
         numbers = {field: (FORCE_FIELDS[field], total) for field, total in zip(TOTALS, totals, strict=True)}
     for field, (column, value) in numbers.items():
         fault = size_fault(column, value)

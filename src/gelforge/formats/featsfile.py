@@ -13,7 +13,6 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
 from gelforge.formats.numpy_pickle import read_npy
-from gelforge.records.axes import CHANNELS
 
 POSE_FIELDS = {
     "x_0": "x0_mm",
@@ -25,6 +24,7 @@ POSE_FIELDS = {
     "deg": "rot_deg",
 }
 FORCE_FIELDS = {"f_x": "fx_n", "f_y": "fy_n", "f_z": "fz_n", "m_x": "mx_nm", "m_y": "my_nm", "m_z": "mz_nm"}
+GRIDS = ("grid_x", "grid_y", "grid_z")
 TOTALS = ("f_x", "f_y", "f_z")
 SUM_TOLERANCE = 1e-5  # of the sum of the cells' sizes; FEATS' totals are float64 sums of its cells
 
@@ -39,10 +39,25 @@ class RawSample:
 
 @dataclass(frozen=True)
 class LabelSample:
-    """A labelled image: image (h, w, 3) uint8 RGB, label (3, rows, cols) N per cell, channels as ours."""
+    """A labelled image: image (h, w, 3) uint8 RGB, label (3, rows, cols) N per cell, along gel x, y, z."""
 
     image: np.ndarray
     label: np.ndarray
+
+
+def exchanged(forces: np.ndarray) -> np.ndarray:
+    """Forces (3, ...) along gel x, y, z in FEATS' order, or the other way: its grid_x acts along gel y, its grid_y along gel x.
+
+    Its names are those of the image's axes, and the image's columns run along gel y (feats-ai/feats, label_generation.py).
+    """
+    return forces[[1, 0, 2]]
+
+
+def feats_fields(sample: LabelSample) -> dict:
+    """Forces of a label file: its grids (rows, cols) float64 N per cell, and their sums."""
+    label = exchanged(np.asarray(sample.label, np.float64))
+    totals = [np.float64(grid.sum()) for grid in label]
+    return dict(zip(GRIDS, label, strict=True)) | dict(zip(TOTALS, totals, strict=True))
 
 
 def read_sample(path) -> RawSample | LabelSample:
@@ -53,7 +68,7 @@ def read_sample(path) -> RawSample | LabelSample:
             f"{path}: holds {type(found).__name__}, FEATS' files hold a dict of named fields; is it from another program?"
         )
     image = _image(path, found)
-    if all(name in found for name in CHANNELS):
+    if all(name in found for name in GRIDS):
         return LabelSample(image, _label(path, found))
     missing = [name for name in ("indenter", *POSE_FIELDS, *FORCE_FIELDS) if name not in found]
     if missing:
@@ -75,8 +90,8 @@ def _image(path, found) -> np.ndarray:
 
 
 def _label(path, found) -> np.ndarray:
-    grids = [found[name] for name in CHANNELS]
-    for name, grid in zip(CHANNELS, grids, strict=True):
+    grids = [found[name] for name in GRIDS]
+    for name, grid in zip(GRIDS, grids, strict=True):
         if not isinstance(grid, np.ndarray) or grid.ndim != 2 or grid.dtype.kind not in "fiu" or not grid.size:
             raise BadInput(f"{path}: field {name} is no grid of numbers; label the press again")
         if grid.shape != grids[0].shape:
@@ -92,7 +107,7 @@ def _label(path, found) -> np.ndarray:
         total = _number(path, name, found.get(name))
         if abs(total - grid.sum()) > SUM_TOLERANCE * np.abs(grid).sum() + 1e-9:
             raise BadInput(f"{path}: field {name} is {total:g} N, its cells sum to {grid.sum():g} N; label it again")
-    return label
+    return exchanged(label)
 
 
 def _number(path, name, value) -> float:
@@ -120,9 +135,7 @@ def _text(path, name, value) -> str:
 
 def write_label(path, sample: LabelSample) -> None:
     """Write a label file in FEATS' layout, whole or not at all."""
-    grids = {name: np.asarray(sample.label[k], np.float64) for k, name in enumerate(CHANNELS)}
-    totals = {name: np.float64(grids[grid].sum()) for name, grid in zip(TOTALS, CHANNELS, strict=True)}
-    _save(path, {"gs_img": np.asarray(sample.image, np.uint8), **grids, **totals})
+    _save(path, {"gs_img": np.asarray(sample.image, np.uint8), **feats_fields(sample)})
 
 
 def read_normalisation(path) -> dict:
@@ -171,9 +184,7 @@ class Ranges:
         self.found = {}
 
     def add(self, sample: LabelSample) -> None:
-        fields = {"gs_img": sample.image, **{name: sample.label[k] for k, name in enumerate(CHANNELS)}}
-        fields |= {name: np.float64(sample.label[k]).sum() for k, name in enumerate(TOTALS)}
-        for name, value in fields.items():
+        for name, value in {"gs_img": sample.image, **feats_fields(sample)}.items():
             low, high = float(np.min(value)), float(np.max(value))
             ends = self.found.setdefault(name, {"min": low, "max": high})
             ends["min"], ends["max"] = min(ends["min"], low), max(ends["max"], high)

@@ -31,7 +31,6 @@ from gelforge.formats.feats_folder import NO_PRESS, new_folder
 from gelforge.formats.mcap_messages import messages
 from gelforge.formats.messageimage import picture
 from gelforge.formats.messagetime import MessageOrder, MessageTimes, choose_clock, stamp_of
-from gelforge.records.axes import AXIS_OF_CHANNEL
 from gelforge.records.image import write_png
 from gelforge.records.labelfile import write_labels
 from gelforge.records.log import write_log
@@ -300,7 +299,7 @@ def name_of(recording: int, message: int) -> str:
 def write_totals(path: Path, rows: list[LoggedPress], forces: np.ndarray) -> None:
     """Write labels of one cell: total force (n, 3) along gel x, y, z, in the labels' order of channels."""
     order = np.argsort([row.sample_id for row in rows])
-    labels = forces[order][:, AXIS_OF_CHANNEL].astype(np.float32)[:, :, None, None]
+    labels = forces[order].astype(np.float32)[:, :, None, None]
     arrays = {
         "sample_id": np.array([rows[at].sample_id for at in order]),
         "status": np.array(["OK"] * len(rows)),

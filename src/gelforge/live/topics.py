@@ -6,11 +6,8 @@ network has one) and `flag` (diagnostic_msgs/DiagnosticArray: WARN with its reas
 
 import time
 
-import numpy as np
-
 from gelforge.formats.export import ros
 from gelforge.live.reading import Reading
-from gelforge.records.axes import CHANNEL_OF_AXIS
 from gelforge.records.image import encode_jpeg
 from gelforge.reporting.parts import JPEG_QUALITY
 
@@ -35,13 +32,13 @@ class RosMessages:
 
     def messages(self, reading: Reading, stamp: int) -> list[ros.Message]:
         """The messages of a reading, not encoded."""
-        axes, force = list(CHANNEL_OF_AXIS), reading.found
-        total = force.total[axes]
+        force = reading.found
+        total = force.total
         picture = encode_jpeg(force.image, JPEG_QUALITY)
         found = ros.sensor_messages(self.token, stamp, picture, "jpeg", total.tolist(), force.cells)
         top, header = f"/{self.token}", ros.header(stamp, f"{self.token}_gel")
         if force.half_width is not None:
-            half = np.asarray(force.half_width)[axes]
+            half = force.half_width
             for name, ends in (("low", total - half), ("high", total + half)):
                 found.append((f"{top}/wrench/{name}", "geometry_msgs/msg/WrenchStamped", ros.wrench(header, ends)))
         status = {

@@ -32,6 +32,7 @@ from gelforge.networks.evaluation.fitting import set_intervals, set_limits, unal
 from gelforge.networks.models.inputs import needs_nocontact
 from gelforge.networks.models.registry import parameter_count
 from gelforge.networks.training.loop import Training, device_of, fit, mixes_precision, require_judges, scales_before
+from gelforge.records.axes import CHANNELS
 from gelforge.records.networkkind import kind_of
 from gelforge.records.samplefile import TRAINING, VALIDATION
 
@@ -124,6 +125,7 @@ def describe(every: Sequence[Data], recipe: Recipe, start: Start | None) -> dict
         "torch": torch.__version__,
         "image": list(data.image_size),
         "grid": [1, 1] if kind_of(model).totals_only else list(data.grid),
+        "channels": list(CHANNELS),
         "known_sensors": names_in(every, "sensor_id"),
         "sensors": names_in(every, "sensor_id", TRAINING),
         "indenters": names_in(every, "indenter", TRAINING),

@@ -23,7 +23,7 @@ class ForceReading:
     """What was predicted from one image, forces on the gel in N.
 
     Attributes:
-        cells: (3, rows, cols) N along gel y, gel x and the gel's normal (FEATS' channels; pressing is negative). In a
+        cells: (3, rows, cols) N along gel x, y and z (pressing is negative). In a
             picture of a GelSight Mini gel y points to the left and gel x upwards.
         total: (3,) N, their sums.
         half_width: (3,) N, half of the 90 % prediction intervals of the totals, on sensors that training never saw and of

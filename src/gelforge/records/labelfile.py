@@ -5,8 +5,8 @@ An uncompressed .npz. `n` samples:
 | array | shape, type | meaning |
 | --- | --- | --- |
 | sample_id, status | (n,) str | as in the forces; a sample without a valid state has labels of NaN |
-| label | (n, 3, rows, cols) float32 | N per cell; channels as in `records.axes` (FEATS) |
-| outside | (n, 3) float64 | N that fell outside the image, same channels |
+| label | (n, 3, rows, cols) float32 | N per cell along gel x, y, z |
+| outside | (n, 3) float64 | N that fell outside the image, along the same axes |
 | press_id | (n,) str | where samples are frames of a press: which one |
 | extrapolated | (n,) float64 | factor for the size of hexahedra that the forces hold and displacement does not; 1: none |
 | c10 | () float64 | MPa, the material that the forces belong to; absent where they were read by a sensor |

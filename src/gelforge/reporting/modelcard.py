@@ -11,8 +11,8 @@ COLUMNS = [
     "each of several contacts",
 ]  # fmt: skip
 AXIS_NOTE = (
-    "Forces act on the gel. Channels are FEATS': grid_x is the force along gel y (the long side, horizontal in the picture, "
-    "positive to the left), grid_y along gel x (vertical, positive upwards), grid_z along the normal (pressing is negative)."
+    "Forces act on the gel. In an image fx, along gel x (the short side), is vertical and positive upwards, fy, along gel y (the "
+    "long side), is horizontal and positive to the left; fz is along the normal (pressing is negative)."
 )
 
 

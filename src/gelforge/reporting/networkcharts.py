@@ -12,7 +12,7 @@ SHOWN_PRESSES = 4
 # Errors of networks that are drawn against latency: keys of rows of stages.pareto_models, and their labels.
 PANELS = {
     "percent": "total force, mean of components (% of range)",
-    "cell_grid_z": "normal force per cell (N)",
+    "cell_fz": "normal force per cell (N)",
 }
 
 

@@ -4,16 +4,15 @@ from typing import Any
 
 import numpy as np
 
-from gelforge.records.axes import CHANNEL_OF_AXIS
+from gelforge.records.axes import CHANNELS
 from gelforge.records.press import POSE, PosedPress
 from gelforge.records.samplefile import DatasetSample
 from gelforge.records.solvetable import Solved
 
-AXES = ("fx", "fy", "fz")
 TEXTS = ("indenter", "sensor", "gel", "split", "status", "reason", "fidelity", "mesh", "group", "shard")
 NUMBERS = (
     *POSE,
-    *(f"{kind}_{axis}" for kind in ("label", "network", "measured") for axis in AXES),
+    *(f"{kind}_{axis}" for kind in ("label", "network", "measured") for axis in CHANNELS),
     "seconds",
     "peak_mib",
 )  # fmt: skip
@@ -32,7 +31,7 @@ def press_rows(
     """One dict a press, rejected rows of the log last.
 
     presses, rejected: presses of the pose tables and rows of their rejections, with their shard. solved, samples: of
-    stages 30 and 60 by sample_id. totals: (3,) N by sample_id that the network read, in its channel order. gels: name of
+    stages 30 and 60 by sample_id. totals: (3,) N by sample_id that the network read. gels: name of
     the gel of each sensor.
     """
     rows = [
@@ -74,9 +73,9 @@ def _press(
     row |= {name: getattr(press, name) for name in (*POSE, "stl")}
     # Forces of the label, or of the solve where the press has no picture and so no place in the dataset.
     known = sample.total if sample else solve.total if solve and solve.status.valid else np.full(3, np.nan)
-    for at, (axis, channel) in enumerate(zip(AXES, CHANNEL_OF_AXIS, strict=True)):
+    for at, axis in enumerate(CHANNELS):
         row[f"measured_{axis}"], row[f"label_{axis}"] = press.force[at], known[at]
-        row[f"network_{axis}"] = np.nan if total is None else total[channel]
+        row[f"network_{axis}"] = np.nan if total is None else total[at]
     return row
 
 

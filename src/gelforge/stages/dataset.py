@@ -21,19 +21,17 @@ from gelforge.flow.main import STRICT, stage
 from gelforge.flow.params.stages import ForDataset, read_parameters
 from gelforge.flow.params.tables import DatasetTable
 from gelforge.flow.progress import progress
-from gelforge.formats.featsfile import LabelSample, Ranges
 from gelforge.geometry.indenters import fold
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import find_sensor, load_sensors
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.networks.data.split import split_presses
-from gelforge.records.axes import CHANNEL_OF_AXIS
 from gelforge.records.image import read_logged_image
 from gelforge.records.labelfile import FIELDS, open_labels, read_labels
 from gelforge.records.log import read_poses, read_shard, without_duplicates
 from gelforge.records.press import FORCE, ID_RULE, PressRecord, describe_repeats, names_files, parse, repeats
 from gelforge.records.rowfile import RowFile, array_on_disk, write_rows
-from gelforge.records.samplefile import TRAINING, DatasetSample, write_samples
+from gelforge.records.samplefile import DatasetSample, write_samples
 from gelforge.records.status import Status
 from gelforge.records.table import numbered_rows, read_table
 
@@ -65,7 +63,7 @@ def collect(
             if reason or press is None:
                 left_out[reason] = left_out.get(reason, 0) + 1
                 continue
-            total, outside = totals[at][list(CHANNEL_OF_AXIS)], labels.outside[at][list(CHANNEL_OF_AXIS)]
+            total, outside = totals[at], labels.outside[at]
             found.append(DatasetSample(press, total, outside, truth.get(name, {})))
             places.append((number, at))
     return found, places, left_out, material
@@ -216,15 +214,6 @@ def write_fields(folder: Path, shards, places, grid: Grid) -> None:
             write_label_array(folder / f"{name}.npy", shards, places, grid, name)
         else:
             (folder / f"{name}.npy").unlink(missing_ok=True)
-
-
-def training_ranges(folder: Path, splits: np.ndarray) -> dict:
-    """Smallest and largest value of every field over the training split, as FEATS' normalisation has them."""
-    images, labels = RowFile(folder / "images.npy"), np.load(folder / "labels.npy", mmap_mode="r")
-    ranges = Ranges()
-    for at in np.flatnonzero(splits == TRAINING):
-        ranges.add(LabelSample(images[at], labels[at]))
-    return ranges.found
 
 
 def image_size(presses: list[PressRecord], sensors: dict, where: str) -> tuple[int, int]:
@@ -407,7 +396,6 @@ def build(args: Namespace) -> dict:
     write_samples(folder / "samples.csv", found)
     short = ("sample_id", "group", "split")
     write_csv(folder / "split.csv", short, [{name: each.cells()[name] for name in short} for each in found])
-    write_json(folder / "normalisation.json", training_ranges(folder, splits))
     about = describe(of.data.name, grid, found, splits, left_out, size, material)
     about |= {"repeated_pictures": len(repeated)} if repeated else {}
     about["doubts_of_forces"] = doubts_of_forces(found, material)
@@ -420,7 +408,6 @@ def build(args: Namespace) -> dict:
 def main(args: Namespace) -> None:
     about = build(args)
     beside = [path for path in listed(args.out.parent, "*") if path.suffix in (".npy", ".csv")]
-    beside.append(args.out.with_name("normalisation.json"))
     write_json(args.out, about | {"sha256": {path.name: digest_of(path) for path in beside}})
     print(f"{about['samples']} samples: {counted(about['splits'])}; left out: {counted(about['left_out'])}")
 

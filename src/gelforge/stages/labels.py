@@ -23,13 +23,12 @@ from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors
 from gelforge.mechanics.mesh.family import load_mesh
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.hexname import is_hex_mesh_name
-from gelforge.records.axes import AXIS_OF_CHANNEL, CHANNEL_OF_AXIS
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import Stream, open_labels, to_float32, write_labels
 from gelforge.records.log import read_poses
 from gelforge.records.status import Status
 
-VERSION = 1
+VERSION = 2
 OPERATORS_KEPT = 64  # operators in memory
 BLOCK_BYTES = 64 * 2**20  # of float64 cells held at a time
 UNSEEN = 0.5  # fraction of its normal force beyond the image from which on a picture does not show a press
@@ -39,7 +38,7 @@ LEAST_PRESSES = 10  # of a sensor before the projection is judged
 def bin_samples(forces: ForceFile, members, operator: Operator) -> tuple[np.ndarray, np.ndarray]:
     """Labels (m, 3, rows, cols) float32 and force outside (m, 3) of the samples numbered `members`.
 
-    Channels in FEATS' order. Every sample must be on the operator's mesh.
+    Every sample must be on the operator's mesh.
     """
     starts, stops = forces.ptr[members], forces.ptr[np.asarray(members) + 1]
     rows = np.concatenate([np.arange(a, b) for a, b in zip(starts, stops, strict=True)])
@@ -51,11 +50,10 @@ def bin_samples(forces: ForceFile, members, operator: Operator) -> tuple[np.ndar
     )
     row, inside = np.repeat(np.arange(3 * samples), np.diff(binned.indptr)), binned.indices < cells
     axis, sample = np.divmod(row, samples)
-    channel = np.array(CHANNEL_OF_AXIS)[axis]
     label, outside = np.zeros((samples, 3, cells), np.float32), np.zeros((samples, 3))
     value = to_float32(binned.data[inside], row[inside], 3 * samples)
-    label[sample[inside], channel[inside], binned.indices[inside]] = value
-    outside[sample[~inside], channel[~inside]] = binned.data[~inside]
+    label[sample[inside], axis[inside], binned.indices[inside]] = value
+    outside[sample[~inside], axis[~inside]] = binned.data[~inside]
     return label.reshape(samples, 3, *operator.grid.shape), outside
 
 
@@ -143,15 +141,14 @@ def field_streams(forces: ForceFile, find_maps: list, grid: Grid, channels) -> d
             force = operator.apply([0, len(sample.nodes)], sample.nodes, sample.force)[0][0]
             yield of_sample(surface, moved, force).astype(np.float32)[None]
 
-    order = list(AXIS_OF_CHANNEL)
     made: dict[str, dict[str, tuple[tuple[int, ...], Callable]]] = {
-        "displacement": {"displacement": ((3,), lambda s, moved, force: s.displacement(moved)[order])},
+        "displacement": {"displacement": ((3,), lambda s, moved, force: s.displacement(moved))},
         "traction": {
-            "traction": ((3,), lambda s, moved, force: traction(force, s.area())[order]),
+            "traction": ((3,), lambda s, moved, force: traction(force, s.area())),
             "area": ((), lambda s, moved, force: s.area()),
         },
         "traction_deformed": {
-            "traction_deformed": ((3,), lambda s, moved, force: traction(force, s.area(moved))[order]),
+            "traction_deformed": ((3,), lambda s, moved, force: traction(force, s.area(moved))),
             "area_deformed": ((), lambda s, moved, force: s.area(moved)),
         },
     }

@@ -65,7 +65,7 @@ def choose(rows: list[dict]) -> dict | None:
     good = [
         row
         for row in rows
-        if row["cell_grid_z"] is not None
+        if row["cell_fz"] is not None
         and FASTER * row["cpu1_median_ms"] <= base["cpu1_median_ms"]
         and all(row[key] <= base[key] for key in keys)
     ]

@@ -89,7 +89,7 @@ def test_arrows_follow_the_image(made):
     """A force along gel x points up the image, one along gel y to the left, as the projection says."""
     seen = seen_of(made)
     seen.label[:] = 0.0
-    seen.label[1, 5, 6], seen.label[0, 15, 20] = 0.3, 0.2
+    seen.label[0, 5, 6], seen.label[1, 15, 20] = 0.3, 0.2
     place, force = look.arrows(seen)
     first, second = (np.flatnonzero(np.isclose(np.hypot(*force.T), size))[0] for size in (0.3, 0.2))
     assert force[first] == pytest.approx([0, -0.3], abs=1e-6) and force[second] == pytest.approx([-0.2, 0], abs=1e-6)
@@ -97,7 +97,7 @@ def test_arrows_follow_the_image(made):
     assert place[first] == pytest.approx([70, 50]) and place[second] == pytest.approx([210, 150])
     # of 48x64 three by three, and of the column that is left one by three
     label = np.zeros((3, 48, 64))
-    label[1, 47, 63] = 0.3
+    label[0, 47, 63] = 0.3
     place, force = look.arrows(replace(seen, label=label))
     (at,) = np.flatnonzero(np.hypot(*force.T) > 0.1)
     assert place[at] == pytest.approx([63.5 * 320 / 64, 46.5 * 240 / 48])

@@ -51,7 +51,7 @@ def test_predict_writes_maps_and_totals(data, paths, tmp_path, capsys, monkeypat
         forces = np.load(tmp_path / "out" / f"{i}.npy")
         assert forces.shape == (3, *GRID)
         # totals.csv has four decimals.
-        assert float(row["grid_z_n"]) == pytest.approx(forces[2].sum(), abs=1e-3)
+        assert float(row["fz_n"]) == pytest.approx(forces[2].sum(), abs=1e-3)
         assert row["flagged"] == "0" and titles[i].startswith(f"{i}, OOD score {float(row['ood_score']):.1f}")
         assert row["map"] == f"{i}.npy" and (tmp_path / "out" / f"{i}.png").exists()
     lines = capsys.readouterr().out.splitlines()

@@ -149,7 +149,7 @@ def test_lerobots_own_factory_opens_and_iterates_an_export(tmp_path):
 
 def test_channels_are_named_by_the_axes_that_they_lie_along(tmp_path):
     facts = json.loads(lay(tmp_path, 2).facts_text())
-    assert [words.split()[-1] for words in facts["channels"]] == ["y", "x", "z"], "FEATS' order"
+    assert [words.split()[-1] for words in facts["channels"]] == ["x", "y", "z"]
 
 
 def test_a_dataset_without_pictures_is_refused(tmp_path):

@@ -143,7 +143,7 @@ def test_labels_survive_the_round_trip(tmp_path_factory, grid, image):
     assert np.array_equal(back.label.astype(np.float32), grid) and np.array_equal(back.image, image)
     theirs = np.load(path, allow_pickle=True).item()  # our own file, written two lines above
     assert list(theirs) == ["gs_img", "grid_x", "grid_y", "grid_z", "f_x", "f_y", "f_z"]
-    assert theirs["f_y"] == pytest.approx(grid[1].sum(dtype=float), abs=1e-9)
+    assert theirs["f_y"] == pytest.approx(grid[0].sum(dtype=float), abs=1e-9)
 
 
 def test_normalisation_survives_the_round_trip(tmp_path):

@@ -211,7 +211,7 @@ def test_a_recording_becomes_pictures_with_total_force_in_the_gels_frame(tmp_pat
         s = size[10 * k]
         expected = -turn @ [0.1 * s, 0.2 * s, s]
         assert [float(row[f"f{axis}_n"]) for axis in "xyz"] == pytest.approx(expected.tolist(), abs=1e-6)
-        assert labels.label[k, :, 0, 0] == pytest.approx(expected[[1, 0, 2]], abs=1e-5)
+        assert labels.label[k, :, 0, 0] == pytest.approx(expected, abs=1e-5)
         assert row["indenter"] == "" and row["dz_mm"] == ""
     assert len({row["press_id"] for row in rows}) == 3  # before the first contact, and two contacts
 

@@ -119,7 +119,7 @@ def test_all_outputs_of_one_run_hold_the_same(film, tmp_path, chromium):
         rows = list(csv.DictReader(stream))
     assert [int(row["frame"]) for row in rows] == list(range(SETTLING, FRAMES))
     assert [float(row["time_s"]) for row in rows] == pytest.approx([0.1 * int(row["frame"]) for row in rows])
-    assert float(rows[-1]["grid_z_n"]) < -1.0 < float(rows[0]["grid_z_n"])
+    assert float(rows[-1]["fz_n"]) < -1.0 < float(rows[0]["fz_n"])
     assert f"16 frames read; {sum(row['flag'] == 'True' for row in rows)} flagged" in "".join(said)
     (path,) = (tmp_path / "kept").iterdir()
     kept, types = recorded(path)
@@ -132,7 +132,7 @@ def test_all_outputs_of_one_run_hold_the_same(film, tmp_path, chromium):
     assert [{pair.key: pair.value for pair in status.values} for status in of_flags] == [
         {name: value if value else "" for name, value in row.items()} for row in rows
     ]
-    assert event["grid_z_n"] == float(rows[-1]["grid_z_n"]) and event["frame"] == FRAMES - 1
+    assert event["fz_n"] == float(rows[-1]["fz_n"]) and event["frame"] == FRAMES - 1
 
 
 @pytest.mark.parametrize("press", [4, 12, 18])

@@ -102,13 +102,13 @@ def rows_of(pixels, colour):
 
 @needs_browser
 def test_the_curve_has_the_sign_of_the_tiles_and_is_grey_while_frames_are_flagged(chromium):
-    colour = {name: re.search(rf'{name}[^#]*"(#\w+)"', SCRIPT)[1] for name in ("grid_z_n", "FLAGGED")}
+    colour = {name: re.search(rf'{name}[^#]*"(#\w+)"', SCRIPT)[1] for name in ("fz_n", "FLAGGED")}
     with served() as server:
         chromium.get(server.url)
         show(chromium, server, *(reading(number, flag=number == 2, half_width=None) for number in range(5)))
         assert float(chromium.find_element("id", "z").text) == -4.0
         early, flagged, late = (curve_pixels(chromium, fraction) for fraction in (0.2, 0.52, 0.8))
-        assert rows_of(early, colour["grid_z_n"]).mean() < rows_of(late, colour["grid_z_n"]).mean()
+        assert rows_of(early, colour["fz_n"]).mean() < rows_of(late, colour["fz_n"]).mean()
         assert len(rows_of(flagged, colour["FLAGGED"])) > 100
         assert not any(len(rows_of(pixels, colour["FLAGGED"])) > 10 for pixels in (early, late))
 

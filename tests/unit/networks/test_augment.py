@@ -46,7 +46,7 @@ def test_a_mirrored_press_is_a_press():
     # Coordinates as forces point away from the middle, also in the mirror; heights as normal forces go with the image.
     v, u = np.meshgrid(np.arange(6) - 2.5, np.arange(8) - 3.5, indexing="ij")
     height = np.random.default_rng(0).integers(0, 256, (16, 6, 8)).astype("f4")
-    labels = np.stack([np.stack([u, v, h]) for h in height]).astype("f4")
+    labels = np.stack([np.stack([v, u, h]) for h in height]).astype("f4")
     images = np.repeat(np.kron(height, np.ones((4, 4)))[..., None], 3, -1).astype(np.uint8)
     before = images.copy(), labels.copy()
     seen, target = mirror_together(images, labels, torch.Generator().manual_seed(1))

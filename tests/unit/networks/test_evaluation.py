@@ -40,7 +40,7 @@ def test_evaluation_holds_what_is_asked(data, models, name):
     test = result["splits"]["test"]
     rows, forces = predictions["test"]
     error = np.abs(forces.sum((2, 3), dtype=float) - data.totals(rows))
-    assert test["total"]["grid_z"]["mae"] == pytest.approx(error[:, 2].mean())
+    assert test["total"]["fz"]["mae"] == pytest.approx(error[:, 2].mean())
     assert (test["cell"] is None) == (name == "resnet")
     assert set(test["controls"]) == {"constant_guess", "shuffled_images", "linear_on_image_means"}
     shown = tables(result)
@@ -57,7 +57,7 @@ def test_sensor_and_truth_are_compared_on_the_right_axis(data, models):
         # The made-up force sensor reads 0.1 N too much, the made-up truth is the label (float32 sums).
         assert against["sensor"]["labels"][axis]["bias"] == pytest.approx(-0.1, abs=1e-5)
         assert against["truth"]["labels"][axis]["mae"] < 1e-5
-    assert against["truth"]["labels_over"]["grid_z"] == pytest.approx(1.0, abs=1e-5)
+    assert against["truth"]["labels_over"]["fz"] == pytest.approx(1.0, abs=1e-5)
     assert slope(np.full((4, 3), 0.98), np.ones((4, 3))) == pytest.approx(dict.fromkeys(CHANNELS, 0.98))
 
 
@@ -121,11 +121,11 @@ def test_pictures_and_card_are_written(data, models, tmp_path):
 def test_the_choice_is_faster_and_nowhere_worse():
     errors = {f"{what}_{axis}": 1.0 for what in ("total", "cell") for axis in CHANNELS}
     base = {"model": "unet", "cpu1_median_ms": 10.0, "percent": 5.0, **errors}
-    fast = {"model": "fast", "cpu1_median_ms": 1.0, "percent": 4.0, **errors, "cell_grid_z": 1.1}
+    fast = {"model": "fast", "cpu1_median_ms": 1.0, "percent": 4.0, **errors, "cell_fz": 1.1}
     light = {"model": "light", "cpu1_median_ms": 1.5, "percent": 4.5, **errors}
-    good = {"model": "good", "cpu1_median_ms": 2.0, "percent": 4.0, **errors, "total_grid_x": 0.9}
+    good = {"model": "good", "cpu1_median_ms": 2.0, "percent": 4.0, **errors, "total_fy": 0.9}
     best = {"model": "best", "cpu1_median_ms": 2.1, "percent": 3.0, **errors}
-    totals = {"model": "totals", "cpu1_median_ms": 0.5, "percent": 2.0, **errors, "cell_grid_z": None}
+    totals = {"model": "totals", "cpu1_median_ms": 0.5, "percent": 2.0, **errors, "cell_fz": None}
     assert pareto_models.choose([base, fast, light, good, best, totals])["model"] == "good"
     assert pareto_models.choose([base, fast, best]) is None and pareto_models.choose([fast]) is None
 
@@ -176,8 +176,8 @@ def test_force_outside_the_picture_is_no_error_of_label_or_network(data, models)
     against = evaluate(replace(data, table=table), models["small"].model, EVALUATE)[0]["splits"]["test"]["against"][
         "truth"
     ]
-    assert against["labels"]["grid_z"]["mae"] == pytest.approx(0.0, abs=1e-6)
-    assert against["labels_over"]["grid_z"] == pytest.approx(1.0, abs=1e-6)
+    assert against["labels"]["fz"]["mae"] == pytest.approx(0.0, abs=1e-6)
+    assert against["labels_over"]["fz"] == pytest.approx(1.0, abs=1e-6)
 
 
 def test_the_error_on_sensors_that_training_never_saw_is_as_uncertain_as_they_differ(data):
@@ -207,13 +207,13 @@ def test_sensors_are_drawn_whole_where_a_network_learnt_from_other_data_or_senso
     elsewhere = here | {"data": here["data"] | {"name": "elsewhere", "pressed": ["0123456789"]}}
 
     def interval(metadata: dict) -> tuple[float, float]:
-        found = evaluate(other, replace(model, metadata=metadata), EVALUATE)[0]["splits"][name]["total"]["grid_z"]
+        found = evaluate(other, replace(model, metadata=metadata), EVALUATE)[0]["splits"][name]["total"]["fz"]
         return found["mae_low"], found["mae_high"]
 
     def drawing(alike) -> tuple[float, float]:
         forces = predict_rows(model, other, rows).forces
         error = forces.sum((2, 3), dtype=np.float64) - other.totals(rows)
-        drawn = error_table(error, np.random.default_rng(EVALUATE.seed), EVALUATE.bootstrap, alike=alike)["grid_z"]
+        drawn = error_table(error, np.random.default_rng(EVALUATE.seed), EVALUATE.bootstrap, alike=alike)["fz"]
         return drawn["mae_low"], drawn["mae_high"]
 
     by_press, by_sensor = drawing(other.presses(rows)), drawing(other.names("sensor_id")[rows])

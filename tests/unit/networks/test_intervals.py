@@ -161,7 +161,7 @@ def test_a_model_file_with_intervals_without_meaning_is_refused(shipped):
     for wrong in (
         [],
         3,
-        {"total": {"grid_x": [1, 2, 3]}},
+        {"total": {"fy": [1, 2, 3]}},
         {"total": {name: [1, 0, "x"] for name in CHANNELS}},
         {"total": {name: [1, 0, -2] for name in CHANNELS}},
         {"total": {name: [1, 0, 2] for name in CHANNELS}, "real": {"unprofiled": -1.0}},

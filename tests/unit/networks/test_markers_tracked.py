@@ -105,10 +105,10 @@ def test_totals_are_written_with_what_is_known_of_them():
     row = total_columns(reading(forces, np.array([0.1, 0.2, 0.3])))
     assert tuple(row) == TOTAL_COLUMNS
     assert [row[f"{name}_n"] for name in CHANNELS] == [0.5, -0.25, -7.0]
-    assert row["grid_z_half_width_n"] == 0.3
+    assert row["fz_half_width_n"] == 0.3
     assert row["edge_peak"] == 0.0
     total = total_columns(reading(forces.sum((1, 2), keepdims=True), edge=np.nan))
-    assert total["grid_z_n"] == -7.0 and total["edge_peak"] is None  # one cell is no edge
+    assert total["fz_n"] == -7.0 and total["edge_peak"] is None  # one cell is no edge
 
 
 def test_a_map_that_is_all_edge_says_nothing_of_what_touches_beyond_it():

@@ -65,9 +65,8 @@ def test_a_film_that_is_cut_is_read_as_far_as_it_goes_into_a_folder_of_its_own(d
 
 
 def test_the_page_of_real_pictures_names_axes_as_everything_else_does():
-    """x is force along gel x, the channel grid_y."""
     lines = real_page.total_lines(np.array([1.0, 2.0, -3.0]), np.array([0.1, 0.2, 0.3]))
-    assert lines == ["z -3.0 +- 0.3 N", "x +2.00 +- 0.2  y +1.00 +- 0.1 N"]
+    assert lines == ["z -3.0 +- 0.3 N", "x +1.00 +- 0.1  y +2.00 +- 0.2 N"]
 
 
 def test_a_folder_without_real_pictures_is_named_with_what_it_lacks(tmp_path):
@@ -94,7 +93,7 @@ def test_live_takes_the_first_frames_at_rest_for_the_nocontact_image(data, model
     assert len(rows) == len(seen) - SETTLING
     found = Predictor(models["pair"].model, filmed[10]).predict(filmed[-1])
     # the film is compressed, so the mean of the frames at rest is not quite one of them
-    assert float(rows[-1]["grid_z_n"]) == pytest.approx(found.total[2], rel=0.02, abs=0.02)
+    assert float(rows[-1]["fz_n"]) == pytest.approx(found.total[2], rel=0.02, abs=0.02)
 
 
 def test_live_reads_against_the_picture_of_a_profile(data, models, paths, tmp_path):

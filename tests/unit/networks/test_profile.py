@@ -157,13 +157,13 @@ def test_weighed_presses_make_a_profile_that_predict_uses(weighed, capsys):
     pictures = [str(folder / row[0]) for row in rows]
     predict.main([*pictures, "--out", str(folder / "all"), "--nocontact", str(folder / "rest.png")])
     with (folder / "all/totals.csv").open() as stream:
-        read = [-float(row["grid_z_n"]) for row in csv.DictReader(stream)]
+        read = [-float(row["fz_n"]) for row in csv.DictReader(stream)]
     assert gain.low < np.median([float(row[1]) for row in rows] / np.array(read)) < gain.high
     totals = []
     for more in (["--nocontact", str(folder / "rest.png")], ["--profile", str(folder / "mine.toml")]):
         predict.main([str(folder / rows[0][0]), "--out", str(folder / "out"), *more])
         with (folder / "out/totals.csv").open() as stream:
-            totals.append(float(next(csv.DictReader(stream))["grid_z_n"]))
+            totals.append(float(next(csv.DictReader(stream))["fz_n"]))
     assert totals[1] / totals[0] == pytest.approx(gain.value, rel=1e-3)
 
 

@@ -38,7 +38,7 @@ def test_it_reads_presses_it_never_saw(root, tmp_path):
     assert predict.main([*images, "--nocontact", rest, "--out", str(tmp_path)]) == 0
     rows = list(csv.DictReader((tmp_path / "totals.csv").open()))
     assert not any(int(row["flagged"]) for row in rows)
-    read = np.array([float(row["grid_z_n"]) for row in rows])
+    read = np.array([float(row["fz_n"]) for row in rows])
     real = np.array([float(truth[row["sample_id"]]["fz_n"]) for row in log])
     assert 3 * np.abs(read - real).mean() < np.abs(np.median(real) - real).mean()
     assert np.load(tmp_path / f"{log[0]['sample_id']}.npy").shape == (3, 24, 32)

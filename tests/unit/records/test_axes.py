@@ -1,42 +1,97 @@
-"""One map from channels to axes: a force along an axis of the gel arrives in the channel that the map names."""
+"""One order of axes: a sheared press walks through every output, along gel x, y, z; in FEATS' files alone along y, x, z."""
+
+import csv
 
 import numpy as np
 import pytest
 
+from gelforge.commands import predict
 from gelforge.flow.files import read_csv
+from gelforge.formats.feats_folder import export_dataset
+from gelforge.formats.featsfile import exchanged
+from gelforge.live.reading import COLUMNS, Reading
+from gelforge.live.topics import RosMessages
 from gelforge.networks.data.arrays import open_data
 from gelforge.networks.evaluation.evaluation import reference_totals
-from gelforge.records.axes import AXIS_OF_CHANNEL, CHANNEL_OF_AXIS, CHANNELS, FORCE_OF_CHANNEL, TITLES
+from gelforge.records.axes import CHANNELS, TITLES
 from gelforge.records.forcefile import SampleForces, write_forces
+from gelforge.records.forcereading import ForceReading, total_columns
 from gelforge.records.labelfile import read_labels
 from gelforge.records.press import FORCE
 from tests.support.pressed_dataset import bump, collect, label, write_pressed
 
-
-def test_the_map_is_its_own_inverse_and_names_feats_channels():
-    assert [AXIS_OF_CHANNEL[channel] for channel in CHANNEL_OF_AXIS] == [0, 1, 2]
-    assert [FORCE_OF_CHANNEL[channel] for channel in CHANNEL_OF_AXIS] == list(FORCE)
-    assert CHANNELS == ("grid_x", "grid_y", "grid_z")
-    assert TITLES == ("grid_x: force along gel y", "grid_y: force along gel x", "grid_z: force along gel z")
+PRESSED = np.array([0.5, -1.5, -4.0])
 
 
-def test_a_force_along_one_axis_fills_its_channel_and_its_column(tmp_path):
-    for axis in range(3):
-        made = write_pressed(tmp_path / str(axis), count=8)
-        force = np.zeros(3)
-        force[axis] = -2.0
-        load, surface = bump(made["mesh"], 0.5, -1.0, 3.0, force), made["mesh"].surface_nodes
-        samples = [SampleForces(f"s{k:03d}", "OK", "hexahedra", surface, load[surface], 0 * load[surface])
-                   for k in range(8)]  # fmt: skip
-        write_forces(made["results"] / "40_forces/0000.npz", samples, 0.0725)
-        totals = read_labels(label(made, "6x8") / "0000.npz").label.sum(axis=(2, 3))
-        channel = CHANNEL_OF_AXIS[axis]
-        assert totals[:, channel] == pytest.approx(np.full(8, -2.0), rel=1e-5)
-        assert np.abs(np.delete(totals, channel, axis=1)).max() < 1e-6
-        folder = collect(made, "6x8")
-        for row in read_csv(folder / "samples.csv"):
-            assert [abs(float(row[name])) > 1.0 for name in FORCE] == [at == axis for at in range(3)]
-        # what the bench measured along gel x, y, z stands beside the label in the order of its channels
-        data = open_data(folder)
-        measured = np.stack([data.column(f"measured_{name}") for name in FORCE], axis=1)
-        assert np.array_equal(reference_totals(data, "sensor"), measured[:, list(AXIS_OF_CHANNEL)])
+@pytest.fixture
+def made(tmp_path):
+    """Eight presses that all bear PRESSED, from force files to the dataset."""
+    made = write_pressed(tmp_path, count=8)
+    load, surface = bump(made["mesh"], 0.5, -1.0, 3.0, PRESSED), made["mesh"].surface_nodes
+    forces = [SampleForces(f"s{k:03d}", "OK", "hexahedra", surface, load[surface], 0 * load[surface])
+              for k in range(8)]  # fmt: skip
+    write_forces(made["results"] / "40_forces/0000.npz", forces, 0.0725)
+    return made
+
+
+def reading(cells: np.ndarray) -> ForceReading:
+    """What a network would say that reads these cells."""
+    image = np.zeros((24, 32, 3), np.uint8)
+    return ForceReading(cells, cells.sum((1, 2), dtype=float), np.array([0.1, 0.2, 0.3]), "", 0.0, 1.0, image)
+
+
+def test_names_are_those_of_the_axes():
+    assert CHANNELS == ("fx", "fy", "fz") and tuple(f"{name}_n" for name in CHANNELS) == FORCE
+    assert TITLES == ("fx: force along gel x", "fy: force along gel y", "fz: force along gel z")
+    assert exchanged(exchanged(PRESSED)).tolist() == PRESSED.tolist() == exchanged(PRESSED)[[1, 0, 2]].tolist()
+
+
+def test_a_sheared_press_walks_from_its_forces_to_every_file(made, tmp_path):
+    cells = read_labels(label(made, "6x8") / "0000.npz").label
+    assert cells.sum(axis=(2, 3)) == pytest.approx(np.tile(PRESSED, (8, 1)), rel=1e-5)
+    folder = collect(made, "6x8")
+    assert [float(read_csv(folder / "samples.csv")[0][name]) for name in FORCE] == pytest.approx(PRESSED, rel=1e-5)
+    data = open_data(folder)
+    assert data.totals([0])[0] == pytest.approx(PRESSED, rel=1e-5)
+    measured = np.stack([data.column(f"measured_{name}") for name in FORCE], axis=1)
+    assert np.array_equal(reference_totals(data, "sensor"), measured)
+    export_dataset(folder, tmp_path / "feats")
+    theirs = np.load(next((tmp_path / "feats").glob("*/*.npy")), allow_pickle=True).item()
+    for name, value in zip(("x", "y", "z"), exchanged(PRESSED), strict=True):
+        assert theirs[f"grid_{name}"].sum() == pytest.approx(value, rel=1e-5) == theirs[f"f_{name}"]
+
+
+def test_a_reading_has_the_same_order_in_tables_events_and_messages(made):
+    cells = read_labels(label(made, "6x8") / "0000.npz").label[0]
+    found = reading(cells)
+    row = total_columns(found)
+    assert [row[name] for name in FORCE] == pytest.approx(PRESSED, abs=1e-4)
+    assert [row[f"{name}_half_width_n"] for name in CHANNELS] == [0.1, 0.2, 0.3]
+    event = Reading(0, 0.0, found, 1.0).event()
+    assert {*FORCE} < {*COLUMNS} and [event[name] for name in FORCE] == pytest.approx(PRESSED, abs=1e-4)
+    said = {
+        topic.split("/", 2)[2]: fields
+        for topic, _, fields in RosMessages("mini").messages(Reading(0, 0.0, found, 1.0), 0)
+    }
+    for topic, off in (("wrench", 0.0), ("wrench/high", 1.0), ("wrench/low", -1.0)):
+        force = said[topic]["wrench"]["force"]
+        assert [force[axis] for axis in "xyz"] == pytest.approx(PRESSED + off * found.half_width, rel=1e-5)
+    for name, value in zip(("along_x", "along_y", "normal"), PRESSED, strict=True):
+        assert np.frombuffer(said[f"forces/{name}"]["data"], "<f4").sum() == pytest.approx(value, rel=1e-5)
+
+
+def test_the_shipped_network_reads_shear_along_the_axis_that_it_acts_along(root, tmp_path):
+    """The demo's press that is sheared most along x and the one most along y, each by its own sign."""
+    rows = read_csv(root / "data/demo/log.csv")
+    for axis, name in enumerate(FORCE[:2]):
+        row = max((r for r in rows if r["image"]), key=lambda r: abs(float(r[name])) - abs(float(r[FORCE[1 - axis]])))
+        words = [
+            str(root / "data/demo" / row["image"]),
+            "--nocontact",
+            str(root / f"data/demo/nocontact/{row['sensor_id']}.png"),
+        ]
+        predict.main([*words, "--out", str(tmp_path / name)])
+        with (tmp_path / name / "totals.csv").open() as stream:
+            read = next(csv.DictReader(stream))
+        assert float(read[name]) == pytest.approx(float(row[name]), rel=0.5)
+        assert abs(float(read[name])) > 2 * abs(float(read[FORCE[1 - axis]]))

@@ -34,7 +34,7 @@ def test_networks_stand_beside_the_paper():
     table = comparison({"tuned": {TEST: found}, "unet": {TEST: None, UNSEEN_SENSOR: found}})
     assert table["columns"][3:6] == [UNET, "tuned", "unet"]
     rows = {tuple(row[:3]): row[3:] for row in table["rows"]}
-    assert rows[f"known indenters ({TEST})", "total", "grid_z"][:3] == ["0.799 ± 1.014", "0.750 ± 0.354", "-"]
-    assert rows[f"known indenters ({TEST})", "total", "grid_z"][3:] == ["1.513", "0.783", "0.761", "1.037"]
-    assert rows[f"another sensor ({UNSEEN_SENSOR})", "total", "grid_z"][:3] == ["1.79", "-", "0.750 ± 0.354"]
-    assert rows[f"another sensor ({UNSEEN_SENSOR})", "cell", "grid_z"][:2] == ["-", "-"]
+    assert rows[f"known indenters ({TEST})", "total", "fz"][:3] == ["0.799 ± 1.014", "0.750 ± 0.354", "-"]
+    assert rows[f"known indenters ({TEST})", "total", "fz"][3:] == ["1.513", "0.783", "0.761", "1.037"]
+    assert rows[f"another sensor ({UNSEEN_SENSOR})", "total", "fz"][:3] == ["1.79", "-", "0.750 ± 0.354"]
+    assert rows[f"another sensor ({UNSEEN_SENSOR})", "cell", "fz"][:2] == ["-", "-"]

@@ -127,7 +127,6 @@ def test_every_press_and_every_rejected_row_is_in_the_table():
     reason = table["reason"]["names"][table["reason"]["at"][-1]]
     assert reason == "dz_mm: not a number; write a number of millimetres"
     assert table["label_fz"][9] is None and table["label_fz"][-1] is None
-    # The network's first channel runs along gel y.
     assert table["network_fx"][0] == 0.3 and table["network_fy"][0] == -0.08
     json.dumps(table, allow_nan=False)
 

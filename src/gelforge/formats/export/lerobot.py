@@ -7,7 +7,7 @@ ordinary ones:
 | feature | type | meaning |
 | --- | --- | --- |
 | observation.images.gelsight | image | the picture as its file |
-| observation.forces | float32 (3 * rows * cols,) | N per cell, force along gel y, x, z: reshape to (3, rows, cols) |
+| observation.forces | float32 (3 * rows * cols,) | N per cell, force along gel x, y, z: reshape to (3, rows, cols) |
 | observation.state | float32 (7,) | pose of the indenter: x0, y0, z0, dx, dy, dz in mm, rotation in degrees |
 | observation.wrench | float32 (3,) | total force of the label along gel x, y, z, N |
 | sample_id, indenter, sensor_id, split | string | as in samples.csv |

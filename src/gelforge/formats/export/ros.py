@@ -12,8 +12,6 @@ from typing import IO, Any
 
 import numpy as np
 
-from gelforge.records.axes import CHANNEL_OF_AXIS
-
 # Fields of each type (https://docs.ros.org, the packages common_interfaces and rcl_interfaces), NAME=VALUE a constant.
 DEFINITIONS = {
     "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
@@ -125,10 +123,10 @@ def sensor_messages(
     """Picture, total force and force maps of one frame.
 
     token: the sensor in names of topics and frames (`topic_tokens`). time: ns since 1970. picture: a file of format
-    `form` (jpeg, png). total: (3,) N along gel x, y, z. label: (3, rows, cols) N per cell, channels as FEATS.
+    `form` (jpeg, png). total: (3,) N along gel x, y, z. label: (3, rows, cols) N per cell along the same.
     """
     top, stamp = f"/{token}", header(time, f"{token}_gel")
-    maps = np.ascontiguousarray(label[list(CHANNEL_OF_AXIS)], "<f4")
+    maps = np.ascontiguousarray(label, "<f4")
     found: list[Message] = [
         (f"{top}/image/compressed", "sensor_msgs/msg/CompressedImage", {"header": stamp, "format": form, "data": picture}),
         (f"{top}/wrench", "geometry_msgs/msg/WrenchStamped", wrench(stamp, total)),

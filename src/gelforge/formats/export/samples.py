@@ -12,7 +12,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
 from gelforge.flow.layout import command_for
-from gelforge.records.axes import AXES, AXIS_OF_CHANNEL
+from gelforge.records.axes import AXES
 from gelforge.records.image import stays_inside
 from gelforge.records.regular import file_fault
 from gelforge.records.rowfile import map_array
@@ -129,7 +129,7 @@ class Samples:
             "grid": list(self.grid),
             "image": self.info["image"],
             "units": {"forces": "N per cell", "total": "N", "pose": "mm and degrees"},
-            "channels": [f"force along gel {AXES[axis]}" for axis in AXIS_OF_CHANNEL],
+            "channels": [f"force along gel {axis}" for axis in AXES],
             "signs": "compression is negative z; force that acts on the gel, as FEATS",
             "frame": FRAME,
             "sensors": {name: self.sensors[name] for name in sorted(named & self.sensors.keys())},

@@ -1,8 +1,8 @@
 "use strict";
 const el = (id) => document.getElementById(id);
 const fixed = (v, digits = 2) => (Number.isFinite(v) ? v.toFixed(digits) : "–");
-const MAPS = [["normal", 2, "z, normal"], ["short", 1, "x, along the short side"], ["long", 0, "y, along the long side"]];
-const TOTALS = [["grid_z_n", 2, "#1f6f8b"], ["grid_y_n", 1, "#d1603d"], ["grid_x_n", 0, "#5b8c3a"]], FLAGGED = "#dde1e6";
+const MAPS = [["normal", 2, "z, normal"], ["short", 0, "x, along the short side"], ["long", 1, "y, along the long side"]];
+const TOTALS = [["fz_n", 2, "#1f6f8b"], ["fx_n", 0, "#d1603d"], ["fy_n", 1, "#5b8c3a"]], FLAGGED = "#dde1e6";
 let history = [], drawing = false, latest = null;
 async function unpack(packed) {
   const bytes = Uint8Array.from(atob(packed.data), (s) => s.charCodeAt(0));

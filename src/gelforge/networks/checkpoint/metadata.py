@@ -69,6 +69,7 @@ PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "train": TABLE,
     "image": (f"[height, width], {SIDES}", _sides),
     "grid": (f"[rows, cols], {SIDES}", _sides),
+    "channels": (f"the order of its forces, {list(CHANNELS)}", lambda value: value == list(CHANNELS)),
     "known_sensors": ("a list of names", _list_of(_text)),
     "sensors": ("a list of names", _list_of(_text)),
     "data": TABLE,

@@ -16,7 +16,7 @@ from gelforge.records.press import PressRecord
 from gelforge.records.rowfile import ChainedRows, RowFile, Rows, map_array
 from gelforge.records.samplefile import TRAINING, UNSEEN_BOTH, UNSEEN_SENSOR, VALIDATION, DatasetSample, read_samples
 
-FILES = ("images.npy", "labels.npy", "nocontact.npy", "samples.csv", "normalisation.json", "dataset.json")
+FILES = ("images.npy", "labels.npy", "nocontact.npy", "samples.csv", "dataset.json")
 LEAST_TOTAL = 0.01  # of the largest component's scale of total force
 CHUNK = 256
 FEWEST_EACH = 9  # presses of validation that choose, and as many that set intervals
@@ -28,8 +28,8 @@ SMALLEST = {TRAINING: 4, VALIDATION: 1}
 class Data:
     """One dataset of stage 60, its arrays on disk.
 
-    images (n, height, width, 3) uint8 RGB; labels (n, 3, rows, cols) float32 N per cell, channels and
-    signs as FEATS; table has one record per sample; splits gives row numbers by name; nocontact
+    images (n, height, width, 3) uint8 RGB; labels (n, 3, rows, cols) float32 N per cell along
+    gel x, y, z; table has one record per sample; splits gives row numbers by name; nocontact
     has the no-contact image (height, width, 3) uint8 RGB of each sensor that has one.
     """
 
@@ -113,7 +113,7 @@ class Data:
         return rows[np.array([not self.table[row].altered for row in rows], bool)]
 
     def totals(self, rows) -> np.ndarray:
-        """Total force of the labels of some rows, (k, 3) float64 N, in the labels' channel order."""
+        """Total force of the labels of some rows, (k, 3) float64 N."""
         return self.labels[rows].sum((2, 3), dtype=np.float64)
 
 
@@ -240,7 +240,7 @@ def _press_key(dataset: str, press: PressRecord) -> str:
 def data_version(data: Data) -> str:
     """Fingerprint of a dataset: everything but the images, of which every 64th enters."""
     digest = hashlib.sha256()
-    for name in ("samples.csv", "normalisation.json", "dataset.json", "nocontact.npy"):
+    for name in ("samples.csv", "dataset.json", "nocontact.npy"):
         digest.update((data.folder / name).read_bytes())
     for start in range(0, len(data.labels), CHUNK):
         digest.update(np.ascontiguousarray(data.labels[start : start + CHUNK]).tobytes())

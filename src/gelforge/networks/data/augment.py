@@ -130,8 +130,8 @@ def mirror_together(images, labels, generator) -> tuple[np.ndarray, np.ndarray]:
     import cv2
 
     images, labels = np.array(images), np.array(labels)
-    # force along u with the columns, along v with the rows; OpenCV's code of a flip about that axis
-    for component, axis, code in ((0, -1, 1), (1, -2, 0)):
+    # fy runs along the columns, fx along the rows; OpenCV's code of a flip about that axis
+    for component, axis, code in ((1, -1, 1), (0, -2, 0)):
         chosen = (torch.rand(len(images), generator=generator) < 0.5).numpy()
         for k in np.flatnonzero(chosen):
             images[k] = cv2.flip(images[k], code).reshape(images[k].shape)

@@ -12,7 +12,8 @@ from gelforge.networks.data.arrays import Data, press_keys
 from gelforge.networks.evaluation import metrics
 from gelforge.networks.evaluation.metrics import contact_table
 from gelforge.networks.evaluation.predicted import Predicted, predict_rows, require_fit
-from gelforge.records.axes import CHANNELS, FORCE_OF_CHANNEL
+from gelforge.records.axes import CHANNELS
+from gelforge.records.press import FORCE
 from gelforge.records.samplefile import TRAINING
 
 # Where a dataset has them, total forces (samples.csv, gel frame: x short side) that did not come from
@@ -24,13 +25,13 @@ FEWEST_DRAWN = 5
 
 
 def reference_totals(data: Data, kind: str) -> np.ndarray | None:
-    """Total forces (n, 3) of a reference in the labels' channel order, NaN where a press has none.
+    """Total forces (n, 3) N of a reference, NaN where a press has none.
 
     Without what fell outside the image, where the label knows it: a picture does not show it.
     """
-    columns = [REFERENCES[kind].format(column) for column in FORCE_OF_CHANNEL]
+    columns = [REFERENCES[kind].format(column) for column in FORCE]
     totals = np.stack([data.column(name) for name in columns], axis=1)
-    outside = np.stack([data.column(f"outside_{name}") for name in FORCE_OF_CHANNEL], axis=1)
+    outside = np.stack([data.column(f"outside_{name}") for name in FORCE], axis=1)
     totals = totals - np.nan_to_num(outside)
     return totals if np.isfinite(totals).all(1).any() else None
 

@@ -77,10 +77,9 @@ function controlLines(splits, axis) {
   const names = { constant_guess: "always the same guess", linear_on_image_means: "a line on the picture's mean colour", shuffled_images: "shown another press's picture" };
   const found = splits.map((v) => DATA.about.controls[v]).filter(Boolean), n = found.reduce((a, v) => a + v.n, 0);
   if (!n) return [];
-  const channel = { fx: "grid_y", fy: "grid_x", fz: "grid_z" }[axis];
   return Object.keys(names).map((name) => {
     const having = found.filter((v) => v.controls[name]), weight = having.reduce((a, v) => a + v.n, 0);
-    return { name: names[name], value: having.reduce((a, v) => a + v.n * v.controls[name][channel], 0) / weight };
+    return { name: names[name], value: having.reduce((a, v) => a + v.n * v.controls[name][axis], 0) / weight };
   }).filter((line) => Number.isFinite(line.value));
 }
 const time = (s) => (s < 90 ? `${fixed(s, s < 10 ? 1 : 0)} s` : s < 5400 ? `${fixed(s / 60, 1)} min` : `${fixed(s / 3600, 1)} h`);

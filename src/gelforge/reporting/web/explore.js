@@ -3,7 +3,7 @@
 const NAN = Number.NaN;
 const AXES = ["fz", "fx", "fy"];
 const AXIS_NAMES = { fz: "normal, z", fx: "short side, x", fy: "long side, y" };
-const CHANNELS = { fx: 1, fy: 0, fz: 2 }; // of the maps: FEATS' first channel runs along gel y
+const CHANNELS = { fx: 0, fy: 1, fz: 2 }; // of the maps
 const PALETTE = ["#1f6f8b", "#d1603d", "#5b8c3a", "#6a4c93", "#c9a227", "#b3396b", "#3f88c5", "#7a7a7a", "#2e4057", "#8d5524", "#00a896", "#ef767a"];
 const el = (id) => document.getElementById(id);
 function make(tag, attributes = {}, ...children) {
