@@ -16,10 +16,6 @@ RES ?= 24x32
 # Training, evaluation and the report take the first resolution.
 RES1 = $(firstword $(RES))
 EXECUTOR ?= local
-# What switches nothing on: STRICT=0 is as if it were not given.
-NO := 0 no false
-override STRICT := $(filter-out $(NO),$(value STRICT))
-STRICTLY := $(if $(STRICT),--strict)
 # nproc would give the number that a shell grants to one program's threads, where it sets these.
 JOBS ?= $(shell env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc)
 
@@ -67,6 +63,6 @@ $(DUE): due
 .PHONY: $(shell sed -nE 's/^([a-z][a-zA-Z0-9_-]*):.*  ## .*/\1/p' Makefile rules/*.mk)
 
 help:  ## this list
-	@echo 'make TARGET [DATASET=$(DATASET)] [RES="$(RES)"] [MODEL=NAME] [JOBS=n] [STRICT=1]' \
+	@echo 'make TARGET [DATASET=$(DATASET)] [RES="$(RES)"] [MODEL=NAME] [JOBS=n]' \
 	    '[EXECUTOR=local|slurm] [SLURM_PROFILE=FILE.toml]'
 	@sed -nE 's/^([a-z][a-zA-Z0-9_-]*):.*  ## (.*)/  \1\t\2/p' Makefile rules/*.mk | expand -t 24

@@ -9,7 +9,7 @@ PLANNED := $D/00_plan/plan.mk
 
 # Before set-up there is no environment: names are judged by any Python.
 ASK := $(if $(wildcard $(PY)),PYTHONPATH=src $(PY) -P -S -m gelforge.flow.asked,python3 src/gelforge/flow/given.py)
-ANSWER := $(shell $(ASK) $(call if_given,SENSOR MODEL FORMAT EXECUTOR JOBS CHARTED TESTS ID STRICT) \
+ANSWER := $(shell $(ASK) $(call if_given,SENSOR MODEL FORMAT EXECUTOR JOBS CHARTED TESTS ID) \
     $(foreach v,DATASET RES MAKE_RESTARTS,$v=$(call given,$v)) GOALS=$(call given,MAKECMDGOALS))
 $(if $(filter-out 0,$(.SHELLSTATUS)),$(error $(or $(ANSWER),Python 3.11 or newer is needed as python3)))
 DUE := $(filter $D/%,$(ANSWER))

@@ -10,4 +10,4 @@ BESIDE := $(addprefix $D/00_plan/,nocontact.json beside.json)
 $(DATASETS): $D/60_dataset/%/dataset.json: \
     $(LABEL_SOURCE) $(IMAGES_JUDGED) $(BESIDE) $P/dataset.json $P/indenters.json $P/sensors.json \
     | $(call barrier,10_poses)
-	$(call step,gelforge.stages.dataset $D $* $(STRICTLY))
+	$(call step,gelforge.stages.dataset $D $*)

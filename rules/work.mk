@@ -24,10 +24,6 @@ clean-STAGE:  ## remove a stage's artifacts, logs and metrics (clean-fea, clean-
 clean-all:  ## remove all results of this dataset
 	rm -rf $D
 
-why:  ## explain why a target is outdated: make why TARGET=report
-	@$(PY) -m gelforge.commands.why --target $(call given,TARGET) 'DATASET=$(DATASET)' \
-	    $(call if_given,RES MODEL CHARTED STRICT FORMAT)
-
 provenance: | $(SETUP)  ## every file, parameter and cost behind one label: make provenance ID=…
 	@$(PY) -m gelforge.commands.provenance $D --id $(call given,ID) --resolution $(RES1)
 

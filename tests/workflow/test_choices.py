@@ -85,7 +85,7 @@ def test_make_expands_nothing_that_it_is_given(root, tmp_path, executor, given):
     """Whatever variable it comes in, also one that no rule knows, and where prerequisites are expanded twice."""
     text = "$(shell touch pwned)$(eval X := $(shell touch pwned))a$b"
     project = link_project(root, tmp_path / "p")
-    names = ["REFERENCE", "IMAGE", "POINTS", "LIKE", "FROM", "TOPICS", "PLAN", "ID", "TARGET", "STRICT",
+    names = ["REFERENCE", "IMAGE", "POINTS", "LIKE", "FROM", "TOPICS", "PLAN", "ID", "TARGET",
              "SLURM_PROFILE", "GELFORGE_REFERENCE", "ANYTHING"]  # fmt: skip
     by_hand = given == "on the command line"
     words = [f"{name}={text}" for name in names] if by_hand else []
@@ -96,12 +96,6 @@ def test_make_expands_nothing_that_it_is_given(root, tmp_path, executor, given):
     assert done.returncode == 0 and not (project / "pwned").exists(), done.stdout
     for option in ("--image", "--points", "--like", "--plan", "--from", "--topics", "--reference"):
         assert f"{option} '{text}'" in done.stdout
-
-
-def test_strict_can_be_said_not_to_be(planned):
-    for word, strict in (("0", False), ("", False), ("1", True)):
-        said = make(planned, "-n", "poses", "DATASET=tiny", f"STRICT={word}").stdout
-        assert "gelforge.stages.poses" in said and ("--strict" in said) == strict
 
 
 def test_a_recipe_that_takes_slots_of_make_is_only_shown_where_others_are(planned):

@@ -9,8 +9,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gelforge.commands.why import ask_make, reasons
-from gelforge.commands.why import lines as why_lines
 from gelforge.errors import BadInput
 from gelforge.flow.cache import digest_of_value
 from gelforge.flow.files import read_csv, write_csv, write_text
@@ -146,24 +144,23 @@ def test_results_dated_ahead_are_refused_and_removed_to_be_made_again(labelled, 
     assert (labelled / "results/tiny" / solve).stat().st_mtime_ns == solved
 
 
-def test_a_replaced_picture_reruns_its_own_shard_and_strict_is_told(labelled, log):
+def test_a_replaced_picture_reruns_its_own_shard(labelled, log):
     """The hint of a rejected picture, to copy the file again, is seen by make; other shards stay as they are."""
     picture = labelled / "data/tiny" / log.read_text().splitlines()[1].split(",")[-1]
     whole = picture.read_bytes()
     picture.write_bytes(whole[:100])
     done = make(labelled, "poses", "DATASET=tiny")
     assert done.returncode == 0 and "rejected: " in done.stdout
-    assert make(labelled, "poses", "DATASET=tiny", "STRICT=1").returncode  # a plain make before does not hide it
-    assert POSES not in shown(labelled, "STRICT=no")
+    assert "1 x image: " in make(labelled, "status", "DATASET=tiny").stdout
+    assert POSES not in shown(labelled)
     picture.write_bytes(whole)
-    done = make(labelled, "poses", "DATASET=tiny", "STRICT=1")
+    done = make(labelled, "poses", "DATASET=tiny")
     assert done.returncode == 0, done.stdout
     assert "rejected: " not in done.stdout and "10_poses/0000.csv" in done.stdout
 
 
 def test_a_lost_label_file_is_made_again(labelled):
     (labelled / "results/tiny/50_labels/24x32/0000.npz").unlink()
-    assert "is made with another" not in make(labelled, "why", "TARGET=labels", "DATASET=tiny").stdout
     done = make(labelled, "labels", "DATASET=tiny")
     assert done.returncode == 0 and "50_labels/24x32/labels.json" in done.stdout
     assert (labelled / "results/tiny/50_labels/24x32/0000.npz").exists()
@@ -199,28 +196,6 @@ def test_a_branch_that_is_none_is_refused():
     for asked in (["nope"], "calibrate", [1], ["$(shell x)"]):
         with pytest.raises(BadInput, match=r'\[report\] branches = .*: give a list of .*"calibrate" or "pareto"'):
             parameters(report={"branches": asked})
-
-
-def test_why_names_the_parameter_that_changed_and_what_follows(labelled):
-    assert "up to date" in make(labelled, "why", "TARGET=labels", "DATASET=tiny").stdout
-    table = labelled / "data/tiny/dataset.toml"
-    text = table.read_text()
-    table.write_text(text.replace("tolerance = 0.2", "tolerance = 0.25"))
-    said = make(labelled, "why", "TARGET=labels", "DATASET=tiny").stdout
-    assert "30_fea/0000.csv" in said and "parameters of fea changed" in said and "plan.mk" not in said, said
-    said = make(labelled, "why", "TARGET=export", "FORMAT=hdf5", "DATASET=tiny")
-    assert said.returncode == 0 and "does not exist" in said.stdout, said.stdout
-
-
-def test_what_is_due_whatever_its_date_is_named_as_the_cause(tmp_path, monkeypatch):
-    write_text(tmp_path / "Makefile", "all: d/a.csv d/b.csv\nd/a.csv d/b.csv: due\n\ttouch $@\n.PHONY: due all\n")
-    for name in ("d/a.csv", "d/b.csv"):
-        write_text(tmp_path / name, "")
-    monkeypatch.chdir(tmp_path)
-    found = reasons(ask_make("all", []))
-    assert set(found) == {"d/a.csv", "d/b.csv"}
-    assert all("another choice" in why for reasons_of in found.values() for why in reasons_of)
-    assert "another choice" in "\n".join(why_lines("all", found))
 
 
 def test_a_shape_that_is_put_where_it_was_missing_or_is_another_one_is_seen(alone):

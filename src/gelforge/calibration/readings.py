@@ -104,7 +104,7 @@ def read_readings(log, known_bad: Collection[int] = (), gels: Mapping[str, str] 
         if rejected:
             raise BadInput(
                 f"{log}: all {len(rejected)} rows with a normal force (fz_n) were rejected; correct them,"
-                f" `{Layout(Path('results', Path(log).parent.name)).command('poses STRICT=1')}` says why"
+                f" `{Layout(Path('results', Path(log).parent.name)).command('status')}` says why"
             )
         raise BadInput(f"{log}: no row has a normal force (fz_n); calibration needs a force sensor's readings")
     return Readings(

@@ -147,7 +147,7 @@ def pilot(of: Layout, work: Layout, rows: list[RawRow], resolution: str) -> tupl
             written += once
         found.append(Cost(STAGES[module], each, starts, (written - once) / len(rows), once))
         if module == "poses" and not read_csv(out):
-            command = of.command("poses STRICT=1")
+            command = of.command("status")
             raise BadInput(f"all {len(rows)} rows that were tried were rejected; {command} says why")
         if module == "fea":
             pace = replace(pace, hex_press=each * on_hexahedra(out))
@@ -244,9 +244,7 @@ def main(args: Namespace) -> None:
     of = Layout(args.results)
     rows = planned_rows(args.results)
     if not rows:
-        raise BadInput(
-            f"{of.log}: no row is left to solve; {of.command('poses STRICT=1')} says why each was rejected"
-        )
+        raise BadInput(f"{of.log}: no row is left to solve; {of.command('status')} says why each was rejected")
     costs = estimated(of, args.resolution, args.model, rows)
     shards = len(of.names())
     print("\n".join(table(costs, len(rows))))

@@ -1,7 +1,6 @@
 """Samples of a dataset that are done, failed (with reasons) and pending, stage by stage."""
 
 import os
-import re
 from argparse import Namespace
 from collections import Counter
 from collections.abc import Collection
@@ -26,8 +25,6 @@ from gelforge.flow.ledger import (
 from gelforge.flow.main import RESULTS, command, option
 from gelforge.flow.running import duration, look, running_targets
 from gelforge.records.status import VALID, Status
-
-RESOLUTION = re.compile(r"/(\d+x\d+)/")
 
 # Only the standard library before there are forces: status answers in a fraction of a second for 15 000 samples.
 
@@ -158,7 +155,7 @@ def whole_lines(results: Path, broken: Collection[str], meshes: Collection[str] 
     return text
 
 
-def outdated_lines(results: Path, asked: list[LastRun]) -> list[str]:
+def outdated_lines(asked: list[LastRun]) -> list[str]:
     """The first target that what it was made of changed since, and what that was; nothing where all is as it was made."""
     old = changed_since((run.target, run.inputs) for run in asked)
     first = next((run for run in asked if run.target in old), None)
@@ -166,12 +163,7 @@ def outdated_lines(results: Path, asked: list[LastRun]) -> list[str]:
         return []
     why = causes(old)
     more = f" and {len(why) - 2} more" if len(why) > 2 else ""
-    resolution = RESOLUTION.search(first.name)
-    goal = f"why TARGET={first.target}" + (f" RES={resolution[1]}" if resolution else "")
-    return [
-        f"outdated: {first.name} and what follows from it, because {', '.join(why[:2])}{more} changed since:"
-        f" {Layout(results).command(goal)}"
-    ]
+    return [f"outdated: {first.name} and what follows from it, because {', '.join(why[:2])}{more} changed since"]
 
 
 def failed_lines(results: Path, failed: list[LastRun]) -> list[str]:
@@ -210,7 +202,7 @@ def main(args: Namespace) -> None:
     failed = failures(results, asked)
     text = [
         *lines(results, {run.stage for run in failed}, args.meshes),
-        *outdated_lines(results, asked),
+        *outdated_lines(asked),
         *failed_lines(results, failed),
         *cost_lines(results, known),
         *running_lines(results),

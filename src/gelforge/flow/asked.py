@@ -163,8 +163,6 @@ class Asked:
             if table.exists() and not there.issuperset(shards):
                 yield table
         yield from self.of_other_choices()
-        if self.given.get("STRICT"):
-            yield from self.judged_again(shards)
 
     def of_other_choices(self) -> Iterator[Path]:
         """The report and the chart of networks, where they were made of other files than they would be now."""
@@ -178,18 +176,6 @@ class Asked:
         evaluations = {str(self.of.evaluation(self.resolution, name)) for name in self.charted}
         if read and {path for path in read if f"/{EVALUATE}/" in path} != evaluations:
             yield chart
-
-    def judged_again(self, shards: list[str]) -> Iterator[Path]:
-        """Under STRICT=1: what holds a rejected row or a picture of two presses, which then fails."""
-        for shard in shards:
-            table = self.of.poses(shard)
-            doubled = holds(self.of.shard(shard).with_suffix(".json"), b'"repeated": {')
-            if table.exists() and (doubled or holds(self.of.rejected(shard), b"\n", 1)):
-                yield table
-        for resolution in self.resolutions:
-            table = self.of.dataset(resolution) / "dataset.json"
-            if holds(table, b'"repeated_pictures"'):
-                yield table
 
 
 def lists_of(plan: Path) -> dict[str, list[str]]:
@@ -207,14 +193,6 @@ def inputs_of(target: Path) -> list[str]:
         return json.loads(metrics_of(target).read_bytes())["inputs"] if target.exists() else []
     except (OSError, ValueError, KeyError, TypeError):
         return []
-
-
-def holds(path: Path, text: bytes, more_than: int = 0) -> bool:
-    """Whether a file holds a text more often than so many times; not where there is no file."""
-    try:
-        return path.read_bytes().count(text) > more_than
-    except OSError:
-        return False
 
 
 def answer(given: dict[str, str]) -> list[str]:

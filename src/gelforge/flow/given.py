@@ -28,7 +28,7 @@ FORMATS = ("mcap", "rerun", "lerobot", "webdataset", "hdf5")
 # Goals that need no dataset, and those that show what was made of one, also where its log is gone.
 NO_DATASET = (
     "help", "setup", "lint", "format", "test", "test-*", "rig", "rig-*", "benchmark-*",
-    "lock", "clean-*", "fea-challenge", "feats-fetch", "feats-import", "mcap-import", "projection", "real-check", "why",
+    "lock", "clean-*", "fea-challenge", "feats-fetch", "feats-import", "mcap-import", "projection", "real-check",
     "*-env",
 )  # fmt: skip
 OF_RESULTS = ("status", "provenance")

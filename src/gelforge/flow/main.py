@@ -125,7 +125,6 @@ def _whole(text: str, least: int, which: str) -> int:
 JOBS = option(
     "--jobs", type=positive, default=int(os.environ.get("SLURM_CPUS_PER_TASK", "1")), help="processes at a time"
 )
-STRICT = option("--strict", action="store_true", help="fail where a sample or an image is refused")
 
 
 def command(*options: Option) -> Callable[[Callable[[argparse.Namespace], int | None]], Command]:

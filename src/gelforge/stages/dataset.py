@@ -17,7 +17,7 @@ from gelforge.evidence.logimages import LogImages
 from gelforge.flow.cache import alone
 from gelforge.flow.files import digest_of, listed, publish, read_json, write_csv, write_json, write_text
 from gelforge.flow.layout import Layout
-from gelforge.flow.main import STRICT, stage
+from gelforge.flow.main import stage
 from gelforge.flow.params.stages import ForDataset, read_parameters
 from gelforge.flow.params.tables import DatasetTable
 from gelforge.flow.progress import progress
@@ -163,8 +163,8 @@ def _share_images(folder: Path, data: Path, presses: list[PressRecord], size) ->
             other.with_suffix(".sha256").unlink(missing_ok=True)
 
 
-def repeated_pictures(path: Path, presses: list[PressRecord], where: str, strict: bool) -> list[list[int]]:
-    """Numbers of presses whose pictures are equal in each pixel, by picture; reported, and refused where `strict`.
+def repeated_pictures(path: Path, presses: list[PressRecord], where: str) -> list[list[int]]:
+    """Numbers of presses whose pictures are equal in each pixel, by picture; reported.
 
     path: the array of all pictures. Labels of such presses contradict each other, and one would test what another taught.
     """
@@ -175,8 +175,6 @@ def repeated_pictures(path: Path, presses: list[PressRecord], where: str, strict
     if not found:
         return found
     text, hint = describe_repeats(where, presses, found), "give each press its own picture, or remove its row"
-    if strict:
-        raise BadInput(f"{text}; {hint}")
     print(
         f"note: {text}; all presses of one picture go to one split. Did the camera freeze? If so, {hint}",
         file=sys.stderr,
@@ -377,7 +375,7 @@ def build(args: Namespace) -> dict:
     presses = [each.press for each in found]
     size = image_size(presses, load_sensors(of.parameters("sensors")), str(of.log))
     share_images(folder, of.data, presses, size)
-    repeated = repeated_pictures(folder / "images.npy", presses, str(of.log), args.strict)
+    repeated = repeated_pictures(folder / "images.npy", presses, str(of.log))
     catalogue = {
         name: table for name, table in read_json(of.parameters("indenters")).items() if isinstance(table, dict)
     }
@@ -404,7 +402,7 @@ def build(args: Namespace) -> dict:
     return about | {"nocontact": write_nocontact(folder / "nocontact.npy", of.data, about["sensors"], size)}
 
 
-@stage(Layout.dataset_table, STRICT)
+@stage(Layout.dataset_table)
 def main(args: Namespace) -> None:
     about = build(args)
     beside = [path for path in listed(args.out.parent, "*") if path.suffix in (".npy", ".csv")]

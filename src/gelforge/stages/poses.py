@@ -15,7 +15,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json
 from gelforge.flow.layout import Layout, beside
-from gelforge.flow.main import STRICT, stage
+from gelforge.flow.main import stage
 from gelforge.flow.params.stages import ForPoses, read_parameters
 from gelforge.flow.params.tables import PosesTable
 from gelforge.geometry import touch
@@ -273,7 +273,7 @@ def write_shard(good, rejections, out: Path, params: PosesTable) -> None:
     write_poses(out, posed)
 
 
-@stage(Layout.poses, STRICT)
+@stage(Layout.poses)
 def main(args: Namespace) -> None:
     of, log = args.of, str(args.of.log)
     use_gels_of(of.workflow)
@@ -285,16 +285,9 @@ def main(args: Namespace) -> None:
     planned = of.shard(args.shard).with_suffix(".json")
     repeated = read_json(planned).get("repeated", {}) if params.images and planned.exists() else {}
     doubtful = repeated_pictures([sample for sample, _ in good], log, repeated)
-    if args.strict:
-        lost = {r.row for r in doubtful}
-        good = [(sample, body) for sample, body in good if sample.row not in lost]
-        rejections, doubtful = sorted([*rejections, *doubtful], key=lambda r: r.row), []
     write_shard(good, rejections, args.out, params)
     for line in [*summarised(rejections), *summarised(doubtful, "note: kept, in one split with those like it")]:
         print(line, file=sys.stderr)
-    if args.strict and rejections:
-        count = len({r.row for r in rejections})
-        raise BadInput(f"{of.data}: {count} rows rejected; correct them, or run without STRICT")
     print(json.dumps({"good": len(good), "rejected": len(rows) - len(good)}))
 
 

@@ -1,86 +1,14 @@
-"""`make why` and `make provenance` say what is true of a flow on disk."""
+"""`make provenance` says what is true of a flow on disk."""
 
 import json
-import os
 import subprocess
 import sys
-import time
 from pathlib import Path
 
 from gelforge.commands.look import shard_paths
 from gelforge.commands.provenance import lines, provenance
-from gelforge.commands.why import lines as why_lines
-from gelforge.commands.why import main as why
-from gelforge.commands.why import reasons
-from gelforge.flow.files import write_csv, write_json, write_text
+from gelforge.flow.files import write_csv, write_json
 from tests.support.refused import refused
-
-MAKEFILE = """results/d/10_poses/0000.csv: results/d/00_plan/params/poses.json data.csv
-\ttouch $@
-results/d/30_fea/0000.csv: results/d/10_poses/0000.csv
-\ttouch $@
-.PHONY: fea
-fea: results/d/30_fea/0000.csv
-"""
-
-
-def made(folder, *names):
-    for age, name in enumerate(names):
-        path = folder / name
-        path.parent.mkdir(parents=True, exist_ok=True)
-        path.touch()
-        stamp = time.time() - 1000 + 10 * age
-        os.utime(path, (stamp, stamp))
-
-
-def asked(folder, monkeypatch):
-    monkeypatch.chdir(folder)
-    from gelforge.commands.why import ask_make
-
-    return reasons(ask_make("fea", []))
-
-
-FILES = (
-    "results/d/00_plan/params/poses.json",
-    "data.csv",
-    "results/d/10_poses/0000.csv",
-    "results/d/30_fea/0000.csv",
-)
-
-
-def test_what_is_due_and_why_is_told_apart(tmp_path, monkeypatch):
-    write_text(tmp_path / "Makefile", MAKEFILE)
-    made(tmp_path, *FILES)
-    assert asked(tmp_path, monkeypatch) == {}
-    assert "up to date" in why_lines("fea", {})[0]
-    made(tmp_path, *FILES[1:], FILES[0])  # a changed parameter is the cause, and the solve only follows
-    found = asked(tmp_path, monkeypatch)
-    assert "parameters of poses changed" in found[FILES[2]][0]
-    assert found[FILES[3]] == [f"{FILES[2]} is made again"]
-    text = "\n".join(why_lines("fea", found))
-    assert "2 files" in text and f"1 that read them: {FILES[3]}" in text
-    (tmp_path / FILES[3]).unlink()
-    made(tmp_path, FILES[0], FILES[2], FILES[1])
-    found = asked(tmp_path, monkeypatch)
-    assert found[FILES[2]] == ["data.csv changed since"] and found[FILES[3]] == ["it does not exist"]
-    refused("knows no such target", why, ["--target", "nonsense"])
-    for target in ("", "-f/etc/passwd", "SHELL=x"):
-        refused("TARGET", why, [f"--target={target}"])
-
-
-def test_what_make_says_of_one_target_is_no_reason_of_another():
-    params, chains = "results/d/00_plan/params/poses.json", []
-    for k in range(100):
-        data, pose, fea = f"data/{k}.csv", f"results/d/10_poses/{k}.csv", f"results/d/30_fea/{k}.csv"
-        newer = [params, data][k % 3 :]
-        chains.append("".join([
-            *(f"Prerequisite '{before}' is newer than target '{pose}'.\n" for before in newer),
-            *([] if newer else [f"File '{pose}' does not exist.\n"]), f"Must remake target '{pose}'.\n",
-            f"Prerequisite '{pose}' is newer than target '{fea}'.\n", f"Must remake target '{fea}'.\n",
-        ]))  # fmt: skip
-    reported = [reasons(chain) for chain in chains]
-    assert [len(why[f"results/d/10_poses/{k}.csv"]) for k, why in enumerate(reported[:3])] == [2, 1, 1]
-    assert list(reasons("".join(chains)).items()) == [reason for why in reported for reason in why.items()]
 
 
 def lay(results, count, size=100):

@@ -126,17 +126,3 @@ def test_a_gap_in_the_labels_is_due():
         assert "results/tiny/50_labels/24x32/labels.json" in asked("labels")
         write_text(f"results/tiny/50_labels/24x32/{shard}.npz", "")
     assert not [word for word in asked("labels") if "/" in word]
-
-
-def test_under_strict_what_was_let_through_is_judged_again():
-    tables = [f"results/tiny/10_poses/{shard}.csv" for shard in ("0000", "0001")]
-    for table in tables:
-        write_text(table, "")
-        write_text(table.replace(".csv", ".rejected.csv"), "row,reason\n")
-    target("60_dataset/24x32/dataset.json")
-    assert not [word for word in asked("poses", STRICT="1") if "/" in word]
-    write_text(tables[0].replace(".csv", ".rejected.csv"), "row,reason\n2,no number\n")
-    write_json("results/tiny/00_plan/shards/0001.json", {"repeated": {"2": "row 3"}})
-    write_json("results/tiny/60_dataset/24x32/dataset.json", {"repeated_pictures": []})
-    assert asked("poses", STRICT="1")[3:] == [*tables, "results/tiny/60_dataset/24x32/dataset.json"]
-    assert not asked("poses")[3:]

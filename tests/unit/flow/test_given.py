@@ -62,7 +62,7 @@ def test_goals_that_cannot_be_done_are_refused():
 
 def test_only_what_needs_a_dataset_asks_for_one(tmp_path):
     assert "data/none/log.csv not found: DATASET=none needs a raw log" in said(DATASET="none")
-    for goals in ("", "help", "setup", "test", "benchmark-dag", "clean-all", "projection", "mcap-import", "why"):
+    for goals in ("", "help", "setup", "test", "benchmark-dag", "clean-all", "projection", "mcap-import"):
         assert not said(goals, DATASET="none"), goals
     (tmp_path / "results/none").mkdir(parents=True)  # what was made of a dataset whose log is gone can still be seen
     assert not said("status provenance", DATASET="none") and said("labels", DATASET="none")

@@ -335,11 +335,6 @@ def test_a_frozen_camera_is_named_and_its_presses_stay_together(tmp_path, root, 
     assert len({table[name].group for name in ("s003", "s009", "s011")}) == 1
     # s011 pressed an indenter that training must not see
     assert {table[name].split for name in ("s003", "s009", "s011")} == {"test_unseen_indenter"}
-    folder = made["results"] / "60_dataset/4x4"
-    (folder / "dataset.json").unlink()
-    with pytest.raises(BadInput, match=r"s003 .* s009 .* s011 .*; give each press its own picture"):
-        collect(made, "4x4", "--strict")
-    assert not (folder / "dataset.json").exists()
 
 
 def test_forces_of_the_log_that_do_not_suit_the_labels_are_noted(tmp_path, root, capsys):
