@@ -1,5 +1,5 @@
 # Stage 70: networks. A model is a table of workflow/models.toml; RES names the grid.
-SHIPPED := src/gelforge/networks/weights/default
+SHIPPED := src/gelforge/reading/weights/default
 # Those that fine-tune the shipped network (TUNED) are for one dataset, and write its grid: they are made by name alone.
 LEARNABLE := $(filter-out $(TUNED),$(MODELS))
 TRAINED := $(MODELS:%=$D/70_train/$(RES1)/%.onnx)

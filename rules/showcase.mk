@@ -4,7 +4,7 @@ README_PICTURES := $(addprefix results/readme/,press.png real.png speed.png stab
 readme-pictures: $(README_PICTURES)  ## draw the pictures of README and guide: a press, real images beside force maps, charts
 
 results/readme/press.png: workflow/indenters.toml workflow/rig/sensors.toml
-results/readme/real.png: src/gelforge/networks/weights/default.onnx
+results/readme/real.png: src/gelforge/reading/weights/default.onnx
 results/readme/speed.png: $D/pareto/pareto.json
 results/readme/exact.png: results/benchmarks/exact.json
 results/readme/stability.png: $D/stability/map.json

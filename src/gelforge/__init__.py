@@ -24,8 +24,8 @@ __all__ = ["Reader", "Sensor", "label", "predict", "solve"]
 _HOMES = {
     "solve": "gelforge.api",
     "label": "gelforge.api",
-    "predict": "gelforge.reader",
-    "Reader": "gelforge.reader",
+    "predict": "gelforge.reading.reader",
+    "Reader": "gelforge.reading.reader",
     "Sensor": "gelforge.labelling.sensor",
 }
 

@@ -16,9 +16,9 @@ from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.material import REFERENCE_C10, Material
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solvers.hex import HexSolver
-from gelforge.networks.checkpoint.modelfile import ForceModel
-from gelforge.networks.inference.predictor import Predictor
-from gelforge.networks.inference.sensorprofile import fit_gain
+from gelforge.reading.model import ForceModel
+from gelforge.reading.predictor import Predictor
+from gelforge.reading.profile import fit_gain
 from gelforge.records.forcereading import ForceReading
 from gelforge.records.press import Press
 from gelforge.virtualrig.appearance import read_appearances

@@ -19,9 +19,9 @@ from gelforge.formats.numpy_pickle import read_npy
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import CORNERS, assemble
 from gelforge.labelling.sensor import load_sensors
+from gelforge.reading.markers import markers_in
 from gelforge.records.forcefile import SampleForces, write_forces
 from gelforge.records.labelfile import read_labels
-from gelforge.records.markers import find_markers
 from gelforge.records.press import POSE
 from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.support.parameters import write_stage
@@ -229,7 +229,7 @@ def reference_markers(reference: Path) -> list[Figure]:
 
     quiet = read_npy(reference / "feats/images/nocontact_train_sensor.npy")["gs_img"]
     pressed = cv2.imread(str(reference / "feats/images/cuboid_10-2-284.png"))[..., ::-1]
-    grid, other = find_markers(quiet, 7, 9), find_markers(pressed, 7, 9)
+    grid, other = markers_in(quiet).grid(7, 9), markers_in(pressed).grid(7, 9)
     off = np.abs(grid.pitch - REFERENCE_PITCH)
     pitch = " x ".join(f"{p:.2f}" for p in grid.pitch)
     note = f"{pitch} px, turned {grid.rotation:.2f} degrees, centre {grid.centre.round(1)}"

@@ -26,7 +26,7 @@ from gelforge.records.log import read_presses
 from tests.benchmarks.figures import Figure, publish_figures
 
 if TYPE_CHECKING:
-    from gelforge.networks.inference.predictor import Predictor
+    from gelforge.reading.predictor import Predictor
 
 IMAGE, GRID = (240, 320), (24, 32)
 BASELINE, LIGHT = "unet", "pair_24_mirrored"
@@ -110,7 +110,7 @@ def chain_figure(seconds: float) -> Figure:
 
 def demo_pairs() -> list[tuple["Predictor", np.ndarray]]:
     """The predictor that ships and the picture (h, w, 3) uint8 of every press of the demo."""
-    from gelforge.networks.inference.predictor import Predictor, load_for_use
+    from gelforge.reading.predictor import Predictor, load_for_use
 
     model, folder = load_for_use(None), Path("data/demo")
     presses = read_presses(folder / "log.csv")
@@ -130,10 +130,10 @@ def seconds_of(work: Callable[..., object], *given: object) -> float:
 
 def untrained(model: dict, threads: int) -> "Predictor":
     """A network with fresh weights and unit scales, for timing."""
-    from gelforge.networks.checkpoint.modelfile import ForceModel
     from gelforge.networks.checkpoint.onnxexport import export
-    from gelforge.networks.inference.predictor import Predictor, load_for_use
     from gelforge.networks.models.registry import build
+    from gelforge.reading.model import ForceModel
+    from gelforge.reading.predictor import Predictor, load_for_use
 
     norm = {"image_mean": [0.4] * 3, "image_std": [0.2] * 3, "label": [1.0] * 3, "reads": model.get("reads", "image")}
     metadata = load_for_use(None).metadata | {"normalisation": norm, "tta": False}
@@ -143,7 +143,7 @@ def untrained(model: dict, threads: int) -> "Predictor":
 
 def train_apart(dataset: Path, name: str, settings: TrainTable, folder: Path):
     """Train in a process of its own, so that its peak memory is its own; return the model."""
-    from gelforge.networks.checkpoint.modelfile import load_model
+    from gelforge.reading.model import load_model
 
     of = Layout(folder / "results/timed")
     write_json(of.parameters("train"), plain(ForTrain(version=1, train=settings)))

@@ -54,7 +54,7 @@ def hardest_frame(film: Path, model, flagged: bool):
     """
     import cv2
 
-    from gelforge.networks.inference.predictor import Predictor
+    from gelforge.reading.predictor import Predictor
     from gelforge.records.film import frames, numbered, open_source
     from gelforge.records.nocontactimage import find_nocontact
 
@@ -73,7 +73,7 @@ def real(args: Namespace) -> None:
     """Frames of real sensors above the force maps that the shipped network reads in them, in one scale, and a flagged one."""
     import textwrap
 
-    from gelforge.networks.inference.predictor import load_for_use
+    from gelforge.reading.predictor import load_for_use
     from gelforge.reporting.canvas import canvas_with_axes, to_png
     from gelforge.reporting.forcemaps import draw_pressure
 

@@ -19,11 +19,11 @@ from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
 from gelforge.flow.progress import progress
 from gelforge.formats.numpy_pickle import read_npy
-from gelforge.networks.checkpoint.modelfile import ForceModel, fingerprint
-from gelforge.networks.inference.predictor import Predictor, load_for_use
-from gelforge.networks.inference.sensorprofile import fit_gain
-from gelforge.networks.preprocess.illumination import match_light
-from gelforge.networks.uncertainty.conformal import half_widths, real_width
+from gelforge.reading.interval import half_widths, real_width
+from gelforge.reading.light import match_light
+from gelforge.reading.model import ForceModel, fingerprint
+from gelforge.reading.predictor import Predictor, load_for_use
+from gelforge.reading.profile import fit_gain
 from gelforge.records.forcereading import ForceReading
 from gelforge.records.image import read_image
 from tests.benchmarks.ball_presses import BACKGROUND, read_presses

@@ -8,8 +8,8 @@ import numpy as np
 
 from gelforge.flow.files import write_text
 from gelforge.formats.numpy_pickle import read_npy
-from gelforge.networks.checkpoint.modelfile import ForceModel
-from gelforge.networks.inference.predictor import Predictor
+from gelforge.reading.model import ForceModel
+from gelforge.reading.predictor import Predictor
 from gelforge.records.film import numbered
 from gelforge.records.image import encode_png, read_image
 from gelforge.records.nocontactimage import find_nocontact

@@ -17,7 +17,7 @@ from gelforge.flow.progress import progress
 from gelforge.formats.featsfile import read_sample
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
-from gelforge.records.markers import find_markers
+from gelforge.reading.markers import markers_in
 from gelforge.stages.rig import units_of
 from gelforge.virtualrig import streams
 from gelforge.virtualrig.bench import Bench, Pressing
@@ -205,7 +205,7 @@ def cosines(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 def _all_markers(image: np.ndarray) -> np.ndarray:
     """Place (63, 2) px of every marker, row by row."""
-    grid = find_markers(image, 7, 9)
+    grid = markers_in(image).grid(7, 9)
     if grid.count != 63:
         raise BadInput(f"{grid.count} of 63 markers found in a picture of the pressed cuboid; look at make rig-check")
     return grid.points

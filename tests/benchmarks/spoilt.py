@@ -5,11 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gelforge.networks.checkpoint.modelfile import ForceModel
-from gelforge.networks.inference.predictor import Predictor
-from gelforge.networks.preprocess.wear import painted_over
+from gelforge.reading.markers import markers_in, painted_over
+from gelforge.reading.model import ForceModel
+from gelforge.reading.predictor import Predictor
 from gelforge.records.forcereading import ForceReading
-from gelforge.records.markers import markers_in
 from tests.benchmarks.figures import Figure
 from tests.support.pictures import moved
 

@@ -24,10 +24,10 @@ from gelforge.mechanics.hexsettings import quality
 from gelforge.mechanics.material import REFERENCE_C10, Material
 from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvers.hex import HexSolver
-from gelforge.networks.checkpoint.modelfile import ForceModel, fingerprint
-from gelforge.networks.inference.predictor import Predictor, load_for_use
-from gelforge.networks.inference.sensorprofile import fit_gain
-from gelforge.networks.uncertainty.conformal import half_widths
+from gelforge.reading.interval import half_widths
+from gelforge.reading.model import ForceModel, fingerprint
+from gelforge.reading.predictor import Predictor, load_for_use
+from gelforge.reading.profile import fit_gain
 from gelforge.records.axes import CHANNELS
 from gelforge.stages.rig import units_of
 from gelforge.sweeps.trial import cells_of

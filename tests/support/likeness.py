@@ -5,7 +5,7 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from gelforge.records.markers import MarkerGrid, find_markers, markers_in
+from gelforge.reading.markers import MarkerGrid, markers_in
 from gelforge.virtualrig.appearance import HEIGHT, WIDTH, marker_free
 from gelforge.virtualrig.render import unproject
 from tests.support.surface_values import interpolate_surface
@@ -28,7 +28,7 @@ class NoContact:
 
 def no_contact(image: np.ndarray, rows: int, cols: int) -> NoContact:
     """Measure a picture without contact, RGB (240, 320, 3) uint8."""
-    grid = find_markers(image, rows, cols)
+    grid = markers_in(image).grid(rows, cols)
     free = marker_free(grid.points, 1.2 * grid.diameter)
     picture = image.astype(np.float32)
     inner = cv2.erode(free.astype(np.uint8), np.ones((5, 5))) > 0

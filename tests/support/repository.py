@@ -30,13 +30,14 @@ ALLOWED: dict[str, set[str]] = {
     "mechanics": {"flow", "geometry", "records"},
     "labelling": {"flow", "geometry", "records", "mechanics"},
     "formats": {"flow", "records", "labelling", "mechanics"},
-    "networks": {"flow", "records"},
+    "reading": {"flow", "records"},
+    "networks": {"flow", "records", "reading"},
     "calibration": {"flow", "records", "geometry", "mechanics"},
-    "virtualrig": {"flow", "records", "geometry", "mechanics", "labelling"},
+    "virtualrig": {"flow", "records", "reading", "geometry", "mechanics", "labelling"},
     "sweeps": {"flow", "records", "geometry", "mechanics", "labelling"},
     "reporting": {"flow", "records", "geometry", "mechanics", "labelling", "calibration"},
     "live": {"records", "reporting", "formats"},
-    "evidence": {"flow", "records", "geometry", "labelling", "networks"},
+    "evidence": {"flow", "records", "geometry", "labelling", "reading"},
 }
 ON_TOP = {"stages", "commands"}  # thin mains, which may use all of the above
 # Rooms of a folder, and the rooms that each may import from. Of mechanics scene, material and their like above them are for
@@ -53,13 +54,10 @@ ROOMS: dict[str, dict[str, set[str]]] = {
     },
     "networks": {
         "models": set(),
-        "preprocess": {"models"},
-        "uncertainty": {"preprocess", "inference"},
-        "checkpoint": {"models", "uncertainty"},
-        "inference": {"checkpoint", "preprocess", "uncertainty"},
-        "data": {"models", "preprocess"},
-        "training": {"models", "data", "checkpoint", "preprocess"},
-        "evaluation": {"models", "data", "checkpoint", "preprocess", "uncertainty", "inference"},
+        "checkpoint": {"models"},
+        "data": {"models"},
+        "training": {"models", "data", "checkpoint"},
+        "evaluation": {"models", "data", "checkpoint"},
     },
 }
 FOR_ALL = {"mechanics"}  # folders whose modules above the rooms may be used in them
@@ -129,13 +127,14 @@ def wrong_imports() -> Iterator[str]:
                 names = {name for name in imports(path) if name.startswith(f"gelforge.{folder}.")}
                 wrong = [name for name in names if name.split(".")[2] not in {*allowed, *above, room}]
                 yield from (f"{path.relative_to(PACKAGE)} imports {name}" for name in wrong)
-    for path in (PACKAGE / "networks").rglob("*.py"):
-        name = path.relative_to(PACKAGE / "networks")
-        if (
-            any(module.split(".")[0] == "torch" for module in imports(path))
-            and not {str(name), name.parts[0]} & TORCH
-        ):
-            yield f"networks/{name} imports torch"
+    for path in [*(PACKAGE / "networks").rglob("*.py"), *(PACKAGE / "reading").rglob("*.py")]:
+        folder, name = (
+            path.relative_to(PACKAGE).parts[0],
+            path.relative_to(PACKAGE / path.relative_to(PACKAGE).parts[0]),
+        )
+        torch_there = any(module.split(".")[0] == "torch" for module in imports(path))
+        if torch_there and (folder == "reading" or not {str(name), name.parts[0]} & TORCH):
+            yield f"{folder}/{name} imports torch"
 
 
 def same_names() -> Iterator[str]:

@@ -43,7 +43,7 @@ def trained(folder):
 @pytest.fixture(scope="session")
 def shipped():
     """The network that comes with gelforge."""
-    from gelforge.networks.inference.predictor import load_for_use
+    from gelforge.reading.predictor import load_for_use
 
     return load_for_use(None)
 

@@ -17,12 +17,12 @@ from gelforge.errors import BadInput
 from gelforge.labelling.sensor import load_sensors
 from gelforge.live.reading import readings
 from gelforge.mechanics.material import REFERENCE_C10
-from gelforge.networks.inference.predictor import Predictor, load_for_use
-from gelforge.networks.inference.sensorprofile import Gain, make_profile, write_profile
+from gelforge.reading.markers import markers_in
+from gelforge.reading.predictor import Predictor, load_for_use
+from gelforge.reading.profile import Gain, make_profile, write_profile
 from gelforge.records.film import numbered
 from gelforge.records.image import read_image, write_png
 from gelforge.records.log import read_presses
-from gelforge.records.markers import markers_in
 from tests.support.pictures import moved
 from tests.support.refused import refused
 

@@ -176,7 +176,7 @@ def test_the_record_of_a_target_names_the_network_that_it_starts_from(with_nocon
         ("tuned", "70_train/24x32/tuned.onnx", "safetensors"), ("shipped", "80_evaluate/24x32/shipped.json", "onnx"),
     ):  # fmt: skip
         said = make(with_nocontact, "-n", "evaluate", "DATASET=tiny", f"MODEL={model}").stdout
-        assert f"src/gelforge/networks/weights/default.{kind}" in inputs_of(said, target)
+        assert f"src/gelforge/reading/weights/default.{kind}" in inputs_of(said, target)
 
 
 def inputs_of(said: str, target: str) -> list[str]:
@@ -190,8 +190,8 @@ def test_a_network_that_goes_on_waits_for_the_one_that_ships_and_keeps_to_its_gr
         return next(line.split() for line in lines if line.startswith(f"{target}:"))
 
     folder = "results/tiny/70_train"
-    assert "src/gelforge/networks/weights/default.safetensors" in needs(f"{folder}/24x32/tuned.onnx")
-    assert "src/gelforge/networks/weights/default.safetensors" not in needs(f"{folder}/24x32/pair_24.onnx")
+    assert "src/gelforge/reading/weights/default.safetensors" in needs(f"{folder}/24x32/tuned.onnx")
+    assert "src/gelforge/reading/weights/default.safetensors" not in needs(f"{folder}/24x32/pair_24.onnx")
     # what ships may be a network of another kind, whose place in a comparison of all is no matter of a dataset
     assert f"{folder}/24x32/tuned.onnx" not in needs("results/tiny/pareto_models/24x32.json")
 

@@ -9,7 +9,7 @@ from gelforge.flow.layout import Layout
 from gelforge.flow.params import plain
 from gelforge.formats.mcap_import import Topics, import_recordings
 from gelforge.labelling.sensor import load_sensors
-from gelforge.networks.checkpoint.modelfile import load_model
+from gelforge.reading.model import load_model
 from gelforge.stages import dataset, train
 from gelforge.stages.plan import logged_rows, write_shards
 from tests.support.parameters import write_stage

@@ -11,7 +11,7 @@ import pytest
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.params import plain
-from gelforge.networks.checkpoint.modelfile import load_model
+from gelforge.reading.model import load_model
 from tests.support.parameters import write_stage
 from tests.support.synthetic_presses import SETTINGS, write_dataset
 from tests.support.waiting import wait_until

@@ -13,7 +13,7 @@ from typing import Any
 
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, from_zero, option
-from gelforge.networks.preprocess.imageframe import same_shape
+from gelforge.reading.frame import same_shape
 from gelforge.records.film import asked_for, open_source
 
 # Of a GelSight Mini (3280 x 2464, its halves and quarters) and of USB cameras in general.

@@ -128,7 +128,7 @@ def until(over: threading.Event, items: Iterable) -> Iterator:
 
 def refuse_unusable(args: Namespace) -> None:
     """BadInput where nothing is to be read or made, or what is made would take the place of what is read."""
-    from gelforge.networks.inference.sensorprofile import files_of
+    from gelforge.reading.profile import files_of
 
     if (args.video is None) == (args.camera is None):
         raise BadInput("give either --video FILE or --camera NUMBER")
@@ -150,15 +150,15 @@ def need_frames(asked: int | None) -> None:
 
 
 def predictor_of(args: Namespace, model, picture: np.ndarray | None, seen, name: str) -> tuple:
-    """The model beside the sensor's no-contact image (networks.inference.predictor), and the frames to read (records.film.Frame).
+    """The model beside the sensor's no-contact image (reading.predictor), and the frames to read (records.film.Frame).
 
     picture: what was given for it, (h, w, 3) RGB; where nothing was, the profile's serves; where there is none either and the
     network needs one, it is found in the frames.
     """
     import cv2
 
-    from gelforge.networks.inference.predictor import Predictor
-    from gelforge.networks.inference.sensorprofile import with_profile
+    from gelforge.reading.predictor import Predictor
+    from gelforge.reading.profile import with_profile
 
     if picture is None and not args.profile and model.needs_nocontact:
         need_frames(args.frames)
@@ -222,7 +222,7 @@ def show(
 )  # fmt: skip
 def main(args: Namespace) -> None:
     refuse_unusable(args)
-    from gelforge.networks.inference.predictor import load_for_use
+    from gelforge.reading.predictor import load_for_use
     from gelforge.records.image import read_image
 
     model = load_for_use(args.model, args.sensor)

@@ -22,8 +22,8 @@ from gelforge.commands.sensoroptions import ENGINE, MODEL, NOCONTACT, PROFILE, S
 from gelforge.errors import BadInput, printable
 from gelforge.flow.files import publish
 from gelforge.flow.main import command, option
-from gelforge.networks.inference.predictor import Predictor, load_for_use
-from gelforge.networks.inference.sensorprofile import files_of, with_profile
+from gelforge.reading.predictor import Predictor, load_for_use
+from gelforge.reading.profile import files_of, with_profile
 from gelforge.records.axes import CHANNELS
 from gelforge.records.forcereading import TOTAL_COLUMNS, ForceReading, goes_beyond, total_columns
 from gelforge.records.image import read_image

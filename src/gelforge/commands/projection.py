@@ -11,8 +11,8 @@ from gelforge.flow.files import write_json
 from gelforge.flow.main import command, option
 from gelforge.labelling.homography import Fit, fit_homography
 from gelforge.labelling.sensor import Sensor, check_projection, find_sensor, load_sensors, transform
+from gelforge.reading.markers import MarkerGrid, markers_in
 from gelforge.records.image import read_image, write_png
-from gelforge.records.markers import MarkerGrid, find_markers
 from gelforge.records.press import check_id, parse_number
 from gelforge.records.regular import refuse_to_replace
 from gelforge.records.table import filled_rows
@@ -93,7 +93,7 @@ def fit_projection(name: str, like: Sensor, points=None, image=None, where: str 
                 f"sensor {like.name}: `markers` lacks {', '.join(sorted(needed - set(like.markers)))}, which an"
                 " image needs; add it to workflow/sensors.toml, or name another sensor as LIKE"
             )
-        markers = find_markers(image, like.markers["rows"], like.markers["cols"], where)
+        markers = markers_in(image).grid(like.markers["rows"], like.markers["cols"], where)
         span = np.ptp(markers.index, axis=0) + 1
         if tuple(span) != (markers.rows, markers.cols):
             # rows or columns of markers lie outside of the picture, and it is unknown on which side

@@ -20,8 +20,10 @@ from gelforge.commands.sensoroptions import MODE, MODEL, NOCONTACT
 from gelforge.errors import BadInput
 from gelforge.evidence.forces import of_readings
 from gelforge.flow.main import command, option
-from gelforge.networks.inference.predictor import Predictor, load_for_use
-from gelforge.networks.inference.sensorprofile import (
+from gelforge.reading.frame import reduced
+from gelforge.reading.markers import markers_in
+from gelforge.reading.predictor import Predictor, load_for_use
+from gelforge.reading.profile import (
     Gain,
     check_readings,
     fit_gain,
@@ -30,11 +32,9 @@ from gelforge.networks.inference.sensorprofile import (
     odd_readings,
     write_profile,
 )
-from gelforge.networks.preprocess.imageframe import reduced
 from gelforge.records.film import source_name
 from gelforge.records.forcereading import goes_beyond
 from gelforge.records.image import read_image
-from gelforge.records.markers import markers_in
 from gelforge.records.nocontactimage import nocontact_of
 from gelforge.records.press import check_id, parse_number
 from gelforge.records.regular import real_place, refuse_to_replace

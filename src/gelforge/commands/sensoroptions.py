@@ -4,7 +4,7 @@ from pathlib import Path
 
 from gelforge.commands.camera import camera_mode
 from gelforge.flow.main import option, positive
-from gelforge.networks.checkpoint.modelfile import DEVICES
+from gelforge.reading.model import DEVICES
 
 MODEL = option("--model", type=Path, help="model file (default: the shipped network)", default=None)
 SENSOR = option("--sensor", help="name of the sensor; refused if the model is for another one", default=None)

@@ -14,10 +14,10 @@ from functools import cached_property
 import numpy as np
 
 from gelforge.evidence.imprints import COLS, ROWS, Rest, displaced, likeness
-from gelforge.networks.preprocess.illumination import Light, match_light
-from gelforge.networks.uncertainty.ood import distance, relief
+from gelforge.reading.faults import distance, relief
+from gelforge.reading.light import Light, match_light
+from gelforge.reading.markers import markers_in
 from gelforge.records.image import is_monochrome
-from gelforge.records.markers import markers_in
 
 # Limits of the light. Of 480 frames of real films, 51 real presses of a ball and 48 of the rig, beside their own no-contact images, the
 # pattern is alike to 0.59 and more (0.9 in the median), to 0.625 and more where the light is otherwise, too, as under wide strong

@@ -13,8 +13,8 @@ from gelforge.geometry import touch
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.solids import Indenter
 from gelforge.labelling.sensor import Sensor
-from gelforge.networks.preprocess.illumination import Light, Reference
-from gelforge.records.markers import dark_spots
+from gelforge.reading.light import Light, Reference
+from gelforge.reading.markers import dark_spots
 from gelforge.records.press import Press
 
 ROWS, COLS = 30, 40

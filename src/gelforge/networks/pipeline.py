@@ -16,7 +16,6 @@ from gelforge.flow.files import publish
 from gelforge.flow.layout import beside
 from gelforge.flow.params import plain
 from gelforge.flow.params.tables import TrainingTable
-from gelforge.networks.checkpoint.modelfile import ForceModel, model_of, save_model
 from gelforge.networks.checkpoint.onnxexport import export
 from gelforge.networks.checkpoint.weights import save_weights
 from gelforge.networks.data.arrays import (
@@ -32,6 +31,7 @@ from gelforge.networks.evaluation.fitting import set_intervals, set_limits, unal
 from gelforge.networks.models.inputs import needs_nocontact
 from gelforge.networks.models.registry import parameter_count
 from gelforge.networks.training.loop import Training, device_of, fit, mixes_precision, require_judges, scales_before
+from gelforge.reading.model import ForceModel, model_of, save_model
 from gelforge.records.axes import CHANNELS
 from gelforge.records.networkkind import kind_of
 from gelforge.records.samplefile import TRAINING, VALIDATION

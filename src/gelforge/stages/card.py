@@ -22,8 +22,8 @@ SHIP = option(
 
 @stage(Layout.card, MEASURED, SHIP)
 def main(args: Namespace) -> None:
-    from gelforge.networks.checkpoint.modelfile import ForceModel, fingerprint, load_model, save_model
-    from gelforge.networks.inference.predictor import SHIPPED
+    from gelforge.reading.model import ForceModel, fingerprint, load_model, save_model
+    from gelforge.reading.predictor import SHIPPED
 
     of = args.of
     network = SHIPPED if args.model == SHIPS else of.network(args.resolution, args.model)

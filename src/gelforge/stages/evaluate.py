@@ -51,10 +51,10 @@ def paper_table(result: dict) -> str:
 
 @stage(Layout.evaluation)
 def main(args: Namespace) -> None:
-    from gelforge.networks.checkpoint.modelfile import load_model
     from gelforge.networks.data.arrays import open_data
     from gelforge.networks.evaluation.evaluation import evaluate
-    from gelforge.networks.inference.predictor import SHIPPED
+    from gelforge.reading.model import load_model
+    from gelforge.reading.predictor import SHIPPED
 
     of = args.of
     data = open_data(of.dataset(args.resolution))

@@ -29,7 +29,7 @@ from gelforge.geometry.gel import use_gels_of
 from gelforge.geometry.indenters import bodies_of, build
 from gelforge.geometry.solids import Body
 from gelforge.labelling.sensor import sensor_of
-from gelforge.networks.preprocess.imageframe import BLUE_FIRST, image_frame
+from gelforge.reading.frame import BLUE_FIRST, image_frame
 from gelforge.records.log import read_poses
 from gelforge.records.press import SENSOR_TABLES, PosedPress
 

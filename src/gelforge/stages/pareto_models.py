@@ -73,14 +73,14 @@ def choose(rows: list[dict]) -> dict | None:
 
 
 def measure(models: dict, image, seconds: float) -> dict[str, dict[str, dict]]:
-    """Latency of models by name (networks.checkpoint.modelfile.ForceModel), with one and two CPU threads, and on CUDA if there.
+    """Latency of models by name (reading.model.ForceModel), with one and two CPU threads, and on CUDA if there.
 
     image: (h, w, 3) uint8. It serves as no-contact image too: no time depends on what that shows.
     """
     import onnxruntime
 
     from gelforge.networks.evaluation.predicted import time_predictors
-    from gelforge.networks.inference.predictor import Predictor
+    from gelforge.reading.predictor import Predictor
 
     runs = {"cpu1": ("cpu", 1), "cpu2": ("cpu", 2)}
     if "CUDAExecutionProvider" in onnxruntime.get_available_providers():
@@ -104,8 +104,8 @@ def fronts_of(rows: list[dict]) -> dict[str, set[str]]:
 
 @stage(Layout.network_chart, option("models", nargs="+", help="names of evaluated networks"))
 def main(args: Namespace) -> None:
-    from gelforge.networks.checkpoint.modelfile import load_model
     from gelforge.networks.data.arrays import open_data
+    from gelforge.reading.model import load_model
 
     of, resolution = args.of, args.resolution
     evaluations = {name: read_json(of.evaluation(resolution, name)) for name in args.models}

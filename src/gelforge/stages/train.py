@@ -50,8 +50,8 @@ def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None
 def main(args: Namespace) -> None:
     from gelforge.networks.checkpoint.weights import load_weights
     from gelforge.networks.data.arrays import open_data
-    from gelforge.networks.inference.predictor import SHIPPED
     from gelforge.networks.pipeline import Start, save_trained
+    from gelforge.reading.predictor import SHIPPED
     from gelforge.reporting.networkcharts import draw_curve
 
     of = args.of

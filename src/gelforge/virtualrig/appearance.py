@@ -7,7 +7,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_toml
-from gelforge.records.markers import markers_in
+from gelforge.reading.markers import markers_in
 
 COLOURS = ("red", "green", "blue")
 WIDTH, HEIGHT = 320, 240

@@ -14,9 +14,9 @@ from gelforge.commands.projection import read_picture
 from gelforge.errors import BadInput
 from gelforge.formats.mcap_messages import messages
 from gelforge.formats.numpy_pickle import read_npy
-from gelforge.networks.checkpoint.modelfile import load_model, property_of
-from gelforge.networks.inference.predictor import load_for_use
-from gelforge.networks.uncertainty.ood import LIMITS
+from gelforge.reading.faults import LIMITS
+from gelforge.reading.model import load_model, property_of
+from gelforge.reading.predictor import load_for_use
 from gelforge.records import log
 from gelforge.records.film import open_source
 from gelforge.records.image import bad_image, read_image

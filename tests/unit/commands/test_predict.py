@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 
 from gelforge.commands import predict
-from gelforge.networks.inference.predictor import Predictor
-from gelforge.networks.preprocess.pair import Prepared
-from gelforge.networks.preprocess.wear import darkness_of, grey_of
-from gelforge.networks.uncertainty import ood
+from gelforge.reading import faults as ood
+from gelforge.reading.markers import darkness_of, grey_of
+from gelforge.reading.pair import Prepared
+from gelforge.reading.predictor import Predictor
 from gelforge.reporting import forcemaps
 from tests.support.limited import small_disk
 from tests.support.refused import refused

@@ -14,7 +14,7 @@ from gelforge.labelling.grid import Grid
 from gelforge.labelling.homography import fit_homography
 from gelforge.labelling.operator import assemble
 from gelforge.labelling.sensor import check_projection, check_scale, find_sensor, load_sensors, transform
-from gelforge.records.markers import find_markers
+from gelforge.reading.markers import markers_in
 from gelforge.virtualrig.units import read_ranges
 from tests.support.patch import irregular_surface
 from tests.support.refused import refused
@@ -172,11 +172,11 @@ def test_points_of_another_picture_or_unit_are_refused():
 
 
 def test_the_markers_of_reference_images(reference):
-    found = find_markers(read_npy(reference / "feats/images/nocontact_train_sensor.npy")["gs_img"], 7, 9)
+    found = markers_in(read_npy(reference / "feats/images/nocontact_train_sensor.npy")["gs_img"]).grid(7, 9)
     assert found.count == 63 and not len(found.missing)
     assert found.pitch == pytest.approx([32.9, 31.4], abs=0.3)
     assert found.diameter == pytest.approx(11.6, abs=1.0) and abs(found.rotation) < 0.5
-    pressed = find_markers(cv2.imread(str(reference / "feats/images/cuboid_10-2-284.png"))[..., ::-1], 7, 9)
+    pressed = markers_in(cv2.imread(str(reference / "feats/images/cuboid_10-2-284.png"))[..., ::-1]).grid(7, 9)
     assert pressed.count == 63 and pressed.pitch == pytest.approx([33.6, 32.9], abs=0.5)
 
 
@@ -206,7 +206,7 @@ def test_drawn_markers_are_found():
         ((32.9, 31.4), 0.5, (158, 121), tuple((r, 4) for r in range(7)), ()),
     ):
         image, index, places = draw_markers(pitch, turn, centre, missing=missing, specks=specks)
-        found = find_markers(image, 7, 9)
+        found = markers_in(image).grid(7, 9)
         assert {tuple(i) for i in found.missing.tolist()} == set(missing)
         true = {tuple(i): p for i, p in zip(index.tolist(), places, strict=True)}
         off = [np.hypot(*(p - true[tuple(i)])) for i, p in zip(found.index.tolist(), found.points, strict=True)]
@@ -222,7 +222,7 @@ def test_images_without_a_grid_are_refused():
         np.random.default_rng(0).integers(0, 255, (240, 320, 3), np.uint8),
     )
     for image in (flat, noise, draw_markers((32.9, 31.4), 0, (160, 120), missing=few)[0]):
-        refused("image without contact", find_markers, image, 7, 9, "empty.png")
+        refused("image without contact", markers_in(image).grid, 7, 9, "empty.png")
 
 
 def test_a_unit_is_calibrated_from_one_image(root):

@@ -15,7 +15,7 @@ from gelforge.formats.export import ros
 from gelforge.formats.mcap_import import Topics, pair, picture
 from gelforge.formats.mcap_messages import messages
 from gelforge.formats.numpy_pickle import read_npy
-from gelforge.networks.checkpoint.modelfile import load_model
+from gelforge.reading.model import load_model
 from gelforge.records.forcefile import ForceFile, SampleForces, write_forces
 from gelforge.records.image import read_image
 from gelforge.records.labelfile import read_labels
@@ -110,7 +110,7 @@ def whole(tmp_path_factory, root):
     recording(folder / "r.mcap")
     found["mcap"] = (folder / "r.mcap").read_bytes(), [recorded]
     found["log"] = LOG.encode(), [log_rows, read_poses, read_samples, rejected_rows]
-    found["model"] = (root / "src/gelforge/networks/weights/default.onnx").read_bytes(), [load_model]
+    found["model"] = (root / "src/gelforge/reading/weights/default.onnx").read_bytes(), [load_model]
     return found
 
 

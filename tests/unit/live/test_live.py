@@ -24,7 +24,7 @@ from gelforge.commands import live
 from gelforge.errors import BadInput
 from gelforge.live.recording import CsvTable, McapRecording
 from gelforge.live.topics import RosMessages
-from gelforge.networks.inference.predictor import Predictor, load_for_use
+from gelforge.reading.predictor import Predictor, load_for_use
 from gelforge.records.film import Film, open_source
 from gelforge.records.image import decode
 from gelforge.records.nocontactimage import SETTLING

@@ -19,7 +19,7 @@ from gelforge.networks.evaluation.evaluation import (
 )
 from gelforge.networks.evaluation.metrics import error_table, slope
 from gelforge.networks.evaluation.predicted import predict_rows
-from gelforge.networks.inference.predictor import Predictor
+from gelforge.reading.predictor import Predictor
 from gelforge.records.axes import CHANNELS
 from gelforge.records.predictionfile import read_predictions
 from gelforge.reporting.errortables import tables

@@ -9,12 +9,12 @@ from gelforge.geometry.gel import USUAL_GEL, Gel
 from gelforge.networks.checkpoint.weights import load_weights
 from gelforge.networks.data.arrays import open_data
 from gelforge.networks.evaluation.fitting import set_limits
-from gelforge.networks.inference.predictor import SHIPPED
 from gelforge.networks.pipeline import Start
-from gelforge.networks.uncertainty.ood import relief, relief_fault
+from gelforge.reading.faults import relief, relief_fault
+from gelforge.reading.markers import markers_in
+from gelforge.reading.predictor import SHIPPED
 from gelforge.records.image import read_image
 from gelforge.records.log import read_presses
-from gelforge.records.markers import markers_in
 from gelforge.stages.train import train
 from gelforge.virtualrig.render import Renderer
 from gelforge.virtualrig.rigplan import DrawnUnits

@@ -14,7 +14,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_csv, write_text
 from gelforge.networks.data.arrays import open_data
 from gelforge.networks.data.split import group_presses, split_presses
-from gelforge.networks.preprocess.illumination import match_light
+from gelforge.reading.light import match_light
 from gelforge.records.press import repeats
 from gelforge.stages.dataset import published_splits
 from tests.support.parameters import with_values

@@ -10,7 +10,7 @@ from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solvers.hex import HexSolver
-from gelforge.records.markers import markers_in
+from gelforge.reading.markers import markers_in
 from gelforge.records.press import Press
 from gelforge.virtualrig.appearance import read_appearances
 from gelforge.virtualrig.bench import SETTINGS

@@ -12,8 +12,8 @@ from gelforge.flow.params import read_sensor_tables
 from gelforge.flow.params.schema import kinds_of, split
 from gelforge.geometry.gel import USUAL_GEL, Gel
 from gelforge.labelling.sensor import check_projection, sensors_of
-from gelforge.networks.preprocess.illumination import match_light
-from gelforge.records.markers import find_markers, markers_in
+from gelforge.reading.light import match_light
+from gelforge.reading.markers import markers_in
 from gelforge.stages.rig import altered_pictures
 from gelforge.virtualrig.appearance import read_appearances
 from gelforge.virtualrig.render import Renderer
@@ -61,7 +61,7 @@ def test_markers_are_found_where_the_sensor_has_them(drawn):
         check_projection(sensor.projection, name)
         unworn = replace(appearance, drift=replace(appearance.drift, worn=0.0))
         picture = Renderer(unworn, sensor.projection, Gel()).image(rng=np.random.default_rng(1))
-        found = find_markers(picture, sensor.markers["rows"], sensor.markers["cols"], name)
+        found = markers_in(picture).grid(sensor.markers["rows"], sensor.markers["cols"], name)
         whole = {tuple(index) for index in found.index.tolist()}
         assert found.count >= 0.85 * len(appearance.markers) and len(whole) == found.count
         nearest = np.sqrt(((found.points[:, None] - appearance.markers[None]) ** 2).sum(axis=2)).min(axis=1)

@@ -1,7 +1,7 @@
 """A trained network as an ONNX graph, checked against torch before anything is made of it.
 
 The graph takes `image` (n, height, width, 3) uint8 RGB and, where the network reads pairs, `nocontact`, both as
-`networks.preprocess.pair` prepares them, and gives `forces` (n, 3, rows, cols), N per cell. Scales are inside, and so is
+`reading.pair` prepares them, and gives `forces` (n, 3, rows, cols), N per cell. Scales are inside, and so is
 test-time augmentation, where the network learnt from mirrored pictures: the mean over a picture and the same rotated by 180
 degrees, whose sideways force is reversed and whose cells trade places (Krizhevsky, Sutskever and Hinton 2012, NeurIPS 25,
 section 4.1, average so over parts and mirror images of a picture). One that learnt from its sensor's light alone knows no other.
@@ -16,8 +16,8 @@ import torch
 from torch import nn
 
 from gelforge.errors import GelforgeError
-from gelforge.networks.checkpoint.modelfile import Graph
 from gelforge.networks.models.inputs import needs_nocontact, network_input
+from gelforge.reading.model import Graph
 
 OPSET = 17
 OUTPUT = "forces"

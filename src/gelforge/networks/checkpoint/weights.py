@@ -7,8 +7,8 @@ from typing import Any
 from torch import nn
 
 from gelforge.errors import BadInput
-from gelforge.networks.checkpoint.modelfile import KEY
 from gelforge.networks.models.registry import build
+from gelforge.reading.model import KEY
 from gelforge.records.regular import file_fault
 
 

@@ -11,7 +11,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
 from gelforge.flow.layout import command_for
 from gelforge.networks.models.inputs import needs_nocontact
-from gelforge.networks.preprocess.illumination import Light, match_light
+from gelforge.reading.light import Light, match_light
 from gelforge.records.press import PressRecord
 from gelforge.records.rowfile import ChainedRows, RowFile, Rows, map_array
 from gelforge.records.samplefile import TRAINING, UNSEEN_BOTH, UNSEEN_SENSOR, VALIDATION, DatasetSample, read_samples

@@ -7,11 +7,11 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.params.tables import EvaluateTable
-from gelforge.networks.checkpoint.modelfile import ForceModel, datasets_of
 from gelforge.networks.data.arrays import Data, press_keys
 from gelforge.networks.evaluation import metrics
 from gelforge.networks.evaluation.metrics import contact_table
 from gelforge.networks.evaluation.predicted import Predicted, predict_rows, require_fit
+from gelforge.reading.model import ForceModel, datasets_of
 from gelforge.records.axes import CHANNELS
 from gelforge.records.press import FORCE
 from gelforge.records.samplefile import TRAINING

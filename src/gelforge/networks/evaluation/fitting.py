@@ -8,13 +8,10 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.params.tables import TrainingTable
-from gelforge.networks.checkpoint.modelfile import ForceModel
 from gelforge.networks.data.arrays import Data, calibration_rows, press_keys, split_validation
 from gelforge.networks.evaluation.predicted import predict_rows
 from gelforge.networks.models.inputs import needs_nocontact
-from gelforge.networks.preprocess.pair import Preprocessor
-from gelforge.networks.uncertainty.conformal import Errors, fit_intervals
-from gelforge.networks.uncertainty.ood import (
+from gelforge.reading.faults import (
     RELIEF_MARGIN,
     PairDiagnostics,
     fit_to_images,
@@ -23,7 +20,10 @@ from gelforge.networks.uncertainty.ood import (
     relief,
     widened,
 )
-from gelforge.records.markers import markers_in
+from gelforge.reading.interval import Errors, fit_intervals
+from gelforge.reading.markers import markers_in
+from gelforge.reading.model import ForceModel
+from gelforge.reading.pair import Preprocessor
 from gelforge.records.samplefile import TRAINING, VALIDATION
 
 ENOUGH_PAIRS = 200  # pictures that show what good pairs are like
@@ -91,7 +91,7 @@ def usual_rows(data: Data) -> np.ndarray:
 
 
 def good_pairs(metadata: dict[str, Any], data: Data, rows: np.ndarray) -> dict[str, float]:
-    """Limits of what the pairs of some rows are like (networks.uncertainty.ood)."""
+    """Limits of what the pairs of some rows are like (reading.faults)."""
     names = data.names("sensor_id")[rows].tolist()
     prepare = {name: Preprocessor(metadata, data.nocontact[name]) for name in sorted(set(names))}
     pairs: list[PairDiagnostics] = []

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.networks.checkpoint.modelfile import ForceModel, require_sensor
 from gelforge.networks.data.arrays import Data
-from gelforge.networks.inference.predictor import Predictor
+from gelforge.reading.model import ForceModel, require_sensor
+from gelforge.reading.predictor import Predictor
 
 WARM_UP = 5  # runs that are not timed
 

@@ -26,9 +26,9 @@ from gelforge.networks.data.arrays import Data
 from gelforge.networks.data.loader import batches_from, epoch_steps, generator, images_to_tensor, prefetched
 from gelforge.networks.models.inputs import network_input
 from gelforge.networks.models.registry import begin_as, build
-from gelforge.networks.preprocess.imageframe import at_scale
+from gelforge.reading.frame import at_scale
+from gelforge.reading.markers import markers_in
 from gelforge.records.axes import CHANNELS
-from gelforge.records.markers import markers_in
 from gelforge.records.networkkind import kind_of
 from gelforge.records.samplefile import TRAINING, VALIDATION
 

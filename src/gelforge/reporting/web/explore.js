@@ -495,7 +495,7 @@ function provenanceRows(i) {
   if (COLUMNS.split[i]) {
     line("dataset", `${d}/60_dataset/${resolution}/`, "dataset.json", `60_dataset/${resolution}/dataset`, "all presses");
     if (DATA.about.learnt_here) line("network", `${d}/70_train/${resolution}/${model}.onnx`, "train.json", `70_train/${resolution}/${model}`, "all presses");
-    else rows.push(["network", "src/gelforge/networks/weights/default.onnx", "", "", "", "", ""]);
+    else rows.push(["network", "src/gelforge/reading/weights/default.onnx", "", "", "", "", ""]);
     line("evaluation", `${d}/80_evaluate/${resolution}/${model}.json`, "evaluate.json", `80_evaluate/${resolution}/${model}`, "all presses");
   }
   return rows;

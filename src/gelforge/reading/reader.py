@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.networks.inference.predictor import Predictor, load_for_use
-from gelforge.networks.inference.sensorprofile import with_profile
+from gelforge.reading.predictor import Predictor, load_for_use
+from gelforge.reading.profile import with_profile
 from gelforge.records.forcereading import ForceReading
 
 

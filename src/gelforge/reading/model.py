@@ -1,6 +1,6 @@
 """The file that predicts: an ONNX graph with its metadata inside, as JSON of `metadata_props`. Nothing of it is executed.
 
-Its inputs are named after what `networks.preprocess.pair` prepares, its output is `forces`.
+Its inputs are named after what `reading.pair` prepares, its output is `forces`.
 """
 
 import hashlib
@@ -14,8 +14,8 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.layout import command_for
-from gelforge.networks.checkpoint.metadata import check_metadata
 from gelforge.networks.models.inputs import needs_nocontact
+from gelforge.reading.metadata import check_metadata
 from gelforge.records.regular import read_bytes
 
 FORMAT = 6

@@ -6,13 +6,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelforge.networks.inference.predictor import Predictor, load_for_use
-from gelforge.networks.inference.sensorprofile import Gain
-from gelforge.networks.preprocess.illumination import Light
-from gelforge.networks.preprocess.markertracks import COLS, ROWS, MarkerTracker, Tracks
-from gelforge.networks.preprocess.pair import Preprocessor
-from gelforge.networks.uncertainty import ood
-from gelforge.networks.uncertainty.ood import (
+from gelforge.reading import faults as ood
+from gelforge.reading.faults import (
     LIMITS,
     MARGIN,
     MarkerDiagnostics,
@@ -27,9 +22,13 @@ from gelforge.networks.uncertainty.ood import (
     unevenness,
     widened,
 )
+from gelforge.reading.light import Light
+from gelforge.reading.markers import COLS, ROWS, MarkerTracker, Tracks, markers_in
+from gelforge.reading.pair import Preprocessor
+from gelforge.reading.predictor import Predictor, load_for_use
+from gelforge.reading.profile import Gain
 from gelforge.records.image import read_image
 from gelforge.records.log import read_presses
-from gelforge.records.markers import markers_in
 from tests.support.pictures import moved
 
 

@@ -14,8 +14,8 @@ import pytest
 from gelforge.commands import live
 from gelforge.errors import BadInput
 from gelforge.live.reading import readings
-from gelforge.networks.inference.predictor import Predictor
-from gelforge.networks.inference.sensorprofile import Gain, make_profile, write_profile
+from gelforge.reading.predictor import Predictor
+from gelforge.reading.profile import Gain, make_profile, write_profile
 from gelforge.records.film import Frame
 from gelforge.records.nocontactimage import FEWEST, SETTLING, STILL
 from tests.benchmarks import real, real_page

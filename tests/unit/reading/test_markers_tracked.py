@@ -12,16 +12,15 @@ from gelforge.flow.files import read_csv
 from gelforge.networks.checkpoint.weights import load_weights
 from gelforge.networks.data.arrays import open_data
 from gelforge.networks.evaluation.fitting import ENOUGH_PAIRS, usual_rows
-from gelforge.networks.inference.predictor import SHIPPED, Predictor
 from gelforge.networks.pipeline import Start
-from gelforge.networks.preprocess.illumination import match_light
-from gelforge.networks.preprocess.imageframe import ImageFrame
-from gelforge.networks.preprocess.markertracks import MarkerTracker
 from gelforge.networks.training.loop import require_scale, scales_before
+from gelforge.reading.frame import ImageFrame
+from gelforge.reading.light import match_light
+from gelforge.reading.markers import MarkerTracker, markers_in
+from gelforge.reading.predictor import SHIPPED, Predictor
 from gelforge.records.axes import CHANNELS
 from gelforge.records.forcereading import TOTAL_COLUMNS, ForceReading, edge_peak, goes_beyond, total_columns
 from gelforge.records.image import read_image
-from gelforge.records.markers import markers_in
 from gelforge.stages.train import train
 from tests.support.parameters import with_values
 from tests.support.pictures import moved

@@ -7,7 +7,7 @@ from typing import Any
 
 from gelforge.errors import BadInput
 from gelforge.networks.models.inputs import INPUT_CHANNELS, needs_nocontact
-from gelforge.networks.uncertainty.ood import FLOORS, LIMITS
+from gelforge.reading.faults import FLOORS, LIMITS
 from gelforge.records.axes import CHANNELS
 from gelforge.records.networkkind import KINDS, kind_of
 

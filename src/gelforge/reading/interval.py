@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from gelforge.networks.inference.sensorprofile import AS_READ, Gain
+from gelforge.reading.profile import AS_READ, Gain
 from gelforge.records.axes import CHANNELS
 
 HOLDS = 0.9  # fraction of the forces that intervals shall hold

@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.records.markers import Markers, markers_in
+from gelforge.reading.markers import Markers, markers_in
 
 MOST_SIDE = 640  # px: longer side at which markers are looked for, and of the image in a profile
 PITCH_PX = 31.2  # between markers in 320 x 240 of the maker's driver (FEATS' sensor and another one)

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gelforge.networks.preprocess.illumination import ALL, Light
-from gelforge.networks.preprocess.markertracks import COLS, ROWS, MarkerTracker, Tracks
-from gelforge.networks.preprocess.pair import Prepared
-from gelforge.networks.preprocess.wear import darkness_of, grey_of
-from gelforge.records.markers import Markers
+from gelforge.reading.light import ALL, Light
+from gelforge.reading.markers import COLS, ROWS, Markers, MarkerTracker, Tracks, darkness_of, grey_of
+from gelforge.reading.pair import Prepared
 
 # Smallest standard deviation that a statistic is given, so that a uniform training set does not flag
 # what no eye could distinguish: grey levels for the colours, a marker or two for the count.
@@ -297,7 +295,7 @@ ROWS_OF_THREE = _rows_of_three()
 
 
 def unevenness(motion: np.ndarray) -> float:
-    """Lower quartile of how far markers' motions (3, ROWS, COLS) (networks.preprocess.markertracks) depart from the middle of two neighbours', px.
+    """Lower quartile of how far markers' motions (3, ROWS, COLS) (reading.markers) depart from the middle of two neighbours', px.
 
     The quartile, because a contact's edge is uneven, too.
     """

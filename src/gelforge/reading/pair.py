@@ -1,6 +1,6 @@
 """From a picture to what the graph of a model reads: all that ONNX cannot hold, on one page of numpy and OpenCV.
 
-    prepare = Preprocessor(metadata, nocontact)  # metadata: of the model's file (networks.checkpoint.modelfile)
+    prepare = Preprocessor(metadata, nocontact)  # metadata: of the model's file (reading.model)
     session = onnxruntime.InferenceSession("model.onnx")
     given = {one.name: prepare(image).feature(one.name) for one in session.get_inputs()}
     (forces,) = session.run(["forces"], given)  # (1, 3, rows, cols) N per cell
@@ -18,15 +18,18 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.networks.models.inputs import needs_nocontact
-from gelforge.networks.preprocess.illumination import Light, Reference
-from gelforge.networks.preprocess.imageframe import ImageFrame, image_frame
-from gelforge.networks.preprocess.markertracks import MarkerTracker, Tracks, rim_shift, shifted_back
-from gelforge.networks.preprocess.wear import (
+from gelforge.reading.frame import ImageFrame, image_frame
+from gelforge.reading.light import Light, Reference
+from gelforge.reading.markers import (
+    MarkerTracker,
+    Tracks,
     appeared,
     darkness_of,
     grey_of,
     painted_over,
     places_in,
+    rim_shift,
+    shifted_back,
     usual_darkness,
     vanished,
 )

@@ -12,7 +12,9 @@ from hypothesis import strategies as st
 from gelforge.commands import predict, sensor
 from gelforge.errors import BadInput, GelforgeError
 from gelforge.formats.numpy_pickle import read_npy
-from gelforge.networks.inference.sensorprofile import (
+from gelforge.reading.frame import reduced
+from gelforge.reading.markers import markers_in
+from gelforge.reading.profile import (
     Gain,
     SensorProfile,
     check_same_sensor,
@@ -22,9 +24,7 @@ from gelforge.networks.inference.sensorprofile import (
     with_profile,
     write_profile,
 )
-from gelforge.networks.preprocess.imageframe import reduced
 from gelforge.records.image import read_image
-from gelforge.records.markers import markers_in
 from gelforge.records.nocontactimage import FEWEST
 from tests.benchmarks.real import feats_maps
 from tests.support.films import write_film

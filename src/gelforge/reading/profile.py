@@ -17,10 +17,10 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_toml, write_text
-from gelforge.networks.checkpoint.modelfile import fingerprint
-from gelforge.networks.preprocess.imageframe import reduced
+from gelforge.reading.frame import reduced
+from gelforge.reading.markers import markers_in
+from gelforge.reading.model import fingerprint
 from gelforge.records.image import read_image, write_png
-from gelforge.records.markers import markers_in
 
 SPREAD = 0.3  # of a factor's logarithm before any reading: gels, prints and cameras differ by a third
 SCATTER, KNOWN = 0.15, 2.0  # of one reading's logarithm, as two readings would give it before any is made

@@ -7,12 +7,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gelforge.errors import BadInput
-from gelforge.networks.inference.predictor import Predictor
-from gelforge.networks.preprocess.illumination import Reference, match_light
-from gelforge.networks.preprocess.imageframe import ImageFrame, zoom_of
-from gelforge.networks.preprocess.markertracks import OF_CONTACT, MarkerTracker, rim_shift, shifted_back
+from gelforge.reading.frame import ImageFrame, zoom_of
+from gelforge.reading.light import Reference, match_light
+from gelforge.reading.markers import OF_CONTACT, MarkerTracker, markers_in, rim_shift, shifted_back
+from gelforge.reading.predictor import Predictor
 from gelforge.records.image import read_image
-from gelforge.records.markers import markers_in
 from tests.support.pictures import moved
 
 SIZE = (240, 320)

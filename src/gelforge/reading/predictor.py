@@ -9,12 +9,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.networks.checkpoint.modelfile import ForceModel, Graph, load_model, require_sensor
-from gelforge.networks.inference.sensorprofile import AS_READ, Gain
-from gelforge.networks.preprocess.imageframe import BLUE_FIRST
-from gelforge.networks.preprocess.pair import NoContact, Prepared, Preprocessor, at_rest
-from gelforge.networks.uncertainty.conformal import half_widths
-from gelforge.networks.uncertainty.ood import (
+from gelforge.reading.faults import (
     as_arrays,
     monochrome_fault,
     pair_score_fault,
@@ -22,6 +17,11 @@ from gelforge.networks.uncertainty.ood import (
     relief_fault,
     sharpness_fault,
 )
+from gelforge.reading.frame import BLUE_FIRST
+from gelforge.reading.interval import half_widths
+from gelforge.reading.model import ForceModel, Graph, load_model, require_sensor
+from gelforge.reading.pair import NoContact, Prepared, Preprocessor, at_rest
+from gelforge.reading.profile import AS_READ, Gain
 from gelforge.records.forcereading import ForceReading, edge_peak
 
 MOST_VANISHED = 8  # markers, of 63: with so many painted over in both images, nine of ten forces are within 11 %
@@ -29,7 +29,7 @@ MOST_VANISHED = 8  # markers, of 63: with so many painted over in both images, n
 # that nothing else flags none is beyond, of 51 real presses of a ball the largest is 0.8 %.
 MOST_FALL, MOST_COLOUR_FALL = 0.04, 0.055
 LEAST_PULL = 1.0  # N above which a prediction that no contact can make is flagged
-SHIPPED = Path(__file__).parents[1] / "weights/default.onnx"
+SHIPPED = Path(__file__).with_name("weights") / "default.onnx"
 
 
 def load_for_use(path: Path | str | None, sensor: str | None = None) -> ForceModel:
@@ -48,7 +48,7 @@ class Predictor:
     """Predicts the forces in pictures of one sensor, of any size, crop and orientation of its camera.
 
     nocontact: (h, w, 3) uint8 RGB of any size, of the sensor while nothing touches it, where the model needs one. gain: what all
-    forces are multiplied by, of the sensor's profile. device, threads: of onnxruntime (networks.checkpoint.modelfile). fault: what is wrong with the no-contact image, empty for nothing.
+    forces are multiplied by, of the sensor's profile. device, threads: of onnxruntime (reading.model). fault: what is wrong with the no-contact image, empty for nothing.
     """
 
     def __init__(

@@ -127,7 +127,7 @@ def test_a_wheel_holds_every_file_of_the_package(root, wheel):
     package = root / "src"
     there = {str(path.relative_to(package)) for path in (package / "gelforge").rglob("*") if path.is_file()}
     needed = {name for name in there if "__pycache__" not in name and not name.endswith(".md")} | {
-        "gelforge/networks/weights/default.md"
+        "gelforge/reading/weights/default.md"
     }
     assert needed <= set(zipfile.ZipFile(wheel).namelist())
 

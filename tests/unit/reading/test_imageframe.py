@@ -10,10 +10,10 @@ import pytest
 import gelforge
 from gelforge.commands.camera import best_mode, camera_mode, camera_number, cameras, modes_of
 from gelforge.commands.camera import main as camera
-from gelforge.networks.preprocess.imageframe import AS_IT_IS, Orientation, image_frame
+from gelforge.reading.frame import AS_IT_IS, Orientation, image_frame
+from gelforge.reading.markers import markers_in
 from gelforge.records.film import open_source
 from gelforge.records.image import read_image
-from gelforge.records.markers import markers_in
 from tests.support.crops import CROPS, SIX, raw, resized
 from tests.support.films import write_matroska
 from tests.support.refused import refused

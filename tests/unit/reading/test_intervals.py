@@ -5,9 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gelforge.networks.checkpoint.metadata import check_metadata
-from gelforge.networks.inference.sensorprofile import Gain
-from gelforge.networks.uncertainty.conformal import (
+from gelforge.reading.interval import (
     HOLDS,
     LEAST_PICTURES,
     LEAST_PRESSES,
@@ -19,6 +17,8 @@ from gelforge.networks.uncertainty.conformal import (
     real_width,
     usual_error,
 )
+from gelforge.reading.metadata import check_metadata
+from gelforge.reading.profile import Gain
 from gelforge.records.axes import CHANNELS
 from tests.support.refused import refused
 

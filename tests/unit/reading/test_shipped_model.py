@@ -10,8 +10,8 @@ import pytest
 from gelforge.commands import predict
 from gelforge.errors import BadInput
 from gelforge.flow.params.tables import SHIPPED_IMAGE
-from gelforge.networks.checkpoint.modelfile import load_model, require_sensor
-from gelforge.networks.inference.predictor import SHIPPED, Predictor
+from gelforge.reading.model import load_model, require_sensor
+from gelforge.reading.predictor import SHIPPED, Predictor
 from gelforge.records.film import frames, open_source
 from gelforge.records.nocontactimage import nocontact_of
 

@@ -9,16 +9,16 @@ import numpy as np
 import onnxruntime
 import torch
 
-from gelforge.networks.checkpoint.modelfile import FORMAT, Graph, load_model, provider_of, save_model
 from gelforge.networks.checkpoint.onnxexport import Exported, export, sample_pictures
 from gelforge.networks.checkpoint.weights import load_weights
 from gelforge.networks.data.arrays import open_data
 from gelforge.networks.evaluation.predicted import require_fit
-from gelforge.networks.inference.predictor import Predictor
 from gelforge.networks.models.registry import build
 from gelforge.networks.pipeline import save_trained
-from gelforge.networks.preprocess.pair import Preprocessor, at_rest
 from gelforge.networks.training.loop import Training
+from gelforge.reading.model import FORMAT, Graph, load_model, provider_of, save_model
+from gelforge.reading.pair import Preprocessor, at_rest
+from gelforge.reading.predictor import Predictor
 from gelforge.stages.train import train
 from tests.support.limited import limited_python
 from tests.support.parameters import with_values

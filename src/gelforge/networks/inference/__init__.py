@@ -1,1 +1,0 @@
-"""From a picture to a reading, on onnxruntime: the one way that predict, Reader, stream and live share."""
