@@ -18,7 +18,7 @@ Importing this loads nothing else; each name is loaded when it is first used.
 
 from typing import Any as _Any
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"
 __all__ = ["Reader", "Sensor", "label", "predict", "solve"]
 
 _HOMES = {

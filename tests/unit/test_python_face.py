@@ -3,8 +3,6 @@
 import re
 import subprocess
 import sys
-import tomllib
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -194,21 +192,6 @@ def test_importing_loads_nothing_heavy():
     code = "import sys, gelforge; print({'numpy', 'torch', 'scipy', 'cv2'} & sys.modules.keys())"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout == "set()\n"
-
-
-def test_reading_an_image_needs_none_of_what_the_flow_needs():
-    """A robot's computer installs the package alone: without solvers, meshing, statistics and plotting."""
-    about = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
-    absent = about["optional-dependencies"]["flow"]
-    assert not set(absent) & set(about["dependencies"])
-    code = (
-        f"import sys; sys.modules.update(dict.fromkeys({absent!r})); import numpy, gelforge;"
-        "image = numpy.full((240, 320, 3), 128, numpy.uint8);"
-        "print(gelforge.predict(image, nocontact=image)[0].shape)"
-    )
-    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    assert done.stdout.startswith("(3, ")
 
 
 def test_names_complete_before_they_are_loaded():

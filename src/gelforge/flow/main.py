@@ -28,11 +28,12 @@ from gelforge.flow.layout import Layout
 UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT)
 # Packages that only an extra of pyproject.toml installs, by the name of their import.
 EXTRAS = {
+    **dict.fromkeys(("scipy", "numba", "pydantic", "annotated_types"), "solve"),
+    "matplotlib": "plot",
     **dict.fromkeys(
-        ("scipy", "numba", "pypardiso", "pymeshlab", "pytetwild", "pyvista", "vtk", "vtkmodules", "emcee", "arviz_stats", "corner", "jinja2",
-         "tqdm", "matplotlib", "torch", "safetensors", "pydantic", "annotated_types"),
-        "flow",
+        ("pypardiso", "pymeshlab", "pytetwild", "pyvista", "vtk", "vtkmodules", "emcee", "arviz_stats", "corner", "jinja2"), "flow"
     ),
+    **dict.fromkeys(("torch", "safetensors", "tqdm"), "train"),
     **dict.fromkeys(("mcap_ros2", "rerun", "pyarrow", "webdataset", "h5py"), "exports"),
     **dict.fromkeys(("foxglove", "mcap"), "live"),
     "huggingface_hub": "hub",

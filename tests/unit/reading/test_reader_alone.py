@@ -12,6 +12,7 @@ from importlib.metadata import version
 import cv2
 import pytest
 
+import gelforge
 from gelforge.commands.gelforge import COMMANDS
 from gelforge.flow.main import EXTRAS
 from tests.support.films import write_film
@@ -41,6 +42,11 @@ ONE_SENTENCE = re.compile(
 )
 
 
+def bare(requirement):
+    """Name of a requirement, without its extras and versions."""
+    return re.split(r"[\[<>= ]", requirement)[0]
+
+
 def alone(*runs):
     """[(exit code, lines)] of commands run one after the other without the extras' packages."""
     program = ALONE.format(blocked=sorted(EXTRAS), runs=[list(map(str, words)) for words in runs])
@@ -54,12 +60,13 @@ def alone(*runs):
 
 def test_every_package_of_an_extra_is_known_with_an_extra_that_brings_it(root):
     project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    base = {re.split(r"[\[<>= ]", name)[0] for name in project["dependencies"]}
+    base = set(map(bare, project["dependencies"]))
     brought = {}
-    for extra in ("flow", "train", "exports", "live", "hub"):
-        for package in project["optional-dependencies"][extra]:
+    for extra in ("solve", "plot", "flow", "train", "exports", "live", "hub"):
+        for package in map(bare, project["optional-dependencies"][extra]):
             for name in MODULES.get(package, [package.replace("-", "_")]):
                 brought.setdefault(name, set()).add(extra)
+    assert brought.pop("gelforge") == {"flow"}
     assert not base & brought.keys() and EXTRAS.keys() == brought.keys()
     assert all(extra in brought[name] for name, extra in EXTRAS.items())
 
@@ -98,7 +105,7 @@ def test_python_names_the_extra_that_solve_and_label_need():
     for call in (solve, label):
         done = subprocess.run([sys.executable, "-c", program + call], capture_output=True, text=True)
         said = done.stderr.splitlines()[-1].replace("ModuleNotFoundError", "error")
-        assert ONE_SENTENCE.fullmatch(said) and "[flow]" in said, done.stderr[-1500:]
+        assert ONE_SENTENCE.fullmatch(said) and "[solve]" in said, done.stderr[-1500:]
 
 
 def test_the_example_that_reads_a_film_needs_no_extra(root):
@@ -106,6 +113,23 @@ def test_the_example_that_reads_a_film_needs_no_extra(root):
     program += f"runpy.run_path({str(root / 'workflow/examples/06_read_a_film.py')!r}, run_name='__main__')"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.returncode == 0 and len(done.stdout.splitlines()) == 6, done.stderr[-1500:]
+
+
+def test_one_version_stands_everywhere(root):
+    """A release is tagged vVERSION; package, citation and change log say the same."""
+    citation = (root / "CITATION.cff").read_text(encoding="utf-8")
+    changes = re.findall(r"^## v(\S+)", (root / "CHANGELOG.md").read_text(encoding="utf-8"), re.MULTILINE)
+    assert re.findall(r"^version: (\S+)$", citation, re.MULTILINE) == [gelforge.__version__] == changes[:1]
+
+
+def test_solve_and_label_work_with_their_extra_alone():
+    """What `pip install '.[solve]'` does not bring is as if not installed."""
+    absent = sorted(name for name, extra in EXTRAS.items() if extra != "solve")
+    program = f"import sys\nfor name in {absent!r}:\n    sys.modules[name] = None\nimport gelforge\n"
+    program += "press = gelforge.solve({'kind': 'sphere', 'diameter': 10, 'height': 10}, depth=0.1)\n"
+    program += "print(press.total[2] - gelforge.label(press)[2].sum())"
+    done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
+    assert done.returncode == 0 and abs(float(done.stdout)) < 1e-9, done.stderr[-1500:]
 
 
 @pytest.fixture(scope="module")
