@@ -1,16 +1,19 @@
 """Where an image stands: from a camera's image of any size, crop and orientation to what a network reads.
 
-    frame, markers = image_frame(nocontact, (240, 320), metadata.get("pitch_px"))  # once for each sensor
+    frame, markers = image_frame(nocontact, (240, 320), learnt)  # once for each sensor
     framed = frame(image)  # turned, cropped, resized, and zoomed about its middle
 
-The no-contact image shows all of it: its markers, which are printed alike on every gel, give scale and middle; the light behind
-them and the coloured fringes that the three lights leave around them give the orientation, and whether it is mirrored.
+A network learns from images as its sensors logged them. What their no-contact images show of the camera is `Learnt`, which the model
+keeps: any other camera is brought to that view, and those that it learnt from stay as they are. The no-contact image shows all of it:
+its markers, which are printed alike on every gel, give scale and middle; the light behind them and the coloured fringes that the
+three lights leave around them give the orientation, and whether it is mirrored.
 """
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -74,6 +77,53 @@ class Orientation:
 
 
 AS_IT_IS = Orientation()
+
+
+@dataclass(frozen=True)
+class View:
+    """How a no-contact image shows the gel: first moments (3, 2) of its light and of the fringes of its markers."""
+
+    light: np.ndarray
+    fringes: np.ndarray
+
+    def agrees(self, seen: "View", way: Orientation) -> list[float]:
+        """Correlation of these moments with those of another image once it is turned; of light alone where it has no fringes."""
+        compared = [(self.light, seen.light)]
+        if np.linalg.norm(seen.fringes) >= LEAST_FRINGES:
+            compared.append((self.fringes, seen.fringes))
+        return [_correlation(own, way.moments(other)) for own, other in compared]
+
+
+@dataclass(frozen=True)
+class Learnt:
+    """How the no-contact images show the gel that a network learnt beside, px at the size that it reads.
+
+    usual: distance of their markers, 0 where they have none. pitch: least and largest distance; None bounds nothing. grid: rows and
+    columns of markers. views: of cameras, such that each of those sensors lies as one of them.
+    """
+
+    usual: float
+    pitch: tuple[float, float] | None
+    grid: tuple[int, int]
+    views: tuple[View, ...]
+
+    def table(self) -> dict[str, Any]:
+        """As a model file keeps it."""
+        return {
+            "usual_px": self.usual,
+            "pitch_px": list(self.pitch or ()),
+            "grid": list(self.grid),
+            "views": [[np.round(one, 6).tolist() for one in (view.light, view.fringes)] for view in self.views],
+        }
+
+    @classmethod
+    def of(cls, table: Mapping[str, Any]) -> "Learnt":
+        """From what a model file keeps."""
+        pitch = (table["pitch_px"][0], table["pitch_px"][1]) if table["pitch_px"] else None
+        views = tuple(View(np.array(light, float), np.array(fringes, float)) for light, fringes in table["views"])
+        return cls(table["usual_px"], pitch, (table["grid"][0], table["grid"][1]), views)
+
+
 WHOLE = (0.0, 0.0, 1.0, 1.0)
 BLUE_FIRST = "red and blue seem to be exchanged in the no-contact image: give all images in RGB, not in OpenCV's BGR"
 
@@ -148,6 +198,11 @@ class ImageFrame:
         )
 
     @property
+    def as_logged(self) -> bool:
+        """Whether images stay as they are but for their size."""
+        return (self.orientation, self.part, self.zoom) == (AS_IT_IS, WHOLE, 1.0)
+
+    @property
     def shows_rim(self) -> bool:
         """Whether images are at the network's scale without a zoom, and so show the gel's rim."""
         return self.zoom == 1.0
@@ -183,29 +238,75 @@ def reduced(image: np.ndarray) -> np.ndarray:
     return cv2.resize(image, size, interpolation=cv2.INTER_AREA)
 
 
+def of_minis(size: tuple[int, int]) -> Learnt:
+    """The view of GelSight Minis by their maker's driver, at a size (rows, cols), px."""
+    return Learnt(PITCH_PX * size[1] / OF_WIDTH, None, GRID, (View(LIGHT, FRINGES),))
+
+
+def learnt_from(pictures: Iterable[np.ndarray], before: Learnt | None = None) -> Learnt:
+    """What a network learnt from the sensors of some no-contact images (h, w, 3) uint8 RGB of one size.
+
+    before: what the network knew that it goes on from.
+    """
+    pitches, grids, found, shape = list(before.pitch or ()) if before else [], [], [], (1, 1)
+    for picture in pictures:
+        shape = picture.shape[:2]
+        markers = markers_in(picture)
+        if markers.pitch:
+            pitches.append(markers.pitch)
+            grids.append(
+                tuple((np.ptp(markers.lattice[0], axis=0) + 1).tolist()) if len(markers.lattice[1]) else GRID
+            )
+            found.append(view_of(picture, markers, markers.pitch))
+    usual = before.usual if before and before.usual else float(np.median(pitches)) if pitches else 0.0
+    grid = before.grid if before else max(sorted(set(grids)), key=grids.count, default=GRID)
+    views = list(before.views) if before else []
+    if found and not views:
+        views = [View(*(_mean_of([getattr(one, what) for one in found]) for what in ("light", "fringes")))]
+    learnt = Learnt(usual, (min(pitches), max(pitches)) if pitches else None, (grid[0], grid[1]), tuple(views))
+    for _ in found:  # a view that is added may turn another sensor; in the worst case each has its own
+        turned = [one for one in found if _orientation(one, learnt.views, (shape, shape)) != AS_IT_IS]
+        if not turned:
+            break
+        learnt = replace(learnt, views=(*learnt.views, turned[0]))
+    return learnt
+
+
+def _mean_of(moments: list[np.ndarray]) -> np.ndarray:
+    mean = np.mean(moments, axis=0)
+    return np.asarray(mean / max(float(np.linalg.norm(mean)), 1e-9))
+
+
+def view_of(image: np.ndarray, markers: Markers, pitch: float) -> View:
+    """How an image (h, w, 3) uint8 RGB shows the gel whose markers are `pitch` px apart."""
+    return View(light_moments(image), fringe_moments(image, markers, pitch))
+
+
 def image_frame(
-    nocontact: np.ndarray, size: tuple[int, int], learnt: Sequence[float] | None = None
+    nocontact: np.ndarray, size: tuple[int, int], learnt: Learnt | None = None
 ) -> tuple[ImageFrame, Markers]:
     """The frame of a camera by its no-contact image (h, w, 3) uint8 RGB, and the markers of that image as they stand in it.
 
-    size: (rows, cols) that the network reads. learnt: least and largest distance px of markers in the images that it learnt from;
-    None leaves the scale as it is. An image without markers is left as it is, and resized whole. One that shows less of the gel than
-    the network's frame is, too, where its shape allows it, and zoomed; one that no zoom brings near enough raises BadInput.
+    size: (rows, cols) that the network reads. learnt: what it learnt from; None: Minis. An image without markers is left as it is, and
+    resized whole. One that shows less of the gel than the network's frame is, too, where its shape allows it, and zoomed; one that no
+    zoom brings near enough raises BadInput.
     """
+    learnt = learnt or of_minis(size)
     small = reduced(nocontact)
     found = markers_in(small)
     on_grid = len(found.lattice[1]) >= max(LEAST_MARKERS, ON_GRID * len(found.points))
-    pitch = found.pitch if on_grid else 0.0
-    orientation = orientation_of(small, found, pitch) if pitch else AS_IT_IS
+    pitch = found.pitch if on_grid and learnt.usual else 0.0
+    orientation = _orientation(view_of(small, found, pitch), learnt.views, (small.shape, size)) if pitch else AS_IT_IS
     height, width = small.shape[1::-1] if orientation.transposed else small.shape[:2]
     part, cut = WHOLE, ""
-    required = PITCH_PX * size[1] / OF_WIDTH
-    if pitch and not (same_shape((height, width), size) and pitch * size[1] / width > (1.0 - UNEVEN) * required):
+    required = learnt.usual
+    least = min((1.0 - UNEVEN) * required, (1.0 - SLACK) * learnt.pitch[0] if learnt.pitch else math.inf)
+    if pitch and not (same_shape((height, width), size) and pitch * size[1] / width > least):
         scale, driver = pitch / required, width * (1.0 - 2.0 * DRIVER_CROP) / size[1]
         as_driver = abs(scale / driver - 1.0) < UNEVEN
         cut = "cropped as the maker's driver does" if as_driver else "cropped by their markers"
         turned = ImageFrame((height, width), small.shape[:2], orientation).markers(found, small.shape)
-        part = _part((height, width), turned, driver if as_driver else scale, size)
+        part = _part((height, width), turned, driver if as_driver else scale, size, learnt.grid)
     (rows, cols), done = nocontact.shape[:2], [str(orientation), cut]
     if (rows, cols) != tuple(size):
         done.append(f"scaled to {size[1]} x {size[0]}")
@@ -221,7 +322,7 @@ def image_frame(
     )
     as_it_is = (orientation, part, small.shape[:2]) == (AS_IT_IS, WHOLE, tuple(size))
     markers = found if as_it_is else frame.markers(found, small.shape)
-    zoom = zoom_of(markers.pitch, learnt) if learnt else 1.0
+    zoom = zoom_of(markers.pitch, learnt.pitch) if learnt.pitch and learnt.usual else 1.0
     if zoom != 1.0:
         red, green, blue = np.rint(frame(nocontact).mean(axis=(0, 1))).tolist()
         frame = replace(frame, zoom=zoom, fill=(red, green, blue))
@@ -255,7 +356,7 @@ def zoom_of(pitch: float, learnt: Sequence[float]) -> float:
 
 
 def _part(
-    shape: tuple[int, int], markers: Markers, scale: float, size: tuple[int, int]
+    shape: tuple[int, int], markers: Markers, scale: float, size: tuple[int, int], grid: tuple[int, int]
 ) -> tuple[float, float, float, float]:
     """The part of a turned image of a shape (h, w) that the network's frame shows, smaller where the image does not reach so far.
 
@@ -268,35 +369,39 @@ def _part(
     u, v = width / 2, height / 2
     index, used = markers.lattice
     extent = np.ptp(index, axis=0) + 1 if len(used) else np.zeros(2)
-    if tuple(extent) == GRID and len(used) >= 0.8 * math.prod(GRID):
+    if tuple(extent) == grid and len(used) >= 0.8 * math.prod(grid):
         design = np.column_stack([np.ones(len(index)), index])
         model = np.linalg.lstsq(design, markers.points[used], rcond=None)[0]
-        grid = np.array([1.0, *(index.min(axis=0) + (extent - 1) / 2)]) @ model
-        if math.dist(grid, (u, v)) > markers.pitch:
-            u, v = grid.tolist()
+        middle = np.array([1.0, *(index.min(axis=0) + (extent - 1) / 2)]) @ model
+        if math.dist(middle, (u, v)) > markers.pitch:
+            u, v = middle.tolist()
     left, top = min(max(u - across / 2, 0.0), width - across), min(max(v - along / 2, 0.0), height - along)
     return left / width, top / height, (left + across) / width, (top + along) / height
 
 
-def orientation_of(image: np.ndarray, markers: Markers, pitch: float) -> Orientation:
-    """How a no-contact image (h, w, 3) uint8 RGB must be turned to lie as networks know it; as it is where nothing is sure."""
-    height, width = image.shape[:2]
-    compared = [(LIGHT, light_moments(image))]
-    fringes = fringe_moments(image, markers, pitch)
-    if np.linalg.norm(fringes) >= LEAST_FRINGES:
-        compared.append((FRINGES, fringes))
-    upright, across = height > (1 + SQUARE) * width, width > (1 + SQUARE) * height
+def _orientation(seen: View, views: Sequence[View], shapes: tuple[Sequence[int], Sequence[int]]) -> Orientation:
+    """How an image must be turned to lie as those that a network learnt from; as it is where nothing is sure.
+
+    shapes: of the image and of what the network reads, (h, w, ...) each.
+    """
+    quarter = _upright(shapes[0]) * _upright(shapes[1])  # -1: only a quarter turn fits
     found, most = AS_IT_IS, -math.inf
     # as it is first; without fringes both sides look alike: a turned camera is likelier than a mirrored one
     for one in sorted(
         itertools.starmap(Orientation, itertools.product((False, True), repeat=3)), key=lambda o: o.mirrored
     ):
-        if (upright and not one.transposed) or (across and one.transposed):
+        if quarter and one.transposed != (quarter < 0):
             continue
-        agreement = [_correlation(of_minis, one.moments(seen)) for of_minis, seen in compared]
+        agreement = max((view.agrees(seen, one) for view in views), key=sum, default=[0.0])
         if one == AS_IT_IS or (min(agreement) > SURE and sum(agreement) > most + AHEAD):
             found, most = one, sum(agreement)
     return found
+
+
+def _upright(shape: Sequence[int]) -> int:
+    """1 for a shape (h, w, ...) that is wider than high, -1 for one that is higher, 0 for a square one."""
+    height, width = shape[:2]
+    return (width > (1 + SQUARE) * height) - (height > (1 + SQUARE) * width)
 
 
 def _correlation(of_minis: np.ndarray, seen: np.ndarray) -> float:

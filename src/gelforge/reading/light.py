@@ -83,13 +83,17 @@ class Reference:
 
     def normalised(self, image: np.ndarray) -> tuple[np.ndarray, Light]:
         """An image (h, w, 3) uint8 in the same frame under the light of the no-contact image, and what its light was."""
+        light = self.light_of(image[self.shown])
+        return self.under(light, image), light
+
+    def under(self, light: Light, image: np.ndarray) -> np.ndarray:
+        """An image (h, w, 3) uint8 without that change of light."""
         seen = image[self.shown]
-        light = self.light_of(seen)
         if seen.shape == image.shape:
-            return light.undo(image), light
+            return light.undo(image)
         normalised = self.picture.copy()  # what neither shows is the same in both
         normalised[self.shown] = light.undo(seen)
-        return normalised, light
+        return normalised
 
     def fall_of(self, image: np.ndarray, light: Light) -> tuple[float, float]:
         """By which fraction of its level light falls otherwise on an image (h, w, 3) uint8 than on the no-contact image.

@@ -55,6 +55,23 @@ def _intervals(value: Any) -> bool:
     return named and known and all(_numbers(width, 3, -1e-300) for width in widths.values())
 
 
+def _frame(value: Any) -> bool:
+    if not isinstance(value, dict) or not {"usual_px", "pitch_px", "grid", "views"} <= value.keys():
+        return False
+    pitch, views = value["pitch_px"], value["views"]
+    return (
+        _numbers([value["usual_px"]], 1, -1e-300)
+        and (pitch == [] or (_numbers(pitch, 2, 0) and pitch[0] <= pitch[1]))
+        and _sides(value["grid"])
+        and isinstance(views, list)
+        and all(isinstance(view, list) and len(view) == 2 and all(map(_moments, view)) for view in views)
+    )
+
+
+def _moments(value: Any) -> bool:
+    return isinstance(value, list) and len(value) == 3 and all(_numbers(colour, 2) for colour in value)
+
+
 TABLE = "a table", lambda value: isinstance(value, dict)
 NUMBER = "a number", lambda value: _numbers([value], 1)
 POSITIVE = "three numbers above 0", lambda value: _numbers(value, 3, 0)
@@ -91,10 +108,7 @@ PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
 # What may be absent.
 OPTIONAL: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "model.reads": _one_of(INPUT_CHANNELS),
-    "pitch_px": (
-        "two numbers above 0, the larger last",
-        lambda value: _numbers(value, 2, 0) and value[0] <= value[1],
-    ),
+    "frame": ("the view of the cameras that it learnt from", _frame),
     "intervals": ("a table of three numbers from 0 on, by component", _intervals),
     **{f"statistics.{name}": NUMBER for name in LIMITS},
 }
@@ -116,6 +130,8 @@ def check_metadata(metadata: Any, where: str) -> None:
         [statistics.get("largest_distance")], 1, 0
     ):
         raise BadInput(f"{where}: statistics.largest_distance must be a number above 0; train the model again")
+    if needs_nocontact(metadata["normalisation"]["reads"]) and "frame" not in metadata:
+        raise BadInput(f"{where}: frame is missing, by which cameras are compared; train the model again")
     built, scaled = metadata["model"].get("reads", "image"), metadata["normalisation"]["reads"]
     if built != scaled:
         raise BadInput(

@@ -18,7 +18,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.networks.models.inputs import needs_nocontact
-from gelforge.reading.frame import ImageFrame, image_frame
+from gelforge.reading.frame import ImageFrame, Learnt, image_frame
 from gelforge.reading.light import Light, Reference
 from gelforge.reading.markers import (
     MarkerTracker,
@@ -26,6 +26,7 @@ from gelforge.reading.markers import (
     appeared,
     darkness_of,
     grey_of,
+    markers_in,
     painted_over,
     places_in,
     rim_shift,
@@ -35,26 +36,83 @@ from gelforge.reading.markers import (
 )
 
 INPUTS = ("image", "nocontact")  # what the inputs of a graph may be named
+NO_SHIFT = np.zeros(2)
 MOST_WORN = 8  # no-contact images without vanished markers that are kept
 
 
-class NoContact:
-    """A sensor while nothing touches it, as a model reads it: the picture in the model's frame, its light and its markers.
+@dataclass(frozen=True)
+class Change:
+    """What was taken back of an image before a network sees it.
 
-    picture: (h, w, 3) uint8 RGB of any size. fault: what is wrong with its markers, empty for nothing.
+    light: by which it differed from the no-contact image. shift: (2,) px of the gel in its holder. gone: (n,) bool, markers of the
+    no-contact image that it lacks; places: (k, 2) px of these and of markers that it alone shows, all of them painted over.
     """
 
-    def __init__(self, picture: np.ndarray, metadata: Mapping[str, Any]) -> None:
-        rows, cols = metadata["image"]
-        learnt = metadata.get("pitch_px")
-        self.frame, markers = image_frame(picture, (rows, cols), learnt)
+    light: Light
+    shift: np.ndarray
+    gone: np.ndarray
+    places: np.ndarray
+
+
+class NoContact:
+    """A sensor while nothing touches it, as a network reads it: the picture in the network's frame, its light and its markers.
+
+    picture: (h, w, 3) uint8 RGB of any size. size: (rows, cols) that the network reads. learnt: its view; None: pictures stay as they
+    are, as in a dataset that a network learns from. fault: what is wrong with its markers, empty for nothing.
+    """
+
+    def __init__(self, picture: np.ndarray, size: tuple[int, int], learnt: Learnt | None) -> None:
         self.fault = ""
-        if learnt and not markers.pitch:
-            self.fault = "the no-contact image shows no markers, which the network learnt from: it is blurred, or of another gel"
+        if learnt is None:
+            self.frame, markers = ImageFrame(size, size), markers_in(picture)
+        else:
+            self.frame, markers = image_frame(picture, size, learnt)
+            if learnt.usual and not markers.pitch:
+                self.fault = "the no-contact image shows no markers, which the network learnt from: it is blurred, or of another gel"
         self.picture = self.frame(picture)
         self.markers = MarkerTracker(self.picture, markers)
         self.reference = Reference(self.picture, self.frame.shown)
         self._worn: dict[bytes, NoContact] = {}
+
+    def prepared(self, image: np.ndarray, fault: str = "", change: Change | None = None) -> "Prepared":
+        """An image (h, w, 3) uint8 in the network's frame as the network reads it: all that light, mounting and wear do is taken back.
+
+        fault: what is wrong with its shape. change: what is to be taken back, where it is known; else it is found.
+        """
+        if change is not None:
+            worn = self.without(change.gone) if change.gone.any() else self
+            image = shifted_back(image, change.shift) if change.shift.any() else image
+            cleaned = painted_over(image, change.places, self.markers.diameter) if len(change.places) else image
+            return Prepared(image, worn.reference.under(change.light, cleaned), fault, change, worn)
+        found = self._lit(image, fault)
+        if self.frame.shows_rim:  # else it is not known how the gel is mounted
+            shift = rim_shift(self.markers, found.tracks)
+            if shift.any():
+                found = self._lit(shifted_back(image, shift), fault, shift)
+        return self._without_worn(found)
+
+    def _lit(self, image: np.ndarray, fault: str, shift: np.ndarray = NO_SHIFT) -> "Prepared":
+        lit, light = self.reference.normalised(image)
+        change = Change(light, shift, np.zeros(len(self.markers.points), bool), np.zeros((0, 2)))
+        return Prepared(image, lit, fault, change, self)
+
+    def _without_worn(self, found: "Prepared") -> "Prepared":
+        """The same without the markers that only one of the two images shows."""
+        tracks, markers = found.tracks, self.markers
+        if not tracks.unlike.any() and not len(markers.empty):
+            return found
+        gone = vanished(markers, self.darkness, tracks, found.darkness)
+        more = np.zeros((0, 2))
+        if len(markers.empty):
+            more = appeared(markers, self.darkness, self.usual_darkness, tracks, found.darkness)
+        if not gone.any() and not len(more):
+            return found
+        worn = self.without(gone) if gone.any() else self
+        places = np.concatenate([places_in(tracks, markers)[gone], more])
+        lit, light = worn.reference.normalised(painted_over(found.image, places, markers.diameter))
+        assert found.change is not None
+        change = Change(light, found.change.shift, gone, places)
+        return Prepared(found.image, lit, found.fault, change, worn)
 
     @cached_property
     def darkness(self) -> np.ndarray:
@@ -84,19 +142,27 @@ class NoContact:
 
 @dataclass(frozen=True)
 class Prepared:
-    """A picture as the graph of a model reads it, and what was measured on the way.
+    """An image as the graph of a model reads it, and what was taken back on the way.
 
-    image: (h, w, 3) uint8 in the model's frame, registered; lit: under the light of the no-contact image, too, from which its
-    own differed by `light`. fault: what is wrong with its shape. nocontact and light are None beside a model of one picture. vanished:
-    number of markers that only the image or only the no-contact image shows; they are painted over in `lit` and in `nocontact`.
+    image: (h, w, 3) uint8 in the model's frame, registered; lit: under the light of the no-contact image, too. fault: what is wrong
+    with its shape. nocontact and change are None beside a model of one image; that of a no-contact image itself is None, too.
     """
 
     image: np.ndarray
     lit: np.ndarray
     fault: str
-    light: Light | None
+    change: Change | None
     nocontact: NoContact | None
-    vanished: int = 0
+
+    @property
+    def vanished(self) -> int:
+        """How many markers only the image or only the no-contact image shows; they are painted over in `lit` and in `nocontact`."""
+        return 0 if self.change is None else len(self.change.places)
+
+    @property
+    def light(self) -> Light | None:
+        """By which the image differed from the no-contact image."""
+        return None if self.change is None else self.change.light
 
     @cached_property
     def tracks(self) -> Tracks:
@@ -126,7 +192,7 @@ class Prepared:
 
 
 class Preprocessor:
-    """Prepares pictures of one sensor for a model.
+    """Prepares images of one sensor for a model.
 
     metadata: of the model. nocontact: (h, w, 3) uint8 RGB of any size, of the sensor while nothing touches it; BadInput where
     the model needs one and none is given.
@@ -142,7 +208,7 @@ class Preprocessor:
                     "this network compares an image with a no-contact image of the same sensor:"
                     " give it with --nocontact PICTURE or --profile FILE (in Python nocontact=, and profile= of Reader)"
                 )
-            self.nocontact = NoContact(nocontact, metadata)
+            self.nocontact = NoContact(nocontact, (rows, cols), Learnt.of(metadata["frame"]))
             self.frame = self.nocontact.frame
 
     def __call__(self, image: np.ndarray) -> Prepared:
@@ -150,35 +216,7 @@ class Preprocessor:
         framed, fault = self.frame(image), self.frame.fault(image)
         if self.nocontact is None:
             return Prepared(framed, framed, fault, None, None)
-        prepared = self._beside(self.nocontact, framed, fault)
-        if self.frame.shows_rim:  # else it is not known how the gel is mounted
-            shift = rim_shift(self.nocontact.markers, prepared.tracks)
-            if shift.any():
-                prepared = self._beside(self.nocontact, shifted_back(framed, shift), fault)
-        return self._without_worn(prepared, self.nocontact)
-
-    @staticmethod
-    def _without_worn(prepared: Prepared, nocontact: NoContact) -> Prepared:
-        """The same without the markers that only one of the two images shows."""
-        tracks, markers = prepared.tracks, nocontact.markers
-        if not tracks.unlike.any() and not len(markers.empty):
-            return prepared
-        gone = vanished(markers, nocontact.darkness, tracks, prepared.darkness)
-        more = np.zeros((0, 2))
-        if len(markers.empty):
-            more = appeared(markers, nocontact.darkness, nocontact.usual_darkness, tracks, prepared.darkness)
-        if not gone.any() and not len(more):
-            return prepared
-        worn = nocontact.without(gone) if gone.any() else nocontact
-        places = np.concatenate([places_in(tracks, markers)[gone], more])
-        image = painted_over(prepared.image, places, markers.diameter)
-        lit, light = worn.reference.normalised(image)
-        return Prepared(prepared.image, lit, prepared.fault, light, worn, len(places))
-
-    @staticmethod
-    def _beside(nocontact: NoContact, image: np.ndarray, fault: str) -> Prepared:
-        lit, light = nocontact.reference.normalised(image)
-        return Prepared(image, lit, fault, light, nocontact)
+        return self.nocontact.prepared(framed, fault)
 
 
 def at_rest(nocontact: NoContact) -> Prepared:

@@ -278,7 +278,11 @@ HOSTILE = {
     "a limit beyond all numbers": about(statistics__largest_uneven=float("inf")),
     "a limit of four hundred digits": about(statistics__largest_uneven=10**400),
     "intervals that are null": about(intervals=None),
-    "distances of markers that are null": about(pitch_px=None),
+    "no view of cameras": about(frame=None),
+    "distances of markers that are null": about(
+        frame={"usual_px": 31.2, "pitch_px": None, "grid": [7, 9], "views": []}
+    ),
+    "moments of no camera": about(frame={"usual_px": 31.2, "pitch_px": [], "grid": [7, 9], "views": [[1, 2]]}),
     "a name that is a list": about(name=["x"]),
     "another format": about(format=99),
 }

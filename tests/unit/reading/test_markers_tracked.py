@@ -174,8 +174,13 @@ def test_a_fine_tuned_network_holds_the_range_of_all_that_it_learnt_from(seen, s
 def test_a_network_goes_on_to_scales_a_little_beyond_those_it_knows_and_to_no_other(seen):
     """Units drawn from the same ranges as those that it learnt from stand a little beyond them."""
     pitches = [markers_in(picture).pitch for picture in seen.nocontact.values()]
-    require_scale({"name": "other", "pitch_px": [1.03 * max(pitches), 1.1 * max(pitches)]}, seen)
-    refused("px apart", require_scale, {"name": "other", "pitch_px": [1.1 * max(pitches), 1.2 * max(pitches)]}, seen)
+    require_scale({"name": "other", "frame": {"pitch_px": [1.03 * max(pitches), 1.1 * max(pitches)]}}, seen)
+    refused(
+        "px apart",
+        require_scale,
+        {"name": "other", "frame": {"pitch_px": [1.1 * max(pitches), 1.2 * max(pitches)]}},
+        seen,
+    )
     shipped = Start(*load_weights(SHIPPED.with_suffix(".safetensors")))
     nearer = {name: cv2.resize(picture[24:-24, 32:-32], (320, 240)) for name, picture in seen.nocontact.items()}
     other = replace(seen, nocontact=nearer)

@@ -47,8 +47,8 @@ def limits(demo_nocontact, presses):
 
 def preprocessor(picture):
     """Of the shipped network, whose pictures are all at their own scale."""
-    metadata = {name: value for name, value in load_for_use(None).metadata.items() if name != "pitch_px"}
-    return Preprocessor(metadata, picture)
+    metadata = load_for_use(None).metadata
+    return Preprocessor(metadata | {"frame": metadata["frame"] | {"pitch_px": []}}, picture)
 
 
 def relief(picture):

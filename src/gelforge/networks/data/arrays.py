@@ -11,7 +11,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
 from gelforge.flow.layout import command_for
 from gelforge.networks.models.inputs import needs_nocontact
-from gelforge.reading.light import Light, match_light
+from gelforge.reading.pair import Change, NoContact, Prepared
 from gelforge.records.press import PressRecord
 from gelforge.records.rowfile import ChainedRows, RowFile, Rows, map_array
 from gelforge.records.samplefile import TRAINING, UNSEEN_BOTH, UNSEEN_SENSOR, VALIDATION, DatasetSample, read_samples
@@ -40,8 +40,9 @@ class Data:
     splits: dict[str, np.ndarray]
     info: dict
     nocontact: dict[str, np.ndarray]
-    # Lights of the rows that were looked at: they are found once, not in every epoch.
-    _lights: dict[int, Light] = field(default_factory=dict, init=False, repr=False, compare=False)
+    # Sensors, and what is taken back of the rows that were looked at: both are found once, not in every epoch.
+    _sensors: dict[str, NoContact] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _changes: dict[int, Change] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def name(self) -> str:
@@ -91,18 +92,20 @@ class Data:
 
         if not needs_nocontact(reads):
             return self.images[rows]
+        self.require_nocontact(rows)
+        pairs = [self.prepared(int(row), image) for row, image in zip(rows, self.images[rows], strict=True)]
         # OpenCV puts channels side by side several times faster than numpy
-        return np.stack([
-            cv2.merge([self._lit(row, image, beside), beside])
-            for row, image, beside in zip(rows, self.images[rows], self.nocontact_of(rows), strict=True)
-        ])  # fmt: skip
+        return np.stack([cv2.merge([one.lit, one.nocontact.picture]) for one in pairs])
 
-    def _lit(self, row, image: np.ndarray, nocontact: np.ndarray) -> np.ndarray:
-        """The image (height, width, 3) of a row under the light of its no-contact image."""
-        light = self._lights.get(int(row))
-        if light is None:
-            light = self._lights[int(row)] = match_light(image, nocontact)
-        return light.undo(image)
+    def prepared(self, row: int, image: np.ndarray) -> Prepared:
+        """The image (height, width, 3) of a row as prediction prepares it, in the frame in which it was logged."""
+        name = self.table[row].press.sensor_id
+        if name not in self._sensors:
+            self._sensors[name] = NoContact(self.nocontact[name], self.image_size, None)
+        found = self._sensors[name].prepared(image, change=self._changes.get(row))
+        if found.change is not None:
+            self._changes[row] = found.change
+        return found
 
     def presses(self, rows) -> np.ndarray:
         """Identity of the press of some rows, (k,): several images may show one; where unknown, none does."""

@@ -20,6 +20,7 @@ from gelforge.reading.faults import (
     relief,
     widened,
 )
+from gelforge.reading.frame import Learnt, learnt_from
 from gelforge.reading.interval import Errors, fit_intervals
 from gelforge.reading.markers import markers_in
 from gelforge.reading.model import ForceModel
@@ -46,7 +47,7 @@ def unaltered(data: Data) -> Data:
 def set_limits(
     metadata: dict[str, Any], learnt: Data, settings: TrainingTable, before: dict[str, Any] | None
 ) -> dict[str, Any]:
-    """The part of a model's metadata that describes the usual ones of its pictures: `statistics`, and the pitch of their markers.
+    """The part of a model's metadata that describes the usual ones of its pictures: `statistics`, and the view of their cameras.
 
     learnt: all that it learnt from; pictures that were altered set no limits, or a contact in a no-contact image, whose light is
     uneven, too, would pass. before: metadata of the network that it is fine-tuned from, whose limits are widened where few
@@ -54,14 +55,14 @@ def set_limits(
     """
     data = unaltered(learnt)
     reads = metadata["normalisation"]["reads"]
-    pitch = learnt_pitch(learnt, before) if needs_nocontact(reads) else {}
+    frame = {"frame": frame_of(learnt, before).table()} if needs_nocontact(reads) else {}
     rows = usual_rows(data)
-    pairs = good_pairs(metadata | pitch, data, rows) if needs_nocontact(reads) else {}
+    pairs = good_pairs(metadata | frame, data, rows) if needs_nocontact(reads) else {}
     if before is not None and len(data.splits[TRAINING]) < ENOUGH_PAIRS:
         images = (np.ascontiguousarray(data.images[row]) for row in rows)
-        return pitch | {"statistics": widened(before["statistics"], images, pairs)}
+        return frame | {"statistics": widened(before["statistics"], images, pairs)}
     see = appearances(data, reads, settings)
-    return pitch | {"statistics": fit_to_images(see, data.splits[TRAINING], data.splits[VALIDATION]) | pairs}
+    return frame | {"statistics": fit_to_images(see, data.splits[TRAINING], data.splits[VALIDATION]) | pairs}
 
 
 def appearances(data: Data, reads: str, settings: TrainingTable) -> Callable[[int], np.ndarray]:
@@ -104,15 +105,12 @@ def good_pairs(metadata: dict[str, Any], data: Data, rows: np.ndarray) -> dict[s
     }
 
 
-def learnt_pitch(data: Data, before: dict[str, Any] | None) -> dict[str, list[float]]:
-    """Least and largest distance in px of the markers in the no-contact images that training saw, and that `before` knew.
-
-    Nothing where none has markers.
-    """
-    names = set(data.names("sensor_id")[data.splits[TRAINING]].tolist())
-    pitches = [pitch for pitch in (markers_in(data.nocontact[name]).pitch for name in sorted(names)) if pitch]
-    pitches += (before or {}).get("pitch_px", [])
-    return {"pitch_px": [min(pitches), max(pitches)]} if pitches else {}
+def frame_of(data: Data, before: dict[str, Any] | None) -> Learnt:
+    """How the cameras that training saw show the gel, beside those that `before` knew."""
+    names = sorted(set(data.names("sensor_id")[data.splits[TRAINING]].tolist()))
+    return learnt_from(
+        (data.nocontact[name] for name in names), None if before is None else Learnt.of(before["frame"])
+    )
 
 
 def set_intervals(model: ForceModel, data: Data) -> dict[str, Any]:

@@ -19,7 +19,7 @@ class Predicted:
     """What `predict` gives for some rows: forces (n, 3, rows, cols) N and half widths (n, 3) N of the totals' intervals.
 
     half_widths: None where the model knows none. in_place: whether all cells are those of the labels; False where a sensor's
-    pictures were scaled, because then its cells show other places.
+    pictures were scaled or turned, because then its cells show other places.
     """
 
     forces: np.ndarray
@@ -41,7 +41,7 @@ def predict_rows(model: ForceModel, data: Data, rows: np.ndarray) -> Predicted:
         forces[k] = found.cells
         known = known and found.half_width is not None
         widths[k] = found.half_width if known else 0.0
-    return Predicted(forces, widths if known else None, all(one.prepare.frame.shows_rim for one in beside.values()))
+    return Predicted(forces, widths if known else None, all(one.prepare.frame.as_logged for one in beside.values()))
 
 
 def _predictor(model: ForceModel, data: Data, name: str, row: int) -> Predictor:

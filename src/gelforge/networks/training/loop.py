@@ -381,9 +381,9 @@ def require_scale(metadata: dict[str, Any], data: Data) -> None:
 
     It learns scales a little beyond them; its pictures are read as they are from then on.
     """
-    if "pitch_px" not in metadata:
+    if not metadata["frame"]["pitch_px"]:
         return
-    low, high = metadata["pitch_px"]
+    low, high = metadata["frame"]["pitch_px"]
     for name, picture in sorted(data.nocontact.items()):
         pitch = markers_in(picture).pitch
         if not at_scale(pitch, ((1 - FARTHER) * low, (1 + FARTHER) * high)):
