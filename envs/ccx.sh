@@ -23,5 +23,5 @@ if ! find_ccx >/dev/null; then
     done || true
 fi
 found=$(find_ccx || echo none)
-[ "$found" != none ] || echo "CalculiX (ccx) is not here and could not be installed; solves will use fidelity hex."
+[ "$found" != none ] || echo "CalculiX (ccx) is not here and could not be installed; solves will use method label."
 echo "$found" >"$file"

@@ -1,4 +1,4 @@
-# Branch pareto: seconds against error of every fidelity, mesh density and load-step count, on the scenes of
+# Branch pareto: seconds against error of every solver, mesh density and load-step count, on the scenes of
 # workflow/scenes.toml. A full chart is hours of solves; a scene that is cut short resumes at its next method.
 # References are kept in data/, because they are hours of solves; one whose scene or settings changed is solved anew.
 KEPT_REFERENCES := $(wildcard data/fea_challenge/keys.json)
@@ -22,7 +22,7 @@ $(PARETO_QUICK_FILES): $D/pareto/quick/%.json: $P/pareto.json $P/scenes/%.json \
     $(PARETO_QUICK:%=$P/scenes/%.json) $(SCENE_READS)
 	$(call step,gelforge.stages.pareto quick $D $*)
 
-# It also writes workflow/charted.toml, by which [fea] fidelity = "auto" chooses.
+# It also writes workflow/charted.toml, by which [fea] method = "auto" chooses.
 $D/pareto/pareto.json: $(PARETO_FILES)
 	$(call step,gelforge.stages.pareto chart $D)
 

@@ -73,7 +73,7 @@ def solve(
     gel: str = "gelsight_mini",
     c10: float = REFERENCE_C10,
     nu: float = 0.475,
-    quality: str = "draft",
+    method: str = "draft",
     gels: Path | str | None = None,
 ) -> SolvedPress:
     """Press an indenter into a gel, down and then sideways, by finite elements in process; points that touch stick.
@@ -87,7 +87,7 @@ def solve(
         gel: name of a gel; NAME-3.6mm is one of that thickness.
         c10: stiffness of the neo-Hookean gel, MPa.
         nu: its Poisson's ratio, from 0 to below 0.5.
-        quality: "fine", "label", "draft" or "demo", slow to fast.
+        method: "fine", "label" or "draft", slow to fast.
         gels: file of gels of your own, such as workflow/gels.toml; `gel` may then name one of them.
 
     Returns:
@@ -110,7 +110,7 @@ def solve(
             "of them, along gel x and y, for at and for shear, and a depth in mm from 0 on, positive into the gel"
         )
     from gelforge.geometry.indenters import build
-    from gelforge.mechanics.hexsettings import quality as settings
+    from gelforge.mechanics.hexsettings import quality
     from gelforge.mechanics.solvers.hex import HexSolver
 
     body: Any = build("indenter", indenter, "gelforge.solve") if isinstance(indenter, dict) else indenter
@@ -118,7 +118,7 @@ def solve(
         raise BadInput(f"gelforge.solve: indenter = {body!r}: give a body, or a table as in workflow/indenters.toml")
     press = Press(at[0], at[1], 0.0, shear[0], shear[1], -depth, rot_deg)
     with gels_from(gels):
-        result = HexSolver(settings(quality)).solve(Scene(load_gel(gel), Material(nu), body, press))
+        result = HexSolver(quality(method)).solve(Scene(load_gel(gel), Material(nu), body, press))
         mesh = result.mesh_name.mesh() if result.mesh_name else None
     if not result.status.valid or mesh is None:
         raise GelforgeError(f"the press was not solved: {result.evidence.get('reason') or result.status.value}")

@@ -29,7 +29,7 @@ from gelforge.mechanics.mesh.family import MeshFamily, mesh_names
 from gelforge.mechanics.mesh.meshstore import MeshSource
 from gelforge.mechanics.result import Result
 from gelforge.mechanics.scene import Scene
-from gelforge.mechanics.solvers.fidelity import Solvers
+from gelforge.mechanics.solve import Solvers
 from gelforge.records.press import Press
 from gelforge.stages.fea import VERSION
 from gelforge.sweeps import verification
@@ -70,26 +70,26 @@ def mix(plan_file: Path, workflow: Path, count: int, folder: Path) -> list[Order
 
 
 class Side:
-    """Presses solved by one fidelity, each kept in a file of a folder."""
+    """Presses solved by one method, each kept in a file of a folder."""
 
-    def __init__(self, fidelity: str, solvers: Solvers, sensor: Sensor, folder: Path) -> None:
-        self.fidelity, self.solvers, self.sensor, self.folder = fidelity, solvers, sensor, folder
+    def __init__(self, method: str, solvers: Solvers, sensor: Sensor, folder: Path) -> None:
+        self.method, self.solvers, self.sensor, self.folder = method, solvers, sensor, folder
 
     def solve(self, press: Ordered, key: str) -> dict:
         """Seconds, status, method, class, total (3,) N and cells (3, 24, 32) N of a press."""
-        path = self.folder / f"{press.name}.{self.fidelity}.json"
+        path = self.folder / f"{press.name}.{self.method}.json"
         record = read_json(path) if path.exists() else {}
         if record.get("key") != key:
             with Clock() as clock:
-                result = self.solvers.solve(press.scene, self.fidelity)
+                result = self.solvers.solve(press.scene, self.method)
             record = {"key": key, "cpu_seconds": clock.cpu_seconds} | self._outcome(result)
             write_json(path, record)
         return record
 
     def _outcome(self, result: Result) -> dict:
         evidence = result.kept_evidence
-        found = {name: evidence.get(name, "") for name in ("class", "way", "reason")}
-        found |= {"status": result.status.name, "fidelity": evidence.get("fidelity"), "total": result.total.tolist()}
+        found = {name: evidence.get(name, "") for name in ("class", "method", "reason")}
+        found |= {"status": result.status.name, "total": result.total.tolist()}
         if result.status.valid:
             mesh = self.solvers.family.load(evidence["mesh"])
             cells = verification.surface_cells(mesh, result.forces[mesh.surface_nodes], self.sensor)
@@ -99,8 +99,8 @@ class Side:
 
 def compared(name: str, auto: dict, ccx: dict, fea: FeaTable) -> verification.Verified:
     """How far the two records of a press differ, as a dataset's own record says it."""
-    press = ("", name, auto["class"], auto["way"])
-    if "cells" not in auto or ccx.get("fidelity") != "ccx":
+    press = ("", name, auto["class"], auto["method"])
+    if "cells" not in auto or ccx.get("method") != "ccx":
         return verification.compare(press, fea, ccx["reason"] or "no result of both", None)
     pairs = [(np.array(record["total"]), np.array(record["cells"])) for record in (auto, ccx)]
     return verification.compare(press, fea, *pairs)
@@ -109,13 +109,13 @@ def compared(name: str, auto: dict, ccx: dict, fea: FeaTable) -> verification.Ve
 def figures_of(autos: dict[str, dict], ccxs: dict[str, dict], fea: FeaTable) -> tuple[list[Figure], list[dict]]:
     """Cost of auto with its verified presses over that of `ccx`, differences beyond their limits, and the records."""
     alone = np.array([record["cpu_seconds"] for record in ccxs.values()])
-    verified = [name for name in autos if autos[name]["way"] != "ccx" and verification.chosen(name, fea.verify)]
+    verified = [name for name in autos if autos[name]["method"] != "ccx" and verification.chosen(name, fea.verify)]
     own = np.array([record["cpu_seconds"] for record in autos.values()])
     seconds = (own.sum() + sum(ccxs[name]["cpu_seconds"] for name in verified)) / len(own)
-    found = [compared(name, autos[name], ccxs[name], fea) for name in ccxs if autos[name]["way"] != "ccx"]
+    found = [compared(name, autos[name], ccxs[name], fea) for name in ccxs if autos[name]["method"] != "ccx"]
     solved = [record for record in found if not record.reason]
     beyond = [record for record in solved if record.beyond]
-    ways = ", ".join(f"{count} by {way}" for way, count in Counter(r["way"] for r in autos.values()).most_common())
+    ways = ", ".join(f"{count} by {way}" for way, count in Counter(r["method"] for r in autos.values()).most_common())
     cost = f"{seconds:.2f} s beside {alone.mean():.2f} s (mean of {len(alone)}); {ways}; {len(verified)} verified"
     bad = sum("cells" not in record for record in autos.values())
     return [

@@ -80,10 +80,10 @@ def rig_meshes() -> list[tuple[HexSettings, str]]:
     A mesh's error is the same in every reading taken with it. The posterior allows for the percent by which accurate
     meshes differ, so truths must come from several of them: from one alone, intervals hold them too often or too seldom.
     """
-    from gelforge.mechanics.hexsettings import QUALITIES
+    from gelforge.mechanics.hexsettings import QUALITIES, HexSettings
     from gelforge.virtualrig.bench import SETTINGS
 
-    middle = replace(QUALITIES["demo"], size=0.6, layers=5, gauss=3)
+    middle = HexSettings(size=0.6, layers=5, press_steps=3, shear_steps=2)
     meshes = [(SETTINGS, "draft"), (middle, "label"), (QUALITIES["label"], "label")]
     return [(replace(mesh, press_steps=10, shear_steps=3), better) for mesh, better in meshes]
 

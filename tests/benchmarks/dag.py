@@ -38,7 +38,7 @@ LOG_COLUMNS = [
     "mz_nm",
     "image",
 ]
-FEA_COLUMNS = ["sample_id", "status", "reason", "fidelity", "mesh", "file"]
+FEA_COLUMNS = ["sample_id", "status", "reason", "method", "mesh", "file"]
 
 
 def write_manifest(project: Path, root: Path, samples: int = SAMPLES) -> None:
@@ -96,7 +96,7 @@ def fill(project: Path) -> int:
         ids = [row["sample_id"] for row in read_csv(shard)]
         poses = [{"sample_id": i, "sensor_id": "reference", "indenter": "sphere_15"} for i in ids]
         write_csv(results / "10_poses" / shard.name, ["sample_id", "sensor_id", "indenter"], poses)
-        fea = [{"sample_id": i, "status": "OK", "fidelity": "ccx", "mesh": "ccx-centre"} for i in ids]
+        fea = [{"sample_id": i, "status": "OK", "method": "ccx", "mesh": "ccx-centre"} for i in ids]
         write_csv(results / "30_fea" / shard.name, FEA_COLUMNS, fea)
         samples = [SampleForces(name, "OK", "ccx-centre", node, force, still) for name in ids]
         write_forces(results / "40_forces" / f"{shard.stem}.npz", samples, 0.0725)

@@ -25,7 +25,7 @@ from gelforge.mechanics.mesh.family import MeshFamily
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.result import Result
 from gelforge.mechanics.scene import Scene
-from gelforge.mechanics.solvers.fidelity import Solvers
+from gelforge.mechanics.solve import Solvers
 from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.sweeps import references
 from gelforge.sweeps.scenes import parse_scene, read_tables

@@ -15,11 +15,11 @@ SIGN = {"<=": "at most ", ">=": "at least ", "==": ""}
 # Tables of chosen figures: what stands between { and } is taken from the JSON.
 CHOSEN = {
     "accuracy of labels": """
-| `fidelity` | seconds a press | 16 presses, total force: median, worst | force per cell: median, worst | 58 presses of known force, from 0.1 mm on: median, worst |
+| `method` | seconds a press | 16 presses, total force: median, worst | force per cell: median, worst | 58 presses of known force, from 0.1 mm on: median, worst |
 | --- | --- | --- | --- | --- |
-| `ccx` (CalculiX), the default | {fea: chart, ccx-label, median processor time|.2g} | {fea: chart, ccx-label, total force, median|.2g} %, {fea: chart, ccx-label, total force, worst|.2g} % | {fea: chart, ccx-label, cells, median|.2g} %, {fea: chart, ccx-label, cells, worst|.2g} % | {exact: ccx, total, median|.2g} %, {exact: ccx, total, worst|.2g} % |
-| `hex` (in process), `hex_quality = "label"` | {fea: chart, hex-label, median processor time|.2g} | {fea: chart, hex-label, total force, median|.2g} %, {fea: chart, hex-label, total force, worst|.2g} % | {fea: chart, hex-label, cells, median|.2g} %, {fea: chart, hex-label, cells, worst|.2g} % | {exact: hex-label, total, median|.2g} %, {exact: hex-label, total, worst|.2g} % |
-| FEATS' contact on meshes of 1.4 mm | | {fea: chart, ccx-native-1.4, total force, median|.2g} %, {fea: chart, ccx-native-1.4, total force, worst|.2g} % | {fea: chart, ccx-native-1.4, cells, median|.2g} %, {fea: chart, ccx-native-1.4, cells, worst|.2g} % | |
+| `ccx` (CalculiX), the default | {fea: chart, ccx, median processor time|.2g} | {fea: chart, ccx, total force, median|.2g} %, {fea: chart, ccx, total force, worst|.2g} % | {fea: chart, ccx, cells, median|.2g} %, {fea: chart, ccx, cells, worst|.2g} % | {exact: ccx, total, median|.2g} %, {exact: ccx, total, worst|.2g} % |
+| `label` (hexahedra in process) | {fea: chart, label, median processor time|.2g} | {fea: chart, label, total force, median|.2g} %, {fea: chart, label, total force, worst|.2g} % | {fea: chart, label, cells, median|.2g} %, {fea: chart, label, cells, worst|.2g} % | {exact: label, total, median|.2g} %, {exact: label, total, worst|.2g} % |
+| FEATS' contact on meshes of 1.4 mm | | {fea: FEATS' contact, total force, median|.2g} %, {fea: FEATS' contact, total force, worst|.2g} % | {fea: FEATS' contact, cells, median|.2g} %, {fea: FEATS' contact, cells, worst|.2g} % | |
 """,
     "accuracy on real sensors": """
 | measured | value |

@@ -26,9 +26,7 @@ from tests.benchmarks.sandbox import link_project, make
 
 DATA = Path("data/demo")
 SPHERES = "feats_sphere15"
-QUICK = (
-    '\n[params.fea]\nfidelity = "hex"\nhex_quality = "draft"\n'  # as near to the demo's forces as its calibration is
-)
+QUICK = '\n[params.fea]\nmethod = "draft"\n'  # as near to the demo's forces as its calibration is
 ORDINARY = "lies outside the image"  # as the labels note of every log with a press near the edge
 SAID = re.compile(r"^(?:  \| )?((?:error|note|rejected): .*)", re.MULTILINE)
 FRAMES = 12  # of a film

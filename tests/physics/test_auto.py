@@ -14,9 +14,8 @@ from gelforge.geometry.indenters import build
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.mesh.family import MeshFamily
 from gelforge.mechanics.scene import Scene
-from gelforge.mechanics.solvers.auto import charted_errors, cheapest
+from gelforge.mechanics.solve import Solvers, charted_errors, cheapest
 from gelforge.mechanics.solvers.contactclass import contact_class
-from gelforge.mechanics.solvers.fidelity import Solvers
 from gelforge.records.press import Press
 from tests.support.parameters import parameters
 
@@ -79,21 +78,18 @@ def test_a_class_of_a_shape_never_charted_counts_as_the_worst_there_is():
 
 
 def test_more_than_any_way_can_do_is_refused():
-    with pytest.raises(BadInput, match="no charted way .* tolerance = 0.0001 .* class flat_deep; raise them"):
+    with pytest.raises(BadInput, match="no charted method .* tolerance = 0.0001 .* class flat_deep; raise them"):
         cheapest("flat_deep", replace(parameters().fea, tolerance=1e-4))
 
 
 @pytest.mark.parametrize(
-    ("shape", "way"), [pytest.param("pointed", "hex-draft", marks=pytest.mark.slow), ("flat", "hex-label")]
+    ("shape", "way"), [pytest.param("pointed", "draft", marks=pytest.mark.slow), ("flat", "label")]
 )
 def test_each_press_is_solved_as_its_class_asks(tmp_path, shape, way):
-    solvers = Solvers(MeshFamily(tmp_path, []), tmp_path, parameters(fea={"fidelity": "auto"}).fea)
+    solvers = Solvers(MeshFamily(tmp_path, []), tmp_path, parameters().fea)
     press = scene(shape, 0.9)
     result = solvers.solve(press, "auto")
-    assert result.status.valid and result.evidence["way"] == way and result.evidence["class"] == f"{shape}_deep"
-    alone = Solvers(
-        MeshFamily(tmp_path, []), tmp_path, replace(solvers.settings, hex_quality=way.removeprefix("hex-"))
-    )
+    assert result.status.valid and result.evidence["method"] == way and result.evidence["class"] == f"{shape}_deep"
     # the same solve, but for the order in which several threads add
-    asked = alone.solve(press, "hex").forces
+    asked = solvers.solve(press, way).forces
     assert np.linalg.norm(asked - result.forces) < 1e-6 * np.linalg.norm(asked)

@@ -36,7 +36,7 @@ def bodies(tmp_path_factory):
 
 
 def on_hexahedra(body):
-    return gelforge.solve(body, 0.6, quality="demo").total
+    return gelforge.solve(body, 0.6, method="draft").total
 
 
 def with_calculix(body, ccx, folder):
@@ -49,10 +49,10 @@ def with_calculix(body, ccx, folder):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("fidelity", ["hex", "ccx"])
-def test_shells_inside_change_no_force(bodies, fidelity, request, tmp_path):
+@pytest.mark.parametrize("method", ["draft", "ccx"])
+def test_shells_inside_change_no_force(bodies, method, request, tmp_path):
     def force(name):
-        if fidelity == "hex":
+        if method == "draft":
             return on_hexahedra(bodies[name])
         return with_calculix(bodies[name], request.getfixturevalue("ccx"), tmp_path / name.replace(" ", "-"))
 

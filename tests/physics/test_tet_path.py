@@ -27,7 +27,7 @@ from tests.support.parameters import parameters
 
 CCX = CcxSettings.of(parameters().fea)
 PAD = FlatPad(name="pad", width=7.0, length=7.0, corner_radius=0.0, height=4.0)
-USUAL = PathSettings(0.5, 145.0, 14.5)
+USUAL = PathSettings(0.5, press_steps=4)
 # every step solved to the end, so that only the way there differs
 TIGHT = replace(USUAL, press_steps=3, shear_steps=2, tolerance=1e-9, final_tolerance=1e-9, max_iterations=60)
 

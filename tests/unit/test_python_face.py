@@ -29,7 +29,7 @@ BALL = {"kind": "sphere", "diameter": 10, "height": 10}
 
 @pytest.fixture(scope="module")
 def press():
-    return gelforge.solve(BALL, depth=0.5, quality="demo")
+    return gelforge.solve(BALL, depth=0.5, method="draft")
 
 
 def test_solving_a_press(press):
@@ -51,14 +51,14 @@ def test_the_sensor_of_a_label_is_that_of_the_workflow(root):
 
 
 def test_deeper_is_harder(press):
-    assert gelforge.solve(BALL, depth=0.8, quality="demo").total[2] < press.total[2]
+    assert gelforge.solve(BALL, depth=0.8, method="draft").total[2] < press.total[2]
 
 
 def test_force_is_proportional_to_stiffness_and_grows_as_the_gel_keeps_its_volume(press):
-    twice = gelforge.solve(BALL, depth=0.5, quality="demo", c10=2 * REFERENCE_C10)
-    once = gelforge.solve(BALL, depth=0.5, quality="demo", c10=REFERENCE_C10)
+    twice = gelforge.solve(BALL, depth=0.5, method="draft", c10=2 * REFERENCE_C10)
+    once = gelforge.solve(BALL, depth=0.5, method="draft", c10=REFERENCE_C10)
     np.testing.assert_allclose(twice.total, 2 * once.total, rtol=1e-12, atol=0)
-    looser = gelforge.solve(BALL, depth=0.5, quality="demo", nu=0.4)
+    looser = gelforge.solve(BALL, depth=0.5, method="draft", nu=0.4)
     assert 0.0 > looser.total[2] > 0.95 * press.total[2]
 
 
@@ -66,7 +66,7 @@ def test_a_drag_is_felt_along_itself():
     """Whichever way a round indenter is turned."""
     for along, turned in ((0, 0.0), (1, 40.0)):
         drag = tuple(0.3 * (k == along) for k in (0, 1))
-        total = gelforge.solve(BALL, depth=0.5, shear=drag, rot_deg=turned, quality="demo").total
+        total = gelforge.solve(BALL, depth=0.5, shear=drag, rot_deg=turned, method="draft").total
         assert total[along] > 0.1 * -total[2] and abs(total[1 - along]) < 0.1 * total[along]
 
 

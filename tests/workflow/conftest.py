@@ -21,8 +21,7 @@ FAST = """
 shard_size = 2
 
 [params.fea]
-fidelity = "hex"
-hex_quality = "demo"
+method = "draft"
 tolerance = 0.2
 """
 

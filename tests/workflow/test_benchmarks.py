@@ -93,8 +93,8 @@ class TestOfACluster:
 def test_what_readme_takes_from_the_chart_is_printed():
     row = {"scenes": 16, "failed": 3, "total_median": 0.2, "total_worst": 0.25, "cells_median": 0.38,
            "cells_worst": None, "cpu_seconds_median": 31.0}  # fmt: skip
-    figures = chart_figures([row | {"method": name} for name in ("ccx-native-1.4", "ccx-fine-0.3")])
-    said = {figure.name.removeprefix("chart, ccx-native-1.4, "): figure.value for figure in figures}
+    figures = chart_figures([row | {"method": name} for name in ("label", "ccx-0.7-4")])
+    said = {figure.name.removeprefix("chart, label, "): figure.value for figure in figures}
     assert said == {"scenes with a result": 13, "total force, median": 20.0, "total force, worst": 25.0,
                     "cells, median": 38.0, "cells, worst": np.inf, "median processor time": 31.0}  # fmt: skip
 

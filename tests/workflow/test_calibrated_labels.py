@@ -16,8 +16,7 @@ gel = "gelsight_mini"
 [params.poses]
 images = false
 [params.fea]
-fidelity = "hex"
-hex_quality = "demo"
+method = "draft"
 tolerance = 0.2
 [params.calibrate]
 compare = false

@@ -1,7 +1,5 @@
 """Stages 30 to 50 in process: every press has hexahedra of its own and no mesh file."""
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -13,7 +11,7 @@ from gelforge.geometry.indenters import build
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.mesh.family import MeshFamily, load_mesh
 from gelforge.mechanics.scene import Scene
-from gelforge.mechanics.solvers.fidelity import Solvers
+from gelforge.mechanics.solve import Solvers
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import read_labels
 from gelforge.records.press import Press
@@ -38,7 +36,7 @@ def made(tmp_path_factory):
     rows = [dict(zip(COLUMNS, (name, SENSOR, *press), strict=True)) for name, press in PRESSES.items()]
     write_csv(of.poses("0000"), COLUMNS, rows)
     write_text(of.shard("0000"), "")
-    write_stage(of.params, "fea", fea={"fidelity": "hex", "hex_quality": "demo"})
+    write_stage(of.params, "fea", fea={"method": "draft"})
     write_stage(of.params, "forces")
     write_stage(of.params, "labels")
     write_json(of.parameters("sensors"), read_toml("workflow/sensors.toml"))
@@ -76,8 +74,8 @@ def test_force_is_kept_from_solve_to_label(made):
 
 @pytest.mark.parametrize("press", [Press(0, 0, 0, 0.1, 0, -0.6), Press(1.3, -9.7, -0.6, 0, 0, -0.4, 30)])
 def test_the_mesh_of_a_name_is_the_one_that_was_solved(tmp_path, press):
-    solvers = Solvers(MeshFamily(tmp_path, []), tmp_path, parameters(fea={"hex_quality": "demo"}).fea)
-    result = solvers.solve(Scene(GELS[SENSOR], Material(), build("ball", BALL), press), "hex")
+    solvers = Solvers(MeshFamily(tmp_path, []), tmp_path, parameters(fea={"method": "draft"}).fea)
+    result = solvers.solve(Scene(GELS[SENSOR], Material(), build("ball", BALL), press), "draft")
     again = load_mesh(tmp_path, result.evidence["mesh"])
     assert result.status.valid
     for part in ("nodes", "elements", "faces", "base"):
@@ -85,9 +83,9 @@ def test_the_mesh_of_a_name_is_the_one_that_was_solved(tmp_path, press):
 
 
 def test_a_gel_or_quality_that_no_name_can_hold_is_refused(tmp_path):
-    solvers = Solvers(MeshFamily(tmp_path, []), tmp_path, parameters(fea={"hex_quality": "demo"}).fea)
+    solvers = Solvers(MeshFamily(tmp_path, []), tmp_path, parameters(fea={"method": "draft"}).fea)
     scene = Scene(Gel(height=5.0), Material(), build("ball", BALL), Press(0, 0, 0, 0, 0, -0.5))
     with pytest.raises(BadInput, match="gelsight_mini"):
-        solvers.solve(scene, "hex")
-    with pytest.raises(BadInput, match="demo, draft, label, fine"):
-        Solvers(MeshFamily(tmp_path, []), tmp_path, replace(solvers.settings, hex_quality="best"))
+        solvers.solve(scene, "draft")
+    with pytest.raises(BadInput, match="draft, label, fine"):
+        solvers.solve(scene, "best")

@@ -29,7 +29,7 @@ from tests.support.waiting import HANG, wait_until
 GEL = GELS["gelsight_mini"]
 HEADER = "sample_id,sensor_id,gel_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg\n"
 ROWS = [f"s{i},cam,g,ball,{i},0,0,0,0,-0.4,0\n" for i in range(3)]
-FEA = {"fidelity": "ccx-fine", "fine_meshes": ["wide-2.6"], "press_steps": 2, "shear_steps": 1, "rounds": 4}
+FEA = {"method": "ccx", "meshes": ["wide-2.6"], "press_steps": 2, "shear_steps": 1, "rounds": 4}
 
 
 @pytest.fixture
@@ -147,7 +147,7 @@ def test_a_longer_timeout_solves_again_only_what_the_shorter_one_stopped(folder,
     status, solved_at = solved()
     assert status == "OK" and solved_at != at_first
     # neither what no solve reads nor what this one does not
-    for changed in ({"timeout_s": 7200.0}, {"timeout_s": 1e-3}, {"hex_quality": "demo"}, {"meshes": ["wide-1.0"]}):
+    for changed in ({"timeout_s": 7200.0}, {"timeout_s": 1e-3}, {"tolerance": 0.1}, {"verify": 0.5}):
         assert solved(**changed) == ("OK", solved_at), changed
     assert solved(press_steps=3)[1] != solved_at
 
@@ -202,11 +202,11 @@ def test_decks_run_by_stock_calculix_give_the_forces_of_stage_40(folder, ccx, tm
 
 def test_a_press_solved_in_process_has_no_deck(folder):
     params = json.loads((folder / "00_plan/params/fea.json").read_text())
-    params["fea"] |= {"fidelity": "hex", "hex_quality": "demo"}
+    params["fea"] |= {"method": "draft"}
     write_json(folder / "00_plan/params/fea.json", params)
     lay_presses(folder, ROWS[:1])
     assert fea.main(arguments(folder)) == 0
     rows = [{"sample_id": "s0", "shard": "0", "logged": "1"}]
     write_csv(folder / "00_plan" / "shards.csv", ["sample_id", "shard", "logged"], rows)
-    with pytest.raises(BadInput, match="s0 has no deck: it was solved by hex, without CalculiX"):
+    with pytest.raises(BadInput, match="s0 has no deck: it was solved by draft, without CalculiX"):
         deck.main([str(folder), "--id", "s0"])

@@ -27,7 +27,7 @@ from gelforge.mechanics.material import Material
 from gelforge.mechanics.mesh.meshratio import mesh_ratios
 from gelforge.mechanics.path.loadpath import first_touch
 from gelforge.mechanics.scene import Interface, Scene
-from gelforge.mechanics.solvekey import hexahedra_key, solve_key
+from gelforge.mechanics.solve import hexahedra_key, solve_key
 from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.records.press import Press
 from gelforge.records.status import Status

@@ -51,9 +51,9 @@ def hand_out(results: Path, sample_id: str, out: Path) -> None:
     record, folder, forces = solve_of(results, sample_id)
     deck = next((folder / name for name in record["files"] if name.endswith(".inp")), None)
     if deck is None:
-        how = record.get("reason") or f"it was solved by {record['fidelity']}, without CalculiX"
+        how = record.get("reason") or f"it was solved by {record['method']}, without CalculiX"
         raise BadInput(
-            f'sample {sample_id} has no deck: {how}; with [params.fea] fidelity = "ccx" there is one, run'
+            f'sample {sample_id} has no deck: {how}; with [params.fea] method = "ccx" there is one, run'
             f" {Layout(results).command('fea')}"
         )
     text = deck.read_text()

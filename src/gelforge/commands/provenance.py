@@ -76,7 +76,7 @@ def solve_lines(solve: dict, target: str) -> list[str]:
     why = f" ({solve['reason']})" if solve.get("reason") else ""
     files = ", ".join(f"{Path(target).with_suffix('')}/{name}" for name in solve.get("files", []))
     return [
-        f"    this sample: {solve['status']}{why}, {solve['fidelity']} on mesh {solve['mesh']}, {cost}",
+        f"    this sample: {solve['status']}{why}, {solve['method']} on mesh {solve['mesh']}, {cost}",
         f"    its files: {files or 'none'}",
     ]
 

@@ -85,14 +85,14 @@ def check_gel(file: Path, of: DatasetFile, params: Params, sensors: dict[str, di
         raise BadInput(
             f"{file}: gel = {of.gel!r}, but [meshes] gel = {mesh_gel!r}, on which presses are solved; name one gel"
         )
-    hexahedra = params.fea.fidelity in IN_PROCESS
+    hexahedra = params.fea.method in IN_PROCESS
     for name, table in sorted(sensors.items()):
         gel = table.get("gel") if isinstance(table, dict) else None
         if is_gel(gel) and gel != mesh_gel and not (hexahedra and states_thickness(gel, mesh_gel)):
             raise BadInput(
                 f"{file}: sensor {name!r} of the log has gel {gel!r} ({SENSOR_TABLES}), but"
                 f" [meshes] gel = {mesh_gel!r}: set [params.meshes] gel, and keep presses on different gels in datasets of their own;"
-                ' hexahedra ([params.fea] fidelity = "hex") follow the thickness that each sensor states'
+                ' hexahedra ([params.fea] method = "label") follow the thickness that each sensor states'
             )
 
 

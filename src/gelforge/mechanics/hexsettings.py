@@ -5,7 +5,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.mechanics.mesh.hexmesh import SMALLEST, FineBox
 from gelforge.mechanics.path.pathsettings import PathSettings
 
@@ -13,7 +12,6 @@ from gelforge.mechanics.path.pathsettings import PathSettings
 # which released points at its end turns on it: at 1e-4 a second thread let ten more points go under a pyramid, 0.2 % of force.
 COARSE_TOLERANCE = 1e-6
 FLATNESS = 1.6  # height over width that hexahedra of the uppermost layer have at most under a small contact
-ROUGH = 1e-3  # residual at which the end of a path on coarse hexahedra shows what pulls and what presses
 # What a path on coarse hexahedra brought so close to the indenter, in widths of a coarse hexahedron, has touched: between the
 # points where the coarse contact sticks, its faces cut corners. Five times as much also holds points beside the contact: up to
 # 6 % more force on wide shallow contacts and thin gels. Tetrahedra have twelve points a face, of which it holds too many.
@@ -48,8 +46,8 @@ class Nested:
 
 
 @dataclass(frozen=True)
-class HexSettings:
-    """How finely a scene is solved.
+class HexSettings(PathSettings):
+    """How finely a scene is solved, and how its path is followed.
 
     size: side of the hexahedra under the press, mm; smaller where the contact is under `across` of them wide (0: never).
     layers, layer_ratio: hexahedra through the height, and how many times as thick as the uppermost the lowest is.
@@ -58,19 +56,11 @@ class HexSettings:
     added (0: nowhere).
     widened: how many of the lowest layers have hexahedra twice as wide, how many of these hexahedra four times as wide, and so on.
     growth, largest: by what factor, and up to what side in mm, hexahedra grow away from the press.
-    press_steps, shear_steps: load steps of the two legs (more where Newton asks for it).
-    gauss: order of the contact rule on a face.
-    penalty, friction_penalty: contact stiffness along the normal and along the surface (Coulomb), times size / C10.
-    tolerance, final_tolerance: residual over contact force, within the path and at its end.
-    max_iterations: of Newton's method in one solve. max_cuts: how often a load step may be halved.
-    settle_rounds: contact iterations, in which points are released at the end of the path. pull_tolerance: share of the largest pressure by
-    which a sticking point may pull.
     box: fixed fine part (FineBox) in place of one that follows the press.
     nested: how the path is followed on coarser hexahedra first; None: on these. With Coulomb friction it is always on these,
     because a point's force depends on all of its slip.
     """
 
-    size: float = 0.7
     across: int = 0
     layers: int = 6
     widened: tuple[int, ...] = ()
@@ -79,29 +69,15 @@ class HexSettings:
     steepness: float = 1.6
     growth: float = 1.5
     largest: float = 2.0
-    press_steps: int = 6
-    shear_steps: int = 3
-    gauss: int = 3
-    penalty: float = 1000.0
-    friction_penalty: float = 100.0
-    tolerance: float = 1e-4
-    final_tolerance: float = 1e-9
-    max_iterations: int = 14
-    max_cuts: int = 8
-    settle_rounds: int = 6
-    pull_tolerance: float = 1e-3
+    touched: float = TOUCHED
     box: FineBox | None = None
     nested: Nested | None = None
 
-    def path(self, size: float) -> PathSettings:
-        """How a path is followed on hexahedra of side `size` mm under the press."""
-        s, scale = self, REFERENCE_C10 / size
-        return PathSettings(
-            size, s.penalty * scale, s.friction_penalty * scale, gauss=s.gauss, press_steps=s.press_steps,
-            shear_steps=s.shear_steps, tolerance=s.tolerance, final_tolerance=s.final_tolerance, rough=ROUGH,
-            max_iterations=s.max_iterations, max_cuts=s.max_cuts, settle_rounds=s.settle_rounds,
-            pull_tolerance=s.pull_tolerance, touched=TOUCHED,
-        )  # fmt: skip
+    def with_steps(self, finer: int) -> "HexSettings":
+        """The same with so many times as many load steps, on coarse hexahedra as well."""
+        n = self.nested
+        more = n and replace(n, press_steps=finer * n.press_steps, shear_steps=finer * n.shear_steps)
+        return replace(self, press_steps=finer * self.press_steps, shear_steps=finer * self.shear_steps, nested=more)
 
     @property
     def coarse(self) -> "HexSettings":
@@ -127,21 +103,20 @@ class HexSettings:
 #   must be fine: one alone, on wide faces, doubles the error of the cells.
 # - Three press steps cost under 0.6 % of the force with stick points at first touch (12 % where a step ends, one step).
 QUALITIES = {
-    "demo": HexSettings(size=1.0, layers=4, gauss=2, press_steps=3, shear_steps=2),
     "draft": HexSettings(
-        size=0.45, across=15, layers=6, widened=(4, 2), layer_ratio=2.0, thin_below=SMALLEST, growth=2.2, largest=4.0, gauss=2,
+        size=0.45, across=15, layers=6, widened=(4, 2), layer_ratio=2.0, thin_below=SMALLEST, growth=2.2, largest=4.0,
         press_steps=3, shear_steps=2, nested=Nested(widened=(1,), press_steps=4, shear_steps=2, extrapolation=0.24),
     ),
     "label": HexSettings(
-        size=0.35, across=20, layers=5, widened=(2,), layer_ratio=2.0, thin_below=SMALLEST, growth=2.2, largest=4.0, gauss=2,
+        size=0.35, across=20, layers=5, widened=(2,), layer_ratio=2.0, thin_below=SMALLEST, growth=2.2, largest=4.0,
         press_steps=4, shear_steps=2, nested=Nested(press_steps=10, shear_steps=4, extrapolation=0.36),
     ),
-    "fine": HexSettings(size=0.3, across=24, layers=8, gauss=2, press_steps=6, shear_steps=3),
+    "fine": HexSettings(size=0.3, across=24, layers=8, press_steps=6, shear_steps=3),
 }  # fmt: skip
 
 
 def quality(name: str) -> HexSettings:
     """The settings of that name, one of QUALITIES; an unknown one raises BadInput."""
     if name not in QUALITIES:
-        raise BadInput(f"[fea] hex_quality = {name!r} is unknown; choose one of {', '.join(QUALITIES)}")
+        raise BadInput(f"quality {name!r} of hexahedra is unknown; choose one of {', '.join(QUALITIES)}")
     return QUALITIES[name]

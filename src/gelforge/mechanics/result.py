@@ -22,7 +22,7 @@ class Result:
 
     forces: (n, 3) N, contact forces ON the gel (zero off its surface).
     displacement: (n, 3) mm. Contact data stay inside the solvers.
-    evidence: plain numbers and strings; the keys every fidelity fills are
+    evidence: plain numbers and strings; the keys every method fills are
     "equilibrium_residual" (relative), "penetration_mm", "pulling_fraction" (of the normal force),
     "base_mismatch" (relative), "newton_iterations", "rounds", "seconds", "load_steps". "peak_mib" is that of
     a solver which is a process of its own; presses that are solved in one process have no peaks of their own.

@@ -36,7 +36,7 @@ class Interface:
 
 @dataclass(frozen=True)
 class Scene:
-    """One press: everything a fidelity may look at."""
+    """One press: everything a method may look at."""
 
     gel: Gel
     material: Material

@@ -17,7 +17,7 @@ EVIDENCE = (
     "attempt", "rounds", "newton_iterations", "load_steps", "seconds", "kinematics_seconds", "peak_mib",
     "equilibrium_residual", "base_mismatch", "penetration_mm", "pulling_fraction", "engine_difference", "extrapolated",
 )  # fmt: skip
-NAMES = ("sample_id", "status", "reason", "fidelity", "mesh", "file")
+NAMES = ("sample_id", "status", "reason", "method", "mesh", "file")
 MESH_COLUMNS = ("sample_id", "mesh")  # of the table of stage 20
 COLUMNS = (*NAMES, *FORCE, *EVIDENCE)
 
@@ -33,7 +33,7 @@ class Solved:
     sample_id: str
     status: Status
     reason: str
-    fidelity: str
+    method: str
     mesh: str
     file: str
     total: tuple[float, float, float]

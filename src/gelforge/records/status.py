@@ -12,7 +12,7 @@ class Status(Enum):
     UNSETTLED = "The contact set did not settle; allow more rounds or use a finer mesh."
     OUT_OF_RANGE = "The press leaves what the gel can represent; check depth and position in the log."
     TOO_COARSE = "The indenter touches the gel between the points at which contact is looked for; use a finer mesh."
-    SOLVER_MISSING = "The solver program was not found; run `make setup` or choose fidelity hex."
+    SOLVER_MISSING = "The solver program was not found; run `make setup` or choose method label."
     UNREADABLE = "The solver's output is truncated or not finite; look at its log and run again."
     UNBALANCED = "Contact forces and base reactions do not agree; the result cannot be trusted."
 

@@ -1,9 +1,10 @@
 """Charts of pareto and stability, as PNG bytes."""
 
+from gelforge.flow.params.tables import METHODS
 from gelforge.reporting.canvas import canvas_with_axes, to_png
 
-COLOURS = {"hex": "#2a7f9e", "ccx": "#d1603d", "ccx-native": "#7a7a7a", "auto": "#6a4c93"}
-MARKERS = {"hex": "o", "ccx": "s", "ccx-native": "D", "auto": "*"}
+COLOURS = {"hex": "#2a7f9e", "ccx": "#d1603d", "auto": "#6a4c93"}
+MARKERS = {"hex": "o", "ccx": "s", "auto": "*"}
 FLOOR = 1e-5  # errors below it are drawn on it
 KINDS = {"total": "error of total force", "cells": "error per cell at 24 x 32, sum over cells / total force"}
 
@@ -16,18 +17,18 @@ def _shown(row, kind, which):
 def _spot(axis, row, kind, slowest):
     """One method: filled at its median, a line up to its worst scene; hollow where a scene failed."""
     middle, worst = _shown(row, kind, "median"), _shown(row, kind, "worst")
-    colour, x = COLOURS[row["fidelity"]], row["cpu_seconds_median"]
-    ship = row["method"].endswith("-label")
+    colour, x = COLOURS[row["solver"]], row["cpu_seconds_median"]
+    ship = row["method"] in ("label", "ccx", "auto")
     axis.plot([x, x], [middle, worst], color=colour, lw=0.8, alpha=0.5, zorder=1)
     axis.plot([x], [worst], "_", color=colour, ms=7, zorder=2)
-    size = 11 if row["fidelity"] == "auto" else 8 if ship else 5
+    size = 11 if row["solver"] == "auto" else 8 if ship else 5
     inside, edge = "white" if row["failed"] else colour, "black" if ship else colour
-    # auto lies on the fidelity that it takes, and is drawn over it; the names of label settings stand to their right
-    auto = row["fidelity"] == "auto"
+    # auto lies on the solver that it takes, and is drawn over it; the names of label settings stand to their right
+    auto = row["solver"] == "auto"
     left = auto or not ship or x > slowest / 2
     above = 4 if auto else 3
-    axis.plot([x], [middle], MARKERS[row["fidelity"]], ms=size, mfc=inside, mec=edge, mew=1.2, zorder=above)
-    if ship or row["fidelity"] == "ccx-native" or row["method"].endswith("-quality"):
+    axis.plot([x], [middle], MARKERS[row["solver"]], ms=size, mfc=inside, mec=edge, mew=1.2, zorder=above)
+    if row["method"] in METHODS:
         place = {"xytext": (-7, -9), "ha": "right"} if left else {"xytext": (6, -9)}
         axis.annotate(row["method"], (x, middle), textcoords="offset points", fontsize=7, **place)
 
@@ -65,8 +66,8 @@ def pareto_chart(rows: list[dict], scenes: list[dict], note: str) -> bytes:
         _plain_ticks(axis)
         axis.set(xlabel="processor seconds per press, one thread (median over scenes)", ylabel=f"{label}, %")
         axis.grid(alpha=0.25, which="both")
-    fidelities = dict.fromkeys(row["fidelity"] for row in usable)
-    handles = [Line2D([], [], ls="", marker=MARKERS[f], color=COLOURS[f], label=f) for f in fidelities]
+    solvers = dict.fromkeys(row["solver"] for row in usable)
+    handles = [Line2D([], [], ls="", marker=MARKERS[f], color=COLOURS[f], label=f) for f in solvers]
     handles += [Line2D([], [], color="0.35", label="frontier of the worst scene"),
                 Line2D([], [], ls="", marker="o", mfc="white", color="0.3", label="hollow: failed on some scene"),
                 Line2D([], [], ls="", marker="_", color="0.3", label="worst scene")]  # fmt: skip
@@ -79,12 +80,12 @@ def pareto_chart(rows: list[dict], scenes: list[dict], note: str) -> bytes:
 PANELS = {"depth": "depth of the press, mm", "shear": "sideways travel, fraction of the depth", "place": "where on the gel",
           "tilt": "slope of a tilted block, degrees", "ridge": "width of a ridge, mm", "friction": "friction coefficient",
           "nu": "Poisson's ratio of the gel", "size": "size of elements, mm", "steps": "load steps",
-          "native": "CalculiX' own contact, by depth in mm"}  # fmt: skip
+}  # fmt: skip
 VERDICTS = {"good": "#9bc995", "drifts": "#f0c05a", "failed": "#c8553d", "not run": "#d9d9d9"}
 
 
 def stability_map(table: list[dict]) -> bytes:
-    """One panel per row of the map: its levels against fidelity and kind of indenter, coloured by verdict.
+    """One panel per row of the map: its levels against solver and kind of indenter, coloured by verdict.
 
     The press around which one factor at a time is varied has a black frame.
     """
@@ -114,7 +115,7 @@ def stability_map(table: list[dict]) -> bytes:
 
 def _case(line):
     """What is solved in a line of the map: lines of two rows may be one case."""
-    return tuple(line[name] for name in ("fidelity", "kind", "shape", "depth", "shear", "place", "nu", "friction", "size",
+    return tuple(line[name] for name in ("solver", "kind", "shape", "depth", "shear", "place", "nu", "friction", "size",
                                     "steps"))  # fmt: skip
 
 
@@ -122,26 +123,26 @@ def _shared(table):
     """Cases that stand in several rows that vary one factor: the press around which they vary it."""
     rows: dict[tuple, set] = {}
     for line in table:
-        if line["row"] not in ("native", "random"):
+        if line["row"] != "random":
             rows.setdefault(_case(line), set()).add(line["row"])
     return {case for case, found in rows.items() if len(found) > 1}
 
 
 def _grid(axis, row, lines, shared):
-    """Cells of levels by fidelity and kind; numbers are the error in per cent, words how a solve failed."""
+    """Cells of levels by solver and kind; numbers are the error in per cent, words how a solve failed."""
     from matplotlib.patches import Rectangle
 
     levels = list(dict.fromkeys(line["level"] for line in lines))
     levels = levels if row == "place" else sorted(levels, reverse=row == "size")
-    groups = list(dict.fromkeys((line["fidelity"], line["kind"]) for line in lines))
+    groups = list(dict.fromkeys((line["solver"], line["kind"]) for line in lines))
     for line in lines:
-        x, y = levels.index(line["level"]), groups.index((line["fidelity"], line["kind"]))
+        x, y = levels.index(line["level"]), groups.index((line["solver"], line["kind"]))
         axis.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=VERDICTS[line["verdict"]], edgecolor="white"))
         text = line["status"].lower().replace("_", " ") if line["verdict"] == "failed" else ""
         if line["verdict"] in ("good", "drifts") and line["error"] is not None:
             text = f"{100 * line['error']:.1f}"
         axis.text(x, y, text, ha="center", va="center", fontsize=7)
-    for level in {line["level"] for line in lines if row != "native" and _case(line) in shared}:
+    for level in {line["level"] for line in lines if _case(line) in shared}:
         corner = levels.index(level) - 0.5, -0.5
         axis.add_patch(Rectangle(corner, 1, len(groups), fill=False, edgecolor="black", lw=2, clip_on=False))
     axis.set(xlim=(-0.5, len(levels) - 0.5), ylim=(len(groups) - 0.5, -0.5), xticks=range(len(levels)),
@@ -152,10 +153,10 @@ def _grid(axis, row, lines, shared):
 
 def _scatter(axis, lines):
     """Random combinations over depth and shear; circles hex, squares ccx."""
-    for fidelity, shift in (("hex", -0.012), ("ccx", 0.012)):
-        own = [line for line in lines if line["fidelity"] == fidelity]
+    for solver, shift in (("hex", -0.012), ("ccx", 0.012)):
+        own = [line for line in lines if line["solver"] == solver]
         x, y = [line["depth"] + shift for line in own], [line["shear"] for line in own]
         colours = [VERDICTS[line["verdict"]] for line in own]
-        axis.scatter(x, y, s=34, marker=MARKERS[fidelity], c=colours, edgecolors="0.2", lw=0.5)
+        axis.scatter(x, y, s=34, marker=MARKERS[solver], c=colours, edgecolors="0.2", lw=0.5)
     axis.set(xlabel="depth, mm", ylabel="shear, fraction of depth")
     axis.set_title("random combinations: circles hex, squares ccx")

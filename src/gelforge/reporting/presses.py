@@ -9,7 +9,7 @@ from gelforge.records.press import POSE, PosedPress
 from gelforge.records.samplefile import DatasetSample
 from gelforge.records.solvetable import Solved
 
-TEXTS = ("indenter", "sensor", "gel", "split", "status", "reason", "fidelity", "mesh", "group", "shard")
+TEXTS = ("indenter", "sensor", "gel", "split", "status", "reason", "method", "mesh", "group", "shard")
 NUMBERS = (
     *POSE,
     *(f"{kind}_{axis}" for kind in ("label", "network", "measured") for axis in CHANNELS),
@@ -68,7 +68,7 @@ def _press(
     row |= {"split": sample.split, "group": sample.group} if sample else {}
     row |= {"status": solve.status.name if solve else "PENDING"}
     if solve:
-        row |= {name: getattr(solve, name) for name in ("reason", "fidelity", "mesh")}
+        row |= {name: getattr(solve, name) for name in ("reason", "method", "mesh")}
         row |= {name: solve.number(name) for name in ("seconds", "peak_mib")}
     row |= {name: getattr(press, name) for name in (*POSE, "stl")}
     # Forces of the label, or of the solve where the press has no picture and so no place in the dataset.

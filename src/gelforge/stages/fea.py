@@ -16,6 +16,7 @@ from gelforge.flow.files import digest_of, publish, read_json, write_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.main import stage
 from gelforge.flow.params.stages import ForFea, read_parameters
+from gelforge.flow.params.tables import IN_PROCESS
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel, use_gels_of
 from gelforge.geometry.indenters import bodies_of
@@ -26,9 +27,7 @@ from gelforge.mechanics.mesh.family import MeshFamily, mesh_names
 from gelforge.mechanics.mesh.meshstore import source_of
 from gelforge.mechanics.result import Result
 from gelforge.mechanics.scene import Interface, Scene
-from gelforge.mechanics.solvekey import settings_of, solve_key
-from gelforge.mechanics.solvers.auto import method_of
-from gelforge.mechanics.solvers.fidelity import Solvers
+from gelforge.mechanics.solve import Solvers, chosen, settings_of, solve_key
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses
 from gelforge.records.press import SENSOR_TABLES, PosedPress
@@ -60,10 +59,10 @@ def press_keys(
     frames: list[PosedPress], scenes: list[Scene], params: ForFea, tables: dict, meshes: dict[str, str]
 ) -> list[str]:
     """Key of the solve of each frame of a press. meshes: that of each sample that is solved on tetrahedra, by content."""
-    method = method_of(scenes[-1], params.fea.fidelity, params.fea)
+    method, _ = chosen(scenes[-1], params.fea)
     found = []
     for at, frame in enumerate(frames):
-        how = settings_of(method, params.fea, scenes[at].interface, meshes.get(frame.sample_id, ""))
+        how = settings_of(method, params.fea, meshes.get(frame.sample_id, ""))
         found.append(solve_key(scenes, shape_of(frame, tables), how, params.version, at))
     return found
 
@@ -88,7 +87,7 @@ def publish_solve(sample_id: str, result: Result, solvers: Solvers, key: str, fo
     record = {
         "key": key, "sample_id": sample_id, "status": result.status.name, "mesh": evidence.get("mesh", ""),
         "reason": "" if result.status.valid else str(evidence.get("reason") or result.status.value),
-        "fidelity": evidence.get("fidelity", solvers.settings.fidelity), "total": result.total.tolist(),
+        "method": evidence["method"], "total": result.total.tolist(),
         "evidence": evidence, "files": [], "include": include.name if include else "",
     }  # fmt: skip
     if result.status.valid:
@@ -135,7 +134,7 @@ def solved(record: dict, press: PosedPress, folder: Path) -> Solved:
     """The row of the shard's table that a sample's record makes."""
     file = f"{folder.name}/{record['files'][-1]}" if record["files"] else ""
     return Solved(
-        record["sample_id"], Status[record["status"]], record["reason"], record["fidelity"], record["mesh"], file,
+        record["sample_id"], Status[record["status"]], record["reason"], record["method"], record["mesh"], file,
         tuple(record["total"]), record["evidence"], press.press_id,
     )  # fmt: skip
 
@@ -166,7 +165,7 @@ def run_shard(
                     " run make again, it resumes at this sample"
                 ) from error
             records |= {record["sample_id"]: record for record in found}
-            by_ccx = replace(params, fea=replace(params.fea, fidelity="ccx"))
+            by_ccx = replace(params, fea=replace(params.fea, method="ccx"))
             twin = press_keys(frames, scenes, by_ccx, tables, chosen)[-1]
             verify_press(frames[-1], (keys[-1], twin), scenes, found[-1], solvers, tables["sensors"], folder)
     return [solved(records[press.sample_id], press, folder) for press in presses]
@@ -187,7 +186,7 @@ def run_press(frames: list[PosedPress], keys: list[str], scenes: list[Scene], so
             records[at] = borrow(known[same[at]], press.sample_id, keys[at], folder)
     if None in records:
         # all frames again: what a frame is solved from must not depend on which others were there before
-        for at, result in enumerate(solvers.solve_frames(scenes, solvers.settings.fidelity)):
+        for at, result in enumerate(solvers.solve_frames(scenes, solvers.settings.method)):
             records[at] = records[at] or publish_solve(frames[at].sample_id, result, solvers, keys[at], folder)
     found = [record for record in records if record is not None]
     known |= dict(zip(same, found, strict=True))
@@ -202,8 +201,9 @@ def verify_press(press: PosedPress, keys: tuple[str, str], scenes: list[Scene], 
     are those of a sample called ID.ccx; the difference is ID.verify.json.
     """
     path, twin = folder / f"{press.sample_id}{verification.ENDING}", f"{press.sample_id}.ccx"
-    way, kind = record["evidence"].get("way", "ccx"), record["evidence"].get("class", "")
-    solvable = Status[record["status"]].valid and record["fidelity"] == "hex" and way != "ccx"
+    way, kind = record["method"], record["evidence"].get("class", "")
+    automatic = solvers.settings.method == "auto" and Status[record["status"]].valid
+    solvable = automatic and way in IN_PROCESS and not record["evidence"]["failed_attempts"]
     if not (solvable and verification.chosen(press.sample_id, solvers.settings.verify)):
         for stale in (path, *folder.glob(f"{twin}.*")):
             stale.unlink(missing_ok=True)
@@ -217,7 +217,7 @@ def verify_press(press: PosedPress, keys: tuple[str, str], scenes: list[Scene], 
     right = publish_solve(twin, result, solvers, keys[1], folder)
     about = (key, press.sample_id, kind, way)
     sensor = sensor_of(SENSOR_TABLES, press.sensor_id, sensors[press.sensor_id])
-    if right["fidelity"] != "ccx" or not right["files"]:
+    if right["method"] != "ccx" or not right["files"]:
         reason = (
             right["reason"] or "; ".join(right["evidence"].get("failed_attempts", [])) or "CalculiX found no solution"
         )

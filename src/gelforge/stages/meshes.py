@@ -15,7 +15,7 @@ from gelforge.mechanics.mesh.family import MeshFamily, choose_mesh, first_candid
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.meshstore import MeshSource, source_of
 from gelforge.mechanics.scene import Scene
-from gelforge.mechanics.solvers.auto import method_of
+from gelforge.mechanics.solve import chosen
 from gelforge.records.frames import presses_of
 from gelforge.records.solvetable import MESH_COLUMNS
 from gelforge.sweeps import verification
@@ -37,9 +37,9 @@ def meshed(presses: list[dict[str, Scene]], params: ForFea) -> dict[str, Scene]:
     found: dict[str, Scene] = {}
     for frames in presses:
         last, scene = list(frames.items())[-1]
-        method = method_of(scene, params.fea.fidelity, params.fea)
-        verified = params.fea.fidelity == "auto" and verification.chosen(last, params.fea.verify)
-        if method.fidelity not in IN_PROCESS or verified:
+        method, _ = chosen(scene, params.fea)
+        verified = params.fea.method == "auto" and verification.chosen(last, params.fea.verify)
+        if method not in IN_PROCESS or verified:
             found |= frames
     return found
 

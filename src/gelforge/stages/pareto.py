@@ -1,4 +1,4 @@
-"""Branch pareto: seconds of a solve against its error, for every fidelity, mesh density and load-step count.
+"""Branch pareto: seconds of a solve against its error, for every solver, mesh density and load-step count.
 
 `mesh` makes one of its meshes, `scene` solves one scene by every method, `chart` draws.
 """
@@ -14,7 +14,7 @@ from gelforge.flow.layout import Layout, beside
 from gelforge.flow.main import group, stage
 from gelforge.flow.params import CHARTED, load_params, parameters_of, plain
 from gelforge.flow.params.stages import ForMeshes, ForPareto, read_parameters
-from gelforge.flow.params.tables import CHOOSING, CLASSES, IN_PROCESS, VERIFYING, FeaTable
+from gelforge.flow.params.tables import CHOOSING, CLASSES, IN_PROCESS, METHODS, VERIFYING, WAYS, FeaTable
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
 from gelforge.labelling.sensor import load_sensors
@@ -28,14 +28,7 @@ from gelforge.sweeps.trial import ChartBench, given_reference, load_bench, measu
 
 VERSION = 4
 GOAL_TOTAL, GOAL_CELLS = 0.02, 0.08  # what a label setting should meet over all scenes
-# By what names the chart has the ways among which fidelity "auto" chooses. Hexahedra of quality "label" stand under the first
-# of theirs where [fea] hex_quality is another one, which has the second name then.
-CHARTED_AS = {
-    "hex-draft": ("hex-draft-quality",),
-    "hex-label": ("hex-label-quality", "hex-label"),
-    "ccx": ("ccx-label",),
-}
-COLUMNS = ("method", "fidelity", "size_mm", "load_steps", "scenes", "failed", "cpu_seconds_median",
+COLUMNS = ("method", "solver", "size_mm", "load_steps", "scenes", "failed", "cpu_seconds_median",
            "cpu_seconds_worst",
            "total_median", "total_worst", "total_worst_scene", "cells_median", "cells_worst", "cells_worst_scene",
            "frontier_total", "frontier_cells")  # fmt: skip
@@ -83,7 +76,7 @@ def _row(name: str, scenes: list[dict]) -> dict:
     records = {scene["scene"]: scene["methods"][name] for scene in scenes if name in scene["methods"]}
     method = next(iter(records.values()))["method"]
     good = {scene: record for scene, record in records.items() if record["errors"]}
-    row = {"method": name, "fidelity": method["fidelity"], "size_mm": method["size"], "load_steps": method["steps"],
+    row = {"method": name, "solver": method["solver"], "size_mm": method["size"], "load_steps": method["steps"],
            "scenes": len(records), "failed": len(records) - len(good)}  # fmt: skip
     seconds = [record["cpu_seconds"] for record in good.values()]
     row |= {"cpu_seconds_median": _median(seconds), "cpu_seconds_worst": max(seconds, default=None)}
@@ -106,25 +99,23 @@ def failures(scenes: list[dict]) -> list[dict]:
             if record.get("cells") is None]  # fmt: skip
 
 
-def ways_of(methods: dict[str, dict]) -> dict[str, dict]:
-    """A scene's records of the ways among which "auto" chooses, as far as they are charted."""
-    names = {way: next((name for name in of if name in methods), None) for way, of in CHARTED_AS.items()}
-    return {way: methods[name] for way, name in names.items() if name is not None}
-
-
 def charted(scenes: list[dict]) -> dict[str, dict[str, list[float]]]:
     """What workflow/charted.toml should say: by class of contact and way, worst errors in total force and cells, and cost.
 
-    Cost is the median of processor seconds over that of hex-label on all scenes. Empty where a way was not charted.
+    Cost is the median of processor seconds over that of `label` on all scenes. Empty where a method was not charted.
     """
-    ways = [(scene["class"], ways_of(scene["methods"])) for scene in scenes if scene.get("class")]
-    found = [(kind, of) for kind, of in ways if of.keys() == CHARTED_AS.keys()]
+    ways = [
+        (scene["class"], {way: scene["methods"][way] for way in WAYS if way in scene["methods"]})
+        for scene in scenes
+        if scene.get("class")
+    ]
+    found = [(kind, of) for kind, of in ways if of.keys() == set(WAYS)]
     if not found or any(not record["errors"] for _, of in found for record in of.values()):
         return {}
-    base = median([of["hex-label"]["cpu_seconds"] for _, of in found])
+    base = median([of["label"]["cpu_seconds"] for _, of in found])
     classes = {kind for kind, _ in found}
     return {
-        kind: {way: _class_row([of[way] for held, of in found if held == kind], base) for way in CHARTED_AS}
+        kind: {way: _class_row([of[way] for held, of in found if held == kind], base) for way in WAYS}
         for kind in CLASSES
         if kind in classes
     }
@@ -141,7 +132,7 @@ def charted_text(found: dict[str, dict[str, list[float]]], old: str) -> str:
 
 def solving(table: FeaTable) -> dict[str, object]:
     """What of [fea] changes a solve, whichever method is chosen."""
-    idle = CHOOSING | VERIFYING | {"fidelity", "timeout_s"}
+    idle = CHOOSING | VERIFYING | {"method", "timeout_s"}
     return {key: value for key, value in plain(table).items() if key not in idle}
 
 
@@ -178,7 +169,7 @@ def reading(rows: list[dict], scenes: list[dict], fails: list[dict]) -> list[str
         goals = f"{GOAL_TOTAL:.0%} of total force and {GOAL_CELLS:.0%} per cell"
         said.append(f"No method is within {goals} on every scene.")
     for row in rows:
-        if row["method"].endswith("-label") and row["total_worst"] is not None:
+        if row["method"] in METHODS and row["total_worst"] is not None:
             said.append(f"{row['method']}: {row['cpu_seconds_median']:.2g} s; total force worst"
                         f" {row['total_worst']:.2%} ({row['total_worst_scene']}), cells worst"
                         f" {row['cells_worst']:.1%} ({row['cells_worst_scene']}).")  # fmt: skip
@@ -245,7 +236,7 @@ def solve(args: Namespace) -> None:
 
     need_ccx()
     found = asked(args, args.of.chart_mesh("any").parent)
-    methods = every_method(found.params.pareto, found.params.fea.hex_quality)
+    methods = every_method(found.params.pareto)
     write_json(args.out, solve_scene(found.bench, found.scene, methods, [Method(DOUBLED, REFERENCE, doubled=True)]))
 
 
@@ -257,7 +248,7 @@ def solve_quick(args: Namespace) -> None:
     # one chart, one reference: all of its scenes decide which
     scenes = [planned_scene(args.of, name, params) for name in params.pareto.quick.scenes]
     reference_kept = all(given_reference(found.bench, other) for other in scenes)
-    methods = quick_methods(params.pareto.quick, params.fea.fidelity not in IN_PROCESS, reference_kept)
+    methods = quick_methods(params.pareto.quick, params.fea.method not in IN_PROCESS, reference_kept)
     write_json(args.out, solve_scene(found.bench, found.scene, methods, []))
 
 

@@ -321,18 +321,18 @@ def check_count(shards: list[str], size: int) -> None:
 def without_ccx(params: config.Params, dataset_toml: Path) -> config.Params:
     """Parameters of a machine that has no CalculiX: its presses are solved in process, in place of what is usual.
 
-    A dataset that names a fidelity of CalculiX itself raises BadInput, because it would get other numbers than it asks for.
+    A dataset that names CalculiX itself raises BadInput, because it would get other numbers than it asks for.
     """
-    fidelity = params.fea.fidelity
-    if fidelity in IN_PROCESS:
+    method = params.fea.method
+    if method in IN_PROCESS:
         return params
-    if "fidelity" in config.read_dataset_file(dataset_toml).params.get("fea", {}) and fidelity != "auto":
+    if "method" in config.read_dataset_file(dataset_toml).params.get("fea", {}) and method != "auto":
         raise BadInput(
-            f"{dataset_toml}: [params.fea] fidelity = {fidelity!r} needs CalculiX (ccx), which was not found; install it"
-            ' and run `rm .venv/ccx.path` and `make setup`, or write fidelity = "hex"'
+            f"{dataset_toml}: [params.fea] method = {method!r} needs CalculiX (ccx), which was not found; install it"
+            ' and run `rm .venv/ccx.path` and `make setup`, or write method = "label"'
         )
-    print(f"CalculiX (ccx) was not found: fidelity hex is used instead of {fidelity}.", flush=True)
-    return replace(params, fea=replace(params.fea, fidelity="hex"))
+    print(f"CalculiX (ccx) was not found: method label is used instead of {method}.", flush=True)
+    return replace(params, fea=replace(params.fea, method="label"))
 
 
 # What the report shows of a branch, below results/DATASET.

@@ -198,9 +198,9 @@ def failures_section(results: Path, solved: dict[str, Solved]) -> Section:
     for note in images["notes"]:
         section.text(note)
     if failed:
-        columns = ["sample_id", "status", "reason", "fidelity"]
+        columns = ["sample_id", "status", "reason", "method"]
         section.text("Solves that failed.").table(
-            columns, [[s.sample_id, s.status.name, s.reason, s.fidelity] for s in failed]
+            columns, [[s.sample_id, s.status.name, s.reason, s.method] for s in failed]
         )
     return section
 
@@ -227,14 +227,14 @@ def verified_section(records: list[verification.Verified]) -> Section:
 
 
 def fidelities_section(solved: dict[str, Solved]) -> Section:
-    """Seconds of a solve, by fidelity."""
-    by_fidelity: dict[str, list[float]] = {}
+    """Seconds of a solve, by method."""
+    by_method: dict[str, list[float]] = {}
     for solve in solved.values():
         seconds = solve.number("seconds")
         if seconds > 0:
-            by_fidelity.setdefault(solve.fidelity, []).append(seconds)
-    rows = [[name, len(s), float(np.median(s)), float(np.max(s))] for name, s in sorted(by_fidelity.items())]
-    return Section("Cost of a solve").table(["fidelity", "solves", "median seconds", "slowest"], rows)
+            by_method.setdefault(solve.method, []).append(seconds)
+    rows = [[name, len(s), float(np.median(s)), float(np.max(s))] for name, s in sorted(by_method.items())]
+    return Section("Cost of a solve").table(["method", "solves", "median seconds", "slowest"], rows)
 
 
 def branch_section(results: Path, title: str, folder: str, what: str) -> Section:
@@ -362,7 +362,7 @@ def sections_of(explorer: Explorer, data: Path, model: str, solved: dict[str, So
             results,
             "Speed against accuracy",
             PARETO,
-            "Seconds of a solve against its error, each point one fidelity and mesh.",
+            "Seconds of a solve against its error, each point one method.",
         ),
         failures_section(results, solved),
         *([verified_section(verified)] if verified else []),

@@ -1,4 +1,4 @@
-"""Branch stability: where each fidelity converges, what fails and why, where an answer drifts though it converged.
+"""Branch stability: where each solver converges, what fails and why, where an answer drifts though it converged.
 
 `row` solves the cases of one factor, `map` puts the rows together.
 """
@@ -22,21 +22,23 @@ from gelforge.mechanics.ccx.program import need_ccx
 from gelforge.records.status import VALID
 from gelforge.sweeps.cases import FACTORS, FINEST, SERIES, Case, factor_of, row_cases
 from gelforge.sweeps.deviation import total_error
-from gelforge.sweeps.methods import Method, hex_settings, prepare, quality_method
-from gelforge.sweeps.trial import ccx_settings, kept, limit_of, solve_isolated
+from gelforge.sweeps.methods import Method, hex_settings, method_of, prepare
+from gelforge.sweeps.trial import ccx_settings, kept, solve_isolated
 
 VERSION = 4
 NOT_RUN = "NOT_RUN"
-ROWS = (*FACTORS, "random", "native")
-COLUMNS = ("row", "level", "fidelity", "kind", "shape", "depth", "shear", "place", "nu", "friction", "size", "steps", "status",
+# How a case at label setting is solved, by its solver.
+LABEL = {"hex": method_of("label"), "ccx": method_of("ccx"), FINEST: method_of("fine")}
+ROWS = (*FACTORS, "random")
+COLUMNS = ("row", "level", "solver", "kind", "shape", "depth", "shear", "place", "nu", "friction", "size", "steps", "status",
            "verdict", "error", "against", "fx_n", "fy_n", "fz_n", "cpu_seconds", "reason")  # fmt: skip
 
 
 def case_key(case: Case, params: ForStability) -> str:
     """Digest of all that a case's result depends on."""
     parts = [case.describe(), params.version]
-    if case.fidelity in ("hex", FINEST):
-        parts.append(asdict(hex_settings(case_method(case, params), params.fea)))
+    if case.solver in ("hex", FINEST):
+        parts.append(asdict(hex_settings(case_method(case, params))))
     else:
         parts += [list(params.fea.meshes), *ccx_settings(params)]
     return digest_of_value(parts)
@@ -44,12 +46,10 @@ def case_key(case: Case, params: ForStability) -> str:
 
 def case_method(case: Case, params: ForStability) -> Method:
     """How a case is solved."""
-    if case.fidelity == FINEST:
-        return quality_method("fine")
     if not case.size:
-        return Method(f"{case.fidelity}-label", case.fidelity)
+        return LABEL[case.solver]
     layers = params.stability.layers.get(str(case.size), 6)
-    return Method("case", case.fidelity, case.size, layers, case.steps)
+    return Method("case", case.solver, case.size, layers, case.steps)
 
 
 def case_file(case: Case, params: ForStability, folder: Path) -> tuple[Path, str]:
@@ -61,7 +61,7 @@ def case_file(case: Case, params: ForStability, folder: Path) -> tuple[Path, str
 def solve_case(case: Case, params: ForStability, meshes: Path, folder: Path) -> dict:
     """Record of one case, the kept one or a new one."""
     path, key = case_file(case, params, folder)
-    limit = limit_of(params.stability, case.fidelity)
+    limit = params.stability.limit_s
     record = kept(path, key, limit)
     if record is None:
         method = case_method(case, params)
@@ -78,10 +78,7 @@ def solve_row(row: str, params: ForStability, meshes: Path, folder: Path) -> lis
     end = time.monotonic() + 60.0 * params.stability.minutes
     records = []
     for case in progress(row_cases(params.stability, row), f"stability {row}"):
-        if (
-            time.monotonic() > end
-            and kept(*case_file(case, params, folder), limit_of(params.stability, case.fidelity)) is None
-        ):
+        if time.monotonic() > end and kept(*case_file(case, params, folder), params.stability.limit_s) is None:
             reason = "the row's time was over; raise [stability] minutes, it resumes here"
             records.append({"case": case.describe(), "status": NOT_RUN, "reason": reason})
         else:
@@ -93,7 +90,7 @@ def judge_row(row: str, records: list[dict], params: ForStability) -> list[dict]
     """Rows of the table: each case with its verdict "good", "drifts", "failed" or "not run", and its error.
 
     That is the difference of total force from the finest of the same press: in the rows of elements and load steps of the
-    same fidelity, elsewhere on the finest hexahedra.
+    same solver, elsewhere on the finest hexahedra.
     """
     limit = params.stability.drift
     cases = [Case(**record["case"]) for record in records]
@@ -118,12 +115,12 @@ def judge_row(row: str, records: list[dict], params: ForStability) -> list[dict]
 def _yardstick(row, case, cases, records):
     """What a case is held against: its description and the record, (None, None) where there is nothing."""
     if row in SERIES:
-        same = [i for i, c in enumerate(cases) if (c.fidelity, c.press) == (case.fidelity, case.press)]
+        same = [i for i, c in enumerate(cases) if (c.solver, c.press) == (case.solver, case.press)]
         finest = min(same, key=lambda i: (cases[i].size, -cases[i].steps))
         return f"{row} {getattr(cases[finest], row):g}", records[finest]
-    if case.fidelity != FINEST:
+    if case.solver != FINEST:
         for c, record in zip(cases, records, strict=True):
-            if c.fidelity == FINEST and c.press == case.press:
+            if c.solver == FINEST and c.press == case.press:
                 return FINEST, record
     return None, None
 
@@ -131,18 +128,18 @@ def _yardstick(row, case, cases, records):
 def reading(table: list[dict]) -> list[str]:
     """What the map says, in sentences."""
     said = []
-    for fidelity in dict.fromkeys(line["fidelity"] for line in table):
-        own = [line for line in table if line["fidelity"] == fidelity]
+    for solver in dict.fromkeys(line["solver"] for line in table):
+        own = [line for line in table if line["solver"] == solver]
         count = {v: sum(line["verdict"] == v for line in own) for v in ("good", "drifts", "failed", "not run")}
         run = len(own) - count["not run"]
-        said.append(f"{fidelity}: {run - count['failed']} of {run} solves converged, {count['drifts']} of them drift,"
+        said.append(f"{solver}: {run - count['failed']} of {run} solves converged, {count['drifts']} of them drift,"
                     f" {count['failed']} failed, {count['not run']} were not run.")  # fmt: skip
         for row in dict.fromkeys(line["row"] for line in own):
             drifting = [line for line in own if line["row"] == row and line["verdict"] == "drifts"]
             if drifting:
                 named = ", ".join(f"{_place(line)} ({line['error']:.0%})" for line in drifting[:8])
-                said.append(f"  {fidelity}, {row}: {named}{' and more' if len(drifting) > 8 else ''}.")
-        said += [f"  {fidelity}, {line['row']}: {_place(line)}: {line['status']}, {line['reason']}"
+                said.append(f"  {solver}, {row}: {named}{' and more' if len(drifting) > 8 else ''}.")
+        said += [f"  {solver}, {line['row']}: {_place(line)}: {line['status']}, {line['reason']}"
                  for line in own if line["verdict"] == "failed"]  # fmt: skip
     return said
 

@@ -1,1 +1,1 @@
-"""Measuring every fidelity on the same scenes: what `pareto`, `stability` and the fea benchmark share."""
+"""Measuring every method on the same scenes: what `pareto`, `stability` and the fea benchmark share."""

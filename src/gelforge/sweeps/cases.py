@@ -26,7 +26,7 @@ PLACES = {"centre": (0.0, 0.0), "off-centre": (3.0, 5.0), "rim": (8.5, 0.0)}
 FACTORS = ("depth", "shear", "place", "tilt", "ridge", "nu", "friction", "size", "steps")
 SHAPED = {"tilt": TILTED, "ridge": RIDGE}  # rows that vary a body
 SERIES = ("size", "steps")  # rows of elements and load steps, beside which label setting is no value
-FINEST = "finest"  # hexahedra of quality "fine"
+FINEST = "fine"  # hexahedra of that quality
 SHEAR_DEG = 30.0  # direction of the shear, between mesh lines
 
 
@@ -34,13 +34,13 @@ SHEAR_DEG = 30.0  # direction of the shear, between mesh lines
 class Case:
     """One solve of the map.
 
-    fidelity: hex, ccx, ccx-native, or FINEST, beside which the others stand. depth: mm below the gel's top under the axis.
+    solver: hex, ccx, or FINEST, beside which the others stand. depth: mm below the gel's top under the axis.
     shear: fraction of the depth. shape: slope in degrees of a tilted block, width in mm of a ridge. friction: coefficient;
     None: no slip. size: of elements under the press, mm; steps: load steps of the press, half as many of the shear; both 0
     where labels' own are used.
     """
 
-    fidelity: str
+    solver: str
     kind: str
     depth: float
     shear: float
@@ -83,49 +83,44 @@ class Case:
         return asdict(self)
 
 
-def centre(table: StabilityTable, fidelity: str, kind: str) -> Case:
+def centre(table: StabilityTable, solver: str, kind: str) -> Case:
     """The case at label setting that rows vary one factor of."""
-    return Case(fidelity, kind, table.depth_mm, 0.0, "centre", table.nu)
+    return Case(solver, kind, table.depth_mm, 0.0, "centre", table.nu)
 
 
-def series(table: StabilityTable, fidelity: Any, kind: str) -> Case:
+def series(table: StabilityTable, solver: Any, kind: str) -> Case:
     """The case that rows of elements and load steps vary."""
-    return replace(centre(table, fidelity, kind), size=table.size[fidelity], steps=table.steps)
+    return replace(centre(table, solver, kind), size=table.size[solver], steps=table.steps)
 
 
 def row_cases(table: StabilityTable, row: str) -> list[Case]:
-    """Cases of one row: a factor, "random", or "native" (CalculiX' own contact)."""
+    """Cases of one row: a factor, or "random"."""
     if row == "random":
         return random_cases(table)
-    if row == "native":
-        size = table.sizes["ccx-native"][-1]
-        own = [replace(centre(table, "ccx-native", kind), size=size, steps=table.steps) for kind in ("round", "flat")]
-        other = [centre(table, FINEST, kind) for kind in ("round", "flat")]
-        return [replace(case, depth=depth) for case in (*own, *other) for depth in table.native_depths_mm]
     if row in SERIES:
-        around = [series(table, fidelity, kind) for fidelity in ("hex", "ccx") for kind in BODIES]
-        return [replace(case, **{row: level}) for case in around for level in levels(table, row, case.fidelity)]
+        around = [series(table, solver, kind) for solver in ("hex", "ccx") for kind in BODIES]
+        return [replace(case, **{row: level}) for case in around for level in levels(table, row, case.solver)]
     kinds = [SHAPED[row]] if row in SHAPED else list(BODIES)
-    around = [centre(table, fidelity, kind) for fidelity in ("hex", "ccx", FINEST) for kind in kinds]
+    around = [centre(table, solver, kind) for solver in ("hex", "ccx", FINEST) for kind in kinds]
     return [replace(case, **{factor_of(row): level}) for case in around for level in levels(table, row)]
 
 
 def factor_of(row: str) -> str:
     """The field of a case that a row varies."""
-    return {"native": "depth", "random": "depth", **dict.fromkeys(SHAPED, "shape")}.get(row, row)
+    return {"random": "depth", **dict.fromkeys(SHAPED, "shape")}.get(row, row)
 
 
-def levels(table: StabilityTable, row: str, fidelity: Any = "") -> list:
+def levels(table: StabilityTable, row: str, solver: Any = "") -> list:
     """Values that a row takes."""
     if row == "place":
         return list(PLACES)
     if row == "size":
-        return list(table.sizes[fidelity])
+        return list(table.sizes[solver])
     return list(getattr(table.levels, row))
 
 
 def random_cases(table: StabilityTable) -> list[Case]:
-    """Random combinations of depth, shear, place, body and Poisson's ratio within their ranges, by each fidelity."""
+    """Random combinations of depth, shear, place, body and Poisson's ratio within their ranges, by each solver."""
     rng = np.random.default_rng(table.seed)
     reach = {factor: (min(values), max(values)) for factor, values in vars(table.levels).items()}
     cases = []
@@ -134,5 +129,5 @@ def random_cases(table: StabilityTable) -> list[Case]:
         shear = float(np.round(rng.uniform(*reach["shear"]), 3))
         nu = float(np.round(rng.uniform(*reach["nu"]), 4))
         place, kind = str(rng.choice(list(PLACES))), str(rng.choice(list(BODIES)))
-        cases += [Case(fidelity, kind, depth, shear, place, nu) for fidelity in ("hex", "ccx", FINEST)]
+        cases += [Case(solver, kind, depth, shear, place, nu) for solver in ("hex", "ccx", FINEST)]
     return cases

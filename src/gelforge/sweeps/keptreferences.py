@@ -1,8 +1,8 @@
 """References of the chart's scenes kept as plain files, so that nobody has to solve them again: hours on fine tetrahedra.
 
-A file for each scene holds its force in every cell; one beside them says by a digest what each was solved with, and by
-another what it holds. Where scene, settings, the chart's version or the file itself have changed since, a reference is
-none any more and is solved anew. The version of stage 30 is left out: it rises with the other ways of solving, too.
+A file for each scene holds its force in every cell; one beside them says by a digest what each is a reference of, and by
+another what it holds. Where the scene, the cells, [pareto.reference] or the file itself have changed since, a reference is
+none any more and is solved anew.
 """
 
 from collections.abc import Iterable
@@ -11,7 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.cache import digest_of_value
 from gelforge.flow.files import digest_of, read_csv, read_json, write_csv, write_json
+from gelforge.flow.params import plain
+from gelforge.flow.params.tables import ReferenceTable
+from gelforge.labelling.sensor import Sensor
 from gelforge.records.press import FORCE
 from gelforge.sweeps.deviation import errors
 from gelforge.sweeps.methods import DOUBLED, REFERENCE
@@ -22,6 +26,11 @@ KEYS = "keys.json"
 COLUMNS = ("row", "column", *FORCE)
 OUTSIDE = -1  # row and column of what acts outside of the picture
 LEAST_N = 5e-8  # less in a cell is written as none
+
+
+def reference_key(scene: dict, nu: float, sensor: Sensor, table: ReferenceTable) -> str:
+    """Digest of what a reference is one of: table of the scene, Poisson's ratio, cells, element sizes and load steps."""
+    return digest_of_value([scene, nu, sensor.projection.tolist(), plain(table)])
 
 
 def reference_rows(record: dict) -> list[dict]:

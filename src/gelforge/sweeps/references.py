@@ -23,7 +23,7 @@ LONGEST = 1.3  # of the edges asked for: what pytetwild leaves longer is split
 
 def label_meshes(params: Charted) -> list[str]:
     """Names of the tetrahedral meshes on which labels are made."""
-    return required_meshes(replace(params.fea, fidelity="ccx"), params.meshes)
+    return required_meshes(replace(params.fea, method="ccx"), params.meshes)
 
 
 def chart_meshes(params: ForPareto | Params) -> list[str]:

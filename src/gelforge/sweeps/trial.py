@@ -13,21 +13,20 @@ from gelforge.errors import BadInput
 from gelforge.flow.cache import digest_of_value, record_of
 from gelforge.flow.files import write_json
 from gelforge.flow.params import plain
-from gelforge.flow.params.schema import ParameterTable
 from gelforge.flow.params.stages import ForPareto, ForStability
-from gelforge.flow.params.tables import CHOOSING, TETRAHEDRAL, VERIFYING, ParetoTable, StabilityTable
+from gelforge.flow.params.tables import CHOOSING, TETRAHEDRAL, VERIFYING
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import assemble
 from gelforge.labelling.sensor import Sensor
 from gelforge.mechanics.hexsettings import QUALITIES, quality
 from gelforge.sweeps.isolate import CRASHED, REFUSED, TIMED_OUT, Clock, isolated, peak_mib
-from gelforge.sweeps.keptreferences import kept_reference
+from gelforge.sweeps.keptreferences import kept_reference, reference_key
 from gelforge.sweeps.methods import LARGE_REFERENCE, REFERENCE, Method, hex_settings, prepare, warm_up
 from gelforge.sweeps.references import EDGE_QUALITY
 from gelforge.sweeps.scenes import NamedScene
 
 GRID = Grid(24, 32)  # of FEATS' labels
-NOT_SOLVER = CHOOSING | TETRAHEDRAL | VERIFYING | {"fidelity", "timeout_s"}
+NOT_SOLVER = CHOOSING | TETRAHEDRAL | VERIFYING | {"method", "timeout_s"}
 
 
 @dataclass(frozen=True)
@@ -47,18 +46,20 @@ class ChartBench:
         return self.records / scene.name / f"{method.name}.json"
 
     def key(self, scene: NamedScene, method: Method) -> str:
-        """Digest of all that a record depends on."""
+        """Digest of all that a record depends on; of a reference, what it is a reference of."""
+        if method == LARGE_REFERENCE:
+            return reference_key(scene.table, self.params.material.nu, self.sensor, self.params.pareto.reference)
         parts = [scene.table, asdict(method), self.params.version, self.params.material.nu,
                  self.sensor.projection.tolist(), self._settings(method)]  # fmt: skip
         return digest_of_value(parts)
 
     def _settings(self, method) -> list:
         p = self.params
-        if method.fidelity == "hex":
-            return [asdict(hex_settings(method, p.fea))]
-        if method.fidelity == REFERENCE:
+        if method.solver == "hex":
+            return [asdict(hex_settings(method))]
+        if method.solver == REFERENCE:
             return [plain(p.pareto.reference), asdict(quality(EDGE_QUALITY)), *ccx_settings(p)]
-        if method.name == "auto-label":
+        if method.name == "auto":
             fea = {key: value for key, value in plain(p.fea).items() if key not in VERIFYING}
             return [fea, plain(p.meshes), *(asdict(quality(name)) for name in QUALITIES)]
         if method.size is None:
@@ -67,14 +68,9 @@ class ChartBench:
 
 
 def ccx_settings(params: ForPareto | ForStability) -> list[dict]:
-    """What of [meshes] and [fea] changes a solve with CalculiX, whichever fidelity is chosen; hexahedra do not."""
-    fea = {key: value for key, value in without_bricks(params.fea).items() if key not in NOT_SOLVER}
-    return [without_bricks(params.meshes), fea]
-
-
-def without_bricks(table: ParameterTable) -> dict:
-    """A table of parameters, as a dictionary, without those of the in-process solver, hex_*."""
-    return {key: value for key, value in plain(table).items() if not key.startswith("hex_")}
+    """What of [meshes] and [fea] changes a solve with CalculiX, whichever method is chosen."""
+    fea = {key: value for key, value in plain(params.fea).items() if key not in NOT_SOLVER}
+    return [plain(params.meshes), fea]
 
 
 def cells_of(mesh, forces: np.ndarray, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
@@ -130,11 +126,6 @@ def kept(path: Path, key: str, limit_s: float) -> dict | None:
     return None if again else record or None
 
 
-def limit_of(table: ParetoTable | StabilityTable, fidelity: str) -> float:
-    """Processor seconds that one solve may take; CalculiX' own contact has a limit of its own."""
-    return table.native_limit_s if fidelity == "ccx-native" else table.limit_s
-
-
 def measure(bench: ChartBench, scene: NamedScene, method: Method) -> dict:
     """The record of a scene solved by a method: the kept one, or a new one, which is kept.
 
@@ -145,13 +136,13 @@ def measure(bench: ChartBench, scene: NamedScene, method: Method) -> dict:
     path, key = bench.record_path(scene, method), bench.key(scene, method)
     # one that is kept elsewhere is read there: what was taken from it before may be an earlier one
     given = given_reference(bench, scene) if method == LARGE_REFERENCE else None
-    record = None if given else kept(path, key, limit_of(bench.params.pareto, method.fidelity))
+    record = None if given else kept(path, key, bench.params.pareto.limit_s)
     if record is None:
         for stale in path.parent.glob(".work-*"):
             shutil.rmtree(stale, ignore_errors=True)
 
         found = given or solve_method(bench, scene, method, path.parent)
-        record = {"key": key, "scene": scene.name, "method": method.name, "fidelity": method.fidelity} | found
+        record = {"key": key, "scene": scene.name, "method": method.name, "solver": method.solver} | found
         write_json(path, record)
         print(f"{scene.name} {method.name}: {record['status']} {record.get('cpu_seconds', float('nan')):.1f} s"
               f" {np.round(record.get('total', []), 4).tolist()} {record['reason']}", flush=True)  # fmt: skip
@@ -168,7 +159,7 @@ def given_reference(bench: ChartBench, scene: NamedScene) -> dict | None:
 def solve_method(bench: ChartBench, scene: NamedScene, method: Method, work: Path) -> dict:
     """The record of a scene solved now, in a process of its own."""
     make = partial(prepare, method, scene.scene, bench.meshes, bench.params)
-    return solve_isolated(make, bench.sensor, limit_of(bench.params.pareto, method.fidelity), work)
+    return solve_isolated(make, bench.sensor, bench.params.pareto.limit_s, work)
 
 
 def load_bench(

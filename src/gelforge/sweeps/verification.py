@@ -1,4 +1,4 @@
-"""Presses that fidelity "auto" solved without CalculiX, solved by CalculiX, too, and the differences of both."""
+"""Presses that method "auto" solved without CalculiX, solved by CalculiX, too, and the differences of both."""
 
 import hashlib
 from collections import Counter
@@ -16,7 +16,7 @@ from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import assemble
 from gelforge.labelling.sensor import Sensor
 from gelforge.mechanics.mesh.gelmesh import GelMesh
-from gelforge.mechanics.solvers.auto import charted_errors
+from gelforge.mechanics.solve import charted_errors
 from gelforge.sweeps.deviation import cell_error, total_error
 
 ENDING = ".verify.json"
@@ -122,5 +122,5 @@ def refuse_beyond(records: Sequence[Verified]) -> None:
         raise BadInput(
             f"{len(beyond)} of {len(solved)} verified presses differ from CalculiX by more than their benchmarked errors"
             f" ({ALLOWED:.0%} may): {'; '.join(record.sentence() for record in beyond[:5])}; look at these presses, and set"
-            ' [fea] fidelity = "ccx", or lower tolerance and cell_tolerance'
+            ' [fea] method = "ccx", or lower tolerance and cell_tolerance'
         )

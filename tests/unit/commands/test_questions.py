@@ -35,7 +35,7 @@ def lay(results, count, size=100):
         write_json(results / f"metrics/40_forces/{name}.json", cost | {"inputs": [str(fea)]})
     forces = [str(results / f"40_forces/{name}.npz") for name in names]
     write_json(results / "metrics/50_labels/24x32/labels.json", cost | {"inputs": forces})
-    solve = {"status": "OK", "reason": "", "fidelity": "hex", "mesh": "hex@a", "files": ["s00123.npz"],
+    solve = {"status": "OK", "reason": "", "method": "label", "mesh": "hex@a", "files": ["s00123.npz"],
              "evidence": {"seconds": 3.25, "peak_mib": 77.0}}  # fmt: skip
     write_json(results / "30_fea/0001/s00123.json", solve)
 

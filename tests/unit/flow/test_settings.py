@@ -129,7 +129,7 @@ def test_every_key_refuses_what_has_no_meaning(root):
 
 MEANINGLESS = (
     ("[params.fea]\nrounds = 8.0", r"rounds = 8.0: give a whole number"),
-    ("[params.fea]\nfidelty = 'ccx'", r"\[params.fea\] fidelty: unknown key; fidelity is meant"),
+    ("[params.fea]\nmetod = 'ccx'", r"\[params.fea\] metod: unknown key; method is meant"),
     ("[params.fae]\nrounds = 8", "fae: unknown key; fea is meant"),
     ("[[params]]", "params = .*: give tables"),
     ("params = 5", "params = 5: give tables"),

@@ -150,9 +150,9 @@ def test_names_that_mean_nothing_are_refused():
 
 
 def test_required_meshes_need_known_regions():
-    fea = with_values(parameters().fea, fidelity="ccx", meshes=["centre-0.7", "wide-1.0"])
+    fea = with_values(parameters().fea, method="ccx", meshes=["centre-0.7", "wide-1.0"])
     assert required_meshes(fea, TABLE) == ["ccx-centre-0.7", "ccx-wide-1.0"]
-    assert required_meshes(with_values(fea, fidelity="hex"), TABLE) == []
+    assert required_meshes(with_values(fea, method="draft"), TABLE) == []
     with pytest.raises(BadInput, match="edge"):
         required_meshes(with_values(fea, meshes=["edge-1.0"]), TABLE)
 

@@ -4,15 +4,14 @@ from dataclasses import fields, replace
 
 import pytest
 
-from gelforge.flow.params.tables import FIDELITIES, FeaTable
+from gelforge.flow.params.tables import IN_PROCESS, METHODS, FeaTable
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.indenters import build
-from gelforge.mechanics import solvekey
+from gelforge.mechanics import solve
 from gelforge.mechanics.hexsettings import quality
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.scene import Interface, Scene
-from gelforge.mechanics.solvekey import settings_of, solve_key
-from gelforge.mechanics.solvers.auto import method_of
+from gelforge.mechanics.solve import chosen, settings_of, solve_key
 from gelforge.records.press import Press
 from tests.support.parameters import parameters
 
@@ -21,9 +20,9 @@ BALL = {"kind": "sphere", "diameter": 15, "height": 10}
 SCENE = Scene(load_gel("gelsight_mini"), Material(), build("ball", BALL), Press(0.1, 0.2, 0.0, 0.1, 0.2, -1.0, 5.0))
 # Another value of each parameter of [fea]; the tolerances leave `auto` the same method for this press.
 OTHER = {
-    "fidelity": None, "meshes": ("wide-1.0",), "fine_meshes": ("wide-1.0",), "tolerance": 0.05, "cell_tolerance": 0.2,
+    "method": None, "meshes": ("wide-1.0",), "tolerance": 0.05, "cell_tolerance": 0.2,
     "charted": {name: {way: (*row[:2], 2 * row[2]) for way, row in rows.items()} for name, rows in FEA.charted.items()},
-    "hex_quality": "draft", "press_steps": 5, "shear_steps": 4, "step_mm": 0.3, "stiffness": 1000.0, "rounds": 9,
+    "press_steps": 5, "shear_steps": 4, "step_mm": 0.3, "stiffness": 1000.0, "rounds": 9,
     "pull_tolerance": 3e-3, "penetration_mm": 3e-3, "residual": 2e-5, "timeout_s": 3600.0, "verify": 0.5,
 }  # fmt: skip
 CALCULIX = {
@@ -36,37 +35,36 @@ CALCULIX = {
     "penetration_mm",
     "residual",
 }
-READ = {"hex": {"hex_quality"}, "ccx": CALCULIX, "ccx-fine": CALCULIX, "ccx-native": set(), "auto": set()}
+READ = {"ccx": CALCULIX}
 
 
 def key(scene=SCENE, fea=FEA, shape=BALL, mesh="ccx-centre-0.45-0123abcd", version=1, frames=None):
-    way = method_of(scene, fea.fidelity, fea)
-    how = settings_of(way, fea, scene.interface, "" if way.fidelity == "hex" else mesh)
+    method, _ = chosen(scene, fea)
+    how = settings_of(method, fea, "" if method in IN_PROCESS else mesh)
     return solve_key(frames or [scene], shape, how, version, -1)
 
 
-@pytest.mark.parametrize("fidelity", FIDELITIES)
-def test_a_parameter_of_fea_solves_again_only_where_the_method_reads_it(fidelity):
+@pytest.mark.parametrize("method", METHODS)
+def test_a_parameter_of_fea_solves_again_only_where_the_method_reads_it(method):
     assert {field.name for field in fields(FeaTable)} == OTHER.keys(), (
         "say here what a new parameter of [fea] changes"
     )
-    fea = replace(FEA, fidelity=fidelity)
+    fea = replace(FEA, method=method)
     changed = {
         name
         for name, value in OTHER.items()
         if value is not None and key(fea=replace(fea, **{name: value})) != key(fea=fea)
     }
-    assert changed == READ[fidelity]
+    assert changed == READ.get(method, set())
 
 
 def test_each_method_is_solved_for_itself_and_auto_takes_what_its_method_solved():
-    keys = {name: key(fea=replace(FEA, fidelity=name)) for name in FIDELITIES}
-    assert len({keys[name] for name in ("hex", "ccx", "ccx-fine", "ccx-native")}) == 4
-    chosen = method_of(SCENE, "auto", FEA)
-    alone = key(fea=replace(FEA, fidelity=chosen.fidelity, hex_quality=chosen.hexahedra))
-    assert keys["auto"] == alone
-    strict = replace(FEA, fidelity="auto", tolerance=0.01)
-    assert method_of(SCENE, "auto", strict) != chosen and key(fea=strict) != keys["auto"]
+    keys = {name: key(fea=replace(FEA, method=name)) for name in METHODS}
+    assert len({keys[name] for name in ("draft", "label", "fine", "ccx")}) == 4
+    method, _ = chosen(SCENE, replace(FEA, method="auto"))
+    assert keys["auto"] == keys[method]
+    strict = replace(FEA, method="auto", tolerance=0.01)
+    assert chosen(SCENE, strict)[0] != method and key(fea=strict) != keys["auto"]
 
 
 @pytest.mark.parametrize("field", [f.name for f in fields(Press)])
@@ -96,10 +94,10 @@ def test_a_frame_depends_on_the_path_and_a_press_alone_does_not():
 
 
 def test_what_a_quality_means_counts_and_not_its_name(monkeypatch):
-    hexahedra, tetrahedra = replace(FEA, fidelity="hex"), FEA
+    hexahedra, tetrahedra = replace(FEA, method="draft"), FEA
     coulomb = replace(SCENE, interface=Interface("coulomb", 0.5))
     before = key(fea=hexahedra), key(fea=tetrahedra), key(coulomb, tetrahedra)
-    monkeypatch.setattr(solvekey, "quality", lambda name: replace(quality(name), press_steps=99))
+    monkeypatch.setattr(solve, "quality", lambda name: replace(quality(name), press_steps=99))
     after = key(fea=hexahedra), key(fea=tetrahedra), key(coulomb, tetrahedra)
     # the load path of `ccx` is found on hexahedra, which also solve what it does not
     assert all(a != b for a, b in zip(before, after, strict=True))

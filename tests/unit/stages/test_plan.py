@@ -233,7 +233,7 @@ UNKNOWN = [
     ),
     ('[params.pareto.quick]\nscenes = ["none"]', r"\[pareto.quick\] scenes: 'none' is unknown"),
     ('[params.pareto]\nsensor = "none"', r"\[pareto\] sensor: 'none' is unknown"),
-    ('[params.fea]\nfidelity = "hex"\n[params.stability]\nseed = -1', "seed = -1"),
+    ('[params.fea]\nmethod = "label"\n[params.stability]\nseed = -1', "seed = -1"),
     ('catalogue = "none.toml"', "none.toml: not found"),
 ]
 
@@ -250,11 +250,11 @@ def test_sensors_sit_on_gels_of_their_own_where_bricks_follow_them(lab):
         '[thin]\ngel = "gelsight_mini-3.6mm"\nimage = [320, 240]\n'
         "projection = [[0.0, -14.0, 160.0], [-14.0, 0.0, 120.0], [0.0, 0.0, 1.0]]\n"
     )
-    hexahedra = '[params.fea]\nfidelity = "hex"\n'
+    hexahedra = '[params.fea]\nmethod = "label"\n'
     assert planned(lab, hexahedra, "thin") == ["thin", "mini_b"]
     off = r"sensor '{}' of the log has gel '{}'.*hexahedra .*follow the thickness"
     with pytest.raises(BadInput, match=off.format("thin", "gelsight_mini-3.6mm")):
-        planned(lab, '[params.fea]\nfidelity = "auto"\n', "thin", ccx="/usr/bin/ccx")
+        planned(lab, '[params.fea]\nmethod = "auto"\n', "thin", ccx="/usr/bin/ccx")
     # of a thickness for all presses nobody has to guess whether it serves sensors that state none
     with pytest.raises(BadInput, match=off.format("mini_b", "gelsight_mini")):
         planned(lab, hexahedra + '[params.meshes]\ngel = "gelsight_mini-3.6mm"\n', "thin")
@@ -296,15 +296,14 @@ def test_a_planned_file_is_written_anew_where_its_bytes_differ_and_there_alone(t
 
 
 def test_without_calculix_presses_are_solved_in_process_unless_a_dataset_asks_for_it(tmp_path):
-    """A fidelity of CalculiX' own is not replaced by other numbers."""
+    """CalculiX is not replaced by other numbers where it was asked for."""
     dataset = tmp_path / "dataset.toml"
-    for fidelity in ("ccx", "ccx-fine", "ccx-native"):
-        dataset.write_text(f'[params.fea]\nfidelity = "{fidelity}"\n')
-        with pytest.raises(BadInput, match=f"'{fidelity}' needs CalculiX.*make setup"):
-            plan.without_ccx(config.load_params("workflow", dataset), dataset)
-    for text in ("", '[params.fea]\nfidelity = "auto"\n', '[params.fea]\nfidelity = "hex"\n'):
+    dataset.write_text('[params.fea]\nmethod = "ccx"\n')
+    with pytest.raises(BadInput, match=r"'ccx' needs CalculiX.*make setup"):
+        plan.without_ccx(config.load_params("workflow", dataset), dataset)
+    for text in ("", '[params.fea]\nmethod = "auto"\n', '[params.fea]\nmethod = "label"\n'):
         dataset.write_text(text)
-        assert plan.without_ccx(config.load_params("workflow", dataset), dataset).fea.fidelity == "hex"
+        assert plan.without_ccx(config.load_params("workflow", dataset), dataset).fea.method == "label"
 
 
 def test_presses_that_show_one_picture_are_planned_as_such(tmp_path):

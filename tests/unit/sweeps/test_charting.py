@@ -22,11 +22,11 @@ from gelforge.flow.orphans import die_with_parent
 from gelforge.flow.params import load_params
 from gelforge.labelling.sensor import load_sensors
 from gelforge.stages import stability
-from gelforge.stages.pareto import charted, keep_charted, summarise
+from gelforge.stages.pareto import keep_charted, summarise
 from gelforge.sweeps import cases
 from gelforge.sweeps.deviation import cell_error, errors, frontier, total_error
 from gelforge.sweeps.isolate import isolated
-from gelforge.sweeps.methods import Method, every_method, quick_methods
+from gelforge.sweeps.methods import LARGE_REFERENCE, Method, every_method, method_of, quick_methods
 from gelforge.sweeps.references import edge_of_contact, reference_mesh
 from gelforge.sweeps.scenes import parse_scene, read_tables, resolve
 from gelforge.sweeps.trial import kept, load_bench
@@ -84,7 +84,7 @@ def test_frontier_beats_every_other_point(points):
 def test_a_method_that_failed_on_a_scene_takes_no_other_off_the_frontier():
     def record(seconds, error):
         return {
-            "method": {"fidelity": "hex", "size": 1.0, "steps": 10},
+            "method": {"solver": "hex", "size": 1.0, "steps": 10},
             "cpu_seconds": seconds,
             "errors": error and {"total": error, "cells": error},
         }
@@ -139,17 +139,17 @@ def test_a_scene_that_is_wrong_is_named():
 
 
 def test_the_chart_holds_what_was_asked(params):
-    methods = every_method(params.pareto, params.fea.hex_quality)
+    methods = every_method(params.pareto)
     assert len({m.name for m in methods}) == len(methods)
-    for fidelity in ("hex", "ccx"):
-        own = [m for m in methods if m.fidelity == fidelity and m.size]
+    for solver in ("hex", "ccx"):
+        own = [m for m in methods if m.solver == solver and m.size]
         # one factor at a time: a full product would be hours
         assert len({m.size for m in own}) >= 4 and len({m.steps for m in own}) >= 3
         assert len(own) == len({m.size for m in own}) + len({m.steps for m in own}) - 1
-    assert {"hex", "ccx", "ccx-native", "auto", "ccx-fine"} <= {m.fidelity for m in methods}
+    assert {"draft", "label", "fine", "ccx", "auto", "reference"} <= {m.name for m in methods}
     quick = params.pareto.quick
-    assert all(m.fidelity == "hex" for m in quick_methods(quick, with_ccx=False, reference_kept=False))
-    assert quick_methods(quick, with_ccx=True, reference_kept=True)[-1].fidelity == "ccx-fine"
+    assert all(m.solver == "hex" for m in quick_methods(quick, with_ccx=False, reference_kept=False))
+    assert quick_methods(quick, with_ccx=True, reference_kept=True)[-1].name == "reference"
 
 
 def test_a_key_follows_what_the_method_depends_on_and_nothing_else(params, scenes, tmp_path):
@@ -160,15 +160,17 @@ def test_a_key_follows_what_the_method_depends_on_and_nothing_else(params, scene
     stiffer = replace(params.fea, stiffness=1.0)
     charted = replace(params.fea, charted={}, tolerance=0.5)
     hexahedron, ccx = Method("hex-1-8", "hex", 1.0, 4, 8), Method("ccx-1-8", "ccx", 1.0, steps=8)
-    auto, label, tets = Method("auto-label", "auto"), Method("hex-label", "hex"), Method("ccx-label", "ccx")
-    rough = replace(params.fea, hex_quality="demo")
+    auto, label, tets = method_of("auto"), method_of("label"), method_of("ccx")
     assert key(hexahedron) == key(hexahedron, fea=stiffer)
     assert key(ccx) != key(ccx, fea=stiffer)
     assert key(ccx) == key(ccx, fea=charted)
     assert key(auto) != key(auto, fea=charted)
     assert key(hexahedron) != key(hexahedron, material=replace(params.material, nu=0.49))
-    assert key(label) != key(label, fea=rough)
-    assert key(tets) == key(tets, fea=rough) and key(hexahedron) == key(hexahedron, fea=rough)
+    assert key(label) == key(label, fea=stiffer) and key(tets) != key(tets, fea=stiffer)
+    # hours of solves: what a reference is one of, and nothing of how others solve
+    moved = replace(params.pareto.reference, edge_mm=0.2)
+    assert key(LARGE_REFERENCE) == key(LARGE_REFERENCE, fea=stiffer)
+    assert key(LARGE_REFERENCE) != key(LARGE_REFERENCE, pareto=replace(params.pareto, reference=moved))
 
 
 def failing(error):
@@ -282,13 +284,13 @@ def test_verdicts_against_the_finest_of_the_row():
 
 def test_a_place_at_label_setting_stands_beside_the_finest_hexahedra():
     press = {"kind": "flat", "depth": 3.5, "shear": 0.0, "place": "rim", "nu": 0.475}
-    fidelities = ("hex", "ccx", cases.FINEST)
+    solvers = ("hex", "ccx", cases.FINEST)
     records = [
-        _record(cases.Case(fidelity, **press), fz=fz) for fidelity, fz in zip(fidelities, (-5.1, -6, -5), strict=True)
+        _record(cases.Case(solver, **press), fz=fz) for solver, fz in zip(solvers, (-5.1, -6, -5), strict=True)
     ]
     judged = stability.judge_row("depth", records, stage_of("stability", stability={"drift": 0.05}))
     assert [(line["level"], line["against"], line["verdict"]) for line in judged] == [
-        (3.5, "finest", "good"), (3.5, "finest", "drifts"), (3.5, None, "good")]  # fmt: skip
+        (3.5, "fine", "good"), (3.5, "fine", "drifts"), (3.5, None, "good")]  # fmt: skip
     assert judged[0]["error"] == pytest.approx(0.02)
 
 
@@ -298,13 +300,13 @@ def test_bodies_and_laws_of_the_map_are_those_of_its_rows():
     assert {case.scene.interface.law for case in friction} == {"frictionless", "coulomb"}
     # a ridge is as wide as its level says; the steeper the tilt, the farther is the gel from the block's middle
     assert min(case.scene.indenter.radius() for case in ridge) == pytest.approx(np.hypot(3.0, 0.1), rel=0.02)
-    gaps = [case.scene.indenter.distance(np.zeros((1, 3)))[0][0] for case in tilt if case.fidelity == "hex"]
+    gaps = [case.scene.indenter.distance(np.zeros((1, 3)))[0][0] for case in tilt if case.solver == "hex"]
     assert gaps == sorted(gaps) and gaps[0] < 0.2 < gaps[-1]
 
 
 def test_the_map_covers_what_was_asked():
     table = parameters().stability
-    rows = {row: cases.row_cases(table, row) for row in (*cases.FACTORS, "random", "native")}
+    rows = {row: cases.row_cases(table, row) for row in (*cases.FACTORS, "random")}
     every = [case for row in rows.values() for case in row]
     assert {case.kind for case in every} == {"round", "flat", "sharp", "several", "tilted", "ridge"}
     depths, shears, nus = ([getattr(c, f) for c in every] for f in ("depth", "shear", "nu"))
@@ -331,22 +333,6 @@ def test_records_of_what_may_be_mended_are_made_again(tmp_path):
         write_json(path, {"key": "k"} | record)
         assert (kept(path, "k", limit) is not None) == stays, record
         assert kept(path, "another", limit) is None
-
-
-def test_bricks_of_label_quality_are_charted_as_such_whatever_fea_uses():
-    def record(cost):
-        return {"errors": {"total": 0.01, "cells": 0.05}, "cpu_seconds": cost}
-
-    methods = {
-        "hex-draft-quality": record(1.0),
-        "hex-label": record(0.5),
-        "hex-label-quality": record(2.0),
-        "ccx-label": record(6.0),
-    }
-    scenes = [{"class": "flat_deep", "methods": methods}]
-    assert charted(scenes)["flat_deep"]["hex-label"][2] == 1.0 and charted(scenes)["flat_deep"]["ccx"][2] == 3.0
-    del methods["hex-label-quality"]
-    assert charted(scenes)["flat_deep"]["ccx"][2] == 12.0
 
 
 def test_the_chart_writes_what_auto_chooses_by(root, tmp_path):

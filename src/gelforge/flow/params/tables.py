@@ -34,14 +34,12 @@ Line = Annotated[str, Rule(str.isprintable, "text of one line")]
 Half = tuple[Length, Length]
 Law = Literal["no_slip", "coulomb", "frictionless"]
 LAWS = get_args(Law)
-Fidelity = Literal["hex", "ccx", "ccx-native", "ccx-fine", "auto"]
-FIDELITIES = get_args(Fidelity)
-IN_PROCESS = ("hex",)  # those that need neither CalculiX nor tetrahedral meshes
-Quality = Literal["demo", "draft", "label", "fine"]
-QUALITIES = get_args(Quality)
-# Among what fidelity "auto" chooses, and the classes of contact by which errors are charted (mechanics.solvers.contactclass):
+Method = Literal["draft", "label", "fine", "ccx", "auto"]
+METHODS = get_args(Method)
+IN_PROCESS = ("draft", "label", "fine")  # qualities of hexahedra: they need neither CalculiX nor tetrahedral meshes
+# Among what method "auto" chooses, and the classes of contact by which errors are charted (mechanics.solvers.contactclass):
 # shapes by how fast their overlap with the gel grows with depth, each of them shallow, then deep.
-Way = Literal["hex-draft", "hex-label", "ccx"]
+Way = Literal["draft", "label", "ccx"]
 WAYS = get_args(Way)
 ContactClass = Literal[
     "flat_shallow", "flat_deep", "curved_shallow", "curved_deep", "pointed_shallow", "pointed_deep"
@@ -53,7 +51,7 @@ CHOOSING = frozenset(
     {"charted", "tolerance", "cell_tolerance"}
 )  # of [fea]: "auto" alone reads them, and chooses by them
 VERIFYING = frozenset({"verify"})  # of [fea]: says what is solved twice, and changes no solve
-TETRAHEDRAL = frozenset({"meshes", "fine_meshes"})  # of [fea]: those IN_PROCESS read none of them
+TETRAHEDRAL = frozenset({"meshes"})  # of [fea]: those IN_PROCESS read none of them
 SHIPPED = "shipped"  # the network that predict and live use where none is named, as targets and parameters call it
 SHIPPED_IMAGE = (320, 240)  # width and height of the pictures that it reads
 
@@ -289,7 +287,7 @@ class CalibrateTable(ParameterTable):
     seed: Seed
     autocorrelation_times: Count
     max_steps: Annotated[int, Within(1, 1e9)]
-    refine: Literal["none", "demo", "draft", "label", "fine"]
+    refine: Literal["none", "draft", "label", "fine"]
     solver: CalibrateSolverTable
     priors: PriorsTable
 
@@ -359,14 +357,12 @@ class MeshesTable(ParameterTable):
 class FeaTable(ParameterTable):
     """[fea]: finite element solves of presses."""
 
-    fidelity: Fidelity
+    method: Method
     meshes: Annotated[tuple[Name, ...], SOME]
-    fine_meshes: Annotated[tuple[Name, ...], SOME]
     tolerance: Annotated[Number, Within(TINY, 1.0)]
     cell_tolerance: Annotated[Number, Within(TINY, 1.0)]
     charted: Charted
     verify: Fraction
-    hex_quality: Quality
     press_steps: Steps
     shear_steps: Steps
     step_mm: Length
@@ -378,9 +374,11 @@ class FeaTable(ParameterTable):
     timeout_s: Seconds
 
     def fault(self) -> str | None:
-        """Nothing to choose from where the fidelity is chosen by its charted error."""
-        if self.fidelity == "auto" and not self.charted:
-            return 'fidelity = "auto": chooses by workflow/charted.toml, which is empty; run make pareto, or name a fidelity'
+        """Nothing to choose from where the method is chosen by its charted error."""
+        if self.method == "auto" and not self.charted:
+            return (
+                'method = "auto": chooses by workflow/charted.toml, which is empty; run make pareto, or name a method'
+            )
         return None
 
 
@@ -442,8 +440,6 @@ class ParetoTable(ParameterTable):
     hex_layers: Layers
     ccx_sizes_mm: Sizes
     load_steps: Annotated[tuple[Annotated[int, Within(1, 1000)], ...], SOME]
-    native_sizes_mm: tuple[Annotated[Number, Within(0.1, 10.0, "mm")], ...]
-    native_limit_s: Seconds
     limit_s: Seconds
     reference: ReferenceTable
     quick: QuickTable
@@ -453,7 +449,7 @@ class ParetoTable(ParameterTable):
         return uneven(self.hex_sizes_mm, self.hex_layers)
 
 
-Engine = Literal["hex", "ccx", "ccx-native"]
+Engine = Literal["hex", "ccx"]
 
 
 class LevelsTable(ParameterTable):
@@ -477,18 +473,17 @@ class StabilityTable(ParameterTable):
     size: dict[Engine, Size]
     sizes: dict[Engine, Sizes]
     layers: dict[str, Annotated[int, Within(1, 100)]]
-    native_depths_mm: Annotated[tuple[Annotated[Number, Within(TINY, 4.0, "mm")], ...], SOME]
     random: Whole
     seed: Seed
     drift: Annotated[Number, Within(TINY, 1e3)]
     limit_s: Seconds
-    native_limit_s: Seconds
     minutes: Annotated[Number, Within(0.0, 1e6, "minutes")]
     levels: LevelsTable
 
     def fault(self) -> str | None:
         """Engines without their sizes, sizes without layers, and random cases that pair sizes of unequal lists."""
-        for name, needed in (("size", ("hex", "ccx")), ("sizes", ("hex", "ccx", "ccx-native"))):
+        for name in ("size", "sizes"):
+            needed = ("hex", "ccx")
             lost = [engine for engine in needed if engine not in getattr(self, name)]
             if lost:
                 return f"{name}.{lost[0]} is missing: give an element size in mm for {', '.join(needed)}"

@@ -38,10 +38,6 @@ class ContactLaw:
         """
         return np.full_like(depth, np.inf), np.zeros_like(depth)
 
-    def calculix_friction(self) -> float | None:
-        """Coefficient of CalculiX' own *FRICTION, None without friction; BadInput where CalculiX has no such law."""
-        raise BadInput(f"CalculiX' own contact has no law {self.name!r}; choose another fidelity than ccx-native")
-
 
 class Holding(ContactLaw):
     """Stands for a law with friction in an iteration in which no sticking point may slip."""

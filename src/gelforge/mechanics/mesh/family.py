@@ -51,9 +51,7 @@ class MeshName:
 
 def mesh_names(fea: FeaTable) -> list[str]:
     """Names of the meshes that the [fea] table asks for, in its order; hexahedra are built where they are needed."""
-    if fea.fidelity in IN_PROCESS:
-        return []
-    return [f"ccx-{kind}" for kind in (fea.fine_meshes if fea.fidelity == "ccx-fine" else fea.meshes)]
+    return [] if fea.method in IN_PROCESS else [f"ccx-{kind}" for kind in fea.meshes]
 
 
 def required_meshes(fea: FeaTable, meshes: MeshesTable) -> list[str]:

@@ -3,14 +3,16 @@
 import math
 from dataclasses import dataclass
 
+from gelforge.mechanics.material import REFERENCE_C10
+
 
 @dataclass(frozen=True)
 class PathSettings:
     """How the path of a scene is followed on one mesh; residuals are those of free nodes over the contact force.
 
     size: side of the elements under the press, mm; a free point that is nearer to the indenter may come to touch.
-    stiffness, friction_stiffness: contact penalty along the normal and along the surface (Coulomb), MPa/mm.
-    gauss: order of the contact rule on a face of four nodes.
+    penalty, friction_penalty: contact stiffness along the normal and along the surface (Coulomb), times size / C10.
+    gauss: order of the contact rule on a face of four nodes: 3 x 3 points hold it flatter than it can be.
     press_steps, shear_steps: load steps of the two legs (more where Newton asks for it).
     tolerance, final_tolerance: residual within the path and at its end. rough: at which the end of a path that was followed on
     other elements shows what pulls and what presses.
@@ -20,11 +22,11 @@ class PathSettings:
     touched: how close to the indenter a path on other, wider hexahedra must have brought a point that has touched, in their widths.
     """
 
-    size: float
-    stiffness: float
-    friction_stiffness: float
+    size: float = 0.7
+    penalty: float = 1000.0
+    friction_penalty: float = 100.0
     gauss: int = 2
-    press_steps: int = 4
+    press_steps: int = 6
     shear_steps: int = 3
     tolerance: float = 1e-4
     final_tolerance: float = 1e-9
@@ -35,3 +37,13 @@ class PathSettings:
     settle_rounds: int = 6
     pull_tolerance: float = 1e-3
     touched: float = 0.0
+
+    @property
+    def stiffness(self) -> float:
+        """Contact penalty along the normal, MPa/mm."""
+        return self.penalty * REFERENCE_C10 / self.size
+
+    @property
+    def friction_stiffness(self) -> float:
+        """Contact penalty along the surface, MPa/mm."""
+        return self.friction_penalty * REFERENCE_C10 / self.size

@@ -1,4 +1,4 @@
-"""Fidelity `ccx`: CalculiX on second-order tetrahedra, contact found in process.
+"""Method `ccx`: CalculiX on second-order tetrahedra, contact found in process.
 
 The deck has no contact. The final state of a hyperelastic body depends on its boundary data only, so the part of the
 surface that touches has the displacement that contact gave it; CalculiX finds the equilibrium of the gel and the forces that hold it
@@ -19,7 +19,6 @@ from gelforge.mechanics.ccx.dat import DatError, Unfinished, last_table, read_da
 from gelforge.mechanics.ccx.deck import DIRECT, INCLUDES, ITERATIVE, press_deck, write_include
 from gelforge.mechanics.ccx.program import OVERDUE, run_ccx
 from gelforge.mechanics.contact.penalty import FREE
-from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.path.equilibrium import System
 from gelforge.mechanics.path.loadpath import first_touch
@@ -66,9 +65,9 @@ class CcxSettings:
     def path(self, scene: Scene, touch_at: float) -> PathSettings:
         """How the path of a scene is followed on tetrahedra from the path parameter `touch_at` on."""
         travel = max(1.0 - touch_at, 0.0) * abs(scene.press.dz)
-        stiffness = self.stiffness * REFERENCE_C10
+        penalty = self.stiffness * NEAR_MM
         return PathSettings(
-            NEAR_MM, stiffness, FRICTION * stiffness, press_steps=max(self.press_steps, int(np.ceil(travel / self.step_mm))),
+            NEAR_MM, penalty, FRICTION * penalty, press_steps=max(self.press_steps, int(np.ceil(travel / self.step_mm))),
             shear_steps=self.shear_steps, tolerance=1e-3, final_tolerance=1e-8, rough=ROUGH, max_iterations=20, most_in_all=300,
             settle_rounds=self.rounds,
         )  # fmt: skip

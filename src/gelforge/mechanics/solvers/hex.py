@@ -1,4 +1,4 @@
-"""Fidelity `hex`: the whole contact problem in process, on hexahedra with mean dilatation."""
+"""Method on hexahedra in process: the whole contact problem in process, on hexahedra with mean dilatation."""
 
 import time
 from collections import OrderedDict
@@ -28,6 +28,8 @@ MOST_BELOW_MM = 1e-3  # that a node may end below the base the gel is bonded to
 # Share of the force by which it may be corrected for the size of hexahedra: where more is asked for, the coarse ones are too
 # coarse to say anything.
 MOST_CORRECTED = 0.05
+# A shear step is no longer with friction: points that first touch within a step have none until it ends.
+MOST_SHEAR_MM = 0.2
 KEPT = 8  # meshes, and factorisations, of those used last
 TOUCH = 1e-8  # path parameter, about what the first touch is found to: a frame nearer to it touches nothing yet
 
@@ -192,7 +194,10 @@ class HexSolver:
         return self.settings.box or fine_box(scene, self.settings.size, self.settings.across)
 
     def _run(self, scene: Scene, mesh: HexMesh, settings: HexSettings, size: float) -> ScenePath:
-        return ScenePath(scene, settings.path(size), mesh, self._system(mesh))
+        steps = settings.shear_steps
+        if scene.interface.contact.frictional:
+            steps = max(steps, int(np.ceil(np.hypot(scene.press.dx, scene.press.dy) / MOST_SHEAR_MM)))
+        return ScenePath(scene, replace(settings, size=size, shear_steps=steps), mesh, self._system(mesh))
 
     def _mesh(self, gel: Gel, box: FineBox, s: HexSettings) -> HexMesh:
         shape = _shape(gel, box, s)

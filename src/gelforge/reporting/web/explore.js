@@ -488,7 +488,7 @@ function provenanceRows(i) {
   if (COLUMNS.status[i] === "REJECTED") return rows;
   const mesh = COLUMNS.mesh[i];
   if (mesh) line("mesh", mesh.startsWith("hex@") ? mesh : `${d}/20_meshes/${mesh.split("@")[0]}.npz`, "meshes.json", `20_meshes/${shard}`, "its shard");
-  rows.push([`solve (${COLUMNS.fidelity[i] || "none"})`, `${d}/30_fea/${shard}/${id}.*`, "fea.json", fixed(COLUMNS.seconds[i], 1), "", fixed(COLUMNS.peak_mib[i], 0), "this press"]);
+  rows.push([`solve (${COLUMNS.method[i] || "none"})`, `${d}/30_fea/${shard}/${id}.*`, "fea.json", fixed(COLUMNS.seconds[i], 1), "", fixed(COLUMNS.peak_mib[i], 0), "this press"]);
   line("solves", `${d}/30_fea/${shard}.csv`, "fea.json", `30_fea/${shard}`, "its shard");
   line("forces", `${d}/40_forces/${shard}.npz`, "forces.json", `40_forces/${shard}`, "its shard");
   line("label", `${d}/50_labels/${resolution}/${shard}.npz`, "labels.json", `50_labels/${resolution}/labels`, "all presses");

@@ -14,7 +14,3 @@ class Coulomb(ContactLaw):
         """The coefficient times the pressure."""
         slope = self.coefficient * stiffness
         return slope * depth, np.full_like(depth, slope)
-
-    def calculix_friction(self) -> float:
-        """The coefficient."""
-        return self.coefficient

@@ -14,6 +14,3 @@ class Frictionless(ContactLaw):
         """Zero."""
         none = np.zeros_like(depth * stiffness)
         return none, none
-
-    def calculix_friction(self) -> None:
-        """None."""

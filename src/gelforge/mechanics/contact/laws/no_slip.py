@@ -7,7 +7,3 @@ class NoSlip(ContactLaw):
     """Each point of the gel sticks where it first touched until it is pulled off."""
 
     name, sticks, slips = "no_slip", True, False
-
-    def calculix_friction(self) -> float:
-        """1, as in FEATS' deck: hardly anything slips."""
-        return 1.0

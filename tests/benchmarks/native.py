@@ -1,4 +1,4 @@
-"""Fidelity `ccx-native`: FEATS' formulation, CalculiX' own contact pair between gel and indenter tetrahedra.
+"""FEATS' formulation, CalculiX' own contact pair between gel and indenter tetrahedra.
 
 The deck follows FEATS' sim.inp (Helmut et al., IROS 2025): surface-to-surface contact, the penalty
 that PRESSURE-OVERCLOSURE=TIED falls back to without a data line (50 C10 per mm), friction 1, the
@@ -6,6 +6,7 @@ indenter's top led by prescribed displacements. It is the baseline of the chart,
 """
 
 import time
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +19,9 @@ from gelforge.mechanics.ccx.deck import material_lines, mesh_include
 from gelforge.mechanics.ccx.program import OVERDUE, run_ccx
 from gelforge.mechanics.elements.element import elements
 from gelforge.mechanics.mesh.gelmesh import GelMesh
-from gelforge.mechanics.mesh.tetmesh import FACES, boundary_faces, orient, tetrahedralise
+from gelforge.mechanics.mesh.tetmesh import FACES, boundary_faces, gel_mesh, orient, tetrahedralise
 from gelforge.mechanics.path.loadpath import first_touch
+from gelforge.mechanics.result import Result
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solvers.ccx import CcxResult, status_of
 from gelforge.records.status import Status
@@ -78,7 +80,8 @@ def native_deck(scene: Scene, mesh: GelMesh, nodes: np.ndarray, tets: np.ndarray
     lines += ["*CONTACT PAIR, INTERACTION=TOUCH, TYPE=SURFACE TO SURFACE", "SGEL,SIND",
               "*SURFACE INTERACTION, NAME=TOUCH",
               "*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=TIED"]  # fmt: skip
-    friction = scene.interface.contact.calculix_friction()
+    # 1 without slip, as in FEATS' deck: hardly anything slips
+    friction = {"no_slip": 1.0, "frictionless": None}.get(scene.interface.law, scene.interface.contact.coefficient)
     if friction is not None:
         lines += ["*FRICTION", f"{friction:g}"]
     lines += ["*BOUNDARY", "NBASE,1,3"]
@@ -136,3 +139,9 @@ def solve_native(scene: Scene, mesh: GelMesh, folder: Path | str, timeout_s: flo
     # the indenter's flat triangles may miss a gel that the indenter itself touches
     status = (Status.OK if forces.any() else Status.TOO_COARSE) if balanced else Status.UNBALANCED
     return CcxResult(status, forces, displacement, evidence, deck)
+
+
+def prepared(scene: Scene, size: float, limit_s: float, work: Path) -> Callable[[], tuple[Result, GelMesh]]:
+    """The solve of a scene on tetrahedra of `size` mm everywhere."""
+    mesh = gel_mesh(scene.gel, lambda points: np.full(len(points), size))
+    return lambda: (solve_native(scene, mesh, work / "native", limit_s), mesh)

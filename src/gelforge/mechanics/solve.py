@@ -1,0 +1,213 @@
+"""How a press is solved: the methods, what is tried where one fails, and the key by which a solve is found again.
+
+A method is one name: hexahedra in process at a quality ("draft", "label", "fine"), CalculiX ("ccx"), or "auto", which takes
+one of these for each press.
+"""
+
+from collections.abc import Sequence
+from dataclasses import asdict, fields, replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gelforge.errors import BadInput
+from gelforge.flow.cache import digest_of_value
+from gelforge.flow.params.tables import IN_PROCESS, METHODS, WAYS, FeaTable
+from gelforge.geometry.gel import gel_shape, load_gel
+from gelforge.mechanics.ccx.program import need_ccx
+from gelforge.mechanics.hexsettings import HexSettings, quality
+from gelforge.mechanics.mesh.family import MeshFamily, choose_mesh, unplaced
+from gelforge.mechanics.path.transfer import LoadPath
+from gelforge.mechanics.result import Result, Solve
+from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver
+from gelforge.mechanics.solvers.contactclass import contact_class
+from gelforge.mechanics.solvers.hex import HexSolver
+
+# Hexahedra on which the load path of `ccx` is found, and which solve a press for which it finds no valid state.
+GUIDE = "label"
+# Of CcxSettings: how long CalculiX may run. A press that it stopped is solved again where it may take longer (stages/fea.py).
+NO_RESULT = {"timeout_s"}
+FINER = 4  # times as many load steps where a press on hexahedra failed
+
+
+class Solvers:
+    """Solvers of one family of tetrahedral meshes, kept between scenes; files of a solve lie in `workdir`, settings: [fea].
+
+    family: of meshes of the gel that all scenes sit on; hexahedra follow the gel of each scene. workdir: of this process alone.
+    """
+
+    def __init__(self, family: MeshFamily, workdir: Path | str, settings: FeaTable) -> None:
+        self.family, self.workdir, self.settings = family, Path(workdir), settings
+        self.ccx = CcxSettings.of(settings)
+        self.guide = HexSolver(quality(GUIDE))
+        self._ccx: dict[str, CcxSolver] = {}
+        self._hex: dict[tuple[str, int], HexSolver] = {}
+
+    def solve(self, scene: Scene, method: str) -> Result:
+        """Solve by a method, one of METHODS.
+
+        Forces (n, 3) N on the gel and displacement (n, 3) mm are those of the mesh named by evidence["mesh"];
+        evidence["method"] is what solved it. A failed solve is a status with its reason in the evidence; a missing CalculiX
+        or a full disk raises BadInput.
+        """
+        return self.solve_frames([scene], method)[0]
+
+    def solve_frames(self, scenes: Sequence[Scene], method: str) -> list[Result]:
+        """Solve frames of one press, scenes in order of time along one path; one result each, as `solve` gives it.
+
+        Without slip their path is followed once, on coarse hexahedra, for all of them.
+        """
+        if method not in METHODS:
+            raise BadInput(f"method = {method!r} is unknown; choose one of {', '.join(METHODS)}")
+        if len(scenes) == 1:
+            scenes = [scenes[0].direct]
+        method, why = chosen(scenes[-1], replace(self.settings, method=method))
+        if method not in IN_PROCESS:
+            need_ccx()
+        first = self._as_asked(scenes, method)
+        results = [self._with_fallbacks(scene, method, attempt) for scene, attempt in zip(scenes, first, strict=True)]
+        for result in results:
+            result.evidence |= why
+        return results
+
+    def _as_asked(self, scenes: Sequence[Scene], method: str) -> list[Solve]:
+        """How each scene is solved as asked; where a path serves several of them it is followed here."""
+        if method in IN_PROCESS:
+            return [_answer(found) for found in self._solve_hex(scenes, method)]
+        frames = self.guide.coarse_path(scenes)
+        return [partial(self._solve_ccx, coarse_path=frame.path if frame else None) for frame in frames]
+
+    def _with_fallbacks(self, scene: Scene, method: str, first: Solve) -> Result:
+        """The first valid result of the attempts, else the last one, with what failed before it."""
+        failed = []
+        for name, attempt in [(method, first), *self._fallbacks(method)]:
+            result = attempt(scene)
+            result.evidence["attempt"] = name
+            if result.status.valid:
+                break
+            failed.append(f"{name}: {result.status.name}, {result.evidence.get('reason') or result.status.value}")
+        result.evidence["failed_attempts"] = failed + result.evidence.get("failed_attempts", [])
+        return result
+
+    def _fallbacks(self, method: str) -> list[tuple[str, Solve]]:
+        """What is tried where solving as asked fails: smaller load steps, more contact iterations, hexahedra for CalculiX."""
+        if method in IN_PROCESS:
+            return [(f"{method}, smaller load steps", lambda scene: self._solve_hex([scene], method, FINER)[0])]
+        return [
+            ("ccx, smaller load steps", partial(self._solve_ccx, steps=3)),
+            ("ccx, more contact rounds", partial(self._solve_ccx, steps=3, rounds=3)),
+            (GUIDE, lambda scene: self._solve_hex([scene], GUIDE)[0]),
+        ]
+
+    def _solve_ccx(
+        self, scene: Scene, steps: int = 1, rounds: int = 1, coarse_path: LoadPath | None = None
+    ) -> Result:
+        mesh, base = choose_mesh(scene, self.family), self.ccx
+        finer = replace(base, press_steps=steps * base.press_steps, shear_steps=steps * base.shear_steps,
+                        step_mm=base.step_mm / steps, rounds=rounds * base.rounds)  # fmt: skip
+        result = self._ccx_on(mesh).solve(scene, settings=finer, coarse_path=coarse_path)
+        result.evidence |= {"mesh": mesh, "method": "ccx"}
+        return result
+
+    def _ccx_on(self, mesh: str) -> CcxSolver:
+        """The solver of a mesh; one whose fine part is moved shares all that it can with the one it is made from."""
+        own, _ = unplaced(mesh)
+        if own not in self._ccx:
+            self._ccx[own] = CcxSolver(self.family.load(own), self.workdir / own, self.ccx)
+        solver = self._ccx[own]
+        return solver if mesh == own else solver.on(self.family.load(mesh), self.workdir / mesh)
+
+    def _solve_hex(self, scenes: Sequence[Scene], method: str, finer: int = 1) -> list[Result]:
+        """Solve on hexahedra that follow the press; a result's mesh is a name that holds all numbers of it."""
+        for gel in {scene.gel for scene in scenes}:
+            if load_gel(gel.name) != gel:
+                raise BadInput(f"gel {gel.name!r} of the scene is not the one of that name; give it one of its own")
+        if (method, finer) not in self._hex:
+            self._hex[method, finer] = HexSolver(quality(method).with_steps(finer))
+        results = self._hex[method, finer].solve_frames(scenes)
+        for result in results:
+            result.evidence |= {"mesh": result.mesh_name.name if result.mesh_name else "", "method": method}
+        return list(results)
+
+
+def _answer(found: Result) -> Solve:
+    """What was solved already, as a method of solving it."""
+    return lambda scene: found
+
+
+# -- "auto"
+
+
+def chosen(scene: Scene, settings: FeaTable) -> tuple[str, dict[str, str]]:
+    """The method that solves a press which ends in `scene`, and why it was chosen: the class of its contact."""
+    if settings.method != "auto":
+        return settings.method, {}
+    kind = contact_class(scene)
+    return cheapest(kind, settings), {"class": kind or "no contact"}
+
+
+def charted_errors(kind: str, settings: FeaTable) -> dict[str, np.ndarray]:
+    """Worst benchmarked error of total force and of the cells, and cost (3,), by method, on contacts of a class's shape.
+
+    Of all classes of this shape, because a class alone rests on one to five scenes; of all there are for a shape without any.
+    """
+    charted = settings.charted
+    shape, _, _ = kind.partition("_")
+    rows = [row for name, row in charted.items() if name.startswith(f"{shape}_")] or list(charted.values())
+    return {way: np.max([row[way] for row in rows], axis=0) for way in WAYS if all(way in row for row in rows)}
+
+
+def cheapest(kind: str | None, settings: FeaTable) -> str:
+    """The cheapest of WAYS whose benchmarked worst errors on this class of contact meet both tolerances.
+
+    None: nothing touches, and the cheapest will say so.
+    """
+    if kind is None:
+        return WAYS[0]
+    limits = np.array([settings.tolerance, settings.cell_tolerance])
+    worst = charted_errors(kind, settings)
+    meeting = {way: found[2] for way, found in worst.items() if (found[:2] <= limits).all()}
+    if not meeting:
+        raise BadInput(
+            f"no charted method meets tolerance = {limits[0]:g} and cell_tolerance = {limits[1]:g} on contacts "
+            f"of class {kind}; raise them or name a method in [fea]"
+        )
+    return min(meeting, key=lambda way: meeting[way])
+
+
+# -- keys
+
+
+def solve_key(frames: Sequence[Scene], shape: Any, how: Any, version: int, at: int = -1) -> str:
+    """Key of frame `at` of a press, whose frames share one path: a digest of exactly what changes its result.
+
+    Content and numbers, no names. shape: what the indenter's surface is, as a digest of it or the numbers that it is built
+    from. how: settings of the solver and the content of its mesh, see `settings_of` and `hexahedra_key`. version: of the
+    solver's answers.
+    """
+    scenes = [frames[0].direct] if len(frames) == 1 else list(frames)
+    scene = scenes[at]
+    law = [scene.interface.law, scene.interface.contact.coefficient]
+    path = [asdict(each.press) for each in scenes] if len(scenes) > 1 else []
+    return digest_of_value(
+        [version, asdict(scene.press), path, gel_shape(scene.gel), asdict(scene.material), law, shape, how]
+    )
+
+
+def hexahedra_key(settings: HexSettings) -> list:
+    """What of a solve on hexahedra changes its result."""
+    return ["hex", asdict(settings)]
+
+
+def settings_of(method: str, fea: FeaTable, mesh: str) -> list:
+    """What of [fea] changes the result of a press that is solved by a method.
+
+    mesh: name of its tetrahedra, which has a digest of their content.
+    """
+    if method in IN_PROCESS:
+        return hexahedra_key(quality(method))
+    ccx = {f.name: getattr(fea, f.name) for f in fields(CcxSettings) if f.name not in NO_RESULT}
+    return [method, ccx, mesh, asdict(quality(GUIDE))]
