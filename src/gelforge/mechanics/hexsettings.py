@@ -2,9 +2,8 @@
 
 from dataclasses import dataclass, replace
 
-import numpy as np
-
 from gelforge.errors import BadInput
+from gelforge.mechanics.extrapolate import Order
 from gelforge.mechanics.mesh.hexmesh import SMALLEST, FineBox
 from gelforge.mechanics.path.pathsettings import PathSettings
 
@@ -16,6 +15,7 @@ FLATNESS = 1.6  # height over width that hexahedra of the uppermost layer have a
 # points where the coarse contact sticks, its faces cut corners. Five times as much also holds points beside the contact: up to
 # 6 % more force on wide shallow contacts and thin gels. Tetrahedra have twelve points a face, of which it holds too many.
 TOUCHED = 0.01
+WIDEST = 0.15  # of the gel's height, hexahedra under the press
 
 
 @dataclass(frozen=True)
@@ -23,10 +23,9 @@ class Nested:
     """How the path is followed on coarser hexahedra, of which only the end is solved on the fine ones.
 
     factor: their size in that of the fine ones. layers, widened, growth: theirs (see HexSettings). press_steps, shear_steps:
-    load steps of the path. extrapolation: what the fine hexahedra' force is corrected by, as a share of its difference
-    from the coarse hexahedra': 1 / (r^p - 1) for an error that falls with the p-th power of a size r times smaller
-    (Richardson 1911, Phil. Trans. R. Soc. A 210, 307-357). One factor on all nodal forces of a press: balance and
-    direction stay as they are; displacement is the fine hexahedra' own, whose base reaction is that much larger.
+    load steps of the path. order: what both sizes say of the force (mechanics.extrapolate); None: nothing. One factor on all
+    nodal forces of a press: balance and direction stay as they are; displacement is the fine hexahedra' own, whose base
+    reaction is that much larger.
     """
 
     factor: float = 2.0
@@ -35,21 +34,15 @@ class Nested:
     growth: float = 2.5
     press_steps: int = 6
     shear_steps: int = 3
-    extrapolation: float = 0.0
-
-    def share(self, ratio: float) -> float:
-        """`extrapolation` for coarse hexahedra `ratio` times as wide as the fine ones, at the same order of the error."""
-        if not self.extrapolation or ratio <= 1.0:
-            return 0.0
-        order = np.log(1.0 + 1.0 / self.extrapolation) / np.log(self.factor)
-        return float(1.0 / (ratio**order - 1.0))
+    order: Order | None = None
 
 
 @dataclass(frozen=True)
 class HexSettings(PathSettings):
     """How finely a scene is solved, and how its path is followed.
 
-    size: side of the hexahedra under the press, mm; smaller where the contact is under `across` of them wide (0: never).
+    size: side of the hexahedra under the press, mm; smaller where the contact is under `across` of them wide (0: never), and
+    at most WIDEST of the gel's height.
     layers, layer_ratio: hexahedra through the height, and how many times as thick as the uppermost the lowest is.
     thin_below, steepness: where hexahedra under the press are as small as `thin_below` mm, those of the uppermost layer are
     at most FLATNESS times as high as wide, each layer is up to `steepness` times as thick as the one above, and layers are
@@ -93,9 +86,7 @@ class HexSettings(PathSettings):
 # Chosen on the 16 scenes of workflow/scenes.toml, by error against CalculiX on fine tetrahedra.
 # - Layers of nearly equal height (ratio 2) are better than a thin top one: at five layers a ratio of 6 errs by 2 to 3 % in
 #   total force, 2 by 1 to 2 %.
-# - Under a wide flat body the gel flows sideways between two faces that it sticks to, which n layers make stiffer by 1 / n^2.
-#   Seven layers, four of them wide, and an extrapolation of 0.16 are better on flat, shallow presses (2.4 for 3.9 %) and on
-#   the scenes (worst 1.5 for 1.7 %), worse under deep narrow ridges (4.3 for 3.5 %), and take a quarter longer.
+# - On a thin gel hexahedra wider than WIDEST of its height, wider still below, are up to 4 % too soft.
 # - A hexahedron's face bends too little for 3 x 3 points to stick: 2 x 2 halve the error of flat and sharp indenters.
 # - Under a contact a millimetre or two across, layers of half a millimetre err by up to 12 %: there the uppermost ones are
 #   thinner, and what the coarse hexahedra add is right to 1 % where their layers are those of the fine ones, two in one.
@@ -105,11 +96,13 @@ class HexSettings(PathSettings):
 QUALITIES = {
     "draft": HexSettings(
         size=0.45, across=15, layers=6, widened=(4, 2), layer_ratio=2.0, thin_below=SMALLEST, growth=2.2, largest=4.0,
-        press_steps=3, shear_steps=2, nested=Nested(widened=(1,), press_steps=4, shear_steps=2, extrapolation=0.24),
+        press_steps=3, shear_steps=2, nested=Nested(widened=(1,), press_steps=4, shear_steps=2,
+            order=Order(smooth=0.32, edge=0.64, width=0.18, height=-0.48, spread=0.21, floor=0.004, cells=0.45)),
     ),
     "label": HexSettings(
         size=0.35, across=20, layers=5, widened=(2,), layer_ratio=2.0, thin_below=SMALLEST, growth=2.2, largest=4.0,
-        press_steps=4, shear_steps=2, nested=Nested(press_steps=10, shear_steps=4, extrapolation=0.36),
+        press_steps=4, shear_steps=2, nested=Nested(press_steps=10, shear_steps=4,
+            order=Order(smooth=0.46, small=-0.11, corner=0.47, spread=0.12, floor=0.002, cells=0.25)),
     ),
     "fine": HexSettings(size=0.3, across=24, layers=8, press_steps=6, shear_steps=3),
 }  # fmt: skip

@@ -39,6 +39,11 @@ class Result:
         return self.forces.sum(axis=0)
 
     @property
+    def error_n(self) -> float:
+        """By how much the size of the total force may be off, N: nine of ten are within it; NaN where nothing says so."""
+        return 0.0 if self.status is Status.NO_CONTACT else float(self.evidence.get("error_n", np.nan))
+
+    @property
     def kept_evidence(self) -> dict:
         """What of the evidence JSON can hold; numbers that are not finite are left out."""
         kept = {}

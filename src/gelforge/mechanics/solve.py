@@ -78,7 +78,10 @@ class Solvers:
         if method in IN_PROCESS:
             return [_answer(found) for found in self._solve_hex(scenes, method)]
         frames = self.guide.coarse_path(scenes)
-        return [partial(self._solve_ccx, coarse_path=frame.path if frame else None) for frame in frames]
+        # with Coulomb friction a force depends on all of a point's slip, so its path is followed on the tetrahedra
+        slips = scenes[-1].interface.contact.frictional
+        paths = [None if slips or frame is None else frame.path for frame in frames]
+        return [partial(self._solve_ccx, coarse_path=path) for path in paths]
 
     def _with_fallbacks(self, scene: Scene, method: str, first: Solve) -> Result:
         """The first valid result of the attempts, else the last one, with what failed before it."""

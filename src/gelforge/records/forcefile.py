@@ -11,6 +11,7 @@ An uncompressed .npz. `n` samples; `k` contact nodes and `m` surface nodes, all 
 | c10 | () float64 | MPa |
 | c10_interval68, c10_interval95 | (2,) float64 | MPa, only where the material was calibrated |
 | extrapolated | (n,) float64 | factor for the size of hexahedra that `force` holds and `displacement` does not; 1: none |
+| error_n, cells_error_n | (n,) float64 | N by which the size of the total force, and the forces per cell of 24 x 32 summed, may be off: nine of ten are within; NaN: not known |
 | press_id | (n,) str | only where samples are frames of a press: which one |
 
 Samples without a valid state have no entries. Nothing is compressed because a label reads `force`
@@ -32,6 +33,7 @@ from gelforge.records.npz import Archive
 from gelforge.records.status import VALID, Status
 
 INTERVALS = ("c10_interval68", "c10_interval95")
+NUMBERS = ("extrapolated", "error_n", "cells_error_n")  # of each sample
 
 
 @dataclass(frozen=True)
@@ -46,6 +48,8 @@ class SampleForces:
     displacement: np.ndarray
     press_id: str = ""
     extrapolated: float = 1.0
+    error_n: float = np.nan
+    cells_error_n: float = np.nan
 
     @classmethod
     def failed(cls, sample_id: str, status: str, mesh: str = "", press_id: str = "") -> "SampleForces":
@@ -75,7 +79,7 @@ def write_forces(
         "displacement": _stack([s.displacement for s in samples], (0, 3), np.float32),
         "total": np.array([s.force.sum(axis=0) for s in samples], np.float64).reshape(-1, 3),
         "c10": np.float64(c10),
-        "extrapolated": np.array([s.extrapolated for s in samples], np.float64),
+        **{name: np.array([getattr(s, name) for s in samples], np.float64) for name in NUMBERS},
     }
     if any(sample.press_id for sample in samples):
         arrays["press_id"] = np.array([sample.press_id for sample in samples], dtype=str)
@@ -136,7 +140,7 @@ class ForceFile:
         self.c10 = float(file.array("c10", "f", 0))
         self.intervals = {name: file.array(name, "f", 1) for name in INTERVALS if name in file}
         self.press_id = file.array("press_id", "U", 1) if "press_id" in file else np.full(len(self.sample_id), "")
-        self.extrapolated = file.array("extrapolated", "f", 1)
+        self.numbers = {name: file.array(name, "f", 1) for name in NUMBERS}
 
     def __enter__(self) -> "ForceFile":
         return self
@@ -179,7 +183,7 @@ class ForceFile:
         displacement = self.displacement[rows].astype(float)
         touched = slice(self.ptr[index], self.ptr[index + 1])
         names = str(self.sample_id[index]), str(self.status[index]), str(self.mesh[index])
-        press, factor = str(self.press_id[index]), float(self.extrapolated[index])
+        press, numbers = str(self.press_id[index]), {name: float(of[index]) for name, of in self.numbers.items()}
         if not len(displacement):
             return SampleForces.failed(*names, press)
         if len(displacement) != len(surface_nodes):
@@ -189,4 +193,4 @@ class ForceFile:
             )
         force = np.zeros((len(surface_nodes), 3))
         force[np.searchsorted(surface_nodes, self.node[touched])] = self.force[touched]
-        return SampleForces(*names, surface_nodes, force, displacement, press, factor)
+        return SampleForces(*names, surface_nodes, force, displacement, press, **numbers)

@@ -9,6 +9,7 @@ An uncompressed .npz. `n` samples:
 | outside | (n, 3) float64 | N that fell outside the image, along the same axes |
 | press_id | (n,) str | where samples are frames of a press: which one |
 | extrapolated | (n,) float64 | factor for the size of hexahedra that the forces hold and displacement does not; 1: none |
+| error_n, cells_error_n | (n,) float64 | N by which the size of the total force, and the forces per cell of 24 x 32 summed, may be off: nine of ten are within; NaN: not known |
 | c10 | () float64 | MPa, the material that the forces belong to; absent where they were read by a sensor |
 | c10_interval68, c10_interval95 | (2,) float64 | MPa, where the material was calibrated; labels scale with c10 |
 
@@ -32,7 +33,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
 from gelforge.flow.layout import command_for
-from gelforge.records.forcefile import INTERVALS
+from gelforge.records.forcefile import INTERVALS, NUMBERS
 from gelforge.records.npz import Archive
 from gelforge.records.status import Status
 
@@ -85,6 +86,8 @@ class LabelShard:
     material: dict[str, float | list[float]]
     press_id: np.ndarray
     extrapolated: np.ndarray
+    error_n: np.ndarray
+    cells_error_n: np.ndarray
     fields: dict[str, np.ndarray]
 
     def index(self, sample_id: str) -> int:
@@ -116,15 +119,15 @@ def read_labels(path: str | Path) -> LabelShard:
         material: dict[str, float | list[float]] = {} if c10 is None else {"c10": c10}
         material |= {name: file.array(name, "f", 1).tolist() for name in INTERVALS if name in file}
         press = file.array("press_id", "U", 1) if "press_id" in file else np.full(len(names), "")
-        factor = file.array("extrapolated", "f", 1) if "extrapolated" in file else np.ones(len(names))
+        unknown = np.full(len(names), np.nan)
+        numbers = {name: file.array(name, "f", 1) if name in file else unknown for name in NUMBERS}
         fields = {name: file.array(name, "f", dims) for name, dims in FIELDS.items() if name in file}
     _check_shapes(path, names, states, label, outside, press, fields)
-    if len(factor) != len(names):
-        raise BadInput(
-            f"{path}: {len(factor)} factors of extrapolation for {len(names)} names; make the labels again"
-        )
+    for name, values in numbers.items():
+        if len(values) != len(names):
+            raise BadInput(f"{path}: {len(values)} values of {name} for {len(names)} names; make the labels again")
     states_of = _statuses(path, names, states)
-    shard = LabelShard(Path(path), names, states_of, label, outside, material, press, factor, fields)
+    shard = LabelShard(Path(path), names, states_of, label, outside, material, press, **numbers, fields=fields)
     _check_values(shard)
     return shard
 

@@ -15,7 +15,8 @@ from gelforge.records.table import read_table, write_table
 
 EVIDENCE = (
     "attempt", "rounds", "newton_iterations", "load_steps", "seconds", "kinematics_seconds", "peak_mib",
-    "equilibrium_residual", "base_mismatch", "penetration_mm", "pulling_fraction", "engine_difference", "extrapolated",
+    "equilibrium_residual", "base_mismatch", "penetration_mm", "pulling_fraction", "engine_difference", "extrapolated", "error_n",
+    "cells_error_n",
 )  # fmt: skip
 NAMES = ("sample_id", "status", "reason", "method", "mesh", "file")
 MESH_COLUMNS = ("sample_id", "mesh")  # of the table of stage 20

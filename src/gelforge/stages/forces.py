@@ -89,6 +89,8 @@ def read_sample(
         displacement,
         solve.press_id,
         1.0 if np.isnan(factor) else factor,
+        solve.number("error_n"),
+        solve.number("cells_error_n"),
     )
     return found, ""
 
@@ -148,7 +150,9 @@ def main(args: Namespace) -> None:
         if solve.status.valid and reason:  # others were reported by stage 30
             print(f"failed: {sample.sample_id}: {sample.status}, {reason}")
         # At a fixed Poisson's ratio and prescribed motion every force is proportional to C10.
-        samples.append(replace(sample, force=sample.force * (c10 / REFERENCE_C10)))
+        stiffer = c10 / REFERENCE_C10
+        errors = {name: stiffer * getattr(sample, name) for name in ("error_n", "cells_error_n")}
+        samples.append(replace(sample, force=sample.force * stiffer, **errors))
         counts[sample.status] = counts.get(sample.status, 0) + 1
     write_forces(args.out, samples, c10, intervals)
     print(json.dumps(counts))

@@ -173,7 +173,7 @@ def label_shard(forces_path, poses_path, find: Finder, grid: Grid, out, channels
         valid = np.array([Status[str(status)].valid for status in forces.status], bool)
         outside = np.where(valid[:, None], np.zeros(3), np.nan)
         others = {"sample_id": forces.sample_id, "status": forces.status, "outside": outside, "c10": forces.c10}
-        others["extrapolated"] = forces.extrapolated
+        others |= forces.numbers
         if forces.press_id.any():
             others["press_id"] = forces.press_id
         blocks = label_blocks(forces, operators, grid, outside)

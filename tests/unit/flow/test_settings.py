@@ -22,7 +22,6 @@ from gelforge.flow.params import (
 )
 from gelforge.flow.params import tables as t
 from gelforge.flow.params.schema import Number, ParameterTable, Place, Within, kinds_of, parse, split
-from gelforge.flow.params.tables import FIDELITIES
 from gelforge.mechanics.hexsettings import QUALITIES
 from tests.support.parameters import parameters
 from tests.support.refused import refused
@@ -207,8 +206,8 @@ def test_words_of_the_schema_are_those_of_the_code():
     from gelforge.records.labelfile import FIELDS
 
     assert (
-        set(t.QUALITIES) == set(QUALITIES)
-        and FIDELITIES is t.FIDELITIES
+        set(t.IN_PROCESS) == set(QUALITIES)
+        and set(t.IN_PROCESS) < set(t.METHODS)
         and set(t.PRIOR_KEYS) == set(get_args(kinds_of(t.PriorTable)["kind"]))
     )
     assert set(LAWS) == set(t.LAWS)

@@ -75,8 +75,11 @@ class HexMeshName:
             fine = min(high, side / 2) - max(low, -side / 2)
             if fine <= 0.0:
                 raise _wrong(self.name, "its fine part lies beside the gel")
-            # a fine part narrower than its hexahedra is one hexahedron wide, and from there they grow
-            count *= side / min(box.size, self.largest, fine)
+            # a fine part narrower than its hexahedra is one hexahedron wide; from there they grow by a factor each
+            size, growth = min(box.size, fine), self.growth - 1.0
+            beside = (side - fine) / size
+            grown = math.log1p(growth * beside) / math.log1p(growth) if growth > 0.0 else beside
+            count *= fine / size + 2.0 * grown + side / self.largest + 4.0
         if count > MOST_ELEMENTS:
             raise _wrong(self.name, f"it asks for more than {MOST_ELEMENTS:.0g} elements")
 

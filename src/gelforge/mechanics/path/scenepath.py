@@ -87,6 +87,7 @@ class ScenePath(Equilibrium):
         self.control = StepControl(settings.max_cuts, EASY)
         self.history: list[tuple[float, np.ndarray]] = []
         self.curve: list[list[float]] = []
+        self.areas: list[float] = []  # of contact at each of its steps, mm^2
         self._states = [(0.0, self.u)]
 
     # -- the path
@@ -170,7 +171,8 @@ class ScenePath(Equilibrium):
     def _branch(self) -> "ScenePath":
         """A run that continues from here by itself; both share mesh and factorisation."""
         other = copy.copy(self)
-        other.state, other.curve, other._states = copy.deepcopy(self.state), list(self.curve), list(self._states)
+        other.state, other._states = copy.deepcopy(self.state), list(self._states)
+        other.curve, other.areas = list(self.curve), list(self.areas)
         return other
 
     def _legs(self, start: float) -> list[tuple[float, int]]:
@@ -201,6 +203,7 @@ class ScenePath(Equilibrium):
         self.t = t
         self.steps += 1
         self.curve.append([float(t), *total.tolist()])
+        self.areas.append(float(self.state.weights[np.unique(self.tractions.point)].sum()))
         self.history = [previous, (t, self.u)]
         self._states.append((t, self.u))
         return used

@@ -9,12 +9,13 @@ from typing import Any
 import numpy as np
 
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.contact.penalty import ContactState
-from gelforge.mechanics.hexsettings import FLATNESS, HexSettings, Nested
+from gelforge.mechanics.contact.penalty import FREE, ContactState
+from gelforge.mechanics.extrapolate import UNCORRECTED, UNCORRECTED_CELLS, Coarse, edge_of
+from gelforge.mechanics.hexsettings import FLATNESS, WIDEST, HexSettings
 from gelforge.mechanics.mesh.hexmesh import FineBox, HexMesh, build_mesh, fine_box, thinner_layers
 from gelforge.mechanics.mesh.hexname import HexMeshName
 from gelforge.mechanics.path.equilibrium import System
-from gelforge.mechanics.path.loadpath import first_touch, frame_time
+from gelforge.mechanics.path.loadpath import first_touch, frame_time, path_pose
 from gelforge.mechanics.path.scenepath import ScenePath
 from gelforge.mechanics.path.transfer import LoadPath
 from gelforge.mechanics.result import BALANCE, Result
@@ -25,9 +26,6 @@ from gelforge.records.status import Status
 # half a millimetre and more where the gel is pressed through: that state is in equilibrium, but not one of the press.
 MOST_INSIDE_MM = 0.1
 MOST_BELOW_MM = 1e-3  # that a node may end below the base the gel is bonded to
-# Share of the force by which it may be corrected for the size of hexahedra: where more is asked for, the coarse ones are too
-# coarse to say anything.
-MOST_CORRECTED = 0.05
 # A shear step is no longer with friction: points that first touch within a step have none until it ends.
 MOST_SHEAR_MM = 0.2
 KEPT = 8  # meshes, and factorisations, of those used last
@@ -39,7 +37,7 @@ class HexResult(Result):
     """A Result with its mesh, the contact at Gauss points (None: nothing was solved), and what the mesh is built from.
 
     evidence["path"]: converged load steps [path parameter, fx, fy, fz], N: one solve is a whole force-depth curve. With
-    nested settings those of the coarse hexahedra, but for the end.
+    nested settings those of the coarse hexahedra, times what makes their end that of the fine ones.
     """
 
     mesh: HexMesh | None = None
@@ -82,23 +80,25 @@ class HexSolver:
         """States at frames of one press, scenes in order of time along one path; one result each, all on one mesh.
 
         The path is followed once. With nested settings that is on coarse hexahedra, and only its frames are solved on fine
-        ones; else the contact of each frame is iterated where the path passes it.
+        ones; with Coulomb friction, whose forces depend on all of a point's slip, or where no path was found on coarse
+        hexahedra, on fine ones, and the contact of each frame is iterated where the path passes it.
         """
         began, start = time.perf_counter(), first_touch(scenes[-1])
         if start is None:
             return [self._no_contact(scene, began) for scene in scenes]
         box = self._box(scenes[-1])
-        if len(scenes) > 1 and not self._nests(scenes[-1]) and not _below_base(scenes[-1]):
-            return self._passed(scenes, start, box)
-        frames, results = self.coarse_path(scenes), []
+        frames, frictional = self.coarse_path(scenes), scenes[-1].interface.contact.frictional
         share = (time.perf_counter() - began) / len(scenes)
-        for scene, coarse in zip(scenes, frames, strict=True):
-            results.append(self._frame(scene, coarse, box, time.perf_counter() - share))
+        if len(scenes) > 1 and (frictional or not any(frames)) and not _below_base(scenes[-1]):
+            results = self._passed(scenes, start, box)
+        else:
+            results = [
+                self._frame(scene, None if frictional else coarse, box, time.perf_counter() - share)
+                for scene, coarse in zip(scenes, frames, strict=True)
+            ]
+        for scene, coarse, result in zip(scenes, frames, results, strict=True):
+            self._extrapolate(scene, coarse, box, result)
         return results
-
-    def _nests(self, scene: Scene) -> bool:
-        """Whether the path is followed on coarse hexahedra first: with Coulomb friction a point's force depends on all of its slip."""
-        return self.settings.nested is not None and not scene.interface.contact.frictional
 
     def _passed(self, scenes: Sequence[Scene], start: float, box: FineBox) -> list[HexResult]:
         """States at frames of one press, the contact of each iterated where the path on these hexahedra passes it."""
@@ -130,14 +130,14 @@ class HexSolver:
     def coarse_path(self, scenes: Sequence[Scene]) -> list["CoarseFrame | None"]:
         """The path of a press on the coarse hexahedra of nested settings, as it stands at each of its frames.
 
-        None for a frame at which nothing touches yet, and for all where the path finds no equilibrium, where settings
-        are not nested, and with Coulomb friction.
+        None for a frame at which nothing touches yet, and for all where the path finds no equilibrium and where settings
+        are not nested.
         """
         last = scenes[-1]
         none: list[CoarseFrame | None] = [None] * len(scenes)
         start = first_touch(last)
         nested = self.settings.nested
-        if start is None or nested is None or not self._nests(last) or _below_base(last):
+        if start is None or nested is None or _below_base(last):
             return none
         settings, box = self.settings.coarse, self._box(last)
         wide = replace(box, size=nested.factor * box.size)
@@ -148,11 +148,15 @@ class HexSolver:
         if status is Status.DIVERGED:
             return none
         run.curve[-1][1:] = run.contact_forces().sum(axis=0).tolist()
+        run.areas[-1] = float(run.state.weights[run.state.status != FREE].sum())
         path = LoadPath(last, mesh, *run.passed(), wide.size)
         counts = {"coarse_newton_iterations": run.iterations, "coarse_factorisations": run.factorisations}
-        return [
-            CoarseFrame(path.until(t), _until(run.curve, t), counts) if t > start + TOUCH else None for t in times
-        ]
+        found: list[CoarseFrame | None] = []
+        for t in times:
+            curve = _until(run.curve, t)
+            frame = CoarseFrame(path.until(t), curve, run.areas[len(curve) - 1], counts) if curve else None
+            found.append(frame if t > start + TOUCH else None)
+        return found
 
     def _frame(self, scene: Scene, coarse: "CoarseFrame | None", box: FineBox, started: float) -> HexResult:
         """State at the end of one scene: from the coarse path where there is one, else by a path of its own."""
@@ -176,22 +180,37 @@ class HexSolver:
         mesh = self.mesh(scene.gel, box)
         run = self._run(scene, mesh, self.settings, box.size)
         result = _result(run, mesh, run.arrive(coarse.path), started, name)
-        result.evidence |= coarse.counts
-        # the curve is the coarse hexahedra' but for its end, which is the fine ones'
-        curve = [*coarse.curve[:-1], [float(run.t), *result.total.tolist()]]
-        result.evidence["path"] = curve
-        if result.status is Status.OK:
-            share = (self.settings.nested or Nested()).share(coarse.path.size / box.size)
-            factor = _corrected(result.total, np.array(coarse.curve[-1][1:]), share)
-            # reactions of the base go with the forces: what was checked for balance stays balanced
-            result.forces *= factor
-            run.state.traction *= factor
-            result.evidence["path"] = [[t, *(factor * np.array(force)).tolist()] for t, *force in curve]
-            result.evidence["extrapolated"] = factor
+        # one press, one curve: the coarse hexahedra', as much smaller as their end is
+        scale = float(np.linalg.norm(result.total)) / max(coarse.force, np.finfo(float).tiny)
+        curve = [[t, *(scale * np.array(force)).tolist()] for t, *force in coarse.curve[:-1]]
+        result.evidence |= {"path": [*curve, [float(run.t), *result.total.tolist()]]}
         return result
 
+    def _extrapolate(self, scene: Scene, coarse: "CoarseFrame | None", box: FineBox, result: HexResult) -> None:
+        """Correct a result by what two sizes of hexahedra together say, and state the error that is left."""
+        force = float(np.linalg.norm(result.total))
+        contact, order = result.contact, self.settings.nested and self.settings.nested.order
+        result.evidence |= coarse.counts if coarse else {}
+        if result.status is not Status.OK or contact is None or force == 0.0:
+            return
+        edge = edge_of(contact, scene.indenter, path_pose(scene, scene.press.end), box.size, scene.gel.height)
+        evidence = result.evidence
+        if coarse is None or order is None or edge is None:
+            evidence |= {"error_n": UNCORRECTED * force, "cells_error_n": UNCORRECTED_CELLS * force}
+            return
+        both = Coarse(coarse.force, coarse.area)
+        factor = 1.0 / (1.0 + order.correction(edge, both, force))
+        # reactions of the base go with the forces: what was checked for balance stays balanced
+        result.forces *= factor
+        contact.traction *= factor
+        evidence |= {
+            "path": [[t, *(factor * np.array(step)).tolist()] for t, *step in evidence["path"]], "extrapolated": factor,
+            "error_n": order.error(both, force) * factor * force, "cells_error_n": order.cells * edge.near * factor * force,
+        }  # fmt: skip
+
     def _box(self, scene: Scene) -> FineBox:
-        return self.settings.box or fine_box(scene, self.settings.size, self.settings.across)
+        size = min(self.settings.size, round(WIDEST * scene.gel.height, 2))
+        return self.settings.box or fine_box(scene, size, self.settings.across)
 
     def _run(self, scene: Scene, mesh: HexMesh, settings: HexSettings, size: float) -> ScenePath:
         steps = settings.shear_steps
@@ -226,12 +245,18 @@ class CoarseFrame:
     """A press on coarse hexahedra up to one frame.
 
     path: its states. curve: converged load steps [path parameter of the frame's own path, fx, fy, fz] in N.
-    counts: iterations and factorisations of the whole path.
+    area: of contact, mm^2. counts: iterations and factorisations of the whole path.
     """
 
     path: LoadPath
     curve: list[list[float]]
+    area: float
     counts: dict[str, int]
+
+    @property
+    def force(self) -> float:
+        """Size of the total force, N."""
+        return float(np.linalg.norm(self.curve[-1][1:]))
 
 
 def _shape(gel: Gel, box: FineBox, s: HexSettings) -> tuple[int, float, float, float, tuple[int, ...]]:
@@ -296,15 +321,6 @@ def _result(run: ScenePath, mesh: HexMesh, status: Status, started: float, name:
     evidence["products"] = run.products
     evidence["seconds"] = time.perf_counter() - started
     return HexResult(status, forces, run.u, evidence, mesh, run.state, name)
-
-
-def _corrected(fine: np.ndarray, coarse: np.ndarray, extrapolation: float) -> float:
-    """Factor on the fine hexahedra' forces, from total forces (3,) N of fine and coarse hexahedra; extrapolation: `Nested.share`."""
-    size = float(np.linalg.norm(fine))
-    if size == 0.0:
-        return 1.0
-    share = extrapolation * (1.0 - float(np.linalg.norm(coarse)) / size)
-    return 1.0 + float(np.clip(share, -MOST_CORRECTED, MOST_CORRECTED))
 
 
 def _impossible(evidence: dict) -> str | None:
