@@ -1,6 +1,6 @@
 REPORT := $D/90_report/index.html
 # What this dataset's report shows of branches ([report] branches), and those that were made without being asked for.
-SHOWN := $(sort $(BRANCHES:%=$D/%) $(wildcard $D/calibrate/summary.json $D/pareto/pareto.json $D/pareto/quick.json))
+SHOWN := $(sort $(BRANCHES:%=$D/%) $(wildcard $D/calibrate/summary.json $D/pareto/pareto.json))
 # What was solved here. A dataset with imported labels is not: of its log, which may know no pose, nothing is solved.
 SOLVED := $(if $(IMPORTED),,$(POSES) $(FORCES) $D/50_labels/$(RES1)/labels.json)
 

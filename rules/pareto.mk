@@ -4,12 +4,9 @@
 KEPT_REFERENCES := $(wildcard data/fea_challenge/keys.json)
 PARETO_MESH_FILES := $(PARETO_MESHES:%=$D/pareto/meshes/%.npz)
 PARETO_FILES := $(PARETO_SCENES:%=$D/pareto/scenes/%.json)
-PARETO_QUICK_FILES := $(PARETO_QUICK:%=$D/pareto/quick/%.json)
 SCENE_READS := $P/sensors.json $(KEPT_REFERENCES)
 
 pareto: $D/pareto/pareto.json  ## speed against accuracy of the mechanics: chart, CSV, JSON (hours; resumes)
-
-pareto-quick: $D/pareto/quick.json  ## the report's small chart: three scenes, few methods
 
 $(PARETO_MESH_FILES): $D/pareto/meshes/%.npz: $P/meshes.json $P/gels.json
 	$(call step,gelforge.stages.pareto mesh $D $*)
@@ -17,17 +14,8 @@ $(PARETO_MESH_FILES): $D/pareto/meshes/%.npz: $P/meshes.json $P/gels.json
 $(PARETO_FILES): $D/pareto/scenes/%.json: $P/pareto.json $P/scenes/%.json $(SCENE_READS) $(PARETO_MESH_FILES)
 	$(call step,gelforge.stages.pareto scene $D $*)
 
-# All scenes of the small chart decide which reference it has.
-$(PARETO_QUICK_FILES): $D/pareto/quick/%.json: $P/pareto.json $P/scenes/%.json \
-    $(PARETO_QUICK:%=$P/scenes/%.json) $(SCENE_READS)
-	$(call step,gelforge.stages.pareto quick $D $*)
-
-# It also writes workflow/charted.toml, by which [fea] method = "auto" chooses.
 $D/pareto/pareto.json: $(PARETO_FILES)
 	$(call step,gelforge.stages.pareto chart $D)
-
-$D/pareto/quick.json: $(PARETO_QUICK_FILES)
-	$(call step,gelforge.stages.pareto quick-chart $D)
 
 # It refuses references whose keys are of other methods or of another version of the chart.
 fea-challenge: $(SETUP)  ## write the scenes as an open benchmark for simulators: results/fea_challenge

@@ -88,7 +88,7 @@ class Side:
 
     def _outcome(self, result: Result) -> dict:
         evidence = result.kept_evidence
-        found = {name: evidence.get(name, "") for name in ("class", "method", "reason")}
+        found = {name: evidence.get(name, "") for name in ("method", "reason", "error_n", "cells_error_n")}
         found |= {"status": result.status.name, "total": result.total.tolist()}
         if result.status.valid:
             mesh = self.solvers.family.load(evidence["mesh"])
@@ -97,13 +97,14 @@ class Side:
         return found
 
 
-def compared(name: str, auto: dict, ccx: dict, fea: FeaTable) -> verification.Verified:
+def compared(name: str, auto: dict, ccx: dict) -> verification.Verified:
     """How far the two records of a press differ, as a dataset's own record says it."""
-    press = ("", name, auto["class"], auto["method"])
+    press = ("", name, auto["method"])
     if "cells" not in auto or ccx.get("method") != "ccx":
-        return verification.compare(press, fea, ccx["reason"] or "no result of both", None)
+        return verification.compare(press, [], ccx["reason"] or "no result of both", None)
     pairs = [(np.array(record["total"]), np.array(record["cells"])) for record in (auto, ccx)]
-    return verification.compare(press, fea, *pairs)
+    errors = [(record["error_n"], record["cells_error_n"]) for record in (auto, ccx)]
+    return verification.compare(press, errors, *pairs)
 
 
 def figures_of(autos: dict[str, dict], ccxs: dict[str, dict], fea: FeaTable) -> tuple[list[Figure], list[dict]]:
@@ -112,7 +113,7 @@ def figures_of(autos: dict[str, dict], ccxs: dict[str, dict], fea: FeaTable) -> 
     verified = [name for name in autos if autos[name]["method"] != "ccx" and verification.chosen(name, fea.verify)]
     own = np.array([record["cpu_seconds"] for record in autos.values()])
     seconds = (own.sum() + sum(ccxs[name]["cpu_seconds"] for name in verified)) / len(own)
-    found = [compared(name, autos[name], ccxs[name], fea) for name in ccxs if autos[name]["method"] != "ccx"]
+    found = [compared(name, autos[name], ccxs[name]) for name in ccxs if autos[name]["method"] != "ccx"]
     solved = [record for record in found if not record.reason]
     beyond = [record for record in solved if record.beyond]
     ways = ", ".join(f"{count} by {way}" for way, count in Counter(r["method"] for r in autos.values()).most_common())

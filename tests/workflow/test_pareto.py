@@ -81,7 +81,7 @@ def test_a_scene_is_solved_once_resumed_and_drawn(bench, tmp_path, capfd):
     assert np.allclose(cells.sum(axis=(1, 2)) + coarse["outside"], coarse["total"], atol=1e-4)
     assert 0 < coarse["errors"]["total"] < 0.5 and again["methods"]["hex-1-4"]["errors"]["total"] == 0.0
 
-    found = pareto.publish_chart(tmp_path / "chart.json", [again], "")
+    found = pareto.publish_chart(tmp_path / "chart.json", [again])
     assert {p.suffix for p in tmp_path.glob("chart.*")} == {".json", ".csv", ".png"}
     assert (tmp_path / "chart.png").read_bytes().startswith(b"\x89PNG")
     assert [row["method"] for row in found["rows"]] == ["hex-2-1", "hex-1.4-2"]
@@ -93,7 +93,7 @@ def test_a_scene_that_cannot_be_solved_is_listed_with_its_reason(bench, tmp_path
     far = scene("far", {"indenter": {"kind": "sphere", "diameter": 2, "height": 10}, "x0": 9.0, "depth": 0.1})
     ball = scene("ball", {"indenter": {"kind": "sphere", "diameter": 15, "height": 10}})
     solved = [pareto.solve_scene(bench, s, METHODS[:2], []) for s in (far, ball)]
-    found = pareto.publish_chart(tmp_path / "chart.json", solved, "")
+    found = pareto.publish_chart(tmp_path / "chart.json", solved)
     row = found["rows"][0]
     assert row["scenes"] == 2 and row["failed"] == 1 and not row["frontier_total"]
 

@@ -25,7 +25,7 @@ from gelforge.flow.files import bytes_of, listed, made_at, read_csv, read_json, 
 from gelforge.flow.forecast import Cost, on_cores, pilots, presses_an_hour, table, wall_seconds
 from gelforge.flow.layout import Layout
 from gelforge.flow.main import RESULTS, command, option, positive
-from gelforge.flow.params.stages import ForCalibrate, ForPareto, ForPoses, ForReport, ForTrain, read_parameters
+from gelforge.flow.params.stages import ForCalibrate, ForPoses, ForReport, ForTrain, read_parameters
 from gelforge.flow.params.tables import SHIPPED
 from gelforge.flow.running import duration
 from gelforge.labelling.grid import Grid
@@ -48,8 +48,8 @@ STAGES = {
 }
 # Measured, processor seconds: an image through an evaluation; a press in the report.
 EVALUATE_EACH, REPORT_EACH = 5e-3, 0.02
-# Measured in presses on hexahedra as the pilots solved them: a press of a calibration, a scene of the quick chart.
-CALIBRATE_EACH, CHART_EACH = 18.0, 2.0
+# Measured in presses on hexahedra as the pilots solved them: a press of a calibration.
+CALIBRATE_EACH = 18.0
 # A row in the stages beside the solves, where a few pilots take no longer than the start of the process does.
 ROW_EACH = {"poses": 7e-3, "meshes": 3e-2, "forces": 1e-3, "labels": 2e-3}
 NEEDED = ("sample_id", "sensor_id", "indenter", *POSE)  # cells without which a row is no press
@@ -211,10 +211,6 @@ def later_costs(results: Layout, resolution: str, model: str, rows: list[RawRow]
     if "calibrate" in report.branches and any(row.cells.get("fz_n") for row in rows):
         solved = read_parameters(params / "calibrate.json", ForCalibrate).calibrate.max_presses
         branches.append(Cost(layout.CALIBRATE, cpu_once=CALIBRATE_EACH * solved * pace.hex_press, bytes_once=2e7))
-    if "pareto" in report.branches and images:  # the chart is of the scenes, for the report
-        scenes = read_parameters(params / "pareto.json", ForPareto).pareto.quick.scenes
-        cpu = CHART_EACH * len(scenes) * pace.hex_press
-        branches.append(Cost(layout.PARETO, cpu_once=cpu, bytes_once=4e5 * len(scenes)))
     if not images:
         return branches  # a log without pictures has no report
     return [

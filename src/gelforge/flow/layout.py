@@ -244,14 +244,6 @@ class Layout:
         """The chart of all scenes and methods."""
         return self.root / PARETO / "pareto.json"
 
-    def quick_scene(self, name: str) -> Path:
-        """A scene solved by the few methods of the report's chart."""
-        return self.root / PARETO / "quick" / f"{name}.json"
-
-    def quick_chart(self) -> Path:
-        """The report's chart."""
-        return self.root / PARETO / "quick.json"
-
     def network_chart(self, resolution: str) -> Path:
         """The chart of networks."""
         return self.root / PARETO_MODELS / f"{resolution}.json"

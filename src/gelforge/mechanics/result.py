@@ -44,6 +44,14 @@ class Result:
         return 0.0 if self.status is Status.NO_CONTACT else float(self.evidence.get("error_n", np.nan))
 
     @property
+    def error_share(self) -> float:
+        """`error_n` over the size of the force; 0 where nothing touches, infinite where nothing was solved or said."""
+        force = float(np.linalg.norm(self.total))
+        if self.status is Status.NO_CONTACT or not self.status.valid or force == 0.0 or np.isnan(self.error_n):
+            return 0.0 if self.status is Status.NO_CONTACT else np.inf
+        return self.error_n / force
+
+    @property
     def kept_evidence(self) -> dict:
         """What of the evidence JSON can hold; numbers that are not finite are left out."""
         kept = {}

@@ -52,7 +52,7 @@ def _plain_ticks(axis):
     axis.margins(x=0.15, y=0.08)
 
 
-def pareto_chart(rows: list[dict], scenes: list[dict], note: str) -> bytes:
+def pareto_chart(rows: list[dict], scenes: list[dict]) -> bytes:
     """Seconds against error, log-log, one panel per kind of error; medians over scenes with a line to the worst."""
     from matplotlib.lines import Line2D
 
@@ -73,7 +73,7 @@ def pareto_chart(rows: list[dict], scenes: list[dict], note: str) -> bytes:
                 Line2D([], [], ls="", marker="_", color="0.3", label="worst scene")]  # fmt: skip
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8)
     reference = scenes[0]["reference"]
-    figure.suptitle(f"{len(scenes)} scenes; error against {reference}{'; ' + note if note else ''}", fontsize=10)
+    figure.suptitle(f"{len(scenes)} scenes; error against {reference}", fontsize=10)
     return to_png(figure)
 
 

@@ -27,7 +27,7 @@ from gelforge.mechanics.mesh.family import MeshFamily, mesh_names
 from gelforge.mechanics.mesh.meshstore import source_of
 from gelforge.mechanics.result import Result
 from gelforge.mechanics.scene import Interface, Scene
-from gelforge.mechanics.solve import Solvers, chosen, settings_of, solve_key
+from gelforge.mechanics.solve import Solvers, settings_of, solve_key
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses
 from gelforge.records.press import SENSOR_TABLES, PosedPress
@@ -59,10 +59,9 @@ def press_keys(
     frames: list[PosedPress], scenes: list[Scene], params: ForFea, tables: dict, meshes: dict[str, str]
 ) -> list[str]:
     """Key of the solve of each frame of a press. meshes: that of each sample that is solved on tetrahedra, by content."""
-    method, _ = chosen(scenes[-1], params.fea)
     found = []
     for at, frame in enumerate(frames):
-        how = settings_of(method, params.fea, meshes.get(frame.sample_id, ""))
+        how = settings_of(params.fea.method, params.fea, meshes.get(frame.sample_id, ""))
         found.append(solve_key(scenes, shape_of(frame, tables), how, params.version, at))
     return found
 
@@ -201,27 +200,26 @@ def verify_press(press: PosedPress, keys: tuple[str, str], scenes: list[Scene], 
     are those of a sample called ID.ccx; the difference is ID.verify.json.
     """
     path, twin = folder / f"{press.sample_id}{verification.ENDING}", f"{press.sample_id}.ccx"
-    way, kind = record["method"], record["evidence"].get("class", "")
     automatic = solvers.settings.method == "auto" and Status[record["status"]].valid
-    solvable = automatic and way in IN_PROCESS and not record["evidence"]["failed_attempts"]
+    solvable = automatic and record["method"] in IN_PROCESS and not record["evidence"]["failed_attempts"]
     if not (solvable and verification.chosen(press.sample_id, solvers.settings.verify)):
         for stale in (path, *folder.glob(f"{twin}.*")):
             stale.unlink(missing_ok=True)
         return
-    key = digest_of_value([*keys, solvers.settings.charted.get(kind)])
+    key = digest_of_value(keys)
     whole = finished(folder, twin, keys[1], solvers.settings.timeout_s)
     if whole and (kept := verification.kept_verified(path)) and kept.key == key:
         return
     path.unlink(missing_ok=True)
     result = solvers.solve_frames(scenes, "ccx")[-1]
     right = publish_solve(twin, result, solvers, keys[1], folder)
-    about = (key, press.sample_id, kind, way)
+    about = (key, press.sample_id, record["method"])
     sensor = sensor_of(SENSOR_TABLES, press.sensor_id, sensors[press.sensor_id])
     if right["method"] != "ccx" or not right["files"]:
         reason = (
             right["reason"] or "; ".join(right["evidence"].get("failed_attempts", [])) or "CalculiX found no solution"
         )
-        found = verification.compare(about, solvers.settings, reason, None)
+        found = verification.compare(about, [], reason, None)
     else:
         result_mesh = solvers.family.load(right["mesh"])
         with np.load(folder / record["files"][-1], allow_pickle=False) as file:
@@ -229,7 +227,8 @@ def verify_press(press: PosedPress, keys: tuple[str, str], scenes: list[Scene], 
         meshes = [solvers.family.load(record["mesh"]), result_mesh]
         pairs = [(force.sum(axis=0), verification.surface_cells(mesh, force, sensor))
                  for mesh, force in zip(meshes, forces, strict=True)]  # fmt: skip
-        found = verification.compare(about, solvers.settings, *pairs)
+        errors = [tuple(of["evidence"][name] for name in ("error_n", "cells_error_n")) for of in (record, right)]
+        found = verification.compare(about, errors, *pairs)
     verification.write_verified(path, found)
 
 

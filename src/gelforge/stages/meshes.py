@@ -15,10 +15,8 @@ from gelforge.mechanics.mesh.family import MeshFamily, choose_mesh, first_candid
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.meshstore import MeshSource, source_of
 from gelforge.mechanics.scene import Scene
-from gelforge.mechanics.solve import chosen
 from gelforge.records.frames import presses_of
 from gelforge.records.solvetable import MESH_COLUMNS
-from gelforge.sweeps import verification
 
 VERSION = 6
 
@@ -36,10 +34,7 @@ def meshed(presses: list[dict[str, Scene]], params: ForFea) -> dict[str, Scene]:
     """Scenes by sample that are solved on tetrahedra. presses: frames of each by their samples, in order of time."""
     found: dict[str, Scene] = {}
     for frames in presses:
-        last, scene = list(frames.items())[-1]
-        method, _ = chosen(scene, params.fea)
-        verified = params.fea.method == "auto" and verification.chosen(last, params.fea.verify)
-        if method not in IN_PROCESS or verified:
+        if params.fea.method not in IN_PROCESS:
             found |= frames
     return found
 

@@ -4,27 +4,25 @@
 """
 
 from argparse import Namespace
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import listed, publish, read_json, write_csv, write_if_changed, write_json
+from gelforge.flow.files import publish, read_json, write_csv, write_json
 from gelforge.flow.layout import Layout, beside
 from gelforge.flow.main import group, stage
-from gelforge.flow.params import CHARTED, load_params, parameters_of, plain
 from gelforge.flow.params.stages import ForMeshes, ForPareto, read_parameters
-from gelforge.flow.params.tables import CHOOSING, CLASSES, IN_PROCESS, METHODS, VERIFYING, WAYS, FeaTable
+from gelforge.flow.params.tables import METHODS
 from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.mesh.family import MeshName, make_mesh
-from gelforge.mechanics.solvers.contactclass import contact_class
 from gelforge.stages.meshes import publish_mesh
 from gelforge.sweeps.deviation import errors, frontier
-from gelforge.sweeps.methods import DOUBLED, REFERENCE, Method, every_method, quick_methods
-from gelforge.sweeps.scenes import NamedScene, parse_scene
-from gelforge.sweeps.trial import ChartBench, given_reference, load_bench, measure
+from gelforge.sweeps.methods import DOUBLED, REFERENCE, Method, every_method
+from gelforge.sweeps.scenes import NamedScene, parse_scene, read_tables
+from gelforge.sweeps.trial import ChartBench, load_bench, measure
 
 VERSION = 4
 GOAL_TOTAL, GOAL_CELLS = 0.02, 0.08  # what a label setting should meet over all scenes
@@ -46,8 +44,7 @@ def solve_scene(bench: ChartBench, scene: NamedScene, methods: list[Method], che
     for method in methods:
         record = records[method.name] | {"method": asdict(method)}
         compared[method.name] = record | {"errors": errors(record, records[reference])}
-    found: dict = {"scene": scene.name, "class": contact_class(scene.scene), "table": scene.table}
-    found |= {"reference": reference, "methods": compared}
+    found: dict = {"scene": scene.name, "table": scene.table, "reference": reference, "methods": compared}
     if DOUBLED in records:
         found["reference_check"] = compared[DOUBLED]["errors"]
     return found
@@ -99,63 +96,6 @@ def failures(scenes: list[dict]) -> list[dict]:
             if record.get("cells") is None]  # fmt: skip
 
 
-def charted(scenes: list[dict]) -> dict[str, dict[str, list[float]]]:
-    """What workflow/charted.toml should say: by class of contact and way, worst errors in total force and cells, and cost.
-
-    Cost is the median of processor seconds over that of `label` on all scenes. Empty where a method was not charted.
-    """
-    ways = [
-        (scene["class"], {way: scene["methods"][way] for way in WAYS if way in scene["methods"]})
-        for scene in scenes
-        if scene.get("class")
-    ]
-    found = [(kind, of) for kind, of in ways if of.keys() == set(WAYS)]
-    if not found or any(not record["errors"] for _, of in found for record in of.values()):
-        return {}
-    base = median([of["label"]["cpu_seconds"] for _, of in found])
-    classes = {kind for kind, _ in found}
-    return {
-        kind: {way: _class_row([of[way] for held, of in found if held == kind], base) for way in WAYS}
-        for kind in CLASSES
-        if kind in classes
-    }
-
-
-def charted_text(found: dict[str, dict[str, list[float]]], old: str) -> str:
-    """workflow/charted.toml with these numbers under the comment that it begins with."""
-    comment = "".join(line for line in old.splitlines(keepends=True) if line.startswith("#"))
-    tables = [
-        "".join([f"[{kind}]\n", *(f"{way} = {row}\n" for way, row in of.items())]) for kind, of in found.items()
-    ]
-    return "\n".join([comment, *tables])
-
-
-def solving(table: FeaTable) -> dict[str, object]:
-    """What of [fea] changes a solve, whichever method is chosen."""
-    idle = CHOOSING | VERIFYING | {"method", "timeout_s"}
-    return {key: value for key, value in plain(table).items() if key not in idle}
-
-
-def keep_charted(found: dict[str, dict[str, list[float]]], params: ForPareto, workflow: Path) -> str:
-    """Write benchmarked errors to workflow/charted.toml; a sentence that says so, or why not.
-
-    Only of a dataset that solves with the project's own parameters: "auto" of all datasets chooses by them.
-    """
-    path = workflow / CHARTED
-    usual = parameters_of(load_params(workflow), ForPareto, params.version)
-    if not found:
-        return f"{path} stays as it is: not every method of auto was solved on every scene."
-    if replace(usual, fea=params.fea) != params or solving(usual.fea) != solving(params.fea):
-        return f"{path} stays as it is: this dataset sets parameters of its own."
-    changed = write_if_changed(path, charted_text(found, path.read_text(encoding="utf-8") if path.exists() else ""))
-    return f"{path} {'has the errors of this chart now' if changed else 'says the same'}."
-
-
-def _class_row(records: list[dict], base: float) -> list[float]:
-    worst = [max(record["errors"][kind] for record in records) for kind in ("total", "cells")]
-    return [*(round(value, 4) for value in worst), round(median([r["cpu_seconds"] for r in records]) / base, 2)]
-
-
 def reading(rows: list[dict], scenes: list[dict], fails: list[dict]) -> list[str]:
     """What the chart says, in sentences."""
     meets = [row for row in rows if row["total_worst"] is not None and not row["failed"]
@@ -185,16 +125,16 @@ def reading(rows: list[dict], scenes: list[dict], fails: list[dict]) -> list[str
     return said
 
 
-def publish_chart(out: Path, scenes: list[dict], note: str) -> dict:
+def publish_chart(out: Path, scenes: list[dict]) -> dict:
     """Write chart, CSV and JSON (`out`, last); returns what the JSON holds."""
     from gelforge.reporting.charts import pareto_chart
 
     rows, fails = summarise(scenes), failures(scenes)
     write_csv(beside(out, ".csv"), COLUMNS, rows)
     with publish(beside(out, ".png")) as part:
-        part.write_bytes(pareto_chart(rows, scenes, note))
+        part.write_bytes(pareto_chart(rows, scenes))
     found = {
-        "reading": reading(rows, scenes, fails), "rows": rows, "failures": fails, "charted": charted(scenes),
+        "reading": reading(rows, scenes, fails), "rows": rows, "failures": fails,
         "reference_check": {s["scene"]: s["reference_check"] for s in scenes if "reference_check" in s},
         "scenes": {s["scene"]: {name: _brief(r) for name, r in s["methods"].items()} for s in scenes},
     }  # fmt: skip
@@ -240,45 +180,22 @@ def solve(args: Namespace) -> None:
     write_json(args.out, solve_scene(found.bench, found.scene, methods, [Method(DOUBLED, REFERENCE, doubled=True)]))
 
 
-@stage(Layout.quick_scene)
-def solve_quick(args: Namespace) -> None:
-    """Solve one scene by the few methods of the report's chart."""
-    found = asked(args, args.of.meshes)
-    params = found.params
-    # one chart, one reference: all of its scenes decide which
-    scenes = [planned_scene(args.of, name, params) for name in params.pareto.quick.scenes]
-    reference_kept = all(given_reference(found.bench, other) for other in scenes)
-    methods = quick_methods(params.pareto.quick, params.fea.method not in IN_PROCESS, reference_kept)
-    write_json(args.out, solve_scene(found.bench, found.scene, methods, []))
-
-
-def chart_of(paths: list[Path], out: Path, note: str = "") -> dict:
-    """Draw solved scenes: chart, CSV and JSON; return what the JSON holds."""
+def chart_of(paths: list[Path], out: Path) -> None:
+    """Draw solved scenes: chart, CSV and JSON."""
     scenes = [read_json(path) for path in paths]
     references = {scene["reference"] for scene in scenes}
     if len(references) != 1:
         raise BadInput(f"scenes stand against different references ({', '.join(sorted(references))}); run make again")
-    found = publish_chart(out, scenes, note)
-    print("\n".join(found["reading"]))
-    return found
+    print("\n".join(publish_chart(out, scenes)["reading"]))
 
 
 @stage(Layout.chart)
 def draw(args: Namespace) -> None:
-    """Draw all scenes, and write the chart's errors for `auto`."""
+    """Draw all scenes of workflow/scenes.toml."""
     of = args.of
-    paths = [of.chart_scene(path.stem) for path in listed(of.params / "scenes", "*.json")]
-    found = chart_of(paths, args.out)
-    print(keep_charted(found["charted"], read_parameters(of.parameters("pareto"), ForPareto), of.workflow))
-
-
-@stage(Layout.quick_chart)
-def draw_quick(args: Namespace) -> None:
-    """Draw the scenes of the report's chart."""
-    of = args.of
-    names = read_parameters(of.parameters("pareto"), ForPareto).pareto.quick.scenes
-    note = f"a small chart; {of.command('pareto')} draws the large one"
-    chart_of([of.quick_scene(name) for name in names], args.out, note)
+    # a scene that was retired is no part of the chart, whatever lies in its folder
+    paths = [of.chart_scene(name) for name in read_tables(of.workflow)]
+    chart_of(paths, args.out)
 
 
 @stage(Layout.chart_mesh)
@@ -289,7 +206,7 @@ def mesh(args: Namespace) -> None:
     publish_mesh(args.name, made, report, args.out)
 
 
-main = group(mesh=mesh, scene=solve, quick=solve_quick, chart=draw, **{"quick-chart": draw_quick})
+main = group(mesh=mesh, scene=solve, chart=draw)
 
 
 if __name__ == "__main__":

@@ -15,7 +15,7 @@ from pathlib import Path
 from types import MappingProxyType
 
 from gelforge.errors import BadInput, printable
-from gelforge.evidence.settings import check_dataset, check_names
+from gelforge.evidence.settings import check_dataset
 from gelforge.flow import params as config
 from gelforge.flow.cache import FileValues, canonical
 from gelforge.flow.dates import keep_states, states_of
@@ -286,14 +286,12 @@ def chart_lists(params: Params, scenes: dict) -> dict[str, list[str]]:
     """Names that the rules of the branches pareto and stability need."""
     from gelforge.sweeps.references import chart_meshes
 
-    quick = list(params.pareto.quick.scenes)
-    check_names("[pareto.quick] scenes", quick, scenes)
-    return {"PARETO_SCENES": list(scenes), "PARETO_QUICK": quick, "PARETO_MESHES": chart_meshes(params)}
+    return {"PARETO_SCENES": list(scenes), "PARETO_MESHES": chart_meshes(params)}
 
 
 def plan_files(data: Path, workflow: Path, catalogue: str) -> list[Path]:
     """Files that any plan is made from, those too that are not there: tables, the log, what lies beside it, and the code."""
-    tables = ("params", "charted", "models", "scenes", "sensors", "gels", "indenters")
+    tables = ("params", "models", "scenes", "sensors", "gels", "indenters")
     own = ("log.csv", "dataset.toml", "sensors.toml", "indenters.toml", "calibration.toml")
     beside = ("nocontact", "labels", "splits.csv", "truth/presses.csv", "truth/pictures.csv")
     found = [*(data / name for name in (*own, *beside)), *files_beside(data).values()]
@@ -336,7 +334,7 @@ def without_ccx(params: config.Params, dataset_toml: Path) -> config.Params:
 
 
 # What the report shows of a branch, below results/DATASET.
-SHOWN_OF = {"calibrate": "calibrate/summary.json", "pareto": "pareto/quick.json"}
+SHOWN_OF = {"calibrate": "calibrate/summary.json"}
 CCX = option(
     "--ccx", type=Path, default=None, help="file that names CalculiX' program, or says `none`; without it none"
 )

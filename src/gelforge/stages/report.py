@@ -216,11 +216,11 @@ def verified_section(records: list[verification.Verified]) -> Section:
     section = Section("Verified by CalculiX")
     section.text(
         "Differences between the method that was chosen and CalculiX, over CalculiX' total force. The limit is the sum of"
-        " the benchmarked errors of both methods on contacts of that class."
+        " the errors that both solves state of themselves."
     ).table(*verification.table(records))
     for record in records:
         if record.reason:
-            section.text(f"{record.sample_id} ({record.kind}): not verified: {record.reason}")
+            section.text(f"{record.sample_id}: not verified: {record.reason}")
         elif record.beyond:
             section.text(f"{record.sentence()}.")
     return section
@@ -237,10 +237,10 @@ def fidelities_section(solved: dict[str, Solved]) -> Section:
     return Section("Cost of a solve").table(["method", "solves", "median seconds", "slowest"], rows)
 
 
-def branch_section(results: Path, title: str, folder: str, what: str) -> Section:
-    """Charts of a branch as they lie in its folder."""
+def branch_section(results: Path, title: str, folder: str, what: str, shipped: Path) -> Section:
+    """Charts of a branch as they lie in its folder, or the one that comes along."""
     section = Section(title)
-    charts = listed(results / folder, "*.png", below=True)
+    charts = listed(results / folder, "*.png", below=True) or [png for png in (shipped,) if png.exists()]
     if not charts:
         return section.text(f"Not made: {Layout(results).command(folder)}.", absent=True)
     section.text(what)
@@ -363,6 +363,7 @@ def sections_of(explorer: Explorer, data: Path, model: str, solved: dict[str, So
             "Speed against accuracy",
             PARETO,
             "Seconds of a solve against its error, each point one method.",
+            Layout(results).workflow.parent / "results/readme/speed.png",
         ),
         failures_section(results, solved),
         *([verified_section(verified)] if verified else []),

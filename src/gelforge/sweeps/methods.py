@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.flow.params.stages import ForPareto, ForStability
-from gelforge.flow.params.tables import IN_PROCESS, METHODS, ParetoTable, QuickTable
+from gelforge.flow.params.tables import IN_PROCESS, METHODS, ParetoTable
 from gelforge.mechanics.hexsettings import HexSettings, quality
 from gelforge.mechanics.mesh.family import MeshFamily, load_mesh
 from gelforge.mechanics.mesh.gelmesh import GelMesh
@@ -60,16 +60,6 @@ def every_method(pareto: ParetoTable) -> list[Method]:
     varied = [(size, usual) for size in pareto.ccx_sizes_mm] + [(pareto.ccx_sizes_mm[0], n) for n in others]
     tets = [Method(f"ccx-{size:g}-{n}", "ccx", size, steps=n) for size, n in varied]
     return [*(method_of(name) for name in METHODS), *hexahedra, *tets, LARGE_REFERENCE]
-
-
-def quick_methods(quick: QuickTable, with_ccx: bool, reference_kept: bool) -> list[Method]:
-    """Methods of the small chart; its reference is the last: the large chart's where it is kept, else fine hexahedra."""
-    steps, fine = quick.steps, quick.reference
-    sizes = zip(quick.hex_sizes_mm, quick.hex_layers, strict=True)
-    found = [hex_method(size, layers, steps) for size, layers in sizes]
-    found += [method_of(name) for name in (("label", "ccx") if with_ccx else ("label",))]
-    hexahedra = hex_method(fine.size, fine.layers, fine.press_steps)
-    return [*found, LARGE_REFERENCE if reference_kept else hexahedra]
 
 
 @cache

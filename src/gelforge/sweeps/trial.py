@@ -14,11 +14,12 @@ from gelforge.flow.cache import digest_of_value, record_of
 from gelforge.flow.files import write_json
 from gelforge.flow.params import plain
 from gelforge.flow.params.stages import ForPareto, ForStability
-from gelforge.flow.params.tables import CHOOSING, TETRAHEDRAL, VERIFYING
+from gelforge.flow.params.tables import CHOOSING
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import assemble
 from gelforge.labelling.sensor import Sensor
-from gelforge.mechanics.hexsettings import QUALITIES, quality
+from gelforge.mechanics.hexsettings import quality
+from gelforge.mechanics.solve import settings_of
 from gelforge.sweeps.isolate import CRASHED, REFUSED, TIMED_OUT, Clock, isolated, peak_mib
 from gelforge.sweeps.keptreferences import kept_reference, reference_key
 from gelforge.sweeps.methods import LARGE_REFERENCE, REFERENCE, Method, hex_settings, prepare, warm_up
@@ -26,7 +27,7 @@ from gelforge.sweeps.references import EDGE_QUALITY
 from gelforge.sweeps.scenes import NamedScene
 
 GRID = Grid(24, 32)  # of FEATS' labels
-NOT_SOLVER = CHOOSING | TETRAHEDRAL | VERIFYING | {"method", "timeout_s"}
+NOT_SOLVER = CHOOSING | {"meshes", "method", "timeout_s"}
 
 
 @dataclass(frozen=True)
@@ -57,13 +58,12 @@ class ChartBench:
         p = self.params
         if method.solver == "hex":
             return [asdict(hex_settings(method))]
-        if method.solver == REFERENCE:
+        if method.solver == REFERENCE:  # on elements of twice the size: the reference itself has a key of its own
             return [plain(p.pareto.reference), asdict(quality(EDGE_QUALITY)), *ccx_settings(p)]
         if method.name == "auto":
-            fea = {key: value for key, value in plain(p.fea).items() if key not in VERIFYING}
-            return [fea, plain(p.meshes), *(asdict(quality(name)) for name in QUALITIES)]
+            return [settings_of("auto", p.fea, ""), list(p.fea.meshes), *ccx_settings(p)]
         if method.size is None:
-            return [list(p.fea.meshes), *ccx_settings(p)]
+            return [settings_of("ccx", p.fea, ""), list(p.fea.meshes), *ccx_settings(p)]
         return ccx_settings(p)
 
 

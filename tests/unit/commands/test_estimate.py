@@ -106,13 +106,13 @@ def test_a_network_that_is_trained_is_counted_by_its_kind(tmp_path, root):
 
 
 def lay(folder, images=True):
-    """A plan whose report shows the branches calibrate and pareto."""
+    """A plan whose report shows the branch calibrate."""
     results = Layout(folder)
-    branches = plain(parameters().report) | {"branches": ["calibrate", "pareto"]}
+    branches = plain(parameters().report) | {"branches": ["calibrate"]}
     write_json(results.params / "sensors.json", {})
     write_json(results.params / "report.json", {"version": 1, "report": branches})
     write_json(results.params / "poses.json", {"version": 1, "poses": plain(parameters().poses) | {"images": images}})
-    for name in ("calibrate", "pareto"):
+    for name in ("calibrate",):
         write_json(results.params / f"{name}.json", {"version": 1} | plain(stage_of(name)))
     return results
 
@@ -121,8 +121,8 @@ def test_what_the_log_cannot_feed_is_not_counted(tmp_path):
     for images, reading, counted in (
         (False, "-3.1", ["calibrate"]),
         (False, "", []),
-        (True, "", ["60_dataset", "80_evaluate", "pareto", "90_report"]),
-        (True, "-3.1", ["60_dataset", "80_evaluate", "calibrate", "pareto", "90_report"]),
+        (True, "", ["60_dataset", "80_evaluate", "90_report"]),
+        (True, "-3.1", ["60_dataset", "80_evaluate", "calibrate", "90_report"]),
     ):
         rows = [RawRow(2, {"sensor_id": "mini_a"}), RawRow(3, {"sensor_id": "mini_a", "fz_n": reading})]
         costs = later_costs(lay(tmp_path, images), "24x32", "shipped", rows)
@@ -130,10 +130,10 @@ def test_what_the_log_cannot_feed_is_not_counted(tmp_path):
 
 
 def test_what_the_pilots_do_not_run_is_counted_at_their_pace(tmp_path):
-    """Whatever the machine: solves of a calibration and a chart are as slow as the pilots' own."""
+    """Whatever the machine: solves of a calibration are as slow as the pilots' own."""
     results = lay(tmp_path)
     quick, slow = (later_costs(results, "24x32", "shipped", ROWS, pace) for pace in (Pace(0.4, 2.0), Pace(1.2, 6.0)))
-    assert [cost.cpu(0) for cost in slow] == pytest.approx([3 * cost.cpu(0) for cost in quick]) and len(quick) == 5
+    assert [cost.cpu(0) for cost in slow] == pytest.approx([3 * cost.cpu(0) for cost in quick]) and len(quick) == 4
 
 
 def test_of_a_press_by_calculix_the_part_on_hexahedra_counts(tmp_path):

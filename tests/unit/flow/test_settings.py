@@ -18,7 +18,6 @@ from gelforge.flow.params import (
     read_dataset_file,
     read_parameters,
     read_toml,
-    with_charted,
 )
 from gelforge.flow.params import tables as t
 from gelforge.flow.params.schema import Number, ParameterTable, Place, Within, kinds_of, parse, split
@@ -35,7 +34,7 @@ def load(root, tmp_path, text):
 
 @cache
 def raw(root):
-    return with_charted(read_toml(root / "workflow" / "params.toml"), root / "workflow")
+    return read_toml(root / "workflow" / "params.toml")
 
 
 def test_the_schema_and_params_toml_hold_the_same_keys(root):
@@ -214,14 +213,3 @@ def test_words_of_the_schema_are_those_of_the_code():
     assert set(NAMES) - set(TARE) | {"indenter", "tare"} == {field.name for field in fields(t.PriorsTable)}
     channels = get_args(get_args(split(kinds_of(t.LabelsTable)["channels"])[0])[0])
     assert set(channels) - {"force"} <= set(FIELDS)
-
-
-def test_benchmarked_errors_stand_in_their_own_file_alone(root, tmp_path):
-    """One that params.toml has, too, would be read or not read without a word; none at all leaves auto nothing to choose by."""
-    text = (root / "workflow" / "params.toml").read_text(encoding="utf-8")
-    (tmp_path / "params.toml").write_text(text, encoding="utf-8")
-    assert load_params(tmp_path).fea.charted == {}
-    (tmp_path / "charted.toml").write_text("[flat_deep]\nccx = [0.01, 0.05, 3.0]\n", encoding="utf-8")
-    assert load_params(tmp_path).fea.charted == {"flat_deep": {"ccx": (0.01, 0.05, 3.0)}}
-    (tmp_path / "params.toml").write_text(text + "\n[fea.charted.flat_deep]\nccx = [0, 0, 1]\n", encoding="utf-8")
-    refused(r"\[fea.charted\]: is read from .*charted.toml; move the tables there", load_params, tmp_path)

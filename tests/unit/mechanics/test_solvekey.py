@@ -11,17 +11,16 @@ from gelforge.mechanics import solve
 from gelforge.mechanics.hexsettings import quality
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.scene import Interface, Scene
-from gelforge.mechanics.solve import chosen, settings_of, solve_key
+from gelforge.mechanics.solve import settings_of, solve_key
 from gelforge.records.press import Press
 from tests.support.parameters import parameters
 
 FEA = parameters().fea
 BALL = {"kind": "sphere", "diameter": 15, "height": 10}
 SCENE = Scene(load_gel("gelsight_mini"), Material(), build("ball", BALL), Press(0.1, 0.2, 0.0, 0.1, 0.2, -1.0, 5.0))
-# Another value of each parameter of [fea]; the tolerances leave `auto` the same method for this press.
+# Another value of each parameter of [fea].
 OTHER = {
-    "method": None, "meshes": ("wide-1.0",), "tolerance": 0.05, "cell_tolerance": 0.2,
-    "charted": {name: {way: (*row[:2], 2 * row[2]) for way, row in rows.items()} for name, rows in FEA.charted.items()},
+    "method": None, "meshes": ("wide-1.0",), "tolerance": 0.05,
     "press_steps": 5, "shear_steps": 4, "step_mm": 0.3, "stiffness": 1000.0, "rounds": 9,
     "pull_tolerance": 3e-3, "penetration_mm": 3e-3, "residual": 2e-5, "timeout_s": 3600.0, "verify": 0.5,
 }  # fmt: skip
@@ -35,12 +34,11 @@ CALCULIX = {
     "penetration_mm",
     "residual",
 }
-READ = {"ccx": CALCULIX}
+READ = {"ccx": CALCULIX, "auto": CALCULIX | {"tolerance"}}
 
 
 def key(scene=SCENE, fea=FEA, shape=BALL, mesh="ccx-centre-0.45-0123abcd", version=1, frames=None):
-    method, _ = chosen(scene, fea)
-    how = settings_of(method, fea, "" if method in IN_PROCESS else mesh)
+    how = settings_of(fea.method, fea, "" if fea.method in IN_PROCESS else mesh)
     return solve_key(frames or [scene], shape, how, version, -1)
 
 
@@ -58,13 +56,8 @@ def test_a_parameter_of_fea_solves_again_only_where_the_method_reads_it(method):
     assert changed == READ.get(method, set())
 
 
-def test_each_method_is_solved_for_itself_and_auto_takes_what_its_method_solved():
-    keys = {name: key(fea=replace(FEA, method=name)) for name in METHODS}
-    assert len({keys[name] for name in ("draft", "label", "fine", "ccx")}) == 4
-    method, _ = chosen(SCENE, replace(FEA, method="auto"))
-    assert keys["auto"] == keys[method]
-    strict = replace(FEA, method="auto", tolerance=0.01)
-    assert chosen(SCENE, strict)[0] != method and key(fea=strict) != keys["auto"]
+def test_each_method_is_solved_for_itself():
+    assert len({key(fea=replace(FEA, method=name)) for name in METHODS}) == len(METHODS)
 
 
 @pytest.mark.parametrize("field", [f.name for f in fields(Press)])

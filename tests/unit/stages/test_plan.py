@@ -231,7 +231,6 @@ UNKNOWN = [
         '[params.dataset]\nunseen_indenters = ["spere_15"]',
         "unseen_indenters: 'spere_15' is unknown; sphere_15 is",
     ),
-    ('[params.pareto.quick]\nscenes = ["none"]', r"\[pareto.quick\] scenes: 'none' is unknown"),
     ('[params.pareto]\nsensor = "none"', r"\[pareto\] sensor: 'none' is unknown"),
     ('[params.fea]\nmethod = "label"\n[params.stability]\nseed = -1', "seed = -1"),
     ('catalogue = "none.toml"', "none.toml: not found"),

@@ -1,7 +1,6 @@
 """Errors, frontiers, keys and verdicts behind the charts of the mechanics; solves in processes of their own."""
 
 import os
-import shutil
 import signal
 import subprocess
 import sys
@@ -19,14 +18,13 @@ from hypothesis.extra.numpy import arrays
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
 from gelforge.flow.orphans import die_with_parent
-from gelforge.flow.params import load_params
 from gelforge.labelling.sensor import load_sensors
 from gelforge.stages import stability
-from gelforge.stages.pareto import keep_charted, summarise
+from gelforge.stages.pareto import summarise
 from gelforge.sweeps import cases
 from gelforge.sweeps.deviation import cell_error, errors, frontier, total_error
 from gelforge.sweeps.isolate import isolated
-from gelforge.sweeps.methods import LARGE_REFERENCE, Method, every_method, method_of, quick_methods
+from gelforge.sweeps.methods import LARGE_REFERENCE, Method, every_method, method_of
 from gelforge.sweeps.references import edge_of_contact, reference_mesh
 from gelforge.sweeps.scenes import parse_scene, read_tables, resolve
 from gelforge.sweeps.trial import kept, load_bench
@@ -147,9 +145,6 @@ def test_the_chart_holds_what_was_asked(params):
         assert len({m.size for m in own}) >= 4 and len({m.steps for m in own}) >= 3
         assert len(own) == len({m.size for m in own}) + len({m.steps for m in own}) - 1
     assert {"draft", "label", "fine", "ccx", "auto", "reference"} <= {m.name for m in methods}
-    quick = params.pareto.quick
-    assert all(m.solver == "hex" for m in quick_methods(quick, with_ccx=False, reference_kept=False))
-    assert quick_methods(quick, with_ccx=True, reference_kept=True)[-1].name == "reference"
 
 
 def test_a_key_follows_what_the_method_depends_on_and_nothing_else(params, scenes, tmp_path):
@@ -158,13 +153,13 @@ def test_a_key_follows_what_the_method_depends_on_and_nothing_else(params, scene
         return bench.key(scenes["punch"], method)
 
     stiffer = replace(params.fea, stiffness=1.0)
-    charted = replace(params.fea, charted={}, tolerance=0.5)
+    loose = replace(params.fea, tolerance=0.5)
     hexahedron, ccx = Method("hex-1-8", "hex", 1.0, 4, 8), Method("ccx-1-8", "ccx", 1.0, steps=8)
     auto, label, tets = method_of("auto"), method_of("label"), method_of("ccx")
     assert key(hexahedron) == key(hexahedron, fea=stiffer)
     assert key(ccx) != key(ccx, fea=stiffer)
-    assert key(ccx) == key(ccx, fea=charted)
-    assert key(auto) != key(auto, fea=charted)
+    assert key(ccx) == key(ccx, fea=loose)
+    assert key(auto) != key(auto, fea=loose)
     assert key(hexahedron) != key(hexahedron, material=replace(params.material, nu=0.49))
     assert key(label) == key(label, fea=stiffer) and key(tets) != key(tets, fea=stiffer)
     # hours of solves: what a reference is one of, and nothing of how others solve
@@ -333,19 +328,3 @@ def test_records_of_what_may_be_mended_are_made_again(tmp_path):
         write_json(path, {"key": "k"} | record)
         assert (kept(path, "k", limit) is not None) == stays, record
         assert kept(path, "another", limit) is None
-
-
-def test_the_chart_writes_what_auto_chooses_by(root, tmp_path):
-    """The tracked file comes back from its own numbers, and only a chart of the project's own parameters changes it."""
-    workflow = shutil.copytree(root / "workflow", tmp_path / "workflow")
-    path = workflow / "charted.toml"
-    before, params = path.read_text(encoding="utf-8"), stage_of("pareto")
-    found = {kind: {way: list(row) for way, row in of.items()} for kind, of in params.fea.charted.items()}
-    assert "says the same" in keep_charted(found, params, workflow) and path.read_text(encoding="utf-8") == before
-    found["flat_deep"]["ccx"][0] = 0.5
-    own = replace(params, fea=replace(params.fea, meshes=("wide-1.0",)))
-    assert "parameters of its own" in keep_charted(found, own, workflow)
-    assert "not every method" in keep_charted({}, params, workflow)
-    assert path.read_text(encoding="utf-8") == before
-    assert "this chart now" in keep_charted(found, params, workflow)
-    assert load_params(workflow).fea.charted["flat_deep"]["ccx"][0] == 0.5

@@ -32,8 +32,6 @@ __all__ = [
     "stage_version",
 ]  # fmt: skip
 
-CHARTED = "charted.toml"  # in workflow/, written by branch pareto
-
 
 def load_params(workflow: Path | str, dataset_toml: Path | str | None = None) -> Params:
     """Read workflow/params.toml with the [params.*] tables of a dataset and its frozen calibration laid over it.
@@ -48,22 +46,9 @@ def load_params(workflow: Path | str, dataset_toml: Path | str | None = None) ->
 def overlaid(workflow: Path | str, given: dict[str, Any], where: str) -> Params:
     """Parameters with tables of `where` laid over them; the file that is at fault is the one that is named."""
     file = Path(workflow) / "params.toml"
-    base = with_charted(read_toml(file), Path(workflow))
+    base = read_toml(file)
     params = parse(Params, base, Place(str(file)))
     return parse(Params, laid_over(base, given), Place(where, ("params",))) if given else params
-
-
-def with_charted(base: dict[str, Any], workflow: Path) -> dict[str, Any]:
-    """Raw tables of params.toml with the benchmarked errors of workflow/charted.toml as [fea] charted."""
-    fea = base.get("fea")
-    if not isinstance(fea, dict):
-        return base
-    if "charted" in fea:
-        raise BadInput(
-            f"{workflow}/params.toml: [fea.charted]: is read from {workflow}/{CHARTED}; move the tables there"
-        )
-    path = workflow / CHARTED
-    return base | {"fea": fea | {"charted": read_toml(path) if path.exists() else {}}}
 
 
 def laid_over(base: Any, over: Any) -> Any:

@@ -37,21 +37,9 @@ LAWS = get_args(Law)
 Method = Literal["draft", "label", "fine", "ccx", "auto"]
 METHODS = get_args(Method)
 IN_PROCESS = ("draft", "label", "fine")  # qualities of hexahedra: they need neither CalculiX nor tetrahedral meshes
-# Among what method "auto" chooses, and the classes of contact by which errors are charted (mechanics.solvers.contactclass):
-# shapes by how fast their overlap with the gel grows with depth, each of them shallow, then deep.
-Way = Literal["draft", "label", "ccx"]
-WAYS = get_args(Way)
-ContactClass = Literal[
-    "flat_shallow", "flat_deep", "curved_shallow", "curved_deep", "pointed_shallow", "pointed_deep"
-]
-CLASSES = get_args(ContactClass)
-FromNone = Annotated[Number, Within(0.0, 1e9)]
-Charted = dict[ContactClass, dict[Way, tuple[FromNone, FromNone, FromNone]]]
-CHOOSING = frozenset(
-    {"charted", "tolerance", "cell_tolerance"}
-)  # of [fea]: "auto" alone reads them, and chooses by them
-VERIFYING = frozenset({"verify"})  # of [fea]: says what is solved twice, and changes no solve
-TETRAHEDRAL = frozenset({"meshes"})  # of [fea]: those IN_PROCESS read none of them
+TAKEN = ("draft", "label", "ccx")  # what "auto" tries for a press, until one states an error within its tolerance
+# Of [fea]: says what is solved twice, and by which stated error "auto" chooses; neither changes a solve by a named method.
+CHOOSING = frozenset({"tolerance", "verify"})
 SHIPPED = "shipped"  # the network that predict and live use where none is named, as targets and parameters call it
 SHIPPED_IMAGE = (320, 240)  # width and height of the pictures that it reads
 
@@ -67,7 +55,7 @@ class ReportTable(ParameterTable):
 
     embed_mb: Annotated[Number, Within(0.0, 1e6, "MB")]
     model: Annotated[str, Rule(re.compile(f"({NAME})?").fullmatch, NAMED)]
-    branches: tuple[Literal["calibrate", "pareto"], ...]
+    branches: tuple[Literal["calibrate"], ...]
 
 
 class AugmentTable(ParameterTable):
@@ -360,8 +348,6 @@ class FeaTable(ParameterTable):
     method: Method
     meshes: Annotated[tuple[Name, ...], SOME]
     tolerance: Annotated[Number, Within(TINY, 1.0)]
-    cell_tolerance: Annotated[Number, Within(TINY, 1.0)]
-    charted: Charted
     verify: Fraction
     press_steps: Steps
     shear_steps: Steps
@@ -372,14 +358,6 @@ class FeaTable(ParameterTable):
     penetration_mm: Annotated[Number, Within(TINY, 1.0, "mm")]
     residual: Annotated[Number, Within(TINY, 1.0)]
     timeout_s: Seconds
-
-    def fault(self) -> str | None:
-        """Nothing to choose from where the method is chosen by its charted error."""
-        if self.method == "auto" and not self.charted:
-            return (
-                'method = "auto": chooses by workflow/charted.toml, which is empty; run make pareto, or name a method'
-            )
-        return None
 
 
 class ForcesTable(ParameterTable):
@@ -399,14 +377,6 @@ class ReferenceTable(ParameterTable):
     fine_depth_mm: Annotated[Number, Within(0.0, 1e3, "mm")]
 
 
-class BrickReferenceTable(ParameterTable):
-    """[pareto.quick] reference: the hexahedra that the small chart is held against."""
-
-    size: Size
-    layers: Annotated[int, Within(1, 100)]
-    press_steps: Steps
-
-
 Sizes = Annotated[tuple[Annotated[Number, Within(0.1, 10.0, "mm")], ...], SOME]
 Layers = Annotated[tuple[Annotated[int, Within(1, 100)], ...], SOME]
 
@@ -416,20 +386,6 @@ def uneven(sizes: tuple[float, ...], layers: tuple[int, ...]) -> str | None:
     if len(sizes) != len(layers):
         return f"hex_sizes_mm has {len(sizes)} sizes and hex_layers {len(layers)}: give each size its layers"
     return None
-
-
-class QuickTable(ParameterTable):
-    """[pareto.quick]: the report's small chart."""
-
-    scenes: Annotated[tuple[Name, ...], SOME]
-    hex_sizes_mm: Sizes
-    hex_layers: Layers
-    steps: Steps
-    reference: BrickReferenceTable
-
-    def fault(self) -> str | None:
-        """Sizes without layers."""
-        return uneven(self.hex_sizes_mm, self.hex_layers)
 
 
 class ParetoTable(ParameterTable):
@@ -442,7 +398,6 @@ class ParetoTable(ParameterTable):
     load_steps: Annotated[tuple[Annotated[int, Within(1, 1000)], ...], SOME]
     limit_s: Seconds
     reference: ReferenceTable
-    quick: QuickTable
 
     def fault(self) -> str | None:
         """Sizes without layers."""
