@@ -38,6 +38,7 @@ Method = Literal["draft", "label", "fine", "ccx", "auto"]
 METHODS = get_args(Method)
 IN_PROCESS = ("draft", "label", "fine")  # qualities of hexahedra: they need neither CalculiX nor tetrahedral meshes
 TAKEN = ("draft", "label", "ccx")  # what "auto" tries for a press, until one states an error within its tolerance
+FromNone = Annotated[Number, Within(0.0, 1e9)]
 # Of [fea]: says what is solved twice, and by which stated error "auto" chooses; neither changes a solve by a named method.
 CHOOSING = frozenset({"tolerance", "verify"})
 SHIPPED = "shipped"  # the network that predict and live use where none is named, as targets and parameters call it
