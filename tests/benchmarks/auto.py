@@ -12,14 +12,13 @@ from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from tqdm import tqdm
 
 from gelforge.flow import params as config
-from gelforge.flow.cache import digest_of_value
-from gelforge.flow.files import read_json, write_json
+from gelforge.flow.files import digest_of_value, read_json, write_json
 from gelforge.flow.main import command, option, positive
 from gelforge.flow.params import plain
 from gelforge.flow.params.tables import FeaTable, Params
-from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.labelling.sensor import Sensor, load_sensors
@@ -152,7 +151,7 @@ def main(args: Namespace) -> None:
         family = MeshFamily(args.work / "meshes", mesh_names(params.fea), source)
         solvers = Solvers(family, work, params.fea)
         auto, ccx = (Side(name, solvers, sensor, args.work / "presses") for name in ("auto", "ccx"))
-        for press in progress(presses, "auto"):
+        for press in tqdm(presses, "auto"):
             key = digest_of_value([*settings(params), press.scene.indenter.name, asdict(press.scene.press)])
             autos[press.name] = auto.solve(press, key)
             if verification.chosen(press.name, BESIDE):

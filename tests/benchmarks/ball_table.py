@@ -5,11 +5,11 @@ from itertools import product
 from pathlib import Path
 
 import numpy as np
+from tqdm import tqdm
 
 from gelforge.errors import GelforgeError
 from gelforge.flow.files import read_csv, write_csv
 from gelforge.flow.main import command, option
-from gelforge.flow.progress import progress
 from gelforge.geometry.gel import USUAL_GEL, load_gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.hexsettings import quality
@@ -62,7 +62,7 @@ def main(args: Namespace) -> None:
     held = {(row["thickness_mm"], row["diameter_mm"]) for row in rows}
     missing = [pair for pair in product(THICKNESSES, DIAMETERS) if pair not in held]
     solver = HexSolver(quality("label"))
-    for thickness, diameter in progress(missing, "balls", len(missing)):
+    for thickness, diameter in tqdm(missing, "balls", len(missing)):
         rows += solved_rows(solver, diameter, thickness)
         write_csv(args.out, COLUMNS, sorted(rows, key=lambda row: tuple(row.values())))
 

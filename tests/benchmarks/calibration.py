@@ -20,6 +20,7 @@ from pathlib import Path
 import numpy as np
 from scipy import stats
 from scipy.optimize import minimize_scalar
+from tqdm import tqdm
 
 from gelforge.calibration.emulator import Emulator
 from gelforge.calibration.parameters import LAWS, make_model
@@ -35,7 +36,6 @@ from gelforge.flow.layout import CALIBRATE, Layout
 from gelforge.flow.main import command, option
 from gelforge.flow.params.stages import ForCalibrate
 from gelforge.flow.params.tables import CalibrateTable
-from gelforge.flow.progress import progress
 from gelforge.geometry.gel import USUAL_GEL
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.mechanics.hexsettings import HexSettings, quality
@@ -158,7 +158,7 @@ def coverage(params: CalibrateTable, folder: Path, jobs: int, count: int, key: s
     runs = kept(folder / "runs.json", key, [])
     with ProcessPoolExecutor(jobs) as pool:
         done = pool.map(recover, tasks[len(runs) :])
-        for run in progress(done, "synthetic calibrations", count - len(runs)):
+        for run in tqdm(done, "synthetic calibrations", count - len(runs)):
             runs.append(run)
             write_json(folder / "runs.json", {"key": key, "content": runs})
     return runs

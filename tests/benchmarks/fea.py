@@ -13,14 +13,13 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from tqdm import tqdm
 
 from gelforge.errors import BadInput
 from gelforge.flow import params as config
-from gelforge.flow.cache import canonical, digest_of_value
-from gelforge.flow.files import read_json, write_json
+from gelforge.flow.files import canonical, digest_of_value, read_json, write_json
 from gelforge.flow.main import command, option
 from gelforge.flow.params.stages import ForPareto
-from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel, load_gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.labelling.sensor import Sensor, load_sensors
@@ -139,7 +138,7 @@ def solve_scenes(bench: ChartBench, scenes: dict[str, NamedScene]) -> dict[str, 
     """Records by scene and method, with errors against the reference under "errors"."""
     ensure_meshes(bench, meshes.label_meshes(bench.params))
     found = {}
-    for name, scene in progress(scenes.items(), "scenes", len(scenes)):
+    for name, scene in tqdm(scenes.items(), "scenes", len(scenes)):
         records = {method.name: measure(bench, scene, method) for method in METHODS}
         records[NATIVE] = native_record(bench, scene)
         for record in records.values():
@@ -260,7 +259,7 @@ def solve_envelope(bench: ChartBench, catalogue: dict, folder: Path, count: int,
     gel, limit = load_gel(bench.params.meshes.gel), bench.params.pareto.limit_s
     key = hashlib.sha256(canonical(envelope_settings(bench.params, method)).encode()).hexdigest()
     records = []
-    for number in progress(range(count), f"envelope, {method.name}"):
+    for number in tqdm(range(count), f"envelope, {method.name}"):
         path = folder / method.name / f"{number:03d}.json"
         record = kept(path, key, limit)
         if record is None:

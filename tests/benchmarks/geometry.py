@@ -5,10 +5,10 @@ from argparse import Namespace
 from pathlib import Path
 
 import numpy as np
+from tqdm import tqdm
 
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
-from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
 from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
@@ -25,7 +25,7 @@ def solid_figures(catalogue: dict, reference: Path) -> list[Figure]:
         raise BadInput(f"{reference}: no reference data there; set GELFORGE_REFERENCE to their folder")
     found = {
         name: compare_indenter(body, step_file(reference, name), good_mm=0.01)
-        for name, body in progress(catalogue.items(), "solids", len(catalogue))
+        for name, body in tqdm(catalogue.items(), "solids", len(catalogue))
     }
     volume = max(found, key=lambda n: abs(found[n]["volume_error"]))
     surface = max(found, key=lambda n: found[n]["surface_mm"])

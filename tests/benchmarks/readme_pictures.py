@@ -10,8 +10,7 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.cache import digest_of_value
-from gelforge.flow.files import digest_of, publish, read_json, read_toml, write_json
+from gelforge.flow.files import digest_of, digest_of_value, publish, read_json, read_toml, write_json
 from gelforge.flow.main import command, option
 from tests.benchmarks.figures import PUBLISHED_DATA
 

@@ -13,11 +13,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from tqdm import tqdm
 
 from gelforge.api import gelsight_mini
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
-from gelforge.flow.progress import progress
 from gelforge.formats.numpy_pickle import read_npy
 from gelforge.reading.interval import half_widths, real_width
 from gelforge.reading.light import match_light
@@ -290,7 +290,7 @@ def main(args: Namespace) -> None:
     figures = []
     evidence: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]] = {}
     if "films" in args.parts:
-        read = {path.stem: read_film(path, model) for path in progress(films, "films", len(films))}
+        read = {path.stem: read_film(path, model) for path in tqdm(films, "films", len(films))}
         figures += [*released_figures(read), *finger_figures(read), *sideways_figures(read)]
     if "maps" in args.parts:
         found, evidence["FEATS' presses"] = feats_figures(args.reference, model, nocontact)

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from tqdm import tqdm
 
 from gelforge.commands.projection import read_points
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
-from gelforge.flow.progress import progress
 from gelforge.formats.featsfile import read_sample
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
@@ -80,12 +80,12 @@ def pressed(rig: Rig, count: int = 24) -> tuple[list[Pressing], list[float], lis
     some = [order for order in orders(rig.plan) if order.unit == 0][7 :: max(1, rig.plan.presses // count)][:count]
     rig.picture(rig.bench.press(some[0])[-1])  # compiles what numba compiles
     pressings, seconds, firsts = [], [], []
-    for name in progress(dict.fromkeys(order.indenter for order in some[1:]), "indenters"):
+    for name in tqdm(dict.fromkeys(order.indenter for order in some[1:]), "indenters"):
         rig.bench.body(name)
         start = time.process_time()
         rig.bench.factor(name)
         firsts.append(time.process_time() - start)
-    for order in progress(some, "presses"):
+    for order in tqdm(some, "presses"):
         start = time.process_time()
         pressings.append(rig.bench.press(order)[-1])
         rig.picture(pressings[-1])

@@ -48,17 +48,20 @@ def overhead(folder: Path, lab: Cluster, count: int) -> list[Figure]:
     shards = [str(k) for k in range(count)]
     some = shards[: -(-count // 5)]
     bare = bare_seconds(folder, len(some)) / len(some)
+    of_some = (f"SHARDS={' '.join(some)}", "EXECUTOR=local", "DATASET=local")
+    make(folder, lab, "poses", *of_some)  # of which no array is made
     started = time.monotonic()
-    make(folder, lab, "poses", f"SHARDS={' '.join(some)}", "EXECUTOR=local", "DATASET=local")
+    make(folder, lab, "fea", *of_some)
     local = (time.monotonic() - started) / len(some)
     (folder / "runs").rename(folder / "runs-local")
     (folder / "runs").mkdir()
+    make(folder, lab, "poses", f"SHARDS={' '.join(shards)}", seconds=6 * 3600)
     started = time.monotonic()
-    code, text = make(folder, lab, "poses", f"SHARDS={' '.join(shards)}", seconds=6 * 3600)
+    code, text = make(folder, lab, "fea", f"SHARDS={' '.join(shards)}", seconds=6 * 3600)
     each = (time.monotonic() - started) / count
     if code:
         raise RuntimeError(text)
-    once = sum((folder / "runs" / f"poses-{shard}").read_text() == "started\nended\n" for shard in shards)
+    once = sum((folder / "runs" / f"fea-{shard}").read_text() == "started\nended\n" for shard in shards)
     parts = f"{1000 * each:.1f} ms a task in all, {1000 * bare:.1f} its work; load {os.getloadavg()[0]:.1f}"
     beyond = f"the same recipes without Slurm take {1000 * local:.1f} ms"
     return [

@@ -14,9 +14,9 @@ from pathlib import Path
 
 import cv2
 import numpy as np
+from tqdm import tqdm
 
 from gelforge.flow.main import command, option
-from gelforge.flow.progress import progress
 from gelforge.geometry.gel import Gel, load_gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.labelling.sensor import Sensor
@@ -84,7 +84,7 @@ def press_units(plan_path: Path, count: int, most: int | None) -> Units:
     seen: list[Seen] = []
     with tempfile.TemporaryDirectory(prefix="factors-") as folder:
         bench = Bench(fresh, bodies, gel, Path(folder))
-        for order in progress([order for order in orders(fresh) if order.unit == 0], "presses", count):
+        for order in tqdm([order for order in orders(fresh) if order.unit == 0], "presses", count):
             seen += see(bench, order, cameras, sensors)
     return Units(plan.dataset, cameras, nocontact, seen)
 
@@ -272,7 +272,7 @@ def faulty_pairs(
 ) -> Iterator[tuple[str, Predictor, np.ndarray, np.ndarray]]:
     """Name of a fault, predictor with its no-contact image, image, and true total (3,) N: each press once with each fault."""
     names = list(readers)
-    for k, seen in enumerate(progress(units.seen, "presses with faults")):
+    for k, seen in enumerate(tqdm(units.seen, "presses with faults")):
         rest = readers[seen.unit]
         other = readers[names[(names.index(seen.unit) + 1 + k % (len(names) - 1)) % len(names)]]
         touched = Predictor(rest.model, units.seen[(k + len(names) * 5) % len(units.seen)].image)

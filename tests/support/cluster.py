@@ -25,39 +25,29 @@ export PYTHONPATH := $(CURDIR):$(CURDIR)/src
 EXECUTOR ?= slurm
 DATASET ?= lab
 SHARDS ?= 0 1 2 3
-RES := 24x32
 JOBS := 2
 PY := .venv/bin/python
-SETUP := .venv/bin/python
-ONLY_SHOWN = $(findstring n,$(firstword -$(MAKEFLAGS)))
+export GELFORGE_RUN := $(shell echo $$PPID)
 D := results/$(DATASET)
-wrapped = $(PY) -m gelforge.flow.step $@ $(filter $D/%,$^) -- $(PY) -m $(1)
-ifeq ($(EXECUTOR),local)
-MAKEFLAGS += -j2
-step = @$(wrapped)
-barrier =
-else
 SLURM_PROFILE := own.toml
-given = '$(value $(1))'
-include rules/00_slurm.mk
-endif
+include rules/run.mk
+wrapped = $(PY) -m gelforge.flow.step $@ $^ -- $(PY) -m $(strip $1)
 POSES := $(SHARDS:%=$D/10_poses/%.csv)
-MESH_TABLES :=
 FEA := $(SHARDS:%=$D/30_fea/%.csv)
 FORCES := $(SHARDS:%=$D/40_forces/%.npz)
 .PHONY: poses fea forces whole
-poses: $(POSES) $(call barrier,10_poses)
-fea: $(FEA) $(call barrier,30_fea)
-forces: $(FORCES) $(call barrier,40_forces)
+poses: $(POSES)
+fea: $(FEA) $(solved)
+forces: $(FORCES)
 whole: $D/70_train/whole.pt
 $(POSES): $D/10_poses/%.csv: log.csv
 	$(call step,work --name poses-$* --out $@.part $<)
-$(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv | $(call barrier,10_poses)
-	$(call step,work --name fea-$* --out $@.part $<)
-$(FORCES): $D/40_forces/%.npz: $D/30_fea/%.csv | $(call barrier,30_fea)
+$(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv
+	$(call solve,work --name fea-$* --out $@.part $<)
+$(FORCES): $D/40_forces/%.npz: $D/30_fea/%.csv | $(solved)
 	$(call step,work --name forces-$* --out $@.part $<)
-$D/70_train/whole.pt: $(FORCES) | $(call barrier,40_forces)
-	$(call step,work --name whole --out $@.part $^)
+$D/70_train/whole.pt: $(FORCES)
+	$(call train,work --name whole --out $@.part $^)
 """
 
 WORK = """

@@ -4,8 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelforge.flow.cache import canonical
-from gelforge.flow.files import read_json, read_toml, write_csv, write_if_changed, write_json
+from gelforge.flow.files import canonical, read_json, read_toml, write_csv, write_if_changed, write_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.params import plain
 from gelforge.geometry.gel import Gel
@@ -94,6 +93,7 @@ def write_pressed(
     write_stage(results / "00_plan/params", "labels")
     write_stage(results / "00_plan/params", "dataset", dataset=plain(SETTINGS))
     write_json(results / "00_plan/params/indenters.json", CATALOGUE)
+    write_json(results / "00_plan/params/gels.json", {})
     return {"folder": folder, "data": data, "results": results, "mesh": mesh, "loads": loads, "rows": rows}
 
 

@@ -8,7 +8,6 @@ from tests.benchmarks import tables
 from tests.benchmarks.figures import Figure, digest_of_sources, publish_figures, sources
 from tests.benchmarks.readme_pictures import outdated, publish_picture
 from tests.support import repository
-from tests.support.stage_digests import closure, imports
 
 PLANTED = {
     "records/a.py": ("import gelforge.geometry.gel", "records/a.py imports geometry"),
@@ -42,12 +41,6 @@ def test_a_planted_fault_of_every_kind_is_reported(tmp_path, monkeypatch):
         (tmp_path / name).write_text(code)
     found = "\n".join(fault for check in checks for fault in check())
     assert [said for _, said in PLANTED.values() if said not in found] == []
-
-
-def test_a_closure_reaches_what_is_imported_inside_functions():
-    assert "gelforge.mechanics.solvekey" in closure("fea") and "gelforge.errors" in closure("poses")
-    assert "gelforge.networks.pipeline" in imports("gelforge.stages.train")
-    assert "gelforge.networks.pipeline" not in closure("fea")
 
 
 def test_a_figure_that_changes_changes_the_page(root, monkeypatch):

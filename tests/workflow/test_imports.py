@@ -40,7 +40,7 @@ def test_the_dataset_trains_on_totals(tmp_path, root):
     rows = read_csv(log)
     name = rows[0]["sensor_id"]
     write_csv(log, list(rows[0]), [row | {"sensor_id": ""} for row in rows])
-    write_shards(of.data, logged_rows(log, name), of.folder("00_plan"), 30)
+    write_shards(of, logged_rows(log, name), 30, {})
     write_json(of.parameters("indenters"), {})
     write_stage(of.params, "dataset", dataset={"validation": 0.2, "test": 0.2, "force_edges": [1.0, 3.0]})
     write_json(of.parameters("sensors"), tomllib.loads((root / "workflow/sensors.toml").read_text()))

@@ -165,16 +165,6 @@ def test_a_deleted_shard_is_made_again(labelled):
     assert shards[0].read_bytes() == kept
 
 
-def test_labels_are_as_old_as_what_they_are_made_from(made):
-    """So a source that is replaced while they are made is newer, and they are made again."""
-    results = made / "results/made"
-    for shard in ("0000", "0001"):
-        read = [results / f"{name}/{shard}{end}" for name, end in (("40_forces", ".npz"), ("10_poses", ".csv"))]
-        read += [results / f"00_plan/params/{name}.json" for name in ("labels", "sensors")]
-        label = results / f"50_labels/6x8/{shard}.npz"
-        assert label.stat().st_mtime_ns == max(path.stat().st_mtime_ns for path in read)
-
-
 def test_a_setting_that_changes_labels_changes_every_shard(labelled):
     """Shards that were there are not taken for those of the new setting."""
     shards = [labelled / f"results/made/50_labels/6x8/000{k}.npz" for k in (0, 1)]

@@ -44,20 +44,20 @@ def fault(project: Path, name: str, code: str) -> None:
     (project / "faults" / name).write_text(code)
 
 
-def runs(project: Path, stage: str = "poses", shards=range(4)) -> list[tuple[int, int]]:
+def runs(project: Path, stage: str = "fea", shards=range(4)) -> list[tuple[int, int]]:
     """How often each task was begun and how often it came to its end."""
     paths = [project / "runs" / f"{stage}-{shard}" for shard in shards]
     texts = [path.read_text() if path.exists() else "" for path in paths]
     return [(text.count("started"), text.count("ended")) for text in texts]
 
 
-def there(project: Path, stage: str = "10_poses") -> list[str]:
+def there(project: Path, stage: str = "30_fea") -> list[str]:
     """Results that are there under their final names."""
     return sorted(path.stem for path in (project / "results" / "lab" / stage).glob("[0-9].???"))
 
 
 def await_running(project: Path, count: int) -> None:
-    """Wait until `count` tasks of stage 10 have begun."""
+    """Wait until `count` tasks of stage 30 have begun."""
     wait_until(lambda: sum(started > ended for started, ended in runs(project)) >= count)
 
 
@@ -112,19 +112,21 @@ class TestWork:
             assert one.files == other.files and all(np.array_equal(one[key], other[key]) for key in one.files)
 
     def test_a_changed_input_reaches_the_end_in_one_make(self, project, lab):
-        assert make(project, lab, "fea")[0] == 0
-        later = time.time() + 2
-        os.utime(project / "log.csv", (later, later))
-        time.sleep(2.1)  # results are older than this time stamp before
-        assert make(project, lab, "fea")[0] == 0
-        assert [runs(project, stage) for stage in ("poses", "fea")] == [[(2, 2)] * 4] * 2
-        assert "Nothing to be done" in make(project, lab, "-n", "fea")[1]
+        """What was only touched is dated anew, and no job is submitted for it."""
+        assert make(project, lab, "forces")[0] == 0
+        (project / "log.csv").touch()
+        assert make(project, lab, "forces")[0] == 0
+        assert [runs(project, stage) for stage in ("poses", "fea", "forces")] == [ONCE] * 3
+        write_text(project / "log.csv", "changed\n")
+        assert make(project, lab, "forces")[0] == 0
+        assert [runs(project, stage) for stage in ("poses", "fea", "forces")] == [[(2, 2)] * 4] * 3
+        assert "Nothing to be done" in make(project, lab, "-n", "forces")[1]
 
     def test_arrays_within_the_cluster_s_limit_and_several_shards_a_task(self, project, lab):
         before = set(lab.ask("squeue", "-h", "-t", "all", "-o", "%F").split())
         lay_profile(project, shards_per_task=2, concurrent=1)
         shards = range(11)
-        code, text = make(project, lab, "poses", f"SHARDS={' '.join(map(str, shards))}")
+        code, text = make(project, lab, "fea", f"SHARDS={' '.join(map(str, shards))}")
         assert code == 0, text
         assert runs(project, shards=shards) == [(1, 1)] * 11
         after = set(lab.ask("squeue", "-h", "-t", "all", "-o", "%F").split())
@@ -133,11 +135,11 @@ class TestWork:
     def test_one_file_by_its_name_takes_only_what_it_needs(self, project, lab):
         code, text = make(project, lab, "results/lab/30_fea/2.csv")
         assert code == 0, text
-        assert there(project) == there(project, "30_fea") == ["2"]
+        assert there(project, "10_poses") == there(project) == ["2"]
 
     def test_two_makes_at_once_run_each_task_once(self, project, lab):
         for shard in range(4):
-            fault(project, f"poses-{shard}", AWAIT_GO)
+            fault(project, f"fea-{shard}", AWAIT_GO)
         first = start_make(project, lab, "fea")
         await_running(project, 1)
         second = start_make(project, lab, "fea")
@@ -145,7 +147,7 @@ class TestWork:
         (project / "runs" / "go").touch()
         for process in (first, second):
             succeeds(process)
-        assert runs(project) == ONCE and there(project, "30_fea") == list("0123")
+        assert runs(project) == ONCE and there(project) == list("0123")
 
 
 class TestFailure:
@@ -167,34 +169,34 @@ class TestFailure:
     def test_a_task_killed_at_a_limit_names_the_setting(self, project, lab):
         """Limits of time are whole minutes, so that both kinds are tried at once."""
         lay_profile(project, time_minutes=1)
-        fault(project, "poses-0", FOR_EVER)
-        fault(project, "poses-1", f"held = b'x' * (120 * 2**20)\n{FOR_EVER}")
-        code, text = make(project, lab, "poses")
+        fault(project, "fea-0", FOR_EVER)
+        fault(project, "fea-1", f"held = b'x' * (120 * 2**20)\n{FOR_EVER}")
+        code, text = make(project, lab, "fea")
         assert code != 0 and there(project) == ["2", "3"]
         for shard, limit in ((0, "time_minutes = 1"), (1, "memory_mb = 50")):
-            where = r"raise it in own\.toml \(\[poses\] or \[default\]\)"
-            assert re.search(rf"FAILED results/lab/10_poses/{shard}\.csv: .*{limit}; {where}", text), text
+            where = r"raise it in own\.toml \(\[fea\] or \[default\]\)"
+            assert re.search(rf"FAILED results/lab/30_fea/{shard}\.csv: .*{limit}; {where}", text), text
 
     def test_a_partial_result_never_counts(self, project, lab):
         # The task dies half-way through its file, and so does the wrapper that would have cleaned up.
-        fault(project, "poses-2", "open(out, 'w').write('half')\nos.kill(os.getppid(), 9)\nos.kill(os.getpid(), 9)\n")
+        fault(project, "fea-2", "open(out, 'w').write('half')\nos.kill(os.getppid(), 9)\nos.kill(os.getpid(), 9)\n")
         code, text = make(project, lab, "fea")
-        assert code != 0 and "FAILED results/lab/10_poses/2.csv: exit code 137" in text
+        assert code != 0 and "FAILED results/lab/30_fea/2.csv: exit code 137" in text
         assert there(project) == ["0", "1", "3"]
-        (project / "faults" / "poses-2").unlink()
+        (project / "faults" / "fea-2").unlink()
         assert make(project, lab, "fea")[0] == 0
-        assert (project / "results/lab/10_poses/2.csv").read_text() == "log\nposes-2\n"
+        assert (project / "results/lab/30_fea/2.csv").read_text() == "log\nposes-2\nfea-2\n"
 
     def test_exit_code_0_without_a_result_is_a_failure(self, project, lab):
         """As that of a task that somebody cancelled before it began; Slurm may have forgotten it besides."""
-        fault(project, "poses-0", AWAIT_GO)
-        fault(project, "poses-1", AWAIT_GO)
-        process = start_make(project, lab, "poses", "SHARDS=0 1 2")
+        fault(project, "fea-0", AWAIT_GO)
+        fault(project, "fea-1", AWAIT_GO)
+        process = start_make(project, lab, "fea", "SHARDS=0 1 2")
         await_running(project, 2)
         lab.ask("scancel", "--state=PENDING", f"--user={os.getuid()}")
         (project / "runs" / "go").touch()
         text, _ = process.communicate(timeout=HANG)
-        assert process.returncode != 0 and "FAILED results/lab/10_poses/2.csv: it left no result" in text
+        assert process.returncode != 0 and "FAILED results/lab/30_fea/2.csv: it left no result" in text
         assert there(project) == ["0", "1"]
 
     def test_refused_with_slurm_s_own_words(self, project, lab):
@@ -203,16 +205,16 @@ class TestFailure:
             ({"memory_mb": 10**6}, "Requested node configuration is not available"),
         ):
             lay_profile(project, **settings, visible_seconds=2 * HANG)
-            code, text = make(project, lab, "poses")
+            code, text = make(project, lab, "fea")
             assert code != 0 and words in text, text
         assert runs(project) == [(0, 0)] * 4
         lay_profile(project)
-        assert make(project, lab, "poses")[0] == 0
+        assert make(project, lab, "fea")[0] == 0
 
     @pytest.mark.parametrize("how", [signal.SIGINT, signal.SIGTERM, signal.SIGKILL])
     def test_interrupted_make_leaves_nothing_in_the_queue(self, project, lab, how):
-        fault(project, "poses-3", ONCE_FOR_EVER)
-        process = start_make(project, lab, "poses")
+        fault(project, "fea-3", ONCE_FOR_EVER)
+        process = start_make(project, lab, "fea")
         wait_until(lambda: there(project) == ["0", "1", "2"] and runs(project)[3] == (1, 0))
         # A terminal interrupts the whole group; a kill reaches make alone.
         (os.killpg if how == signal.SIGINT else os.kill)(process.pid, how)
@@ -220,7 +222,7 @@ class TestFailure:
         assert process.returncode != 0
         wait_until(lambda: lab.ask("squeue", "-h") == "")
         assert there(project) == ["0", "1", "2"]
-        code, text = make(project, lab, "poses")
+        code, text = make(project, lab, "fea")
         assert code == 0, text
         assert runs(project) == [(1, 1), (1, 1), (1, 1), (2, 1)]
 
@@ -241,7 +243,7 @@ class TestWrappers:
     pytestmark = needs_slurm
 
     def test_banners_change_nothing(self, project, lab, wrapped):
-        fault(project, "poses-0", ONCE_FOR_EVER)
+        fault(project, "fea-0", ONCE_FOR_EVER)
         process = start_make(project, lab, "fea", **wrapped)
         wait_until(lambda: runs(project)[0] == (1, 0))
         os.killpg(process.pid, signal.SIGINT)
@@ -254,8 +256,8 @@ class TestWrappers:
 
 def controller_restarted(project: Path, lab: Cluster) -> None:
     """slurmctld is away while tasks end."""
-    fault(project, "poses-0", AWAIT_GO)
-    process = start_make(project, lab, "poses")
+    fault(project, "fea-0", AWAIT_GO)
+    process = start_make(project, lab, "fea")
     await_running(project, 1)
     # Ended by TERM: one that is killed forgets what it started in the last seconds, and drains the node for it.
     lab.do("stop", "slurmctld")
@@ -268,8 +270,8 @@ def controller_restarted(project: Path, lab: Cluster) -> None:
 
 def node_lost(project: Path, lab: Cluster) -> None:
     """The node is gone with all its tasks, and comes back."""
-    fault(project, "poses-0", ONCE_FOR_EVER)
-    process = start_make(project, lab, "poses")
+    fault(project, "fea-0", ONCE_FOR_EVER)
+    process = start_make(project, lab, "fea")
     wait_until(lambda: runs(project)[0] == (1, 0))
     wait_until(
         lambda: len(lab.ask("squeue", "-h", "-r").splitlines()) == 1
@@ -285,11 +287,11 @@ def no_controller(project: Path, lab: Cluster) -> None:
     """No slurmctld answers."""
     lab.do("stop", "slurmctld")
     try:
-        code, text = make(project, lab, "poses")
+        code, text = make(project, lab, "fea")
     finally:
         lab.do("start", "slurmctld")
     assert code != 0 and "Unable to contact slurm controller" in text
-    assert make(project, lab, "poses")[0] == 0 and runs(project) == ONCE
+    assert make(project, lab, "fea")[0] == 0 and runs(project) == ONCE
 
 
 class TestDaemons:
@@ -323,7 +325,7 @@ def reaches(graph: dict, start: str) -> set[str]:
     return seen
 
 
-def test_whatever_reads_a_collected_stage_waits_for_its_barrier(root, tmp_path):
+def test_whatever_reads_what_is_solved_waits_for_the_array(root, tmp_path):
     """Without it make would start a reader while its input is only noted."""
     project = sandbox.link_project(root, tmp_path / "p")
     data = project / "data" / "tiny"
@@ -333,13 +335,9 @@ def test_whatever_reads_a_collected_stage_waits_for_its_barrier(root, tmp_path):
         project, "-np", "DATASET=tiny", "EXECUTOR=slurm", "report", "calibrate", "pareto", "stability"
     )
     graph = prerequisites(done.stdout)
-    collected = re.search(r"^COLLECT := (.*)$", done.stdout, re.MULTILINE)[1].split()
-    assert any(name.startswith("barrier-30_fea") for name in graph), done.stdout[-2000:]
-    for target in graph:
-        if target.startswith("barrier-"):
-            continue
-        for stage in collected:
-            folder, barrier = f"results/tiny/{stage}/", f"barrier-{stage}"
-            reads = any(name.startswith(folder) for name in graph[target])
-            if reads and not target.startswith(folder):
-                assert barrier in reaches(graph, target), f"{target} does not wait for {stage}"
+    readers = [target for target in graph if any(name.startswith("results/tiny/30_fea/") for name in graph[target])]
+    assert len(readers) > 2
+    for target in readers:
+        assert target in ("solved", "fea") or "solved" in reaches(graph, target), (
+            f"{target} does not wait for stage 30"
+        )

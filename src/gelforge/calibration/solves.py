@@ -12,13 +12,12 @@ from itertools import chain
 from pathlib import Path
 
 import numpy as np
+from tqdm import tqdm
 
 from gelforge.calibration import emulator as em
 from gelforge.calibration.readings import Readings
 from gelforge.errors import BadInput, SolveFailed, nearest
-from gelforge.flow.cache import record_of
-from gelforge.flow.files import write_json
-from gelforge.flow.progress import progress
+from gelforge.flow.files import record_of, write_json
 from gelforge.flow.slots import in_slots
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.solids import surface_digest
@@ -212,7 +211,7 @@ class SolveCache:
         self._made |= {task[0] for task in tasks}
         # the first one alone: it compiles what the processes of the others would each compile
         done = chain(in_slots(_solve_task, tasks[:1], 1), in_slots(_solve_task, tasks[1:], workers))
-        for _ in progress(done, "calibration solves", len(tasks)):
+        for _ in tqdm(done, "calibration solves", len(tasks)):
             pass
         for path in required:
             if reason := (self._read(path) or {}).get("failed"):

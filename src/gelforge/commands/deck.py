@@ -7,11 +7,10 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.cache import record_of
-from gelforge.flow.files import write_text
+from gelforge.flow.files import record_of, write_text
 from gelforge.flow.layout import DECK, Layout, shard_name
 from gelforge.flow.main import RESULTS, command, option
-from gelforge.flow.provenance import refuse_rejected
+from gelforge.flow.runs import refuse_rejected
 from gelforge.mechanics.ccx.deck import INCLUDES, include_of
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.records.forcefile import ForceFile

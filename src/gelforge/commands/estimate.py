@@ -21,13 +21,13 @@ import numpy as np
 from gelforge.commands.sample import prepared, steps
 from gelforge.errors import BadInput, last_words
 from gelforge.flow import layout
-from gelforge.flow.files import bytes_of, listed, made_at, read_csv, read_json, write_json
+from gelforge.flow.files import bytes_of, listed, read_csv, read_json, write_json
 from gelforge.flow.forecast import Cost, on_cores, pilots, presses_an_hour, table, wall_seconds
 from gelforge.flow.layout import Layout
 from gelforge.flow.main import RESULTS, command, option, positive
 from gelforge.flow.params.stages import ForCalibrate, ForPoses, ForReport, ForTrain, read_parameters
 from gelforge.flow.params.tables import SHIPPED
-from gelforge.flow.running import duration
+from gelforge.flow.runs import duration
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.material import REFERENCE_C10
@@ -69,7 +69,7 @@ def planned_rows(results: Path) -> list[RawRow]:
     of, found = Layout(results), []
     for name in of.names():
         table, known = of.rejected(name), set()
-        if (made_at(table) or 0.0) >= (made_at(of.shard(name)) or 0.0):
+        if layout.written(str(table)) >= layout.written(str(of.shard(name))):
             known = {cells.get("row") for cells in read_csv(table)}
         rows = (row for row in read_shard(of.shard(name)) if str(row.row) not in known)
         found += [row for row in rows if parse(row, "", NEEDED)[0] is not None]

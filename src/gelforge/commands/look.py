@@ -9,9 +9,8 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
 from gelforge.flow.layout import LOOK, Layout, command_for, shard_name
-from gelforge.flow.ledger import causes, changed_since
 from gelforge.flow.main import command, option
-from gelforge.flow.provenance import imported_labels, refuse_rejected, steps_of_label
+from gelforge.flow.runs import causes, changes, imported_labels, refuse_rejected, steps_of_label
 from gelforge.geometry.gel import load_gel, use_gels_of
 from gelforge.geometry.stlfile import read_stl
 from gelforge.geometry.triangles import Mesh, write_stl
@@ -76,7 +75,8 @@ def outdated_causes(results: Path, paths: dict[str, Path], resolution: str) -> l
     of, shard = Layout(results), paths["labels"].stem
     if paths["labels"] != of.labels(resolution, shard):
         return []
-    return causes(changed_since((step.target, step.inputs) for step in steps_of_label(results, shard, resolution)))
+    steps = steps_of_label(results, shard, resolution)
+    return causes(path for step in steps for path in changes(step.target) if path in step.inputs)
 
 
 def load(data: Path, paths: dict, sample_id: str, sensors: dict, resolution: str) -> Pictured:

@@ -7,10 +7,10 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from gelforge.errors import BadInput
-from gelforge.flow.cache import record_of
+from gelforge.flow.files import record_of
 from gelforge.flow.layout import FEA, Layout
 from gelforge.flow.main import RESULTS, command, option
-from gelforge.flow.provenance import (
+from gelforge.flow.runs import (
     Step,
     concerning,
     imported_labels,

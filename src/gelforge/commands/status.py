@@ -1,142 +1,64 @@
-"""Samples of a dataset that are done, failed (with reasons) and pending, stage by stage."""
+"""Samples of a dataset that are done, failed (with reasons) and pending, stage by stage, as the records of their targets say."""
 
-import os
+import time
 from argparse import Namespace
 from collections import Counter
 from collections.abc import Collection
-from itertools import chain
 from pathlib import Path
 
 from gelforge.errors import printable
 from gelforge.flow import layout
-from gelforge.flow.cache import FileValues
-from gelforge.flow.files import listed, names_in, read_csv
-from gelforge.flow.layout import Layout
-from gelforge.flow.ledger import (
+from gelforge.flow.files import listed, record_of
+from gelforge.flow.layout import Layout, metrics_of
+from gelforge.flow.main import RESULTS, command
+from gelforge.flow.runs import (
     LastRun,
     causes,
-    changed_since,
-    failures,
+    changes,
+    duration,
+    in_words,
     last_runs,
     last_words_of,
     stages,
     still_asked,
 )
-from gelforge.flow.main import RESULTS, command, option
-from gelforge.flow.running import duration, look, running_targets
-from gelforge.records.status import VALID, Status
 
-# Only the standard library before there are forces: status answers in a fraction of a second for 15 000 samples.
+# Only the standard library: status answers in a fraction of a second for 15 000 samples.
 
-
-def rows_in(table: Path) -> int:
-    """Rows of a table."""
-    return len(read_csv(table))
+ONE_BY_ONE = (layout.POSES, layout.FEA, layout.FORCES)  # stages that say what became of each sample
 
 
-def rejections(table: Path) -> list[str]:
-    """Why rows of the log were rejected, a reason each; one that is wrong in several columns is one rejected row."""
-    return [f"{row['column']}: {row['reason']}" for row in {row["row"]: row for row in read_csv(table)}.values()]
-
-
-def solves(table: Path) -> list[str]:
-    """What became of each press of a shard: OK for a valid solve, else its status and reason."""
-    return [
-        "OK" if row["status"] in VALID else f"{row['status']}: {row.get('reason', '')}" for row in read_csv(table)
-    ]
-
-
-def lost_forces(path: Path) -> list[str]:
-    """Statuses of a shard's valid solves that gave no forces after all."""
-    from gelforge.records.forcefile import without_forces  # numpy is a large part of what status takes
-
-    bad = without_forces(path)
-    rows = read_csv(Layout(path.parent.parent).fea(path.stem)) if bad else []
-    return [bad[row["sample_id"]] for row in rows if row["status"] in VALID and row["sample_id"] in bad]
-
-
-def poses_state(results: Path, shards: Collection[str], kept: FileValues) -> tuple[int, Counter]:
-    """Good rows of the log and reasons of the rejected ones."""
-    folder = Layout(results).folder(layout.POSES)
-    done = sum(kept.of(f"{folder}/{shard}.csv", rows_in) or 0 for shard in shards)
-    failed = (kept.of(f"{folder}/{shard}.rejected.csv", rejections) or () for shard in shards)
-    return done, Counter(chain.from_iterable(failed))
-
-
-def fea_state(results: Path, shards: Collection[str], kept: FileValues) -> tuple[int, Counter, dict[str, int]]:
-    """Solves done, reasons of the failed ones, and the valid ones of each whole shard.
-
-    Partly done shards count by their sample files.
-    """
-    partly, reasons, valid = 0, Counter[str](), {}
-    folder = Layout(results).folder(layout.FEA)
-    for shard in shards:
-        found = kept.of(f"{folder}/{shard}.csv", solves)
-        partly += len(names_in(f"{folder}/{shard}", ".json")) if found is None else 0
-        reasons.update(found or ())
-        valid[shard] = (found or []).count("OK")
-    return partly + reasons.pop("OK", 0), reasons, valid
-
-
-def forces_state(results: Path, valid: dict[str, int], kept: FileValues) -> tuple[int, Counter, dict[str, int]]:
-    """Samples with forces, what became of solves that gave none after all, and the samples left of each shard.
-
-    valid: good solves of each shard.
-    """
-    folder, failed, left, done = Layout(results).folder(layout.FORCES), Counter[str](), dict(valid), 0
-    for shard, count in valid.items():
-        lost = kept.of(f"{folder}/{shard}.npz", lost_forces)
-        if lost is not None:
-            failed.update(f"{state}: {Status[state].value}" for state in lost)
-            left[shard] = count - len(lost)
-            done += left[shard]
-    return done, failed, left
-
-
-def shard_state(folder: Path, valid: dict[str, int]) -> int:
-    """Samples of which a shard's file holds forces; valid: solves of each shard."""
-    there = set(os.listdir(folder))
-    return sum(count for shard, count in valid.items() if f"{shard}.npz" in there)
-
-
-def lines(results: Path, broken: Collection[str] = (), meshes: Collection[str] | None = None) -> list[str]:
-    """The table that `make status` prints.
-
-    broken: stages with a target whose last run failed. meshes: those that presses may take; None where that is not known.
-    """
+def lines(results: Path, asked: list[LastRun]) -> list[str]:
+    """The table that `make status` prints. asked: last runs of targets that make knows today."""
     of = Layout(results)
-    kept, planned = FileValues(of.tables), of.shards
-    counted = {shard: kept.of(f"{planned}/{shard}.csv", rows_in) for shard in of.names()}
-    sizes = {shard: size for shard, size in counted.items() if size is not None}
-    total = sum(sizes.values())
+    planned = (record_of(metrics_of(of.plan())) or {}).get("counts", {})
+    total = int(planned.get("rows", 0))
     if not total:
         return [f"{results}: nothing planned yet; run {of.command('poses')}"]
-    good, rejected = poses_state(results, sizes, kept)
-    solved, diverged, valid = fea_state(results, sizes, kept)
-    held, unsound, left = forces_state(results, valid, kept)
-    kept.keep()
-    per_row = [(layout.POSES, good, rejected), (layout.FEA, solved, diverged), (layout.FORCES, held, unsound)]
-    per_row += [
-        (f"{layout.LABELS} {f.name}", shard_state(f, left), Counter()) for f in listed(results / layout.LABELS, "*x*")
-    ]
+    done: Counter[str] = Counter()
+    lost: dict[str, Counter[str]] = {name: Counter() for name in ONE_BY_ONE}
+    for run in asked:
+        stage = run.name.rpartition("/")[0].replace("/", " ")
+        if run.stage in ONE_BY_ONE or run.stage == layout.LABELS:
+            done[stage] += run.done
+            lost.setdefault(stage, Counter()).update(run.lost)
     text = [
-        f"{results.name}: {total} rows of the log in {len(sizes)} shards",
+        f"{results.name}: {total} rows of the log in {planned['shards']} shards",
         f"{'stage':20s} {'done':>7s} {'failed':>7s} {'pending':>7s}",
     ]
-    for name, done, failed in per_row:
-        bad = failed.total()
+    for name, failed in sorted(lost.items()):
         # what a stage before lost never comes to this one
-        lost = sum(before.total() for stage, _, before in per_row[:3] if stage < name)
-        text.append(f"{name:20s} {done:7d} {bad:7d} {max(total - done - bad - lost, 0):7d}")
+        gone = sum(lost[before].total() for before in ONE_BY_ONE if before < name)
+        pending = max(total - done[name] - failed.total() - gone, 0)
+        text.append(f"{name:20s} {done[name]:7d} {failed.total():7d} {pending:7d}")
         text += [f"    {count:6d} x {reason}" for reason, count in failed.most_common()]
-    return text + whole_lines(results, broken, meshes)
+    return text + whole_lines(results, {run.stage for run in asked if run.failed})
 
 
-def whole_lines(results: Path, broken: Collection[str], meshes: Collection[str] | None) -> list[str]:
+def whole_lines(results: Path, broken: Collection[str]) -> list[str]:
     """What there is of stages that work on all samples at once, and what makes it where there is nothing."""
     text = []
     for kind, pattern, target in (
-        (layout.MESHES, "*.npz", "meshes"),
         (layout.DATASET, "*/dataset.json", "dataset"),
         (layout.TRAIN, "*/*.onnx", "train"),
         (layout.EVALUATE, "*/*.json", "evaluate"),
@@ -144,34 +66,32 @@ def whole_lines(results: Path, broken: Collection[str], meshes: Collection[str] 
         (layout.CALIBRATE, "summary.json", "calibrate"),
         (layout.PARETO, "*.json", "pareto"),
     ):
-        there = listed(results / kind, pattern)
-        found = [str(p.relative_to(results / kind)) for p in there]
+        found = [str(p.relative_to(results / kind)) for p in listed(results / kind, pattern)]
         absent = f"not made ({Layout(results).command(target)})"
         if kind in broken:
             absent = "not made, because it failed: see below"
-        elif kind == layout.MESHES and meshes is not None and not meshes:
-            absent = "none needed: hexahedra have no file"
         text.append(f"{kind:20s} {', '.join(found) or absent}")
     return text
 
 
 def outdated_lines(asked: list[LastRun]) -> list[str]:
     """The first target that what it was made of changed since, and what that was; nothing where all is as it was made."""
-    old = changed_since((run.target, run.inputs) for run in asked)
-    first = next((run for run in asked if run.target in old), None)
-    if first is None:
-        return []
-    why = causes(old)
-    more = f" and {len(why) - 2} more" if len(why) > 2 else ""
-    return [f"outdated: {first.name} and what follows from it, because {', '.join(why[:2])}{more} changed since"]
+    for run in asked:
+        if run.target and (why := causes(changes(run.target, run.record))):
+            more = f" and {len(why) - 2} more" if len(why) > 2 else ""
+            return [
+                f"outdated: {run.name} and what follows from it, because {', '.join(why[:2])}{more} changed since"
+            ]
+    return []
 
 
-def failed_lines(results: Path, failed: list[LastRun]) -> list[str]:
+def failed_lines(results: Path, asked: list[LastRun]) -> list[str]:
     """Targets whose last run failed, by stage and by what the log says last; the log named is the first one's."""
     alike: dict[tuple[str, str], list[tuple[LastRun, Path]]] = {}
-    for run in failed:
-        said, log = last_words_of(results, run)
-        alike.setdefault((run.stage, said), []).append((run, log))
+    for run in asked:
+        if run.failed:
+            said, log = last_words_of(results, run)
+            alike.setdefault((run.stage, said), []).append((run, log))
     return [
         f"failed: {of[0][0].name}{f' and {len(of) - 1} more' if len(of) > 1 else ''}: {said}; log: {of[0][1]}"
         for (_, said), of in alike.items()
@@ -187,25 +107,26 @@ def cost_lines(results: Path, known: list[LastRun]) -> list[str]:
     return [head, *(f"{of['name']:20s} {duration(of['cpu_seconds']):>12s} {of['peak_mib']:12.0f}" for of in found)]
 
 
-def running_lines(results: Path) -> list[str]:
-    """How far the run that is going on has come; nothing where none is."""
-    return [f"running: {look(results)}"] if running_targets(results) else []
+def counter_lines(results: Path) -> list[str]:
+    """How far the last run came with its latest stage of shards."""
+    path = Layout(results).counter
+    stages_of = (record_of(path) or {}).get("stages")
+    if not stages_of:
+        return []
+    written, stage = path.stat().st_mtime, [*stages_of][-1]
+    return [f"last run: {stage} {in_words(stages_of[stage], written)}, {duration(time.time() - written)} ago"]
 
 
-@command(
-    RESULTS,
-    option("--meshes", nargs="*", default=None, help="meshes that presses may use"),
-)
+@command(RESULTS)
 def main(args: Namespace) -> None:
     results, known = args.results, last_runs(args.results)
-    asked = still_asked(results, known, args.meshes)
-    failed = failures(results, asked)
+    asked = still_asked(results, known)
     text = [
-        *lines(results, {run.stage for run in failed}, args.meshes),
+        *lines(results, asked),
         *outdated_lines(asked),
-        *failed_lines(results, failed),
+        *failed_lines(results, asked),
         *cost_lines(results, known),
-        *running_lines(results),
+        *counter_lines(results),
     ]
     print("\n".join(map(printable, text)))
 

@@ -1,6 +1,6 @@
 """The images of one dataset's log: what is kept of each to judge all of them together."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -8,11 +8,9 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.evidence.images import Seen, image_fault, nocontact_fault
 from gelforge.evidence.imprints import COLS, ROWS, Rest, Window
-from gelforge.flow.files import publish
 from gelforge.geometry.solids import Indenter
 from gelforge.labelling.sensor import Sensor
 from gelforge.records.image import read_image, read_logged_image
-from gelforge.records.npz import Archive
 from gelforge.records.press import PosedPress, PressRecord
 
 KEEP = "or set judge_images = false under [params.poses] in dataset.toml to use the images as they are"
@@ -94,29 +92,3 @@ class LogImages:
             centre=window.place(path),
             mm=window.mm,
         )
-
-
-def write_seen(path: Path, seen: Sequence[Seen], key: str) -> None:
-    """Write what is kept of some presses' images as an .npz, whole or not at all. key: digest of what it was made of."""
-    arrays: dict[str, np.ndarray] = {name: np.array([getattr(one, name) for one in seen], "U") for name in TEXTS}
-    for name, shape in SHAPES.items():
-        kind = int if name == "row" else np.float32
-        arrays[name] = np.array([getattr(one, name) for one in seen], kind).reshape(len(seen), *shape)
-    with publish(path) as part, part.open("wb") as stream:
-        np.savez_compressed(stream, allow_pickle=False, key=np.array([key]), **arrays)
-
-
-def read_seen(path: Path, key: str) -> list[Seen] | None:
-    """What `write_seen` kept; None where there is nothing, or what was made of something else."""
-    try:
-        with Archive(path, "maps of a log's images", "remove it") as file:
-            if file.array("key", "U", 1).tolist() != [key]:
-                return None
-            columns = {name: file.array(name, "U", 1).tolist() for name in TEXTS}
-            arrays = {name: file.array(name, "if", 1 + len(shape)) for name, shape in SHAPES.items()}
-    except BadInput:
-        return None
-    columns |= {"row": arrays.pop("row").tolist(), "mm": arrays.pop("mm").tolist()}
-    return [
-        Seen(**{name: column[at] for name, column in (columns | arrays).items()}) for at in range(len(columns["row"]))
-    ]

@@ -1,4 +1,4 @@
-"""Files that are either whole or absent."""
+"""Files that are either whole or absent; their digests and locks; what is found again by what it was made of."""
 
 import csv
 import errno
@@ -8,12 +8,25 @@ import io
 import json
 import os
 import shutil
-from collections.abc import Collection, Iterable, Iterator, Mapping
+import stat
+import tokenize
+import zipfile
+import zlib
+from collections.abc import Callable, Collection, Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, TypeVar
 
 from gelforge.errors import BadInput
+
+Value = TypeVar("Value")
+# What reading a file that is not there, corrupt or hostile can raise in json, zipfile, zlib and numpy.
+DAMAGED = (
+    OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, MemoryError, NotImplementedError, OverflowError,
+    SyntaxError, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
+)  # fmt: skip
+# What a file was when it was read: its digest, size in bytes and time stamp in ns. The latter two spare reading it again.
+State = list
 
 
 def listed(folder: Path, pattern: str, below: bool = False) -> list[Path]:
@@ -40,18 +53,40 @@ def below(folder: Path | str, suffix: str) -> list[str]:
                   if name.endswith(suffix) and not name.startswith("."))  # fmt: skip
 
 
-def made_at(path: Path | str) -> float | None:
-    """When a file was last written, seconds since 1970; None where there is none (any more)."""
-    try:
-        return os.stat(path).st_mtime
-    except FileNotFoundError:
-        return None
-
-
 def digest_of(path: Path) -> str:
     """SHA-256 of a file's content."""
     with path.open("rb") as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
+
+
+def state_of(path: str, known: State | None = None) -> State | None:
+    """What a file is now; None where there is none. known: what it was, whose digest holds where size and time do.
+
+    Of a folder its names alone count.
+    """
+    try:
+        found = os.stat(path)
+        if known and known[1:] == [found.st_size, found.st_mtime_ns]:
+            return known
+        if stat.S_ISDIR(found.st_mode):
+            digest = hashlib.sha256("\n".join(sorted(os.listdir(path))).encode(errors="surrogateescape")).hexdigest()
+        elif stat.S_ISREG(found.st_mode):
+            digest = digest_of(Path(path))
+        else:
+            return None  # a pipe, say, from which reading would wait for ever
+    except (OSError, ValueError):
+        return None
+    return [digest, found.st_size, found.st_mtime_ns]
+
+
+def states_of(paths: Iterable[Path | str], known: Mapping[str, State | None]) -> dict[str, State | None]:
+    """States by path. known: earlier ones."""
+    return {path: state_of(path, known.get(path)) for path in map(str, paths)}
+
+
+def changed(known: Mapping[str, State | None], now: Mapping[str, State | None]) -> list[str]:
+    """Those files whose content is another one now, that came or that went."""
+    return [path for path, was in known.items() if (was and was[0]) != ((state := now[path]) and state[0])]
 
 
 @contextmanager
@@ -182,3 +217,45 @@ def read_csv(path: Path | str) -> list[dict]:
     """Read a CSV file with a header as a list of dicts of strings."""
     with Path(path).open(newline="", encoding="utf-8-sig") as stream:
         return list(csv.DictReader(stream))
+
+
+def canonical(value: Any) -> str:
+    """One text per value: sorted keys, no comments, exact floats."""
+    return json.dumps(value, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
+
+
+def digest_of_value(value: Any) -> str:
+    """SHA-256 of a value's canonical text, as hexadecimal digits."""
+    return hashlib.sha256(canonical(value).encode()).hexdigest()
+
+
+@contextmanager
+def alone(path: Path) -> Iterator[None]:
+    """Hold the lock of a file: of several processes that miss it one makes it, and the others wait."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.with_name(f".{path.name}.lock").open("a") as lock:
+        take(lock, fcntl.LOCK_EX)
+        yield
+
+
+def kept(
+    path: Path, read: Callable[[Path], Value], make: Callable[[], Value], write: Callable[[Path, Value], None]
+) -> Value:
+    """What a file holds; where there is none that can be read, what `make` makes, which is then kept in it."""
+    with alone(path):
+        try:
+            return read(path)
+        except DAMAGED:
+            made = make()
+            with publish(path) as part:
+                write(part, made)
+            return made
+
+
+def record_of(path: Path, key: str | None = None) -> dict[str, Any] | None:
+    """The table of a JSON file, one made under `key` where that is given; None where there is no such."""
+    try:
+        record = read_json(path)
+    except DAMAGED:
+        return None
+    return record if isinstance(record, dict) and key in (None, record.get("key")) else None

@@ -5,6 +5,8 @@ standard library, because every step of a run asks for it.
 """
 
 import csv
+import os
+from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -22,6 +24,13 @@ STAGES = (
     STABILITY,
 )  # fmt: skip
 FOLDERS = (*STAGES, LOGS, METRICS, SAMPLES, ESTIMATE, EXPORT, FEATS, LOOK, DECK)
+# Stages of one file a shard: their parameters, the folder of what a shard's file is made from, and its own suffix.
+OF_SHARDS = {
+    POSES: ("poses", f"{PLAN}/shards", ".csv"),
+    MESHES: ("meshes", POSES, ".csv"),
+    FEA: ("fea", POSES, ".csv"),
+    FORCES: ("forces", FEA, ".npz"),
+}
 SHARD_DIGITS = 4
 LOGGED = "logged"  # column of the table of shards: 1 for a sample that the log has, 0 for one that it has lost
 
@@ -34,6 +43,13 @@ def shard_name(number: int) -> str:
 def planned_shards(folder: Path) -> list[str]:
     """Names of the shards that are planned today, in order, from the folder 00_plan/shards."""
     return [name.removesuffix(".csv") for name in names_in(folder, ".csv")]
+
+
+def written(path: str) -> int:
+    """When a file was last written, ns since 1970; 0 where there is none."""
+    with suppress(OSError):
+        return os.stat(path).st_mtime_ns
+    return 0
 
 
 def mirror(target: Path, kind: str, suffix: str) -> Path:
@@ -123,11 +139,6 @@ class Layout:
         return self.root / PLAN / "plan.mk"
 
     @property
-    def plan_states(self) -> Path:
-        """States of the files that the plan was made from."""
-        return self.root / PLAN / "states.txt"
-
-    @property
     def params(self) -> Path:
         """Folder of what each stage reads of the parameters, NAME.json."""
         return self.root / PLAN / "params"
@@ -135,6 +146,10 @@ class Layout:
     def parameters(self, name: str) -> Path:
         """Parameters of a stage, or the entries of a catalogue that the dataset uses (sensors, indenters, gels)."""
         return self.params / f"{name}.json"
+
+    def choice(self, name: str) -> Path:
+        """What a result that follows a choice on the command line shows, a word a line."""
+        return self.root / PLAN / "choices" / f"{name}.txt"
 
     @property
     def surfaces(self) -> Path:
@@ -159,6 +174,18 @@ class Layout:
     def shard(self, name: str) -> Path:
         """Raw rows of a shard."""
         return self.shards / f"{name}.csv"
+
+    def used(self, name: str) -> Path:
+        """What a shard uses of the catalogues: its sensors, indenters and gels."""
+        return self.shards / f"{name}.json"
+
+    def pictures(self, name: str) -> Path:
+        """Digests of a shard's pictures, and rows whose picture another press shows, too."""
+        return self.shards / f"{name}.pictures.json"
+
+    def beside(self, name: str) -> Path:
+        """Digests of files that lie beside the log: nocontact, rows (splits and truth), or imported labels of a resolution."""
+        return self.root / PLAN / "beside" / f"{name}.json"
 
     def poses(self, shard: str) -> Path:
         """Pose table of a shard."""
@@ -266,14 +293,9 @@ class Layout:
         return self.root / LOGS
 
     @property
-    def tables(self) -> Path:
-        """What the shards' tables hold, for `make status`."""
-        return self.logs / "tables.json"
-
-    @property
-    def runs(self) -> Path:
-        """What the records of all targets hold, for `make status`."""
-        return self.logs / "runs.json"
+    def counter(self) -> Path:
+        """How many targets of a stage the last run of make made."""
+        return self.logs / "counter.json"
 
     @property
     def metrics(self) -> Path:
@@ -283,6 +305,17 @@ class Layout:
     def names(self) -> list[str]:
         """Names of the shards that are planned today, in order."""
         return planned_shards(self.shards)
+
+    def outdated(self, stage: str) -> list[str]:
+        """Shards whose file of a stage, one of OF_SHARDS, is missing or older than its parameters or what it is made from."""
+        params, source, suffix = OF_SHARDS[stage]
+        since = written(f"{self.parameters(params)}")
+        return [
+            name
+            for name in self.names()
+            if written(f"{self.root}/{stage}/{name}{suffix}")
+            < max(since, written(f"{self.root}/{source}/{name}.csv"), 1)
+        ]
 
     def shard_of(self, sample_id: str) -> str:
         """Name of the planned shard that holds a sample; BadInput where none does."""

@@ -124,8 +124,9 @@ def _whole(text: str, least: int, which: str) -> int:
 
 
 JOBS = option(
-    "--jobs", type=positive, default=int(os.environ.get("SLURM_CPUS_PER_TASK", "1")), help="processes at a time"
-)
+    "--jobs", type=positive, help="processes at a time; under make those of its slots",
+    default=int(os.environ.get("GELFORGE_JOBS") or os.environ.get("SLURM_CPUS_PER_TASK", "1")),
+)  # fmt: skip
 
 
 def command(*options: Option) -> Callable[[Callable[[argparse.Namespace], int | None]], Command]:

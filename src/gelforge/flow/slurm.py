@@ -1,4 +1,4 @@
-"""EXECUTOR=slurm: the tasks that make noted for a stage run as a job array of `sbatch --wait`.
+"""EXECUTOR=slurm: the tasks that make noted, shards of stage 30 or one training, run as a job array of `sbatch --wait`.
 
 make writes a line for each task, its target and its command, to a file, and gives it to this module. The job's name is
 unique, and jobs are cancelled by it: no number is read from what sbatch prints. Success is a result file for each task,
@@ -27,16 +27,16 @@ from gelforge.flow.main import command, option
 from gelforge.flow.orphans import die_with_parent
 from gelforge.flow.params.schema import ParameterTable, Place, parse
 from gelforge.flow.params.tables import Count, FromNone, Line, Whole
-from gelforge.flow.running import show_line, terminal
-from gelforge.flow.step import SAID_EVERY_S, TAIL_LINES, show_notices
+from gelforge.flow.step import TAIL_LINES, redated, show_notices
 
 PUBLISHED = Path("workflow/slurm.toml")
 STOP = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
 LOOK_EVERY_S = 0.5
+SAID_EVERY_S = 25.0  # between two lines of how far it is
 GONE_AFTER = 60  # looks at the queue, half a second apart, until cancelled jobs have left it
 SHOWN, LISTED = 5, 50  # missing results that are shown with the end of their log, and by name
 # Not for Slurm's programs and jobs: limits of an allocation in which make runs, others' filters, make's job slots.
-WITHHELD = ("SLURM_", "SQUEUE_", "SCANCEL_", "SBATCH_CLUSTERS", "MAKE", "MFLAGS")
+WITHHELD = ("SLURM_", "SQUEUE_", "SCANCEL_", "SBATCH_CLUSTERS", "MAKE", "MFLAGS", "GELFORGE_JOBS")
 PASSED = ("SLURM_CONF", "SLURM_CLUSTERS")
 KILLED = {  # the setting that helps, and what Slurm prints when it kills a task
     "memory_mb": r"(?im)^slurmstepd\S*: .*(exceeded (job |step )?memory limit|oom.kill)",
@@ -151,7 +151,6 @@ class Work:
     folder: Path
     file: Path
     profile: Profile
-    every_s: float
     tasks: list[Task] = field(default_factory=list)
 
     def run(self, noted: dict[str, str]) -> int:
@@ -206,12 +205,13 @@ class Work:
                 until = min(until, time.monotonic() + self.profile.visible_seconds)
             if not left or time.monotonic() >= until or (over and all(map(self.cause, left))):
                 return left
-            come = f"{self.stage} on Slurm: {len(self.tasks) - len(left)} of {len(self.tasks)} results"
-            if device := terminal():
-                show_line(device, come)
-            elif time.monotonic() >= said + self.every_s:
+            if time.monotonic() >= said + SAID_EVERY_S:
                 said = time.monotonic()
-                print(f"{come}, {said - started:.0f} s so far", flush=True)
+                done = len(self.tasks) - len(left)
+                print(
+                    f"{self.stage} on Slurm: {done} of {len(self.tasks)} results, {said - started:.0f} s so far",
+                    flush=True,
+                )
             if signal.sigtimedwait(STOP, LOOK_EVERY_S):
                 return None
 
@@ -223,8 +223,6 @@ class Work:
 
     def end(self) -> None:
         """End every sbatch that still waits."""
-        if device := terminal():
-            show_line(device)
         for sbatch in {task.sbatch for task in self.tasks}:
             with suppress(ProcessLookupError):
                 os.killpg(sbatch.pid, signal.SIGKILL)
@@ -279,10 +277,24 @@ class Work:
         return max([1, *(task.sbatch.returncode for task in left)]) if left else 0
 
 
+def put_back(target: Path, wrapped: str) -> bool:
+    """Whether the target that make took away is what its command would make: it is then dated anew, else removed."""
+    old = Path(f"{target}.old")
+    if not old.exists() or target.exists():
+        old.unlink(missing_ok=True)
+        return False
+    os.replace(old, target)
+    words = shlex.split(wrapped)
+    split, first = words.index("--"), words.index(str(target)) + 1
+    if redated(target, words[first:split], words[split + 1 :]):
+        return True
+    target.unlink()
+    return False
+
+
 @command(
     option("notes", type=Path, help="results/DATASET/.slurm/NAME, a line TARGET<tab>COMMAND each; it is removed"),
     option("--profile", type=Path, default=PUBLISHED, help="settings that differ from workflow/slurm.toml"),
-    option("--every", type=float, default=SAID_EVERY_S, help="seconds between two lines without a terminal"),
 )
 def main(args: Namespace) -> int:
     signal.pthread_sigmask(signal.SIG_BLOCK, STOP)
@@ -292,10 +304,13 @@ def main(args: Namespace) -> int:
     lines = args.notes.read_text(encoding="utf-8").replace("\\\n", " ").splitlines()
     args.notes.unlink()
     noted = dict(line.split("\t", 1) for line in lines if line)
+    noted = {target: command for target, command in noted.items() if not put_back(Path(target), command)}
+    if not noted:
+        return 0
     stage = Path(min(noted)).relative_to(args.notes.parents[1]).parts[0]
     folder = args.notes.with_name(f"gelforge-{stage}-{secrets.token_hex(6)}")
     try:
-        return Work(stage, folder, args.profile, read_profile(args.profile, stage), args.every).run(noted)
+        return Work(stage, folder, args.profile, read_profile(args.profile, stage)).run(noted)
     finally:
         # Without its list a task that Slurm starts after all does nothing.
         shutil.rmtree(folder, ignore_errors=True)

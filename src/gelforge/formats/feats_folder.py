@@ -10,10 +10,10 @@ from datetime import datetime
 from pathlib import Path
 
 import numpy as np
+from tqdm import tqdm
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_csv, write_json, write_text
-from gelforge.flow.progress import progress
 from gelforge.formats.featsfile import (
     FORCE_FIELDS,
     POSE_FIELDS,
@@ -100,7 +100,7 @@ def import_folder(source: Path, data: Path, sensor, other=None, splits: Sequence
         presses: dict[str, dict] = {}
         labels: dict[tuple[int, int], dict[str, np.ndarray]] = {}
         ranges = None
-        for path in progress(files, "import"):
+        for path in tqdm(files, "import"):
             if is_normalisation(path):
                 ranges = read_normalisation(path)
                 continue
@@ -259,7 +259,7 @@ def export_dataset(dataset: Path, out: Path) -> dict:
     samples = read_samples(dataset / "samples.csv")
     images, labels = (map_array(dataset / f"{name}.npy") for name in ("images", "labels"))
     ranges, written = Ranges(), set()
-    for at, each in progress(list(enumerate(samples)), "export"):
+    for at, each in tqdm(list(enumerate(samples)), "export"):
         sample = LabelSample(np.asarray(images[at]), np.asarray(labels[at], np.float64))
         if each.split == TRAINING:
             ranges.add(sample)

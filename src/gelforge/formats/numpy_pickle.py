@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.cache import DAMAGED
+from gelforge.flow.files import DAMAGED
 from gelforge.records.npz import in_short
 from gelforge.records.regular import file_fault
 

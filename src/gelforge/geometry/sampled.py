@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.cache import digest_of_value, kept
-from gelforge.flow.files import digest_of
+from gelforge.flow.files import digest_of, digest_of_value, kept
 from gelforge.geometry.shells import outer_surface, signed_distances
 from gelforge.geometry.solids import Body
 from gelforge.geometry.stlfile import read_stl

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.cache import digest_of_value
+from gelforge.flow.files import digest_of_value
 from gelforge.flow.params.tables import IN_PROCESS, METHODS, TAKEN, FeaTable
 from gelforge.geometry.gel import gel_shape, load_gel
 from gelforge.mechanics.ccx.program import need_ccx

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.cache import DAMAGED
+from gelforge.flow.files import DAMAGED
 from gelforge.records.regular import file_fault
 
 MOST_SAID = 200  # characters of an error: numpy quotes a header whole

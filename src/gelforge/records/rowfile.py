@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.cache import DAMAGED
+from gelforge.flow.files import DAMAGED
 from gelforge.records.npz import in_short
 
 LET_GO = 512  # rows

@@ -6,6 +6,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from tqdm import tqdm
 
 from gelforge.calibration import summary
 from gelforge.calibration.emulator import Emulator
@@ -21,7 +22,6 @@ from gelforge.flow.main import JOBS, stage
 from gelforge.flow.params import DatasetFile, read_dataset_file, read_indenter_tables
 from gelforge.flow.params.stages import ForCalibrate, read_parameters
 from gelforge.flow.params.tables import CalibrateSolverTable, CalibrateTable
-from gelforge.flow.progress import progress
 from gelforge.flow.slots import in_slots
 from gelforge.geometry.gel import use_gels_of
 from gelforge.labelling.sensor import Sensor, load_sensors
@@ -95,7 +95,7 @@ def calibrate(readings: Readings, emulator: Emulator, params: CalibrateTable, jo
     rules, observed, models = sampling_rules(params), served(readings), models_of(readings, params)
     of = [Posterior(emulator, model, readings.depth, observed, params.tail) for model in models]
     found = in_slots(fit, [(posterior, rules) for posterior in of], jobs)
-    done = Calibration(readings, list(zip(of, progress(found, "interface laws", len(of)), strict=True)))
+    done = Calibration(readings, list(zip(of, tqdm(found, "interface laws", len(of)), strict=True)))
     refuse_beyond(done.posterior, done.chain)
     return done
 

@@ -9,18 +9,17 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from tqdm import tqdm
 
 from gelforge.errors import BadInput
 from gelforge.evidence.forces import LogForces, of_labels
 from gelforge.evidence.images import row_list
 from gelforge.evidence.logimages import LogImages
-from gelforge.flow.cache import alone
-from gelforge.flow.files import digest_of, listed, publish, read_json, write_csv, write_json, write_text
+from gelforge.flow.files import alone, digest_of, listed, publish, read_json, write_csv, write_json, write_text
 from gelforge.flow.layout import Layout
 from gelforge.flow.main import stage
 from gelforge.flow.params.stages import ForDataset, read_parameters
 from gelforge.flow.params.tables import DatasetTable
-from gelforge.flow.progress import progress
 from gelforge.geometry.indenters import fold
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import find_sensor, load_sensors
@@ -115,7 +114,7 @@ def write_image_array(path, data: Path, presses: list[PressRecord], size: tuple[
     size is (width, height). A missing, unreadable or differently sized image raises BadInput.
     """
     with publish(path) as part:
-        images = (read_logged_image(data, press.image, size) for press in progress(presses, "images"))
+        images = (read_logged_image(data, press.image, size) for press in tqdm(presses, "images"))
         write_rows(part, np.uint8, (len(presses), size[1], size[0], 3), images)
 
 
@@ -244,7 +243,7 @@ def list_shards(of: Layout, resolution: str) -> list[tuple[Path, list]]:
 def wrong_imported(of: Layout, presses: list[PressRecord]) -> dict[str, str]:
     """Why images of imported samples are not of their sensors, by sample: without poses stage 15 does not look at them."""
     images = LogImages(of.data, load_sensors(of.parameters("sensors")))
-    found = {press.sample_id: fault for press in progress(presses, "images judged") if (fault := images.fault(press))}
+    found = {press.sample_id: fault for press in tqdm(presses, "images judged") if (fault := images.fault(press))}
     for fault in sorted(set(found.values())):
         rows = [press.row for press in presses if found.get(press.sample_id) == fault]
         print(f"rejected: {fault} (row {row_list(rows)})", file=sys.stderr)

@@ -5,19 +5,19 @@ import json
 import shutil
 import tempfile
 from argparse import Namespace
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from tqdm import tqdm
 
 from gelforge.errors import BadInput
-from gelforge.flow.cache import digest_of_value, record_of
-from gelforge.flow.files import digest_of, publish, read_json, write_json
+from gelforge.flow.files import digest_of, digest_of_value, publish, read_json, record_of, write_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.main import stage
 from gelforge.flow.params.stages import ForFea, read_parameters
 from gelforge.flow.params.tables import IN_PROCESS
-from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel, use_gels_of
 from gelforge.geometry.indenters import bodies_of
 from gelforge.labelling.sensor import sensor_of
@@ -153,7 +153,7 @@ def run_shard(
     known: dict[tuple, dict] = {}
     with tempfile.TemporaryDirectory(prefix=".work-", dir=folder) as work:
         solvers = Solvers(family, work, params.fea)
-        for frames in progress(presses_of(presses), f"fea {folder.name}"):
+        for frames in tqdm(presses_of(presses), f"fea {folder.name}"):
             scenes = [scene_of(press, bodies, tables["sensors"], params) for press in frames]
             keys = press_keys(frames, scenes, params, tables, chosen)
             try:
@@ -254,8 +254,8 @@ def main(args: Namespace) -> None:
     for solve in solves:
         if not solve.status.valid:
             print(f"failed: {solve.sample_id}: {solve.status.name}, {solve.reason}")
-    counts = {state.name: n for state in Status if (n := sum(solve.status is state for solve in solves))}
-    print(json.dumps(counts))
+    lost = Counter(f"{solve.status.name}: {solve.reason}" for solve in solves if not solve.status.valid)
+    print(json.dumps({"done": len(solves) - lost.total(), "failed": lost}))
 
 
 if __name__ == "__main__":

@@ -3,6 +3,7 @@
 import gzip
 import json
 from argparse import Namespace
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -10,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.cache import DAMAGED, record_of
-from gelforge.flow.files import read_json
+from gelforge.flow.files import DAMAGED, read_json, record_of
 from gelforge.flow.layout import Layout, command_for
 from gelforge.flow.main import stage
 from gelforge.flow.params.stages import ForForces, read_parameters
@@ -141,7 +141,7 @@ def main(args: Namespace) -> None:
     c10, intervals = material_c10(params.material, of.calibration())
     load = mesh_loader(of.meshes)
     samples: list[SampleForces] = []
-    counts: dict[str, int] = {}
+    lost: Counter[str] = Counter()
     table = of.fea(args.shard)
     solves = list(read_solves(table))
     refuse_corrupt(table, solves)
@@ -149,13 +149,14 @@ def main(args: Namespace) -> None:
         sample, reason = read_sample(solve, table.parent, load, params.forces)
         if solve.status.valid and reason:  # others were reported by stage 30
             print(f"failed: {sample.sample_id}: {sample.status}, {reason}")
+            lost[f"{sample.status}: {Status[sample.status].value}"] += 1
         # At a fixed Poisson's ratio and prescribed motion every force is proportional to C10.
         stiffer = c10 / REFERENCE_C10
         errors = {name: stiffer * getattr(sample, name) for name in ("error_n", "cells_error_n")}
         samples.append(replace(sample, force=sample.force * stiffer, **errors))
-        counts[sample.status] = counts.get(sample.status, 0) + 1
     write_forces(args.out, samples, c10, intervals)
-    print(json.dumps(counts))
+    valid = sum(Status[sample.status].valid for sample in samples)
+    print(json.dumps({"done": valid, "failed": lost}))
 
 
 if __name__ == "__main__":

@@ -1,10 +1,9 @@
 """Stage 15: whether the images of a log, one by one and taken together, show what its rows describe (`evidence.images`).
 
 A finding by which no label could be right stops make here, before anything is solved. Rows whose image is wrong are left out of the
-dataset, and all other findings are notes. What an image shows is kept beside the result, so that a longer log reads its new images only.
+dataset, and all other findings are notes.
 """
 
-import hashlib
 import sys
 from argparse import Namespace
 from collections.abc import Callable, Collection, Iterator, Mapping
@@ -17,8 +16,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.evidence.images import Seen, Shapes, findings, row_list
 from gelforge.evidence.imprints import Window
-from gelforge.evidence.logimages import KEEP, LogImages, nocontact_path, read_nocontact, read_seen, write_seen
-from gelforge.flow.dates import states_of
+from gelforge.evidence.logimages import KEEP, LogImages, nocontact_path, read_nocontact
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.main import JOBS, stage
@@ -37,31 +35,17 @@ VERSION = 3
 CHUNK = 200  # presses that one process looks at
 
 
-def key_of(press: PosedPress, data: Path, tables: Mapping[str, dict]) -> str:
-    """A digest of all that a press's maps are made of."""
-    states = states_of([data / press.image, data / "nocontact" / f"{press.sensor_id}.png"])
-    sensor = tables["sensors"][press.sensor_id]
-    gel = tables["gels"].get(sensor["gel"])  # numbers of a gel of one's own
-    made_of = (VERSION, vars(press), states, sensor, gel, tables["indenters"][press.indenter])
-    return hashlib.sha256(repr(made_of).encode()).hexdigest()
-
-
-def look(path: Path, presses: list[PosedPress], data: Path, tables: dict, workflow: Path, kept: Path) -> list[Seen]:
-    """What is kept of some presses' images: read from `path`, or made anew and written there."""
-    key = hashlib.sha256("".join(key_of(press, data, tables) for press in presses).encode()).hexdigest()
-    seen = read_seen(path, key)
-    if seen is None:
-        names = sorted({press.sensor_id for press in presses})
-        sensors = {name: sensor_of(SENSOR_TABLES, name, tables["sensors"][name]) for name in names}
-        images, bodies = LogImages(data, sensors), bodies_of(presses, tables["indenters"], workflow, kept)
-        every = (images.see(press, bodies[press.indenter]) for press in presses)
-        seen = [one for one in every if one is not None]
-        write_seen(path, seen, key)
-    return seen
+def look(presses: list[PosedPress], data: Path, tables: dict, workflow: Path, kept: Path) -> list[Seen]:
+    """What some presses' images show."""
+    names = sorted({press.sensor_id for press in presses})
+    sensors = {name: sensor_of(SENSOR_TABLES, name, tables["sensors"][name]) for name in names}
+    images, bodies = LogImages(data, sensors), bodies_of(presses, tables["indenters"], workflow, kept)
+    every = (images.see(press, bodies[press.indenter]) for press in presses)
+    return [one for one in every if one is not None]
 
 
 def in_chunks(presses: list[PosedPress]) -> Iterator[list[PosedPress]]:
-    """Presses in parts that stay as they are when a log grows."""
+    """Presses in parts for one process each."""
     for start in range(0, len(presses), CHUNK):
         yield presses[start : start + CHUNK]
 
@@ -155,13 +139,10 @@ def main(args: Namespace) -> None:
     use_gels_of(of.workflow)
     judged = read_parameters(of.parameters("images"), ForImages).poses
     seen, shapes = [], None
-    tables = {name: read_json(of.parameters(name)) for name in ("sensors", "indenters", "gels")}
+    tables = {name: read_json(of.parameters(name)) for name in ("sensors", "indenters")}
     presses = sorted((one for shard in of.names() for one in read_poses(of.poses(shard))), key=lambda one: one.row)
     if judged.images and judged.judge_images:
-        parts = [
-            (args.out.parent / f"{at:04d}.npz", part, of.data, tables, of.workflow, of.surfaces)
-            for at, part in enumerate(in_chunks(presses))
-        ]
+        parts = [(part, of.data, tables, of.workflow, of.surfaces) for part in in_chunks(presses)]
         seen = [one for part in in_slots(look, parts, args.jobs) for one in part]
         by_id = {one.sample_id: one for one in presses}
         if seen:

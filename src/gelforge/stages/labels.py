@@ -1,21 +1,20 @@
 """Stage 50: nodal forces of all shards to force per cell of an image grid."""
 
-import os
+import json
 from argparse import Namespace
 from collections import Counter
 from collections.abc import Callable
 from functools import lru_cache, partial
 from pathlib import Path
-from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import digest_of, read_csv, write_json
+from gelforge.flow.files import digest_of, digest_of_value, read_csv, read_json, record_of, write_json
 from gelforge.flow.layout import POSES, Layout, command_for
 from gelforge.flow.main import stage
 from gelforge.flow.params.stages import ForLabels, read_parameters
-from gelforge.flow.progress import progress
 from gelforge.labelling.cellsurface import SurfaceMap, surface_map, traction
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import Operator, assemble, cached
@@ -24,7 +23,7 @@ from gelforge.mechanics.mesh.family import load_mesh
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.hexname import is_hex_mesh_name
 from gelforge.records.forcefile import ForceFile
-from gelforge.records.labelfile import Stream, open_labels, to_float32, write_labels
+from gelforge.records.labelfile import Stream, to_float32, write_labels
 from gelforge.records.log import read_poses
 from gelforge.records.status import Status
 
@@ -209,17 +208,17 @@ def _first_bad(forces: ForceFile) -> str:
 def summarise(forces: ForceFile, outside: np.ndarray, sensor_of: dict[str, str]) -> dict:
     """Counts of a shard and the sample with the largest fraction of its normal force outside the image.
 
-    seen: how many samples bear a force, by sensor and whether most of it lies in the sensor's image.
+    seen: of each sensor how many samples bear most of their force in its image, and how many beyond it.
     """
     fraction = np.abs(outside[:, 2]) / np.maximum(np.abs(forces.total[:, 2]), 1e-12)
     fraction = np.where(np.isfinite(fraction), fraction, 0.0)
     worst = int(fraction.argmax()) if len(fraction) else None
     bears = forces.total[:, 2] != 0.0
+    counts: dict[str, list[int]] = {}
+    for name, part in zip(forces.sample_id[bears].tolist(), fraction[bears], strict=True):
+        counts.setdefault(sensor_of[name], [0, 0])[int(part > UNSEEN)] += 1
     return {
-        "seen": Counter(
-            (sensor_of[name], bool(part <= UNSEEN))
-            for name, part in zip(forces.sample_id[bears].tolist(), fraction[bears], strict=True)
-        ),
+        "seen": [[sensor, *count] for sensor, count in sorted(counts.items())],
         "samples": len(forces),
         "failed": int(np.isnan(outside[:, 0]).sum()),
         "worst_sample": "" if worst is None else str(forces.sample_id[worst]),
@@ -228,35 +227,43 @@ def summarise(forces: ForceFile, outside: np.ndarray, sensor_of: dict[str, str])
 
 
 def label_folder(of: Layout, grid: Grid, folder: Path, channels) -> dict:
-    """Label every shard of a dataset whose labels, in `folder`, are older than what they are made of; return a summary."""
-    params = of.parameters("sensors"), of.parameters("labels")
-    find = Finder(of.meshes, load_sensors(params[0]), grid, folder / "operators", str(of.folder(POSES)))
+    """Label every shard of a dataset whose labels, in `folder`, were made of something else; return the contents of labels.json.
+
+    What a shard's labels were made of stands in the labels.json of the run before.
+    """
+    tables = [read_json(of.parameters(name)) for name in ("sensors", "gels", "labels")]
+    find = Finder(
+        of.meshes, load_sensors(of.parameters("sensors")), grid, folder / "operators", str(of.folder(POSES))
+    )
     shards = of.names()
     if not shards:
         raise BadInput(f"{of.shards}: holds no shards; run make, which plans them")
     require_good(of.folder(POSES), shards)
-    totals: dict[str, Any] = {"resolution": str(grid), "shards": len(shards), "samples": 0, "failed": 0}
-    worst: dict[str, Any] = {"worst_sample": "", "worst_outside_share": 0.0}
-    seen: Counter[tuple[str, bool]] = Counter()
-    for shard in progress(shards, f"labels {grid}"):
+    before = (record_of(of.labelled(str(grid))) or {}).get("made", {})
+    made: dict[str, dict] = {}
+    for shard in tqdm(shards, f"labels {grid}"):
         forces, poses, out = of.forces(shard), of.poses(shard), folder / f"{shard}.npz"
-        if up_to_date(out, forces, poses, *params):
-            found = summary_of(out, forces, poses)
-        else:
-            newest = max(time_of(path) for path in (forces, poses, *params))
-            found = label_shard(forces, poses, find, grid, out, channels)
-            # as old as what was read: a source that another make replaces meanwhile is newer
-            os.utime(out, ns=(newest, newest))
-        totals = {
-            **totals,
-            "samples": totals["samples"] + found["samples"],
-            "failed": totals["failed"] + found["failed"],
-        }
-        worst = max(worst, found, key=lambda s: s["worst_outside_share"])
-        seen.update(found["seen"])
-    require_seen(seen, params[0])
-    digests = {f"{shard}.npz": digest_of(folder / f"{shard}.npz") for shard in shards}
-    return {**totals, **{key: worst[key] for key in ("worst_sample", "worst_outside_share")}, "sha256": digests}
+        key = digest_of_value([digest_of(forces), sensors_of_samples(poses), tables])
+        known = before.get(shard, {})
+        if known.get("key") != key or not out.is_file() or digest_of(out) != known["sha256"]:
+            known = label_shard(forces, poses, find, grid, out, channels)
+            known |= {"key": key, "sha256": digest_of(out)}
+        made[shard] = known
+    seen: Counter[tuple[str, bool]] = Counter()
+    for found in made.values():
+        for sensor, inside, beyond in found["seen"]:
+            seen.update({(sensor, True): inside, (sensor, False): beyond})
+    require_seen(seen, of.parameters("sensors"))
+    worst = max(made.values(), key=lambda found: found["worst_outside_share"])
+    return {
+        "resolution": str(grid),
+        "shards": len(shards),
+        "samples": sum(found["samples"] for found in made.values()),
+        "failed": sum(found["failed"] for found in made.values()),
+        **{key: worst[key] for key in ("worst_sample", "worst_outside_share")},
+        "made": made,
+        "sha256": {f"{shard}.npz": found["sha256"] for shard, found in made.items()},
+    }
 
 
 def require_good(poses: Path, shards: list[str]) -> None:
@@ -289,24 +296,6 @@ def require_seen(seen: Counter[tuple[str, bool]], where) -> None:
             )
 
 
-def up_to_date(out: Path, *sources: Path) -> bool:
-    """Whether `out` is there and no source is newer, as make would judge it."""
-    return out.exists() and all(time_of(path) <= time_of(out) for path in sources)
-
-
-def time_of(path: Path) -> int:
-    """When a file was last written, ns; 0 where there is none."""
-    return path.stat().st_mtime_ns if path.exists() else 0
-
-
-def summary_of(path, forces_path, poses_path) -> dict:
-    """The summary of a shard that was labelled before."""
-    with open_labels(path) as labels:
-        outside = labels.array("outside", "f", 2)
-    with ForceFile(forces_path) as forces:
-        return summarise(forces, outside, sensors_of_samples(poses_path))
-
-
 def report(summary: dict, largest_share: float) -> None:
     """Say what was labelled, and name the press that lies farthest outside the image."""
     print(f"labels {summary['resolution']}: {summary['samples'] - summary['failed']} of {summary['samples']} samples")
@@ -323,6 +312,7 @@ def main(args: Namespace) -> None:
     summary = label_folder(args.of, Grid.parse(args.resolution), args.out.parent, params.channels)
     write_json(args.out, summary)
     report(summary, params.largest_outside_share)
+    print(json.dumps({"done": summary["samples"] - summary["failed"]}))
 
 
 if __name__ == "__main__":

@@ -8,13 +8,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from statistics import median
 
+from tqdm import tqdm
+
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_csv, write_json
 from gelforge.flow.layout import Layout, beside
 from gelforge.flow.main import group, stage
 from gelforge.flow.params.stages import ForMeshes, ForPareto, read_parameters
 from gelforge.flow.params.tables import METHODS
-from gelforge.flow.progress import progress
 from gelforge.geometry.gel import load_gel
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.mesh.family import MeshName, make_mesh
@@ -39,7 +40,7 @@ def solve_scene(bench: ChartBench, scene: NamedScene, methods: list[Method], che
     """
     reference = methods[-1].name
     methods = [*methods, *checks]
-    records = {m.name: measure(bench, scene, m) for m in progress(methods, scene.name)}
+    records = {m.name: measure(bench, scene, m) for m in tqdm(methods, scene.name)}
     compared: dict[str, dict] = {}
     for method in methods:
         record = records[method.name] | {"method": asdict(method)}

@@ -1,10 +1,9 @@
 """Stage 00: which shards a dataset has, and each stage's parameters as its own file.
 
-make runs it before it reads its rules for good where a file that the plan was made from changed (`flow/asked.py`), so that
-`make -n` knows all of it. Files change only when their content does.
+make runs it before it reads its rules for good where the content of a file that the plan was made from changed (`flow/refuse.py`), so
+that `make -n` knows all of it. Files change only when their content does.
 """
 
-import hashlib
 import json
 import os
 import re
@@ -17,16 +16,23 @@ from types import MappingProxyType
 from gelforge.errors import BadInput, printable
 from gelforge.evidence.settings import check_dataset
 from gelforge.flow import params as config
-from gelforge.flow.cache import FileValues, canonical
-from gelforge.flow.dates import keep_states, states_of
-from gelforge.flow.files import csv_text, listed, write_if_changed, write_text
-from gelforge.flow.layout import LOGGED, PLAN, Layout, planned_shards, shard_name
+from gelforge.flow.files import (
+    State,
+    canonical,
+    csv_text,
+    listed,
+    record_of,
+    states_of,
+    write_if_changed,
+    write_json,
+    write_text,
+)
+from gelforge.flow.layout import LOGGED, PLAN, Layout, metrics_of, shard_name
 from gelforge.flow.main import option, stage
 from gelforge.flow.params import Params, stl_files, with_content
 from gelforge.flow.params.tables import IN_PROCESS, SHIPPED
 from gelforge.records.log import read_log, shard_text
 from gelforge.records.press import RawRow, repeats
-from gelforge.records.regular import file_fault
 from gelforge.records.table import read_table
 
 
@@ -87,44 +93,46 @@ def known_shards(table: Path) -> dict[str, int]:
 
 
 def write_shards(
-    data: Path, rows: list[RawRow], out: Path, size: int, tables: Mapping[str, dict] = MappingProxyType({})
+    of: Layout,
+    rows: list[RawRow],
+    size: int,
+    pictures: Mapping[str, str],
+    tables: Mapping[str, dict] = MappingProxyType({}),
 ) -> list[str]:
-    """Write one CSV of raw rows per shard, what it uses of the catalogues, and the assignment; return the shards' names.
+    """Write of each shard its raw rows, what it uses of the catalogues and its pictures, and the assignment; return the shards' names.
 
-    data: folder that the rows' pictures are named from. Only what sharding needs is checked here; stage 10 judges the
-    rows.
+    pictures: digests by the name that rows give them. Only what sharding needs is checked here; stage 10 judges the rows.
     """
-    table = out / "shards.csv"
-    known = known_shards(table)
+    known = known_shards(of.shard_table)
     ids = [row.cells["sample_id"] for row in rows]
     press_of = {row.cells["sample_id"]: row.press_id for row in rows if row.press_id}
     shards = assign_shards(ids, known, size, press_of)
     by_shard: dict[int, list[RawRow]] = {}
     for row, name in zip(rows, ids, strict=True):
         by_shard.setdefault(shards[name], []).append(row)
-    pictures = image_digests(data, named(rows, "image"), out / "pictures.json")
     repeated = repeated_rows(rows, pictures)
     names = []
     for shard, members in sorted(by_shard.items()):
         names.append(shard_name(shard))
-        write_if_changed(out / "shards" / f"{names[-1]}.csv", shard_text(members))
         # an entry that only other shards use may change without a rerun of this one
         entries = {kind: used(table, named(members, COLUMN_OF[kind])) for kind, table in tables.items()}
         entries["gels"] = own_shapes(gels_of(entries.get("sensors", {})))
-        if found := {str(row.row): repeated[row.row] for row in members if row.row in repeated}:
-            entries["repeated"] = found
-        entries["images"] = {name: pictures[name] for name in sorted(named(members, "image")) if name in pictures}
+        seen = {
+            "images": {name: pictures[name] for name in sorted(named(members, "image")) if name in pictures},
+            "repeated": {str(row.row): repeated[row.row] for row in members if row.row in repeated},
+        }
+        write_if_changed(of.shard(names[-1]), shard_text(members))
         # thousands of files: json writes one line several times as fast as many
-        text = json.dumps(entries, sort_keys=True, ensure_ascii=False)
-        write_if_changed(out / "shards" / f"{names[-1]}.json", text + "\n")
-    for gone in set(planned_shards(out / "shards")) - set(names):
+        write_if_changed(of.used(names[-1]), json.dumps(entries, sort_keys=True, ensure_ascii=False) + "\n")
+        write_if_changed(of.pictures(names[-1]), json.dumps(seen, sort_keys=True, ensure_ascii=False) + "\n")
+    for gone in set(of.names()) - set(names):
         # the log lost its rows: no stage may read them again
-        for suffix in (".csv", ".json"):
-            (out / "shards" / f"{gone}{suffix}").unlink(missing_ok=True)
+        for path in (of.shard(gone), of.used(gone), of.pictures(gone)):
+            path.unlink(missing_ok=True)
     # samples that the log has lost keep their shard, and so their solves, should they come back
     kept = {name: shard for name, shard in known.items() if name not in shards}
     lines = [{"sample_id": n, "shard": shard, LOGGED: int(n in shards)} for n, shard in (shards | kept).items()]
-    write_if_changed(table, csv_text(["sample_id", "shard", LOGGED], lines))
+    write_if_changed(of.shard_table, csv_text(["sample_id", "shard", LOGGED], lines))
     return names
 
 
@@ -140,7 +148,7 @@ def gels_of(tables: Mapping[str, object]) -> list[object]:
     return [table.get("gel") for table in tables.values() if isinstance(table, dict)]
 
 
-def repeated_rows(rows: list[RawRow], pictures: dict[str, str]) -> dict[int, str]:
+def repeated_rows(rows: list[RawRow], pictures: Mapping[str, str]) -> dict[int, str]:
     """For each row whose picture another press shows, too, by its line: the first such row but itself.
 
     pictures: digests by name, so that copies of a file count.
@@ -158,24 +166,6 @@ COLUMN_OF = {"sensors": "sensor_id", "indenters": "indenter"}  # of the log, by 
 def named(rows: list[RawRow], column: str) -> set[str]:
     """What rows of the log name in a column."""
     return {row.cells.get(column, "").strip() for row in rows}
-
-
-def digests(files: Mapping[str, Path | str], kept: Path, most: int = 2**40) -> dict[str, str]:
-    """Digest of each file that can be read, by name: one that was replaced is another, one that was touched is not.
-
-    kept: a JSON file of digests, so that a file is read once. most: bytes; larger files have none.
-    """
-
-    def read(path: Path) -> str | None:
-        if file_fault(path) or path.stat().st_size > most:
-            return None
-        with path.open("rb") as stream:
-            return hashlib.file_digest(stream, lambda: hashlib.blake2b(digest_size=8)).hexdigest()
-
-    known = FileValues(kept)
-    found = {name: known.of(path, read) for name, path in files.items()}
-    known.keep()
-    return {name: digest for name, digest in found.items() if digest}
 
 
 def inside(data: Path, names: Iterable[str]) -> dict[str, str]:
@@ -204,11 +194,10 @@ def links_in(folder: Path) -> set[str]:
         return set()
 
 
-def image_digests(data: Path, names: Iterable[str], kept: Path) -> dict[str, str]:
-    """Digest of each picture that rows name and that stage 10 does not refuse for its place or its size."""
-    from gelforge.records.image import MOST_BYTES
-
-    return digests(inside(data, names), kept, MOST_BYTES)
+def digests(states: Mapping[str, State | None], files: Mapping[str, Path | str]) -> dict[str, str]:
+    """Digest of each file that can be read, by name: one that was replaced is another, one that was touched is not."""
+    found = {name: states[str(path)] for name, path in files.items()}
+    return {name: state[0][:16] for name, state in found.items() if state}
 
 
 def files_beside(data: Path) -> dict[str, Path]:
@@ -216,6 +205,20 @@ def files_beside(data: Path) -> dict[str, Path]:
     found = [*listed(data / "nocontact", "*"), *listed(data / "labels", "*.npz")]
     found += [data / "splits.csv", data / "truth" / "presses.csv", data / "truth" / "pictures.csv"]
     return {str(path.relative_to(data)): path for path in found if path.is_file()}
+
+
+def write_beside(of: Layout, found: Mapping[str, str]) -> None:
+    """Write the digests of what lies beside the log, in a file for each kind that others read."""
+    # that labels come or go changes what a dataset is made of, at any resolution
+    imported = {"labels": [name for name in found if name.startswith("labels/")]}
+    kinds: dict[str, dict] = {"nocontact": {}, "rows": imported}
+    for name, digest in found.items():
+        folder, stem = name.split("/")[0], Path(name).stem
+        kinds.setdefault("nocontact" if folder == "nocontact" else stem if folder == "labels" else "rows", {})[
+            name
+        ] = digest
+    for kind, digests_of_kind in kinds.items():
+        write_if_changed(of.beside(kind), canonical(digests_of_kind))
 
 
 def write_parameters(params: Params, workflow: Path, out: Path, tables: dict[str, dict], scenes: dict) -> None:
@@ -351,8 +354,9 @@ def main(args: Namespace) -> None:
     use_gels_of(workflow)
     dataset_toml = data / "dataset.toml"
     dataset = config.read_dataset_file(dataset_toml)
+    known = (record_of(metrics_of(of.plan())) or {}).get("inputs", {})
     # states are taken before files are read: a change in between is seen by the next make
-    states = states_of([*filter(None, [args.ccx]), *plan_files(data, workflow, dataset.catalogue)])
+    states = states_of([*filter(None, [args.ccx]), *plan_files(data, workflow, dataset.catalogue)], known)
     params = config.load_params(workflow, dataset_toml)
     if args.ccx is None or args.ccx.read_text(encoding="utf-8").strip() == "none":
         params = without_ccx(params, dataset_toml)
@@ -361,10 +365,11 @@ def main(args: Namespace) -> None:
     indenters = config.read_indenter_tables(workflow, data, dataset.catalogue)
     shapes = list(stl_files(config.read_toml(workflow / "indenters.toml"), workflow).values())
     scenes, models = read_tables(workflow), networks(workflow)
-    pictures = [f"{data}/{name}" for name in sorted(named(rows, "image")) if name]
+    pictures = inside(data, named(rows, "image"))
     bodies = used(indenters, named(rows, "indenter"))
-    read: list[Path | str] = [*stl_files(bodies, workflow).values(), *shapes, *gel_files(workflow), *pictures]
-    states |= states_of(read)
+    read: list[Path | str] = [*stl_files(bodies, workflow).values(), *shapes, *gel_files(workflow)]
+    read += [f"{data}/{name}" for name in sorted(named(rows, "image")) if name]
+    states |= states_of(read, known)
     check_dataset(dataset_toml, dataset, params, used(sensors, named(rows, "sensor_id")), sensors, indenters, models)
     seen_by = used(sensors, named(rows, "sensor_id") | {params.pareto.sensor})
     gels = own_shapes([params.meshes.gel, *gels_of(seen_by)])
@@ -382,16 +387,15 @@ def main(args: Namespace) -> None:
     }
     text = "".join(make_list(name, values) for name, values in lists.items())
     write_parameters(params, workflow, of.folder(PLAN), tables, scenes)
-    beside = digests(files_beside(data), of.folder(PLAN) / "digests_beside.json")
-    nocontact = {name: beside.pop(name) for name in list(beside) if name.startswith("nocontact/")}
-    write_if_changed(of.folder(PLAN) / "nocontact.json", canonical(nocontact))
-    write_if_changed(of.folder(PLAN) / "beside.json", canonical(beside))
+    write_beside(of, digests(states, files_beside(data)))
+    about = {"sensor": dataset.sensor, "gel": dataset.gel, "catalogue": dataset.catalogue}
+    write_if_changed(of.parameters("about"), canonical(about))
     shards = write_shards(
-        data, rows, of.folder(PLAN), params.plan.shard_size, {kind: tables[kind] for kind in COLUMN_OF}
+        of, rows, params.plan.shard_size, digests(states, pictures), {kind: tables[kind] for kind in COLUMN_OF}
     )
     check_count(shards, params.plan.shard_size)
     write_text(args.out, f"{make_list('SHARDS', shards)}{text}")
-    keep_states(of.plan_states, states)
+    write_json(metrics_of(of.plan()), {"inputs": states, "counts": {"rows": len(rows), "shards": len(shards)}})
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ The pose table holds the path of the tip against the gel; the commanded one stay
 import json
 import sys
 from argparse import Namespace
+from collections import Counter
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -282,13 +283,16 @@ def main(args: Namespace) -> None:
     rows = read_shard(of.shard(args.shard))
     tables["folder"] = of.workflow
     good, rejections = judge(rows, log, of.data, tables, params, of.surfaces)
-    planned = of.shard(args.shard).with_suffix(".json")
+    planned = of.pictures(args.shard)
     repeated = read_json(planned).get("repeated", {}) if params.images and planned.exists() else {}
     doubtful = repeated_pictures([sample for sample, _ in good], log, repeated)
     write_shard(good, rejections, args.out, params)
     for line in [*summarised(rejections), *summarised(doubtful, "note: kept, in one split with those like it")]:
         print(line, file=sys.stderr)
-    print(json.dumps({"good": len(good), "rejected": len(rows) - len(good)}))
+    reasons = {
+        r.row: f"{r.column}: {r.reason}" for r in rejections
+    }  # one that is wrong in several columns is one row
+    print(json.dumps({"done": len(good), "failed": Counter(reasons.values())}))
 
 
 if __name__ == "__main__":

@@ -8,15 +8,15 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from tqdm import tqdm
 
 from gelforge.flow.files import listed, read_csv, read_json, write_text
 from gelforge.flow.layout import PARETO, Layout
-from gelforge.flow.ledger import COST, costs_of, installed, last_runs, stages
 from gelforge.flow.main import option, stage
 from gelforge.flow.params.frozen import FROZEN, read_frozen
 from gelforge.flow.params.stages import ForCalibrate, ForEvaluate, ForForces, ForMeshes, ForReport, read_parameters
 from gelforge.flow.params.tables import SHIPPED
-from gelforge.flow.progress import progress
+from gelforge.flow.runs import COST, costs_of, installed, last_runs, stages
 from gelforge.geometry.gel import load_gel
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import load_sensors
@@ -390,7 +390,7 @@ def main(args: Namespace) -> None:
     known = about(results, of.data.name, resolution, model, of.params)
     limit = read_parameters(of.parameters("report"), ForReport).report.embed_mb * 1e6
     folder, embedded = place_parts(
-        args.out.parent, in_parts(progress(explorer.presses(), "presses", len(explorer.rows))), limit
+        args.out.parent, in_parts(tqdm(explorer.presses(), "presses", len(explorer.rows))), limit
     )
     data = explorer_data(explorer, known) | {"parts": {"size": PART, "beside": folder}}
     sections = sections_of(explorer, of.data, model, solved)

@@ -17,14 +17,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from tqdm import tqdm
 
 from gelforge.flow.files import bytes_of, write_csv
 from gelforge.flow.forecast import Cost, on_cores, pilots, table
 from gelforge.flow.main import command, option, positive
 from gelforge.flow.orphans import pool
 from gelforge.flow.params import overlaid, with_content
-from gelforge.flow.progress import progress
-from gelforge.flow.running import duration
+from gelforge.flow.runs import duration
 from gelforge.geometry.gel import load_gel, use_gels_of
 from gelforge.geometry.indenters import load_catalogue, read_catalogue
 from gelforge.labelling.sensor import Sensor, load_sensors
@@ -163,8 +163,8 @@ def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
     try:
         with _pool(min(jobs, max(len(unseen), len(todo))), plan, workflow, folder) as done_by_all:
             pictures = done_by_all(Worker.picture_nocontact, unseen)
-            deque(progress(pictures, "no-contact images", total=len(unseen)), maxlen=0)
-            presses = progress(done_by_all(Worker.carry_out, todo), "rig", total=len(todo))
+            deque(tqdm(pictures, "no-contact images", total=len(unseen)), maxlen=0)
+            presses = tqdm(done_by_all(Worker.carry_out, todo), "rig", total=len(todo))
             for (of_press, solved), rows in zip(todo, presses, strict=True):
                 if solved:
                     drawn += len(of_press)

@@ -10,14 +10,13 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from tqdm import tqdm
 
 from gelforge.errors import BadInput
-from gelforge.flow.cache import digest_of_value
-from gelforge.flow.files import publish, read_json, write_csv, write_json
+from gelforge.flow.files import digest_of_value, publish, read_json, write_csv, write_json
 from gelforge.flow.layout import Layout, beside
 from gelforge.flow.main import group, stage
 from gelforge.flow.params.stages import ForStability, read_parameters
-from gelforge.flow.progress import progress
 from gelforge.mechanics.ccx.program import need_ccx
 from gelforge.records.status import VALID
 from gelforge.sweeps.cases import FACTORS, FINEST, SERIES, Case, factor_of, row_cases
@@ -77,7 +76,7 @@ def solve_row(row: str, params: ForStability, meshes: Path, folder: Path) -> lis
     """Records of a row, those beyond its time marked NOT_RUN; a rerun resumes at them."""
     end = time.monotonic() + 60.0 * params.stability.minutes
     records = []
-    for case in progress(row_cases(params.stability, row), f"stability {row}"):
+    for case in tqdm(row_cases(params.stability, row), f"stability {row}"):
         if time.monotonic() > end and kept(*case_file(case, params, folder), params.stability.limit_s) is None:
             reason = "the row's time was over; raise [stability] minutes, it resumes here"
             records.append({"case": case.describe(), "status": NOT_RUN, "reason": reason})

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.cache import digest_of_value
-from gelforge.flow.files import digest_of, read_csv, read_json, write_csv, write_json
+from gelforge.flow.files import digest_of, digest_of_value, read_csv, read_json, write_csv, write_json
 from gelforge.flow.params import plain
 from gelforge.flow.params.tables import ReferenceTable
 from gelforge.labelling.sensor import Sensor

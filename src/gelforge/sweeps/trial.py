@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.cache import digest_of_value, record_of
-from gelforge.flow.files import write_json
+from gelforge.flow.files import digest_of_value, record_of, write_json
 from gelforge.flow.params import plain
 from gelforge.flow.params.stages import ForPareto, ForStability
 from gelforge.flow.params.tables import CHOOSING

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.cache import record_of
-from gelforge.flow.files import listed, write_json
+from gelforge.flow.files import listed, record_of, write_json
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import assemble
 from gelforge.labelling.sensor import Sensor

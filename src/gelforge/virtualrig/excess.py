@@ -14,8 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import SolveFailed
-from gelforge.flow.cache import canonical, kept
-from gelforge.flow.files import read_json, write_json
+from gelforge.flow.files import canonical, kept, read_json, write_json
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.solids import Indenter, surface_digest
 from gelforge.mechanics.hexsettings import HexSettings, quality

@@ -7,8 +7,7 @@ import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
 from gelforge.errors import BadInput
-from gelforge.flow.cache import DAMAGED
-from gelforge.flow.files import publish
+from gelforge.flow.files import DAMAGED, publish
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.solids import Indenter
 from gelforge.mechanics.mesh.gelmesh import GelMesh

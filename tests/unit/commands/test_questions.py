@@ -49,7 +49,9 @@ def test_provenance_names_only_what_made_the_sample(tmp_path):
     ]  # fmt: skip
     assert found["steps"][0]["parameters"] == {"poses": {"version": 1}, "indenters": {"ball": {"radius": 3}}}
     text = "\n".join(lines(found, results))
-    assert "this sample: OK, hex on mesh hex@a, 3.2 s, 77 MiB" in text and "0002" not in text and "s00123.npz" in text
+    assert (
+        "this sample: OK, label on mesh hex@a, 3.2 s, 77 MiB" in text and "0002" not in text and "s00123.npz" in text
+    )
     assert text.count("    by numpy 2.4.6") == 4
     json.dumps(found)
 

@@ -6,20 +6,13 @@ from pathlib import Path
 import pytest
 
 from gelforge.errors import BadInput
-from gelforge.flow.layout import FOLDERS, STAGES, Layout, command_for, dataset_folder
+from gelforge.flow.layout import FOLDERS, Layout, command_for, dataset_folder
 
 
 def test_every_folder_that_make_spells_is_one_of_the_layout(root):
     texts = [path.read_text(encoding="utf-8") for path in (*root.glob("rules/*.mk"), root / "Makefile")]
     found = {name for text in texts for name in re.findall(r"\$D/([A-Za-z0-9_-]+)", text)}
     assert len(found) > 10 and found <= set(FOLDERS)
-    cleaned = re.search(r"STAGES := ((?:.*\\\n)*.*)", (root / "rules/work.mk").read_text(encoding="utf-8"))
-    assert cleaned and {word.split(":")[1] for word in cleaned[1].replace("\\", "").split()} <= set(STAGES)
-
-
-def test_rules_are_named_after_their_stages(root):
-    rules = {path.stem for path in root.glob("rules/*.mk")}
-    assert {name for name in STAGES if name in rules or name[0].isdigit()} <= rules
 
 
 def test_make_knows_every_file_of_rules(root):

@@ -8,7 +8,7 @@ from typing import Any, Literal, get_args, get_origin
 import pytest
 
 from gelforge.errors import BadInput
-from gelforge.flow.cache import canonical
+from gelforge.flow.files import canonical
 from gelforge.flow.params import (
     SOURCES,
     laid_over,

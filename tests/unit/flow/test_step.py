@@ -3,18 +3,19 @@
 import errno
 import json
 import os
-import pty
-import select
+import re
 import shlex
 import signal
 import subprocess
 import sys
+import time
 from importlib.metadata import version
 
 import pytest
 
-from gelforge.flow.layout import mirror
-from gelforge.flow.ledger import last_runs
+from gelforge.flow.files import write_text
+from gelforge.flow.layout import Layout, mirror
+from gelforge.flow.runs import changes, last_runs
 from tests.support.limited import limited
 from tests.support.no_locks import without_locks
 from tests.support.waiting import HANG, heed_interrupts, wait_until
@@ -22,14 +23,13 @@ from tests.support.waiting import HANG, heed_interrupts, wait_until
 FOR_EVER = f"exec sleep {2 * HANG:g}"  # what is waited for to be ended must not end by itself meanwhile
 
 
-def start(target, *command, reads=(), every=None):
-    options = ["--every", str(every)] if every else []
-    wrapper = [sys.executable, "-m", "gelforge.flow.step", *options, str(target), *map(str, reads), "--", *command]
+def start(target, *command, reads=()):
+    wrapper = [sys.executable, "-m", "gelforge.flow.step", str(target), *map(str, reads), "--", *command]
     return subprocess.Popen(wrapper, stdout=subprocess.PIPE, text=True)
 
 
-def wrapped(target, *command):
-    child = start(target, *command)
+def wrapped(target, *command, reads=()):
+    child = start(target, *command, reads=reads)
     said = child.communicate(timeout=HANG)[0]
     return child.returncode, said
 
@@ -138,7 +138,10 @@ def test_a_record_names_its_target_and_what_that_was_made_of(tmp_path):
     source.touch()
     assert start(target, "cp", str(source), f"{target}.part", reads=[source]).wait(HANG) == 0
     (run,) = last_runs(tmp_path / "results/d")
-    assert (run.target, run.inputs) == (str(target), [str(source)])
+    assert (run.target, list(run.record["inputs"])) == (str(target), [str(source)])
+    assert changes(target) == []
+    source.write_text("changed")
+    assert changes(target) == [str(source)]
 
 
 def test_nothing_is_made_of_an_input_that_is_not_as_it_was_made(tmp_path):
@@ -212,72 +215,130 @@ def test_a_file_system_without_locks_is_named_and_nothing_is_made(tmp_path):
     assert not target.exists() and not target.with_name("0000.csv.part").exists()
 
 
-@pytest.fixture
-def typed_to():
-    """A terminal as a person's: the name of its device, and the end where what is written to it comes out."""
-    master, slave = pty.openpty()
-    yield os.ttyname(slave), master
-    os.close(master)
-    os.close(slave)
+def test_a_finished_shard_says_how_far_the_run_is_and_the_time_left(tmp_path, monkeypatch):
+    """Of the shards that this run must make: those that are there and as new as their rows are none."""
+    of = Layout(tmp_path / "results/d")
+    for name in ("0000", "0001", "0002", "0003"):
+        write_text(of.shard(name), "")
+        write_text(of.poses(name), "")
+    write_text(of.fea("0003"), "made")
+    monkeypatch.setenv("GELFORGE_RUN", "one")
+
+    def said(target):
+        return wrapped(target, "bash", "-c", f"echo made > {target}.part")[1].rstrip()
+
+    assert re.search(r" MiB  \[1 of 3, \d+ s left\]$", said(of.fea("0000")))
+    assert said(of.forces("0000")).split("  ")[-1].startswith("[1 of 4, ")  # of another stage, beside it
+    assert re.search(r" MiB  \[2 of 3, \d+ s left\]$", said(of.fea("0001")))
+    monkeypatch.setenv("GELFORGE_RUN", "two")
+    assert said(of.fea("0002")).endswith("  [1 of 1]")
+    write_text(of.parameters("fea"), "changed")
+    monkeypatch.setenv("GELFORGE_RUN", "three")
+    of.fea("0002").unlink()
+    assert said(of.fea("0002")).split("  ")[-1].startswith("[1 of 4, ")
+    assert said(of.card("24x32", "pair_8")).endswith("MiB")  # of which no shards are made
 
 
-def test_a_terminal_shows_one_line_that_goes_away(tmp_path, typed_to):
-    device, master = typed_to
-    target, mark = tmp_path / "results/d/30_fea/0000.csv", tmp_path / "seen"
-    waits = f"echo press s7; while ! test -e {mark}; do sleep 0.1; done; echo made > {target}.part"
-    child = subprocess.Popen(
-        [sys.executable, "-m", "gelforge.flow.step", "--every", "0.1", str(target), "--", "bash", "-c", waits],
-        stdout=subprocess.PIPE, text=True,
-        env=os.environ | {"MAKE_TERMERR": device, "COLUMNS": "200"},
-    )  # fmt: skip
-    shown = b""
-    while b"press s7" not in shown and select.select([master], [], [], HANG)[0]:
-        shown += os.read(master, 1000)
-    mark.touch()
-    said = child.communicate(timeout=HANG)[0]
-    assert b"now: 30_fea/0000 | press s7" in shown and shown.startswith(b"\r\033[K")
-    assert "[" not in said.removeprefix(str(tmp_path))  # how far the run has come stands in the line alone
-    assert os.read(master, 1000).endswith(b"\r\033[K")
+def test_what_a_command_counts_last_stands_in_its_record(tmp_path):
+    target = tmp_path / "results/d/30_fea/0000.csv"
+    text = """echo '{"done": 1}'; echo 'failed: b'; echo '{"done": 7, "failed": {"DIVERGED: too deep": 1}}'"""
+    assert wrapped(target, "bash", "-c", f"{text}; echo made > {target}.part")[0] == 0
+    (run,) = last_runs(tmp_path / "results/d")
+    assert (run.done, run.lost) == (7, {"DIVERGED: too deep": 1})
 
 
-def test_without_a_terminal_each_finished_file_says_how_far_the_run_has_come(tmp_path):
-    target, shards = tmp_path / "results/d/30_fea/0000.csv", tmp_path / "results/d/00_plan/shards"
-    shards.mkdir(parents=True)
-    for name in ("0000.csv", "0001.csv"):
-        (shards / name).touch()
-    said = wrapped(target, "bash", "-c", f"echo made > {target}.part")[1]
-    assert said.rstrip().endswith("[30_fea: 1 of 2 shards]")
-    target = tmp_path / "results/d/80_evaluate/24x32/pair_8.card.md"  # of which no shards are made
-    assert wrapped(target, "bash", "-c", f"echo made > {target}.part")[1].rstrip().endswith("MiB")
+SPENT = """
+import multiprocessing, sys, time
+def spend():
+    until = time.process_time() + 0.5
+    while time.process_time() < until:
+        pass
+if __name__ == "__main__":
+    context = multiprocessing.get_context(sys.argv[1])
+    child = context.Process(target=spend)
+    child.start()
+    child.join()
+    open(sys.argv[2], "w").close()
+"""
 
 
-def test_without_a_terminal_one_of_the_steps_at_work_speaks_in_turn(tmp_path):
-    """How far the run is, what runs, and the last line of its log; a make that waits for another one does as well."""
-    folder, shards = tmp_path / "results/d/30_fea", tmp_path / "results/d/00_plan/shards"
-    shards.mkdir(parents=True)
+@pytest.mark.parametrize("way", ["fork", "spawn", "forkserver"])
+def test_the_cost_of_a_target_is_that_of_all_its_processes(tmp_path, way):
+    """Also of those that another one forked, which outlives the command."""
+    target, script = tmp_path / "results/d/pareto/pareto.json", tmp_path / "spent.py"
+    script.write_text(SPENT)
+    assert wrapped(target, sys.executable, str(script), way, f"{target}.part")[0] == 0
+    assert 0.5 <= last_runs(tmp_path / "results/d")[0].record["cpu_seconds"] < 5.0
 
-    def working(name: str) -> subprocess.Popen:
-        (shards / f"{name}.csv").touch()
-        target = folder / f"{name}.csv"
-        text = f"echo press s{name}; while ! test -e {tmp_path}/{name}; do sleep 0.1; done; echo made > {target}.part"
-        return start(target, "bash", "-c", text, every=0.1)
 
-    def said(step: subprocess.Popen, text: str) -> None:
-        while text not in (line := step.stdout.readline()):
-            assert line, f"it ended without {text}"
+# -- the cut-off
 
-    first = working("0000")
-    said(first, " s so far  [30_fea: 0 of 1 shards; now: 30_fea/0000 | press s0000]")
-    second, waiting = working("0001"), working("0000")
-    said(waiting, "another make is at it; waiting")
-    said(first, " s so far  [30_fea: 0 of 2 shards; now: 30_fea/0000, 30_fea/0001 | press s0000]")
-    assert not select.select([second.stdout], [], [], 0.5)[0]
-    (tmp_path / "0000").touch()
-    assert first.wait(HANG) == waiting.wait(HANG) == 0
-    said(first, " MiB  [30_fea: 1 of 2 shards")
-    said(second, " s so far  [30_fea: 1 of 2 shards; now: 30_fea/0001 | press s0001]")
-    (tmp_path / "0001").touch()
-    assert second.wait(HANG) == 0
+
+def counting(target, source, count) -> tuple:
+    """A command that copies its input, and says that it ran."""
+    return ("bash", "-c", f"echo ran >> '{count}'; cp '{source}' '{target}.part'")
+
+
+def test_nothing_runs_where_command_and_contents_are_those_of_the_record(tmp_path):
+    """Whatever the dates: the target is then newer than all that it was made of."""
+    target, source, count = tmp_path / "results/d/60_dataset/x.csv", tmp_path / "source", tmp_path / "count"
+    source.write_text("old\n")
+    command = counting(target, source, count)
+
+    def ran(*command, reads=(source,)) -> bool:
+        before = count.read_text() if count.exists() else ""
+        assert wrapped(target, *command, reads=reads)[0] == 0
+        assert all(target.stat().st_mtime_ns >= path.stat().st_mtime_ns for path in reads if path.exists())
+        return count.read_text() != before
+
+    assert ran(*command)
+    assert not ran(*command)
+    for change in (
+        source.touch, lambda: os.utime(target, (1e9, 1e9)), lambda: os.utime(source, (time.time() + 9e4,) * 2),
+        lambda: (source.unlink(), source.write_text("old\n")),
+    ):  # fmt: skip
+        change()
+        assert not ran(*command)
+    for change in (
+        lambda: source.write_text("new\n"), lambda: (source.write_text("old\n"), os.utime(source, (1e9, 1e9))),
+        target.unlink, lambda: target.write_text("edited\n"), mirror(target, "metrics", ".json").unlink,
+    ):  # fmt: skip
+        change()
+        assert ran(*command) and not ran(*command)
+    other = tmp_path / "other"
+    other.write_text("")
+    assert ran(*command, reads=(source, other)) and ran(*command, reads=(source,))
+    assert ran("bash", "-c", f"{command[2]}; true") and ran(*command)
+    other.unlink()
+    assert ran(*command, reads=(source, other)) and not ran(*command, reads=(source, other))  # what may come to be
+    other.write_text("came\n")
+    assert ran(*command, reads=(source, other))
+
+
+def test_a_failed_run_is_repeated_though_nothing_changed(tmp_path):
+    target, source, count = tmp_path / "results/d/30_fea/0000.csv", tmp_path / "source", tmp_path / "count"
+    source.write_text("old\n")
+    command = counting(target, source, count)
+    assert wrapped(target, *command, reads=[source])[0] == 0
+    source.write_text("new\n")
+    assert wrapped(target, "bash", "-c", "exit 3", reads=[source])[0] == 3
+    assert wrapped(target, *command, reads=[source])[0] == 0 and target.read_text() == "new\n"
+
+
+def test_of_any_number_of_inputs_each_stands_in_the_record(tmp_path):
+    """More than a command line holds go by a list."""
+    target, count = tmp_path / "results/d/50_labels/24x32/labels.json", tmp_path / "count"
+    reads = [tmp_path / f"{k:04d}" for k in range(3000)]
+    for path in reads:
+        path.write_text(path.name)
+    (tmp_path / "list").write_text("\n".join(map(str, reads)))
+    command = counting(target, reads[0], count)
+    assert wrapped(target, *command, reads=[f"@{tmp_path}/list"])[0] == 0
+    assert list(last_runs(tmp_path / "results/d")[0].record["inputs"]) == list(map(str, reads))
+    reads[2999].write_text("changed")
+    for _ in range(2):
+        assert wrapped(target, *command, reads=[f"@{tmp_path}/list"])[0] == 0
+    assert count.read_text() == "ran\nran\n"
 
 
 def test_an_interrupt_while_another_make_is_waited_for_is_no_traceback(tmp_path):

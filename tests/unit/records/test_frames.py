@@ -8,6 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gelforge.flow.files import read_csv, write_csv
+from gelforge.flow.layout import Layout
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.material import Material
@@ -181,8 +182,9 @@ def test_the_plan_keeps_frames_together(tmp_path):
     ids = ["a", "b", "a", "c", "a", "b"]
     lines = [log_line(WITH_ID, sample_id=f"s{k}", press_id=press) for k, press in enumerate(ids)]
     path = write_lines(tmp_path / "log.csv", *lines, columns=WITH_ID)
-    names = write_shards(tmp_path, log.read_log(path), tmp_path, 2)
-    held = [{row.cells["press_id"] for row in log.read_shard(tmp_path / f"shards/{name}.csv")} for name in names]
+    of = Layout(tmp_path)
+    names = write_shards(of, log.read_log(path), 2, {})
+    held = [{row.cells["press_id"] for row in log.read_shard(of.shard(name))} for name in names]
     assert sum(map(len, held)) == 3
 
 

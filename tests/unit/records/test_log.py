@@ -11,6 +11,7 @@ from PIL import Image
 
 from gelforge.calibration.readings import read_readings
 from gelforge.errors import GelforgeError, printable
+from gelforge.flow.layout import Layout
 from gelforge.records import log
 from gelforge.records.image import bad_image, read_image
 from gelforge.records.press import COLUMNS, RawRow
@@ -216,9 +217,9 @@ def test_a_row_that_is_wrong_keeps_out_itself_alone(tmp_path):
         path = write_lines(tmp_path / "log.csv", log_line(sample_id="a"), wrong, log_line(sample_id="c"))
         good, found = judged(path)
         assert good == ["a", "c"] and [row for row, _ in found] == [3], name
-        write_shards(tmp_path, log.read_log(path), tmp_path / name, 8)
+        write_shards(Layout(tmp_path / name), log.read_log(path), 8, {})
     assert "an earlier row has the same sample_id" in found[0][1]
-    faults = [log.read_shard(tmp_path / name / "shards/0000.csv")[1].fault for name in [*rows][1:3]]
+    faults = [log.read_shard(Layout(tmp_path / name).shard("0000"))[1].fault for name in [*rows][1:3]]
     assert faults == ["long_cell", "second_header"]
 
 
@@ -227,8 +228,8 @@ def test_every_reader_of_a_log_counts_its_lines(tmp_path):
     lines = [log_line(sample_id="s1", fz_n=-1), "", log_line(sample_id="s2", fz_n=-2, dz_mm="deep"),
              log_line(sample_id="s3", fz_n=-3)]  # fmt: skip
     path = write_lines(tmp_path / "log.csv", *lines)
-    write_shards(tmp_path, log.read_log(path), tmp_path / "plan", 8)
-    rows = log.read_shard(tmp_path / "plan/shards/0000.csv")
+    write_shards(Layout(tmp_path / "plan"), log.read_log(path), 8, {})
+    rows = log.read_shard(Layout(tmp_path / "plan").shard("0000"))
     assert [(row.row, row.cells["sample_id"]) for row in rows] == [(2, "s1"), (4, "s2"), (5, "s3")]
     wrong = [r for row in rows for r in parse_row(row, "log.csv")[1]]
     assert [(r.row, r.sample_id) for r in wrong] == [(4, "s2")]
@@ -244,8 +245,8 @@ def test_columns_of_other_names_are_not_read(tmp_path):
     """One is called as a column of the shards' own files, two have no name at all."""
     columns = ("row", *COLUMNS, "fault", "", "")
     path = write_lines(tmp_path / "log.csv", ",".join(["seven", log_line(), "none", "", ""]), columns=columns)
-    write_shards(tmp_path, log.read_log(path), tmp_path / "plan", 8)
-    row = log.read_shard(tmp_path / "plan/shards/0000.csv")[0]
+    write_shards(Layout(tmp_path / "plan"), log.read_log(path), 8, {})
+    row = log.read_shard(Layout(tmp_path / "plan").shard("0000"))[0]
     assert (row.row, row.fault) == (2, "") and parse_row(row, "log.csv")[0] is not None
 
 

@@ -10,7 +10,7 @@ from importlib.metadata import version
 import numpy as np
 
 from gelforge.flow.files import write_json
-from gelforge.flow.ledger import costs_of, last_runs, stages
+from gelforge.flow.runs import costs_of, last_runs, stages
 from gelforge.geometry.gel import USUAL_GEL, load_gel
 from gelforge.mechanics.mesh.hexmesh import FineBox
 from gelforge.mechanics.mesh.hexname import HexMeshName

@@ -1,6 +1,5 @@
 """Shards: every sample has one, keeps it, and appending changes the last one only."""
 
-import json
 import shutil
 import tomllib
 from pathlib import Path
@@ -13,12 +12,12 @@ from gelforge.commands.sample import find_rows
 from gelforge.errors import BadInput
 from gelforge.evidence.settings import check_pictures
 from gelforge.flow import params as config
-from gelforge.flow.files import read_csv, write_if_changed
-from gelforge.flow.layout import PLAN, Layout
+from gelforge.flow.files import read_csv, read_json, states_of, write_if_changed
+from gelforge.flow.layout import Layout
 from gelforge.geometry.gel import GELS
 from gelforge.records.log import read_shard
 from gelforge.stages import plan
-from gelforge.stages.plan import assign_shards, image_digests, logged_rows, networks, write_shards
+from gelforge.stages.plan import assign_shards, digests, inside, logged_rows, networks, write_shards
 from tests.support.parameters import parameters, place_workflow
 
 NAMES = st.lists(st.integers(0, 200).map(str), unique=True, max_size=60)
@@ -45,8 +44,9 @@ def sharded(folder, ids):
     """Plan a log of these samples in shards of four; names of the shards, and the time of each one's file."""
     log = folder / "log.csv"
     log.write_text("sample_id,x0_mm\n" + "".join(f"{i},0.5\n" for i in ids), encoding="utf-8")
-    names = write_shards(folder, logged_rows(log, None), folder, 4)
-    return names, {path.name: path.stat().st_mtime_ns for path in (folder / "shards").glob("*.csv")}
+    of = Layout(folder)
+    names = write_shards(of, logged_rows(log, None), 4, {})
+    return names, {path.name: path.stat().st_mtime_ns for path in of.shards.glob("*.csv")}
 
 
 def test_appending_rewrites_only_the_last_shard(tmp_path):
@@ -58,11 +58,11 @@ def test_appending_rewrites_only_the_last_shard(tmp_path):
 
 def test_rows_that_go_leave_no_shard_behind_and_find_theirs_again(tmp_path):
     """What was solved of them is still there: a log cut off for one make costs no solve."""
-    shards = tmp_path / "shards"
+    shards = Layout(tmp_path).shards
     assert sharded(tmp_path, range(10))[0] == ["0000", "0001", "0002"]
     before = {path.name: path.read_text() for path in shards.glob("*.csv")}
     assert sharded(tmp_path, range(4))[0] == ["0000"] and [path.name for path in shards.glob("*.csv")] == ["0000.csv"]
-    assert [row["logged"] for row in read_csv(tmp_path / "shards.csv")] == ["1"] * 4 + ["0"] * 6
+    assert [row["logged"] for row in read_csv(Layout(tmp_path).shard_table)] == ["1"] * 4 + ["0"] * 6
     assert sharded(tmp_path, range(10))[0] == ["0000", "0001", "0002"]
     assert {path.name: path.read_text() for path in shards.glob("*.csv")} == before
 
@@ -70,7 +70,7 @@ def test_rows_that_go_leave_no_shard_behind_and_find_theirs_again(tmp_path):
 def test_a_corrupt_table_of_shards_is_refused_in_a_sentence(tmp_path):
     """Without it samples may come into other shards, and be solved again: nobody but a person may say so."""
     sharded(tmp_path, range(5))
-    table = tmp_path / "shards.csv"
+    table = Layout(tmp_path).shard_table
     whole = table.read_text()
     for text in (whole[:-5], "", whole.replace("shard", "sherd")):
         table.write_text(text)
@@ -82,25 +82,16 @@ def test_a_row_without_a_name_is_planned_again_and_again(tmp_path):
     """Stage 10 rejects it and names the cell; what the plan wrote of it the next plan reads."""
     for _ in range(2):
         assert sharded(tmp_path, ["a", "", "b"])[0] == ["0000"]
-    assert [row.cells["sample_id"] for row in read_shard(tmp_path / "shards/0000.csv")] == ["a", "", "b"]
+    assert [row.cells["sample_id"] for row in read_shard(Layout(tmp_path).shard("0000"))] == ["a", "", "b"]
 
 
 def test_a_frame_alone_goes_through_the_stages_with_its_whole_press(tmp_path):
     """Frames of a press are solved together: alone, one would get other forces than in its dataset."""
-    log, plan = tmp_path / "log.csv", Layout(tmp_path).folder(PLAN)
+    log = tmp_path / "log.csv"
     log.write_text("sample_id,press_id\na,film\nb,\nc,film\nd,\ne,film\n", encoding="utf-8")
-    write_shards(tmp_path, logged_rows(log, None), plan, 4)
+    write_shards(Layout(tmp_path), logged_rows(log, None), 4, {})
     reported = {name: [row.cells["sample_id"] for row in find_rows(tmp_path, name)] for name in "abcde"}
     assert reported == {**dict.fromkeys("ace", ["a", "c", "e"]), "b": ["b"], "d": ["d"]}
-
-
-def test_corrupt_digests_of_pictures_are_made_anew(tmp_path):
-    (tmp_path / "a.png").write_bytes(b"picture")
-    found = image_digests(tmp_path, {"a.png"}, tmp_path / "pictures.json")
-    whole = (tmp_path / "pictures.json").read_text()
-    (tmp_path / "pictures.json").write_text(whole[:9])
-    assert image_digests(tmp_path, {"a.png"}, tmp_path / "pictures.json") == found
-    assert (tmp_path / "pictures.json").read_text() == whole
 
 
 def test_a_network_that_make_would_miss_is_refused(tmp_path):
@@ -119,7 +110,7 @@ def test_a_log_that_cannot_be_sharded_is_refused(tmp_path):
     ):  # fmt: skip
         log.write_bytes(content)
         with pytest.raises(BadInput, match=named):
-            write_shards(log.parent, logged_rows(log, None), tmp_path, 4)
+            write_shards(Layout(tmp_path), logged_rows(log, None), 4, {})
 
 
 def test_a_misspelt_override_is_refused(tmp_path, root):
@@ -152,7 +143,7 @@ def planned(lab, text, sensor="mini_a", ccx="none"):
 
 def test_images_of_a_linked_folder_count_and_a_path_that_leads_out_does_not(tmp_path):
     """A folder of images on another disk, as data/X itself may be one."""
-    data, kept = tmp_path / "data", tmp_path / "pictures.json"
+    data = tmp_path / "data"
     (tmp_path / "elsewhere/more").mkdir(parents=True)
     data.mkdir()
     for name in ("a.png", "more/b.png", "c.png"):
@@ -161,10 +152,10 @@ def test_images_of_a_linked_folder_count_and_a_path_that_leads_out_does_not(tmp_
     (data / "c.png").symlink_to(tmp_path / "elsewhere/c.png")
     good = {"images/a.png", "images/more/b.png"}
     names = good | {"../elsewhere/a.png", "images/../../elsewhere/a.png", str(tmp_path / "elsewhere/a.png"), "c.png"}
-    assert plan.image_digests(data, names, kept).keys() == good
+    assert inside(data, names).keys() == good
     (data / "c.png").unlink()
     (data / "c.png").write_bytes(b"a copy")
-    assert plan.image_digests(data, names, kept).keys() == good | {"c.png"}
+    assert inside(data, names).keys() == good | {"c.png"}
 
 
 @pytest.mark.parametrize("name", ["mini_a.jpg", "mini_a.PNG", "mini_a.tiff"])
@@ -315,10 +306,8 @@ def test_presses_that_show_one_picture_are_planned_as_such(tmp_path):
             "s7,,a.png"]  # fmt: skip
     log = tmp_path / "log.csv"
     log.write_text("\n".join([columns, *rows]) + "\n")
-    write_shards(tmp_path, logged_rows(log, None), tmp_path, 3)
-    found = {
-        name: json.loads((tmp_path / f"shards/{name}.json").read_text()).get("repeated")
-        for name in ("0000", "0001", "0002")
-    }
-    assert found["0000"] == {"2": "row 4, s2,", "4": "row 2, s0,"} and found["0001"] is None
+    of, named = Layout(tmp_path), {name: tmp_path / name for name in pictures}
+    write_shards(of, logged_rows(log, None), 3, digests(states_of(named.values(), {}), named))
+    found = {name: read_json(of.pictures(name))["repeated"] for name in ("0000", "0001", "0002")}
+    assert found["0000"] == {"2": "row 4, s2,", "4": "row 2, s0,"} and found["0001"] == {}
     assert found["0002"] == {"9": "row 2, s0,"}

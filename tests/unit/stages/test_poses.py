@@ -344,7 +344,7 @@ def test_a_log_with_its_forces_turned_round_says_so_once_with_the_likely_cause(l
 def test_presses_that_show_one_picture_are_named_and_kept(lab, tmp_path, capsys):
     rows = [sample("a"), sample("b", image="images/b.png", y0_mm=1.0), sample("c", y0_mm=2.0)]
     cv2.imwrite(str(lab.of.data / "images/b.png"), np.full((240, 320, 3), 91, np.uint8))
-    write_json(lab.of.shards / "0000.json", {"repeated": {"2": "row 4, c,", "4": "row 2, a,"}})
+    write_json(lab.of.pictures("0000"), {"repeated": {"2": "row 4, c,", "4": "row 2, a,"}})
     good, rejected, _ = lab(rows)
     said = capsys.readouterr().err
     assert [row["sample_id"] for row in good] == ["a", "b", "c"] and rejected == []

@@ -8,8 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.cache import DAMAGED
-from gelforge.flow.files import publish
+from gelforge.flow.files import DAMAGED, publish
 from gelforge.mechanics.mesh.stepped import Cells, Hanging
 
 

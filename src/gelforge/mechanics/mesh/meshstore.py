@@ -8,8 +8,7 @@ import shutil
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from gelforge.flow.cache import alone, digest_of_value
-from gelforge.flow.files import listed, publish, read_json, write_json
+from gelforge.flow.files import alone, digest_of_value, listed, publish, read_json, write_json
 from gelforge.flow.params.stages import ForMeshes, read_parameters
 from gelforge.flow.params.tables import MeshesTable
 from gelforge.geometry.gel import Gel, gel_shape, load_gel

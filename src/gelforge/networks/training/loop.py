@@ -17,11 +17,11 @@ import numpy as np
 import torch
 from torch.nn import functional as F
 from torch.optim.swa_utils import AveragedModel
+from tqdm import tqdm
 
 from gelforge.errors import BadInput, GelforgeError
 from gelforge.flow.files import publish
 from gelforge.flow.params.tables import TrainingTable
-from gelforge.flow.progress import progress
 from gelforge.networks.data.arrays import Data
 from gelforge.networks.data.loader import batches_from, epoch_steps, generator, images_to_tensor, prefetched
 from gelforge.networks.models.inputs import network_input
@@ -313,7 +313,7 @@ def fit(training: Training, data, checkpoint=None, identity: str = "", epochs: i
     planned, saved = training.settings.epochs, time.monotonic()
     last = planned if epochs is None else epochs
     with closing(training_epochs(training, data)) as rows:
-        for number in progress(range(len(training.curve), last), f"epochs of {planned}"):
+        for number in tqdm(range(len(training.curve), last), f"epochs of {planned}"):
             row = next(rows)
             if number % max(1, planned // 20) == 0 or number == planned - 1:
                 errors = ", ".join(f"{name} {row[f'val_{name}']:.3f}" for name in CHANNELS)

@@ -1,14 +1,35 @@
-# Set-up: a virtual environment from exact versions, and CalculiX.
+# Set-up: a virtual environment from exact versions, and CalculiX. What people chose is judged before any of it is read.
 PY := .venv/bin/python
+
+# flow/refuse.py reads the command line of this make, refuses what it cannot do, and answers in words: NAME=WORD of each choice, and
+# `plan` where a dataset is asked for. After it no text that a person gave needs to be quoted but for blanks.
+ANSWER := $(shell exec env PYTHONPATH=src $(if $(wildcard $(PY)),$(PY) -S -P,python3 -S -P) -m gelforge.flow.refuse)
+$(if $(filter-out 0,$(.SHELLSTATUS)),$(error $(or $(ANSWER),Python 3.11 or newer is needed as python3)))
+answered = $(patsubst $1=%,%,$(filter $1=%,$(ANSWER)))
+
+# What a user may set: make DATASET=mylab RES="24x32 48x64" labels. Training, evaluation and report take the first resolution.
+DATASET := $(call answered,DATASET)
+RES := $(call answered,RES)
+RES1 := $(firstword $(RES))
+EXECUTOR := $(call answered,EXECUTOR)
+JOBS := $(call answered,JOBS)
+
 # The code of this checkout, whichever one the environment was made in.
 export PYTHONPATH := $(CURDIR)/src
 # A file of this folder that is named like a module of Python's own, such as types.py, does not take its place.
 export PYTHONSAFEPATH := 1
 # Tests are imported from this folder.
 PY_HERE := PYTHONSAFEPATH= $(PY)
-# Gels of one's own, for all processes of this make.
+# Gels of one's own, for all processes of this make; and which make a finished target belongs to.
 export GELFORGE_GELS := $(CURDIR)/workflow/gels.toml
+export GELFORGE_RUN := $(call answered,RUN)
+# One solver thread per job: make's slots are the parallelism.
+export OMP_NUM_THREADS ?= 1
+export MKL_NUM_THREADS ?= 1
+export OPENBLAS_NUM_THREADS ?= 1
+
 SETUP := .venv/ready
+CCX_FOUND := .venv/ccx.path
 # A linked environment is another checkout's: it is used as it is, and nothing here makes it out of date.
 VENV_IS_LINK := $(filter-out $(CURDIR)/.venv,$(realpath .venv))
 # An environment knows the place it was made in: in a clone that was moved or copied its programs start elsewhere.
@@ -18,23 +39,6 @@ ifneq ($(or $(VENV_HOME),$(CURDIR)/.venv),$(CURDIR)/.venv)
 $(error .venv was made for $(VENV_HOME), not for this folder: it was moved or copied. \
     Run `rm -rf .venv && make setup`)
 endif
-CCX_FOUND := .venv/ccx.path
-
-# One solver thread per job: make's slots are the parallelism.
-export OMP_NUM_THREADS ?= 1
-export MKL_NUM_THREADS ?= 1
-export OPENBLAS_NUM_THREADS ?= 1
-
-# Jobs default to the cores of the machine; -jN on the command line wins. A make below this one shares its slots.
-ifeq ($(value HAS_SLOTS)$(filter -j%,$(MAKEFLAGS)),)
-MAKEFLAGS += -j$(JOBS)
-endif
-# Jobs of a program that runs several at a time by itself. Known when a recipe is expanded, not before.
-SLOTS = $(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),$(JOBS))
-# What of -n, -q and -t make was given, under which nothing is done.
-ONLY_SHOWN = $(strip $(foreach f,n q t,$(findstring $f,$(firstword -$(MAKEFLAGS)))))
-# Before the recipe of such a program: it then takes slots that are free (flow/slots.py).
-HANDS_SLOTS = $(if $(ONLY_SHOWN),,+)
 
 setup: $(SETUP) $(CCX_FOUND)  ## virtual environment and CalculiX, inside the project; only system packages go outside
 

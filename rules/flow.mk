@@ -1,0 +1,106 @@
+# The stages. A rule names every file that its stage reads, for what it names stands in the record of its target.
+
+# 10: checks each row of the log, puts each indenter's surface where the CNC did.
+POSES := $(SHARDS:%=$D/10_poses/%.csv)
+
+poses: $(POSES)  ## check the log, place every indenter's surface as the CNC did
+
+$(POSES): $D/10_poses/%.csv: $(SHARD)/%.csv $(SHARD)/%.json $(SHARD)/%.pictures.json $P/poses.json
+	$(call step,gelforge.stages.poses $D $*)
+
+# What a shard says of its presses: paths by stage 10, bodies and sensors, pictures.
+USED := $(SHARDS:%=$(SHARD)/%.json)
+PICTURES := $(SHARDS:%=$(SHARD)/%.pictures.json)
+
+# 15: whether the images of the log, taken together, show what its rows describe. Nothing is solved before.
+IMAGES_JUDGED := $(if $(IMPORTED),,$(if $(IMAGES),$D/15_images/images.json))
+
+images: $(IMAGES_JUDGED)  ## compare the images of the log with its poses and no-contact images
+
+$D/15_images/images.json: $(POSES) $(USED) $(PICTURES) $(BESIDE)/nocontact.json $P/images.json $P/gels.json
+	$(HANDS_SLOTS)$(call step,gelforge.stages.images $D)
+
+# 20: the tetrahedral gel mesh of each press, made when a press needs it and kept in workflow/meshes. Hexahedra need no file.
+MESH_TABLES := $(if $(MESHES),$(SHARDS:%=$D/20_meshes/%.csv))
+
+meshes: $(MESH_TABLES)  ## make the gel meshes that the presses need, with quality reports
+
+$(MESH_TABLES): $D/20_meshes/%.csv: $D/10_poses/%.csv $(SHARD)/%.json $P/meshes.json $P/fea.json $P/gels.json
+	$(HANDS_SLOTS)$(call step,gelforge.stages.meshes $D $*)
+
+# 30: finite elements; a solve that was made of the same is not made again.
+FEA := $(SHARDS:%=$D/30_fea/%.csv)
+
+fea: $(FEA) $(solved)  ## solve every accepted sample by finite elements
+
+$(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $(SHARD)/%.json $P/fea.json $(if $(MESHES),$D/20_meshes/%.csv) | $(IMAGES_JUDGED)
+	$(call solve,gelforge.stages.fea $D $*)
+
+# 40: CALIBRATED is the posterior where [material] c10 = "calibrated": its median scales the forces, no solve is repeated.
+FORCES := $(SHARDS:%=$D/40_forces/%.npz)
+
+forces: $(FORCES)  ## nodal contact forces from the solvers' output, checked for equilibrium
+
+$(FORCES): $D/40_forces/%.npz: $D/30_fea/%.csv $P/forces.json $(CALIBRATED:%=$D/%) | $(solved)
+	$(call step,gelforge.stages.forces $D $*)
+
+# 50: one process per resolution labels all shards, because starting one per shard would cost more than the labels.
+LABELS := $(RES:%=$D/50_labels/%/labels.json)
+
+labels: $(LABELS)  ## force per grid cell: make labels RES="12x16 24x32 48x64"
+
+$(LABELS): $D/50_labels/%/labels.json: $(FORCES) $(POSES) $D/00_plan/shards.csv $P/labels.json $P/sensors.json $P/gels.json
+	$(call step,gelforge.stages.labels $D $*)
+
+# 60: arrays ready to train on, one folder per resolution. Imported labels (data/DATASET/labels) need no stage before.
+DATASETS := $(RES:%=$D/60_dataset/%/dataset.json)
+LABEL_SOURCE := $(if $(IMPORTED),$(BESIDE)/%.json $(SHARDS:%=$(SHARD)/%.csv),$D/50_labels/%/labels.json $(POSES) $(IMAGES_JUDGED))
+
+dataset: $(DATASETS)  ## images and labels, split without leaks, with normalisation
+
+$(DATASETS): $D/60_dataset/%/dataset.json: $(LABEL_SOURCE) $(PICTURES) $(BESIDE)/nocontact.json $(BESIDE)/rows.json \
+    $P/dataset.json $P/indenters.json $P/sensors.json
+	$(call step,gelforge.stages.dataset $D $*)
+
+# 70: a model is a table of workflow/models.toml; RES names the grid.
+SHIPPED := src/gelforge/reading/weights/default
+# Those that fine-tune the shipped network (TUNED) are for one dataset, and write its grid: they are made by name alone.
+LEARNABLE := $(filter-out $(TUNED),$(MODELS))
+TRAINED := $(MODELS:%=$D/70_train/$(RES1)/%.onnx)
+# Other datasets that are learnt from as well ([train] also). They are made by themselves.
+LEARNT_WITH := $(LEARN_ALSO:%=results/%/60_dataset/$(RES1)/dataset.json)
+
+train: $D/70_train/$(RES1)/$(LEARNT).onnx  ## train one network, write it as ONNX: make train MODEL=pair_16 RES=24x32
+
+$(TRAINED): $D/70_train/$(RES1)/%.onnx: $D/60_dataset/$(RES1)/dataset.json $P/models/%.json $P/train.json $(LEARNT_WITH)
+	$(call train,gelforge.stages.train $D $(RES1) $*)
+
+$(TUNED:%=$D/70_train/$(RES1)/%.onnx): $(SHIPPED).safetensors
+
+# 80: how wrong a network is, and its model card; the shipped network, too, on a dataset that it did not learn from.
+EVALUATED := $(MODELS:%=$D/80_evaluate/$(RES1)/%.json)
+READ := $D/80_evaluate/$(RES1)/shipped.json
+CARDS := $(EVALUATED:.json=.card.md) $(READ:.json=.card.md)
+
+evaluate:  ## errors of one network against labels, baselines and force sensors; its card
+evaluate: $D/80_evaluate/$(RES1)/$(MODEL).json $D/80_evaluate/$(RES1)/$(MODEL).card.md
+
+$(EVALUATED): $D/80_evaluate/$(RES1)/%.json: $D/70_train/$(RES1)/%.onnx
+$(READ) $(READ:.json=.card.md): $(SHIPPED).onnx
+$(EVALUATED) $(READ): $D/80_evaluate/$(RES1)/%.json: $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
+	$(call step,gelforge.stages.evaluate $D $(RES1) $*)
+
+$(EVALUATED:.json=.card.md): $D/80_evaluate/$(RES1)/%.card.md: $D/70_train/$(RES1)/%.onnx
+$(CARDS): $D/80_evaluate/$(RES1)/%.card.md: $D/80_evaluate/$(RES1)/%.json $P/card.json
+	$(call step,gelforge.stages.card $D $(RES1) $*)
+
+# 90: of a dataset with imported labels, whose log may know no pose, nothing was solved. The page prints the parameters of every
+# stage; the choice of network and branches is a file, so that another one is newer.
+REPORT := $D/90_report/index.html
+SOLVED := $(if $(IMPORTED),,$(POSES) $(FEA) $(FORCES) $D/50_labels/$(RES1)/labels.json $(IMAGES_JUDGED))
+
+report: $(REPORT)  ## one HTML page: presses, labels, errors, posterior, chart, failures
+
+$(REPORT): $(wildcard $P/*.json) $(CHOICE)/report.txt $(SHARDS:%=$(SHARD)/%.csv) $(USED) $(PICTURES) $(SOLVED) $(IS_FROZEN) \
+    $D/60_dataset/$(RES1)/dataset.json $D/80_evaluate/$(RES1)/$(MODEL).json $(SHOWN)
+	$(call step,gelforge.stages.report $D $(RES1) $(MODEL))

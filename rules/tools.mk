@@ -1,0 +1,83 @@
+# What people ask of a dataset, of recordings, of the virtual rig. Text that a person gives stands in quotes; refuse.py lets none in.
+status: | $(SETUP)  ## samples done, failed with reasons and pending, per stage
+	@$(PY) -m gelforge.commands.status $D
+
+sample: | $(SETUP)  ## run one sample through all stages and show its log: make sample ID=…
+	@$(PY) -m gelforge.commands.sample $D --id '$(value ID)' --resolution $(RES1)
+
+provenance: | $(SETUP)  ## every file, parameter and cost behind one label: make provenance ID=…
+	@$(PY) -m gelforge.commands.provenance $D --id '$(value ID)' --resolution $(RES1)
+
+deck: | $(SETUP)  ## CalculiX' deck of one sample as a self-contained folder: make deck ID=…
+	@$(PY) -m gelforge.commands.deck $D --id '$(value ID)'
+
+look: | $(SETUP)  ## pictures of one sample, its gel (.vtu) and its indenter (.stl): make look ID=… RES="24x32 48x64"
+	@$(PY) -m gelforge.commands.look --data $(DATA) --results $D --sensors $P/sensors.json --id '$(value ID)' --resolution $(RES)
+
+# Meshes that the pilots need are made, and the run finds them.
+estimate: | $(SETUP)  ## core hours, disk and time of make report, or of what a log without images has, before it starts
+	@$(PY) -m gelforge.commands.estimate $D --resolution $(RES1) --model $(MODEL) --cores $(SLOTS)
+
+# Of a stage its folder, logs and metrics.
+clean-%:
+	rm -rf $(foreach of,$D $D/logs $D/metrics,$(wildcard $(of)/[0-9][0-9]_$*) $(of)/$*)
+
+clean-STAGE:  ## remove a stage's artifacts, logs and metrics (clean-fea, clean-labels …)
+	@echo "STAGE is the name of a stage or branch, such as fea"
+
+clean-all:  ## remove all results of this dataset
+	rm -rf $D
+
+# -- from and to others
+
+export: $D/60_dataset/$(RES1)/dataset.json  ## write it for others: FORMAT=mcap, lerobot or hdf5
+	@$(PY) -m gelforge.commands.export --data $(DATA) --dataset $(<D) --sensors $P/sensors.json --format '$(value FORMAT)'
+
+mcap-import: $(SETUP)  ## recordings become pictures with total force: make mcap-import FROM=folder TOPICS=topics.toml
+	@$(PY) -m gelforge.commands.mcap --from '$(value FROM)' --topics '$(value TOPICS)' --data $(DATA)
+
+EXPORTED := $(RES:%=$D/feats/%/normalization_gelforge.npy)
+
+feats-fetch: $(SETUP)  ## import FEATS' published dataset to data/feats, all or SPLIT="train val", of a copy FROM=folder
+	@$(PY) -m gelforge.commands.feats fetch --from '$(value FROM)' --split '$(value SPLIT)' --downloads downloads/feats --data $(DATA)
+
+feats-import: SENSOR ?= feats_mini
+feats-import: $(SETUP)  ## import FEATS' .npy files: make feats-import FROM=folder DATASET=name SENSOR=name
+	@$(PY) -m gelforge.commands.feats import --from '$(value FROM)' --data $(DATA) --sensor $(SENSOR)
+
+feats-export: $(EXPORTED)  ## write labels in FEATS' layout, with its normalisation file
+
+$(EXPORTED): $D/feats/%/normalization_gelforge.npy: $D/60_dataset/%/dataset.json
+	$(call step,gelforge.commands.feats export $D $*)
+
+LIKE ?= gelsight_mini
+
+projection: $(SETUP)  ## fit a sensor: make projection SENSOR=name POINTS=points.csv and/or IMAGE=nocontact.png
+	@$(PY) -m gelforge.commands.projection --sensor '$(value SENSOR)' --like $(LIKE) \
+	    $(if $(value POINTS),--points '$(value POINTS)') $(if $(value IMAGE),--image '$(value IMAGE)')
+
+# -- the virtual bench writes data/DATASET as a plan says, resumes where it stopped, and appends when a plan grows. Pictures that were
+# removed, for example to give sensors another appearance, are drawn again from kept surfaces.
+PLAN ?= workflow/rig/demo.toml
+
+rig: $(SETUP)  ## simulate the presses of a plan, write them to data/: make rig PLAN=workflow/rig/train.toml
+	@$(PY) -m gelforge.stages.rig --plan '$(PLAN)' --data data --jobs $(SLOTS)
+
+# The folder of real pictures, where it is not that of GELFORGE_REFERENCE (tests/benchmarks/figures.py).
+AT_REFERENCE = $(if $(value REFERENCE),--reference '$(value REFERENCE)')
+
+rig-check: $(SETUP)  ## run benchmark-rig; images of the rig beside real ones: results/rig-check/index.html
+	@$(PY_HERE) -m tests.benchmarks.rig $(AT_REFERENCE) --page results/rig-check/index.html
+
+# Pictures of the README and the guide. `make lint` fails where press.png or real.png is older than what it shows.
+README_PICTURES := $(addprefix results/readme/,press.png real.png speed.png stability.png exact.png)
+
+readme-pictures: $(README_PICTURES)  ## draw the pictures of README and guide: a press, real images beside force maps, charts
+
+results/readme/press.png: workflow/indenters.toml workflow/rig/sensors.toml
+results/readme/real.png: $(SHIPPED).onnx
+results/readme/speed.png: $D/pareto/pareto.json
+results/readme/exact.png: results/benchmarks/exact.json
+results/readme/stability.png: $D/stability/map.json
+$(README_PICTURES): results/readme/%.png: | $(SETUP)
+	@$(PY_HERE) -m tests.benchmarks.readme_pictures $* --data $^ $(AT_REFERENCE) --out $@

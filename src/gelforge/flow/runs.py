@@ -1,0 +1,311 @@
+"""What the records of all targets say: how far a run is, what failed, what changed since, what it cost, and where a label comes from.
+
+A record, metrics/STAGE/NAME.json, is what the wrapper (`step`) writes of a target's last run. Only the standard library: an answer
+takes a fraction of a second for 15 000 samples.
+"""
+
+import csv
+import fcntl
+import json
+import os
+import sys
+import time
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from gelforge.errors import BadInput, printable
+from gelforge.flow.files import below, changed, last_line, read_csv, record_of, states_of, take
+from gelforge.flow.layout import OF_SHARDS, PLAN, Layout, dataset_folder, metrics_of
+
+PROGRAMS = ("gelforge", "numpy", "scipy", "numba", "torch")  # that numbers depend on
+COST = ("seconds", "cpu_seconds", "peak_mib")
+ASKED: dict[str, type | tuple[type, ...]] = {  # of a record, and what it is
+    "target": str,
+    "exit_code": int,
+    "interrupted": bool,
+    "inputs": dict,
+    "counts": dict,
+    "started": (int, float),
+    **dict.fromkeys(COST, (int, float)),
+}
+
+
+def count_finished(target: Path, started: float) -> str:
+    """How many targets of a stage of shards this run of make has made, of how many, and the time left; nothing of other stages.
+
+    One file of a dataset counts. The first of a stage looks how many shards are older than what they are made of.
+    """
+    root, run = dataset_folder(target), os.environ.get("GELFORGE_RUN", "")
+    if root is None or target.relative_to(root).parts[0] not in OF_SHARDS:
+        return ""
+    of, stage = Layout(root), target.relative_to(root).parts[0]
+    with of.counter.open("a+", encoding="utf-8") as file:
+        take(file, fcntl.LOCK_EX)
+        file.seek(0)
+        known: dict[str, Any] = {}
+        with suppress(ValueError):
+            known = json.loads(file.read())
+        if known.get("run") != run:
+            known = {"run": run, "stages": {}}
+        found = known["stages"].pop(stage, None) or {"done": 0, "of": len(of.outdated(stage)) + 1, "since": started}
+        found["done"] += 1
+        found["of"] = max(found["of"], found["done"])
+        known["stages"][stage] = found  # the latest one last
+        file.truncate(0)
+        file.write(json.dumps(known))
+    return f"  [{in_words(found)}]"
+
+
+def in_words(counter: Mapping[str, Any], now: float | None = None) -> str:
+    """How far a run has come, by its counter."""
+    left = counter["of"] - counter["done"]
+    each = ((time.time() if now is None else now) - counter["since"]) / counter["done"]
+    return f"{counter['done']} of {counter['of']}" + (f", {duration(left * each)} left" if left else "")
+
+
+def duration(seconds: float) -> str:
+    """A time as people say it."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
+
+
+@dataclass(frozen=True)
+class LastRun:
+    """The last run of one target: its name below results/DATASET without suffix, such as 30_fea/0000, and its record."""
+
+    name: str
+    record: dict
+
+    @property
+    def stage(self) -> str:
+        """The stage that the target is of."""
+        return self.name.split("/")[0]
+
+    @property
+    def failed(self) -> bool:
+        """Whether the run ended with an error; one that a person stopped did not."""
+        return bool(self.record.get("exit_code")) and not self.record.get("interrupted")
+
+    @property
+    def target(self) -> str:
+        """The file that it made, "" where the record does not tell."""
+        return self.record.get("target", "")
+
+    @property
+    def done(self) -> int:
+        """Samples that its command says are done."""
+        return int(self.record.get("counts", {}).get("done", 0))
+
+    @property
+    def lost(self) -> dict[str, int]:
+        """How many samples failed in it, by reason."""
+        return dict(self.record.get("counts", {}).get("failed", {}))
+
+
+def last_runs(results: Path) -> list[LastRun]:
+    """Last runs of all targets, in the order of their names."""
+    of = Layout(results)
+    root = f"{of.metrics}/"
+    records = ((path[len(root) : -len(".json")], read_run(path)) for path in below(of.metrics, ".json"))
+    return [LastRun(name, record) for name, record in records if record is not None and not name.startswith(PLAN)]
+
+
+def read_run(path: str) -> dict | None:
+    """What of a target's record is asked for of all of them together; without what it lacks or holds as something else."""
+    try:
+        with open(path, "rb") as stream:
+            record = json.loads(stream.read())
+    except (OSError, ValueError):
+        return None
+    if not isinstance(record, dict):
+        return None
+    return {key: record[key] for key, kind in ASKED.items() if isinstance(record.get(key), kind)}
+
+
+def still_asked(results: Path, known: Iterable[LastRun]) -> list[LastRun]:
+    """Those that make knows today: none of shards that the log has lost."""
+    shards = set(Layout(results).names())
+    return [run for run in known if run.stage not in OF_SHARDS or run.name.split("/")[-1] in shards]
+
+
+def costs_of(known: list[LastRun]) -> dict[str, dict]:
+    """Records by the names of their targets, of those that say what the run cost and when it began."""
+    return {run.name: run.record for run in known if {"started", *COST} <= run.record.keys()}
+
+
+def stages(results: Path, costs: Mapping[str, Mapping]) -> list[dict]:
+    """Stages in the order they ran: name, targets, seconds, cpu_seconds, peak_mib, and the stages they read."""
+    found: dict[str, dict] = {}
+    for target, cost in sorted(costs.items(), key=lambda item: item[1].get("started", 0.0)):
+        name = target.split("/")[0]
+        stage = found.setdefault(name, {"name": name, "targets": 0, **dict.fromkeys(COST, 0.0), "reads": set()})
+        stage["targets"] += 1
+        for kind in ("seconds", "cpu_seconds"):
+            stage[kind] += cost.get(kind, 0.0)
+        stage["peak_mib"] = max(stage["peak_mib"], cost.get("peak_mib", 0.0))
+        start = f"{results}/"
+        stage["reads"] |= {
+            path[len(start) :].split("/")[0] for path in cost.get("inputs", ()) if path.startswith(start)
+        }
+    return [stage | {"reads": sorted(stage["reads"] - {PLAN, stage["name"]})} for stage in found.values()]
+
+
+def changes(target: str | Path, record: Mapping[str, Any] | None = None) -> list[str]:
+    """What a target was made of that has another content now; what is gone is no reason: make makes it anyway.
+
+    record: that of the target, where it is known.
+    """
+    made = record_of(metrics_of(Path(target))) if record is None else record
+    known = {
+        path: state for path, state in (made or {}).get("inputs", {}).items() if state and os.access(path, os.F_OK)
+    }
+    return changed(known, states_of(known, known))
+
+
+def causes(paths: Iterable[str]) -> list[str]:
+    """What changed, in words, each once: what no target makes, or else what one does."""
+    inputs = list(dict.fromkeys(paths))
+    given = [path for path in inputs if dataset_folder(Path(path)) is None or f"/{PLAN}/" in path]
+    return list(dict.fromkeys(named(path) for path in given or inputs))
+
+
+def named(path: str) -> str:
+    """What a file that targets are made of holds, in words."""
+    name = Path(path).stem
+    if f"/{PLAN}/params/" in path:
+        return f"parameters of {name}"
+    if f"/{PLAN}/shards/" in path:
+        return f"rows of the log in shard {name.split('.')[0]}, or their pictures,"
+    return path
+
+
+def last_words_of(results: Path, run: LastRun) -> tuple[str, Path]:
+    """The last thing that the log of a failed target says, and where it lies."""
+    log = Layout(results).logs / f"{run.name}.log"
+    said = last_line(log) if log.exists() else ""
+    return said or f"ended with code {run.record['exit_code']} without a word", log
+
+
+def installed(programs: Iterable[str] = PROGRAMS) -> dict[str, str]:
+    """Version of each program, by its name at PyPI, that is installed; pip keeps it in the name of a folder beside it."""
+    wanted = {program.replace("-", "_"): program for program in programs}
+    found: dict[str, str] = {}
+    for place in sys.path:
+        try:
+            names = os.listdir(place)
+        except OSError:
+            continue
+        for name in names:
+            program, _, version = name.removesuffix(".dist-info").partition("-")
+            if name.endswith(".dist-info") and program in wanted:
+                found.setdefault(wanted[program], version)
+    return found
+
+
+# -- where one sample's label comes from
+
+
+@dataclass(frozen=True)
+class Step:
+    """One target on the way to a label: its file, what it read, its cost, and what it was made with."""
+
+    target: str
+    inputs: list[str]
+    seconds: float
+    cpu_seconds: float
+    peak_mib: float
+    started: float
+    parameters: dict
+    programs: dict[str, str]  # versions
+
+
+def belongs(path: str, results: Path, shards: Collection[str], shard: str) -> bool:
+    """Whether a prerequisite concerns the sample: files of other shards do not."""
+    stem = Path(path).name.split(".")[0]
+    return Path(path).is_relative_to(results) and (stem == shard or stem not in shards)
+
+
+def steps_of_label(results: Path, shard: str, resolution: str) -> list[Step]:
+    """The steps that led to a shard's labels, first one first, each once; a label that is not there yet has those before it."""
+    of = Layout(results)
+    paths = (of.poses(shard), of.fea(shard), of.forces(shard), of.labelled(resolution))
+    return list({step.target: step for path in paths for step in steps_to(results, str(path), shard)}.values())
+
+
+def pose_of(results: Path, shard: str, sample_id: str) -> dict:
+    """The sample's row of the pose table, empty where there is none."""
+    table = Layout(results).poses(shard)
+    if not table.exists():
+        return {}
+    with table.open(newline="", encoding="utf-8") as stream:
+        return next((row for row in csv.DictReader(stream) if row["sample_id"] == sample_id), {})
+
+
+def imported_labels(results: Path, resolution: str) -> Path | None:
+    """The labels that a dataset came with at a resolution, in place of solves of its own; None where it came with none."""
+    folder = Path("data") / results.name / "labels"
+    return folder / f"{resolution}.npz" if folder.is_dir() else None
+
+
+def rejections_of(results: Path, shard: str, sample_id: str) -> list[str]:
+    """Why stage 10 rejected a sample's row of the log, and what to do, one sentence a cell; none where it has a pose.
+
+    A row that gives a name a second time is rejected too, and its sample goes on with the first.
+    """
+    table = Layout(results).rejected(shard)
+    if not table.exists() or pose_of(results, shard, sample_id):
+        return []
+    wrong = [cells for cells in read_csv(table) if cells.get("sample_id") == sample_id]
+    return [
+        printable(
+            f"row {cells.get('row')} of the log: {cells.get('column')} = {cells.get('value')!r}: {cells.get('reason')};"
+            f" {cells.get('hint')}"
+        )
+        for cells in wrong
+    ]
+
+
+def refuse_rejected(results: Path, shard: str, sample_id: str) -> None:
+    """BadInput with the reasons for a sample whose row of the log stage 10 rejected."""
+    if rejected := rejections_of(results, shard, sample_id):
+        command = Layout(results).command("labels")
+        raise BadInput(
+            f"sample {sample_id} was rejected and gets no label: {'. '.join(rejected)}; then run {command}"
+        )
+
+
+def concerning(parameters: dict[str, dict], pose: dict) -> dict[str, dict]:
+    """Parameter files without the entries of the catalogues that are of other indenters and sensors."""
+    of = {"indenters": pose.get("indenter"), "sensors": pose.get("sensor_id")}
+    return {
+        name: {of[name]: values[of[name]]} if of.get(name) in values else values
+        for name, values in parameters.items()
+    }
+
+
+def steps_to(results: Path, target: str, shard: str) -> Iterator[Step]:
+    """Targets on the way to `target` that concern a shard's samples, prerequisites first, each once."""
+    shards, params = set(Layout(results).names()), Layout(results).params
+    seen: set[str] = set()
+
+    def walk(name: str) -> Iterator[Step]:
+        if name in seen:
+            return
+        seen.add(name)
+        record = record_of(metrics_of(Path(name)))
+        if not record:
+            return
+        inputs = [path for path in record.get("inputs", []) if belongs(path, results, shards, shard)]
+        for path in inputs:
+            yield from walk(path)
+        parameters = {
+            Path(path).stem: record_of(Path(path)) or {} for path in inputs if Path(path).is_relative_to(params)
+        }
+        costs = {key: record.get(key, 0.0) for key in ("seconds", "cpu_seconds", "peak_mib", "started")}
+        yield Step(name, inputs, **costs, parameters=parameters, programs=record.get("programs", {}))
+
+    yield from walk(target)
