@@ -11,7 +11,7 @@ from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build, load_catalogue
 from gelforge.geometry.touch import width_of
 from gelforge.mechanics.elements import hex8
-from gelforge.mechanics.extrapolate import Order
+from gelforge.mechanics.extrapolate import Convergence
 from gelforge.mechanics.hexsettings import QUALITIES, HexSettings, Nested
 from gelforge.mechanics.linear.factorisation import symmetric_solver
 from gelforge.mechanics.material import Material
@@ -112,7 +112,7 @@ def test_a_press_that_bends_hexahedra_nearly_flat_takes_the_short_way(name, pres
 
 
 def test_a_deep_press_is_what_its_whole_path_gives(root):
-    plain = replace(QUALITIES["label"], nested=replace(QUALITIES["label"].nested, order=None))
+    plain = replace(QUALITIES["label"], nested=replace(QUALITIES["label"].nested, convergence=None))
     short = solve_hex(deep_press("triangle_8", root), plain)
     whole = solve_hex(deep_press("triangle_8", root), replace(plain, nested=None, press_steps=6))
     assert np.linalg.norm(short.total - whole.total) < 0.005 * np.linalg.norm(whole.total)
@@ -165,7 +165,7 @@ def test_extrapolation_brings_wide_hexahedra_closer_to_small_ones():
     fine = np.linalg.norm(solve_hex(scene, replace(PATH, size=0.4, layers=7)).total)
     wide = replace(PATH, size=0.5, layers=5)
     plain = solve_hex(scene, replace(wide, nested=Nested(layers=3)))
-    better = solve_hex(scene, replace(wide, nested=Nested(layers=3, order=Order(smooth=1 / 3))))
+    better = solve_hex(scene, replace(wide, nested=Nested(layers=3, convergence=Convergence(smooth=1 / 3))))
     assert abs(np.linalg.norm(better.total) - fine) < 0.5 * abs(np.linalg.norm(plain.total) - fine)
     np.testing.assert_allclose(better.forces, better.evidence["extrapolated"] * plain.forces, rtol=1e-12)
     end, *force = better.evidence["path"][-1]
@@ -225,7 +225,7 @@ FRAMED = HexSettings(
     layers=4,
     layer_ratio=2.0,
     gauss=2,
-    nested=Nested(layers=3, press_steps=6, order=Order(smooth=0.36)),
+    nested=Nested(layers=3, press_steps=6, convergence=Convergence(smooth=0.36)),
 )
 
 

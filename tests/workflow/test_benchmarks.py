@@ -28,6 +28,7 @@ LEFT_OUT = {
     "machines": "solves scenes in six processes: tests/physics/test_machines.py",
     "fea": "solves with CalculiX, FEATS' deck for hours: tests/physics/test_ccx_contact.py and test_ccx_closed_forms.py",
     "calibration": "an emulator takes minutes: tests/workflow/test_calibrate.py",
+    "edge_order": "solves 84 presses on hexahedra: tests/physics/test_laws.py",
     "exact": "solves 68 presses by every method: tests/physics/test_axisymmetric.py",
     "troubles": "labels the demo: tests/unit/evidence and tests/unit/stages/test_images.py",
     "outside": "GetFEM takes minutes for a scene: tests/workflow/test_outside.py",

@@ -31,7 +31,7 @@ LOWEST, HIGHEST, STEPS, REACHED = -0.05, 6.0, 40, 1e-3
 
 
 @dataclass(frozen=True)
-class Order:
+class Convergence:
     """Numbers of one quality, as shares of the difference between coarse and fine force if not said otherwise.
 
     smooth: at any edge of contact. small: added where hexahedra were made as small as they may be for a small contact.

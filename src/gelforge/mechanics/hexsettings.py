@@ -3,7 +3,7 @@
 from dataclasses import dataclass, replace
 
 from gelforge.errors import BadInput
-from gelforge.mechanics.extrapolate import Order
+from gelforge.mechanics.extrapolate import Convergence
 from gelforge.mechanics.mesh.hexmesh import SMALLEST, FineBox
 from gelforge.mechanics.path.pathsettings import PathSettings
 
@@ -23,7 +23,7 @@ class Nested:
     """How the path is followed on coarser hexahedra, of which only the end is solved on the fine ones.
 
     factor: their size in that of the fine ones. layers, widened, growth: theirs (see HexSettings). press_steps, shear_steps:
-    load steps of the path. order: what both sizes say of the force (mechanics.extrapolate); None: nothing. One factor on all
+    load steps of the path. convergence: what both sizes say of the force (mechanics.extrapolate); None: nothing. One factor on all
     nodal forces of a press: balance and direction stay as they are; displacement is the fine hexahedra' own, whose base
     reaction is that much larger.
     """
@@ -34,7 +34,7 @@ class Nested:
     growth: float = 2.5
     press_steps: int = 6
     shear_steps: int = 3
-    order: Order | None = None
+    convergence: Convergence | None = None
 
 
 @dataclass(frozen=True)
@@ -97,12 +97,12 @@ QUALITIES = {
     "draft": HexSettings(
         size=0.45, across=15, layers=6, widened=(4, 2), layer_ratio=2.0, thin_below=SMALLEST, growth=2.2, largest=4.0,
         press_steps=3, shear_steps=2, nested=Nested(widened=(1,), press_steps=4, shear_steps=2,
-            order=Order(smooth=0.32, edge=0.64, width=0.18, height=-0.48, spread=0.21, floor=0.004, cells=0.45)),
+            convergence=Convergence(smooth=0.32, edge=0.64, width=0.18, height=-0.48, spread=0.21, floor=0.004, cells=0.45)),
     ),
     "label": HexSettings(
         size=0.35, across=20, layers=5, widened=(2,), layer_ratio=2.0, thin_below=SMALLEST, growth=2.2, largest=4.0,
         press_steps=4, shear_steps=2, nested=Nested(press_steps=10, shear_steps=4,
-            order=Order(smooth=0.46, small=-0.11, corner=0.47, spread=0.12, floor=0.002, cells=0.25)),
+            convergence=Convergence(smooth=0.46, small=-0.11, corner=0.47, spread=0.12, floor=0.002, cells=0.25)),
     ),
     "fine": HexSettings(size=0.3, across=24, layers=8, press_steps=6, shear_steps=3),
 }  # fmt: skip

@@ -35,7 +35,7 @@ from gelforge.records.solvetable import Solved, corrupt, read_meshes, write_solv
 from gelforge.records.status import Status
 from gelforge.sweeps import verification
 
-VERSION = 15
+VERSION = 16
 
 
 def scene_of(press: PosedPress, bodies: dict, sensors: dict, params: ForFea) -> Scene:

@@ -26,7 +26,7 @@ from gelforge.records.npz import in_short
 from gelforge.records.solvetable import Solved, corrupt, read_solves
 from gelforge.records.status import Status
 
-VERSION = 2
+VERSION = 3
 
 
 def dat_forces(text: str, mesh: GelMesh, noise: float) -> tuple[Status, str, np.ndarray, np.ndarray]:

@@ -27,7 +27,7 @@ from gelforge.records.labelfile import Stream, to_float32, write_labels
 from gelforge.records.log import read_poses
 from gelforge.records.status import Status
 
-VERSION = 2
+VERSION = 3
 OPERATORS_KEPT = 64  # operators in memory
 BLOCK_BYTES = 64 * 2**20  # of float64 cells held at a time
 UNSEEN = 0.5  # fraction of its normal force beyond the image from which on a picture does not show a press

@@ -25,7 +25,7 @@ from gelforge.sweeps.methods import DOUBLED, REFERENCE, Method, every_method
 from gelforge.sweeps.scenes import NamedScene, parse_scene, read_tables
 from gelforge.sweeps.trial import ChartBench, load_bench, measure
 
-VERSION = 4
+VERSION = 5
 GOAL_TOTAL, GOAL_CELLS = 0.02, 0.08  # what a label setting should meet over all scenes
 COLUMNS = ("method", "solver", "size_mm", "load_steps", "scenes", "failed", "cpu_seconds_median",
            "cpu_seconds_worst",

@@ -24,7 +24,7 @@ from gelforge.sweeps.deviation import total_error
 from gelforge.sweeps.methods import Method, hex_settings, method_of, prepare
 from gelforge.sweeps.trial import ccx_settings, kept, solve_isolated
 
-VERSION = 4
+VERSION = 5
 NOT_RUN = "NOT_RUN"
 # How a case at label setting is solved, by its solver.
 LABEL = {"hex": method_of("label"), "ccx": method_of("ccx"), FINEST: method_of("fine")}

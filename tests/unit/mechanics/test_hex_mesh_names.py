@@ -58,3 +58,11 @@ def test_a_fine_part_as_narrow_as_a_hair_is_refused_before_it_is_built():
     for box in ("0:1e-06:0:1", "0:1:0:1e-06", "10.374999:12:0:1"):
         name = f"hex@gelsight_mini:{box}:1:2:3:1:1"
         refused("more than 2e\\+06 elements", HexMeshName.parse, name)
+
+
+@given(st.floats(0.01, 0.1), st.floats(0.1, 2.0))
+def test_small_hexahedra_under_a_small_contact_are_no_large_mesh(size, width):
+    """They grow from there: a tip 0.1 mm wide takes some thousand elements, not as many as if all of the gel were so fine."""
+    name = HexMeshName("gelsight_mini", FineBox(-width / 2, width / 2, 0.0, width, size), 6, 2.0, 2.2, 4.0)
+    if 6 * (width / size) ** 2 < 2e5:
+        assert HexMeshName.parse(name.name) == name

@@ -189,23 +189,23 @@ class HexSolver:
     def _extrapolate(self, scene: Scene, coarse: "CoarseFrame | None", box: FineBox, result: HexResult) -> None:
         """Correct a result by what two sizes of hexahedra together say, and state the error that is left."""
         force = float(np.linalg.norm(result.total))
-        contact, order = result.contact, self.settings.nested and self.settings.nested.order
+        contact, numbers = result.contact, self.settings.nested and self.settings.nested.convergence
         result.evidence |= coarse.counts if coarse else {}
         if result.status is not Status.OK or contact is None or force == 0.0:
             return
         edge = edge_of(contact, scene.indenter, path_pose(scene, scene.press.end), box.size, scene.gel.height)
         evidence = result.evidence
-        if coarse is None or order is None or edge is None:
+        if coarse is None or numbers is None or edge is None:
             evidence |= {"error_n": UNCORRECTED * force, "cells_error_n": UNCORRECTED_CELLS * force}
             return
         both = Coarse(coarse.force, coarse.area)
-        factor = 1.0 / (1.0 + order.correction(edge, both, force))
+        factor = 1.0 / (1.0 + numbers.correction(edge, both, force))
         # reactions of the base go with the forces: what was checked for balance stays balanced
         result.forces *= factor
         contact.traction *= factor
         evidence |= {
             "path": [[t, *(factor * np.array(step)).tolist()] for t, *step in evidence["path"]], "extrapolated": factor,
-            "error_n": order.error(both, force) * factor * force, "cells_error_n": order.cells * edge.near * factor * force,
+            "error_n": numbers.error(both, force) * factor * force, "cells_error_n": numbers.cells * edge.near * factor * force,
         }  # fmt: skip
 
     def _box(self, scene: Scene) -> FineBox:
