@@ -62,7 +62,6 @@ ROOMS: dict[str, dict[str, set[str]]] = {
 FOR_ALL = {"mechanics"}  # folders whose modules above the rooms may be used in them
 TORCH = {"models", "training", "data/loader.py", "data/augment.py", "checkpoint/weights.py", "checkpoint/onnxexport.py",
          "pipeline.py"}  # fmt: skip
-APART = "fea_challenge"  # scripts that run where nothing of gelforge is
 # What one module alone may do or say; besides, a picture in grey, and a surface coloured by how far it moved.
 HOMES = {
     "draws with matplotlib": {"reporting/canvas.py"},
@@ -209,7 +208,7 @@ def facts_twice() -> Iterator[str]:
     """Facts that stand outside their home: `records`, but for those of HOMES."""
     for path in PACKAGE.rglob("*.py"):
         name = str(path.relative_to(PACKAGE))
-        if not name.startswith("records/") and path.parent.name != APART:
+        if not name.startswith("records/"):
             wrong = [said for said in sorted(set(said_in(path))) if name not in HOMES.get(said, set())]
             yield from (f"{name} {said}: only {sorted(HOMES.get(said, {'records'}))} may" for said in wrong)
 

@@ -19,7 +19,7 @@ from gelforge.sweeps.keptreferences import KEYS, elements_doubled
 from gelforge.sweeps.scenes import NamedScene
 from gelforge.sweeps.trial import GRID
 
-TEXTS = Path(__file__).parent / "fea_challenge"  # what the folder holds as it stands: how to take part, the script
+TEXTS = ("README.md", "score.py")  # beside the references: how to take part, the script
 GEL_SIZE_MM = 0.5  # of the triangles of gel.stl
 EXACT = "exact.json"  # among the references: axisymmetric presses whose forces are known
 TOLD = (
@@ -37,10 +37,10 @@ def write_challenge(scenes: list[NamedScene], sensor: Sensor, references: Path, 
         )
     for name in ("references", "scenes", "exact"):  # of scenes that there were
         shutil.rmtree(out / name, ignore_errors=True)
-    for text in TEXTS.iterdir():
-        if text.is_file():
-            shutil.copyfile(text, out / text.name)
-    shutil.copytree(references, out / "references", ignore=shutil.ignore_patterns(KEYS, EXACT), dirs_exist_ok=True)
+    for text in TEXTS:
+        shutil.copyfile(references / text, out / text)
+    beside = shutil.ignore_patterns(KEYS, EXACT, *TEXTS)
+    shutil.copytree(references, out / "references", ignore=beside, dirs_exist_ok=True)
     first = scenes[0].scene
     write_stl(out / "gel.stl", *first.gel.surface(GEL_SIZE_MM))
     for scene in scenes:

@@ -2,20 +2,23 @@
 
 import os
 import resource
+import signal
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from math import ceil
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
-from multiprocessing.context import ForkContext, ForkServerContext
-from multiprocessing.forkserver import ensure_running
-from pathlib import Path
 
-import gelforge
-from gelforge.errors import BadInput, GelforgeError
+from gelforge.errors import BadInput
 from gelforge.flow.orphans import die_with_parent
 
 REFUSED, CRASHED, TIMED_OUT = "REFUSED", "CRASHED", "TIMED_OUT"
+# The cost of a solve is that of one thread, whatever the user has set.
+ONE_THREAD = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+WAITING = (
+    10.0  # times its limit of processor time that a solve may take by the clock, on a machine that has other work
+)
 
 
 def cpu_seconds() -> float:
@@ -41,10 +44,16 @@ class Clock:
         self.seconds, self.cpu_seconds = time.perf_counter() - self._wall, cpu_seconds() - self._cpu
 
 
-def _answer(work, pipe):
+def _answer(work: Callable[[], dict], pipe: Connection, limit_s: float) -> None:
+    """What runs in the other process: say that it begins, then send what `work` returns, or why it did not."""
     die_with_parent()
+    began = cpu_seconds()
+    most = ceil(began + limit_s)  # whole seconds; what it begins may take as many
+    resource.setrlimit(resource.RLIMIT_CPU, (most, most + 1))
+    pipe.send(None)
     try:
-        pipe.send(work())
+        found = work()
+        pipe.send(_late(limit_s) if cpu_seconds() - began > limit_s else found)
     except BadInput as error:
         pipe.send({"status": REFUSED, "reason": str(error)})
     except OSError as error:
@@ -56,31 +65,8 @@ def _answer(work, pipe):
     pipe.close()
 
 
-# Of the server that solves are forked from, and so of them: the cost of a solve is that of one thread, whatever the user
-# has set, and a server that had several could not fork without some of its children hanging.
-ONE_THREAD = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-ASKED_BY = "GELFORGE_ASKED_BY"  # the process that began the server, with which it ends
-# A solve is looked at so often, and may take so many times its limit by the clock on a machine that has other work.
-LOOK_S, WAITING = 1.0, 10.0
-
-
-def fresh() -> ForkServerContext:
-    """Where processes come from that share no thread with this one, and have the kernels of the solver loaded.
-
-    A server that has run nothing else forks them: a process that was forked beside threads of numerical libraries hangs
-    where they held a lock. It runs the code that this process does, whatever is installed.
-    """
-    context = get_context("forkserver")
-    context.set_forkserver_preload(["gelforge.sweeps.warm"])
-    code = [str(Path(gelforge.__file__).parents[1]), os.environ.get("PYTHONPATH", "")]
-    with surroundings(ONE_THREAD | {ASKED_BY: str(os.getpid()), "PYTHONPATH": os.pathsep.join(filter(None, code))}):
-        try:
-            ensure_running()
-        except OSError as error:  # its socket lies in the folder for temporary files, and has a short name or none
-            raise BadInput(
-                f"the process that solves are begun from cannot start ({error}); set TMPDIR to a shorter path, such as /tmp"
-            ) from error
-    return context
+def _late(limit_s: float) -> dict:
+    return {"status": TIMED_OUT, "reason": f"stopped after {limit_s:g} s of processor time", "limit_s": limit_s}
 
 
 @contextmanager
@@ -98,59 +84,38 @@ def surroundings(required: dict[str, str]) -> Iterator[None]:
                 os.environ[name] = value
 
 
-def running_seconds(pid: int) -> float:
-    """User and system time of a running process and of all that it began, 0 where the system does not say (no /proc)."""
-    try:
-        fields = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()
-        begun = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-    except OSError:
-        return 0.0
-    own = sum(int(ticks) for ticks in fields[11:15]) / os.sysconf("SC_CLK_TCK")
-    return own + sum(running_seconds(int(child)) for child in begun)
-
-
-def why_late(here: Connection, pid: int, limit_s: float) -> str | None:
-    """Wait for an answer and return None, or why to wait no longer: the process has used its processor time, or hangs."""
-    end = time.monotonic() + WAITING * limit_s
-    while not here.poll(min(LOOK_S, limit_s)):
-        if running_seconds(pid) > limit_s:
-            return f"stopped after {limit_s:g} s of processor time"
-        if time.monotonic() > end:
-            return f"stopped after {WAITING * limit_s:g} s by the clock, before it had used {limit_s:g} s of processor time"
-    return None
-
-
-def isolated(
-    work: Callable[[], dict], limit_s: float, context: ForkContext | ForkServerContext | None = None
-) -> dict:
+def isolated(work: Callable[[], dict], limit_s: float) -> dict:
     """The dict that `work` returns from a process of its own, or how that process failed.
 
-    limit_s: of processor time, so that a busy machine changes no result. context: how the process begins; `fresh()` where
-    none is given, for which pickle must take `work`. A failure is {"status", "reason"} with status REFUSED (BadInput),
-    CRASHED or TIMED_OUT; a full disk, a missing file or package is none of these and raises BadInput.
+    It begins anew, because one forked beside threads of numerical libraries may hang; pickle must take `work`. limit_s: of
+    processor time, so that a busy machine changes no result. A failure is {"status", "reason"} with status REFUSED
+    (BadInput), CRASHED or TIMED_OUT; a full disk, a missing file or package is none of these and raises BadInput.
     """
-    context = context or fresh()
+    context = get_context("spawn")
     here, there = context.Pipe(duplex=False)
-    child = context.Process(target=_answer, args=(work, there))
-    try:
+    child = context.Process(target=_answer, args=(work, there, limit_s))
+    with surroundings(ONE_THREAD):
         child.start()
-    except (EOFError, ConnectionError) as error:
-        raise GelforgeError("the process that solves are begun from ended; what it printed above says why") from error
     there.close()
-    answer, late = None, None
+    answer = None
     try:
-        late = why_late(here, child.pid or 0, limit_s)
-        answer = None if late else here.recv()
+        here.recv()  # it has begun: imports are none of its time
+        if not here.poll(WAITING * limit_s):
+            reason = f"stopped after {WAITING * limit_s:g} s by the clock, before it had used {limit_s:g} s of processor time"
+            answer = {"status": TIMED_OUT, "reason": reason, "limit_s": limit_s}
+            child.kill()
+        else:
+            answer = here.recv()
     except EOFError:
         pass
     finally:
-        child.join(0.0 if late else 10.0)
+        child.join(10.0)
         if child.is_alive():
             child.kill()
             child.join()
         here.close()
-    if late:
-        return {"status": TIMED_OUT, "reason": late, "limit_s": limit_s}
+    if answer is None and child.exitcode == -signal.SIGXCPU:
+        return _late(limit_s)
     if answer is None:
         return {"status": CRASHED, "reason": f"the process ended with exit code {child.exitcode}"}
     if "stopped" in answer:

@@ -15,16 +15,19 @@ from gelforge.flow.files import digest_of, digest_of_value, read_csv, read_json,
 from gelforge.flow.params import plain
 from gelforge.flow.params.tables import ReferenceTable
 from gelforge.labelling.sensor import Sensor
+from gelforge.mechanics.scene import Scene
 from gelforge.records.press import FORCE
 from gelforge.sweeps.deviation import errors
 from gelforge.sweeps.methods import DOUBLED, REFERENCE
 from gelforge.sweeps.scenes import parse_scene
-from gelforge.sweeps.symmetry import image_of, images_of
 
 KEYS = "keys.json"
 COLUMNS = ("row", "column", *FORCE)
 OUTSIDE = -1  # row and column of what acts outside of the picture
 LEAST_N = 5e-8  # less in a cell is written as none
+IMAGES = ((-1, 1), (1, -1), (-1, -1))  # signs of x and y
+# Random points at which a scene is compared with its mirror image, how far they reach, and what counts as equal.
+POINTS, REACH_MM, LEAST_MM = 4000, 12.0, 1e-6
 
 
 def reference_key(scene: dict, nu: float, sensor: Sensor, table: ReferenceTable) -> str:
@@ -116,3 +119,32 @@ def kept_reference(folder: Path, scene: str, key: str, shape: tuple[int, int]) -
         "cells": cells.tolist(),
         "outside": outside.tolist(),
     }
+
+
+# -- scenes that are their own mirror image: what a mesh adds to their forces cancels in the mean of both
+
+
+def images_of(scene: Scene) -> list[tuple[int, int]]:
+    """Those of IMAGES that take the scene's gel, body and path to themselves."""
+    rng = np.random.default_rng(7)
+    points = rng.uniform(-REACH_MM, REACH_MM, (POINTS, 3)) * [1.0, 1.0, 0.3]
+    rotation, start = scene.press.pose(0.0, 0.0)
+    _, end = scene.press.pose(1.0, 1.0)
+    path = np.stack([start, end])[:, :2]
+
+    def shape(at: np.ndarray) -> np.ndarray:
+        body, _ = scene.indenter.distance((at - start) @ rotation)
+        return np.concatenate([body, scene.gel.top(at[:, 0], at[:, 1])])
+
+    own = shape(points)
+    return [
+        signs
+        for signs in IMAGES
+        if np.allclose(path * signs, path, atol=LEAST_MM)
+        and np.abs(shape(points * [*signs, 1.0]) - own).max() < LEAST_MM
+    ]
+
+
+def image_of(cells: np.ndarray, signs: tuple[int, int]) -> np.ndarray:
+    """The mirror image of cells (3, rows, columns) N along gel x, y, z; rows run along x and columns along y."""
+    return cells[:, :: signs[0], :: signs[1]] * np.array([*signs, 1.0])[:, None, None]

@@ -22,13 +22,14 @@ from gelforge.sweeps.keptreferences import (
     COLUMNS,
     KEYS,
     elements_doubled,
+    image_of,
+    images_of,
     keep_references,
     kept_reference,
     reference_rows,
 )
 from gelforge.sweeps.methods import DOUBLED, LARGE_REFERENCE, REFERENCE
 from gelforge.sweeps.scenes import parse_scene, read_tables
-from gelforge.sweeps.symmetry import image_of, images_of
 from gelforge.sweeps.trial import GRID, load_bench, measure
 from tests.support.parameters import place_workflow, stage_of
 

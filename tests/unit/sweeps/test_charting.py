@@ -23,7 +23,7 @@ from gelforge.stages import stability
 from gelforge.stages.pareto import summarise
 from gelforge.sweeps import cases
 from gelforge.sweeps.deviation import cell_error, errors, frontier, total_error
-from gelforge.sweeps.isolate import isolated
+from gelforge.sweeps.isolate import cpu_seconds, isolated
 from gelforge.sweeps.methods import LARGE_REFERENCE, Method, every_method, method_of
 from gelforge.sweeps.references import edge_of_contact, reference_mesh
 from gelforge.sweeps.scenes import parse_scene, read_tables, resolve
@@ -180,15 +180,18 @@ def working():
 def begins_one_that_works():
     ends = partial(die_with_parent, signal.SIGKILL)
     subprocess.run([sys.executable, "-c", "while True: pass"], check=False, preexec_fn=ends)
+    return {}
 
 
 def test_a_solve_is_stopped_by_its_processor_time():
     for work in (working, begins_one_that_works):
+        before = cpu_seconds()
         found = isolated(work, 0.5)
         # of a processor that others fill it may get less than that in ten times as long
         assert found["status"] == "TIMED_OUT" and found["reason"].startswith(
             ("stopped after 0.5 s", "stopped after 5")
         )
+        assert cpu_seconds() - before > 0.5 or "by the clock" in found["reason"]  # a cost of this process
 
 
 def killed():
