@@ -58,6 +58,7 @@ def test_force_is_proportional_to_stiffness_and_grows_as_the_gel_keeps_its_volum
     twice = gelforge.solve(BALL, depth=0.5, method="draft", c10=2 * REFERENCE_C10)
     once = gelforge.solve(BALL, depth=0.5, method="draft", c10=REFERENCE_C10)
     np.testing.assert_allclose(twice.total, 2 * once.total, rtol=1e-12, atol=0)
+    assert twice.error_n == pytest.approx(2 * once.error_n) and 0.0 < once.error_n < -0.05 * once.total[2]
     looser = gelforge.solve(BALL, depth=0.5, method="draft", nu=0.4)
     assert 0.0 > looser.total[2] > 0.95 * press.total[2]
 

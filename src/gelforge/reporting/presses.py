@@ -13,6 +13,7 @@ TEXTS = ("indenter", "sensor", "gel", "split", "status", "reason", "method", "me
 NUMBERS = (
     *POSE,
     *(f"{kind}_{axis}" for kind in ("label", "network", "measured") for axis in CHANNELS),
+    "error_n",
     "seconds",
     "peak_mib",
 )  # fmt: skip
@@ -76,6 +77,9 @@ def _press(
     for at, axis in enumerate(CHANNELS):
         row[f"measured_{axis}"], row[f"label_{axis}"] = press.force[at], known[at]
         row[f"network_{axis}"] = np.nan if total is None else total[at]
+    if solve:  # stated at the reference C10, and in proportion to it
+        stiffer = np.linalg.norm(known) / max(float(np.linalg.norm(solve.total)), np.finfo(float).tiny)
+        row["error_n"] = solve.number("error_n") * stiffer
     return row
 
 

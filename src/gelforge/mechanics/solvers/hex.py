@@ -200,9 +200,9 @@ class HexSolver:
             return
         both = Coarse(coarse.force, coarse.area)
         factor = 1.0 / (1.0 + numbers.correction(edge, both, force))
-        # reactions of the base go with the forces: what was checked for balance stays balanced
-        result.forces *= factor
-        contact.traction *= factor
+        # reactions of the base go with the forces: what was checked for balance stays balanced. Equal frames share arrays
+        result.forces = factor * result.forces
+        result.contact = replace(contact, traction=factor * contact.traction)
         evidence |= {
             "path": [[t, *(factor * np.array(step)).tolist()] for t, *step in evidence["path"]], "extrapolated": factor,
             "error_n": numbers.error(both, force) * factor * force, "cells_error_n": numbers.cells * edge.near * factor * force,
