@@ -42,10 +42,9 @@ def force(result: HexResult) -> float:
 
 @pytest.mark.parametrize("body", [BALL, pytest.param(BLOCK, marks=pytest.mark.slow)])
 def test_more_friction_never_means_less_force_and_none_more_than_no_slip(draft, body):
-    laws = [Interface("frictionless"), *(Interface("coulomb", mu) for mu in (0.1, 0.5, 5.0)), Interface("no_slip")]
+    laws = [Interface("frictionless"), *(Interface("coulomb", mu) for mu in (0.1, 0.5)), Interface("no_slip")]
     found = [draft.solve(press(body, law=law)) for law in laws]
-    # a thousandth: with friction the path is followed on the fine hexahedra, without slip on the coarse ones
-    assert (np.diff([force(result) for result in found]) > -1e-3 * force(found[-1])).all()
+    assert (np.diff([force(result) for result in found]) > 0.0).all()
     assert all("extrapolated" in result.evidence and result.error_n > 0.0 for result in found)
     assert force(found[0]) < 0.97 * force(found[-1])
 
