@@ -17,11 +17,11 @@ COARSE = {"size": 1.2, "layers": 3, "widened": []}
 BALL_ON_PAD = ((0.344, 0.236), (0.468, 0.500), (0.782, 1.495), (1.215, 3.895), (1.461, 6.290))
 
 
-def prepared(root, folder, **changes):
+def prepared(root, folder, law="no_slip", **changes):
     """The stage's dataset in a folder of its own, with the parameters that it gets; its layout."""
     of = Layout(place_workflow(folder) / "results/lab")
-    usual = {"solver": COARSE, "compare": False, "refine": "none", "friction_nodes": []}
-    write_stage(of.params, "calibrate", calibrate=usual | changes)
+    usual = {"solver": COARSE, "refine": "none"}
+    write_stage(of.params, "calibrate", calibrate=usual | changes, interface={"law": law})
     write_json(of.parameters("sensors"), read_toml(root / "workflow/sensors.toml"))
     if not of.data.exists():
         shutil.copytree(root / "data" / "feats_sphere15", of.data)
@@ -47,19 +47,18 @@ def test_summary_and_report_say_what_is_known(done, tmp_path):
     low, high = summary["c10"]["interval95"]
     assert low < summary["c10"]["interval68"][0] < summary["c10"]["median"] < high
     assert 0.05 < summary["c10"]["median"] < 0.15  # soft silicone
-    assert summary["solves_spent"]["total"] == 2
-    figures = summary["diagnostics"]["coulomb"]
+    assert summary["solves_spent"]["total"] == 1
+    figures = summary["diagnostics"]
     assert figures["taus"] >= 50 and figures["rhat"] < 1.02
     assert set(summary["parameters"]) == set(summary["correlations"]["names"])
     assert summary["evidence"] == []
-    # its own error of touch explains part of a reading
-    assert 0.0 < summary["own_touch_mae_n"]["fz"] < summary["predictive_mae_n"]["fz"]
+    assert 0.0 < summary["left_out_mae_n"]["fz"] < 2.0
     for name in ("corner", "predictive", "trace"):
         assert (done.root / f"calibrate/{name}.png").stat().st_size > 10_000
     assert not list(done.folder("calibrate").glob(".*"))  # nothing half-written is left
     section = calibration_section(done.root)
     (table,) = (item for item in section.items if item["kind"] == "table")
-    assert table["rows"][0][0] == "C10 (MPa)" and len({row[0] for row in table["rows"]}) == 8
+    assert table["rows"][0][0] == "C10 (MPa)" and len({row[0] for row in table["rows"]}) == 7
     assert set(summary["sentences"]) <= {item["text"] for item in section.items if item["kind"] == "text"}
 
 
@@ -81,8 +80,9 @@ def test_second_run_solves_nothing_anew_and_says_what_it_sees(root, done, capsys
 
 
 @pytest.mark.slow
-def test_all_laws_follow_a_ball_on_a_thin_pad_that_others_measured(root, tmp_path):
-    """Within 5 % of each reading, with a touch offset and a compliance that a hand-held bench may have."""
+@pytest.mark.parametrize("law", ["frictionless", "coulomb", "no_slip"])
+def test_each_law_follows_a_ball_on_a_thin_pad_that_others_measured(root, tmp_path, law):
+    """Each press that is left out is predicted, with a touch offset and a compliance that a hand-held bench may have."""
     data = tmp_path / "data/lab"
     data.mkdir(parents=True)
     header = "sample_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg,fx_n,fy_n,fz_n"
@@ -94,14 +94,14 @@ def test_all_laws_follow_a_ball_on_a_thin_pad_that_others_measured(root, tmp_pat
     sensors.write_text(
         '[digit]\ngel = "flat_2mm"\nimage = [240, 320]\nprojection = [[0.0, -15.0, 120.0], [-15.0, 0.0, 160.0], [0.0, 0.0, 1.0]]\n'
     )
-    of = prepared(root, tmp_path, compare=True, refine="draft", friction_nodes=[0.3], solver={"size": 0.5})
+    of = prepared(root, tmp_path, law, refine="draft", solver={"size": 0.5})
     write_json(of.parameters("sensors"), read_toml(sensors))
     assert calibrate.main([str(of.root)]) == 0
     summary = read_json(of.calibration())
     assert 0.06 < summary["c10"]["median"] < 0.11 and summary["evidence"] == []
-    assert {law["law"] for law in summary["laws"]} == {"frictionless", "coulomb", "no_slip"}
-    for entry in summary["laws"]:
-        assert entry["own_touch_mae_n"]["fz"] < 0.05 * np.mean([force for _, force in BALL_ON_PAD])
+    assert summary["law"] == law and ("mu" in summary["parameters"]) == (law == "coulomb")
+    # the most and the least deep of five presses are predicted beyond the others
+    assert summary["left_out_mae_n"]["fz"] < 0.15 * np.mean([force for _, force in BALL_ON_PAD])
 
 
 def test_a_wrong_log_leaves_no_summary_and_solves_nothing(root, tmp_path):

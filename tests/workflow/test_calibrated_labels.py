@@ -19,10 +19,7 @@ images = false
 method = "draft"
 tolerance = 0.2
 [params.calibrate]
-compare = false
 refine = "none"
-friction_nodes = []
-law = "no_slip"
 [params.calibrate.solver]
 size = 1.2
 layers = 3

@@ -132,3 +132,48 @@ def evaluate(table, top, depth, travel, of):
         over_log_mu = axis * (1.0 - axis) * (table.shape[1] - 1)  # d (grid steps of friction) / d ln mu
         _yield_sideways(table, travel, at, over_log_mu, of.scale[w], of.shear_compliance[w], found)
     return forces, slopes, depths
+
+
+@njit(cache=True, fastmath=False)
+def log_likelihood(residual, serves, forces, slopes, noise, scatter, errors, tail, constant):
+    """Log-likelihood (w, n) of the readings of n presses, each press one draw of Student's t.
+
+    residual: (w, n, 3) N. serves: (n, 3), whether a component does. forces, slopes: (w, n, 3). noise, scatter: (w,).
+    errors: of emulated forces: of all components, of sideways ones alike, of sideways ones by the normal force.
+    constant: (4,), of the density by the number of components.
+    What a press' components share are an error of touch, along the slope of the force, and the errors of the emulator.
+    """
+    walkers, presses = residual.shape[:2]
+    found = np.zeros((walkers, presses))
+    root, z = np.zeros((3, 3)), np.zeros(3)
+    for w in range(walkers):
+        for p in range(presses):
+            f, s, r = forces[w, p], slopes[w, p], residual[w, p]
+            used, log_det, square = 0, 0.0, 0.0
+            for i in range(3):
+                if not serves[p, i]:
+                    continue
+                z[i] = r[i]
+                for j in range(i + 1):
+                    if not serves[p, j]:
+                        root[i, j] = 0.0
+                        continue
+                    value = scatter[w] ** 2 * s[i] * s[j] + errors[0] ** 2 * f[i] * f[j]
+                    if i < 2 and j < 2:
+                        value += errors[1] ** 2 * f[i] * f[j]
+                    if i == j:
+                        value += noise[w] ** 2
+                        if i < 2:
+                            value += (errors[2] * f[2]) ** 2
+                    for k in range(j):
+                        value -= root[i, k] * root[j, k]
+                    root[i, j] = np.sqrt(value) if i == j else value / root[j, j]
+                for k in range(i):
+                    if root[i, k] != 0.0:
+                        z[i] -= root[i, k] * z[k]
+                z[i] /= root[i, i]
+                log_det += np.log(root[i, i])
+                square += z[i] * z[i]
+                used += 1
+            found[w, p] = constant[used] - log_det - 0.5 * (tail + used) * np.log1p(square / tail)
+    return found

@@ -1,4 +1,4 @@
-"""Parameters of the calibration, their priors, and the interface laws that are compared."""
+"""Parameters of the calibration and their priors."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -9,7 +9,6 @@ from scipy import stats
 
 from gelforge.calibration.emulator import HALF_MU, friction_axis, friction_of
 from gelforge.flow.params.tables import CalibrateTable, PriorTable
-from gelforge.mechanics.contact.laws.coulomb import Coulomb
 from gelforge.mechanics.contact.laws.frictionless import Frictionless
 from gelforge.mechanics.contact.laws.no_slip import NoSlip
 
@@ -29,18 +28,27 @@ LABELS = {
     "scatter": "touch scatter (mm)",
     "discretisation": "ln of scale, all forces",
 }
-# The contact laws that are compared, each with the friction coefficient it implies; Coulomb's is a parameter.
-FRICTION = {Frictionless.name: 0.0, Coulomb.name: None, NoSlip.name: np.inf}
-LAWS = tuple(FRICTION)
+FRICTION = {Frictionless.name: 0.0, NoSlip.name: np.inf}  # that a law implies; Coulomb's is a parameter
 # Distributions of scipy.stats by kind of prior, from the numbers of its table.
 KINDS = {
     "normal": lambda n: stats.norm(n["mean"], n["spread"]),
     "lognormal": lambda n: stats.lognorm(n["spread"], scale=n["median"]),
     "halfnormal": lambda n: stats.halfnorm(scale=n["spread"]),
     "cauchy": lambda n: stats.cauchy(n["mean"], n["spread"]),
-    "uniform": lambda n: stats.uniform(n["low"], n["high"] - n["low"]),
-    "loguniform": lambda n: stats.loguniform(n["low"], n["high"]),
 }
+# What to look at where a parameter is outside of what is usual.
+CHECK = {
+    "c10": "check the gel's thickness, the sizes of the indenters and the unit of the forces",
+    "offset": "check how touch was found and z0_mm of the log",
+    "compliance": "check that the frame is screwed tight and the unit of the forces",
+    "shear_compliance": "check that the frame is screwed tight, and the signs of dx_mm, dy_mm, fx_n and fy_n",
+    "mu": "check dx_mm, dy_mm and the sideways forces",
+    "discretisation": "check the unit of the forces",
+    "indenter": "check this indenter's size and rot_deg",
+}
+# Probability of a prior, outside of which on either side a median is no usual one; of a cauchy prior that is five spreads.
+BEYOND = {"cauchy": 0.063}
+BEYOND_OTHERS = 0.005
 POINTS = 6401  # at which a prior is tabulated over its coordinate, so that values in between are good to 1e-6
 
 
@@ -55,11 +63,6 @@ class Prior:
     law: Any
 
     RANGE: ClassVar[tuple[float, float]] = (-8.0, 8.0)  # of the coordinate
-
-    @property
-    def informative(self) -> bool:
-        """Whether the prior alone bounds the parameter to a region it prefers."""
-        return self.kind not in ("uniform", "loguniform")
 
     def value(self, z: np.ndarray) -> np.ndarray:
         """Parameter values at coordinates `z`."""
@@ -103,7 +106,7 @@ def prior_of(table: PriorTable, kind: type[Prior] = Prior) -> Prior:
 
 @dataclass(frozen=True)
 class Model:
-    """One hypothesis: an interface law, and which parameters are free.
+    """An interface law, and which parameters are free.
 
     free: {name: Prior} in the order of NAMES, then "scale of INDENTER" where several indenters
     serve. fixed: {name: value} of all others. indenters: names in the order of Emulator.group.
@@ -152,6 +155,21 @@ class Model:
         """Coordinates (size, free) drawn from the priors."""
         return self.coordinates(rng.random((size, len(self.free))))
 
+    def beyond_priors(self, medians: dict[str, float]) -> list[str]:
+        """A sentence on each parameter whose median is none that its prior expects, with what to check."""
+        said = []
+        for name, value in medians.items():
+            prior = self.free[name]
+            tail = BEYOND.get(prior.kind, BEYOND_OTHERS)
+            low, high = (float(v) for v in prior.law.ppf([tail, 1.0 - tail]))
+            key = "indenter" if name.startswith("scale of ") else name
+            if key in CHECK and not low <= value <= high:
+                said.append(
+                    f"The {label_of(name)} is {value:.3g}, outside of what its prior expects ({low:.3g} to {high:.3g}): "
+                    f"{CHECK[key]}, or change [calibrate.priors.{key}] if you know better."
+                )
+        return said
+
     def values(self, coordinates) -> dict[str, np.ndarray]:
         """Every parameter as an array (w,) from coordinates (w, free), and `indenter`, (w, indenters)."""
         coordinates = np.atleast_2d(coordinates)
@@ -172,9 +190,8 @@ def make_model(params: CalibrateTable, law: str, indenters=(), sideways: bool = 
     free, fixed = {}, {}
     for name in NAMES:
         table = params.priors.tare if name in TARE else getattr(params.priors, name)
-        implied = FRICTION[law] if name == "mu" else None
-        if implied is not None:
-            fixed[name] = implied
+        if name == "mu" and law in FRICTION:
+            fixed[name] = FRICTION[law]
         elif not sideways and name in SIDEWAYS:
             fixed[name] = 0.0
         elif table.free is False and table.fixed is not None:

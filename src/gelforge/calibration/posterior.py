@@ -9,11 +9,12 @@ from gelforge.calibration.emulator import Emulator
 from gelforge.calibration.parameters import TARE, Model
 
 # By how much emulated forces err from press to press, measured by solves of the demo's presses on fine hexahedra at other
-# friction and depth (make benchmark-calibration): the normal force by a fraction of itself; sideways forces by one of
-# themselves and, where a press hardly moves sideways, one of the normal force. Without it a thousandth of a firm press' force
+# friction and depth (make benchmark-calibration): all components by a fraction of themselves; sideways forces by one more
+# and, where a press hardly moves sideways, by one of the normal force. Without it a thousandth of a firm press' force
 # would decide on friction.
 ERROR = 0.01
 SIDEWAYS_ERROR, SIDEWAYS_ERROR_OF_NORMAL = 0.04, 0.002
+ERRORS = np.array([ERROR, SIDEWAYS_ERROR, SIDEWAYS_ERROR_OF_NORMAL])
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class Posterior:
     tail: float
 
     def predict(self, coordinates) -> tuple[np.ndarray, np.ndarray]:
-        """Noise-free readings and scale of the likelihood, each (w, n, 3) N.
+        """Noise-free readings and scale of each one's likelihood, each (w, n, 3) N.
 
         A reading is the force on the gel and the sensor's constant force. The scale holds the sensor's noise and, in
         quadrature, what the scatter of touch from press to press makes of the slope of force over depth, and what the
@@ -45,21 +46,22 @@ class Posterior:
     def scale(forces, slopes, values: dict) -> np.ndarray:
         """Scale of the likelihood (w, n, 3) at forces (w, n, 3) N and slopes (w, n, 3) N per mm."""
         noise, scatter = (values[name][:, None, None] for name in ("noise", "scatter"))
-        variance = noise**2 + (scatter * slopes) ** 2
-        normal, sideways = forces[..., 2] ** 2, (forces[..., :2] ** 2).sum(axis=2)
-        variance[..., :2] += (SIDEWAYS_ERROR**2 * sideways + SIDEWAYS_ERROR_OF_NORMAL**2 * normal)[..., None]
-        variance[..., 2] += ERROR**2 * normal
+        variance = noise**2 + (scatter * slopes) ** 2 + (ERROR * forces) ** 2
+        variance[..., :2] += (SIDEWAYS_ERROR * forces[..., :2]) ** 2
+        variance[..., :2] += ((SIDEWAYS_ERROR_OF_NORMAL * forces[..., 2]) ** 2)[..., None]
         return np.sqrt(variance)
 
-    def pointwise(self, coordinates) -> np.ndarray:
-        """Log-likelihood of every reading that serves, (w, r)."""
-        forces, scale = self.predict(coordinates)
-        used = np.isfinite(self.observed)
-        scale = scale[:, used]
-        z = (self.observed[used] - forces[:, used]) / scale
-        v = self.tail
-        constant = gammaln((v + 1) / 2) - gammaln(v / 2) - 0.5 * np.log(v * np.pi)
-        return constant - np.log(scale) - (v + 1) / 2 * np.log1p(z * z / v)
+    def by_press(self, coordinates) -> np.ndarray:
+        """Log-likelihood of every press, (w, n): a multivariate t, because its components share its errors."""
+        from gelforge.calibration.kernel import log_likelihood
+
+        values = self.model.values(coordinates)
+        forces, slopes, _ = self.emulator.forces(self.depth, values)
+        residual = self.observed - tare_of(values)[:, None] - forces
+        return log_likelihood(
+            residual, np.isfinite(self.observed), forces, slopes, values["noise"], values["scatter"], ERRORS, self.tail,
+            constants(self.tail),
+        )  # fmt: skip
 
     def __call__(self, coordinates) -> np.ndarray:
         """Log-probability (w,) at coordinates (w, free); -inf outside the priors, and where a force is no number."""
@@ -67,10 +69,16 @@ class Posterior:
         total = self.model.log_prior(coordinates)
         inside = np.isfinite(total)
         if inside.any():
-            total[inside] += self.pointwise(coordinates[inside]).sum(axis=1)
+            total[inside] += self.by_press(coordinates[inside]).sum(axis=1)
         return np.where(np.isnan(total), -np.inf, total)
 
 
 def tare_of(values: dict) -> np.ndarray:
     """The sensor's constant force, (w, 3) N."""
     return np.stack([values[name] for name in TARE], axis=1)
+
+
+def constants(tail: float) -> np.ndarray:
+    """Constant of the log-density of a multivariate t of 0 to 3 components, (4,) (Kotz, Nadarajah 2004, equation 1.1)."""
+    k = np.arange(4)
+    return gammaln((tail + k) / 2) - gammaln(tail / 2) - 0.5 * k * np.log(tail * np.pi)

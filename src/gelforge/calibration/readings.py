@@ -10,9 +10,13 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.layout import Layout
 from gelforge.geometry.gel import USUAL_GEL
+from gelforge.mechanics.contact.laws.coulomb import Coulomb
+from gelforge.mechanics.contact.laws.no_slip import NoSlip
 from gelforge.records.frames import NEAR_MM, presses_of
 from gelforge.records.log import read_log
 from gelforge.records.press import FORCE, POSE, LoggedPress, Press, parse
+
+SLIDES = 1.0  # travel over depth from which on a contact slides as a whole at any usual friction
 
 
 @dataclass(frozen=True)
@@ -171,27 +175,38 @@ def check_sign(readings: Readings) -> None:
         )
 
 
-def check_enough(count: int, model) -> None:
-    """Refuse fewer readings than parameters that nothing but the readings can bound, and a single one."""
+def check_enough(count: int) -> None:
+    """Refuse a single reading."""
     if count < 2:
         raise BadInput(
             "one force reading cannot show how well a model predicts a reading that it was not given; log two presses or more"
         )
-    vague = [name for name, prior in model.free.items() if not prior.informative]
-    if count < len(vague):
-        raise BadInput(
-            f"{count} force readings cannot determine {len(vague)} parameters with flat priors ({', '.join(vague)}); "
-            "log more presses, give those parameters informative priors, or hold them fixed"
-        )
 
 
-def choose_presses(readings: Readings, most: int) -> np.ndarray:
+def slides(readings: Readings) -> np.ndarray:
+    """Whether a press moves so far sideways that its contact slides as a whole, (n,) bool: sideways over normal force is then friction."""
+    return readings.travel > SLIDES * readings.depth
+
+
+def choose_presses(readings: Readings, most: int, law: str) -> np.ndarray:
     """Indices of at most `most` presses, spread over indenters and, within each, over depth.
 
-    Round robin over the indenters with most presses, half as many as presses at most, since an
+    Round robin over the indenters with most presses, half as many as presses at most, since
     an indenter pressed to one depth only adds little; each gives its presses in bisection order of
-    depth, so that any number taken spans the range.
+    depth, so that any number taken spans the range. Under Coulomb's law a quarter are presses that slide, where there are
+    any, because only those show friction; without slip they do not serve, because the law does not hold for them.
     """
+    sliding = slides(readings)
+    firm, loose = np.flatnonzero(~sliding), np.flatnonzero(sliding)
+    if law == Coulomb.name and len(loose) and len(readings) > most:
+        loose = loose[spread(readings.take(loose), max(most // 4, most - len(firm)))]
+        return np.sort(np.append(firm[spread(readings.take(firm), most - len(loose))], loose))
+    served = firm if law == NoSlip.name and len(firm) > 1 else np.arange(len(readings))
+    return served[spread(readings.take(served), most)]
+
+
+def spread(readings: Readings, most: int) -> np.ndarray:
+    """Indices of at most `most` presses by the round robin of `choose_presses`."""
     if len(readings) <= most:
         return np.arange(len(readings))
     queues = []

@@ -103,7 +103,9 @@ def sample(posterior: Posterior, rules: Rules, say: Callable[[Figures], None] | 
         if figures.meets(rules):
             return Chain(sampler.get_chain(), figures)
         if figures.steps >= rules.max_steps:
-            raise NotConverged(complaint(posterior.model.law, figures, rules))
+            values = posterior.model.values(sampler.get_chain(discard=figures.steps // 2, flat=True))
+            medians = {name: float(np.median(values[name])) for name in posterior.model.free}
+            raise NotConverged(complaint(figures, rules, posterior.model.beyond_priors(medians)))
 
 
 def start_points(posterior: Posterior, walkers: int, rng: np.random.Generator) -> np.ndarray:
@@ -157,13 +159,15 @@ def judge(sampler: "emcee.EnsembleSampler", names: tuple[str, ...]) -> Figures:
     return Figures(steps, burn, tau, (steps - burn) / tau, accepted, float(rhat[worst]), names[worst])
 
 
-def complaint(law: str, figures: Figures, rules: Rules) -> str:
-    """The sentence of a chain that did not converge: figures, where the walkers differ, hint."""
+def complaint(figures: Figures, rules: Rules, beyond: list[str]) -> str:
+    """The sentence of a chain that did not converge: figures, where the walkers differ, hint. beyond: Model.beyond_priors."""
     text = (
-        f"{law}: the chain did not converge in {figures.steps} steps: {figures.taus:.0f} autocorrelation times after the"
+        f"The chain did not converge in {figures.steps} steps: {figures.taus:.0f} autocorrelation times after the"
         f" burn-in (at least {rules.taus:g}), acceptance {figures.acceptance:.2f}, R-hat {figures.rhat:.3f} (below"
         f" {rules.rhat:g}), the largest that of {figures.worst}. "
     )
+    if beyond:
+        return text + " ".join(beyond)
     if figures.taus >= rules.taus:
         return text + (
             f"Walkers differ in {figures.worst}, as in two modes: hold it at a measured value (free = false), narrow its prior,"

@@ -4,12 +4,11 @@ import numpy as np
 from scipy.stats import norm
 
 from gelforge.calibration.parameters import NAMES, TARE, Model, label_of
-from gelforge.calibration.posterior import Posterior, tare_of
+from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.sampling import Chain
 
 QUANTILES = {"interval68": (0.16, 0.84), "interval95": (0.025, 0.975)}
 DRAWS = 4000  # draws for predictions and scores; Monte Carlo error far below the posterior's width
-NEAR = 4.0  # differences of elpd below this are small (Sivula et al. 2020, arXiv:2008.10296, section 5)
 RELIABLE = 0.7  # Pareto shape up to which leave-one-out by importance sampling can be trusted (Vehtari et al. 2024)
 
 
@@ -61,26 +60,6 @@ def predictions(chain, posterior) -> tuple[np.ndarray, np.ndarray]:
     return forces.mean(axis=0), spread
 
 
-def own_forces(chain, posterior) -> np.ndarray:
-    """Posterior predictive mean at these very presses, (n, 3) N: what their sensor would read if read again.
-
-    Each press keeps what is its own: an error of touch with deviation `scatter`, and the emulator's error. The likelihood has
-    integrated both out; all but the sensor's noise stays when a press is read again. Given the reading of its normal
-    force, which is thus used twice, their mean follows from the linear slope; it is the same for normal errors and
-    for Student's t. Sideways only the error of touch is carried over.
-    """
-    coordinates = chain.flat(DRAWS)
-    values = posterior.model.values(coordinates)
-    forces, slopes, _ = posterior.emulator.forces(posterior.depth, values)
-    own = forces + tare_of(values)[:, None]
-    slope, residual = slopes[:, :, 2], posterior.observed[:, 2] - own[:, :, 2]
-    explained = residual / posterior.scale(forces, slopes, values)[:, :, 2] ** 2  # by a unit of variance
-    noise, scatter = (values[name][:, None] ** 2 for name in ("noise", "scatter"))
-    own[:, :, :2] += slopes[:, :, :2] * (scatter * slope * explained)[:, :, None]
-    own[:, :, 2] += residual - noise * explained
-    return own.mean(axis=0)
-
-
 def predictive_error(mean, observed) -> dict:
     """Mean absolute error of the predictive mean, N, per component that serves."""
     error = {}
@@ -107,79 +86,38 @@ def find_outliers(readings, mean, scale, observed, threshold: float) -> list[dic
     return sorted(rows, key=lambda r: -abs(r["scales_away"]))
 
 
-def score(posterior: Posterior, chain: Chain) -> tuple[np.ndarray, float]:
-    """Expected log predictive density (r,) of each reading when it is left out, and the largest Pareto shape.
+def left_out(chain: Chain, posterior: Posterior) -> tuple[np.ndarray, float]:
+    """Predictive mean (n, 3) N of each press when the whole of it is left out, and the largest Pareto shape.
 
-    By Pareto-smoothed importance sampling (Vehtari, Gelman, Gabry 2017, Statistics and Computing 27:1413).
+    By Pareto-smoothed importance sampling (Vehtari, Gelman, Gabry 2017, Statistics and Computing 27:1413), without new solves.
     """
     from arviz_stats.base import array_stats
 
-    terms = posterior.pointwise(chain.flat(DRAWS))
-    elpd, shape, _ = array_stats.loo(terms.T[:, None, :])
-    return np.asarray(elpd), float(np.max(shape))
+    coordinates = chain.flat(DRAWS)
+    forces, _ = posterior.predict(coordinates)
+    weights, shape = array_stats.psislw(-posterior.by_press(coordinates).T, axis=-1)
+    return np.einsum("nw,wnc->nc", np.exp(weights), forces), float(np.max(shape))
 
 
-def compare(results: list[tuple[Posterior, Chain]]) -> list[dict]:
-    """Table of the interface laws, the best predicting first."""
-    scores = [score(*result) for result in results]
-    order = sorted(range(len(results)), key=lambda k: -scores[k][0].sum())
-    best = scores[order[0]][0]
-    table = []
-    for k in order:
-        (posterior, chain), (elpd, shape) = results[k], scores[k]
-        gap = best - elpd
-        behind, error = float(gap.sum()), float(np.sqrt(len(gap)) * gap.std(ddof=1))
-        mean, _ = predictions(chain, posterior)
-        table.append(
-            {
-                "law": posterior.model.law,
-                "elpd": float(elpd.sum()),
-                "behind": behind,
-                "behind_standard_error": error,
-                "pareto_shape": shape,
-                "indistinguishable": bool(behind <= max(NEAR, 2.0 * error)),
-                "c10": describe(posterior.model.values(chain.flat())["c10"]),
-                "predictive_mae_n": predictive_error(mean, posterior.observed),
-                "own_touch_mae_n": predictive_error(own_forces(chain, posterior), posterior.observed),
-            }
-        )
-    return table
-
-
-def sentences(parameters: dict, correlation: dict, laws: list[dict], law: str) -> list[str]:
+def sentences(parameters: dict, correlation: dict, model: Model) -> list[str]:
     """What the data say and what they cannot separate, in plain words."""
     c10 = parameters["c10"]
     low, high = c10["interval95"]
-    said = [f"C10 is {c10['median']:.4f} MPa under {law}, between {low:.4f} and {high:.4f} with 95 % probability."]
-    return said + law_sentences(laws) + _trades(correlation) + _unseen(parameters)
-
-
-def law_sentences(laws: list[dict]) -> list[str]:
-    """Which interface laws predict equally well, what that leaves open, and which are ruled out."""
-    if len(laws) < 2:
-        return []
-    alike = [m for m in laws if m["indistinguishable"]]
-    unlikely = [m["law"] for m in laws if not m["indistinguishable"]]
-    said = []
-    if len(alike) > 1:
-        medians = [m["c10"]["median"] for m in alike]
-        said.append(
-            f"The data cannot separate {', '.join(m['law'] for m in alike)}: they predict readings that were left out equally"
-            f" well, yet their medians of C10 run from {min(medians):.4f} to {max(medians):.4f} MPa."
-        )
-    if unlikely:
-        said.append(f"The data speak against {', '.join(unlikely)}.")
-    if max(m["pareto_shape"] for m in laws) > RELIABLE:
-        said.append("The comparison of the laws turns on single readings and is rough.")
-    return said
-
-
-def predictive_sentence(repeated: dict, own: dict) -> str:
-    """How far the normal force is off, in both senses of a predictive mean."""
+    said = [
+        f"C10 is {c10['median']:.4f} MPa under {model.law}, between {low:.4f} and {high:.4f} with 95 % probability."
+    ]
     return (
-        f"The predictive mean of the normal force has an error of {repeated['fz']:.3f} N on average for a press repeated, "
-        f"by {own['fz']:.3f} N at these very presses, each with its own errors of touch and emulator."
+        said
+        + model.beyond_priors({name: row["median"] for name, row in parameters.items()})
+        + _trades(correlation)
+        + _unseen(parameters)
     )
+
+
+def predictive_sentence(error: dict, shape: float) -> str:
+    """How far the normal force of a press is off that the fit was not given."""
+    rough = "" if shape <= RELIABLE else " Single presses decide on much of the result, so this is rough."
+    return f"A press that is left out is predicted with an error of {error['fz']:.3f} N of normal force on average.{rough}"
 
 
 def _trades(correlation: dict) -> list[str]:

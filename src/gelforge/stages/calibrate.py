@@ -6,11 +6,10 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from gelforge.calibration import summary
 from gelforge.calibration.emulator import Emulator
-from gelforge.calibration.parameters import FRICTION, LAWS, TARE, Model, make_model
+from gelforge.calibration.parameters import TARE, Model, make_model
 from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.readings import Readings, check_enough, check_readings, choose_presses, read_readings
 from gelforge.calibration.sampling import Chain, Figures, Rules, sample
@@ -22,41 +21,28 @@ from gelforge.flow.main import JOBS, stage
 from gelforge.flow.params import DatasetFile, read_dataset_file, read_indenter_tables
 from gelforge.flow.params.stages import ForCalibrate, read_parameters
 from gelforge.flow.params.tables import CalibrateSolverTable, CalibrateTable
-from gelforge.flow.slots import in_slots
 from gelforge.geometry.gel import use_gels_of
 from gelforge.labelling.sensor import Sensor, load_sensors
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.records.log import rejected_rows
 from gelforge.reporting import cornerplots as plots
 
-VERSION = 12
+VERSION = 13
 MOST_BANDS = 6  # indenters in the plot of predictive bands, the first by name: more hide each other
 
 
 @dataclass(frozen=True)
 class Calibration:
-    """A finished calibration: readings used, and posterior and chain of the chosen interface law, then of those compared."""
+    """A finished calibration: the readings used, their posterior and its chain."""
 
     readings: Readings
-    fitted: list[tuple[Posterior, Chain]]
-
-    @property
-    def posterior(self) -> Posterior:
-        return self.fitted[0][0]
-
-    @property
-    def chain(self) -> Chain:
-        return self.fitted[0][1]
+    posterior: Posterior
+    chain: Chain
 
 
 def sampling_rules(params: CalibrateTable) -> Rules:
     """Rules from the table [calibrate]."""
     return Rules(params.autocorrelation_times, params.max_steps, params.seed)
-
-
-def friction_nodes(params: CalibrateTable) -> list[float]:
-    """Friction coefficients that are solved: frictionless, those of the table, no slip."""
-    return [0.0, *sorted(float(mu) for mu in params.friction_nodes), np.inf]
 
 
 def served(readings: Readings) -> np.ndarray:
@@ -66,45 +52,34 @@ def served(readings: Readings) -> np.ndarray:
     return observed
 
 
-def models_of(readings: Readings, params: CalibrateTable) -> list[Model]:
-    """Of the chosen interface law, then of those that are compared with it; too few readings raise BadInput."""
+def model_of(readings: Readings, params: CalibrateTable, law: str) -> Model:
+    """The model of a contact law for readings; too few readings raise BadInput."""
     observed = served(readings)
-    indenters = np.unique(readings.indenters).tolist()
-    sideways = bool(np.isfinite(observed[:, :2]).any())
-    laws = [params.law, *(law for law in LAWS if params.compare and law != params.law)]
-    models = [make_model(params, law, indenters, sideways) for law in laws]
-    check_enough(int(np.isfinite(observed).sum()), models[0])
-    return models
+    check_enough(int(np.isfinite(observed).sum()))
+    return make_model(params, law, np.unique(readings.indenters).tolist(), bool(np.isfinite(observed[:, :2]).any()))
 
 
-def fit(posterior: Posterior, rules: Rules) -> Chain:
-    """The chain of one interface law; its progress goes to the log."""
+def calibrate(readings: Readings, emulator: Emulator, params: CalibrateTable, law: str) -> Calibration:
+    """Sample the posterior under a contact law; the chain's progress goes to the log."""
 
     def say(figures: Figures) -> None:
         print(
-            f"{posterior.model.law}: {figures.steps} steps, {figures.taus:.0f} autocorrelation times kept, acceptance "
-            f"{figures.acceptance:.2f}, R-hat {figures.rhat:.4f}",
+            f"{figures.steps} steps, {figures.taus:.0f} autocorrelation times kept, acceptance {figures.acceptance:.2f}, "
+            f"R-hat {figures.rhat:.4f}",
             file=sys.stderr, flush=True,
         )  # fmt: skip
 
-    return sample(posterior, rules, say)
-
-
-def calibrate(readings: Readings, emulator: Emulator, params: CalibrateTable, jobs: int = 1) -> Calibration:
-    """Sample the chosen interface law and those that are compared with it, on `jobs` processes."""
-    rules, observed, models = sampling_rules(params), served(readings), models_of(readings, params)
-    of = [Posterior(emulator, model, readings.depth, observed, params.tail) for model in models]
-    found = in_slots(fit, [(posterior, rules) for posterior in of], jobs)
-    done = Calibration(readings, list(zip(of, tqdm(found, "interface laws", len(of)), strict=True)))
-    refuse_beyond(done.posterior, done.chain)
+    posterior = Posterior(emulator, model_of(readings, params, law), readings.depth, served(readings), params.tail)
+    done = Calibration(readings, posterior, sample(posterior, sampling_rules(params), say))
+    refuse_beyond(done.posterior, done.chain, params.reach_mm)
     return done
 
 
-def refuse_beyond(posterior: Posterior, chain: Chain) -> None:
-    """Refuse a posterior that presses deeper than the emulator was solved."""
+def refuse_beyond(posterior: Posterior, chain: Chain, reach: float) -> None:
+    """Refuse a posterior that presses more than `reach` mm deeper than commanded, which is about how deep was solved."""
     values = posterior.model.values(chain.flat(1000))
     depth = posterior.emulator.forces(posterior.depth, values)[2]
-    beyond = float((depth > posterior.emulator.top).mean())
+    beyond = float((depth > np.maximum(posterior.emulator.top, posterior.depth + reach)).mean())
     if beyond > 0.02:
         raise BadInput(
             f"{100 * beyond:.0f} % of the posterior presses deeper than the emulator's solves go; raise [calibrate] "
@@ -118,30 +93,27 @@ def summarise(done: Calibration, params: CalibrateTable, seen: list[str]) -> dic
     parameters = summary.parameter_table(chain, posterior.model)
     correlation = summary.correlations(chain, posterior.model)
     mean, scale = summary.predictions(chain, posterior)
-    laws = summary.compare(done.fitted)
     for name, row in parameters.items():
         shared = "indenter" if name.startswith("scale of ") else "tare" if name in TARE else name
         row["reason"] = getattr(params.priors, shared).reason or ""
-    repeated = summary.predictive_error(mean, posterior.observed)
-    own = summary.predictive_error(summary.own_forces(chain, posterior), posterior.observed)
-    said = summary.sentences(parameters, correlation, laws, posterior.model.law)
+    without, shape = summary.left_out(chain, posterior)
+    error = summary.predictive_error(without, posterior.observed)
+    said = summary.sentences(parameters, correlation, posterior.model)
     return {
         "bench": summary.bench(parameters, posterior.model.fixed),
         "used": done.readings.ids.tolist(),
         "c10": summary.describe(posterior.model.values(chain.flat())["c10"]),
         "unit": "MPa",
-        "model": posterior.model.law,
+        "law": posterior.model.law,
         "parameters": parameters,
         "correlations": correlation,
-        "diagnostics": {posterior.model.law: asdict(chain.figures) for posterior, chain in done.fitted},
-        "laws": laws,
+        "diagnostics": asdict(chain.figures),
         "presses": len(done.readings),
         "readings": int(np.isfinite(posterior.observed).sum()),
-        "predictive_mae_n": repeated,
-        "own_touch_mae_n": own,
+        "left_out_mae_n": error,
         "outliers": summary.find_outliers(done.readings, mean, scale, posterior.observed, params.outlier_scales),
         "evidence": seen,
-        "sentences": [said[0], *seen, *said[1:], summary.predictive_sentence(repeated, own)],
+        "sentences": [said[0], *seen, *said[1:], summary.predictive_sentence(error, shape)],
     }
 
 
@@ -149,7 +121,7 @@ def usual_forces(posterior: Posterior, c10: float) -> np.ndarray:
     """Forces (n, 3) N on a gel of that C10 where nothing but the gel yields and friction is as its prior expects."""
     model = posterior.model
     nothing = {name: np.zeros(1) for name in (*model.fixed, *model.free)}
-    mu = FRICTION[model.law] if model.free.get("mu") is None else model.free["mu"].law.median()
+    mu = model.fixed["mu"] if "mu" in model.fixed else model.free["mu"].law.median()
     values = {**nothing, "c10": np.array([c10]), "mu": np.array([mu])}
     values["indenter"] = np.zeros((1, max(1, len(model.indenters))))
     return posterior.emulator.forces(posterior.depth, values)[0][0]
@@ -219,7 +191,9 @@ def solver_settings(table: CalibrateSolverTable):
     return HexSettings(**vars(table))
 
 
-def emulate(readings: Readings, catalogue: dict, params: CalibrateTable, nu: float, folder: Path, jobs: int) -> tuple:
+def emulate(
+    readings: Readings, catalogue: dict, params: CalibrateTable, law: str, nu: float, folder: Path, jobs: int
+) -> tuple:
     """Readings that could be solved, their emulator, and the solves it took.
 
     Counts: total, per interface law, fine, new, in_vain (SolveCache.spent), and the list `unsolved` of presses
@@ -229,24 +203,24 @@ def emulate(readings: Readings, catalogue: dict, params: CalibrateTable, nu: flo
     from gelforge.mechanics.hexsettings import quality
     from gelforge.stages import fea
 
+    def planned(readings: Readings):
+        return make_plan(readings, params.reach_mm, law, params.friction_nodes, nu)
+
     cache = SolveCache(folder, catalogue, solver_settings(params.solver), fea.VERSION)
-    mus = friction_nodes(params)
-    plan = make_plan(readings, params.reach_mm, params.shear_depths, nu)
-    failed = solve_all(plan, cache, mus, jobs)
+    failed = solve_all(planned(readings), cache, jobs)
     unsolved = [{"sample_id": str(readings.ids[i]), "reason": reason} for i, reason in failed.items()]
     if len(failed) > len(readings) / 2:
         raise BadInput(
             f"{len(failed)} of {len(readings)} presses could not be solved, the first: {unsolved[0]['reason']}; "
             "raise press_steps or change size in [calibrate.solver]"
         )
-    if failed:
-        readings = readings.take(np.setdiff1d(np.arange(len(readings)), list(failed)))
-        plan = make_plan(readings, params.reach_mm, params.shear_depths, nu)  # of solves that are there already
-    emulator = build_emulator(plan, cache, mus)
+    readings = readings.take(np.setdiff1d(np.arange(len(readings)), list(failed)))
+    plan = planned(readings)  # of solves that are there already
+    emulator = build_emulator(plan, cache)
     spent = cache.spent
     if params.refine != "none":
         fine = SolveCache(folder, catalogue, quality(params.refine), fea.VERSION)
-        emulator = refine(emulator, plan, fine, jobs)
+        emulator = refine(emulator, plan, cache, fine, jobs)
         more = {key: spent[key] + fine.spent[key] for key in ("total", "new", "in_vain")}
         spent = {**spent, **more, "fine": fine.spent["total"]}
     return readings, emulator, {**spent, "unsolved": unsolved}
@@ -279,19 +253,19 @@ def main(args: Namespace) -> None:
     of, work = args.of, args.out.parent
     use_gels_of(of.workflow)
     tables = read_parameters(of.parameters("calibrate"), ForCalibrate)
-    params, nu = tables.calibrate, float(tables.material.nu)
+    params, law, nu = tables.calibrate, tables.interface.law, float(tables.material.nu)
 
     about = read_dataset_file(of.data / "dataset.toml")
     gels = gels_of(load_sensors(of.parameters("sensors")), about)
     logged = read_readings(of.log, load_rejected(of.folder(POSES), of.names()), gels)
     check_readings(logged)
-    readings = logged.take(choose_presses(logged, params.max_presses))
-    models_of(readings, params)  # refuses too few readings before anything is solved
+    readings = logged.take(choose_presses(logged, params.max_presses, law))
+    model_of(readings, params, law)  # refuses too few readings before anything is solved
     named = sorted(set(readings.indenters.tolist()))
     known = read_indenter_tables(of.workflow, of.data, about.catalogue)
     catalogue = build_all(known, of.workflow / about.catalogue, named, of.workflow, of.surfaces)
-    readings, emulator, spent = emulate(readings, catalogue, params, nu, work / "solves", args.jobs)
-    done = calibrate(readings, emulator, params, args.jobs)
+    readings, emulator, spent = emulate(readings, catalogue, params, law, nu, work / "solves", args.jobs)
+    done = calibrate(readings, emulator, params, law)
     draw_plots(done, work)
     own = about.params.get("material", {}).get("c10")
     usual = own if isinstance(own, int | float) else REFERENCE_C10

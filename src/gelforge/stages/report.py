@@ -88,22 +88,6 @@ def _with_force(solve: Solved, status: str, total: list[float]) -> Solved:
     return replace(solve, status=Status[status], reason=lost or solve.reason, total=(x, y, z))
 
 
-def compared_laws(laws: list[dict]) -> tuple[list[str], list[list]]:
-    """Columns and rows of the table of interface laws, best predicting first; errors are of normal force."""
-    columns = [
-        "law", "behind", "plus-minus", "ruled out", "C10 (MPa)", "95 % from", "to", "repeated (N)", "these (N)",
-    ]  # fmt: skip
-    rows = [
-        [
-            m["law"].replace("_", " "), m["behind"], m["behind_standard_error"],
-            "no" if m["indistinguishable"] else "yes", m["c10"]["median"], *m["c10"]["interval95"],
-            m["predictive_mae_n"]["fz"], m["own_touch_mae_n"]["fz"],
-        ]
-        for m in laws
-    ]  # fmt: skip
-    return columns, rows
-
-
 def calibration_section(results: Path) -> Section:
     """Posterior of the material."""
     section = Section("Calibration")
@@ -117,12 +101,6 @@ def calibration_section(results: Path) -> Section:
     section.table(["parameter", "median", "68 % from", "to", "95 % from", "to"], rows)
     for sentence in summary["sentences"]:
         section.text(sentence)
-    if len(summary["laws"]) > 1:
-        section.table(*compared_laws(summary["laws"]), folded="Interface laws compared").text(
-            "Interface laws by their predictive score (expected log density of a reading left out): how far behind the "
-            "best, with its standard error. Last, the mean error of normal force when the presses are repeated, and at "
-            "these presses, each with its own errors of touch and emulator."
-        )
     for press in summary.get("outliers", []):
         section.text(
             f"Outlier: {press['sample_id']} (row {press['row']}), f{press['component']} {press['measured_n']:.3g} N "
@@ -162,7 +140,7 @@ def force_section(results: Path, data: Path, rows: list[dict], doubts: Sequence[
         )
     else:
         section.text(
-            f"Labels are made with the calibration {frozen.name} ({frozen.model}, {len(frozen.presses)} presses)."
+            f"Labels are made with the calibration {frozen.name} ({frozen.law}, {len(frozen.presses)} presses)."
         )
     for sentence in [*doubts, *force_sentences(presses)]:
         section.text(sentence)

@@ -118,8 +118,8 @@ def test_a_drift_is_one_along_the_log_and_no_chance():
 def fitted(session, emulator) -> list[str]:
     """What a calibration says of a session, of which it uses three quarters."""
     used = np.flatnonzero(np.arange(len(session)) % 4 != 1)
-    params = with_values(PARAMS, compare=False, autocorrelation_times=10)
-    return evidence_of(calibrate(session.take(used), emulator.take(used), params), session, USUAL)
+    params = with_values(PARAMS, autocorrelation_times=10)
+    return evidence_of(calibrate(session.take(used), emulator.take(used), params, "coulomb"), session, USUAL)
 
 
 def test_a_cause_hides_what_follows_from_it():

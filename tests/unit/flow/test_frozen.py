@@ -16,15 +16,15 @@ from tests.support.refused import refused
 SUMMARY = {
     "c10": {"median": 0.085349, "interval68": [0.0844, 0.0863], "interval95": [0.0835, 0.0871]},
     "bench": {"offset": -0.01789, "compliance": 0.006049, "shear_compliance": -0.0},
-    "model": "coulomb+offset+compliance", "used": ["a 1", 'b"2'],
-    "parameters": {"noise": {"median": 0.04}, "scatter": {"median": 0.002}},
+    "law": "coulomb", "used": ["a 1", 'b"2'],
+    "parameters": {"noise": {"median": 0.04}, "scatter": {"median": 0.002}, "mu": {"median": 0.6849}},
 }  # fmt: skip
 
 
 def frozen(tmp_path, summary=SUMMARY):
     path = tmp_path / "lab" / FROZEN
     path.parent.mkdir(exist_ok=True)
-    (path.parent / "dataset.toml").touch()
+    (path.parent / "dataset.toml").write_text('[params.interface]\nlaw = "coulomb"\n')
     write_frozen(path, frozen_of("lab", summary))
     return path
 
@@ -42,12 +42,28 @@ def test_what_is_frozen_is_rounded_and_read_back(root, tmp_path):
     poses = params.poses
     assert (poses.touch_offset_mm, poses.compliance_mm_per_n) == (-0.018, 0.006)
     assert poses.shear_compliance_mm_per_n == 0.0 and "-0.0\n" not in text
+    assert params.interface.mu == 0.68
+
+
+@pytest.mark.parametrize("law", ["no_slip", "frictionless"])
+def test_a_calibration_of_another_law_than_the_labels_is_refused(root, tmp_path, law):
+    """C10 of Coulomb's law with labels that do not slip gave forces up to 12 % too large on a slippery gel."""
+    own = frozen(tmp_path).parent / "dataset.toml"
+    own.write_text(f'[params.interface]\nlaw = "{law}"\n')
+    refused(
+        rf'found under the law "coulomb", but \[interface\] law = "{law}".*calibrated-labels',
+        load_params,
+        root / "workflow",
+        own,
+    )
+    own.write_text("")
+    refused(r'found under the law "coulomb", but \[interface\] law = "no_slip"', load_params, root / "workflow", own)
 
 
 def test_a_value_that_a_dataset_sets_too_is_refused(root, tmp_path):
     path = frozen(tmp_path)
     own = path.parent / "dataset.toml"
-    own.write_text("[params.poses]\ncompliance_mm_per_n = 0.01\n")
+    own.write_text("[params.interface]\nlaw = 'coulomb'\n[params.poses]\ncompliance_mm_per_n = 0.01\n")
     with pytest.raises(BadInput, match=r"\[params.poses\] compliance_mm_per_n is set by .*calibration.toml, too"):
         load_params(root / "workflow", own)
 
@@ -57,7 +73,7 @@ def test_a_file_that_is_none_is_refused_in_a_sentence(root, tmp_path):
     whole = path.read_text()
     for old, new, said in (
         ('name = "', "name = ", "not valid TOML: .*run make freeze"),
-        ("model", "modell", "is no frozen calibration"),
+        ("law =", "laww =", "is no frozen calibration"),
         ("c10 =", "nu =", "what no calibration finds"),
         ("c10 = 0.0853", "c10 = 85.3", "c10 = 85.3: give a number from"),
     ):

@@ -148,11 +148,11 @@ MEANINGLESS = (
     ("[params.stability.sizes]\nhx = [1.0]", "hx: unknown name; hex is meant"),
     ("[params.stability]\nlayers = {}\nsizes = {hex = [2.0, 1.0, 0.7, 0.5]}", "layers has no \"2.0\""),
     ("[params.calibrate]\nfriction_nodes = [0.6, 0.15]", "friction_nodes = .* rising"),
-    ("[params.calibrate.priors.c10]\nkind = 'uniform'", "low is missing: a prior of kind \"uniform\""),
+    ("[params.calibrate.priors.offset]\nkind = 'lognormal'", "median is missing: a prior of kind \"lognormal\""),
     ("[params.calibrate.priors.c10]\nspread = 0", "has no width"),
     ("[params.calibrate.priors.c10]\nmedian = -1", "needs a positive one"),
     ("[params.calibrate.priors.c10]\nmedian = 80.0", "c10: median = 80.0: give a number from 0.002 to 5 MPa"),
-    ("[params.calibrate.priors.c10]\nkind = 'uniform'\nlow = 10\nhigh = 150", "c10: high = 150: give a number .* MPa"),
+    ("[params.calibrate.priors.c10]\nkind = 'normal'\nmean = 150", "c10: mean = 150: give a number .* MPa"),
     ("[params.calibrate.priors.mu]\nfree = false", "mu: free = false needs `fixed`"),
     ("[params.calibrate.priors.c10]\nfree = false\nfixed = 0.08", "c10: free = false; it is what calibrate finds"),
     ("[params.train]\nleast_rate = 1.0", "least_rate = 1.0 is above learning_rate"),
@@ -187,11 +187,11 @@ def test_files_of_settings_that_cannot_be_read_are_named(root, tmp_path):
 def test_settings_that_mean_something_are_taken(root, tmp_path):
     params = load(
         root, tmp_path, "[params.material]\nc10 = 'calibrated'\nnu = 0\n[params.interface]\nlaw = 'coulomb'\nmu = 2\n"
-        "[params.meshes.regions]\nmine = [3, 4.0]\n[params.calibrate.priors.c10]\nkind = 'uniform'\nlow = 0.01\nhigh = 1",
+        "[params.meshes.regions]\nmine = [3, 4.0]\n[params.calibrate.priors.c10]\nkind = 'normal'\nmean = 0.1\nspread = 1",
     )  # fmt: skip
     assert plain(params.material) == {"c10": "calibrated", "nu": 0} and params.interface.mu == 2
     assert params.meshes.regions["mine"] == (3, 4.0) and params.meshes.regions["wide"] == (9.4, 11.6)
-    assert params.calibrate.priors.c10.numbers == {"low": 0.01, "high": 1}
+    assert params.calibrate.priors.c10.numbers == {"mean": 0.1, "spread": 1}
 
 
 def test_the_datasets_that_come_along_are_sound(root):
@@ -201,7 +201,7 @@ def test_the_datasets_that_come_along_are_sound(root):
 
 
 def test_words_of_the_schema_are_those_of_the_code():
-    from gelforge.calibration.parameters import LAWS, NAMES, TARE
+    from gelforge.calibration.parameters import NAMES, TARE
     from gelforge.records.labelfile import FIELDS
 
     assert (
@@ -209,7 +209,6 @@ def test_words_of_the_schema_are_those_of_the_code():
         and set(t.IN_PROCESS) < set(t.METHODS)
         and set(t.PRIOR_KEYS) == set(get_args(kinds_of(t.PriorTable)["kind"]))
     )
-    assert set(LAWS) == set(t.LAWS)
     assert set(NAMES) - set(TARE) | {"indenter", "tare"} == {field.name for field in fields(t.PriorsTable)}
     channels = get_args(get_args(split(kinds_of(t.LabelsTable)["channels"])[0])[0])
     assert set(channels) - {"force"} <= set(FIELDS)

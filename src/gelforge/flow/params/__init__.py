@@ -11,7 +11,7 @@ from typing import Any
 
 from gelforge.errors import BadInput, nearest
 from gelforge.flow.files import digest_of, read_toml
-from gelforge.flow.params.frozen import with_frozen
+from gelforge.flow.params.frozen import check_law, with_frozen
 from gelforge.flow.params.schema import Place, parse, plain
 from gelforge.flow.params.stages import SOURCES, parameters_of, read_parameters, stage_version
 from gelforge.flow.params.tables import Params
@@ -40,7 +40,10 @@ def load_params(workflow: Path | str, dataset_toml: Path | str | None = None) ->
     bounds or not finite, a word that is none of the choices, values that cannot go together.
     """
     given = with_frozen(read_dataset_file(dataset_toml).params, Path(dataset_toml)) if dataset_toml else {}
-    return overlaid(workflow, given, str(dataset_toml or ""))
+    params = overlaid(workflow, given, str(dataset_toml or ""))
+    if dataset_toml:
+        check_law(params.interface.law, Path(dataset_toml))
+    return params
 
 
 def overlaid(workflow: Path | str, given: dict[str, Any], where: str) -> Params:

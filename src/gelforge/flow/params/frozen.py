@@ -14,9 +14,9 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_toml, write_text
 
 FROZEN = "calibration.toml"  # in data/DATASET/, beside dataset.toml
-KINDS = {"name": str, "model": str, "presses": list, "params": dict}
+KINDS = {"name": str, "law": str, "presses": list, "params": dict}
 # Digits behind the point of what is kept: less than any posterior tells, so that another processor freezes the same.
-DIGITS = {"c10": 4, "touch_offset_mm": 3, "compliance_mm_per_n": 4, "shear_compliance_mm_per_n": 4}
+DIGITS = {"c10": 4, "touch_offset_mm": 3, "compliance_mm_per_n": 4, "shear_compliance_mm_per_n": 4, "mu": 2}
 BENCH = {
     "touch_offset_mm": "offset",
     "compliance_mm_per_n": "compliance",
@@ -26,10 +26,10 @@ BENCH = {
 
 @dataclass(frozen=True)
 class Frozen:
-    """A frozen calibration. model: that was fitted. presses: sample_ids that it used. params: tables over those of params.toml."""
+    """A frozen calibration. law: of the contact. presses: sample_ids that it used. params: tables over those of params.toml."""
 
     name: str
-    model: str
+    law: str
     presses: tuple[str, ...]
     params: dict[str, dict[str, Any]]
 
@@ -42,8 +42,10 @@ def frozen_of(dataset: str, summary: Mapping[str, Any]) -> Frozen:
     }
     poses = {key: round(bench[name], DIGITS[key]) + 0.0 for key, name in BENCH.items()}
     params = {"material": material, "poses": poses}
+    if "mu" in summary["parameters"]:
+        params["interface"] = {"mu": round(summary["parameters"]["mu"]["median"], DIGITS["mu"])}
     digest = hashlib.sha256(repr(params).encode()).hexdigest()[:6]
-    return Frozen(f"{dataset}-{digest}", summary["model"], tuple(summary["used"]), params)
+    return Frozen(f"{dataset}-{digest}", summary["law"], tuple(summary["used"]), params)
 
 
 def write_frozen(path: Path, found: Frozen) -> None:
@@ -52,7 +54,7 @@ def write_frozen(path: Path, found: Frozen) -> None:
     lines = [
         f"# What `make calibrate` found from the force readings of the log, rounded. Labels follow it; only `{command}` changes it.",
         f"name = {json.dumps(found.name)}",
-        f"model = {json.dumps(found.model)}",
+        f"law = {json.dumps(found.law)}  # of the contact, which labels share",
         f"presses = {json.dumps(found.presses)}  # that it was found from",
     ]
     for table, values in found.params.items():
@@ -71,13 +73,13 @@ def read_frozen(path: Path) -> Frozen | None:
         raise BadInput(f"{error}; {hint}") from error
     if given.keys() != KINDS.keys() or not all(isinstance(given[key], kind) for key, kind in KINDS.items()):
         raise BadInput(f"{path}: is no frozen calibration, which holds {', '.join(KINDS)}; {hint}")
-    tables = {"material": {*DIGITS, "c10_interval68", "c10_interval95"} - BENCH.keys(), "poses": set(BENCH)}
+    tables = {"material": {"c10", "c10_interval68", "c10_interval95"}, "poses": set(BENCH), "interface": {"mu"}}
     for table, values in given["params"].items():
         if not isinstance(values, dict) or values.keys() - tables.get(table, set()):
             raise BadInput(
                 f"{path}: [params.{table}] holds what no calibration finds; set it in dataset.toml; {hint}"
             )
-    return Frozen(given["name"], given["model"], tuple(str(name) for name in given["presses"]), given["params"])
+    return Frozen(given["name"], given["law"], tuple(str(name) for name in given["presses"]), given["params"])
 
 
 def with_frozen(given: dict[str, Any], dataset_toml: Path) -> dict[str, Any]:
@@ -91,3 +93,14 @@ def with_frozen(given: dict[str, Any], dataset_toml: Path) -> dict[str, Any]:
     if twice:
         raise BadInput(f"{dataset_toml}: {twice[0]} is set by {path}, too; remove it here, or remove that file")
     return given | {table: {**given.get(table, {}), **values} for table, values in found.params.items()}
+
+
+def check_law(law: str, dataset_toml: Path) -> None:
+    """Refuse a frozen calibration of another contact law than labels have: its C10 and bench belong to that law."""
+    path = dataset_toml.parent / FROZEN
+    found = read_frozen(path)
+    if found is not None and found.law != law:
+        raise BadInput(
+            f'{path}: was found under the law "{found.law}", but [interface] law = "{law}": labels would mix two laws; '
+            f"remove this file and run make calibrated-labels DATASET={path.parent.name}, or set the law back"
+        )

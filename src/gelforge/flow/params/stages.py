@@ -21,6 +21,7 @@ from gelforge.flow.params.tables import (
     ImagesTable,
     InterfaceTable,
     LabelsTable,
+    LawTable,
     MaterialTable,
     MeshesTable,
     Params,
@@ -108,6 +109,7 @@ class ForCalibrate(StageParameters):
 
     calibrate: CalibrateTable
     material: PoissonTable
+    interface: LawTable
 
 
 class ForPareto(StageParameters):

@@ -193,22 +193,18 @@ PRIOR_KEYS = {
     "lognormal": ("median", "spread"),
     "halfnormal": ("spread",),
     "cauchy": ("mean", "spread"),
-    "uniform": ("low", "high"),
-    "loguniform": ("low", "high"),
 }
 
 
 class PriorTable(ParameterTable):
     """One table of [calibrate.priors]: the kind of a prior and its numbers, or the value a parameter is held at."""
 
-    kind: Literal["normal", "lognormal", "halfnormal", "cauchy", "uniform", "loguniform"]
+    kind: Literal["normal", "lognormal", "halfnormal", "cauchy"]
     free: bool | None = None
     fixed: Finite | None = None
     mean: Finite | None = None
     median: Finite | None = None
     spread: Finite | None = None
-    low: Finite | None = None
-    high: Finite | None = None
     reason: Line | None = None
 
     @property
@@ -225,7 +221,7 @@ class PriorTable(ParameterTable):
         missing = [key for key in keys if key not in given]
         if missing:
             return f'{missing[0]} is missing: a prior of kind "{self.kind}" needs {" and ".join(keys)}'
-        if given.get("spread", 1.0) <= 0.0 or given.get("low", 0.0) >= given.get("high", 1.0):
+        if given["spread"] <= 0.0:
             said = ", ".join(f"{key} = {value}" for key, value in given.items())
             return f"{said}: has no width; raise `{keys[-1]}`"
         if self.kind.startswith("log") and given[keys[0]] <= 0.0:
@@ -251,7 +247,7 @@ class PriorsTable(ParameterTable):
         """C10 held, or of no gel, or a parameter that is held and nothing says at what."""
         if self.c10.free is False:
             return "c10: free = false; it is what calibrate finds, so give it a narrow prior where it is known"
-        for key in ("mean", "median", "high"):
+        for key in ("mean", "median"):
             value = self.c10.numbers.get(key)
             if value is not None and not SOFTEST <= value <= STIFFEST:
                 return f"c10: {key} = {value}: give a number from {SOFTEST:g} to {STIFFEST:g} MPa"
@@ -265,12 +261,9 @@ class PriorsTable(ParameterTable):
 class CalibrateTable(ParameterTable):
     """[calibrate]: the posterior from a log's forces."""
 
-    law: Law
-    compare: bool
     max_presses: Count
-    friction_nodes: Annotated[tuple[Annotated[Number, Within(TINY, 1e3)], ...], RISING]
+    friction_nodes: Annotated[tuple[Annotated[Number, Within(TINY, 1e3)], ...], RISING, SOME]
     reach_mm: Annotated[Number, Within(0.0, 10.0, "mm")]
-    shear_depths: Annotated[tuple[Annotated[Number, Within(TINY, 1.0)], ...], SOME]
     tail: Annotated[Number, Within(TINY, 1e6)]
     outlier_scales: Positive
     seed: Seed
@@ -316,10 +309,15 @@ class MaterialTable(PoissonTable):
     c10_interval95: Interval | None = None
 
 
-class InterfaceTable(ParameterTable):
-    """[interface]: what holds sideways between indenter and gel."""
+class LawTable(ParameterTable):
+    """What of [interface] a calibration reads: the law, whose friction coefficient it finds."""
 
     law: Law
+
+
+class InterfaceTable(LawTable):
+    """[interface]: what holds sideways between indenter and gel."""
+
     mu: Annotated[Number, Within(0.0, 1e3)]
 
 
