@@ -95,7 +95,7 @@ def test_depth_without_contact_is_named():
 def test_posterior_deeper_than_the_solves_is_named():
     posterior = law_posterior(np.random.default_rng(1), DEPTH + 0.3)
     middle = posterior.model.draw(np.random.default_rng(0), 1000).mean(axis=0)
-    middle[posterior.model.names.index("offset")] = 1.2
+    middle[posterior.model.names.index("offset")] = 2.0
     figures = Figures(50, 0, 1.0, 50.0, 0.5, 1.0, "offset")
     with pytest.raises(BadInput, match=r"25 % of the posterior presses deeper .* raise \[calibrate\] reach_mm"):
         refuse_beyond(posterior, Chain(np.tile(middle, (10, 8, 1)), figures), 0.1)
@@ -133,7 +133,10 @@ def test_draws_whose_forces_are_no_numbers_matter_only_where_too_few_others_are_
             assert len(np.unique(starts, axis=0)) == 30 and np.isfinite(one(starts)).all()
             assert np.isneginf(one(one.model.draw(np.random.default_rng(0), 6000))).any()
         table = np.full_like(posterior.emulator.table, np.nan)
-        mute = replace(posterior, emulator=replace(posterior.emulator, table=table))
+        model = posterior.model  # with touch held, so that every draw presses
+        free = {name: prior for name, prior in model.free.items() if name != "offset"}
+        held = replace(model, free=free, fixed={**model.fixed, "offset": 0.0})
+        mute = replace(posterior, model=held, emulator=replace(posterior.emulator, table=table))
         with pytest.raises(BadInput, match=r"only 0 of 6000 draws .* 30 are needed .* units of the log"):
             start_points(mute, 30, np.random.default_rng(5))
 
