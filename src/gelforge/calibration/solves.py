@@ -30,10 +30,6 @@ from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.records.press import Press
 from gelforge.records.status import Status
 
-# Longest load step in which a press slides, mm: what first touches within a step has no friction until its end. Two steps of
-# 0.75 mm under a ball give 0.85 of Coulomb's sideways force, eight give all of it.
-SLIDE_MM = 0.2
-
 
 @dataclass(frozen=True)
 class SolveJob:
@@ -163,9 +159,6 @@ def solve_job(job: SolveJob, indenter, settings: HexSettings) -> dict:
     its last load step, which is in equilibrium to the tolerance of the path: 1e-4 of the force.
     """
     scene = scene_of(job, indenter)
-    if scene.interface.contact.slips:
-        steps = int(np.ceil(np.hypot(job.press.dx, job.press.dy) / SLIDE_MM))
-        settings = replace(settings, shear_steps=max(settings.shear_steps, steps))
     result = solver(settings).solve(scene)
     if not usable(result, scene):
         finer = replace(settings, press_steps=2 * settings.press_steps, shear_steps=2 * settings.shear_steps)
