@@ -23,7 +23,7 @@ from scipy.optimize import minimize_scalar
 from tqdm import tqdm
 
 from gelforge.calibration.emulator import Emulator
-from gelforge.calibration.parameters import LAWS, make_model
+from gelforge.calibration.parameters import make_model
 from gelforge.calibration.posterior import ERROR, SIDEWAYS_ERROR, SIDEWAYS_ERROR_OF_NORMAL, Posterior, tare_of
 from gelforge.calibration.readings import Readings, choose_presses, read_readings
 from gelforge.calibration.sampling import sample
@@ -49,7 +49,8 @@ NU = 0.475
 # of a standard deviation, by chance alone.
 TAUS, RHAT = 20, 1.1
 PARTS = ("points", "demo", "emulator", "coverage")
-RIG_MUS = (0.0, 0.3, 0.8, np.inf)
+RIG_MUS = (0.4, 0.9)
+LAW = "coulomb"
 # Friction coefficients of the solves that the emulator is compared with, between its own, and the frame's compliance, mm/N,
 # because of which forces are emulated less deep than commanded.
 HELD_MUS, HELD_COMPLIANCE = (0.35, 0.7), 0.006
@@ -75,30 +76,26 @@ def design() -> Readings:
 
 
 def rig_meshes() -> list[tuple[HexSettings, str]]:
-    """Hexahedra of the benches that the truths are read at, each with the quality that corrects its forces.
+    """Hexahedra of the benches that the truths are read at, each with the quality that corrects its forces: finer than the emulator's.
 
     A mesh's error is the same in every reading taken with it. The posterior allows for the percent by which accurate
     meshes differ, so truths must come from several of them: from one alone, intervals hold them too often or too seldom.
     """
-    from gelforge.mechanics.hexsettings import QUALITIES, HexSettings
-    from gelforge.virtualrig.bench import SETTINGS
-
-    middle = HexSettings(size=0.6, layers=5, press_steps=3, shear_steps=2)
-    meshes = [(SETTINGS, "draft"), (middle, "label"), (QUALITIES["label"], "label")]
-    return [(replace(mesh, press_steps=10, shear_steps=3), better) for mesh, better in meshes]
+    middle = HexSettings(size=0.6, layers=5, press_steps=10, shear_steps=3)
+    return [(middle, "label"), (replace(middle, size=0.5), "fine")]
 
 
 def rig_emulator(
     readings: Readings, catalogue, params: CalibrateTable, mesh: HexSettings, better: str, folder: Path, jobs: int
 ) -> Emulator:
-    """The rig's forces on one mesh, corrected by that of quality `better`, at four friction coefficients."""
+    """The rig's forces on one mesh, corrected by that of quality `better`, at other friction coefficients than the stage's."""
     cache = SolveCache(folder, catalogue, mesh, SOLVER_VERSION)
-    plan = make_plan(readings, params.reach_mm, (1.0, 0.7), NU)
-    failed = solve_all(plan, cache, RIG_MUS, jobs)
+    plan = make_plan(readings, params.reach_mm, LAW, RIG_MUS, NU)
+    failed = solve_all(plan, cache, jobs)
     if failed:
         raise SolveFailed(f"the rig's own solves failed: {failed}")
     fine = SolveCache(folder, catalogue, quality(better), SOLVER_VERSION)
-    return refine(build_emulator(plan, cache, RIG_MUS), plan, fine, jobs)
+    return refine(build_emulator(plan, cache), plan, cache, fine, jobs)
 
 
 def draw_truths(model, count: int, rng: np.random.Generator) -> np.ndarray:
@@ -110,7 +107,8 @@ def draw_truths(model, count: int, rng: np.random.Generator) -> np.ndarray:
     columns = []
     for name in model.free:
         u = (rng.permutation(count) + rng.random(count)) / count
-        columns.append(np.full(count, 0.5) if name == "discretisation" else u)
+        # a touch that was missed altogether is named, not measured
+        columns.append(np.full(count, 0.5) if name == "discretisation" else 0.1 + 0.8 * u if name == "offset" else u)
     return model.coordinates(np.stack(columns, axis=1))
 
 
@@ -133,7 +131,7 @@ def all_emulators(params: CalibrateTable, folder: Path, jobs: int) -> tuple[Read
     """The design's readings with the emulator of the stage and those of the rig."""
     readings = design()
     catalogue = load_catalogue("workflow/indenters.toml", sorted(set(readings.indenters.tolist())))
-    readings, own, _ = stage.emulate(readings, catalogue, params, NU, folder / "solves", jobs)
+    readings, own, _ = stage.emulate(readings, catalogue, params, LAW, NU, folder / "solves", jobs)
     rigs = [rig_emulator(readings, catalogue, params, *mesh, folder / "solves", jobs) for mesh in rig_meshes()]
     return readings, own, rigs
 
@@ -141,7 +139,7 @@ def all_emulators(params: CalibrateTable, folder: Path, jobs: int) -> tuple[Read
 def synthetic_tasks(params: CalibrateTable, folder: Path, jobs: int, count: int) -> list:
     """Tasks of `recover` for truths drawn from the priors."""
     readings, own, rigs = all_emulators(params, folder, jobs)
-    model = make_model(params, "coulomb", np.unique(readings.indenters).tolist())
+    model = make_model(params, LAW, np.unique(readings.indenters).tolist())
     rng = np.random.default_rng(2026)
     tasks = []
     for k, truth in enumerate(draw_truths(model, count, rng)):
@@ -188,10 +186,10 @@ def held_out(params: CalibrateTable, folder: Path, jobs: int) -> tuple[np.ndarra
     Solved by hexahedra of quality `label`, of other friction and less deep than what the emulator was made from.
     """
     readings = read_readings("data/demo/log.csv")
-    readings = readings.take(choose_presses(readings, params.max_presses))
+    readings = readings.take(choose_presses(readings, params.max_presses, LAW))
     catalogue = load_catalogue("workflow/indenters.toml", sorted(set(readings.indenters.tolist())))
-    readings, emulator, _ = stage.emulate(readings, catalogue, params, NU, folder / "solves", jobs)
-    plan = make_plan(readings, params.reach_mm, params.shear_depths, NU)
+    readings, emulator, _ = stage.emulate(readings, catalogue, params, LAW, NU, folder / "solves", jobs)
+    plan = make_plan(readings, params.reach_mm, LAW, params.friction_nodes, NU)
     cache = SolveCache(folder / "solves", catalogue, quality("label"), SOLVER_VERSION)
     model = make_model(params, "no_slip", np.unique(readings.indenters).tolist())
     values = {name: np.zeros(1) for name in model.values(model.coordinates(np.full((1, len(model.free)), 0.5)))}
@@ -263,25 +261,21 @@ def run_stage(dataset: str, folder: Path, jobs: int) -> tuple[dict, list[Figure]
     wall, spent = timed_run(args)
     _, again = timed_run(args)
     found = read_json(of.calibration())
-    note = f"{found['presses']} presses, {found['solves_spent']['total']} solves, {len(found['laws'])} interface laws"
+    note = f"{found['presses']} presses, {found['solves_spent']['total']} solves, law {found['law']}"
     return found, [
-        Figure(f"{dataset}, processor time, solves included", spent, "<=", 71, "s", f"{wall:.0f} s of wall; {note}"),
-        Figure(f"{dataset}, processor time on cached solves", again, "<=", 30, "s"),
+        Figure(f"{dataset}, processor time, solves included", spent, "<=", 25, "s", f"{wall:.0f} s of wall; {note}"),
+        Figure(f"{dataset}, processor time on cached solves", again, "<=", 15, "s"),
     ]
 
 
 def four_point_figures(folder: Path, jobs: int) -> list[Figure]:
     """The real sphere."""
     found, seconds = run_stage("feats_sphere15", folder, jobs)
-    c10, laws = found["c10"], {k: v for k, v in found["solves_spent"].items() if k in LAWS}
+    c10 = found["c10"]
     low, high = c10["interval95"]
-    best = min(m["predictive_mae_n"]["fz"] for m in found["laws"])
     return [
-        Figure("four real points, predictive mean at these presses", found["own_touch_mae_n"]["fz"], "<=", 0.05, "N",
-               "an error of touch of micrometres is estimated for each; the paper: 0.5166"),
-        Figure("four real points, predictive mean of a press repeated", found["predictive_mae_n"]["fz"], "<=", 0.05,
-               "N", f"a new error of touch; best of all laws {best:.3f}"),
-        Figure("solves per interface law, most", max(laws.values()), "<=", 12, "", str(laws)),
+        Figure("four real points, error of one that is left out", found["left_out_mae_n"]["fz"], "<=", 0.5, "N",
+               "of four points the outer ones are predicted beyond the others; the paper's fit: 0.5166"),
         Figure("C10 from the four points, stated without a goal", c10["median"], ">=", 0.0, "MPa",
                f"95 %: {low:.4f} to {high:.4f}"),
         *seconds,
@@ -289,20 +283,25 @@ def four_point_figures(folder: Path, jobs: int) -> list[Figure]:
 
 
 def demo_figures(folder: Path, jobs: int) -> list[Figure]:
-    """The rig's hidden C10."""
-    truth = read_json("data/demo/truth/truth.json")["truth"]["c10_mpa"]
+    """The rig's hidden C10 and friction."""
+    truth = read_json("data/demo/truth/truth.json")["truth"]
     found, seconds = run_stage("demo", folder, jobs)
-    c10, friction = found["c10"], found["parameters"]["mu"]
-    low, high = c10["interval95"]
-    return [
-        Figure("demo, hidden C10 inside the 95 % interval", float(low <= truth <= high), "==", 1, "",
-               f"{low:.4f} to {high:.4f}, truth {truth:.4f} MPa"),
-        Figure("demo, median, difference from the hidden C10", 100 * abs(c10["median"] / truth - 1), "<=", 3, "%",
-               f"median {c10['median']:.4f} MPa"),
-        Figure("demo, friction coefficient, median of the posterior", friction["median"], "", friction["median"], "",
-               "95 %: {:.1f} to {:.1f}".format(*friction["interval95"])),
-        *seconds,
-    ]  # fmt: skip
+    figures = []
+    for name, key, percent in (("C10", "c10_mpa", 3), ("friction", "friction", 10)):
+        of, true = (found["c10"] if name == "C10" else found["parameters"]["mu"]), truth[key]
+        low, high = of["interval95"]
+        note = f"{of['median']:.4f}, 95 %: {low:.4f} to {high:.4f}, truth {true:.4f}"
+        figures += [
+            Figure(f"demo, hidden {name} inside the 95 % interval", float(low <= true <= high), "==", 1, "", note),
+            Figure(
+                f"demo, {name}, difference from the hidden one",
+                100 * abs(of["median"] / true - 1),
+                "<=",
+                percent,
+                "%",
+            ),
+        ]
+    return [*figures, *seconds]
 
 
 def part_key(part: str, count: int) -> str:
