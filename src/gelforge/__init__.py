@@ -3,7 +3,7 @@
 In Python, without make:
 
     import gelforge
-    press = gelforge.solve({"kind": "sphere", "diameter": 10, "height": 10}, depth=0.5)
+    press = gelforge.solve("sphere_10", depth=0.5)
     print(press.total)  # N on the gel along its x, y, z
     cells = gelforge.label(press, resolution="24x32")  # N, (3, rows, cols)
     forces, verdict = gelforge.predict(image, nocontact=picture)

@@ -1,4 +1,4 @@
-"""What gelforge offers to a Python program: solve a press and label it; `reader` reads images."""
+"""What gelforge offers to a Python program: solve a press and label it; `reading.reader` reads images."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -8,7 +8,7 @@ from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
 
-from gelforge.errors import BadInput, GelforgeError
+from gelforge.errors import BadInput, GelforgeError, nearest
 from gelforge.flow.main import missing_extra
 from gelforge.geometry.gel import gels_from, load_gel
 from gelforge.geometry.solids import Indenter
@@ -16,7 +16,7 @@ from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor
 from gelforge.mechanics.material import REFERENCE_C10, Material
 from gelforge.mechanics.mesh.gelmesh import GelMesh
-from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.scene import Interface, Scene
 from gelforge.records.press import Press
 
 P = ParamSpec("P")
@@ -34,6 +34,7 @@ class SolvedPress:
         displacement: of the nodes, (n, 3) mm.
         error_n: by how much the size of the total force may be off, N; nine of ten presses are within it.
         evidence: what the solver says of the solve, such as its load steps.
+        indenter, method: names of the body and of how it was solved.
     """
 
     gel: str
@@ -42,11 +43,32 @@ class SolvedPress:
     displacement: np.ndarray
     error_n: float
     evidence: dict[str, Any]
+    indenter: str
+    method: str
 
     @property
     def total(self) -> np.ndarray:
         """Resultant contact force on the gel along its x, y, z, (3,) N."""
         return self.forces.sum(axis=0)
+
+    def __repr__(self) -> str:
+        x, y, z = self.total
+        return (
+            f"SolvedPress({self.indenter} on {self.gel}, {self.method}: fx {x:+.3f}, fy {y:+.3f}, fz {z:+.3f} +- {self.error_n:.3f} N,"
+            f" {len(self.mesh.nodes)} nodes)"
+        )
+
+    def plot(self, resolution: str = "24x32", sensor: Sensor | None = None) -> Any:
+        """Draw the three maps of force per cell.
+
+        Args:
+            resolution: rows x columns of the grid, as text.
+            sensor: as of `label`.
+
+        Returns:
+            A matplotlib Figure: one panel for each component, N per cell; `figure.savefig(path)` writes it.
+        """
+        return _drawn(label(self, resolution, sensor), repr(self))
 
 
 def _needs_extra(run: Callable[P, R]) -> Callable[P, R]:
@@ -66,8 +88,15 @@ def _needs_extra(run: Callable[P, R]) -> Callable[P, R]:
 
 
 @_needs_extra
+def _drawn(cells: np.ndarray, title: str) -> Any:
+    from gelforge.reporting.forcemaps import maps_figure
+
+    return maps_figure(cells, title)
+
+
+@_needs_extra
 def solve(
-    indenter: Indenter | dict[str, Any],
+    indenter: Indenter | dict[str, Any] | str,
     depth: float,
     at: tuple[float, float] = (0.0, 0.0),
     shear: tuple[float, float] = (0.0, 0.0),
@@ -75,13 +104,14 @@ def solve(
     gel: str = "gelsight_mini",
     c10: float = REFERENCE_C10,
     nu: float = 0.475,
+    friction: float | None = None,
     method: str = "draft",
     gels: Path | str | None = None,
 ) -> SolvedPress:
-    """Press an indenter into a gel, down and then sideways, by finite elements in process; points that touch stick.
+    """Press an indenter into a gel, down and then sideways, by finite elements in process.
 
     Args:
-        indenter: a body, or a table as in workflow/indenters.toml, lengths in mm.
+        indenter: a name of workflow/indenters.toml, such as "sphere_10", a table as in that file, lengths in mm, or a body.
         depth: mm from 0 on that its tip goes below the gel's apex, positive into the gel.
         at: x, y in mm of the gel frame where the tip goes down.
         shear: x, y in mm that it moves sideways at that depth.
@@ -89,7 +119,8 @@ def solve(
         gel: name of a gel; NAME-3.6mm is one of that thickness.
         c10: stiffness of the neo-Hookean gel, MPa.
         nu: its Poisson's ratio, from 0 to below 0.5.
-        method: "fine", "label" or "draft", slow to fast.
+        friction: Coulomb's coefficient between indenter and gel, from 0; None: points that touch stick.
+        method: "fine", "label" or "draft": hexahedra, slow to fast.
         gels: file of gels of your own, such as workflow/gels.toml; `gel` may then name one of them.
 
     Returns:
@@ -105,29 +136,49 @@ def solve(
         raise BadInput(
             f"gelforge.solve: c10 = {c10!r}, nu = {nu!r}: give c10 from {SOFTEST:g} to {STIFFEST:g} MPa and nu from 0 to below 0.5"
         )
+    if friction is not None and not (_finite(friction) and friction >= 0.0):
+        raise BadInput(
+            f"gelforge.solve: friction = {friction!r}: give a coefficient from 0 on, or None where points stick"
+        )
     pairs = np.shape(at) == np.shape(shear) == (2,)
     if not (pairs and _finite(depth, *at, *shear, rot_deg) and depth >= 0.0):
         raise BadInput(
             f"gelforge.solve: depth = {depth!r}, at = {at!r}, shear = {shear!r}, rot_deg = {rot_deg!r}: give finite numbers, two "
             "of them, along gel x and y, for at and for shear, and a depth in mm from 0 on, positive into the gel"
         )
-    from gelforge.geometry.indenters import build
     from gelforge.mechanics.hexsettings import quality
     from gelforge.mechanics.solvers.hex import HexSolver
 
-    body: Any = build("indenter", indenter, "gelforge.solve") if isinstance(indenter, dict) else indenter
-    if not hasattr(body, "distance"):
-        raise BadInput(f"gelforge.solve: indenter = {body!r}: give a body, or a table as in workflow/indenters.toml")
+    body = _body(indenter)
+    interface = Interface() if friction is None else Interface.of_friction(float(friction))
     press = Press(at[0], at[1], 0.0, shear[0], shear[1], -depth, rot_deg)
     with gels_from(gels):
-        result = HexSolver(quality(method)).solve(Scene(load_gel(gel), Material(nu), body, press))
+        result = HexSolver(quality(method)).solve(Scene(load_gel(gel), Material(nu), body, press, interface))
         mesh = result.mesh_name.mesh() if result.mesh_name else None
     if not result.status.valid or mesh is None:
         raise GelforgeError(f"the press was not solved: {result.evidence.get('reason') or result.status.value}")
     stiffer = c10 / REFERENCE_C10  # exactly so: the solid's stress is proportional to C10
-    return SolvedPress(
-        gel, mesh, stiffer * result.forces, result.displacement, stiffer * result.error_n, result.evidence
-    )
+    forces, error_n = stiffer * result.forces, stiffer * result.error_n
+    return SolvedPress(gel, mesh, forces, result.displacement, error_n, result.evidence, body.name, method)
+
+
+def _body(indenter: Indenter | dict[str, Any] | str) -> Any:
+    """The body that an argument names, describes or is."""
+    from gelforge.geometry.indenters import CATALOGUE, build, read_catalogue
+
+    if isinstance(indenter, str):
+        tables = read_catalogue(CATALOGUE)
+        if indenter not in tables:
+            raise BadInput(
+                f"gelforge.solve: indenter = {indenter!r}: no name of workflow/indenters.toml{nearest(indenter, tables)}"
+            )
+        return build(indenter, tables[indenter], "workflow/indenters.toml")
+    body: Any = build("indenter", indenter, "gelforge.solve") if isinstance(indenter, dict) else indenter
+    if not hasattr(body, "distance"):
+        raise BadInput(
+            f"gelforge.solve: indenter = {body!r}: give a name or a table of workflow/indenters.toml, or a body"
+        )
+    return body
 
 
 def _finite(*values: Any) -> bool:

@@ -16,10 +16,10 @@ from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.material import REFERENCE_C10, Material
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solvers.hex import HexSolver
+from gelforge.reading.forcereading import ForceReading
 from gelforge.reading.model import ForceModel
 from gelforge.reading.predictor import Predictor
 from gelforge.reading.profile import fit_gain
-from gelforge.records.forcereading import ForceReading
 from gelforge.records.press import Press
 from gelforge.virtualrig.appearance import read_appearances
 from gelforge.virtualrig.bench import SETTINGS

@@ -3,7 +3,6 @@
 import json
 import os
 import resource
-import shlex
 import shutil
 import subprocess
 import sys
@@ -18,7 +17,6 @@ from gelforge.commands.estimate import estimated, planned_rows
 from gelforge.commands.export import FORMATS, export
 from gelforge.errors import BadInput
 from gelforge.flow.files import bytes_of, read_csv, read_json, write_csv
-from gelforge.flow.forecast import wall_seconds
 from gelforge.flow.layout import Layout
 from gelforge.flow.main import command, option, positive
 from gelforge.formats.export.samples import Samples
@@ -148,21 +146,19 @@ def run_of_demo(results: Path) -> list[Figure]:
     records = [read_json(path) for path in (results / "metrics").rglob("*.json")]
     seconds = max(r["started"] + r["seconds"] for r in records) - min(r["started"] for r in records)
     took = {"cpu": sum(r["cpu_seconds"] for r in records), "disk": bytes_of(results), "wall": seconds}
-    rows = planned_rows(results)
-    command = shlex.split(make(Path(), f"DATASET={results.name}", "-n", "estimate").stdout)
-    costs = estimated(results, "24x32", "shipped", rows, command[command.index("--steps") + 1 :])
-    wall = wall_seconds(costs, len(rows), os.cpu_count() or 1, len(Layout(results).names()))
+    cores = os.cpu_count() or 1
+    costs = estimated(Layout(results), "24x32", "shipped", planned_rows(Layout(results)), cores)
     expected = {
-        "cpu": sum(c.cpu(len(rows)) for c in costs),
-        "disk": sum(c.disk(len(rows)) for c in costs),
-        "wall": wall,
+        "cpu": sum(cost.cpu for cost in costs),
+        "disk": sum(cost.disk for cost in costs),
+        "wall": sum(cost.cpu / cost.cores for cost in costs),
     }
     note = "from the records of the run that made it; whole only if it ran from nothing"
     return [
         Figure("page of the demo", REPORT.stat().st_size / 1e6, "<=", 15.0, "MB"),
         Figure("make demo, wall time", seconds / 60, "<=", 5.0, "min", note),
         *(
-            Figure(f"error of the demo's estimate, {name}", 100 * abs(expected[key] / took[key] - 1), "<=", 25.0, "%",
+            Figure(f"factor of the demo's estimate, {name}", max(expected[key] / took[key], took[key] / expected[key]), "<=", 1.5, "",
                    f"estimated {expected[key]:.3g} {unit}, took {took[key]:.3g}")
             for key, name, unit in (("cpu", "processor time", "s"), ("disk", "disk", "bytes"), ("wall", "time", "s"))
         ),

@@ -7,11 +7,11 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from gelforge.reading.forcereading import BEYOND
 from gelforge.reading.markers import markers_in
 from gelforge.reading.model import ForceModel
 from gelforge.reading.predictor import Predictor
 from gelforge.records.film import frames, numbered, open_source
-from gelforge.records.forcereading import BEYOND
 from gelforge.records.nocontactimage import SETTLING, find_nocontact
 from tests.benchmarks.figures import Figure
 

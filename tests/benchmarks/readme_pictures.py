@@ -121,7 +121,7 @@ def press(args: Namespace) -> None:
 
     catalogue, rig = args.data
     body = load_catalogue(catalogue, [INDENTER])[INDENTER]
-    solved, sensor = solve(body, *PRESSED, quality="label"), load_sensors(catalogue.with_name("sensors.toml"))[SENSOR]
+    solved, sensor = solve(body, *PRESSED, method="label"), load_sensors(catalogue.with_name("sensors.toml"))[SENSOR]
     normal = label(solved, sensor=sensor)[2]
     figure = canvas(12.5, 3.6)
     left, middle, right = figure.subplots(1, 3, width_ratios=(1.0, 1.25, 1.15))

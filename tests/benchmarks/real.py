@@ -19,12 +19,12 @@ from gelforge.api import gelsight_mini
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
 from gelforge.formats.numpy_pickle import read_npy
+from gelforge.reading.forcereading import ForceReading
 from gelforge.reading.interval import half_widths, real_width
 from gelforge.reading.light import match_light
 from gelforge.reading.model import ForceModel, fingerprint
 from gelforge.reading.predictor import Predictor, load_for_use
 from gelforge.reading.profile import fit_gain
-from gelforge.records.forcereading import ForceReading
 from gelforge.records.image import read_image
 from tests.benchmarks.ball_presses import BACKGROUND, read_presses
 from tests.benchmarks.balls import FOLDER as BALLS

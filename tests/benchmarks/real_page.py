@@ -34,12 +34,12 @@ OF_THE_GIF = 12  # of FEATS' 51 presses
 
 def read_over(predictor: Predictor, image: np.ndarray) -> np.ndarray:
     """An image (h, w, 3) RGB below its totals and their intervals, beside its normal force below why it is flagged."""
-    found = predictor.predict(image)
-    height = round(found.image.shape[0] * PANEL_PX / found.image.shape[1])
+    found, shown = predictor.predict_shown(image)
+    height = round(shown.shape[0] * PANEL_PX / shown.shape[1])
     normal = signed_colours(found.cells[2] / max(float(np.abs(found.cells[2]).max()), FULL_COLOUR_N[2]))
     why = wrapped(found.reason, PANEL_PX - 2 * MARGIN_PX, WARNING_LINES)
     lines = total_lines(found.total, found.half_width)
-    return np.hstack([captioned(found.image, lines, height), captioned(normal, why, height)])
+    return np.hstack([captioned(shown, lines, height), captioned(normal, why, height)])
 
 
 def total_lines(total: np.ndarray, half_width: np.ndarray | None) -> list[str]:

@@ -5,10 +5,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gelforge.reading.forcereading import ForceReading
 from gelforge.reading.markers import markers_in, painted_over
 from gelforge.reading.model import ForceModel
 from gelforge.reading.predictor import Predictor
-from gelforge.records.forcereading import ForceReading
 from tests.benchmarks.figures import Figure
 from tests.support.pictures import moved
 

@@ -36,7 +36,7 @@ def bodies(tmp_path_factory):
 
 
 def on_hexahedra(body):
-    return gelforge.solve(body, 0.6, method="draft").total
+    return gelforge.solve(body, 0.6).total
 
 
 def with_calculix(body, ccx, folder):

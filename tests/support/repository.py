@@ -29,13 +29,13 @@ ALLOWED: dict[str, set[str]] = {
     "mechanics": {"flow", "geometry", "records"},
     "labelling": {"flow", "geometry", "records", "mechanics"},
     "formats": {"flow", "records", "labelling", "mechanics"},
-    "reading": {"flow", "records"},
+    "reading": {"flow", "records", "reporting"},
     "networks": {"flow", "records", "reading"},
     "calibration": {"flow", "records", "geometry", "mechanics"},
     "virtualrig": {"flow", "records", "reading", "geometry", "mechanics", "labelling"},
     "sweeps": {"flow", "records", "geometry", "mechanics", "labelling"},
     "reporting": {"flow", "records", "geometry", "mechanics", "labelling", "calibration"},
-    "live": {"records", "reporting", "formats"},
+    "live": {"records", "reading", "reporting", "formats"},
     "evidence": {"flow", "records", "geometry", "labelling", "reading"},
 }
 ON_TOP = {"stages", "commands"}  # thin mains, which may use all of the above

@@ -1,6 +1,8 @@
 """What `make lint` looks at beyond style: a planted fault of each kind is reported; figures and pictures know their sources."""
 
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 from gelforge.flow.files import read_json
@@ -84,3 +86,22 @@ def test_changed_data_make_a_picture_old(tmp_path, monkeypatch):
     assert outdated(Path("readme/chart.png")) == ["data.json", f"{catalogue}#ball"]
     Path("data.json").unlink()
     assert outdated(Path("readme/chart.png")) == [f"{catalogue}#ball"]
+
+
+def test_the_guide_is_a_site_whose_links_hold(root, tmp_path):
+    words = [
+        "-m",
+        "mkdocs",
+        "build",
+        "--strict",
+        "--quiet",
+        "--config-file",
+        str(root / "mkdocs.yml"),
+        "-d",
+        str(tmp_path / "site"),
+    ]
+    done = subprocess.run([sys.executable, *words], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr[-3000:]
+    for page in ("api", "limits"):
+        assert "gel" in (tmp_path / f"site/{page}/index.html").read_text(encoding="utf-8")
+    assert "goes below the gel's apex" in (tmp_path / "site/api/index.html").read_text(encoding="utf-8")

@@ -239,9 +239,9 @@ def test_python_takes_gels_of_a_file_wherever_it_runs(root, tmp_path, monkeypatc
     monkeypatch.delenv("GELFORGE_GELS")
     ball = {"kind": "sphere", "diameter": 10, "height": 10}
     with pytest.raises(BadInput, match="'dome' is unknown; .* which gelforge.solve takes as gels"):
-        gelforge.solve(ball, 0.3, gel="dome", method="draft")
-    own = gelforge.solve(ball, 0.3, gel="dome", method="draft", gels=root / "workflow/gels.toml")
-    usual = gelforge.solve(ball, 0.3, method="draft")
+        gelforge.solve(ball, 0.3, gel="dome")
+    own = gelforge.solve(ball, 0.3, gel="dome", gels=root / "workflow/gels.toml")
+    usual = gelforge.solve(ball, 0.3)
     assert own.total[2] < 0.0 and own.total[2] != usual.total[2]
     assert gelforge.label(own).sum() < 0.0 and not is_gel("dome")
 

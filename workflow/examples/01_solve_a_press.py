@@ -4,10 +4,8 @@ import numpy as np
 
 import gelforge
 
-# Tables of indenters are those of workflow/indenters.toml; lengths are mm.
-sphere = {"kind": "sphere", "diameter": 10, "height": 10}
-
-press = gelforge.solve(sphere, depth=0.6, at=(2.0, -3.0), shear=(0.1, 0.0), quality="demo")
+# A name of workflow/indenters.toml, or a table as there: {"kind": "sphere", "diameter": 10, "height": 10}; lengths are mm.
+press = gelforge.solve("sphere_10", depth=0.6, at=(2.0, -3.0), shear=(0.1, 0.0))
 
 x, y, z = press.total  # N on the gel; z points out of it, so pressing is negative
 print(f"total force: x {x:+.3f}  y {y:+.3f}  z {z:+.3f} N")

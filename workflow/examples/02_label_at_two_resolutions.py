@@ -4,7 +4,7 @@ import numpy as np
 
 import gelforge
 
-press = gelforge.solve({"kind": "cuboid", "size": [7, 7], "fillet": 1, "height": 10}, depth=0.5, quality="demo")
+press = gelforge.solve("cuboid_7", depth=0.5)
 
 for resolution in ("12x16", "24x32"):
     cells = gelforge.label(press, resolution)  # (3, rows, cols) N: along gel x, y, z

@@ -14,7 +14,7 @@ write_stl("roof.stl", corners, faces)
 roof = {"kind": "stl", "file": "roof.stl", "spacing": 0.25, "reach": 3.0}
 
 for rot_deg in (0.0, 90.0):
-    press = gelforge.solve(roof, depth=0.8, rot_deg=rot_deg, quality="demo")
+    press = gelforge.solve(roof, depth=0.8, rot_deg=rot_deg)
     touched = press.mesh.nodes[press.forces[:, 2] < 0]
     wide, long = np.ptp(touched[:, :2], axis=0)
     print(

@@ -16,9 +16,8 @@ UNIT = 0.1  # MPa
 with LOG.open() as stream:
     presses = [(-float(row["dz_mm"]), float(row["fz_n"])) for row in csv.DictReader(stream)]
 
-sphere = {"kind": "sphere", "diameter": 15, "height": 10}
 measured = np.array([force for _, force in presses])
-of_unit = np.array([gelforge.solve(sphere, depth, c10=UNIT, quality="demo").total[2] for depth, _ in presses])
+of_unit = np.array([gelforge.solve("sphere_15", depth, c10=UNIT).total[2] for depth, _ in presses])
 
 # Force is proportional to C10, so that least squares are one division; relative, because large forces err more.
 c10 = UNIT * np.mean(measured / of_unit)

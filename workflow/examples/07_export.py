@@ -14,7 +14,7 @@ from gelforge.records.image import read_image
 
 IMAGE = Path(__file__).parents[2] / "data" / "demo" / "nocontact" / "mini_a.png"
 
-press = gelforge.solve({"kind": "cylinder", "diameter": 8, "fillet": 1, "height": 10}, depth=0.5, quality="demo")
+press = gelforge.solve({"kind": "cylinder", "diameter": 8, "fillet": 1, "height": 10}, depth=0.5)
 cells = gelforge.label(press, "24x32")
 
 # One press per .npy file, a pickled dict: gs_img, grid_x, grid_y, grid_z, f_x, f_y, f_z.

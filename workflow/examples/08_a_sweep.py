@@ -16,7 +16,7 @@ rows = []
 for diameter in DIAMETERS:
     sphere = {"kind": "sphere", "diameter": diameter, "height": 10}
     for depth in DEPTHS:
-        force = -gelforge.solve(sphere, depth, quality="demo").total[2]
+        force = -gelforge.solve(sphere, depth).total[2]
         rows.append({"diameter_mm": diameter, "depth_mm": depth, "force_n": round(force, 4)})
     forces = [row["force_n"] for row in rows if row["diameter_mm"] == diameter]
     power = np.polyfit(np.log(DEPTHS), np.log(forces), 1)[0]

@@ -6,7 +6,7 @@ CONTRIBUTING.md says how `[interface] law` of workflow/params.toml chooses it.
 import numpy as np
 
 from gelforge.geometry.gel import load_gel
-from gelforge.geometry.indenters import build
+from gelforge.geometry.indenters import CATALOGUE, load_catalogue
 from gelforge.mechanics.contact.law import ContactLaw, laws
 from gelforge.mechanics.hexsettings import quality
 from gelforge.mechanics.material import Material
@@ -30,10 +30,10 @@ class Orowan(ContactLaw):
 
 laws()[Orowan.name] = Orowan
 
-sphere = build("sphere", {"kind": "sphere", "diameter": 10, "height": 10})
+sphere = load_catalogue(CATALOGUE, ["sphere_10"])["sphere_10"]
 totals = {}
 press = Press(x0=0.0, y0=0.0, z0=0.0, dx=0.3, dy=0.0, dz=-0.5, rot_deg=0.0)  # mm and degrees
 for law in ("no_slip", "coulomb", "orowan"):
     scene = Scene(load_gel("gelsight_mini"), Material(), sphere, press, Interface(law, 0.8))
-    totals[law] = HexSolver(quality("demo")).solve(scene).total  # N on the gel
+    totals[law] = HexSolver(quality("draft")).solve(scene).total  # N on the gel
     print(f"{law:8s}: x {totals[law][0]:+.3f}, z {totals[law][2]:+.3f} N")

@@ -1,192 +1,104 @@
-"""Core hours, disk and time of `make report` before it starts, from a few of its presses.
+"""Core hours, disk and time of `make report` before it starts, at once: nothing is solved.
 
-The presses of the log, sorted by depth, are divided into equal groups, and the middle press of each group is a pilot. Pilots
-go through poses, fea, forces and labels in a temporary folder; a filmed press takes all of its rows along. Later stages are
-estimated from their times on other datasets, branches that solve presses from the time of a pilot's solve. For a log without
-images the estimate ends at labels and calibration.
+What a row takes in a stage comes from the records of this machine: of this dataset where it was begun, else of the other dataset
+with the same method that has most rows. Where no record serves, MEASURED does, of one core of a desktop computer. Rows that stage 10
+will reject count as well. For a log without images the estimate ends at labels and calibration.
 """
 
+import math
 import os
-import resource
-import shutil
-import subprocess
-import sys
 from argparse import Namespace
-from dataclasses import dataclass, replace
-from math import isnan
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 
-from gelforge.commands.sample import prepared, steps
-from gelforge.errors import BadInput, last_words
+from gelforge.errors import BadInput
 from gelforge.flow import layout
-from gelforge.flow.files import bytes_of, listed, read_csv, read_json, write_json
-from gelforge.flow.forecast import Cost, on_cores, pilots, presses_an_hour, table, wall_seconds
+from gelforge.flow.files import listed, read_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.main import RESULTS, command, option, positive
-from gelforge.flow.params.stages import ForCalibrate, ForPoses, ForReport, ForTrain, read_parameters
+from gelforge.flow.params.stages import ForTrain, read_parameters
 from gelforge.flow.params.tables import SHIPPED
 from gelforge.flow.runs import duration
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import load_sensors
-from gelforge.mechanics.material import REFERENCE_C10
-from gelforge.records.frames import presses_of
 from gelforge.records.log import read_shard
 from gelforge.records.networkkind import kind_of
-from gelforge.records.press import POSE, RawRow, parse
+from gelforge.records.press import RawRow, parse
 from gelforge.records.samplefile import read_samples
-from gelforge.records.solvetable import read_solves
 from gelforge.stages.train import resolve
 
-STAGES = {
-    "poses": layout.POSES,
-    "meshes": layout.MESHES,
-    "fea": layout.FEA,
-    "forces": layout.FORCES,
-    "labels": layout.LABELS,
+# Processor seconds of a press straight down, by method, and of one that is dragged over one that is not.
+MEASURED = {"draft": 0.8, "label": 2.0, "fine": 12.0, "ccx": 5.0, "auto": 2.0}
+DRAGGED = 3.0
+# The same of a row in the other stages, and of the start of a process; of a calibration and of a page.
+EACH = {
+    layout.POSES: 7e-3,
+    layout.FORCES: 1e-3,
+    layout.LABELS: 2e-3,
+    layout.DATASET: 2e-3,
+    layout.EVALUATE: 5e-3,
+    layout.REPORT: 0.02,
 }
-# Measured, processor seconds: an image through an evaluation; a press in the report.
-EVALUATE_EACH, REPORT_EACH = 5e-3, 0.02
-# Measured in presses on hexahedra as the pilots solved them: a press of a calibration.
-CALIBRATE_EACH = 18.0
-# A row in the stages beside the solves, where a few pilots take no longer than the start of the process does.
-ROW_EACH = {"poses": 7e-3, "meshes": 3e-2, "forces": 1e-3, "labels": 2e-3}
-NEEDED = ("sample_id", "sensor_id", "indenter", *POSE)  # cells without which a row is no press
-START = 1.5  # of a process with torch or the drawing libraries, in starts of stage 50
+START, CALIBRATE_ONCE = 3.0, 25.0
+BYTES = {layout.POSES: 2e4, layout.FEA: 2e5, layout.FORCES: 5e4}  # of a row
+OF_SHARDS = (layout.POSES, layout.FEA, layout.FORCES)
 
 
 @dataclass(frozen=True)
-class Pace:
-    """Processor seconds that what was not run is counted in: of one press on hexahedra, and of the start of stage 50."""
+class Cost:
+    """What a stage takes of all rows: processor seconds, bytes, and on how many cores it runs; source: where that is known from."""
 
-    hex_press: float = 1.0
-    start: float = 2.0
+    stage: str
+    cpu: float
+    disk: float = 0.0
+    cores: int = 1
+    source: str = "table"
 
 
-def planned_rows(results: Path) -> list[RawRow]:
-    """Rows of all planned shards, but for those that stage 10 rejected there, or will because a cell cannot be read."""
-    of, found = Layout(results), []
+def planned_rows(of: Layout) -> list[RawRow]:
+    """Rows of all planned shards that can be presses."""
+    rows = [row for name in of.names() for row in read_shard(of.shard(name))]
+    return [row for row in rows if parse(row, "", ("sample_id", "indenter", "dz_mm"))[0] is not None]
+
+
+def weights(rows: list[RawRow]) -> float:
+    """How many straight presses rows are worth; cells that cannot be read count as no drag."""
+    presses = (parse(row, "", ("dx_mm", "dy_mm"))[0] for row in rows)
+    return sum(
+        DRAGGED if press is not None and math.hypot(press.dx_mm, press.dy_mm) > 0.0 else 1.0 for press in presses
+    )
+
+
+def method_of(of: Layout) -> str:
+    """How the presses of a dataset are solved, empty where it was not planned yet."""
+    path = of.parameters("fea")
+    return str(read_json(path)["fea"]["method"]) if path.exists() else ""
+
+
+def recorded(of: Layout) -> tuple[float, float, float]:
+    """What stage 30 took of a dataset's shards that are made: processor seconds, what presses they are worth, and rows."""
+    cpu = worth = count = 0.0
     for name in of.names():
-        table, known = of.rejected(name), set()
-        if layout.written(str(table)) >= layout.written(str(of.shard(name))):
-            known = {cells.get("row") for cells in read_csv(table)}
-        rows = (row for row in read_shard(of.shard(name)) if str(row.row) not in known)
-        found += [row for row in rows if parse(row, "", NEEDED)[0] is not None]
-    return found
+        record = layout.metrics_of(of.fea(name))
+        if of.fea(name).exists() and record.exists():
+            rows = read_shard(of.shard(name))
+            cpu, worth, count = cpu + read_json(record)["cpu_seconds"], worth + weights(rows), count + len(rows)
+    return cpu, worth, count
 
 
-def depth(row: RawRow) -> float:
-    """Depth of a raw row, mm; rows that cannot be read count as no contact, because stage 10 rejects them."""
-    press, _ = parse(row, "", ("dz_mm",))
-    return 0.0 if press is None else -press.dz_mm
-
-
-def pilot_presses(rows: list[RawRow]) -> list[list[RawRow]]:
-    """Presses that stand for all, each with all its rows."""
-    presses = presses_of(rows)
-    return [presses[k] for k in pilots([max(map(depth, press)) for press in presses])]
-
-
-def spend(module: str, words: list[str]) -> float:
-    """Run a stage in a process of its own; return its processor seconds, children included."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    ran = subprocess.run(
-        [sys.executable, "-m", f"gelforge.stages.{module}", *words], capture_output=True, text=True, check=False
-    )  # fmt: skip
-    if ran.returncode:
-        raise BadInput(f"a pilot press failed in stage {module}: {last_words(ran.stderr, ran.returncode)}")
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
-
-
-def row_and_start(module: str, words: list[str], rows: int) -> tuple[float, float]:
-    """Run a stage on a shard of so many rows; processor seconds of each of them, and of the process's start."""
-    cpu = spend(module, words)
-    # a second run of the solves finds every press solved, and only starts
-    each = ROW_EACH[module] if module in ROW_EACH else (cpu - spend(module, words)) / rows
-    each = min(max(each, 0.0), cpu / rows)
-    return each, cpu - each * rows
-
-
-def with_stiffness(work: Layout) -> None:
-    """Give the parameters of stage 40 a stiffness in numbers, where the run will find it first: it costs no time."""
-    table = read_json(work.parameters("forces"))
-    table["material"] |= {"c10": REFERENCE_C10}
-    write_json(work.parameters("forces"), table)
-
-
-def on_hexahedra(table: Path) -> float:
-    """Fraction of the time of solves that went into hexahedra: all of it, but where CalculiX followed."""
-    solves = [solve for solve in read_solves(table) if solve.number("seconds") > 0.0]
-    whole = sum(solve.number("seconds") for solve in solves)
-    known = [solve.number("kinematics_seconds") for solve in solves]
-    own = sum(solve.number("seconds") if isnan(part) else part for solve, part in zip(solves, known, strict=True))
-    return own / whole if whole else 1.0
-
-
-def pilot(of: Layout, work: Layout, rows: list[RawRow], resolution: str) -> tuple[list[Cost], Pace]:
-    """What each stage takes of a row, from a shard of the rows given, and what starting its processes takes; its pace."""
-    shards = len(of.names())
-    shutil.rmtree(work.root, ignore_errors=True)
-    prepared(work, rows)
-    if not of.calibration().exists():
-        with_stiffness(work)
-    found, pace = [], Pace()
-    for module, words, out in steps(work, resolution):
-        # the first run makes the meshes that are missing, once for all shards
-        made = spend(module, words) if module == "meshes" else 0.0
-        each, start = row_and_start(module, words, len(rows))
-        starts = start * (1 if STAGES[module] == layout.LABELS else shards)
-        written = bytes_of(work.folder(STAGES[module]))
-        # operators are of meshes and sensors, whatever the number of presses
-        once = sum(bytes_of(folder) for folder in out.parent.glob("operators"))
-        if module == "meshes":
-            starts += max(0.0, made - each * len(rows) - start)
-            once = bytes_of(of.meshes)
-            written += once
-        found.append(Cost(STAGES[module], each, starts, (written - once) / len(rows), once))
-        if module == "poses" and not read_csv(out):
-            command = of.command("status")
-            raise BadInput(f"all {len(rows)} rows that were tried were rejected; {command} says why")
-        if module == "fea":
-            pace = replace(pace, hex_press=each * on_hexahedra(out))
-        if module == "labels":
-            pace = replace(pace, start=start)
-    return found, pace
-
-
-def measured(of: Layout, rows: list[RawRow], resolution: str) -> tuple[list[Cost], Pace]:
-    """What stages 10 to 50 take of each row, from a shard of pilots, and their pace."""
-    presses = pilot_presses(rows)
-    print(f"solving {len(presses)} of {len(presses_of(rows))} presses to see what they take", flush=True)
-    chosen = [row for press in presses for row in press]
-    work = Layout(of.folder(layout.ESTIMATE))
-    try:
-        return pilot(of, work, chosen, resolution)
-    finally:
-        shutil.rmtree(work.root, ignore_errors=True)
-
-
-def training(results: Layout, resolution: str, model: str, presses: int, start: float = Pace.start * START) -> Cost:
-    """What a network takes to learn from so many presses, and from those of [train] also; BadInput for one that there is not."""
-    tables = {path.stem: read_json(path)[path.stem] for path in listed(results.params / "models", "*.json")}
-    of_train = read_parameters(results.params / "train.json", ForTrain).train
-    table, settings = resolve(tables, model, of_train)
-    beside = sum(made_presses(Layout(results.root.parent / name), resolution) for name in of_train.also)
-    every = presses + beside
-    fraction = min(1.0, (settings.epoch_images or every) / every)  # of all, that an epoch visits
-    each = kind_of(table).image_seconds * settings.epochs * fraction
-    return Cost(layout.TRAIN, each, start + each * beside, bytes_once=3e6)
-
-
-def made_presses(results: Layout, resolution: str) -> int:
-    """Presses of another dataset that networks also learn from."""
-    found = results.dataset(resolution) / "samples.csv"
-    if not found.exists():
-        command = f"{results.command('dataset')} RES={resolution}"
-        raise BadInput(f"{found} is missing, and [train] also names {results.root.name}: {command} first")
-    return len(read_samples(found))
+def press_seconds(of: Layout) -> tuple[float, str]:
+    """Processor seconds of a straight press of a dataset, and where they are known from."""
+    method, found = method_of(of), []
+    for root in (of.root, *(path for path in sorted(of.root.parent.iterdir()) if path != of.root)):
+        other = Layout(root)
+        if (root / layout.PLAN).is_dir() and method_of(other) == method:
+            cpu, worth, count = recorded(other)
+            if worth:
+                found.append((root == of.root, count, cpu / worth, f"records of {root.name}"))
+    if not found:
+        return MEASURED[method], "table"
+    return max(found)[2:]
 
 
 def image_bytes(results: Layout, rows: list[RawRow]) -> int:
@@ -196,38 +108,55 @@ def image_bytes(results: Layout, rows: list[RawRow]) -> int:
     return max((3 * int(np.prod(one.image)) for name, one in sensors.items() if name in named), default=0)
 
 
-def later_costs(results: Layout, resolution: str, model: str, rows: list[RawRow], pace: Pace = Pace()) -> list[Cost]:
-    """What the stages after the labels take of rows with a network, from other datasets and the pace of this one's pilots.
+def training(results: Layout, resolution: str, model: str, images: int) -> Cost:
+    """What a network takes to learn from so many images, and from those of [train] also; BadInput for one that there is not."""
+    tables = {path.stem: read_json(path)[path.stem] for path in listed(results.params / "models", "*.json")}
+    of_train = read_parameters(results.params / "train.json", ForTrain).train
+    table, settings = resolve(tables, model, of_train)
+    others = (Layout(results.root.parent / name).dataset(resolution) / "samples.csv" for name in of_train.also)
+    images += sum(len(read_samples(path)) for path in others)
+    seen = min(images, settings.epoch_images or images) * settings.epochs
+    return Cost(layout.TRAIN, START + kind_of(table).image_seconds * seen, 3e6)
 
-    A branch that the log cannot feed, as `calibrate` without force readings, is none.
-    """
-    start = START * pace.start
-    params, presses = results.params, len(rows)
-    report = read_parameters(params / "report.json", ForReport).report
-    grid = Grid.parse(resolution)
-    cells = 4 * 3 * grid.rows * grid.cols
-    images = read_parameters(params / "poses.json", ForPoses).poses.images
-    branches = []
-    if "calibrate" in report.branches and any(row.cells.get("fz_n") for row in rows):
-        solved = read_parameters(params / "calibrate.json", ForCalibrate).calibrate.max_presses
-        branches.append(Cost(layout.CALIBRATE, cpu_once=CALIBRATE_EACH * solved * pace.hex_press, bytes_once=2e7))
-    if not images:
-        return branches  # a log without pictures has no report
-    return [
-        Cost(layout.DATASET, 2e-3, start, image_bytes(results, rows) + cells),
-        *([training(results, resolution, model, presses, start)] if model != SHIPPED else []),
-        Cost(layout.EVALUATE, EVALUATE_EACH, start, cells / 2),
-        *branches,
-        Cost(layout.REPORT, REPORT_EACH, start, 4e4, 3e6),
+
+def estimated(of: Layout, resolution: str, model: str, rows: list[RawRow], cores: int = 1) -> list[Cost]:
+    """What every stage of a dataset takes of all its rows."""
+    shards, count, grid = len(of.names()), len(rows), Grid.parse(resolution)
+    cells = 4.0 * 3 * grid.rows * grid.cols
+    each, source = press_seconds(of)
+
+    def of_rows(stage: str, disk: float = 0.0) -> Cost:
+        spread = stage in OF_SHARDS
+        return Cost(
+            stage,
+            EACH[stage] * count + START * (shards if spread else 1),
+            disk * count,
+            min(cores, shards) if spread else 1,
+        )
+
+    costs = [
+        of_rows(layout.POSES, BYTES[layout.POSES]),
+        Cost(
+            layout.FEA, each * weights(rows) + START * shards, BYTES[layout.FEA] * count, min(cores, shards), source
+        ),
+        of_rows(layout.FORCES, BYTES[layout.FORCES]),
+        of_rows(layout.LABELS, cells),
     ]
+    branches = read_json(of.params / "report.json")["report"]["branches"]
+    if "calibrate" in branches and any(row.cells.get("fz_n") for row in rows):
+        costs.append(Cost(layout.CALIBRATE, CALIBRATE_ONCE, 2e7, cores))
+    if not read_json(of.params / "poses.json")["poses"]["images"]:
+        return costs  # a log without images has no report
+    costs.append(of_rows(layout.DATASET, image_bytes(of, rows) + cells))
+    if model != SHIPPED:
+        costs.append(training(of, resolution, model, count))
+    return [*costs, of_rows(layout.EVALUATE, cells / 2), of_rows(layout.REPORT, 4e4)]
 
 
-def estimated(of: Layout, resolution: str, model: str, rows: list[RawRow]) -> list[Cost]:
-    """What every stage of a dataset takes of a row, the rows given being all that it has."""
-    # first: a wrong word must not wait for the pilots
-    later_costs(of, resolution, model, rows)
-    costs, pace = measured(of, rows, resolution)
-    return [*costs, *later_costs(of, resolution, model, rows, pace)]
+def size(count: float) -> str:
+    """Bytes as people say them, three digits of them: the next unit begins where these would be 1000."""
+    power = next((p for p in range(5) if float(f"{count / 1000**p:.3g}") < 1000), 5)
+    return f"{count / 1000**power:.3g} {('B', 'kB', 'MB', 'GB', 'TB', 'PB')[power]}"
 
 
 @command(
@@ -238,15 +167,19 @@ def estimated(of: Layout, resolution: str, model: str, rows: list[RawRow]) -> li
 )
 def main(args: Namespace) -> None:
     of = Layout(args.results)
-    rows = planned_rows(args.results)
+    rows = planned_rows(of)
     if not rows:
-        raise BadInput(f"{of.log}: no row is left to solve; {of.command('status')} says why each was rejected")
-    costs = estimated(of, args.resolution, args.model, rows)
-    shards = len(of.names())
-    print("\n".join(table(costs, len(rows))))
-    an_hour = presses_an_hour(costs, args.cores) * len(presses_of(rows)) / len(rows)
-    print(f"{an_hour:.0f} presses an hour become labels {on_cores(args.cores)}")
-    print(f"about {duration(wall_seconds(costs, len(rows), args.cores, shards))} {on_cores(args.cores)}")
+        raise BadInput(f"{of.log}: no row is left to solve; {of.command('poses')} says why each was rejected")
+    costs = estimated(of, args.resolution, args.model, rows, args.cores)
+    print(f"{'stage':14s} {'core hours':>10s} {'disk':>9s}  known from")
+    for cost in costs:
+        print(f"{cost.stage:14s} {cost.cpu / 3600:10.3f} {size(cost.disk):>9s}  {cost.source}")
+    cpu, disk = sum(cost.cpu for cost in costs), sum(cost.disk for cost in costs)
+    print(f"{'all':14s} {cpu / 3600:10.3f} {size(disk):>9s}")
+    cores = f"{args.cores} cores" if args.cores > 1 else "1 core"
+    print(
+        f"{len(rows)} rows by {method_of(of)}: about {duration(sum(cost.cpu / cost.cores for cost in costs))} on {cores}"
+    )
 
 
 if __name__ == "__main__":

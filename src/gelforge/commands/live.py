@@ -81,12 +81,12 @@ class Outputs:
         for file in [*self.files]:
             if kept := self._guard(file, file.end):
                 report(kept)
-        self.announce(str(self.fault or said))
+        self.announce(str(self.fault or said), self.fault is not None)
 
-    def announce(self, sentence: str) -> None:
+    def announce(self, sentence: str, fault: bool) -> None:
         """Say a sentence to all viewers and on the terminal."""
         for server in self.servers:
-            server.announce(sentence)
+            server.announce(sentence, fault)
         if self.servers:
             report(sentence)
 
@@ -97,7 +97,7 @@ class Outputs:
         except BadInput as error:
             self.files.remove(file)
             self.fault = self.fault or error
-            self.announce(str(error))
+            self.announce(str(error), fault=True)
             return None
 
 

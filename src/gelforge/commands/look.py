@@ -3,6 +3,7 @@
 from argparse import Namespace
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -10,12 +11,12 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import publish
 from gelforge.flow.layout import LOOK, Layout, command_for, shard_name
 from gelforge.flow.main import command, option
-from gelforge.flow.runs import causes, changes, imported_labels, refuse_rejected, steps_of_label
+from gelforge.flow.runs import imported_labels, refuse_rejected
 from gelforge.geometry.gel import load_gel, use_gels_of
 from gelforge.geometry.stlfile import read_stl
 from gelforge.geometry.triangles import Mesh, write_stl
 from gelforge.labelling.grid import Grid
-from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors, transform
+from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors
 from gelforge.mechanics.mesh.family import load_mesh
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.image import read_logged_image
@@ -23,7 +24,6 @@ from gelforge.records.labelfile import read_labels
 from gelforge.records.log import read_poses
 from gelforge.records.press import PosedPress, check_id
 
-ARROWS = 16  # along the image's height at most, so that they can be distinguished
 INK = "#12181f"
 
 
@@ -68,15 +68,6 @@ def shard_paths(results: Path, sample_id: str, resolution: str) -> dict[str, Pat
             return paths
     one, all_of_them = (of.command(f"{goal} RES={resolution}") for goal in (f"sample ID={sample_id}", "labels"))
     raise BadInput(f"sample {sample_id} has no label at {resolution} yet; run {one}, or {all_of_them}")
-
-
-def outdated_causes(results: Path, paths: dict[str, Path], resolution: str) -> list[str]:
-    """What a label was made of that changed since; nothing is known of one that `make sample` made."""
-    of, shard = Layout(results), paths["labels"].stem
-    if paths["labels"] != of.labels(resolution, shard):
-        return []
-    steps = steps_of_label(results, shard, resolution)
-    return causes(path for step in steps for path in changes(step.target) if path in step.inputs)
 
 
 def load(data: Path, paths: dict, sample_id: str, sensors: dict, resolution: str) -> Pictured:
@@ -132,114 +123,45 @@ def outline(look: Pictured) -> np.ndarray:
     return look.sensor.project(points[:, :2]).reshape(-1, 2, 2)
 
 
-def arrows(look: Pictured) -> tuple[np.ndarray, np.ndarray]:
-    """Places (n, 2) px and shear forces (n, 2) N turned into image directions (u, v), in cells merged to be seen.
+def draw(look: Pictured) -> Any:
+    """Matplotlib figure: the image with pressure and the indenter's outline, and the three components over the image in grey."""
+    from matplotlib.collections import LineCollection
 
-    The direction of a force in the image follows the projection's Jacobian; its length stays in N.
-    """
-    rows, cols = look.label.shape[1:]
-    merge = max(1, -(-rows // ARROWS))
-    starts = np.arange(0, rows, merge), np.arange(0, cols, merge)
-    merged = np.add.reduceat(np.add.reduceat(look.label[:2], starts[0], axis=1), starts[1], axis=2)
-    # the last cells may be fewer than are merged elsewhere
-    v, u = ((start + np.minimum(start + merge, size)) / 2 for start, size in zip(starts, (rows, cols), strict=True))
-    place = np.stack(np.meshgrid(u * look.sensor.image[0] / cols, v * look.sensor.image[1] / rows), axis=-1).reshape(
-        -1, 2
-    )
-    force = merged.reshape(2, -1).T
-    size = np.hypot(*force.T)
-    gel, step = look.sensor.unproject(place), 1e-4
-    ahead = gel + step * force / np.maximum(size, 1e-300)[:, None]
-    heading = transform(look.sensor.projection, ahead) - place
-    heading /= np.maximum(np.hypot(*heading.T), 1e-300)[:, None]
-    return place, heading * size[:, None]
-
-
-def draw(look: Pictured):
-    """Matplotlib figure: the image with pressure and shear arrows, and the three channels over the image."""
     from gelforge.reporting.canvas import canvas_with_axes
     from gelforge.reporting.forcemaps import draw_component
 
-    width, height = look.sensor.image
+    (width, height), press = look.sensor.image, look.press
     figure, axes = canvas_with_axes(2, 2, 12.4, 9.2)
     extent = (0, width, height, 0)
-    _draw_image(axes[0, 0], look, extent)
-    for channel, axis in enumerate((axes[0, 1], axes[1, 0], axes[1, 1])):
-        grid = look.label[channel]
-        reach = max(float(np.abs(grid).max()), 1e-9)
-        _backdrop(axis, look, extent, grey=True)
-        strength = np.clip(0.25 + 0.75 * np.abs(grid) / reach, 0, 0.92) * (np.abs(grid) > 0.003 * reach)
-        beyond = f", outside {look.outside[channel]:+.3f} N" if abs(look.outside[channel]) > 5e-4 else ""
-        draw_component(axis, grid, channel, beyond, extent=extent, alpha=strength, interpolation="nearest")
     for axis in axes.ravel():
-        axis.set(xlim=(0, width), ylim=(height, 0), xlabel="u, px", ylabel="v, px", aspect="equal")
-    press = look.press
+        axis.set(
+            xlim=(0, width), ylim=(height, 0), xlabel="u, px", ylabel="v, px", aspect="equal", facecolor="#e6e8ea"
+        )
+    first, *others = axes.ravel()
+    if look.image is not None:
+        first.imshow(look.image, extent=extent)
+    pressure = np.maximum(-look.label[2], 0.0)
+    rows, cols = pressure.shape
+    if pressure.max() > 0 and min(rows, cols) > 1:
+        u, v = (np.arange(cols) + 0.5) * width / cols, (np.arange(rows) + 0.5) * height / rows
+        levels = pressure.max() * np.array([0.05, 0.35, 0.65])
+        first.contour(u, v, pressure, levels=levels, colors=INK if look.image is None else "white", linewidths=0.9)
+    first.add_collection(LineCollection(outline(look), colors="#3fd0ff", linewidths=1.2))
+    first.set_title("indenter (blue), pressure (lines at 5, 35, 65 % of its peak)", fontsize=10)
+    for channel, axis in enumerate(others):
+        if look.image is not None:
+            axis.imshow(look.image.mean(axis=2), cmap="gray", vmin=-120, vmax=255, extent=extent)
+        size, missing = np.abs(look.label[channel]), look.outside[channel]
+        reach = max(float(size.max()), 1e-9)
+        alpha = np.clip(0.25 + 0.75 * size / reach, 0, 0.92) * (size > 0.003 * reach)
+        note = f", outside {missing:+.3f} N" if abs(missing) > 5e-4 else ""
+        draw_component(axis, look.label[channel], channel, note, extent=extent, alpha=alpha, interpolation="nearest")
     figure.suptitle(
         f"{press.sample_id}: {press.indenter} on {press.sensor_id}, {-press.dz_mm:.2f} mm deep,"
         f" shear ({press.dx_mm:.2f}, {press.dy_mm:.2f}) mm, label {look.resolution}",
         fontsize=12,
     )
     return figure
-
-
-def _backdrop(axis, look, extent, grey=False):
-    if look.image is None:
-        axis.set_facecolor("#e6e8ea")
-    elif grey:
-        axis.imshow(look.image.mean(axis=2), cmap="gray", vmin=-120, vmax=255, extent=extent)
-    else:
-        axis.imshow(look.image, extent=extent)
-
-
-def _draw_image(axis, look, extent):
-    from matplotlib.collections import LineCollection
-
-    _backdrop(axis, look, extent)
-    pressure = np.maximum(-look.label[2], 0.0)
-    if pressure.max() > 0:
-        rows, cols = pressure.shape
-        u = (np.arange(cols) + 0.5) * look.sensor.image[0] / cols
-        v = (np.arange(rows) + 0.5) * look.sensor.image[1] / rows
-        if min(rows, cols) > 1:
-            axis.contour(
-                u,
-                v,
-                pressure,
-                levels=pressure.max() * np.array([0.05, 0.35, 0.65]),
-                colors="white" if look.image is not None else INK,
-                linewidths=0.9,
-            )
-    axis.add_collection(LineCollection(outline(look), colors="#3fd0ff", linewidths=1.2))
-    place, force = arrows(look)
-    size = np.hypot(*force.T)
-    largest = float(size.max(initial=0.0))
-    if largest > 1e-6:
-        seen = size > 0.02 * largest
-        unit = 10.0 ** np.floor(np.log10(largest))
-        unit *= next(m for m in (5, 2, 1) if m * unit <= largest)
-        quiver = axis.quiver(
-            *place[seen].T,
-            *force[seen].T,
-            color="#ffd23f",
-            edgecolor=INK,
-            linewidth=0.4,
-            angles="xy",
-            scale_units="xy",
-            scale=largest / 26.0,
-            width=0.0045,
-        )
-        axis.quiverkey(
-            quiver, 0.86, -0.11, unit, f"{unit:g} N shear", labelpos="E", coordinates="axes", color="#b98300"
-        )
-    axis.set_title("indenter (blue), pressure (lines at 5, 35, 65 % of its peak), shear on the gel", fontsize=10)
-
-
-def write_figure(path, figure) -> None:
-    """Write a matplotlib figure as PNG, whole or not at all."""
-    from gelforge.reporting.canvas import save_png
-
-    with publish(path) as part:
-        save_png(part, figure)
 
 
 @command(
@@ -254,17 +176,17 @@ def write_figure(path, figure) -> None:
 def main(args: Namespace) -> None:
     if not args.id:
         raise BadInput(f"no sample named; say {Layout(args.results).command('look ID=SAMPLE_ID')}")
+    from gelforge.reporting.canvas import save_png
+
     check_id(args.id)
     use_gels_of(args.workflow)
     sensors, out = load_sensors(args.sensors), args.out or args.results / LOOK
     paths, indenter = {}, out / f"{args.id}-indenter.stl"
     for resolution in map(str, map(Grid.parse, args.resolution)):
         paths = shard_paths(args.results, args.id, resolution)
-        if why := outdated_causes(args.results, paths, resolution):
-            command = Layout(args.results).command(f"labels RES={resolution}")
-            print(f"the label of {args.id} is an older one: {', '.join(why)} changed since; {command} makes it anew")
         look = load(args.data, paths, args.id, sensors, resolution)
-        write_figure(out / f"{args.id}-{resolution}.png", draw(look))
+        with publish(out / f"{args.id}-{resolution}.png") as part:
+            save_png(part, draw(look))
         print(out / f"{args.id}-{resolution}.png")
         with publish(indenter) as part:
             write_stl(part, *look.indenter)

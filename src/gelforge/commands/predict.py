@@ -22,10 +22,10 @@ from gelforge.commands.sensoroptions import ENGINE, MODEL, NOCONTACT, PROFILE, S
 from gelforge.errors import BadInput, printable
 from gelforge.flow.files import publish
 from gelforge.flow.main import command, option
+from gelforge.reading.forcereading import TOTAL_COLUMNS, ForceReading, goes_beyond, interval_text, total_columns
 from gelforge.reading.predictor import Predictor, load_for_use
 from gelforge.reading.profile import files_of, with_profile
 from gelforge.records.axes import CHANNELS
-from gelforge.records.forcereading import TOTAL_COLUMNS, ForceReading, goes_beyond, total_columns
 from gelforge.records.image import read_image
 from gelforge.records.regular import FOLDER, file_fault, refuse_to_replace
 from gelforge.records.table import GrowingTable
@@ -53,11 +53,6 @@ def totals_row(image: str, name: str, found: ForceReading) -> dict:
         "flagged": int(found.flag),
         "reason": found.reason,
     }
-
-
-def within(half_width: str) -> str:
-    """An interval as it stands behind a force."""
-    return f" +- {half_width}" if half_width else ""
 
 
 def output_names(paths) -> list[str]:
@@ -104,14 +99,14 @@ def predict_files(
     try:
         for path, name in zip(paths, names, strict=True):
             image = read_image(path)
-            found = predictor.predict(image)
+            found, shown = predictor.predict_shown(image)
             row = totals_row(printable(path), printable(name), found)
             # the maps of an image and its row are written together or, where the disk is full, not at all
             with publish(out / f"{name}.npy") as cells, publish(out / f"{name}.png") as drawn:
                 np.save(cells, found.cells)
                 flag = f" | FLAGGED: {found.reason}" if found.flag else ""
                 title = f"{printable(name)}, OOD score {found.ood_score:.1f}{flag}"
-                write_maps(drawn, found.image, found.cells, title)
+                write_maps(drawn, shown, found.cells, title)
                 table.add(row)
             yield row
     finally:
@@ -123,8 +118,10 @@ def line_of(row: dict) -> str:
     warning = f"  FLAGGED: {row['reason']}" if row["flagged"] else ""
     if row["edge_peak"] and goes_beyond(float(row["edge_peak"])):
         warning += "  CROPPED: the image shows only a part of the contact, so the total is too low"
+    halves = (row[f"{channel}_half_width_n"] for channel in CHANNELS)
     forces = ", ".join(
-        f"{channel} {row[f'{channel}_n']}{within(row[f'{channel}_half_width_n'])}" for channel in CHANNELS
+        f"{channel} {interval_text(float(row[f'{channel}_n']), float(half) if half else None)}"
+        for channel, half in zip(CHANNELS, halves, strict=True)
     )
     return printable(f"{row['image']}: {forces} N{warning}")
 

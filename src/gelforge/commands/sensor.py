@@ -1,5 +1,8 @@
-"""A profile of your own sensor: `gelforge sensor --name MINE --nocontact PICTURE --readings readings.csv`.
+"""A profile of your own sensor, with a kitchen scale: `gelforge sensor --name MINE --camera 0 --weigh`.
 
+--weigh takes the no-contact image, then a live page shows the force: hold a press still, type the scale's grams, Enter, five times
+or more. It keeps images and forces in the folder MINE-readings and writes the profile. With --video a film stops at each held press.
+The same from images at hand: `gelforge sensor --name MINE --nocontact IMAGE --readings readings.csv`.
 readings.csv has one row per weighed press: `image`, the path of its image relative to the table's folder, and `force_n`, the
 pressing force in newtons (a kitchen scale's grams over 102). Without readings the profile holds the no-contact image alone.
 In place of --nocontact, --camera NUMBER or --video FILE give the no-contact image: the mean of the first frames at rest, as
@@ -20,8 +23,10 @@ from gelforge.commands.sensoroptions import MODE, MODEL, NOCONTACT
 from gelforge.errors import BadInput
 from gelforge.evidence.forces import of_readings
 from gelforge.flow.main import command, option
+from gelforge.reading.forcereading import goes_beyond, interval_digits
 from gelforge.reading.frame import reduced
 from gelforge.reading.markers import markers_in
+from gelforge.reading.model import ForceModel
 from gelforge.reading.predictor import Predictor, load_for_use
 from gelforge.reading.profile import (
     Gain,
@@ -32,10 +37,9 @@ from gelforge.reading.profile import (
     odd_readings,
     write_profile,
 )
-from gelforge.records.film import source_name
-from gelforge.records.forcereading import goes_beyond
+from gelforge.records.film import Film, open_source, source_name
 from gelforge.records.image import read_image
-from gelforge.records.nocontactimage import nocontact_of
+from gelforge.records.nocontactimage import find_nocontact, nocontact_of
 from gelforge.records.press import check_id, parse_number
 from gelforge.records.regular import real_place, refuse_to_replace
 from gelforge.records.table import filled_rows
@@ -149,10 +153,56 @@ def factor_replaced(out: Path, measures: bool) -> Gain:
         raise BadInput(f"{out} is there already and is no sensor's profile; give another --name or --out")
     if kept.readings and not measures:
         raise BadInput(
-            f"{out}: is a profile whose factor, {kept.value:.3f}, comes from {kept.readings} readings and would be replaced"
+            f"{out}: is a profile whose factor, {kept.value:.2f}, comes from {kept.readings} readings and would be replaced"
             f" by one without any; give --readings again, another --name or --out, or remove {out}"
         )
     return kept
+
+
+def weigh(args: Namespace, out: Path) -> tuple[np.ndarray, Gain, dict]:
+    """Weigh presses in front of a camera or in a film; the no-contact image (h, w, 3), the factor, and the model's metadata."""
+    import cv2
+
+    from gelforge.live.webpage import PageServer
+    from gelforge.live.weigh import HELP, Weighing, weigh_camera, weigh_film
+
+    if (args.video is None) == (args.camera is None) or args.readings:
+        raise BadInput("--weigh: give either --camera NUMBER or --video FILE, and no --readings")
+    folder = out.with_name(f"{out.stem}-readings")
+    if folder.exists():
+        raise BadInput(
+            f"{folder} is there already, of an earlier weighing; remove it, or give another --name or --out"
+        )
+    model, name = load_for_use(args.model), source_name(args.video, args.camera)
+    with open_source(args.video, args.camera, args.mode) as (capture, announced):
+        frames = iter(Film(capture, announced, name, None, args.camera is not None, args.video))
+        if args.nocontact:
+            picture = read_image(args.nocontact)
+        else:
+            found, frames = find_nocontact(frames, name)
+            picture = cv2.cvtColor(found, cv2.COLOR_BGR2RGB)
+        predictor = predictor_beside(model, picture, name)
+        folder.mkdir(parents=True)
+        weighing, page = Weighing(folder, predictor), PageServer("127.0.0.1", 0)
+        print(f"{page.url} shows {name}; {HELP}", flush=True)
+        try:
+            (weigh_film if args.camera is None else weigh_camera)(weighing, frames, page.send)
+        finally:
+            page.stop()
+    if not weighing.names:
+        folder.rmdir()
+        raise BadInput(f"{name}: no press was weighed, so nothing is written; {HELP}")
+    return reduced(picture), gain_of(folder / "readings.csv", predictor), model.metadata
+
+
+def predictor_beside(model: ForceModel, picture: np.ndarray, source: str) -> Predictor:
+    """The model beside a no-contact image (h, w, 3); BadInput where the image cannot serve."""
+    predictor = Predictor(model, reduced(picture))
+    if predictor.text:
+        print(f"{source}: {predictor.text}", file=sys.stderr)
+    if predictor.fault:
+        raise BadInput(f"{source}: {predictor.fault}; take a sharp one while nothing touches the sensor")
+    return predictor
 
 
 @command(
@@ -163,6 +213,7 @@ def factor_replaced(out: Path, measures: bool) -> Gain:
         "--camera", type=camera_number, help="number of the camera; nothing may touch the sensor now", default=None
     ),
     MODE,
+    option("--weigh", action="store_true", help="weigh presses now: hold one still, type the scale's grams, Enter"),
     option("--readings", type=Path, help="table of images and force readings", default=None),
     MODEL,
     option("--out", type=Path, help="file of the profile, .toml", default=None),
@@ -170,21 +221,22 @@ def factor_replaced(out: Path, measures: bool) -> Gain:
 def main(args: Namespace) -> None:
     name, out = check_id(args.name, "--name"), args.out or Path(f"{args.name}.toml")
     check_options(args, out)
-    before = factor_replaced(out, args.readings is not None)
-    picture, source = nocontact_picture(args.nocontact, args.video, args.camera, args.mode)
-    model = load_for_use(args.model)
-    picture = reduced(picture)
-    predictor = Predictor(model, picture)
-    if predictor.text:
-        print(f"{source}: {predictor.text}", file=sys.stderr)
-    if predictor.fault:
-        raise BadInput(f"{source}: {predictor.fault}; take a sharp one while nothing touches the sensor")
-    gain = gain_of(args.readings, predictor) if args.readings else Gain()
-    profile = make_profile(name, picture, markers_in(picture).pitch, gain, model.metadata)
+    before = factor_replaced(out, args.weigh or args.readings is not None)
+    if args.weigh:
+        picture, gain, metadata = weigh(args, out)
+    else:
+        picture, source = nocontact_picture(args.nocontact, args.video, args.camera, args.mode)
+        model = load_for_use(args.model)
+        picture, metadata = reduced(picture), model.metadata
+        predictor = predictor_beside(model, picture, source)
+        gain = gain_of(args.readings, predictor) if args.readings else Gain()
+    profile = make_profile(name, picture, markers_in(picture).pitch, gain, metadata)
     write_profile(out, profile)
     what = "reading" if gain.readings == 1 else "readings"
-    instead = f", in place of {before.value:.3f} from {before.readings}" if before.readings else ""
-    print(f"{out}: forces times {gain.value:.3f} ({gain.low:.3f} to {gain.high:.3f}), from {gain.readings} {what}{instead};"
+    instead = f", in place of {before.value:.2f} from {before.readings}" if before.readings else ""
+    digits = interval_digits((gain.high - gain.low) / 2)
+    factor, low, high = (f"{value:.{digits}f}" for value in (gain.value, gain.low, gain.high))
+    print(f"{out}: forces times {factor} ({low} to {high}), from {gain.readings} {what}{instead};"
           f" markers {profile.pitch:.1f} px apart")  # fmt: skip
 
 

@@ -23,6 +23,7 @@ from gelforge.geometry.solids import Body, Extrusion, LyingCylinder, RoundedPoly
 from gelforge.records.press import PosedPress
 
 DEFAULT = object()
+CATALOGUE = Path(__file__).with_name("indenters.toml")  # workflow/indenters.toml, as it is installed
 
 
 class _Table:

@@ -47,11 +47,11 @@ class FoxgloveServer:
             )
         return self.channels[topic]
 
-    def announce(self, sentence: str) -> None:
+    def announce(self, sentence: str, fault: bool = False) -> None:
         """Show a sentence to all viewers."""
         from foxglove import StatusLevel
 
-        self.server.publish_status(sentence, StatusLevel.Warning)
+        self.server.publish_status(sentence, StatusLevel.Warning if fault else StatusLevel.Info)
 
     def stop(self) -> None:
         """End it; viewers are disconnected."""

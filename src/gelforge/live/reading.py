@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.reading.forcereading import TOTAL_COLUMNS, ForceReading, total_columns
 from gelforge.records.film import Frame
-from gelforge.records.forcereading import TOTAL_COLUMNS, ForceReading, total_columns
 from gelforge.reporting.parts import jpeg, pack
 
 # Frames above DOUBTED_N of 34 films of real sensors that begin at rest read at most 1.2 times as much once they are exchanged with the
@@ -22,12 +22,13 @@ COLUMNS = ("frame", "time_s", *TOTAL_COLUMNS, "flag", "reason", "ms")
 
 @dataclass(frozen=True)
 class Reading:
-    """One frame: its number, its time, what was predicted from it, and how long that took."""
+    """One frame: its number, its time, what was predicted from it, how long that took, and the image (h, w, 3) RGB below the cells."""
 
     frame: int
     time_s: float
     found: ForceReading
     ms: float
+    image: np.ndarray
 
     def row(self) -> dict:
         """Totals and diagnostics by COLUMNS."""
@@ -40,7 +41,7 @@ class Reading:
         """All that the page shows of it."""
         half, cells = self.found.half_width, self.found.cells
         rounded = None if half is None else [round(float(v), 4) for v in half]
-        return self.row() | {"half_width": rounded, "grid": list(cells.shape[1:]), "image": jpeg(self.found.image),
+        return self.row() | {"half_width": rounded, "grid": list(cells.shape[1:]), "image": jpeg(self.image),
                              "forces": pack({"forces": cells})}  # fmt: skip
 
 
@@ -88,9 +89,9 @@ def readings(
             time.sleep(max(0.0, started + frame.time_s - now))
         now = time.perf_counter()
         image = cv2.cvtColor(frame.image, cv2.COLOR_BGR2RGB)
-        found = predictor.predict(image)
+        found, shown = predictor.predict_shown(image)
         if start is not None:
             start.look(frame.number, image, float(found.total[2]))
-        yield Reading(frame.number, frame.time_s, found, 1e3 * (time.perf_counter() - now))
+        yield Reading(frame.number, frame.time_s, found, 1e3 * (time.perf_counter() - now), shown)
     if start is not None:
         start.end()

@@ -34,7 +34,7 @@ class RosMessages:
         """The messages of a reading, not encoded."""
         force = reading.found
         total = force.total
-        picture = encode_jpeg(force.image, JPEG_QUALITY)
+        picture = encode_jpeg(reading.image, JPEG_QUALITY)
         found = ros.sensor_messages(self.token, stamp, picture, "jpeg", total.tolist(), force.cells)
         top, header = f"/{self.token}", ros.header(stamp, f"{self.token}_gel")
         if force.half_width is not None:

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.live.reading import Reading
-from gelforge.records.forcereading import BEYOND
+from gelforge.reading.forcereading import BEYOND
 from gelforge.reporting.forcemaps import FULL_COLOUR_N
 from gelforge.reporting.page import COLOURS, LOOK
 
@@ -58,7 +58,8 @@ class PageServer(ThreadingHTTPServer):
     allow_reuse_address = True
 
     def __init__(self, host: str, port: int):
-        self.hub, self.local, self.said = Hub(), host in LOCAL, ""
+        self.hub, self.local = Hub(), host in LOCAL
+        self.said: dict = {}
         try:
             super().__init__((host, port), Handler)
         except (OSError, OverflowError) as error:  # the latter of a number that no port has
@@ -73,12 +74,12 @@ class PageServer(ThreadingHTTPServer):
 
     def send(self, reading: Reading) -> None:
         """Show a reading."""
-        self.hub.send(reading.event() | {"said": self.said})
+        self.hub.send(reading.event() | self.said)
 
-    def announce(self, sentence: str) -> None:
-        """Show a sentence on all pages, below the last reading and those that follow, also on pages opened later."""
-        self.said = sentence
-        self.hub.send(self.hub.latest | {"said": sentence})
+    def announce(self, sentence: str, fault: bool = False) -> None:
+        """Show a sentence on all pages, in red where it is a fault, with the last reading and those that follow, also on pages opened later."""
+        self.said = {"said": sentence, "fault": fault}
+        self.hub.send(self.hub.latest | self.said)
 
     def stop(self) -> None:
         """End it."""

@@ -17,12 +17,12 @@ from gelforge.reading.faults import (
     relief_fault,
     sharpness_fault,
 )
+from gelforge.reading.forcereading import ForceReading, edge_peak
 from gelforge.reading.frame import BLUE_FIRST
 from gelforge.reading.interval import half_widths
 from gelforge.reading.model import ForceModel, Graph, load_model, require_sensor
 from gelforge.reading.pair import NoContact, Prepared, Preprocessor, at_rest
 from gelforge.reading.profile import AS_READ, Gain
-from gelforge.records.forcereading import ForceReading, edge_peak
 
 MOST_VANISHED = 8  # markers, of 63: with so many painted over in both images, nine of ten forces are within 11 %
 # Of the light's level, from the middle to the edge of the image: of all colours together, and of one. Of 114 frames of real films
@@ -86,6 +86,10 @@ class Predictor:
 
     def predict(self, image: np.ndarray) -> ForceReading:
         """Read an image (h, w, 3) uint8 RGB of any size."""
+        return self.predict_shown(image)[0]
+
+    def predict_shown(self, image: np.ndarray) -> tuple[ForceReading, np.ndarray]:
+        """Read an image (h, w, 3) uint8 RGB of any size; also the image (rows, cols, 3) that lies below the cells."""
         seen = self.prepare(image)
         cells = (self.raw(seen) - self.rest(seen.nocontact)) * np.float32(self.gain.value)
         total = cells.sum((1, 2), dtype=float)
@@ -100,7 +104,7 @@ class Predictor:
             light_fault(seen),
             pull_fault(total[2]),
         )
-        return ForceReading(
+        found = ForceReading(
             cells=cells,
             total=total,
             half_width=half_widths(self.metadata, total, self.gain),
@@ -108,8 +112,8 @@ class Predictor:
             edge_peak=edge_peak(cells, self.prepare.frame.cells_shown(cells.shape[1:])),
             ood_score=score,
             vanished=seen.vanished,
-            image=seen.image,
         )
+        return found, seen.image
 
     def exchanged(self, image: np.ndarray) -> float:
         """Normal force in N where an image (h, w, 3) uint8 RGB and the no-contact image change places; 0 beside a model of one picture."""

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.reading.forcereading import ForceReading
 from gelforge.reading.predictor import Predictor, load_for_use
 from gelforge.reading.profile import with_profile
-from gelforge.records.forcereading import ForceReading
 
 
 def predict(

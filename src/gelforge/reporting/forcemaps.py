@@ -59,6 +59,18 @@ def draw_component(axis, force, channel: int, note: str = "", **placed) -> None:
     axis.figure.colorbar(shown, ax=axis, shrink=0.85, label="N per cell")
 
 
+def maps_figure(forces, title: str):
+    """Matplotlib figure of the three maps (3, rows, cols) of force, N per cell."""
+    from gelforge.reporting.canvas import canvas_with_axes
+
+    figure, axes = canvas_with_axes(1, 3, 13.0, 3.9)
+    for channel, axis in enumerate(axes[0]):
+        draw_component(axis, forces[channel], channel)
+        axis.set(xticks=[], yticks=[])
+    figure.suptitle(title, fontsize=10)
+    return figure
+
+
 def draw_pressure(axis, force, most: float):
     """Draw the map (rows, cols) of normal force, N per cell, compression negative; most: what the darkest colour means."""
     return axis.imshow(-force, cmap=PRESSURE, vmin=0, vmax=most)

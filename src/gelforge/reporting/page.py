@@ -22,9 +22,10 @@ class Section:
         self.items.append({"kind": "text", "text": text, "absent": absent})
         return self
 
-    def picture(self, png: bytes, caption: str) -> "Section":
-        """A PNG with its caption."""
-        self.items.append({"kind": "picture", "data": base64.b64encode(png).decode(), "caption": caption})
+    def picture(self, png: bytes, caption: str, folded: bool = False) -> "Section":
+        """A PNG with its caption, folded away under it where few look at it."""
+        data = base64.b64encode(png).decode()
+        self.items.append({"kind": "picture", "data": data, "caption": caption, "folded": folded})
         return self
 
     def table(self, columns: list[str], rows: list[list], folded: str = "") -> "Section":

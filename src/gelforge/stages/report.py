@@ -38,6 +38,7 @@ from gelforge.sweeps import verification
 
 VERSION = 5
 ABSENT = "not installed"
+FOLDED = ("trace.png",)  # pictures for who doubts a result
 PACKAGES = (
     "gelforge", "numpy", "scipy", "torch", "pymeshlab", "pytetwild", "pyvista", "emcee", "opencv-contrib-python-headless",
 )  # fmt: skip
@@ -151,7 +152,7 @@ def add_pictures(section: Section, folder: Path, captions: dict[str, str]) -> Se
     """Pictures of a folder, file to caption, in this order; those that were not made are left out."""
     for name, caption in captions.items():
         if (folder / name).exists():
-            section.picture((folder / name).read_bytes(), caption)
+            section.picture((folder / name).read_bytes(), caption, folded=name in FOLDED)
     return section
 
 

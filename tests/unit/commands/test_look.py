@@ -2,8 +2,6 @@
 
 import os
 import re
-import shutil
-import time
 from dataclasses import replace
 
 import cv2
@@ -13,10 +11,8 @@ import pytest
 
 from gelforge.commands import look
 from gelforge.commands.deck import solve_of
-from gelforge.commands.look import outdated_causes, shard_paths
 from gelforge.errors import BadInput
-from gelforge.flow.files import write_csv, write_json
-from gelforge.flow.layout import Layout
+from gelforge.flow.files import write_csv
 from gelforge.formats.vtu import write_vtu
 from gelforge.geometry.stlfile import read_stl
 from gelforge.records.log import write_rejections
@@ -85,24 +81,6 @@ def test_second_order_tetrahedra_keep_their_order(tmp_path):
         write_vtu(tmp_path / "t.vtu", mesh, np.zeros((9, 3)), np.zeros((10, 3)), np.ones(10, bool))
 
 
-def test_arrows_follow_the_image(made):
-    """A force along gel x points up the image, one along gel y to the left, as the projection says."""
-    seen = seen_of(made)
-    seen.label[:] = 0.0
-    seen.label[0, 5, 6], seen.label[1, 15, 20] = 0.3, 0.2
-    place, force = look.arrows(seen)
-    first, second = (np.flatnonzero(np.isclose(np.hypot(*force.T), size))[0] for size in (0.3, 0.2))
-    assert force[first] == pytest.approx([0, -0.3], abs=1e-6) and force[second] == pytest.approx([-0.2, 0], abs=1e-6)
-    # Cells are merged two by two to be seen: rows 4 and 5, columns 6 and 7.
-    assert place[first] == pytest.approx([70, 50]) and place[second] == pytest.approx([210, 150])
-    # of 48x64 three by three, and of the column that is left one by three
-    label = np.zeros((3, 48, 64))
-    label[0, 47, 63] = 0.3
-    place, force = look.arrows(replace(seen, label=label))
-    (at,) = np.flatnonzero(np.hypot(*force.T) > 0.1)
-    assert place[at] == pytest.approx([63.5 * 320 / 64, 46.5 * 240 / 48])
-
-
 def seen_of(made):
     """The first sample with a label that pushes along every axis on the left and against it on the right."""
     paths = look.shard_paths(made["results"], "s001", "24x32")
@@ -133,19 +111,6 @@ def test_a_force_along_its_axis_is_red_in_every_picture(made, tmp_path):
     stops = re.findall(r"\d+", re.search(r"DIVERGING = \[(.*)\];", COLOURS.read_text(encoding="utf-8"))[1])
     ends = [*mpl.colormaps[SIGNED](0, bytes=True)[:3], *mpl.colormaps[SIGNED](255, bytes=True)[:3]]
     assert [int(stop) for stop in stops[:3] + stops[-3:]] == ends
-
-
-def test_a_label_of_older_parameters_is_reported(made, tmp_path, capsys):
-    results = tmp_path / "results/lab"
-    shutil.copytree(made["results"], results)
-    assert outdated_causes(results, shard_paths(results, "s001", "24x32"), "24x32") == []
-    of, fea = Layout(results), Layout(results).params / "fea.json"
-    write_json(of.metrics / "40_forces/0000.json", {"inputs": [str(fea)]})
-    write_json(fea, {})
-    os.utime(fea, (time.time() + 9, time.time() + 9))
-    run(made | {"results": results}, "s001", "24x32")
-    reported = "the label of s001 is an older one: parameters of fea changed since; make labels RES=24x32 DATASET=lab"
-    assert capsys.readouterr().out.startswith(reported)
 
 
 def test_of_a_rejected_row_the_reason_is_reported_and_its_hint(tmp_path):

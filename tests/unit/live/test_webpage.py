@@ -74,10 +74,10 @@ def test_flags_edges_and_colours_are_those_of_the_reading(chromium):
     with served() as server:
         chromium.get(server.url)
         for each, flag, edge, normal in (
-            (reading(0), "nothing seems wrong with the picture", "0 %", FULL_COLOUR_N[2]),
+            (reading(0), "nothing seems wrong with the image", "0 %", FULL_COLOUR_N[2]),
             (reading(1, flag=True), "dark", "0 %", 1.0),
-            (cropped, "the picture cuts a contact off: the forces are those of the part that it shows", "42 %", 2.0),
-            (unknown, "nothing seems wrong with the picture", "\u2013", 3.0),
+            (cropped, "the image cuts a contact off: the forces are those of the part that it shows", "42 %", 2.0),
+            (unknown, "nothing seems wrong with the image", "\u2013", 3.0),
         ):
             show(chromium, server, each)
             assert [chromium.find_element("id", name).text for name in ("flag", "edge")] == [flag, edge]
@@ -123,6 +123,33 @@ def test_a_page_that_is_opened_after_the_end_shows_the_whole_curve(chromium):
         wait_for(chromium, "return document.body.dataset.frame === '7'")
         assert chromium.execute_script("return history.map((e) => e.frame)") == list(range(8))
         assert chromium.execute_script(INKED) and chromium.find_element("id", "said").text == "over"
+
+
+@needs_browser
+@pytest.mark.parametrize(("fault", "shown"), [(False, "note"), (True, "reason")])
+def test_a_small_screen_shows_image_and_curve_and_only_a_fault_is_red(chromium, fault, shown):
+    resize(chromium, 1280, 760)
+    with served() as server:
+        chromium.get(server.url)
+        show(chromium, server, *map(reading, range(1, 4)))
+        server.announce("film.avi: ended after 3 frames", fault)
+        wait_for(chromium, f"return el('said').className === '{shown}'")
+        bottoms = chromium.execute_script(
+            "return ['curve', 'image'].map((id) => el(id).getBoundingClientRect().bottom)"
+        )
+        assert max(bottoms) <= 760
+    resize(chromium, WIDTHS[0])
+
+
+@needs_browser
+@pytest.mark.parametrize("most", [0.013, 0.9, 3.0, 47.0, 2600.0])
+def test_ticks_stand_at_round_numbers_in_the_range(chromium, most):
+    with served() as server:
+        chromium.get(server.url)
+        found = np.array(chromium.execute_script("return ticks(-arguments[0], arguments[0], 4)", most))
+    step = found[1] - found[0]
+    assert 4 <= len(found) <= 11 and np.abs(found).max() <= most and 0.0 in found
+    assert round(step / 10 ** np.floor(np.log10(step) + 1e-9)) in (1, 2, 5)
 
 
 def get(address, **headers):

@@ -14,12 +14,12 @@ from gelforge.networks.data.arrays import open_data
 from gelforge.networks.evaluation.fitting import ENOUGH_PAIRS, usual_rows
 from gelforge.networks.pipeline import Start
 from gelforge.networks.training.loop import require_scale, scales_before
+from gelforge.reading.forcereading import TOTAL_COLUMNS, ForceReading, edge_peak, goes_beyond, total_columns
 from gelforge.reading.frame import ImageFrame
 from gelforge.reading.light import match_light
 from gelforge.reading.markers import MarkerTracker, markers_in
 from gelforge.reading.predictor import SHIPPED, Predictor
 from gelforge.records.axes import CHANNELS
-from gelforge.records.forcereading import TOTAL_COLUMNS, ForceReading, edge_peak, goes_beyond, total_columns
 from gelforge.records.image import read_image
 from gelforge.stages.train import train
 from tests.support.parameters import with_values
@@ -95,7 +95,7 @@ def test_a_gel_without_print_has_no_markers():
 
 def reading(forces, half_width=None, edge=0.0):
     """A reading of forces (3, rows, cols) N."""
-    return ForceReading(forces, forces.sum((1, 2)), half_width, "", edge, 1.0, np.zeros((2, 2, 3), np.uint8))
+    return ForceReading(forces, forces.sum((1, 2)), half_width, "", edge, 1.0)
 
 
 def test_totals_are_written_with_what_is_known_of_them():

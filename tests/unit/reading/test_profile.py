@@ -1,6 +1,8 @@
 """A sensor's profile: the factor from readings, files that come back, and what is refused."""
 
 import csv
+import io
+import os
 import shutil
 
 import cv2
@@ -12,8 +14,10 @@ from hypothesis import strategies as st
 from gelforge.commands import predict, sensor
 from gelforge.errors import BadInput, GelforgeError
 from gelforge.formats.numpy_pickle import read_npy
+from gelforge.live.weigh import GRAMS, Weighing, weigh_camera
 from gelforge.reading.frame import reduced
 from gelforge.reading.markers import markers_in
+from gelforge.reading.predictor import Predictor, load_for_use
 from gelforge.reading.profile import (
     Gain,
     SensorProfile,
@@ -24,6 +28,7 @@ from gelforge.reading.profile import (
     with_profile,
     write_profile,
 )
+from gelforge.records.film import Frame
 from gelforge.records.image import read_image
 from gelforge.records.nocontactimage import FEWEST
 from tests.benchmarks.real import feats_maps
@@ -303,3 +308,80 @@ def test_a_picture_that_shows_a_part_of_the_contact_does_not_count(reference, tm
     assert len(reported) == 1 and "line 4: bar.png: does not count" in reported[0]
     assert read_profile(tmp_path / "mine.toml").gain.readings == 2
     refused("in none of 1 pictures is all of the contact seen", make, tmp_path, rows[2:])
+
+
+HOLD, REST = 8, 6  # frames
+
+
+def film_of(folder, rows):
+    """A gel at rest, then each press brought down in two steps, held, and released, with the noise of a camera."""
+    noise, still = np.random.default_rng(0), cv2.imread(str(folder / "rest.png"))
+
+    def frames():
+        yield from [still] * 15
+        for name, _ in rows:
+            press = cv2.imread(str(folder / name))
+            yield from (cv2.addWeighted(press, part, still, 1.0 - part, 0.0) for part in (0.33, 0.66))
+            yield from [press] * HOLD + [still] * REST
+
+    noisy = (np.clip(frame + noise.normal(0.0, 1.5, frame.shape), 0, 255).astype(np.uint8) for frame in frames())
+    return write_film(folder / "film.avi", noisy)
+
+
+def test_a_scale_beside_a_film_gives_the_factor_of_its_readings(weighed, monkeypatch, capsys):
+    """Within 3 %; the film stops once at each press; a reading that contradicts is named, and can be dropped."""
+    folder, rows = weighed
+    kept = rows[:2] + rows[3:]
+    make(folder, kept)
+    expected = read_profile(folder / "mine.toml").gain.value
+    grams = [f"{float(force) * GRAMS:.0f}" for _, force in rows]
+    wrong = f"{2.5 * float(rows[2][1]) * GRAMS:.0f}"
+    monkeypatch.setattr("sys.stdin", io.StringIO("\n".join([*grams[:2], "heavy", wrong, "-", *grams[3:]]) + "\n"))
+    film = film_of(folder, rows)
+    capsys.readouterr()
+    out = folder / "scale.toml"
+    assert sensor.main(["--name", "scale", "--video", str(film), "--weigh", "--out", str(out)]) == 0
+    said = capsys.readouterr().out
+    gain = read_profile(out).gain
+    assert gain.readings == len(kept) and gain.value == pytest.approx(expected, rel=0.03)
+    assert said.count("Grams?") == len(rows) + 2 and said.count("not counted: 'heavy'") == 1 and "contradicts" in said
+    with (folder / "scale-readings/readings.csv").open() as stream:
+        assert [row["image"] for row in csv.DictReader(stream)] == [f"{k + 1:02d}.png" for k in range(len(kept))]
+    refused(
+        "scale-readings is there already",
+        sensor.main,
+        ["--name", "scale", "--video", str(film), "--weigh", "--out", str(out)],
+    )
+
+
+def test_a_running_camera_weighs_what_is_held_and_nothing_that_moves(weighed, tmp_path, monkeypatch, capsys):
+    folder, rows = weighed
+    name, force = rows[0]
+    still, press = (cv2.imread(str(folder / file)) for file in ("rest.png", name))
+    halfway = cv2.addWeighted(press, 0.5, still, 0.5, 0.0)
+    end, typing = os.pipe()
+    monkeypatch.setattr("sys.stdin", os.fdopen(end))
+    weighing = Weighing(tmp_path, Predictor(load_for_use(None), read_image(folder / "rest.png")))
+    said = []
+
+    def camera():
+        """Frames; what is typed is answered before the next one comes."""
+        shown = 0
+        for frames in ([still] * 6, [halfway, press, halfway, press, press], [press] * 6, [still] * 2):
+            for frame in frames:
+                yield Frame(shown, shown / 25.0, frame)
+                shown += 1
+            yield Frame(shown, shown / 25.0, frames[-1])  # by then the one before was read
+            shown += 1
+            os.write(typing, f"{float(force) * GRAMS:.1f}\n".encode())
+            text = ""
+            while "\n" not in text:
+                text += capsys.readouterr().out
+            said.append(text)
+        os.close(typing)
+
+    weigh_camera(weighing, camera(), lambda reading: None)
+    assert ["no contact" in said[0], "it moves" in said[1], "factor so far" in said[2], "counted" in said[3]] == [
+        True
+    ] * 4
+    assert weighing.names == ["01.png"] and weighing.measured == [pytest.approx(float(force), rel=1e-3)]

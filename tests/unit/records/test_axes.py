@@ -13,9 +13,9 @@ from gelforge.live.reading import COLUMNS, Reading
 from gelforge.live.topics import RosMessages
 from gelforge.networks.data.arrays import open_data
 from gelforge.networks.evaluation.evaluation import reference_totals
+from gelforge.reading.forcereading import ForceReading, total_columns
 from gelforge.records.axes import CHANNELS, TITLES
 from gelforge.records.forcefile import SampleForces, write_forces
-from gelforge.records.forcereading import ForceReading, total_columns
 from gelforge.records.labelfile import read_labels
 from gelforge.records.press import FORCE
 from tests.support.pressed_dataset import bump, collect, label, write_pressed
@@ -36,8 +36,7 @@ def made(tmp_path):
 
 def reading(cells: np.ndarray) -> ForceReading:
     """What a network would say that reads these cells."""
-    image = np.zeros((24, 32, 3), np.uint8)
-    return ForceReading(cells, cells.sum((1, 2), dtype=float), np.array([0.1, 0.2, 0.3]), "", 0.0, 1.0, image)
+    return ForceReading(cells, cells.sum((1, 2), dtype=float), np.array([0.1, 0.2, 0.3]), "", 0.0, 1.0)
 
 
 def test_names_are_those_of_the_axes():

@@ -29,9 +29,9 @@ function drawCurve() {
     if (e.flag) c.fillRect(Math.floor(edge(k - 1)), Y(high), Math.ceil(edge(k + 1)) - Math.floor(edge(k - 1)), Y(low) - Y(high));
   });
   c.strokeStyle = "#d9dee4"; c.fillStyle = "#555c66"; c.textAlign = "right";
-  const marks = [0, low, high, (low + high) / 2].filter((v, k, all) => all.slice(0, k).every((w) => Math.abs(Y(v) - Y(w)) > 16));
-  for (const v of marks) { c.beginPath(); c.moveTo(50, Y(v)); c.lineTo(width - 10, Y(v)); c.stroke(); c.fillText(`${fixed(v, 1)} N`, 46, Y(v) + 4); }
-  c.fillText(`${fixed(history.at(-1).time_s, 1)} s`, width - 10, height - 6); c.textAlign = "left"; c.fillText(`${fixed(first, 1)} s`, 50, height - 6);
+  for (const v of ticks(low, high, 3)) { c.beginPath(); c.moveTo(50, Y(v)); c.lineTo(width - 10, Y(v)); c.stroke(); c.fillText(`${v} N`, 46, Y(v) + 4); }
+  c.textAlign = "center";
+  for (const t of ticks(first, first + span, 6)) c.fillText(`${t} s`, X(t), height - 6);
   for (const total of TOTALS) {
     c.fillStyle = `${total[2]}33`; c.beginPath();
     history.forEach((e) => c.lineTo(X(e.time_s), Y(value(e, total) + half(e, total))));
@@ -52,7 +52,7 @@ async function show(event) {
   const recent = history.slice(-30), span = recent.at(-1).time_s - recent[0].time_s;
   el("rate").textContent = span > 0 ? fixed((recent.length - 1) / span, 1) : "–";
   el("flag").className = event.flag ? "on" : "";
-  el("flag").textContent = event.flag ? event.reason : event.edge_peak >= BEYOND ? "the picture cuts a contact off: the forces are those of the part that it shows" : "nothing seems wrong with the picture";
+  el("flag").textContent = event.flag ? event.reason : event.edge_peak >= BEYOND ? "the image cuts a contact off: the forces are those of the part that it shows" : "nothing seems wrong with the image";
   el("band").textContent = event.half_width ? "band: 90 % prediction interval of each force" : "";
   el("state").textContent = `frame ${event.frame}, ${fixed(event.time_s, 1)} s, ${fixed(event.ms, 1)} ms a frame`;
   drawCurve();
@@ -70,7 +70,7 @@ const source = new EventSource("events");
 source.onmessage = (message) => {
   const event = JSON.parse(message.data);
   if (event.before) history = event.before;
-  if (event.said) el("said").textContent = event.said;
+  if (event.said) { el("said").textContent = event.said; el("said").className = event.fault ? "reason" : "note"; }
   if (event.image) take(event);
 };
 source.onerror = () => { el("state").textContent = "the program that reads the sensor does not answer; start gelforge live --web again"; };

@@ -23,9 +23,8 @@ function dotChart(rows, lines) {
   const height = 24 * rows.length + 56, left = 190, right = 560, svg = draw("svg", { viewBox: `0 0 620 ${height}`, width: "100%", role: "img" });
   const most = Math.max(...rows.map((r) => Math.max(r.mean, Number.isFinite(r.high) ? Math.min(r.high, 4 * r.mean) : 0)), ...lines.filter((l) => l.value < 6 * Math.max(...rows.map((r) => r.mean))).map((l) => l.value)) * 1.08 || 1;
   const X = (v) => left + (right - left) * Math.min(v / most, 1);
-  for (let k = 0; k <= 4; k++) {
-    const v = most * k / 4;
-    svg.append(draw("line", { x1: X(v), x2: X(v), y1: 10, y2: height - 40, stroke: "#e3e7ec" }), draw("text", { x: X(v), y: height - 24, "text-anchor": "middle", class: "soft" }, v.toPrecision(2)));
+  for (const v of ticks(0, most, 4)) {
+    svg.append(draw("line", { x1: X(v), x2: X(v), y1: 10, y2: height - 40, stroke: "#e3e7ec" }), draw("text", { x: X(v), y: height - 24, "text-anchor": "middle", class: "soft" }, String(v)));
   }
   for (const [k, line] of lines.entries()) {
     if (line.value > most) continue;

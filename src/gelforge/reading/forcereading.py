@@ -5,6 +5,7 @@ known. edge_peak shows where totals are too low: the contact is cropped by the i
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +34,6 @@ class ForceReading:
             0.2 the contact is cropped by the image and the total is too low. NaN where the map has fewer than three rows
             or columns.
         ood_score: how unlike the training images it is, about 1 for one like them.
-        image: (h, w, 3) uint8 RGB below the cells.
         vanished: number of markers that only the image or only the no-contact image shows; both are compared without
             them.
     """
@@ -44,13 +44,43 @@ class ForceReading:
     reason: str
     edge_peak: float
     ood_score: float
-    image: np.ndarray
     vanished: int = 0
 
     @property
     def flag(self) -> bool:
         """Whether something is wrong with the pictures."""
         return bool(self.reason)
+
+    def __repr__(self) -> str:
+        halves = (None, None, None) if self.half_width is None else self.half_width
+        totals = (f"{name} {interval_text(*pair)}" for name, *pair in zip(CHANNELS, self.total, halves, strict=True))
+        return f"ForceReading({', '.join(totals)} N{', flagged: ' if self.flag else ''}{self.reason})"
+
+    def plot(self) -> Any:
+        """Draw the three maps of force.
+
+        Returns:
+            A matplotlib Figure: one panel for each component, N per cell; `figure.savefig(path)` writes it.
+        """
+        from gelforge.reporting.forcemaps import maps_figure
+
+        return maps_figure(self.cells, repr(self))
+
+
+def interval_digits(half: float) -> int:
+    """Decimals of a number whose half interval is `half`: two significant digits of it, four at most."""
+    return min(max(1 - int(np.floor(np.log10(half))), 0), 4)
+
+
+def interval_text(value: float, half: float | None = None) -> str:
+    """A force and its half interval, N, with the digits that the interval allows: two of the half width's own.
+
+    Without an interval three decimals stand, the resolution of FEATS' maps.
+    """
+    if half is None or not np.isfinite(half) or half <= 0.0:
+        return f"{value:+.3f}"
+    digits = interval_digits(half)
+    return f"{value:+.{digits}f} +- {half:.{digits}f}"
 
 
 def total_columns(found: ForceReading) -> dict[str, float | None]:
