@@ -14,13 +14,16 @@ deck: | $(SETUP)  ## CalculiX' deck of one sample as a self-contained folder: ma
 look: | $(SETUP)  ## pictures of one sample, its gel (.vtu) and its indenter (.stl): make look ID=… RES="24x32 48x64"
 	@$(PY) -m gelforge.commands.look --data $(DATA) --results $D --sensors $P/sensors.json --id '$(value ID)' --resolution $(RES)
 
-# Meshes that the pilots need are made, and the run finds them.
 estimate: | $(SETUP)  ## core hours, disk and time of make report, or of what a log without images has, before it starts
 	@$(PY) -m gelforge.commands.estimate $D --resolution $(RES1) --model $(MODEL) --cores $(SLOTS)
 
 # Of a stage its folder, logs and metrics.
 clean-%:
 	rm -rf $(foreach of,$D $D/logs $D/metrics,$(wildcard $(of)/[0-9][0-9]_$*) $(of)/$*)
+
+docs: $(SETUP)  ## the guide and the Python interface as a site: build/docs/index.html
+	@$(PY) -m mkdocs build --strict --quiet
+	@echo build/docs/index.html
 
 clean-STAGE:  ## remove a stage's artifacts, logs and metrics (clean-fea, clean-labels …)
 	@echo "STAGE is the name of a stage or branch, such as fea"

@@ -6,9 +6,9 @@ In Python, without make:
     press = gelforge.solve("sphere_10", depth=0.5)
     print(press.total)  # N on the gel along its x, y, z
     cells = gelforge.label(press, resolution="24x32")  # N, (3, rows, cols)
-    forces, verdict = gelforge.predict(image, nocontact=picture)
+    forces, verdict = gelforge.predict(image, nocontact=nocontact)
 
-    read = gelforge.Reader(nocontact=picture)  # many images of one sensor
+    read = gelforge.Reader(nocontact=nocontact)  # many images of one sensor
     found = read(image)  # found.total +- found.half_width N, found.cells, found.flag
     for one in read.stream(images):  # as they come from a camera
         print(one.total)

@@ -112,7 +112,7 @@ def test_a_drag_is_felt_along_itself():
 def test_what_the_readme_shows_runs(root):
     rest = read_image(root / "data/demo/nocontact/mini_a.png")
     image = read_image(root / "data/demo/images/demo-000000.png")
-    given = {"picture": rest, "image": image, "images": iter([image])}
+    given = {"nocontact": rest, "image": image, "images": iter([image])}
     (shown,) = re.findall(r"```python\n(.*?)```", (root / "README.md").read_text(encoding="utf-8"), re.DOTALL)
     exec(shown, given)
     assert given["cells"].shape == (3, 24, 32)
