@@ -135,8 +135,8 @@ def untrained(model: dict, threads: int) -> "Predictor":
     from gelforge.reading.model import ForceModel
     from gelforge.reading.predictor import Predictor, load_for_use
 
-    norm = {"image_mean": [0.4] * 3, "image_std": [0.2] * 3, "label": [1.0] * 3, "reads": model.get("reads", "image")}
-    metadata = load_for_use(None).metadata | {"normalisation": norm, "tta": False}
+    norm = {"image_mean": [0.4] * 3, "image_std": [0.2] * 3, "label": [1.0] * 3}
+    metadata = load_for_use(None).metadata | {"model": model, "normalisation": norm, "tta": False}
     graph = export(build(model, IMAGE, GRID).eval(), metadata)
     return Predictor(ForceModel(metadata, graph), np.zeros((*IMAGE, 3), np.uint8), threads=threads)
 

@@ -8,12 +8,10 @@ from tests.support.synthetic_presses import SETTINGS, write_dataset
 
 IMAGE, GRID = (48, 64), (6, 8)
 SMALL = {"kind": "grid", "width": 8, "blocks": 1}
-LEARNING = {"epochs": 40, "learning_rate": 4e-3, "schedule": "cosine", "total_weight": 1.0}
+LEARNING = {"epochs": 40, "learning_rate": 4e-3, "total_weight": 1.0}
 MODELS = {
     "unet": {"kind": "unet", "widths": [4, 8]},
-    "small": {"kind": "grid", "width": 8, "blocks": 2},
-    "pair": {**SMALL, "reads": "pair"},
-    "resnet": {"kind": "resnet", "blocks": [1, 1], "widths": [4, 8]},
+    "pair": SMALL,
 }
 EVALUATE = with_values(parameters().evaluate, force_edges=[0.0, 5.0, 20.0], bootstrap=50)
 

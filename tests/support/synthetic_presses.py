@@ -78,7 +78,7 @@ def write_dataset(folder, n=48, image=(240, 320), grid=(24, 32), seed=0) -> Path
 SETTINGS = narrowed(
     parameters(
         train={
-            "epochs": 4, "total_weight": 0.3, "settle_images": 128, "checkpoint_seconds": 0.0, "shift_cells": 1,
+            "epochs": 4, "total_weight": 0.3, "checkpoint_seconds": 0.0, "shift_cells": 1,
             "augment": {"probability": 0.5},
         },
     ).train,

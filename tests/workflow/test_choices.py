@@ -117,18 +117,18 @@ def test_a_network_that_cannot_be_had_is_refused_before_anything_is_solved(plann
     # the one of the demo, which learns from two dozen presses, would take the place of the one that ships
     done = make(with_nocontact, "-n", "ship", "DATASET=tiny")
     assert done.returncode and "name the one that shall" in done.stdout
-    assert make(with_nocontact, "-n", "ship", "DATASET=tiny", "MODEL=grid_16").returncode == 0
+    assert make(with_nocontact, "-n", "ship", "DATASET=tiny", "MODEL=unet").returncode == 0
 
 
 def test_what_a_network_reads_is_seen_however_toml_writes_it(own):
     """Before anything is solved for it."""
     path = own / "workflow/models.toml"
     tables = (
-        "[a]\nkind = 'grid'\nwidth = 4\nblocks = 1\nreads = 'pair'\n"
-        '[ b ]  # ours\nkind = "grid"\nwidth = 4\nblocks = 1\n"reads" = """pair"""\n'
-        "[c]\n    reads='pair' # a pair\nkind = \"grid\"\nwidth = 4\nblocks = 1\n"
+        "[a]\nkind = 'grid'\nwidth = 4\nblocks = 1\n"
+        '[ b ]  # ours\nwidth = 4\nblocks = 1\n"kind" = """grid"""\n'
+        "[c]\n    kind='grid' # a pair\nwidth = 4\nblocks = 1\n"
     )
-    inline = '"d" = {kind = "grid", width = 4, blocks = 1, reads = "pair"}'
+    inline = '"d" = {kind = "grid", width = 4, blocks = 1}'
     write_text(path, f"{inline}\n{path.read_text(encoding='utf-8')}\n{tables}")
     assert make(own, "-n", "labels", "DATASET=tiny").returncode == 0
     lists = lists_of(own / "results/tiny/00_plan/plan.mk")
@@ -138,8 +138,8 @@ def test_what_a_network_reads_is_seen_however_toml_writes_it(own):
 def test_a_list_of_networks_that_is_no_toml_is_named_by_file_and_line(own):
     path = own / "workflow/models.toml"
     text = path.read_text(encoding="utf-8")
-    write_text(path, f"reads = 'pair\n{text}")
-    done = make(own, "-n", "report", "DATASET=tiny", "MODEL=grid_16")
+    write_text(path, f"kind = 'grid\n{text}")
+    done = make(own, "-n", "report", "DATASET=tiny", "MODEL=unet")
     assert done.returncode and "workflow/models.toml: not valid TOML: " in done.stdout and "line 1" in done.stdout
     assert make(own, "-n", "help").returncode == 0
 
@@ -148,7 +148,7 @@ def test_where_the_report_shows_the_shipped_network_another_one_trains_without_n
     path = own / "data/tiny/dataset.toml"
     text = path.read_text(encoding="utf-8")
     write_text(path, f'{text}\n[params.report]\nmodel = "shipped"\n')
-    assert "70_train/24x32/grid_16.onnx" in make(own, "-n", "train", "DATASET=tiny").stdout
+    assert "70_train/24x32/unet.onnx" in make(own, "-n", "train", "DATASET=tiny").stdout
     assert "data/tiny/nocontact is missing" in make(own, "-n", "evaluate", "DATASET=tiny").stdout
 
 
@@ -165,7 +165,7 @@ def test_other_datasets_are_learnt_from_as_they_lie(own):
     write_text(path, f'{text}\n[params.train]\nalso = ["here"]\n')
     expected = make(own, "-n", "train", "DATASET=tiny")
     assert expected.returncode == 0
-    assert "results/here/60_dataset/24x32/dataset.json" in inputs_of(expected.stdout, "70_train/24x32/grid_16.onnx")
+    assert "results/here/60_dataset/24x32/dataset.json" in inputs_of(expected.stdout, "70_train/24x32/unet.onnx")
 
 
 def test_the_record_of_a_target_names_the_network_that_it_starts_from(with_nocontact):
@@ -212,7 +212,7 @@ def test_a_report_of_imported_labels_solves_nothing(alone):
     """Of labels that came with their pictures no pose may be known."""
     write_text(alone / "data/tiny/labels/24x32.npz", "")
     write_text(alone / "data/tiny/dataset.toml", "[params.report]\nbranches = []\n")
-    said = make(alone, "-n", "report", "DATASET=tiny", "MODEL=grid_16").stdout
+    said = make(alone, "-n", "report", "DATASET=tiny", "MODEL=unet").stdout
     assert "gelforge.stages.report" in said and "gelforge.stages.dataset" in said, said
     assert not [
         stage for stage in ("poses", "meshes", "fea", "forces", "labels") if f"gelforge.stages.{stage} " in said

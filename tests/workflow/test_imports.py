@@ -10,6 +10,7 @@ from gelforge.flow.params import plain
 from gelforge.formats.mcap_import import Topics, import_recordings
 from gelforge.labelling.sensor import load_sensors
 from gelforge.reading.model import load_model
+from gelforge.records.image import read_image, write_png
 from gelforge.stages import dataset, train
 from gelforge.stages.plan import logged_rows, write_shards
 from tests.support.parameters import write_stage
@@ -36,6 +37,7 @@ def test_the_dataset_trains_on_totals(tmp_path, root):
     write_text(tmp_path / "topics.toml", f'image = "{IMAGE}"\nwrench = "{WRENCH}"\n')
     sensor = load_sensors(root / "workflow" / "sensors.toml")["gelsight_mini"]
     import_recordings(tmp_path / "in", of.data, Topics.read(tmp_path / "topics.toml"), sensor)
+    write_png(of.data / "nocontact" / "gelsight_mini.png", read_image(of.data / read_csv(of.log)[0]["image"]))
     log = of.log
     rows = read_csv(log)
     name = rows[0]["sensor_id"]
@@ -47,7 +49,7 @@ def test_the_dataset_trains_on_totals(tmp_path, root):
     assert dataset.main([str(of.root), "1x1"]) == 0
     about = read_json(of.dataset_table("1x1"))
     assert about["grid"] == [1, 1] and about["samples"] == 4 * 23 and {"train", "val", "test"} == set(about["splits"])
-    write_json(of.parameters("models/small"), {"small": {"kind": "resnet", "blocks": [1, 1], "widths": [8, 16]}})
+    write_json(of.parameters("models/small"), {"small": {"kind": "grid", "width": 8, "blocks": 1}})
     write_stage(of.params, "train", train={**plain(SETTINGS), "epochs": 1, "shift_cells": 0})
     assert train.main([str(of.root), "1x1", "small"]) == 0
     assert load_model(of.network("1x1", "small")).metadata["grid"] == [1, 1]

@@ -162,7 +162,7 @@ def test_nothing_is_used_before_it_is_defined(root, tmp_path):
         done = make(project, "--warn-undefined-variables", *words, "DATASET=tiny")
         assert done.returncode == 0 and "warning" not in done.stdout, done.stdout
     (project / ".venv").symlink_to(root / ".venv")
-    for words in (["report", "MODEL=grid_16"], ["labels", "EXECUTOR=slurm"], ["labels"]):
+    for words in (["report", "MODEL=unet"], ["labels", "EXECUTOR=slurm"], ["labels"]):
         done = make(project, "--warn-undefined-variables", "-n", *words, "DATASET=tiny")
         assert done.returncode == 0 and "warning" not in done.stdout, done.stdout
 

@@ -27,7 +27,7 @@ def main(args: Namespace) -> None:
     print(*found["notes"], sep="\n", end="\n" if found["notes"] else "")
     print(
         f"{args.data}: {found['images']} images with force from {found['files']} recordings, {found['without_wrench']}"
-        f" without; an image and its wrench are at most {1e3 * found['largest_gap_s']:.1f} ms apart; make train DATASET={args.data.name} RES=1x1 MODEL=resnet10 learns from them"
+        f" without; an image and its wrench are at most {1e3 * found['largest_gap_s']:.1f} ms apart; make train DATASET={args.data.name} RES=1x1 MODEL=pair_16 learns from them"
     )
 
 

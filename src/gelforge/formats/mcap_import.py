@@ -13,7 +13,7 @@ A small TOML names the topics:
 
 Messages are paired by the time in their headers; by the log's time, with a sentence, where a topic has no such stamps or
 both topics' are of different clocks (formats.messagetime). Every image with a wrench becomes a row of log.csv without a
-pose, and a label of one cell, the total force: networks of totals train on it: `make train RES=1x1 MODEL=resnet10`.
+pose, and a label of one cell, the total force: a network trains on it: `make train RES=1x1 MODEL=pair_16`.
 """
 
 import math
@@ -45,7 +45,7 @@ DEFAULTS = {
     "sensor": "gelsight_mini",
 }
 SPLIT_NS = 10**9  # a recorder that goes on in a new file misses less
-DATASET_TOML = """# Imported from recordings in MCAP: images with total force, no indenter known: make train RES=1x1 MODEL=resnet10
+DATASET_TOML = """# Imported from recordings in MCAP: images with total force, no indenter known: make train RES=1x1 MODEL=pair_16
 sensor = "{sensor}"
 gel = "{gel}"
 catalogue = "indenters.toml"

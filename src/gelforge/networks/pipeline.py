@@ -28,9 +28,8 @@ from gelforge.networks.data.arrays import (
     split_validation,
 )
 from gelforge.networks.evaluation.fitting import set_intervals, set_limits, unaltered
-from gelforge.networks.models.inputs import needs_nocontact
 from gelforge.networks.models.registry import parameter_count
-from gelforge.networks.training.loop import Training, device_of, fit, mixes_precision, require_judges, scales_before
+from gelforge.networks.training.loop import Training, device_of, fit, require_judges, scales_before
 from gelforge.reading.model import ForceModel, model_of, save_model
 from gelforge.records.axes import CHANNELS
 from gelforge.records.networkkind import kind_of
@@ -68,7 +67,7 @@ def save_trained(path: Path, trained: Trained) -> None:
 def identity(metadata: dict[str, Any]) -> str:
     """Text that is equal for two trainings exactly when they must give the same curve."""
     keys = (
-        "name", "model", "train", "image", "grid", "data", "also", "threads_used", "device", "mixed", "version", "torch",
+        "name", "model", "train", "image", "grid", "data", "also", "threads_used", "device", "version", "torch",
         "start",
     )  # fmt: skip
     return json.dumps({key: metadata[key] for key in keys}, sort_keys=True)
@@ -124,7 +123,7 @@ def describe(every: Sequence[Data], recipe: Recipe, start: Start | None) -> dict
         "version": recipe.version,
         "torch": torch.__version__,
         "image": list(data.image_size),
-        "grid": [1, 1] if kind_of(model).totals_only else list(data.grid),
+        "grid": list(data.grid),
         "channels": list(CHANNELS),
         "known_sensors": names_in(every, "sensor_id"),
         "sensors": names_in(every, "sensor_id", TRAINING),
@@ -133,9 +132,7 @@ def describe(every: Sequence[Data], recipe: Recipe, start: Start | None) -> dict
         "device": device,
         "start": begun,
         # one that is fine-tuned keeps what light of any direction taught the other
-        "tta": needs_nocontact(model.get("reads", "image"))
-        and (settings.mirrored_share > 0 or (start is not None and start.metadata["tta"])),
-        "mixed": mixes_precision(settings, device),
+        "tta": kind_of(model).pair and (settings.mirrored_share > 0 or (start is not None and start.metadata["tta"])),
         "data": learnt_from(data, list(data.splits)),
         "also": [learnt_from(other, (TRAINING, VALIDATION)) for other in others],
     }
@@ -159,8 +156,7 @@ def make_model(
     for one in (data, *also):
         require_splits(one)
     learnt = concatenate(data, also)
-    reads = model.get("reads", "image")
-    if needs_nocontact(reads):
+    if kind_of(model).pair:
         # one that lacks its picture is named before hours of training
         learnt.require_nocontact(range(len(learnt.table)))
     unaltered(learnt)  # as is one whose pictures are all altered
@@ -205,7 +201,7 @@ def begin(
 
     One that is fine-tuned never ends worse on validation than it began: what it learns counts as far as that helps.
     """
-    norm = scales(data, kind_of(model).totals_only, model.get("reads", "image"))
+    norm = scales(data)
     if start is not None:
         norm = scales_before(start.metadata, model, data, norm)
         require_judges(start.metadata, data)

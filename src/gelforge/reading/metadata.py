@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from gelforge.errors import BadInput
-from gelforge.networks.models.inputs import INPUT_CHANNELS, needs_nocontact
 from gelforge.reading.faults import FLOORS, LIMITS
 from gelforge.records.axes import CHANNELS
 from gelforge.records.networkkind import KINDS, kind_of
@@ -92,7 +91,6 @@ PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "data": TABLE,
     "also": ("a list of tables", _list_of(TABLE[1])),
     "normalisation": TABLE,
-    "normalisation.reads": _one_of(INPUT_CHANNELS),
     "normalisation.image_mean": ("three numbers", lambda value: _numbers(value, 3)),
     "normalisation.image_std": POSITIVE,
     "normalisation.label": POSITIVE,
@@ -107,7 +105,6 @@ PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
 }
 # What may be absent.
 OPTIONAL: dict[str, tuple[str, Callable[[Any], bool]]] = {
-    "model.reads": _one_of(INPUT_CHANNELS),
     "frame": ("the view of the cameras that it learnt from", _frame),
     "intervals": ("a table of three numbers from 0 on, by component", _intervals),
     **{f"statistics.{name}": NUMBER for name in LIMITS},
@@ -126,18 +123,7 @@ def check_metadata(metadata: Any, where: str) -> None:
     statistics = metadata["statistics"]
     if not len(statistics["mean"]) == len(statistics["spread"]) == len(statistics["inverse"]) == len(FLOORS):
         raise BadInput(f"{where}: statistics do not have {len(FLOORS)} numbers each; train the model again")
-    if needs_nocontact(metadata["normalisation"]["reads"]) and not _numbers(
-        [statistics.get("largest_distance")], 1, 0
-    ):
+    if kind_of(metadata["model"]).pair and not _numbers([statistics.get("largest_distance")], 1, 0):
         raise BadInput(f"{where}: statistics.largest_distance must be a number above 0; train the model again")
-    if needs_nocontact(metadata["normalisation"]["reads"]) and "frame" not in metadata:
+    if kind_of(metadata["model"]).pair and "frame" not in metadata:
         raise BadInput(f"{where}: frame is missing, by which cameras are compared; train the model again")
-    built, scaled = metadata["model"].get("reads", "image"), metadata["normalisation"]["reads"]
-    if built != scaled:
-        raise BadInput(
-            f"{where}: model.reads is {built!r}, but normalisation.reads {scaled!r}; train the model again"
-        )
-    if kind_of(metadata["model"]).totals_only and metadata["grid"] != [1, 1]:
-        raise BadInput(
-            f"{where}: grid is {metadata['grid']}, but its network knows totals only, [1, 1]; train the model again"
-        )

@@ -14,11 +14,11 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.layout import command_for
-from gelforge.networks.models.inputs import needs_nocontact
 from gelforge.reading.metadata import check_metadata
+from gelforge.records.networkkind import kind_of
 from gelforge.records.regular import read_bytes
 
-FORMAT = 6
+FORMAT = 7
 KEY = "gelforge"  # of the metadata among `metadata_props`
 PROPERTY, BYTES = (
     14,
@@ -91,7 +91,7 @@ class ForceModel:
     @property
     def needs_nocontact(self) -> bool:
         """Whether it reads a picture beside a no-contact image of the same sensor."""
-        return needs_nocontact(self.metadata["normalisation"]["reads"])
+        return kind_of(self.metadata["model"]).pair
 
 
 def model_of(metadata: dict[str, Any], graph: bytes) -> ForceModel:

@@ -17,7 +17,6 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.networks.models.inputs import needs_nocontact
 from gelforge.reading.frame import ImageFrame, Learnt, image_frame
 from gelforge.reading.light import Light, Reference
 from gelforge.reading.markers import (
@@ -34,6 +33,7 @@ from gelforge.reading.markers import (
     usual_darkness,
     vanished,
 )
+from gelforge.records.networkkind import kind_of
 
 INPUTS = ("image", "nocontact")  # what the inputs of a graph may be named
 NO_SHIFT = np.zeros(2)
@@ -202,7 +202,7 @@ class Preprocessor:
         rows, cols = metadata["image"]
         self.frame = ImageFrame((rows, cols), (rows, cols))  # in which images are read
         self.nocontact: NoContact | None = None
-        if needs_nocontact(metadata["normalisation"]["reads"]):
+        if kind_of(metadata["model"]).pair:
             if nocontact is None:
                 raise BadInput(
                     "this network compares an image with a no-contact image of the same sensor:"

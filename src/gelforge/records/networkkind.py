@@ -8,30 +8,27 @@ from gelforge.errors import BadInput
 
 LIMITS = {"width": (1, 4096), "widths": (1, 4096), "blocks": (0, 64)}  # least and most of what sizes are built
 MOST_LEVELS = 16  # numbers of a size that is a list
-BESIDES = ("kind", "reads", "note", "train", "start")  # what a network's table says beside its sizes
+BESIDES = ("kind", "note", "train", "start")  # what a network's table says beside its sizes
 
 
 @dataclass(frozen=True)
 class NetworkKind:
     """What is known of a kind of network.
 
-    sizes: by name, int for one that is a whole number, list for one that is a list of them. totals_only: whether it knows
-    total force alone, which it writes as a grid of one cell. image_seconds: of a processor, measured, that an image takes
-    in one epoch of training. colour: in charts, a name that matplotlib knows.
+    sizes: by name, int for one that is a whole number, list for one that is a list of them. pair: whether it reads an image
+    beside a no-contact image, or the image alone. image_seconds: of a processor, measured, that an image takes in one epoch
+    of training. colour: in charts, a name that matplotlib knows.
     """
 
     sizes: Mapping[str, type]
-    totals_only: bool
+    pair: bool
     image_seconds: float
     colour: str
 
 
 KINDS = {
-    "unet": NetworkKind({"widths": list}, totals_only=False, image_seconds=0.042, colour="tab:blue"),
-    "resnet": NetworkKind(
-        {"blocks": list, "widths": list}, totals_only=True, image_seconds=0.08, colour="tab:orange"
-    ),
-    "grid": NetworkKind({"width": int, "blocks": int}, totals_only=False, image_seconds=0.014, colour="tab:green"),
+    "unet": NetworkKind({"widths": list}, pair=False, image_seconds=0.042, colour="tab:blue"),
+    "grid": NetworkKind({"width": int, "blocks": int}, pair=True, image_seconds=0.014, colour="tab:green"),
 }
 
 
@@ -59,8 +56,4 @@ def sizes_of(model: Mapping[str, Any]) -> dict[str, Any]:
         if not built or not all(type(number) is int and least <= number <= most for number in numbers):
             required = "a whole number" if of_one else f"a list of 1 to {MOST_LEVELS} whole numbers"
             raise BadInput(f"{name} is {str(value)[:60]!r}, it must be {required} from {least} to {most}")
-    lists = {name: value for name, value in sizes.items() if isinstance(value, list)}
-    if len({len(value) for value in lists.values()}) > 1:
-        values = " and ".join(f"{name} = {value}" for name, value in lists.items())
-        raise BadInput(f"{values}: a level of a network has one number of each; make them equally long")
     return sizes

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 
 from gelforge.records.axes import CHANNELS
+from gelforge.records.networkkind import kind_of
 from gelforge.reporting.errortables import contacts_text, control_rows
 
 FEW = 12  # sensors that are named one by one
@@ -194,7 +195,7 @@ def write_card(metadata: dict, evaluation: dict, figures: Sequence[dict] = (), r
     readings: what readings of a force sensor leave, of benchmark-unseen.
     """
     beside = ""
-    if metadata["normalisation"]["reads"] != "image":
+    if kind_of(metadata["model"]).pair:
         beside = ", and a no-contact image of the same sensor,"
     lines = [
         f"# Model card: {metadata['name']}",

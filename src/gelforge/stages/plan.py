@@ -271,7 +271,7 @@ def network_lists(models: dict[str, dict]) -> dict[str, list[str]]:
     """Names of all networks, of those that start from the network that ships, and of those that read a no-contact image."""
     tables = {name: table for name, table in models.items() if isinstance(table, dict)}
     tuned = [name for name, table in tables.items() if "start" in table]
-    beside = [name for name, table in tables.items() if table.get("reads", "image") != "image"]
+    beside = [name for name, table in tables.items() if table.get("kind") == "grid"]
     return {"MODELS": list(tables), "TUNED": tuned, "NEED_NOCONTACT": beside}
 
 
@@ -379,7 +379,7 @@ def main(args: Namespace) -> None:
         "BRANCHES": [SHOWN_OF[name] for name in params.report.branches],
         **chart_lists(params, scenes),
         **network_lists(models),
-        "LEARNER": ["pair_24_mirrored" if (data / "nocontact").is_dir() else "grid_16"],
+        "LEARNER": ["pair_24_mirrored" if (data / "nocontact").is_dir() else "unet"],
         "CALIBRATED": [SHOWN_OF["calibrate"]] if params.material.c10 == "calibrated" else [],
         "REPORT_MODEL": reported_model(dataset_toml, params, models),
         "LEARN_ALSO": [*params.train.also],

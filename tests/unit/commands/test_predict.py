@@ -37,7 +37,7 @@ def totals(folder) -> list[dict]:
 def given(data, paths, tmp_path):
     """(picture, words of a call that reads it by a small network into out)."""
     image = write_png(tmp_path / "p.png", data.images[0])
-    return image, [str(image), "--model", str(paths["small"]), "--out", str(tmp_path / "out")]
+    return image, [str(image), "--model", str(paths["unet"]), "--out", str(tmp_path / "out")]
 
 
 def test_predict_writes_maps_and_totals(data, paths, tmp_path, capsys, monkeypatch):
@@ -45,7 +45,7 @@ def test_predict_writes_maps_and_totals(data, paths, tmp_path, capsys, monkeypat
     titles, write_maps = [], forcemaps.write_maps
     monkeypatch.setattr(forcemaps, "write_maps", lambda *args: titles.append(args[-1]) or write_maps(*args))
     images = [write_png(tmp_path / f"{i}.png", data.images[i]) for i in range(2)]
-    assert predict.main([*map(str, images), "--model", str(paths["small"]), "--out", str(tmp_path / "out")]) == 0
+    assert predict.main([*map(str, images), "--model", str(paths["unet"]), "--out", str(tmp_path / "out")]) == 0
     rows = totals(tmp_path / "out")
     for i, row in enumerate(rows):
         forces = np.load(tmp_path / "out" / f"{i}.npy")
@@ -153,7 +153,7 @@ def test_any_name_of_a_file_is_only_a_name(given, data, tmp_path):
 
 
 def test_unlike_images_are_flagged(data, models):
-    predictor = Predictor(models["small"].model)
+    predictor = Predictor(models["unet"].model)
     assert not any(predictor.predict(data.images[row]).flag for row in data.splits["test"])
     for image, reason in (
         (np.zeros((*IMAGE, 3), np.uint8), "monochrome"),

@@ -155,7 +155,6 @@ MEANINGLESS = (
     ("[params.calibrate.priors.c10]\nkind = 'normal'\nmean = 150", "c10: mean = 150: give a number .* MPa"),
     ("[params.calibrate.priors.mu]\nfree = false", "mu: free = false needs `fixed`"),
     ("[params.calibrate.priors.c10]\nfree = false\nfixed = 0.08", "c10: free = false; it is what calibrate finds"),
-    ("[params.train]\nleast_rate = 1.0", "least_rate = 1.0 is above learning_rate"),
     ("[params.train]\naveraged_share = 0.3", "averaged_share = 0.3 is above frozen_share = 0.25"),
     ("[params.report]\nmodel = '$(shell touch x)'", "model = .*: give a name of letters"),
     ("[params.train.epochs_of]\nuet = 3", "uet: unknown key; unet is meant"),

@@ -33,7 +33,7 @@ from tests.support.small_networks import EVALUATE, GRID, IMAGE, MODELS
 from tests.support.synthetic_presses import SETTINGS, write_dataset
 
 
-@pytest.mark.parametrize("name", ["small", "resnet"])
+@pytest.mark.parametrize("name", ["pair", "unet"])
 def test_evaluation_holds_what_is_asked(data, models, name):
     result, predictions = evaluate(data, models[name].model, EVALUATE)
     assert set(result["splits"]) == {"val", "test", "test_unseen_indenter", "test_unseen_sensor"}
@@ -41,7 +41,7 @@ def test_evaluation_holds_what_is_asked(data, models, name):
     rows, forces = predictions["test"]
     error = np.abs(forces.sum((2, 3), dtype=float) - data.totals(rows))
     assert test["total"]["fz"]["mae"] == pytest.approx(error[:, 2].mean())
-    assert (test["cell"] is None) == (name == "resnet")
+    assert test["cell"]
     assert set(test["controls"]) == {"constant_guess", "shuffled_images", "linear_on_image_means"}
     shown = tables(result)
     assert shown and all(table["rows"] for table in shown)
@@ -52,7 +52,7 @@ def test_evaluation_holds_what_is_asked(data, models, name):
 
 
 def test_sensor_and_truth_are_compared_on_the_right_axis(data, models):
-    against = evaluate(data, models["small"].model, EVALUATE)[0]["splits"]["test"]["against"]
+    against = evaluate(data, models["pair"].model, EVALUATE)[0]["splits"]["test"]["against"]
     for axis in CHANNELS:
         # The made-up force sensor reads 0.1 N too much, the made-up truth is the label (float32 sums).
         assert against["sensor"]["labels"][axis]["bias"] == pytest.approx(-0.1, abs=1e-5)
@@ -86,8 +86,8 @@ def test_a_dataset_of_few_presses_is_read_by_a_network_that_did_not_learn_from_i
 
 
 def test_pictures_and_card_are_written(data, models, tmp_path):
-    about = models["small"].metadata
-    result, predictions = evaluate(data, models["small"].model, EVALUATE)
+    about = models["pair"].metadata
+    result, predictions = evaluate(data, models["pair"].model, EVALUATE)
     draw_curve(tmp_path / "curve.png", about["curve"], about["best_epoch"], "small")
     draw_predictions(tmp_path / "predictions.png", data, predictions)
     for name in ("curve", "predictions"):
@@ -158,7 +158,7 @@ def test_shuffling_leaves_no_press_a_prediction_of_its_own(data, models):
         assert drawn == {(k, j) for k in range(len(press)) for j in range(len(press)) if press[k] != press[j]}, names
     assert another_of_each(np.array(["a"] * 4), np.random.default_rng(0)) is None
     one = replace(data, splits={"train": data.splits["train"], "test": data.splits["test"][:1]})
-    result, _ = evaluate(one, models["small"].model, EVALUATE)
+    result, _ = evaluate(one, models["pair"].model, EVALUATE)
     assert set(result["splits"]["test"]["controls"]) == {"constant_guess", "linear_on_image_means"}
 
 
@@ -173,7 +173,7 @@ def test_force_outside_the_picture_is_no_error_of_label_or_network(data, models)
         )
         for each in data.table
     ]
-    against = evaluate(replace(data, table=table), models["small"].model, EVALUATE)[0]["splits"]["test"]["against"][
+    against = evaluate(replace(data, table=table), models["pair"].model, EVALUATE)[0]["splits"]["test"]["against"][
         "truth"
     ]
     assert against["labels"]["fz"]["mae"] == pytest.approx(0.0, abs=1e-6)
@@ -200,7 +200,7 @@ def test_sensors_are_drawn_whole_where_a_network_learnt_from_other_data_or_senso
         replace(one, press=replace(one.press, sensor_id=f"unit{n % FEWEST_DRAWN}"))
         for n, one in enumerate(data.table)
     ]
-    other, model = replace(data, table=table), models["small"].model
+    other, model = replace(data, table=table), models["pair"].model
     name, rows = next((name, rows) for name, rows in other.splits.items() if name != "train" and len(rows))
     units = sorted(set(other.names("sensor_id").tolist()))
     here = model.metadata | {"known_sensors": units, "sensors": units}

@@ -50,7 +50,7 @@ def test_every_press_is_what_it_was_in_its_own_dataset(datasets):
     for one in datasets:
         rows = range(len(one.table))
         there = [at + row for row in rows]
-        assert np.array_equal(joined.seen(there, "pair"), one.seen(rows, "pair"))
+        assert np.array_equal(joined.seen(there, True), one.seen(rows, True))
         assert np.array_equal(joined.totals(there), one.totals(rows))
         at += len(rows)
 
@@ -74,7 +74,7 @@ def test_one_name_in_two_datasets_is_two_sensors(datasets):
 
 def test_scales_are_those_of_all_presses(datasets):
     labels = np.concatenate([one.labels[one.splits["train"]] for one in datasets]).astype(float)
-    found = scales(concatenate(datasets[0], datasets[1:]), total_only=False, reads="pair")
+    found = scales(concatenate(datasets[0], datasets[1:]))
     assert np.allclose(found["label"], np.sqrt((labels**2).mean((0, 2, 3))), rtol=1e-6)
 
 

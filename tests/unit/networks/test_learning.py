@@ -32,7 +32,7 @@ from gelforge.records.axes import CHANNELS
 from gelforge.stages.train import resolve, train
 from tests.support.parameters import parameters, with_values
 from tests.support.refused import refused
-from tests.support.small_networks import GRID, IMAGE, LEARNING, SMALL
+from tests.support.small_networks import GRID, IMAGE, LEARNING, MODELS, SMALL
 from tests.support.synthetic_presses import SETTINGS, write_dataset
 
 
@@ -83,16 +83,16 @@ def test_reading_ahead_keeps_order_and_hands_on_errors():
 
 def test_batches_hold_the_pictures_of_an_epoch_each_beside_its_own_label(folder):
     data = open_data(folder)
-    norm, rows = scales(data, False), data.splits["train"]
+    norm, rows = scales(data), data.splits["train"]
     for batch in (1, 7, 64):
         still = with_values(SETTINGS, batch=batch, shift_cells=0, augment={"probability": 0.0})
-        batches = list(training_batches(data, norm, still, 3, False))
+        batches = list(training_batches(data, norm, still, 3, True))
         assert [len(pictures) for pictures, _ in batches[:-1]] == [batch] * (epoch_steps(data, still) - 1)
         parts = np.split(epoch_order(rows, still.seed, 3), range(batch, len(rows), batch))
         order = np.concatenate([np.sort(part) for part in parts])
-        expected = network_input(images_to_tensor(data.seen(order, norm["reads"])), norm)
+        expected = network_input(images_to_tensor(data.seen(order, True)), norm)
         assert torch.equal(torch.cat([pictures for pictures, _ in batches]), expected)
-        assert torch.equal(torch.cat([labels for _, labels in batches]), target(data.labels[order], norm, False))
+        assert torch.equal(torch.cat([labels for _, labels in batches]), target(data.labels[order], norm))
 
 
 def test_training_learns(folder, trained):
@@ -125,29 +125,18 @@ def test_same_seed_same_curve_other_seed_other_curve(folder):
 
 
 @pytest.mark.parametrize(
-    "kind, schedule, most, averaged",
-    [
-        ("grid", "plateau", 11, 0.0), ("grid", "cosine", 0, 0.8),
-        pytest.param("unet", "plateau", 0, 0.0, marks=pytest.mark.slow),
-        pytest.param("resnet", "plateau", 0, 0.0, marks=pytest.mark.slow),
-    ],
+    "name, most, averaged", [("pair", 11, 0.0), ("pair", 0, 0.8), pytest.param("unet", 0, 0.0, marks=pytest.mark.slow)]
 )  # fmt: skip
-def test_resumed_training_has_the_same_curve_and_weights(folder, tmp_path, kind, schedule, most, averaged):
-    model = {
-        "grid": SMALL,
-        "unet": {"kind": "unet", "widths": [4, 8]},
-        "resnet": {"kind": "resnet", "blocks": [1, 1], "widths": [4, 8]},
-    }[kind]
+def test_resumed_training_has_the_same_curve_and_weights(folder, tmp_path, name, most, averaged):
     data = open_data(folder)
-    norm = scales(data, kind == "resnet")
-    grid = (1, 1) if kind == "resnet" else GRID
+    norm = scales(data)
 
     def start():
         settings = with_values(
-            SETTINGS, epochs=5, schedule=schedule, mirrored_share=0.8, epoch_images=most, averaged_share=averaged,
+            SETTINGS, epochs=5, mirrored_share=0.8, epoch_images=most, averaged_share=averaged,
             frozen_share=max(averaged, SETTINGS.frozen_share),
         )  # fmt: skip
-        return Training(model, settings, norm, IMAGE, grid, "cpu")
+        return Training(MODELS[name], settings, norm, IMAGE, GRID, "cpu")
 
     whole, cut, rest = start(), start(), start()
     fit(whole, data)
@@ -161,9 +150,7 @@ def test_resumed_training_has_the_same_curve_and_weights(folder, tmp_path, kind,
 def test_the_last_epochs_train_the_network_that_is_used(folder):
     """Frozen statistics stay, the weights go on; before, each epoch has its own."""
     data = open_data(folder)
-    training = Training(
-        SMALL, with_values(SETTINGS, epochs=4, frozen_share=0.4), scales(data, False), IMAGE, GRID, "cpu"
-    )
+    training = Training(SMALL, with_values(SETTINGS, epochs=4, frozen_share=0.4), scales(data), IMAGE, GRID, "cpu")
     seen = []
     for _ in training_epochs(training, data):
         state = training.net.state_dict()
@@ -176,7 +163,7 @@ def test_averaged_weights_are_the_mean_over_the_steps_of_the_last_epochs(folder)
     """The network that is validated and kept has them; the one that trains goes its own way."""
     data = open_data(folder)
     settings = with_values(SETTINGS, epochs=3, frozen_share=0.7, averaged_share=0.7, learning_rate=1e-2)
-    training = Training(SMALL, settings, scales(data, False), IMAGE, GRID, "cpu")
+    training = Training(SMALL, settings, scales(data), IMAGE, GRID, "cpu")
     passed, step = [], training.optimiser.step
 
     def noting():
@@ -203,7 +190,7 @@ def few(tmp_path_factory):
 
 
 def test_a_network_that_goes_on_begins_as_the_one_it_goes_on_from(few, trained):
-    still = with_values(SETTINGS, epochs=1, learning_rate=1e-12, frozen_share=1.0, least_rate=0.0)
+    still = with_values(SETTINGS, epochs=1, learning_rate=1e-12, frozen_share=1.0)
     found = train(few, "tuned", SMALL, still, start=start_of(trained))
     norm, before = found.metadata["normalisation"], trained.metadata["normalisation"]
     assert all(norm[key] == before[key] for key in ("image_mean", "image_std", "label", "total"))
@@ -216,7 +203,7 @@ def test_a_network_that_goes_on_begins_as_the_one_it_goes_on_from(few, trained):
 
 def test_a_deeper_network_begins_as_the_one_it_goes_on_from(few, trained):
     deeper = {**SMALL, "blocks": SMALL["blocks"] + 2}
-    spoilt = with_values(SETTINGS, epochs=1, learning_rate=1.0, schedule="cosine")
+    spoilt = with_values(SETTINGS, epochs=1, learning_rate=1.0)
     begun = train(
         few, "deeper", deeper, spoilt, start=start_of(trained)
     )  # spoilt at once, so what it began as is kept
@@ -234,7 +221,7 @@ def test_a_deeper_network_begins_as_the_one_it_goes_on_from(few, trained):
 
 
 def test_a_network_that_goes_on_never_ends_worse_than_it_began(few, trained):
-    spoilt = with_values(SETTINGS, epochs=1, learning_rate=1.0, schedule="cosine")
+    spoilt = with_values(SETTINGS, epochs=1, learning_rate=1.0)
     found = train(few, "tuned", SMALL, spoilt, start=start_of(trained))
     assert found.metadata["best_epoch"] == 0 < found.metadata["curve"][0]["val_total"]
     weights = trained.net.state_dict()
@@ -287,14 +274,14 @@ def test_what_a_network_cannot_learn_from_or_go_on_from_is_refused(few, trained,
     refused(said, train, hardly, "tuned", SMALL, SETTINGS, start=start)
     refused("only 'shipped'", resolve, {"tuned": {**SMALL, "start": "mine"}}, "tuned", parameters().train)
     alone = replace(open_data(folder), nocontact={})
-    refused("nocontact/mini0.png", train, alone, "pair", {**SMALL, "reads": "pair"}, one)
+    refused("nocontact/mini0.png", train, alone, "small", SMALL, one)
 
 
 def test_a_corrupt_or_foreign_checkpoint_starts_the_training_over(folder, tmp_path, capsys):
     data, path = open_data(folder), tmp_path / "c.pt"
 
     def start():
-        return Training(SMALL, with_values(SETTINGS, epochs=1), scales(data, False), IMAGE, GRID, "cpu")
+        return Training(SMALL, with_values(SETTINGS, epochs=1), scales(data), IMAGE, GRID, "cpu")
 
     first = start()
     fit(first, data)

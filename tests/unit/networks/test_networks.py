@@ -5,12 +5,10 @@ import sys
 
 import torch
 
-from gelforge.networks.models.gridnet import strides
-from gelforge.networks.models.inputs import network_input
+from gelforge.networks.models.gridnet import BasicBlock, strides
+from gelforge.networks.models.inputs import map_grid, network_input
 from gelforge.networks.models.registry import build, parameter_count
-from gelforge.networks.models.resnet import BasicBlock, ResNetTotal
 from gelforge.networks.models.unet import UNet
-from gelforge.records.networkkind import KINDS
 from gelforge.stages.train import resolve
 from tests.support.parameters import parameters
 from tests.support.refused import refused
@@ -31,15 +29,20 @@ def test_unet_is_the_papers():
     assert parameter_count(net) == down + up + 16 * 3 + 3
 
 
-def test_resnet34_has_its_known_size():
-    # ResNet-34 has 21 797 672 values with its 513 000 of 1000 classes; ours ends in three outputs.
-    assert parameter_count(ResNetTotal()) == 21_797_672 - 513_000 + 512 * 3 + 3
-
-
-def test_grid_net_writes_any_grid_that_divides_the_image():
-    for grid in ((12, 16), (48, 64), (30, 40)):
+def test_grid_net_writes_any_grid_that_divides_the_image_and_totals():
+    for grid in ((12, 16), (48, 64), (30, 40), (1, 1)):
         with torch.inference_mode():
-            assert build(SMALL, (240, 320), grid).eval()(torch.zeros(1, 3, 240, 320)).shape == (1, 3, *grid)
+            assert build(SMALL, (240, 320), grid).eval()(torch.zeros(1, 6, 240, 320)).shape == (1, 3, *grid)
+
+
+def test_totals_alone_come_from_a_map_of_small_cells():
+    """A grid of one cell is no other network: the same map, of which the mean is kept."""
+    assert map_grid((240, 320), (1, 1)) == (24, 32) and map_grid((48, 64), (1, 1)) == (6, 8)
+    total, cells = (build(SMALL, IMAGE, grid).eval() for grid in ((1, 1), map_grid(IMAGE, (1, 1))))
+    total.load_state_dict(cells.state_dict())
+    pictures = torch.randn(2, 6, *IMAGE, generator=torch.Generator().manual_seed(0))
+    with torch.inference_mode():
+        torch.testing.assert_close(total(pictures), cells(pictures).mean((2, 3), keepdim=True))
 
 
 def test_a_thinned_shortcut_is_the_strided_convolution():
@@ -53,7 +56,7 @@ def test_a_thinned_shortcut_is_the_strided_convolution():
 
 NARROW = """
 import torch
-from gelforge.networks.models.resnet import BasicBlock
+from gelforge.networks.models.gridnet import BasicBlock
 
 for before in (3, 4, 8):
     block = BasicBlock(before, 2 * before, stride=2).to(memory_format=torch.channels_last)
@@ -74,26 +77,18 @@ def test_every_network_of_the_table_builds(root):
 
     models = read_toml(root / "workflow" / "models.toml")
     settings = parameters().train
-    assert len(models) >= 10
+    assert models
     for name in models:
         model, own = resolve(models, name, settings)
         assert build(model, (240, 320), (24, 32)) is not None
         assert own.epochs == models[name].get("train", {}).get("epochs", settings.epochs)
 
 
-def test_a_kind_writes_one_cell_exactly_where_it_knows_totals_only():
-    for kind, about in KINDS.items():
-        net = build({"kind": kind}, (240, 320), (24, 32)).eval()
-        with torch.inference_mode():
-            reported = net(torch.zeros(1, 3, 240, 320))
-        assert reported.shape == ((1, 3, 1, 1) if about.totals_only else (1, 3, 24, 32)), kind
-
-
 def test_a_kind_may_get_epochs_of_its_own():
-    settings = parameters(train={"epochs_of": {"resnet": 7}}).train
+    settings = parameters(train={"epochs_of": {"unet": 7}}).train
     assert resolve({"small": SMALL}, "small", settings)[1].epochs == settings.epochs
-    assert resolve({"total": {"kind": "resnet"}}, "total", settings)[1].epochs == 7
-    assert resolve({"total": {"kind": "resnet", "train": {"epochs": 9}}}, "total", settings)[1].epochs == 9
+    assert resolve({"paper": {"kind": "unet"}}, "paper", settings)[1].epochs == 7
+    assert resolve({"paper": {"kind": "unet", "train": {"epochs": 9}}}, "paper", settings)[1].epochs == 9
 
 
 def test_a_unet_is_refused_exactly_the_images_that_it_cannot_read():
@@ -117,9 +112,6 @@ def test_unknown_kind_and_wrong_size_are_named():
         ({"kind": "transformer"}, "transformer"),
         ({"kind": "grid", "depth": 3}, "'depth': its sizes are width, blocks"),
         ({"kind": "unet", "widths": 24}, "widths is '24', it must be a list of 1 to 16 whole numbers from 1 to 4096"),
-        ({"kind": "resnet", "blocks": [1, 1, 1], "widths": [16, 32]}, "one number of each"),
-        ({"kind": "grid", "reads": ["pair"]}, r"reads = \['pair'\]; use one of image"),
-        ({**SMALL, "reads": "sound"}, "reads = 'sound'"),
     ):
         refused(said, build, model, IMAGE, GRID)
     for image, grid in (((240, 320), (7, 9)), ((240, 320), (24, 24)), ((24, 32), (24, 32))):
@@ -133,7 +125,7 @@ def test_unknown_kind_and_wrong_size_are_named():
 def test_a_pair_is_the_image_and_a_difference_that_forgets_the_no_contact_image():
     pictures = torch.rand(2, 6, 4, 4, generator=torch.Generator().manual_seed(0))
     brighter = pictures + torch.rand(2, 3, 4, 4, generator=torch.Generator().manual_seed(1)).repeat(1, 2, 1, 1)
-    norm = {"image_mean": [0.3, 0.4, 0.5], "image_std": [0.1, 0.2, 0.3], "reads": "pair"}
+    norm = {"image_mean": [0.3, 0.4, 0.5], "image_std": [0.1, 0.2, 0.3]}
     both = network_input(pictures, norm)
     torch.testing.assert_close(both[:, 3:], network_input(brighter, norm)[:, 3:])
-    torch.testing.assert_close(both[:, :3], network_input(pictures[:, :3], norm | {"reads": "image"}))
+    torch.testing.assert_close(both[:, :3], network_input(pictures[:, :3], norm))

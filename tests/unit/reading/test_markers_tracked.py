@@ -160,7 +160,7 @@ def seen(rest, presses, tmp_path_factory):
     return replace(data, images=pictures, nocontact=dict.fromkeys(data.nocontact, rest))
 
 
-STILL = with_values(SETTINGS, epochs=1, learning_rate=1e-12, least_rate=0.0, frozen_share=1.0)
+STILL = with_values(SETTINGS, epochs=1, learning_rate=1e-12, frozen_share=1.0)
 
 
 def test_a_fine_tuned_network_holds_the_range_of_all_that_it_learnt_from(seen, shipped):

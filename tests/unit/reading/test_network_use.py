@@ -59,7 +59,7 @@ def test_a_film_that_is_cut_is_read_as_far_as_it_goes_into_a_folder_of_its_own(d
     video, out = write_avi(tmp_path / "in.avi", data.images[:24]), tmp_path / "new" / "folder" / "o.csv"
     whole = video.read_bytes()
     video.write_bytes(whole[: len(whole) // 2])  # its head announces more frames than there are
-    words = ["--video", str(video), "--model", str(paths["small"]), "--csv", str(out)]
+    words = ["--video", str(video), "--model", str(paths["unet"]), "--csv", str(out)]
     refused("in.avi: ended after .* of 24 frames; the file is cut short", live.main, words)
     assert 1 <= len(rows_of(out)) < 24
 
@@ -135,7 +135,7 @@ def test_live_lets_go_of_what_films_where_it_refuses_to_read(data, paths, tmp_pa
 def test_live_flags_the_frames_that_predict_flags(models, data):
     """In its lines and on its page, with the same words."""
     frames = [np.ascontiguousarray(data.images[0]), np.zeros((*IMAGE, 3), np.uint8)]
-    predictor = Predictor(models["small"].model)
+    predictor = Predictor(models["unet"].model)
     judged = [predictor.predict(frame) for frame in frames]
     reported = list(readings(predictor, [Frame(k, 0.04 * k, frame[..., ::-1]) for k, frame in enumerate(frames)]))
     for lines in ([reading.row() for reading in reported], [reading.event() for reading in reported]):
@@ -147,7 +147,7 @@ def test_what_is_no_film_is_refused_and_leaves_nothing_behind(data, paths, tmp_p
     good = write_avi(tmp_path / "good.avi", data.images[:12])
     (tmp_path / "no.avi").write_bytes(b"not a video")
     (tmp_path / "loop.avi").symlink_to("loop.avi")
-    words = ["--model", str(paths["small"]), "--csv"]
+    words = ["--model", str(paths["unet"]), "--csv"]
     for name, said in (
         ("", "it is a folder.*name an AVI or MP4 file"),
         ("gone.avi", "no such video.*name an AVI or MP4 file"),

@@ -187,7 +187,7 @@ def test_what_was_not_made_is_reported_with_what_makes_it_of_this_dataset(tmp_pa
     of = tmp_path / "results/mylab"
     sections = [
         calibration_section(of),
-        network_section(of, "24x32", "grid_16"),
+        network_section(of, "24x32", "pair_16"),
         branch_section(of, "", "pareto", "", of / "none.png"),
     ]
     for section, goal in zip(sections, ("calibrate", "evaluate", "pareto"), strict=True):

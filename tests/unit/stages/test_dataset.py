@@ -179,13 +179,13 @@ def test_nocontact_images_come_along_where_they_were_photographed(tmp_path, root
     assert data.info["nocontact"] == ["mini_b"]
     photographed, other = ([i for i, s in enumerate(data.table) if s.press.sensor_id == name] for name in
                            ("mini_b", "mini_a"))  # fmt: skip
-    seen = data.seen(photographed, "pair")
+    seen = data.seen(photographed, True)
     lit = [match_light(data.images[i], picture[..., ::-1]).undo(data.images[i]) for i in photographed]
     assert np.array_equal(seen[..., :3], lit)
     assert (seen[..., 3:] == picture[..., ::-1]).all()
     assert np.array_equal(data.seen(other, "image"), data.images[other])
     with pytest.raises(BadInput, match="nocontact/mini_a.png"):
-        data.seen(other, "pair")
+        data.seen(other, True)
 
 
 def test_the_truth_of_a_virtual_rig_goes_into_its_columns(tmp_path, root):

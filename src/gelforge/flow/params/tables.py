@@ -80,7 +80,6 @@ class EpochsTable(ParameterTable):
     """[train.epochs_of]: epochs by kind of network, 0 for [train] epochs."""
 
     unet: Whole
-    resnet: Whole
 
 
 class TrainingTable(ParameterTable):
@@ -90,34 +89,24 @@ class TrainingTable(ParameterTable):
     epoch_images: Whole
     batch: Count
     learning_rate: Annotated[Number, Within(TINY, 1e3)]
-    schedule: Literal["plateau", "cosine"]
-    plateau_factor: Annotated[Number, Within(TINY, 0.999999)]
-    plateau_patience: Whole
-    least_rate: Annotated[Number, Within(0.0, 1e3)]
     total_weight: Annotated[Number, Within(0.0, 1e9)]
     total_huber: Annotated[Number, Within(0.0, 1e9)]
     shift_cells: Annotated[int, Within(0, 1000)]
     mirrored_share: Fraction
-    settle_images: Whole
     frozen_share: Fraction
     averaged_share: Fraction
     seed: Seed
     threads: Annotated[int, Within(1, 1e4)]
     device: Literal["auto", "cpu", "cuda"]
-    mixed_precision: bool
     checkpoint_seconds: Annotated[Number, Within(0.0, 1e9, "s")]
     augment: AugmentTable
 
     def fault(self) -> str | None:
-        """A learning rate that starts below where it ends; weights that are averaged while statistics still move."""
+        """Weights that are averaged while statistics still move."""
         if self.averaged_share > self.frozen_share:
             return (
                 f"averaged_share = {self.averaged_share} is above frozen_share = {self.frozen_share}: weights are averaged "
                 "only where batch normalisation keeps its statistics; lower the one or raise the other"
-            )
-        if self.schedule == "plateau" and self.least_rate > self.learning_rate:
-            return (
-                f"least_rate = {self.least_rate} is above learning_rate = {self.learning_rate}: give it a lower one"
             )
         return None
 

@@ -16,8 +16,9 @@ import torch
 from torch import nn
 
 from gelforge.errors import GelforgeError
-from gelforge.networks.models.inputs import needs_nocontact, network_input
+from gelforge.networks.models.inputs import network_input
 from gelforge.reading.model import Graph
+from gelforge.records.networkkind import kind_of
 
 OPSET = 17
 OUTPUT = "forces"
@@ -51,9 +52,9 @@ class Exported(nn.Module):
 def export(net: nn.Module, metadata: dict[str, Any]) -> bytes:
     """The ONNX graph of a network, by torch's tracing exporter, which needs no other package.
 
-    metadata: its `normalisation`, `image` and `tta`. Raises GelforgeError where the graph differs from torch.
+    metadata: its `model`, `normalisation`, `image` and `tta`. Raises GelforgeError where the graph differs from torch.
     """
-    names = ["image", "nocontact"] if needs_nocontact(metadata["normalisation"]["reads"]) else ["image"]
+    names = ["image", "nocontact"] if kind_of(metadata["model"]).pair else ["image"]
     pictures = dict(zip(names, sample_pictures(metadata["image"], len(names)), strict=True))
     module, content = Exported(net, metadata).eval(), io.BytesIO()
     with warnings.catch_warnings():

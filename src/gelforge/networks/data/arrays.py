@@ -10,7 +10,6 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
 from gelforge.flow.layout import command_for
-from gelforge.networks.models.inputs import needs_nocontact
 from gelforge.reading.pair import Change, NoContact, Prepared
 from gelforge.records.press import PressRecord
 from gelforge.records.rowfile import ChainedRows, RowFile, Rows, map_array
@@ -79,18 +78,18 @@ class Data:
             raise BadInput(
                 f"{self.folder}: no no-contact image of sensor {', '.join(missing)}, beside which this network "
                 f"reads pictures: put nocontact/{missing[0]}.png into the dataset's data folder and make the "
-                "dataset again, or choose a MODEL without `reads` in workflow/models.toml"
+                "dataset again, or choose MODEL=unet, which reads the image alone"
             )
         return names
 
-    def seen(self, rows, reads: str) -> np.ndarray:
-        """What a network with `reads` (networks.models.inputs) is given of some rows, uint8 (k, height, width, 3).
+    def seen(self, rows, pair: bool) -> np.ndarray:
+        """What a network is given of some rows: images, uint8 (k, height, width, 3).
 
-        Or (k, height, width, 6), where the no-contact image stands behind each image, which is brought to its light.
+        Or pairs (k, height, width, 6), where the no-contact image stands behind each image, which is brought to its light.
         """
         import cv2
 
-        if not needs_nocontact(reads):
+        if not pair:
             return self.images[rows]
         self.require_nocontact(rows)
         pairs = [self.prepared(int(row), image) for row, image in zip(rows, self.images[rows], strict=True)]
@@ -252,13 +251,12 @@ def data_version(data: Data) -> str:
     return digest.hexdigest()[:16]
 
 
-def scales(data: Data, total_only: bool, reads: str = "image") -> dict:
+def scales(data: Data) -> dict:
     """What training scales by: image mean and deviation per channel, and the labels' root mean square.
 
     Zero force is zero in scaled units too, because labels are divided and never shifted. A component whose totals
     cancel, as sideways ones of centred presses do, is scaled by LEAST_TOTAL of the largest: errors of it count as theirs
-    do, not without bound. Where the network only knows totals (`total_only`), `label` is theirs. `reads` is kept beside
-    them: the three together make a network's input of pictures.
+    do, not without bound.
     """
     rows = data.splits[TRAINING]
     sums, squares, cells = np.zeros(3), np.zeros(3), np.zeros(3)
@@ -278,10 +276,9 @@ def scales(data: Data, total_only: bool, reads: str = "image") -> dict:
     if (cell == 0).any() or (total == 0).any():
         raise BadInput(f"{data.folder}: a force component is zero in every training label; nothing can be learnt")
     return {
-        "reads": reads,
         "image_mean": mean.tolist(),
         "image_std": np.sqrt(np.maximum(squares / n - mean**2, 1e-6)).tolist(),
-        "label": (total if total_only else cell).tolist(),
+        "label": (total if data.grid == (1, 1) else cell).tolist(),
         "total": total.tolist(),
         "range": (totals.max(0) - totals.min(0)).tolist(),
     }

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from gelforge.flow.params.tables import AugmentTable
-from gelforge.networks.models.inputs import cell_pixels, inner_part
+from gelforge.networks.models.inputs import cell_pixels, inner_part, map_grid
 
 # Luma, and the two chroma axes of YIQ (NTSC 1953): hue turns the chroma plane, saturation scales it.
 RGB_TO_YIQ = torch.tensor([[0.299, 0.587, 0.114], [0.5959, -0.2746, -0.3213], [0.2115, -0.5227, 0.3112]])
@@ -65,7 +65,8 @@ def shift_together(images, labels, cells: int, generator) -> tuple[np.ndarray, n
     What leaves one side comes in at the other, in both, so that no force is lost: half a contact at the rim is half
     the force. Places are drawn evenly, none moved or moved at random with equal odds.
     """
-    pixels = cell_pixels(images.shape[1:3], labels.shape[2:], f"[train] shift_cells = {cells}")
+    image = images.shape[1:3]
+    pixels = cell_pixels(image, map_grid(image, labels.shape[2:]), f"[train] shift_cells = {cells}")
     by = torch.randint(-cells, cells + 1, (len(images), 2), generator=generator)
     by[torch.rand(len(images), generator=generator) < 0.5] = 0
     moved = zip(images, labels, by.tolist(), strict=True)
@@ -100,10 +101,12 @@ def narrow_views(pairs, labels, settings: AugmentTable, generator) -> tuple[np.n
 
     Returns both and which were chosen, (n,) bool. So look pictures of a camera that sees less of the gel once they are
     brought to the scale of the others: what it does not see is even, and no force is read there. Wide borders are drawn
-    more often than narrow ones, because it is them that take away what a network could hold on to.
+    more often than narrow ones, because it is them that take away what a network could hold on to. Of totals it is not known
+    what the rim hides, so these pairs are shown whole.
     """
     pairs, labels = np.array(pairs), np.array(labels)
-    chosen = torch.rand(len(pairs), generator=generator) < settings.narrowed_share
+    share = 0.0 if labels.shape[2:] == (1, 1) else settings.narrowed_share
+    chosen = torch.rand(len(pairs), generator=generator) < share
     fractions = torch.sqrt(torch.rand(len(pairs), generator=generator)) * settings.narrowed
     for k in torch.nonzero(chosen).flatten().tolist():
         pixels, inner = inner_part(

@@ -9,7 +9,7 @@ import torch
 
 from gelforge.flow.params.tables import TrainingTable
 from gelforge.networks.data.augment import augment, mirror_together, misplace_nocontact, narrow_views, shift_together
-from gelforge.networks.models.inputs import needs_nocontact, network_input
+from gelforge.networks.models.inputs import network_input
 from gelforge.records.samplefile import TRAINING
 
 STREAMS = {"order": 0, "augment": 1, "weights": 2, "shift": 3, "mirror": 4, "seat": 5, "view": 6}
@@ -51,20 +51,15 @@ def images_to_tensor(images) -> torch.Tensor:
     return torch.from_numpy(np.require(images, requirements=["C", "W"])).permute(0, 3, 1, 2).contiguous() / 255
 
 
-def target(labels, norm: dict, total_only: bool) -> torch.Tensor:
+def target(labels, norm: dict) -> torch.Tensor:
     """Labels (n, 3, rows, cols) in N to what a network is fitted to, in training units."""
-    if total_only:
-        labels = labels.sum((2, 3), keepdims=True)
     return torch.from_numpy(np.require(labels, requirements=["C", "W"])) / torch.tensor(norm["label"]).float().view(
         1, 3, 1, 1
     )
 
 
-def training_batches(data, norm: dict, settings: TrainingTable, epoch: int, total_only: bool):
-    """Yield (input, target) of one epoch, augmented, both in the network's units.
-
-    Shapes (k, 3 or 6, h, w) and (k, 3, rows, cols), or (k, 3, 1, 1) where total_only.
-    """
+def training_batches(data, norm: dict, settings: TrainingTable, epoch: int, pair: bool):
+    """Yield (input, target) of one epoch, augmented, both in the network's units: (k, 3 or 6, h, w) and (k, 3, rows, cols)."""
     order = epoch_order(data.splits[TRAINING], settings.seed, epoch, settings.epoch_images)
     draws = {stream: generator(settings.seed, stream, epoch) for stream in VARIED}
     mirrors = epoch < settings.mirrored_share * settings.epochs
@@ -72,17 +67,17 @@ def training_batches(data, norm: dict, settings: TrainingTable, epoch: int, tota
         # Sorted rows read the file forwards; the order inside a batch changes nothing but rounding.
         rows = np.sort(order[start : start + settings.batch])
         pieces = [rows[first : first + PIECE] for first in range(0, len(rows), PIECE)]
-        varied = [_varied(data, piece, norm["reads"], settings, mirrors, draws) for piece in pieces]
+        varied = [_varied(data, piece, pair, settings, mirrors, draws) for piece in pieces]
         yield (
             torch.cat([network_input(pictures, norm) for pictures, _ in varied]),
-            torch.cat([target(labels, norm, total_only) for _, labels in varied]),
+            torch.cat([target(labels, norm) for _, labels in varied]),
         )
 
 
-def _varied(data, rows: np.ndarray, reads: str, settings: TrainingTable, mirrors: bool, draws: dict):
+def _varied(data, rows: np.ndarray, pair: bool, settings: TrainingTable, mirrors: bool, draws: dict):
     """Pictures (k, channels, h, w) in 0..1 and labels (k, 3, rows, cols) N of some rows, varied as training asks for."""
-    pictures, labels = data.seen(rows, reads), data.labels[rows]
-    if needs_nocontact(reads):
+    pictures, labels = data.seen(rows, pair), data.labels[rows]
+    if pair:
         pictures, labels, narrow = narrow_views(pictures, labels, settings.augment, draws["view"])
         pictures = misplace_nocontact(pictures, narrow, settings.augment, draws["seat"])
     if settings.shift_cells:
@@ -98,10 +93,10 @@ def epoch_steps(data, settings: TrainingTable) -> int:
     return ceil(min(settings.epoch_images or count, count) / settings.batch)
 
 
-def batches_from(data, norm: dict, settings: TrainingTable, first: int, total_only: bool):
+def batches_from(data, norm: dict, settings: TrainingTable, first: int, pair: bool):
     """Yield the batches of all epochs from the `first` one on (from 0), as `training_batches` has them."""
     for epoch in range(first, settings.epochs):
-        yield from training_batches(data, norm, settings, epoch, total_only)
+        yield from training_batches(data, norm, settings, epoch, pair)
 
 
 def prefetched(batches: Iterator) -> Generator:

@@ -10,7 +10,6 @@ from gelforge.errors import BadInput
 from gelforge.flow.params.tables import TrainingTable
 from gelforge.networks.data.arrays import Data, calibration_rows, press_keys, split_validation
 from gelforge.networks.evaluation.predicted import predict_rows
-from gelforge.networks.models.inputs import needs_nocontact
 from gelforge.reading.faults import (
     RELIEF_MARGIN,
     PairDiagnostics,
@@ -25,6 +24,7 @@ from gelforge.reading.interval import Errors, fit_intervals
 from gelforge.reading.markers import markers_in
 from gelforge.reading.model import ForceModel
 from gelforge.reading.pair import Preprocessor
+from gelforge.records.networkkind import kind_of
 from gelforge.records.samplefile import TRAINING, VALIDATION
 
 ENOUGH_PAIRS = 200  # pictures that show what good pairs are like
@@ -54,18 +54,18 @@ def set_limits(
     pictures are new.
     """
     data = unaltered(learnt)
-    reads = metadata["normalisation"]["reads"]
-    frame = {"frame": frame_of(learnt, before).table()} if needs_nocontact(reads) else {}
+    pair = kind_of(metadata["model"]).pair
+    frame = {"frame": frame_of(learnt, before).table()} if pair else {}
     rows = usual_rows(data)
-    pairs = good_pairs(metadata | frame, data, rows) if needs_nocontact(reads) else {}
+    pairs = good_pairs(metadata | frame, data, rows) if pair else {}
     if before is not None and len(data.splits[TRAINING]) < ENOUGH_PAIRS:
         images = (np.ascontiguousarray(data.images[row]) for row in rows)
         return frame | {"statistics": widened(before["statistics"], images, pairs)}
-    see = appearances(data, reads, settings)
+    see = appearances(data, pair, settings)
     return frame | {"statistics": fit_to_images(see, data.splits[TRAINING], data.splits[VALIDATION]) | pairs}
 
 
-def appearances(data: Data, reads: str, settings: TrainingTable) -> Callable[[int], np.ndarray]:
+def appearances(data: Data, pair: bool, settings: TrainingTable) -> Callable[[int], np.ndarray]:
     """What a picture that the network reads may look like, by row, (h, w, 3) uint8: every other one of a narrow view."""
     from gelforge.networks.data.augment import narrow_views
     from gelforge.networks.data.loader import generator
@@ -73,10 +73,10 @@ def appearances(data: Data, reads: str, settings: TrainingTable) -> Callable[[in
     narrow = replace(settings.augment, narrowed_share=0.5 if settings.augment.narrowed_share else 0.0)
 
     def see(row: int) -> np.ndarray:
-        pair = data.seen([row], reads)
-        if needs_nocontact(reads):
-            pair, _, _ = narrow_views(pair, data.labels[[row]], narrow, generator(settings.seed, "view", 0, row))
-        return pair[0, ..., :3]
+        shown = data.seen([row], pair)
+        if pair:
+            shown, _, _ = narrow_views(shown, data.labels[[row]], narrow, generator(settings.seed, "view", 0, row))
+        return shown[0, ..., :3]
 
     return see
 
@@ -118,7 +118,7 @@ def set_intervals(model: ForceModel, data: Data) -> dict[str, Any]:
 
     Empty where the model writes another grid than the dataset has, and no intervals where presses are too few.
     """
-    if list(model.metadata["grid"]) not in (list(data.grid), [1, 1]):
+    if list(model.metadata["grid"]) != list(data.grid):
         return {}
     scale_on, size_on = split_validation(data)[0], calibration_rows(data)
     found = fit_intervals(errors_of(model, data, scale_on), errors_of(model, data, size_on)) if len(size_on) else {}

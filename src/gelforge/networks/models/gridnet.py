@@ -1,13 +1,36 @@
-"""Light networks on the label grid."""
+"""Light networks on the label grid, of residual blocks."""
 
 import torch
 from torch import nn
 from torch.nn import functional as F
 
 from gelforge.errors import BadInput
-from gelforge.networks.models.inputs import cell_pixels
-from gelforge.networks.models.resnet import BasicBlock
+from gelforge.networks.models.inputs import cell_pixels, map_grid
 from gelforge.networks.models.unet import COMPONENTS
+
+
+class BasicBlock(nn.Module):
+    """Residual block of two 3 x 3 convolutions with batch normalisation (He et al. 2016, figure 5)."""
+
+    def __init__(self, before: int, after: int, stride: int = 1, dilation: int = 1):
+        super().__init__()
+        self.first = nn.Conv2d(before, after, 3, stride, dilation, dilation, bias=False)
+        self.first_norm = nn.BatchNorm2d(after)
+        self.second = nn.Conv2d(after, after, 3, 1, 1, bias=False)
+        self.second_norm = nn.BatchNorm2d(after)
+        same = stride == 1 and before == after
+        self.shortcut = (
+            nn.Identity() if same else nn.Sequential(nn.Conv2d(before, after, 1, bias=False), nn.BatchNorm2d(after))
+        )
+        # A convolution of 1 x 1 that strides corrupts memory when it is trained on fewer than 9 channels, in torch 2.13 on
+        # processors with AVX-512 (oneDNN's brgconv_strided); on every second value it is the same convolution.
+        self.every = stride
+
+    def forward(self, x):
+        # in place: what a normalisation or a convolution gave is needed by nothing else, and memory anew costs time
+        y = F.relu(self.first_norm(self.first(x)), inplace=True)
+        thinned = x if self.every == 1 else x[:, :, :: self.every, :: self.every]
+        return F.relu(self.second_norm(self.second(y)).add_(self.shortcut(thinned)), inplace=True)
 
 
 def strides(image, grid) -> list[int]:
@@ -31,15 +54,16 @@ class GridNet(nn.Module):
 
     A wide first stride reads the image once; residual blocks at the label grid, dilated so that a
     cell sees its surroundings, do the rest. A vector of global means gives every cell the sensor's
-    light and the whole contact, and two coordinates give its place.
+    light and the whole contact, and two coordinates give its place. A grid of one cell gets the mean of such a map.
 
-    :param image: height and width in pixels; the grid must divide both by the same factor.
+    :param image: height and width in pixels; the grid must divide both by the same factor, or be (1, 1).
     :param width: channels before the grid; twice as many at the grid.
     :param blocks: residual blocks at the grid.
     """
 
-    def __init__(self, image, grid, width: int = 16, blocks: int = 3, channels: int = 3):
+    def __init__(self, image, grid, width: int = 16, blocks: int = 3, channels: int = 6):
         super().__init__()
+        self.total_only, grid = tuple(grid) == (1, 1), map_grid(image, grid)
         first, *rest = strides(image, grid)
         self.stem = nn.Conv2d(channels, width, first + 2, first, 1, bias=False)
         self.stem_norm = nn.BatchNorm2d(width)
@@ -61,4 +85,5 @@ class GridNet(nn.Module):
         x = self.down(x) + self.place[0] * self.position[0] + self.place[1] * self.position[1]
         for block, context in zip(self.late, self.context):
             x = block(x + context(x.mean((2, 3)))[:, :, None, None])
-        return self.head(x)
+        cells = self.head(x)
+        return cells.mean((2, 3), keepdim=True) if self.total_only else cells

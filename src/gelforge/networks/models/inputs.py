@@ -1,4 +1,4 @@
-"""What a network reads: the image, or the pair of it and the no-contact image.
+"""What a network reads: the image alone (the paper's U-net), or the pair of it and the no-contact image (all others).
 
 A sheared gel shows in markers that moved by fractions of a pixel. From one image a network has to know where each marker
 was; beside a picture of the same sensor before it was touched the displacement lies open, also on a sensor that the
@@ -6,6 +6,7 @@ network never saw. Tactile cameras are commonly read against such a first frame 
 2017, Sensors 17(12) 2762).
 """
 
+import math
 from typing import TYPE_CHECKING
 
 from gelforge.errors import BadInput
@@ -13,20 +14,16 @@ from gelforge.errors import BadInput
 if TYPE_CHECKING:
     import torch
 
-INPUT_CHANNELS = {"image": 3, "pair": 6}
+CELL_PX = 10  # widest cell of the map whose mean is the total force, where totals are all that is asked for
 
 
-def channels(reads: str) -> int:
-    """Channels of the input of a network with `reads` of workflow/models.toml."""
-    if not isinstance(reads, str) or reads not in INPUT_CHANNELS:
-        raise BadInput(f"workflow/models.toml: reads = {reads!r}; use one of {', '.join(INPUT_CHANNELS)}")
-    return INPUT_CHANNELS[reads]
-
-
-def needs_nocontact(reads: str) -> bool:
-    """Whether such a network needs a no-contact image beside each image."""
-    channels(reads)
-    return reads != "image"
+def map_grid(image, grid) -> tuple[int, int]:
+    """Rows and columns that a network works on: those of `grid`, and for totals (1, 1) a map of cells of at most CELL_PX px."""
+    if tuple(grid) != (1, 1):
+        return tuple(grid)
+    height, width = image
+    cell = max(size for size in range(1, CELL_PX + 1) if math.gcd(height, width) % size == 0)
+    return height // cell, width // cell
 
 
 def cell_pixels(image, grid, who: str) -> int:
@@ -35,7 +32,7 @@ def cell_pixels(image, grid, who: str) -> int:
     if height % rows or width % cols or height // rows != width // cols:
         raise BadInput(
             f"{who}: cells of {rows} x {cols} on an image of {width} x {height} are no squares of whole pixels; choose "
-            "a grid that divides the image, or MODEL=resnet10 where the labels are totals"
+            "a grid that divides the image, or 1x1 for total force"
         )
     return height // rows
 
@@ -50,8 +47,7 @@ def inner_part(fraction: float, image, grid, who: str) -> tuple[tuple[slice, sli
 def network_input(pictures: "torch.Tensor", norm: dict) -> "torch.Tensor":
     """Input (n, 3 or 6, h, w) of a network in its own units.
 
-    :param pictures: (n, 3, h, w) images in 0..1; where `norm["reads"]` says that the no-contact image is needed,
-        (n, 6, h, w) with its picture behind the image.
+    :param pictures: (n, 3, h, w) images in 0..1, or (n, 6, h, w) with the no-contact image behind each.
     :param norm: what networks.data.scales returns.
     """
     import torch
@@ -61,6 +57,6 @@ def network_input(pictures: "torch.Tensor", norm: dict) -> "torch.Tensor":
         for key in ("image_mean", "image_std")
     )
     image = (pictures[:, :3] - mean) / std
-    if norm["reads"] == "image":
+    if pictures.shape[1] == 3:
         return image
     return torch.cat([image, (pictures[:, :3] - pictures[:, 3:]) / std], 1)

@@ -29,8 +29,7 @@ from gelforge.networks.models.registry import begin_as, build
 from gelforge.reading.frame import at_scale
 from gelforge.reading.markers import markers_in
 from gelforge.records.axes import CHANNELS
-from gelforge.records.networkkind import kind_of
-from gelforge.records.samplefile import TRAINING, VALIDATION
+from gelforge.records.samplefile import VALIDATION
 
 # Of the way from the weights that a network is fine-tuned from to those that it learnt, where validation looks between the two.
 FRACTIONS = (0.25, 0.5, 0.75)
@@ -68,7 +67,7 @@ def predict_rows(net, data, rows, norm: dict, batch: int = 8, device: str = "cpu
     parts = []
     with torch.inference_mode():
         for start in range(0, len(rows), batch):
-            pictures = images_to_tensor(data.seen(rows[start : start + batch], norm["reads"])).to(device)
+            pictures = images_to_tensor(data.seen(rows[start : start + batch], net.pair)).to(device)
             parts.append((net(network_input(pictures, norm)) * scale).cpu().numpy())
     return np.concatenate(parts) if parts else np.zeros((0, 3, 1, 1), np.float32)
 
@@ -92,18 +91,6 @@ def cosine(epoch: int, epochs: int) -> float:
     return 0.5 * (1 + math.cos(math.pi * epoch / epochs))
 
 
-def make_schedule(optimiser, settings: TrainingTable):
-    """The schedule of the learning rate, and whether its step wants the validation error."""
-    if settings.schedule == "plateau":
-        return torch.optim.lr_scheduler.ReduceLROnPlateau(
-            optimiser,
-            factor=settings.plateau_factor,
-            patience=settings.plateau_patience,
-            min_lr=settings.least_rate,
-        ), True
-    return torch.optim.lr_scheduler.LambdaLR(optimiser, lambda n: cosine(n, settings.epochs)), False
-
-
 def device_of(asked: str) -> str:
     """torch's device for [train] device; "auto" takes a graphics card where there is one. BadInput where it is not there."""
     there = torch.cuda.is_available()
@@ -119,35 +106,6 @@ def normalisations(net) -> list[torch.nn.BatchNorm2d]:
     return [layer for layer in net.modules() if isinstance(layer, torch.nn.BatchNorm2d)]
 
 
-def settle_batch_norm(net, data, norm: dict, settings: TrainingTable, device: str) -> None:
-    """Replace the running statistics of batch normalisation by those of clean training images.
-
-    While it trains, a network sees augmented images and its weights move faster than running means
-    follow; with tens of steps an epoch that alone doubled the validation error. At most
-    `settle_images` images, evenly picked, in batches (precise batch normalisation, Wu and Johnson 2021).
-    """
-    layers = normalisations(net)
-    if not layers or settings.settle_images == 0:
-        return
-    rows = data.splits[TRAINING]
-    rows = rows[np.linspace(0, len(rows) - 1, min(len(rows), settings.settle_images)).astype(int)]
-    for layer in layers:
-        layer.reset_running_stats()
-        layer.momentum = None  # a plain average over the batches
-    net.train()
-    with torch.no_grad():
-        for part in np.array_split(rows, max(1, len(rows) // settings.batch)):
-            net(network_input(images_to_tensor(data.seen(part, norm["reads"])).to(device), norm))
-
-
-def mixes_precision(settings: TrainingTable, device: str) -> bool:
-    """Whether steps run in bfloat16: if asked for, and done in hardware; emulated, it is slower than float32."""
-    able = torch.cpu.get_capabilities()
-    used = torch.backends.cpu.get_cpu_capability() == "AVX512"  # ATEN_CPU_CAPABILITY may hold torch back from it
-    hardware = device == "cuda" or (used and (able.get("avx512_bf16") or able.get("amx_bf16")))
-    return bool(settings.mixed_precision and hardware)
-
-
 def between(first: dict, last: dict, fraction: float) -> dict:
     """Weights of one kind of network that lie `fraction` of the way from the first to the last; whole numbers are the first's."""
     return {
@@ -161,11 +119,10 @@ class Training:
 
     def __init__(self, model: dict, settings: TrainingTable, norm: dict, image, grid, device: str):
         self.settings, self.norm, self.device = settings, norm, device
-        self.total_only = kind_of(model).totals_only
         # pixels side by side with their channels: convolutions on a CPU are a third faster
         self.net = initial_net(model, image, grid, settings.seed).to(device, memory_format=torch.channels_last)
         self.optimiser = torch.optim.Adam(self.net.parameters(), lr=settings.learning_rate)
-        self.schedule, self.by_validation = make_schedule(self.optimiser, settings)
+        self.schedule = torch.optim.lr_scheduler.LambdaLR(self.optimiser, lambda n: cosine(n, settings.epochs))
         self.mean: AveragedModel | None = None  # of the weights, once they are averaged
         self.curve: list[dict] = []
         self.best: dict[str, Any] = {"epoch": 0, "val_score": float("inf"), "weights": None}
@@ -254,10 +211,9 @@ def training_epochs(training: Training, data) -> Generator[dict]:
     `averaged_share` the weights are averaged (Izmailov et al. 2018), and it is their mean that is validated.
     """
     settings, norm, net, cost, device = training.settings, training.norm, training.net, training.cost, training.device
-    mixed = mixes_precision(settings, device)
     scale, total = (torch.tensor(norm[key], device=device).float() for key in ("label", "total"))
     first = len(training.curve)
-    with closing(prefetched(batches_from(data, norm, settings, first, training.total_only))) as batches:
+    with closing(prefetched(batches_from(data, norm, settings, first, net.pair))) as batches:
         for epoch in range(first, settings.epochs):
             started = time.perf_counter()
             frozen = epoch >= (1 - settings.frozen_share) * settings.epochs
@@ -272,9 +228,7 @@ def training_epochs(training: Training, data) -> Generator[dict]:
                 images, target = (one.to(device) for one in next(batches))
                 cost["wait_seconds"] += time.perf_counter() - asked
                 training.optimiser.zero_grad(set_to_none=True)
-                with torch.autocast(device, dtype=torch.bfloat16, enabled=mixed):
-                    output = net(images)
-                loss = loss_of(output.float(), target, scale, total, settings)
+                loss = loss_of(net(images), target, scale, total, settings)
                 loss.backward()
                 training.optimiser.step()
                 if averaged:
@@ -289,12 +243,10 @@ def training_epochs(training: Training, data) -> Generator[dict]:
                     f" {settings.learning_rate:g} at its start"
                 )
 
-            if not frozen:
-                settle_batch_norm(net, data, norm, settings, device)
             rate = training.optimiser.param_groups[0]["lr"]
             row = {"epoch": epoch + 1, "learning_rate": rate, "loss": float(np.mean(losses))}
             row |= training.validated(training.judged, data)
-            training.schedule.step(*[row["val_score"]] if training.by_validation else [])
+            training.schedule.step()
             training.curve.append(row)
             if row["val_score"] < training.best["val_score"]:
                 weights = copy.deepcopy(training.judged.state_dict())
