@@ -17,7 +17,7 @@ from tests.support.parameters import parameters, with_values, write_stage
 from tests.support.patch import consistent_loads
 
 ROOT = Path(__file__).resolve().parents[2]
-SETTINGS = with_values(parameters().dataset, validation=0.1, test=0.2, force_edges=[1.0, 3.0, 6.0])
+SETTINGS = with_values(parameters().dataset, validation=0.1, test=0.2)
 CATALOGUE = {"sphere_10": {"kind": "sphere"}, "cuboid_7": {"kind": "cuboid"}, "triangle_8": {"seen": False}}
 
 

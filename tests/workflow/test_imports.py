@@ -44,7 +44,7 @@ def test_the_dataset_trains_on_totals(tmp_path, root):
     write_csv(log, list(rows[0]), [row | {"sensor_id": ""} for row in rows])
     write_shards(of, logged_rows(log, name), 30, {})
     write_json(of.parameters("indenters"), {})
-    write_stage(of.params, "dataset", dataset={"validation": 0.2, "test": 0.2, "force_edges": [1.0, 3.0]})
+    write_stage(of.params, "dataset", dataset={"validation": 0.2, "test": 0.2})
     write_json(of.parameters("sensors"), tomllib.loads((root / "workflow/sensors.toml").read_text()))
     assert dataset.main([str(of.root), "1x1"]) == 0
     about = read_json(of.dataset_table("1x1"))

@@ -40,12 +40,6 @@ class DatasetSample:
     group: str = ""
     altered: str = ""
 
-    @property
-    def strength(self) -> float:
-        """Normal force to a millinewton, the part outside the image included: alike at every resolution."""
-        total, outside = round(float(self.total[2]), 9), round(float(self.outside[2]), 9)
-        return round(abs(total + (0.0 if np.isnan(outside) else outside)), 3)
-
     def numbers(self) -> dict[str, float]:
         """Every number of the row by its column, NaN where it is not known."""
         found = {name: float(getattr(self.press, name)) for name in POSE}

@@ -378,10 +378,8 @@ def build(args: Namespace) -> dict:
     catalogue = {
         name: table for name, table in read_json(of.parameters("indenters")).items() if isinstance(table, dict)
     }
-    splits, groups = split_presses(
-        presses, np.array([each.strength for each in found]), unseen_indenters(catalogue, settings),
-        {name: fold(table) for name, table in catalogue.items()}, settings, repeated,
-    )  # fmt: skip
+    folds = {name: fold(table) for name, table in catalogue.items()}
+    splits, groups = split_presses(presses, unseen_indenters(catalogue, settings), folds, settings, repeated)
     splits = published_splits(of.data, presses, splits, repeated)
     write_label_array(folder / "labels.npy", shards, places, grid)
     write_fields(folder, shards, places, grid)

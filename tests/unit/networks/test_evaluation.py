@@ -200,7 +200,8 @@ def test_sensors_are_drawn_whole_where_a_network_learnt_from_other_data_or_senso
         replace(one, press=replace(one.press, sensor_id=f"unit{n % FEWEST_DRAWN}"))
         for n, one in enumerate(data.table)
     ]
-    other, model = replace(data, table=table), models["pair"].model
+    nocontact = {f"unit{n}": data.nocontact["mini0"] for n in range(FEWEST_DRAWN)}
+    other, model = replace(data, table=table, nocontact=nocontact), models["pair"].model
     name, rows = next((name, rows) for name, rows in other.splits.items() if name != "train" and len(rows))
     units = sorted(set(other.names("sensor_id").tolist()))
     here = model.metadata | {"known_sensors": units, "sensors": units}

@@ -147,7 +147,6 @@ class DatasetTable(ParameterTable):
     test: Annotated[Number, Within(0.0, 0.9)]
     unseen_indenters: Names
     unseen_sensors: Names
-    force_edges: Annotated[tuple[Annotated[Number, Within(0.0, 1e6, "N")], ...], RISING]
     same_press_mm: Length
     same_press_deg: Annotated[Number, Within(TINY, 360.0, "degrees")]
     seed: Seed

@@ -1,14 +1,13 @@
 """Training, validation and test sets of presses, without leaks."""
 
-from collections.abc import Hashable, Mapping, Sequence
+import hashlib
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from gelforge.flow.params.tables import DatasetTable
 from gelforge.records.press import PressRecord
 from gelforge.records.samplefile import TEST, TRAINING, UNSEEN_BOTH, UNSEEN_INDENTER, UNSEEN_SENSOR, VALIDATION
-
-CHANCE = 0.5  # samples by which chance may move the lag of a split
 
 
 def group_presses(
@@ -70,7 +69,6 @@ def _clusters(count: int, pairs: np.ndarray) -> np.ndarray:
 
 def split_presses(
     presses: Sequence[PressRecord],
-    force,
     unseen_indenters,
     folds: Mapping[str, int],
     settings: DatasetTable,
@@ -78,10 +76,11 @@ def split_presses(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Split name (n,) and group (n,) of samples.
 
-    folds, repeated: as for `group_presses`. force: (n,) N. Unseen indenters and sensors make their own tests; a press that
-    shows the picture of one of these goes there with all of its group. The groups of the others are dealt to training, validation and test as their first samples come. Whole presses that come
-    later move none of them (but where they tie two groups together), so that a dataset may grow: what a network learnt
-    from is no test of one that is fine-tuned from it.
+    folds, repeated: as for `group_presses`. Unseen indenters and sensors make their own tests; a press that shows the picture
+    of one of these goes there with all of its group. Any other group goes to training, validation or test by a hash of the name
+    of its first sample, so that presses that come later move none (but where they tie two groups together): what a network
+    learnt from is no test of one that is fine-tuned from it. The first groups go to one split each, so that few presses validate
+    and test, too.
     """
     group = group_presses(presses, settings.same_press_mm, settings.same_press_deg, folds, repeated)
     split = np.array(
@@ -91,16 +90,26 @@ def split_presses(
         apart = set(split[members]) - {""}
         if apart:
             split[group == group[members[0]]] = min(apart)
-    known = np.flatnonzero(split == "")
-    strata = _strata(presses, np.abs(np.asarray(force)), settings.force_edges)
     fractions = {
         TRAINING: 1.0 - settings.validation - settings.test,
         VALIDATION: settings.validation,
         TEST: settings.test,
     }
-    chosen = _deal(group[known], [strata[at] for at in known], fractions, settings.seed)
-    split[known] = [chosen[name] for name in group[known]]
+    names = [name for name, fraction in fractions.items() if fraction > 0]
+    bounds = np.cumsum([fractions[name] for name in names])
+    chosen: dict[int, str] = {}
+    for at in np.flatnonzero(split == "").tolist():
+        if group[at] not in chosen:
+            drawn = int(np.searchsorted(bounds, _drawn(presses[at].sample_id, settings.seed), side="right"))
+            chosen[group[at]] = names[min(len(chosen) if len(chosen) < len(names) else drawn, len(names) - 1)]
+        split[at] = chosen[group[at]]
     return split.astype(str), group
+
+
+def _drawn(name: str, seed: int) -> float:
+    """A number from 0 to 1 that a name and a seed decide."""
+    digest = hashlib.blake2b(f"{seed} {name}".encode(), digest_size=8).digest()
+    return int.from_bytes(digest, "big") / 2**64
 
 
 def _kept_apart(press, unseen_indenters, unseen_sensors) -> str:
@@ -108,41 +117,3 @@ def _kept_apart(press, unseen_indenters, unseen_sensors) -> str:
     if indenter and sensor:
         return UNSEEN_BOTH
     return UNSEEN_INDENTER if indenter else UNSEEN_SENSOR if sensor else ""
-
-
-def _strata(presses, force, edges) -> list[tuple[Hashable, ...]]:
-    """What is to be shared out evenly around each sample: all, its range of force, its indenter within that.
-
-    The force of a press is that of its strongest frame.
-    """
-    alone = [press.press_id or at for at, press in enumerate(presses)]
-    strongest: dict[Hashable, float] = {}
-    for press_id, one in zip(alone, force.tolist(), strict=True):
-        strongest[press_id] = max(strongest.get(press_id, 0.0), one)
-    ranges = [int(np.searchsorted(edges, strongest[press_id])) for press_id in alone]
-    return [("all", at, (at, press.indenter)) for at, press in zip(ranges, presses, strict=True)]
-
-
-def _deal(
-    groups: np.ndarray, strata: Sequence[Sequence[Hashable]], fractions: Mapping[str, float], seed: int
-) -> dict[int, str]:
-    """Split by group; groups, strata: of samples in the order in which they came.
-
-    The first groups go to one split each, so that few presses validate and test, too. Any other goes to the split that lags
-    furthest behind its fraction of the samples so far, in all strata of its first one together; chance has a say in what is
-    nearly even.
-    """
-    rng, names, fraction = np.random.default_rng(seed), list(fractions), np.array(list(fractions.values()))
-    asked = np.flatnonzero(fraction > 0)
-    behind: dict[Hashable, np.ndarray] = {}  # by stratum: samples that each split lacks of its fraction
-    chosen: dict[int, int] = {}
-    for group, around in zip(groups.tolist(), strata, strict=True):
-        for stratum in around:
-            behind[stratum] = behind.get(stratum, 0.0) + fraction
-        if group not in chosen:
-            lag = sum(behind[stratum] for stratum in around) + rng.uniform(0.0, CHANCE, len(fraction))
-            first = len(chosen) < len(asked)
-            chosen[group] = int(asked[len(chosen)] if first else asked[np.argmax(lag[asked])])
-        for stratum in around:
-            behind[stratum][chosen[group]] -= 1.0
-    return {group: names[at] for group, at in chosen.items()}
