@@ -109,8 +109,14 @@ def test_pictures_and_card_are_written(data, models, tmp_path):
     }
     card = write_card(about, result, [missed, missed | {"name": "noted", "compare": ""}])
     assert "| slope | 1.23 % | <= 1, **missed** | of 3 |" in card and "| noted | 1.23 % |  | of 3 |" in card
-    real = about | {"data": about["data"] | {"simulated": False}}
-    assert "virtual rig" not in write_card(real, result)
+    for drawn, also, said in (
+        (True, True, "no real sensor"), (False, False, "recorded presses."), (False, True, "and from simulated"),
+    ):  # fmt: skip
+        lessons = [
+            about["data"] | {"name": name, "simulated": one} for name, one in (("own", drawn), ("other", also))
+        ]
+        card = write_card(about | {"data": lessons[0], "also": lessons[1:]}, result)
+        assert said in card and "- Data: own, version" in card and "- Also learnt from: other, version" in card
     assert "Fine-tuned from" not in write_card(about, result)
     start = {"name": "small", "sha256": 64 * "0", "data": "train", "simulated": True, "fraction": 0.5}
     reported = write_card(about | {"start": start}, result)

@@ -11,7 +11,6 @@ from gelforge.networks.data.arrays import concatenate, data_version, open_data, 
 from gelforge.networks.evaluation.evaluation import evaluate, known_rows
 from gelforge.networks.training.loop import predict_rows
 from gelforge.records.rowfile import ChainedRows
-from gelforge.reporting.modelcard import data_lines, origin_of
 from gelforge.stages.train import train
 from tests.support.parameters import with_values
 from tests.support.refused import refused
@@ -101,7 +100,6 @@ def test_a_network_reads_both_that_it_learnt_from_and_says_so(datasets):
     assert both.metadata["data"] == alone.metadata["data"]
     assert (reported["name"], reported["version"], reported["simulated"]) == ("other", data_version(turned), True)
     assert reported["samples"] == {name: len(other.splits[name]) for name in ("train", "val")}
-    assert [line.split(",")[0] for line in data_lines(both.metadata)] == ["- Data: own", "- Also learnt from: other"]
 
 
 def test_presses_that_a_dataset_gained_are_new_to_a_network_and_the_others_stay_known(datasets):
@@ -124,13 +122,3 @@ def test_no_network_is_judged_on_presses_that_it_learnt_from(datasets):
     assert "train" not in evaluate(other, both.model, EVALUATE)[0]["splits"]
     only = replace(other, splits={"train": other.splits["train"]})
     refused("which it learnt from", evaluate, only, both.model, EVALUATE)
-
-
-def test_a_card_says_whether_presses_were_simulated():
-    for simulated, said in (
-        ((True, True), "no real sensor"),
-        ((False, False), "recorded presses."),
-        ((False, True), "and from simulated"),
-    ):
-        data, other = ({"simulated": one} for one in simulated)
-        assert said in origin_of({"data": data, "also": [other]})
