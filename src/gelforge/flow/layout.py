@@ -231,6 +231,11 @@ class Layout:
         """Folder of the arrays to train on."""
         return self.root / DATASET / resolution
 
+    def lesson(self, resolution: str) -> Path:
+        """What a network of another dataset learns from as well: `dataset`, of total forces where those are all that was imported."""
+        only_totals = (self.data / "labels/1x1.npz").exists()
+        return self.dataset("1x1" if only_totals else resolution)
+
     def dataset_table(self, resolution: str) -> Path:
         """What the arrays of a resolution hold, written after them."""
         return self.dataset(resolution) / "dataset.json"

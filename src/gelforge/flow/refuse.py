@@ -249,7 +249,7 @@ class Asked:
         if pairs and not (self.data / "nocontact").is_dir():
             raise BadInput(
                 f"MODEL={pairs[0]} reads a picture beside a no-contact image, and {self.data}/nocontact is missing: add"
-                " nocontact/SENSOR.png of each sensor, or name a network that reads the image alone, such as grid_16"
+                " nocontact/SENSOR.png of each sensor, or name a network that reads the image alone, such as unet"
                 f" ([params.report] model in {self.data}/dataset.toml)"
             )
         for name in self.lists["LEARN_ALSO"] if set(needed) - {SHIPPED} else []:

@@ -12,6 +12,7 @@ import numpy as np
 import torch
 from torch import nn
 
+from gelforge.errors import BadInput
 from gelforge.flow.files import publish
 from gelforge.flow.layout import beside
 from gelforge.flow.params import plain
@@ -19,6 +20,7 @@ from gelforge.flow.params.tables import TrainingTable
 from gelforge.networks.checkpoint.onnxexport import export
 from gelforge.networks.checkpoint.weights import save_weights
 from gelforge.networks.data.arrays import (
+    ONE_CELL,
     Data,
     concatenate,
     data_version,
@@ -156,6 +158,11 @@ def make_model(
     for one in (data, *also):
         require_splits(one)
     learnt = concatenate(data, also)
+    if settings.total_weight == 0 and learnt.grid != ONE_CELL and not learnt.maps.all():
+        names = ", ".join(one.name for one in also if not one.maps.all())
+        raise BadInput(
+            f"[train] total_weight = 0: of {names} only totals are known, which then teach nothing; set it to 1.0"
+        )
     if kind_of(model).pair:
         # one that lacks its picture is named before hours of training
         learnt.require_nocontact(range(len(learnt.table)))

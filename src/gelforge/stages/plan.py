@@ -30,7 +30,7 @@ from gelforge.flow.files import (
 from gelforge.flow.layout import LOGGED, PLAN, Layout, metrics_of, shard_name
 from gelforge.flow.main import option, stage
 from gelforge.flow.params import Params, stl_files, with_content
-from gelforge.flow.params.tables import IN_PROCESS, SHIPPED
+from gelforge.flow.params.tables import ENOUGH_PRESSES, IN_PROCESS, SHIPPED
 from gelforge.records.log import read_log, shard_text
 from gelforge.records.press import RawRow, repeats
 from gelforge.records.table import read_table
@@ -275,14 +275,24 @@ def network_lists(models: dict[str, dict]) -> dict[str, list[str]]:
     return {"MODELS": list(tables), "TUNED": tuned, "NEED_NOCONTACT": beside}
 
 
-def reported_model(file: Path, params: Params, models: dict) -> list[str]:
-    """The network that the report shows, as a list of one or none; BadInput for a name that is none. file: dataset.toml."""
+def reported_model(file: Path, params: Params, models: dict, presses: int) -> list[str]:
+    """The network that the report shows, as a list of one or none; BadInput for a name that is none. file: dataset.toml.
+
+    presses: number of them with images. Few teach a network less than the one that ships knows.
+    """
     name = params.report.model
+    if not name and presses < ENOUGH_PRESSES and (file.parent / "nocontact").is_dir():
+        return [SHIPPED]
     if name and name not in {*models, SHIPPED}:
         raise BadInput(
             f"{file}: [params.report] model = {name!r}: choose {SHIPPED}, nothing, or one of {', '.join(models)} (models.toml)"
         )
     return [name] if name else []
+
+
+def pressed(rows: list[RawRow]) -> int:
+    """Number of presses with an image in a log: frames of one are one."""
+    return len({row.press_id or f"row {row.row}" for row in rows if row.cells.get("image")})
 
 
 def chart_lists(params: Params, scenes: dict) -> dict[str, list[str]]:
@@ -381,7 +391,7 @@ def main(args: Namespace) -> None:
         **network_lists(models),
         "LEARNER": ["pair_24_mirrored" if (data / "nocontact").is_dir() else "unet"],
         "CALIBRATED": [SHOWN_OF["calibrate"]] if params.material.c10 == "calibrated" else [],
-        "REPORT_MODEL": reported_model(dataset_toml, params, models),
+        "REPORT_MODEL": reported_model(dataset_toml, params, models, pressed(rows)),
         "LEARN_ALSO": [*params.train.also],
         "IMAGES": ["yes"] if pictures and params.poses.images else [],
     }

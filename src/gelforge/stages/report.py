@@ -15,7 +15,7 @@ from gelforge.flow.layout import PARETO, Layout
 from gelforge.flow.main import option, stage
 from gelforge.flow.params.frozen import FROZEN, read_frozen
 from gelforge.flow.params.stages import ForCalibrate, ForEvaluate, ForForces, ForMeshes, ForReport, read_parameters
-from gelforge.flow.params.tables import SHIPPED
+from gelforge.flow.params.tables import ENOUGH_PRESSES, SHIPPED
 from gelforge.flow.runs import COST, costs_of, installed, last_runs, stages
 from gelforge.geometry.gel import load_gel
 from gelforge.labelling.grid import Grid
@@ -256,9 +256,13 @@ def learnt_from(metrics: dict, model: str) -> str:
     who = "The shipped network" if model == SHIPPED else f"{model[0].upper()}{model[1:]}"
     images = " and ".join(f"{count} images of dataset {name}" for name, count in metrics["lessons"].items())
     these = "this one among them" if metrics["knows"] else "none of them from this one"
+    own = (
+        f" A network of this dataset's own pays from about {ENOUGH_PRESSES} presses on (make train evaluate"
+        f" MODEL=pair_24_mirrored); from a few dozen on, MODEL=tuned fine-tunes the shipped one."
+    )
     return (
         f"{who} learnt from {images}, {these}. A useful network must clearly beat the baselines below, which"
-        " see only the mean colours of an image."
+        f" see only the mean colours of an image.{own if model == SHIPPED else ''}"
     )
 
 

@@ -16,7 +16,7 @@ from gelforge.flow.params.tables import SHIPPED as SHIPS
 from gelforge.flow.params.tables import TrainingTable, TrainTable
 from gelforge.records.networkkind import kind_of
 
-VERSION = 22
+VERSION = 23
 
 
 def resolve(models: dict, name: str, train: TrainTable) -> tuple[dict, TrainingTable]:
@@ -61,7 +61,7 @@ def main(args: Namespace) -> None:
     data = open_data(of.dataset(args.resolution))
     weights = SHIPPED.with_suffix(".safetensors")
     start = Start(*load_weights(weights)) if model.pop("start", None) else None
-    also = [open_data(Layout(of.root.parent / name).dataset(args.resolution)) for name in params.also]
+    also = [open_data(Layout(of.root.parent / name).lesson(args.resolution)) for name in params.also]
     trained = train(data, args.model, model, settings, checkpoint, start, also)
     curve = trained.metadata["curve"]
     write_csv(beside(args.out, ".curve.csv"), list(curve[0]), curve)

@@ -93,7 +93,9 @@ def test_a_narrow_view_shows_no_force_and_no_difference_at_its_rim():
     pairs = rng.integers(0, 255, (30, 24, 32, 6), np.uint8)
     labels = rng.normal(size=(30, 3, 6, 8)).astype(np.float32)
     settings = replace(SETTINGS.augment, narrowed_share=1.0, narrowed=0.6)
-    seen, target, chosen = narrow_views(pairs, labels, settings, torch.Generator().manual_seed(1))
+    seen, target, chosen = narrow_views(
+        pairs, labels, np.ones(len(pairs), bool), settings, torch.Generator().manual_seed(1)
+    )
     hidden_cells = (target == 0).all(axis=1)
     assert 5 < hidden_cells.any(axis=(1, 2)).sum() <= 30
     assert chosen.all()
@@ -102,7 +104,13 @@ def test_a_narrow_view_shows_no_force_and_no_difference_at_its_rim():
         assert np.array_equal(seen[k][~hidden_pixels], pairs[k][~hidden_pixels])
         assert (seen[k][hidden_pixels][:, :3] == seen[k][hidden_pixels][:, 3:]).all()
         assert np.array_equal(target[k][:, ~hidden_cells[k]], labels[k][:, ~hidden_cells[k]])
-    none = narrow_views(pairs, labels, replace(settings, narrowed_share=0.0), torch.Generator().manual_seed(1))
+    none = narrow_views(
+        pairs,
+        labels,
+        np.ones(len(pairs), bool),
+        replace(settings, narrowed_share=0.0),
+        torch.Generator().manual_seed(1),
+    )
     assert np.array_equal(none[0], pairs) and np.array_equal(none[1], labels)
 
 

@@ -43,14 +43,22 @@ def test_chained_rows_are_those_of_one_array(cuts, rows):
     assert chained[rows].dtype == expected.dtype and np.array_equal(chained[rows], expected)
 
 
+def of_totals(data, name="sums"):
+    """The same presses, of which only the total force is known."""
+    labels, maps = data.labels[:].sum((2, 3), keepdims=True), np.zeros(len(data.table), bool)
+    return replace(data, labels=labels, maps=maps, info=data.info | {"name": name})
+
+
 def test_every_press_is_what_it_was_in_its_own_dataset(datasets):
-    joined, at = concatenate(datasets[0], datasets[1:]), 0
-    assert len(joined.table) == sum(SPLITS.values())
-    for one in datasets:
+    every = [*datasets, of_totals(datasets[1])]
+    joined, at = concatenate(every[0], every[1:]), 0
+    assert len(joined.table) == len(joined.maps) == sum(SPLITS.values()) + SPLITS["other"]
+    for one in every:
         rows = range(len(one.table))
         there = [at + row for row in rows]
         assert np.array_equal(joined.seen(there, True), one.seen(rows, True))
-        assert np.array_equal(joined.totals(there), one.totals(rows))
+        assert np.allclose(joined.totals(there), one.totals(rows), rtol=1e-5, atol=1e-6)
+        assert np.array_equal(joined.maps[there], one.maps)
         at += len(rows)
 
 
@@ -90,11 +98,14 @@ def test_a_network_reads_both_that_it_learnt_from_and_says_so(datasets):
     # their forces mean opposite things, so only who learnt from the other one reads it
     turned = replace(other, labels=-other.labels[:])
     settings = with_values(SETTINGS, **LEARNING)
-    alone, both = (train(own, "small", SMALL, settings, also=also) for also in ((), [turned]))
+    totals = of_totals(turned, "other")
+    alone, both, summed = (train(own, "small", SMALL, settings, also=also) for also in ((), [turned], [totals]))
     rows = other.splits["train"]
-    read = [predict_rows(one.net, turned, rows, one.metadata["normalisation"]).sum((2, 3)) for one in (alone, both)]
-    errors = [np.abs(forces - turned.totals(rows)).mean() for forces in read]
-    assert errors[1] < 0.8 * errors[0]
+    read = [predict_rows(one.net, turned, rows, one.metadata["normalisation"]) for one in (alone, both, summed)]
+    errors = [np.abs(forces.sum((2, 3)) - turned.totals(rows)).mean() for forces in read]
+    assert max(errors[1:]) < 0.8 * errors[0]
+    refused("total_weight = 0: of other only totals", train, own, "small", SMALL,
+            with_values(settings, total_weight=0.0), also=[totals])  # fmt: skip
     assert alone.metadata["also"] == []
     reported = both.metadata["also"][0]
     assert both.metadata["data"] == alone.metadata["data"]

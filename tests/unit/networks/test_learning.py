@@ -49,12 +49,16 @@ def test_total_force_loss_is_blind_to_where_the_force_is():
     off, square, linear = (
         replace(SETTINGS, total_weight=w, total_huber=h) for w, h in ((0.0, 0.0), (1.0, 0.0), (1.0, 0.1))
     )
-    only_cells = loss_of(moved, expected, scale, scale, off)
-    assert loss_of(moved, expected, scale, scale, square) == only_cells == 0.5
-    assert loss_of(moved, expected, scale, scale, linear) == 0.5
-    assert loss_of(2 * expected, expected, scale, scale, square) == pytest.approx(0.25 + 1.0)
+    maps = torch.ones(1, dtype=torch.bool)
+    only_cells = loss_of(moved, expected, maps, scale, scale, off)
+    assert loss_of(moved, expected, maps, scale, scale, square) == only_cells == 0.5
+    assert loss_of(moved, expected, maps, scale, scale, linear) == 0.5
+    assert loss_of(2 * expected, expected, maps, scale, scale, square) == pytest.approx(0.25 + 1.0)
     # an error of one scale: one beyond the corner at 0.1, less half of it
-    assert loss_of(2 * expected, expected, scale, scale, linear) == pytest.approx(0.25 + 1.0 - 0.05)
+    assert loss_of(2 * expected, expected, maps, scale, scale, linear) == pytest.approx(0.25 + 1.0 - 0.05)
+    # where the total alone is known, no place is wrong
+    assert loss_of(moved, expected, ~maps, scale, scale, square) == 0.0
+    assert loss_of(2 * expected, expected, ~maps, scale, scale, square) == pytest.approx(1.0)
 
 
 def test_epochs_that_share_a_pass_visit_every_press_once_in_it():
@@ -87,12 +91,12 @@ def test_batches_hold_the_pictures_of_an_epoch_each_beside_its_own_label(folder)
     for batch in (1, 7, 64):
         still = with_values(SETTINGS, batch=batch, shift_cells=0, augment={"probability": 0.0})
         batches = list(training_batches(data, norm, still, 3, True))
-        assert [len(pictures) for pictures, _ in batches[:-1]] == [batch] * (epoch_steps(data, still) - 1)
+        assert [len(pictures) for pictures, _, _ in batches[:-1]] == [batch] * (epoch_steps(data, still) - 1)
         parts = np.split(epoch_order(rows, still.seed, 3), range(batch, len(rows), batch))
         order = np.concatenate([np.sort(part) for part in parts])
         expected = network_input(images_to_tensor(data.seen(order, True)), norm)
-        assert torch.equal(torch.cat([pictures for pictures, _ in batches]), expected)
-        assert torch.equal(torch.cat([labels for _, labels in batches]), target(data.labels[order], norm))
+        assert torch.equal(torch.cat([pictures for pictures, _, _ in batches]), expected)
+        assert torch.equal(torch.cat([labels for _, labels, _ in batches]), target(data.labels[order], norm))
 
 
 def test_training_learns(folder, trained):

@@ -148,4 +148,4 @@ def test_a_component_whose_totals_cancel_has_a_scale(folder):
         off = one.clone()
         off[0, 0, 0, 0] = 1e-3 / found["label"][0]  # a thousandth of a newton
         scale, total = (torch.tensor(found[key]) for key in ("label", "total"))
-        assert loss_of(off, one, scale, total, settings) < 0.1
+        assert loss_of(off, one, torch.ones(1, dtype=torch.bool), scale, total, settings) < 0.1

@@ -14,10 +14,21 @@ from gelforge.evidence.settings import check_pictures
 from gelforge.flow import params as config
 from gelforge.flow.files import read_csv, read_json, states_of, write_if_changed
 from gelforge.flow.layout import Layout
+from gelforge.flow.params.tables import ENOUGH_PRESSES
 from gelforge.geometry.gel import GELS
 from gelforge.records.log import read_shard
+from gelforge.records.press import RawRow
 from gelforge.stages import plan
-from gelforge.stages.plan import assign_shards, digests, inside, logged_rows, networks, write_shards
+from gelforge.stages.plan import (
+    assign_shards,
+    digests,
+    inside,
+    logged_rows,
+    networks,
+    pressed,
+    reported_model,
+    write_shards,
+)
 from tests.support.parameters import parameters, place_workflow
 
 NAMES = st.lists(st.integers(0, 200).map(str), unique=True, max_size=60)
@@ -311,3 +322,19 @@ def test_presses_that_show_one_picture_are_planned_as_such(tmp_path):
     found = {name: read_json(of.pictures(name))["repeated"] for name in ("0000", "0001", "0002")}
     assert found["0000"] == {"2": "row 4, s2,", "4": "row 2, s0,"} and found["0001"] == {}
     assert found["0002"] == {"9": "row 2, s0,"}
+
+
+@pytest.mark.parametrize(
+    ("presses", "nocontact", "named", "shown"),
+    [
+        (41, True, "", ["shipped"]), (ENOUGH_PRESSES, True, "", []), (41, False, "", []), (41, True, "tuned", ["tuned"]),
+    ],
+)  # fmt: skip
+def test_few_presses_are_read_by_the_network_that_ships(tmp_path, presses, nocontact, named, shown):
+    """A report trains no network for minutes that nobody asked for; ten frames of a press are one."""
+    frames = [RawRow(n, {"press_id": f"p{n // 10}", "image": "a.png"}) for n in range(10 * presses)]
+    assert pressed(frames) == pressed(frames + [RawRow(0, {"image": ""})]) == presses
+    if nocontact:
+        (tmp_path / "nocontact").mkdir()
+    params = parameters(report={"model": named})
+    assert reported_model(tmp_path / "dataset.toml", params, {"tuned": {}}, presses) == shown

@@ -16,6 +16,7 @@ from gelforge.records.rowfile import ChainedRows, RowFile, Rows, map_array
 from gelforge.records.samplefile import TRAINING, UNSEEN_BOTH, UNSEEN_SENSOR, VALIDATION, DatasetSample, read_samples
 
 FILES = ("images.npy", "labels.npy", "nocontact.npy", "samples.csv", "dataset.json")
+ONE_CELL = (1, 1)  # the grid of a label that is the total force alone
 LEAST_TOTAL = 0.01  # of the largest component's scale of total force
 CHUNK = 256
 FEWEST_EACH = 9  # presses of validation that choose, and as many that set intervals
@@ -29,7 +30,8 @@ class Data:
 
     images (n, height, width, 3) uint8 RGB; labels (n, 3, rows, cols) float32 N per cell along
     gel x, y, z; table has one record per sample; splits gives row numbers by name; nocontact
-    has the no-contact image (height, width, 3) uint8 RGB of each sensor that has one.
+    has the no-contact image (height, width, 3) uint8 RGB of each sensor that has one; maps (n,) bool says of which rows
+    the label is a map: of the others only the total is known.
     """
 
     folder: Path
@@ -39,6 +41,7 @@ class Data:
     splits: dict[str, np.ndarray]
     info: dict
     nocontact: dict[str, np.ndarray]
+    maps: np.ndarray
     # Sensors, and what is taken back of the rows that were looked at: both are found once, not in every epoch.
     _sensors: dict[str, NoContact] = field(default_factory=dict, init=False, repr=False, compare=False)
     _changes: dict[int, Change] = field(default_factory=dict, init=False, repr=False, compare=False)
@@ -137,7 +140,9 @@ def open_data(folder) -> Data:
     check_finite(folder, labels, table)
     split = np.array([sample.split for sample in table])
     splits = {str(name): np.flatnonzero(split == name) for name in np.unique(split)}
-    return Data(folder, images, labels, table, splits, info, match_pictures(folder, info, pictures, images))
+    nocontact = match_pictures(folder, info, pictures, images)
+    maps = np.full(len(table), labels.shape[2:] != ONE_CELL)
+    return Data(folder, images, labels, table, splits, info, nocontact, maps)
 
 
 def check_shapes(folder, images, labels, table, info) -> None:
@@ -256,7 +261,7 @@ def scales(data: Data) -> dict:
 
     Zero force is zero in scaled units too, because labels are divided and never shifted. A component whose totals
     cancel, as sideways ones of centred presses do, is scaled by LEAST_TOTAL of the largest: errors of it count as theirs
-    do, not without bound.
+    do, not without bound. Cells are scaled by those of maps.
     """
     rows = data.splits[TRAINING]
     sums, squares, cells = np.zeros(3), np.zeros(3), np.zeros(3)
@@ -266,19 +271,20 @@ def scales(data: Data) -> dict:
         levels = np.arange(256) / 255
         sums += counts @ levels
         squares += counts @ levels**2
-        cells += (data.labels[part].astype(np.float64) ** 2).sum((0, 2, 3))
+        cells += (data.labels[part[data.maps[part]]].astype(np.float64) ** 2).sum((0, 2, 3))
     n = len(rows) * np.prod(data.image_size)
     mean = sums / n
     totals = data.totals(rows)
     total = np.sqrt((totals**2).mean(0))
     total = np.maximum(total, LEAST_TOTAL * total.max())
-    cell = np.sqrt(cells / (len(rows) * np.prod(data.grid)))
+    mapped = np.count_nonzero(data.maps[rows])
+    cell = np.sqrt(cells / (mapped * np.prod(data.grid))) if mapped else total
     if (cell == 0).any() or (total == 0).any():
         raise BadInput(f"{data.folder}: a force component is zero in every training label; nothing can be learnt")
     return {
         "image_mean": mean.tolist(),
         "image_std": np.sqrt(np.maximum(squares / n - mean**2, 1e-6)).tolist(),
-        "label": (total if data.grid == (1, 1) else cell).tolist(),
+        "label": cell.tolist(),
         "total": total.tolist(),
         "range": (totals.max(0) - totals.min(0)).tolist(),
     }
@@ -287,7 +293,7 @@ def scales(data: Data) -> dict:
 def concatenate(own: Data, others: Sequence[Data]) -> Data:
     """One dataset to learn from: all of `own`, and what `others` have to train on and to validate with.
 
-    It is named after all of them, and rows of `own` come first. Sensors and groups of another one carry its name, so that the
+    Another one may know totals alone (a grid of one cell): its labels are spread over the cells, and `maps` tells them. It is named after all of them, and rows of `own` come first. Sensors and groups of another one carry its name, so that the
     same name in two datasets stays two things. Raises BadInput for one of other images or another grid, and for one that is given twice.
     """
     if not others:
@@ -304,9 +310,19 @@ def concatenate(own: Data, others: Sequence[Data]) -> Data:
         table += [carrying(other.name, sample) for sample in other.table]
         pictures |= {f"{other.name}/{name}": picture for name, picture in other.nocontact.items()}
     every = [own, *others]
-    images, labels = ChainedRows([one.images for one in every]), ChainedRows([one.labels for one in every])
+    images = ChainedRows([one.images for one in every])
+    labels = ChainedRows([one.labels if one.grid == own.grid else spread(one.labels, own.grid) for one in every])
+    maps = np.concatenate([one.maps for one in every])
     info = own.info | {"name": ", ".join(one.name for one in every)}
-    return replace(own, images=images, labels=labels, table=table, splits=splits, info=info, nocontact=pictures)
+    return replace(
+        own, images=images, labels=labels, table=table, splits=splits, info=info, nocontact=pictures, maps=maps
+    )
+
+
+def spread(totals, grid: tuple[int, int]) -> np.ndarray:
+    """Total forces (n, 3, 1, 1) N as labels (n, 3, rows, cols) of the same sum, equal in all cells."""
+    cells = np.asarray(totals[:]) / np.float32(grid[0] * grid[1])
+    return np.broadcast_to(cells, (*cells.shape[:2], *grid))
 
 
 def carrying(dataset: str, sample: DatasetSample) -> DatasetSample:
@@ -321,7 +337,7 @@ def require_alike(own: Data, other: Data) -> None:
         f"images of {one.image_size[1]} x {one.image_size[0]} and a grid of {one.grid[0]} x {one.grid[1]}"
         for one in (other, own)
     )
-    if seen != required:
+    if other.image_size != own.image_size or other.grid not in (own.grid, ONE_CELL):
         raise BadInput(
             f"{other.folder}: has {seen}, {own.folder} has {required}: only what is alike can be learnt from together"
         )

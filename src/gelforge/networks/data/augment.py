@@ -96,17 +96,17 @@ def misplace_nocontact(pairs: np.ndarray, narrow: np.ndarray, settings: AugmentT
     return pairs
 
 
-def narrow_views(pairs, labels, settings: AugmentTable, generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def narrow_views(
+    pairs, labels, maps: np.ndarray, settings: AugmentTable, generator
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Hide the rim of a fraction of the pairs (n, h, w, 6) uint8 and of their labels (n, 3, rows, cols), up to `narrowed`.
 
     Returns both and which were chosen, (n,) bool. So look pictures of a camera that sees less of the gel once they are
     brought to the scale of the others: what it does not see is even, and no force is read there. Wide borders are drawn
-    more often than narrow ones, because it is them that take away what a network could hold on to. Of totals it is not known
-    what the rim hides, so these pairs are shown whole.
+    more often than narrow ones, because it is them that take away what a network could hold on to. Only where the label is a map, maps (n,) bool, it is known what the rim hides.
     """
     pairs, labels = np.array(pairs), np.array(labels)
-    share = 0.0 if labels.shape[2:] == (1, 1) else settings.narrowed_share
-    chosen = torch.rand(len(pairs), generator=generator) < share
+    chosen = (torch.rand(len(pairs), generator=generator) < settings.narrowed_share) & torch.from_numpy(maps)
     fractions = torch.sqrt(torch.rand(len(pairs), generator=generator)) * settings.narrowed
     for k in torch.nonzero(chosen).flatten().tolist():
         pixels, inner = inner_part(

@@ -59,7 +59,10 @@ def target(labels, norm: dict) -> torch.Tensor:
 
 
 def training_batches(data, norm: dict, settings: TrainingTable, epoch: int, pair: bool):
-    """Yield (input, target) of one epoch, augmented, both in the network's units: (k, 3 or 6, h, w) and (k, 3, rows, cols)."""
+    """Yield (input, target, maps) of one epoch, augmented, in the network's units.
+
+    Shapes (k, 3 or 6, h, w), (k, 3, rows, cols) and (k,): of which targets the map is known, not the total alone.
+    """
     order = epoch_order(data.splits[TRAINING], settings.seed, epoch, settings.epoch_images)
     draws = {stream: generator(settings.seed, stream, epoch) for stream in VARIED}
     mirrors = epoch < settings.mirrored_share * settings.epochs
@@ -71,6 +74,7 @@ def training_batches(data, norm: dict, settings: TrainingTable, epoch: int, pair
         yield (
             torch.cat([network_input(pictures, norm) for pictures, _ in varied]),
             torch.cat([target(labels, norm) for _, labels in varied]),
+            torch.from_numpy(data.maps[rows]),
         )
 
 
@@ -78,7 +82,7 @@ def _varied(data, rows: np.ndarray, pair: bool, settings: TrainingTable, mirrors
     """Pictures (k, channels, h, w) in 0..1 and labels (k, 3, rows, cols) N of some rows, varied as training asks for."""
     pictures, labels = data.seen(rows, pair), data.labels[rows]
     if pair:
-        pictures, labels, narrow = narrow_views(pictures, labels, settings.augment, draws["view"])
+        pictures, labels, narrow = narrow_views(pictures, labels, data.maps[rows], settings.augment, draws["view"])
         pictures = misplace_nocontact(pictures, narrow, settings.augment, draws["seat"])
     if settings.shift_cells:
         pictures, labels = shift_together(pictures, labels, settings.shift_cells, draws["shift"])

@@ -75,7 +75,9 @@ def appearances(data: Data, pair: bool, settings: TrainingTable) -> Callable[[in
     def see(row: int) -> np.ndarray:
         shown = data.seen([row], pair)
         if pair:
-            shown, _, _ = narrow_views(shown, data.labels[[row]], narrow, generator(settings.seed, "view", 0, row))
+            shown, _, _ = narrow_views(
+                shown, data.labels[[row]], data.maps[[row]], narrow, generator(settings.seed, "view", 0, row)
+            )
         return shown[0, ..., :3]
 
     return see

@@ -64,7 +64,7 @@ def require_fit(model: ForceModel, data: Data, called: str = "") -> None:
             f"{called} reads images of {wide} x {high}, the dataset has {width} x {height}: use a model trained on this size"
         )
     (rows, cols), (of_rows, of_cols) = metadata["grid"], data.grid
-    if (rows, cols) != (of_rows, of_cols):
+    if (of_rows, of_cols) not in ((rows, cols), (1, 1)):  # totals are compared with the sum of the map
         raise BadInput(
             f"{called} writes a grid of {rows}x{cols}, the dataset has {of_rows}x{of_cols}: evaluate it on the dataset of its"
             " own RES"

@@ -22,7 +22,7 @@ from tqdm import tqdm
 from gelforge.errors import BadInput, GelforgeError
 from gelforge.flow.files import publish
 from gelforge.flow.params.tables import TrainingTable
-from gelforge.networks.data.arrays import Data
+from gelforge.networks.data.arrays import ONE_CELL, Data
 from gelforge.networks.data.loader import batches_from, epoch_steps, generator, images_to_tensor, prefetched
 from gelforge.networks.models.inputs import network_input
 from gelforge.networks.models.registry import begin_as, build
@@ -44,15 +44,17 @@ def initial_net(model: dict, image, grid, seed: int):
         return build(model, image, grid)
 
 
-def loss_of(output, target, scale, total_scale, settings: TrainingTable):
+def loss_of(output, target, maps, scale, total_scale, settings: TrainingTable):
     """Mean square error per cell, plus `total_weight` times that of total force, both in units of their own scale.
 
-    Beyond `total_huber` scales an error of total force counts linearly (smooth L1: Girshick 2015, equation 3, its
+    maps: (n,) bool; of the other targets only the total is known, which is compared with the sum of the map: the presses with
+    maps beside them keep its shape. Beyond `total_huber` scales an error of total force counts linearly (smooth L1: Girshick 2015, equation 3, its
     corner at `total_huber`); where that is 0, all count squared.
     output, target: (n, 3, rows, cols) in training units; scale, total_scale: (3,) N.
     """
-    loss = F.mse_loss(output, target)
-    if settings.total_weight > 0 and output.shape[2:] != (1, 1):
+    square = F.mse_loss(output, target, reduction="none").mean((1, 2, 3))
+    loss = square.mean() if output.shape[2:] == ONE_CELL else (square * maps).mean()
+    if settings.total_weight > 0 and output.shape[2:] != ONE_CELL:
         error = (output - target).sum((2, 3)) * (scale / total_scale)
         corner = settings.total_huber
         total = F.smooth_l1_loss(error, torch.zeros_like(error), beta=corner) if corner > 0 else (error**2).mean()
@@ -225,10 +227,10 @@ def training_epochs(training: Training, data) -> Generator[dict]:
             losses: list[float] = []
             for _ in range(epoch_steps(data, settings)):
                 asked = time.perf_counter()
-                images, target = (one.to(device) for one in next(batches))
+                images, target, maps = (one.to(device) for one in next(batches))
                 cost["wait_seconds"] += time.perf_counter() - asked
                 training.optimiser.zero_grad(set_to_none=True)
-                loss = loss_of(net(images), target, scale, total, settings)
+                loss = loss_of(net(images), target, maps, scale, total, settings)
                 loss.backward()
                 training.optimiser.step()
                 if averaged:
