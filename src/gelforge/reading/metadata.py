@@ -106,6 +106,7 @@ PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
 # What may be absent.
 OPTIONAL: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "frame": ("the view of the cameras that it learnt from", _frame),
+    "elastic": ("three numbers (reading.elastic)", lambda value: _numbers(value, 3)),
     "intervals": ("a table of three numbers from 0 on, by component", _intervals),
     **{f"statistics.{name}": NUMBER for name in LIMITS},
 }
@@ -123,7 +124,9 @@ def check_metadata(metadata: Any, where: str) -> None:
     statistics = metadata["statistics"]
     if not len(statistics["mean"]) == len(statistics["spread"]) == len(statistics["inverse"]) == len(FLOORS):
         raise BadInput(f"{where}: statistics do not have {len(FLOORS)} numbers each; train the model again")
-    if kind_of(metadata["model"]).pair and not _numbers([statistics.get("largest_distance")], 1, 0):
-        raise BadInput(f"{where}: statistics.largest_distance must be a number above 0; train the model again")
+    if kind_of(metadata["model"]).pair and not _numbers(
+        [statistics.get("largest_distance")], 1, -1e-300
+    ):  # 0 of images that show what the no-contact image shows
+        raise BadInput(f"{where}: statistics.largest_distance must be a number, 0 or above; train the model again")
     if kind_of(metadata["model"]).pair and "frame" not in metadata:
         raise BadInput(f"{where}: frame is missing, by which cameras are compared; train the model again")
