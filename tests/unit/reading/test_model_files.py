@@ -34,7 +34,7 @@ def test_a_model_and_its_weights_come_back_from_their_files(trained, tmp_path):
     assert again.graph == trained.model.graph
     net, metadata = load_weights(tmp_path / "m.safetensors")
     assert metadata["name"] == trained.metadata["name"]
-    x = torch.rand(2, 3, *IMAGE, generator=torch.Generator().manual_seed(0))
+    x = torch.rand(2, 6, *IMAGE, generator=torch.Generator().manual_seed(0))
     with torch.inference_mode():
         assert torch.equal(net(x), trained.net(x))
 
@@ -123,7 +123,7 @@ def test_corrupt_and_foreign_model_files_are_refused(trained, tmp_path):
     refused("not found; train one", load_model, tmp_path / "absent.onnx")
     refused(r"holds weights for further training; name .*m.onnx", load_model, tmp_path / "m.safetensors")
     none = replace(trained.model, graph=b"no graph")
-    refused("not an ONNX graph that can be loaded", Predictor, none)
+    refused("not an ONNX graph that can be loaded", Predictor, none, np.zeros((*IMAGE, 3), np.uint8))
 
 
 def test_a_device_that_is_not_there_is_refused(folder):
@@ -167,10 +167,11 @@ def test_model_of_another_sensor_grid_or_size_is_refused(folder, trained):
     data, model = open_data(folder), trained.model
     require_fit(model, data)
     for key, value, word in (
-        ("known_sensors", ["digit"], "digit"),
         ("grid", [5, 5], f"model {model.metadata['name']} writes a grid of 5x5"),
         ("image", [10, 20], f"model {model.metadata['name']} reads images of 20 x 10, the dataset has"),
     ):
         other = replace(model, metadata=model.metadata | {key: value})
         refused(word, require_fit, other, data)
     refused("the shipped network reads images of 20 x 10", require_fit, other, data, "the shipped network")
+    alone = replace(model, metadata=model.metadata | {"model": MODELS["unet"], "known_sensors": ["digit"]})
+    refused("digit", require_fit, alone, data)  # a network of pairs reads any sensor
