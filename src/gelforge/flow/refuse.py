@@ -253,10 +253,10 @@ class Asked:
                 f" ([params.report] model in {self.data}/dataset.toml)"
             )
         for name in self.lists["LEARN_ALSO"] if set(needed) - {SHIPPED} else []:
-            table = Layout(self.of.root.parent / name).dataset(self.resolution) / "dataset.json"
+            table = Layout(self.of.root.parent / name).lesson(self.resolution) / "dataset.json"
             if not table.exists():
                 raise BadInput(
-                    f"{table} is missing, and [train] also asks for it: make DATASET={name} RES={self.resolution} dataset"
+                    f"{table} is missing, and [train] also asks for it: make DATASET={name} RES={table.parent.name} dataset"
                 )
 
     # -- what dates of files do not tell
