@@ -59,7 +59,7 @@ def load_workflow() -> tuple[dict, TrainTable]:
 
 def speed_figures(models: dict, seconds: float) -> list[Figure]:
     """How much faster the net that ships is than the U-net, with one and two threads."""
-    from gelforge.networks.evaluation.predicted import time_predictors
+    from gelforge.learning.fitting import time_predictors
 
     image = np.random.default_rng(0).integers(0, 256, (*IMAGE, 3), np.uint8)
     figures = []
@@ -130,8 +130,8 @@ def seconds_of(work: Callable[..., object], *given: object) -> float:
 
 def untrained(model: dict, threads: int) -> "Predictor":
     """A network with fresh weights and unit scales, for timing."""
-    from gelforge.networks.checkpoint.onnxexport import export
-    from gelforge.networks.models.registry import build
+    from gelforge.learning.export import export
+    from gelforge.learning.nets import build
     from gelforge.reading.model import ForceModel
     from gelforge.reading.predictor import Predictor, load_for_use
 

@@ -30,7 +30,7 @@ ALLOWED: dict[str, set[str]] = {
     "labelling": {"flow", "geometry", "records", "mechanics"},
     "formats": {"flow", "records", "labelling", "mechanics"},
     "reading": {"flow", "records", "reporting"},
-    "networks": {"flow", "records", "reading"},
+    "learning": {"flow", "records", "reading"},
     "calibration": {"flow", "records", "geometry", "mechanics"},
     "virtualrig": {"flow", "records", "reading", "geometry", "mechanics", "labelling"},
     "sweeps": {"flow", "records", "geometry", "mechanics", "labelling"},
@@ -40,7 +40,7 @@ ALLOWED: dict[str, set[str]] = {
 }
 ON_TOP = {"stages", "commands"}  # thin mains, which may use all of the above
 # Rooms of a folder, and the rooms that each may import from. Of mechanics scene, material and their like above them are for
-# all; of networks `pipeline.py` above them puts them together.
+# all.
 ROOMS: dict[str, dict[str, set[str]]] = {
     "mechanics": {
         "linear": set(),
@@ -51,22 +51,14 @@ ROOMS: dict[str, dict[str, set[str]]] = {
         "ccx": {"mesh"},
         "solvers": {"ccx", "contact", "elements", "linear", "mesh", "path"},
     },
-    "networks": {
-        "models": set(),
-        "checkpoint": {"models"},
-        "data": {"models"},
-        "training": {"models", "data", "checkpoint"},
-        "evaluation": {"models", "data", "checkpoint"},
-    },
 }
 FOR_ALL = {"mechanics"}  # folders whose modules above the rooms may be used in them
-TORCH = {"models", "training", "data/loader.py", "data/augment.py", "checkpoint/weights.py", "checkpoint/onnxexport.py",
-         "pipeline.py"}  # fmt: skip
+TORCH = {"nets.py", "augment.py", "train.py", "recipe.py", "export.py"}  # of learning
 # What one module alone may do or say; besides, a picture in grey, and a surface coloured by how far it moved.
 HOMES = {
     "draws with matplotlib": {"reporting/canvas.py"},
     "makes a pool of processes": {"flow/orphans.py"},
-    "names kinds of networks": {"networks/models/registry.py"},
+    "names kinds of networks": {"learning/nets.py"},
     "spells a folder of results": {"flow/layout.py"},
     "chooses colours of values": {"reporting/forcemaps.py", "commands/look.py"},
 }
@@ -131,7 +123,7 @@ def wrong_imports() -> Iterator[str]:
                 names = {name for name in imports(path) if name.startswith(f"gelforge.{folder}.")}
                 wrong = [name for name in names if name.split(".")[2] not in {*allowed, *above, room}]
                 yield from (f"{path.relative_to(PACKAGE)} imports {name}" for name in wrong)
-    for path in [*(PACKAGE / "networks").rglob("*.py"), *(PACKAGE / "reading").rglob("*.py")]:
+    for path in [*(PACKAGE / "learning").rglob("*.py"), *(PACKAGE / "reading").rglob("*.py")]:
         folder, name = (
             path.relative_to(PACKAGE).parts[0],
             path.relative_to(PACKAGE / path.relative_to(PACKAGE).parts[0]),

@@ -1,7 +1,7 @@
 """Small networks of every family, trained on a made-up dataset: what evaluation and use are tried on."""
 
-from gelforge.networks.data.arrays import open_data
-from gelforge.networks.pipeline import save_trained
+from gelforge.learning.data import open_data
+from gelforge.learning.recipe import save_trained
 from gelforge.stages.train import train
 from tests.support.parameters import parameters, with_values
 from tests.support.synthetic_presses import SETTINGS, write_dataset
@@ -22,7 +22,7 @@ def learnt(folder):
 
 
 def small_dataset(folder):
-    """48 presses of all splits (networks.data.Data), their pictures of IMAGE and labels of GRID."""
+    """48 presses of all splits (learning.data.Data), their pictures of IMAGE and labels of GRID."""
     return open_data(write_dataset(folder / "6x8", 48, IMAGE, GRID))
 
 

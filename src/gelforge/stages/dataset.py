@@ -23,8 +23,8 @@ from gelforge.flow.params.tables import DatasetTable
 from gelforge.geometry.indenters import fold
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import find_sensor, load_sensors
+from gelforge.learning.split import split_presses
 from gelforge.mechanics.material import REFERENCE_C10
-from gelforge.networks.data.split import split_presses
 from gelforge.records.image import read_logged_image
 from gelforge.records.labelfile import FIELDS, open_labels, read_labels
 from gelforge.records.log import read_poses, read_shard, without_duplicates

@@ -24,7 +24,7 @@ def keep_predictions(path, data, model, predictions: dict) -> None:
 
     predictions: those already made, as `evaluate` returns them.
     """
-    from gelforge.networks.evaluation.predicted import predict_rows
+    from gelforge.learning.fitting import predict_rows
 
     learnt = data.splits[TRAINING]
     parts = list(predictions.values())
@@ -51,8 +51,8 @@ def paper_table(result: dict) -> str:
 
 @stage(Layout.evaluation)
 def main(args: Namespace) -> None:
-    from gelforge.networks.data.arrays import open_data
-    from gelforge.networks.evaluation.evaluation import evaluate
+    from gelforge.learning.data import open_data
+    from gelforge.learning.evaluate import evaluate
     from gelforge.reading.model import load_model
     from gelforge.reading.predictor import SHIPPED
 

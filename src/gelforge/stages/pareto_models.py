@@ -79,7 +79,7 @@ def measure(models: dict, image, seconds: float) -> dict[str, dict[str, dict]]:
     """
     import onnxruntime
 
-    from gelforge.networks.evaluation.predicted import time_predictors
+    from gelforge.learning.fitting import time_predictors
     from gelforge.reading.predictor import Predictor
 
     runs = {"cpu1": ("cpu", 1), "cpu2": ("cpu", 2)}
@@ -104,7 +104,7 @@ def fronts_of(rows: list[dict]) -> dict[str, set[str]]:
 
 @stage(Layout.network_chart, option("models", nargs="+", help="names of evaluated networks"))
 def main(args: Namespace) -> None:
-    from gelforge.networks.data.arrays import open_data
+    from gelforge.learning.data import open_data
     from gelforge.reading.model import load_model
 
     of, resolution = args.of, args.resolution

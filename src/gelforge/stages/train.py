@@ -40,17 +40,17 @@ def resolve(models: dict, name: str, train: TrainTable) -> tuple[dict, TrainingT
 
 
 def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None, start=None, also=()):
-    """A model of a dataset, networks.pipeline.make_model of this VERSION."""
-    from gelforge.networks.pipeline import Recipe, make_model
+    """A model of a dataset, learning.recipe.make_model of this VERSION."""
+    from gelforge.learning.recipe import Recipe, make_model
 
     return make_model(data, Recipe(name, model, settings, VERSION), checkpoint, start, also)
 
 
 @stage(Layout.network)
 def main(args: Namespace) -> None:
-    from gelforge.networks.checkpoint.weights import load_weights
-    from gelforge.networks.data.arrays import open_data
-    from gelforge.networks.pipeline import Start, save_trained
+    from gelforge.learning.data import open_data
+    from gelforge.learning.export import load_weights
+    from gelforge.learning.recipe import Start, save_trained
     from gelforge.reading.predictor import SHIPPED
     from gelforge.reporting.networkcharts import draw_curve
 

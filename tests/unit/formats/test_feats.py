@@ -27,7 +27,7 @@ from gelforge.formats.featsfile import (
     write_normalisation,
 )
 from gelforge.labelling.sensor import load_sensors
-from gelforge.networks.data.arrays import open_data
+from gelforge.learning.data import open_data
 from gelforge.records.labelfile import read_labels
 from gelforge.records.samplefile import SPLITS, read_samples
 from tests.support.pressed_dataset import collect, label, write_pressed

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelforge.networks.evaluation.metrics import REACH, contact_forces, contact_table, contacts_of
+from gelforge.learning.evaluate import REACH, contact_forces, contact_table, contacts_of
 
 
 def pressed(*blocks) -> np.ndarray:

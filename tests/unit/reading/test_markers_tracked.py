@@ -9,11 +9,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gelforge.flow.files import read_csv
-from gelforge.networks.checkpoint.weights import load_weights
-from gelforge.networks.data.arrays import open_data
-from gelforge.networks.evaluation.fitting import ENOUGH_PAIRS, usual_rows
-from gelforge.networks.pipeline import Start
-from gelforge.networks.training.loop import require_scale, scales_before
+from gelforge.learning.data import open_data
+from gelforge.learning.export import load_weights
+from gelforge.learning.fitting import ENOUGH_PAIRS, usual_rows
+from gelforge.learning.recipe import Start
+from gelforge.learning.train import require_scale, scales_before
 from gelforge.reading.forcereading import TOTAL_COLUMNS, ForceReading, edge_peak, goes_beyond, total_columns
 from gelforge.reading.frame import ImageFrame
 from gelforge.reading.light import match_light

@@ -9,13 +9,12 @@ import numpy as np
 import onnxruntime
 import torch
 
-from gelforge.networks.checkpoint.onnxexport import Exported, export, sample_pictures
-from gelforge.networks.checkpoint.weights import load_weights
-from gelforge.networks.data.arrays import open_data
-from gelforge.networks.evaluation.predicted import require_fit
-from gelforge.networks.models.registry import build
-from gelforge.networks.pipeline import save_trained
-from gelforge.networks.training.loop import Training
+from gelforge.learning.data import open_data
+from gelforge.learning.export import Exported, export, load_weights, sample_pictures
+from gelforge.learning.fitting import require_fit
+from gelforge.learning.nets import build
+from gelforge.learning.recipe import save_trained
+from gelforge.learning.train import Training
 from gelforge.reading.model import FORMAT, Graph, load_model, provider_of, save_model
 from gelforge.reading.pair import Preprocessor, at_rest
 from gelforge.reading.predictor import Predictor
@@ -92,7 +91,7 @@ WRITES_A_MODEL = """
 import sys
 from pathlib import Path
 import torch
-from gelforge.networks.checkpoint.weights import save_weights
+from gelforge.learning.export import save_weights
 
 save_weights(Path(sys.argv[1]), torch.nn.Linear(400, 250), {})
 """

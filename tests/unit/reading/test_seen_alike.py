@@ -7,8 +7,8 @@ import cv2
 import numpy as np
 import pytest
 
-from gelforge.networks.data.arrays import Data
-from gelforge.networks.evaluation.fitting import frame_of
+from gelforge.learning.data import Data
+from gelforge.learning.fitting import frame_of
 from gelforge.reading.frame import AS_IT_IS, Learnt, image_frame
 from gelforge.reading.pair import Preprocessor
 from gelforge.records.image import read_image

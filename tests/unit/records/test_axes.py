@@ -9,10 +9,10 @@ from gelforge.commands import predict
 from gelforge.flow.files import read_csv
 from gelforge.formats.feats_folder import export_dataset
 from gelforge.formats.featsfile import exchanged
+from gelforge.learning.data import open_data
+from gelforge.learning.evaluate import reference_totals
 from gelforge.live.reading import COLUMNS, Reading
 from gelforge.live.topics import RosMessages
-from gelforge.networks.data.arrays import open_data
-from gelforge.networks.evaluation.evaluation import reference_totals
 from gelforge.reading.forcereading import ForceReading, total_columns
 from gelforge.records.axes import CHANNELS, TITLES
 from gelforge.records.forcefile import SampleForces, write_forces

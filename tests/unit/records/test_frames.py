@@ -11,10 +11,10 @@ from gelforge.flow.files import read_csv, write_csv
 from gelforge.flow.layout import Layout
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
+from gelforge.learning.split import group_presses, split_presses
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.path.loadpath import frame_time
 from gelforge.mechanics.scene import Scene
-from gelforge.networks.data.split import group_presses, split_presses
 from gelforge.records import log
 from gelforge.records.forcefile import ForceFile, SampleForces, write_forces
 from gelforge.records.frames import NEAR_DEPTH_MM, NEAR_MM, check_frames, presses_of

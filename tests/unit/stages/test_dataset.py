@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_csv, write_text
-from gelforge.networks.data.arrays import open_data
-from gelforge.networks.data.split import group_presses, split_presses
+from gelforge.learning.data import open_data
+from gelforge.learning.split import group_presses, split_presses
 from gelforge.reading.light import match_light
 from gelforge.records.press import repeats
 from gelforge.stages.dataset import published_splits

@@ -1,4 +1,4 @@
-"""Errors of a trained network on a dataset it did not learn from: against labels, controls and sensors."""
+"""Errors of a trained network on presses it did not learn from: tables as the paper's, controls, sensors, single contacts."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -7,14 +7,169 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.params.tables import EvaluateTable
-from gelforge.networks.data.arrays import Data, press_keys
-from gelforge.networks.evaluation import metrics
-from gelforge.networks.evaluation.metrics import contact_table
-from gelforge.networks.evaluation.predicted import Predicted, predict_rows, require_fit
+from gelforge.learning.data import Data, press_keys
+from gelforge.learning.fitting import Predicted, predict_rows, require_fit
 from gelforge.reading.model import ForceModel, datasets_of
 from gelforge.records.axes import CHANNELS
 from gelforge.records.press import FORCE
 from gelforge.records.samplefile import TRAINING
+
+CONFIDENCE = 0.95
+LEAST_CELL = 0.02  # of the strongest cell's normal force, below which a cell belongs to no contact
+LEAST_FORCE = 0.5  # N below which what is pressed is no contact of its own
+REACH = 2.0  # cells around a contact in which what a network predicts still belongs to it
+
+
+def bootstrap_mean(values, rng, resamplings: int, alike=None) -> tuple[np.ndarray, np.ndarray]:
+    """Interval of the mean of `values` (n, k) over groups drawn with replacement; low and high, (k,) each.
+
+    Percentile bootstrap (Efron 1979) at 95 %. alike: (n,) the group of each value, such as its press: groups are drawn
+    whole, because what belongs to one errs alike (cluster bootstrap, Davison and Hinkley 1997, section 3.8); None: each
+    value is its own.
+    """
+    values = np.asarray(values, float)
+    _, group = np.unique(np.arange(len(values)) if alike is None else alike, return_inverse=True)
+    sizes = np.bincount(group)
+    sums = np.stack([np.bincount(group, column) for column in values.T], axis=1)
+    n = len(sizes)
+    means = np.empty((resamplings, values.shape[1]))
+    for i in range(resamplings):
+        drawn = rng.integers(0, n, n)
+        means[i] = sums[drawn].sum(0) / sizes[drawn].sum()
+    low, high = np.quantile(means, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], axis=0)
+    return low, high
+
+
+def error_table(error, rng, resamplings: int, force_range=None, alike=None) -> dict:
+    """Summarise signed errors (n, 3) in N per component: MAE, its deviation and interval, bias, root mean square.
+
+    `force_range` (3,) N adds the MAE in percent of it (None where there is no range); `alike` (n,) is as for `bootstrap_mean`.
+    """
+    size = np.abs(error)
+    low, high = bootstrap_mean(size, rng, resamplings, alike)
+    table: dict[str, dict[str, float | None]] = {}
+    for i, axis in enumerate(CHANNELS):
+        table[axis] = {
+            "mae": float(size[:, i].mean()),
+            "std": float(size[:, i].std()),
+            "mae_low": float(low[i]),
+            "mae_high": float(high[i]),
+            "bias": float(error[:, i].mean()),
+            "rms": float(np.sqrt((error[:, i] ** 2).mean())),
+        }
+        if force_range is not None:
+            fraction = 100 * size[:, i].mean() / force_range[i] if force_range[i] > 0 else None
+            table[axis]["mae_percent_of_range"] = None if fraction is None else float(fraction)
+    return table
+
+
+def cell_table(predicted, labels) -> dict:
+    """Error per cell (n, 3, rows, cols) in N: mean over cells and images, and the deviation over images."""
+    per_image = np.abs(predicted - labels).mean((2, 3), dtype=np.float64)
+    return {
+        axis: {"mae": float(per_image[:, i].mean()), "std": float(per_image[:, i].std())}
+        for i, axis in enumerate(CHANNELS)
+    }
+
+
+def by_group(error, groups) -> dict:
+    """MAE and bias per component for each value of `groups` (n,), with the count."""
+    result = {}
+    for name in sorted(set(groups)):
+        part = error[np.asarray(groups) == name]
+        result[str(name)] = {"n": len(part)} | {
+            axis: {"mae": float(np.abs(part[:, i]).mean()), "bias": float(part[:, i].mean())}
+            for i, axis in enumerate(CHANNELS)
+        }
+    return result
+
+
+def slope(values, reference) -> dict:
+    """By what factor values (n, 3) N differ from a reference (n, 3) N per component: least squares through zero."""
+    squares = (np.asarray(reference) ** 2).sum(axis=0)
+    factors = (np.asarray(values) * reference).sum(axis=0) / np.where(squares > 0, squares, np.nan)
+    return {axis: float(factor) if np.isfinite(factor) else None for axis, factor in zip(CHANNELS, factors)}
+
+
+def force_bins(normal_force, edges) -> list[str]:
+    """Name of the bin of |f_z| that each press lies in, `low-high N`; from the last edge on `high+ N`.
+
+    What is below the first edge has a bin from 0.
+    """
+    edges = sorted({0.0, *edges})
+    names = [f"{low:04.1f}-{high:04.1f} N" for low, high in zip(edges, edges[1:])] + [f"{edges[-1]:04.1f}+ N"]
+    place = np.searchsorted(edges, np.abs(normal_force), side="right") - 1
+    return [names[i] for i in place]
+
+
+def constant_guess(train_totals, n: int) -> np.ndarray:
+    """The best constant for the absolute error: the median total force of the training presses, (n, 3)."""
+    return np.tile(np.median(train_totals, axis=0), (n, 1))
+
+
+def linear_on_means(train_means, train_totals, means) -> np.ndarray:
+    """Total force by least squares on the mean colour of an image, (n, 3); fitted to the training presses."""
+
+    def design(x):
+        return np.column_stack([x, np.ones(len(x))])
+
+    weights, *_ = np.linalg.lstsq(design(train_means), train_totals, rcond=None)
+    return design(means) @ weights
+
+
+def image_means(images, rows) -> np.ndarray:
+    """Mean colour (k, 3) of some rows of images (n, h, w, 3), one image at a time."""
+    return np.stack([images[row].mean((0, 1)) for row in rows])
+
+
+def contacts_of(label: np.ndarray) -> np.ndarray:
+    """Which contact each cell belongs to, (rows, cols) int, 0 for none; label: (3, rows, cols) N.
+
+    Pressed cells that touch each other, corners too, are one contact; each takes the cells around it, up to REACH, that are
+    nearer to it than to another.
+    """
+    from scipy import ndimage
+
+    pressed = -label[2]
+    found, count = ndimage.label(pressed > LEAST_CELL * max(pressed.max(), 0.0), np.ones((3, 3)))
+    force = ndimage.sum_labels(pressed, found, np.arange(1, count + 1)) if count else np.zeros(0)
+    number = np.zeros(count + 1, int)
+    strong = np.flatnonzero(force >= LEAST_FORCE) + 1
+    number[strong] = np.arange(1, len(strong) + 1)
+    contact = number[found]
+    if not len(strong):
+        return contact
+    away, nearest = ndimage.distance_transform_edt(contact == 0, return_indices=True)
+    return np.where(away <= REACH, contact[tuple(nearest)], 0)
+
+
+def contact_forces(labels: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    """Normal force of each contact by label and by network, (m, 2) N, of presses with several contacts.
+
+    labels, forces: (n, 3, rows, cols) N per cell, compression negative; the forces returned are positive.
+    """
+    from scipy import ndimage
+
+    pairs = []
+    for label, predicted in zip(labels, forces, strict=True):
+        contact = contacts_of(label)
+        count = int(contact.max(initial=0))
+        if count > 1:
+            which = np.arange(1, count + 1)
+            pairs.append(
+                np.stack([-ndimage.sum_labels(part[2], contact, which) for part in (label, predicted)], axis=1)
+            )
+    return np.concatenate(pairs) if pairs else np.zeros((0, 2))
+
+
+def contact_table(labels: np.ndarray, forces: np.ndarray) -> dict:
+    """Contacts in presses with several (`n`), and a network's error of the force of each: N and per cent, in the mean."""
+    pairs = contact_forces(labels, forces)
+    if not len(pairs):
+        return {"n": 0}
+    off = np.abs(pairs[:, 1] - pairs[:, 0])
+    return {"n": len(pairs), "mae": float(off.mean()), "percent": float(100 * (off / pairs[:, 0]).mean())}
+
 
 # Where a dataset has them, total forces (samples.csv, gel frame: x short side) that did not come from
 # the labels: the force sensor of the rig, and what a virtual rig knows and a real one cannot.
@@ -57,7 +212,7 @@ class Lesson:
     @classmethod
     def of(cls, data: Data) -> "Lesson":
         train = data.splits[TRAINING]
-        return cls(data.totals(train), metrics.image_means(data.images, train))
+        return cls(data.totals(train), image_means(data.images, train))
 
     @property
     def force_range(self) -> np.ndarray:
@@ -74,11 +229,9 @@ def controls(
     """
     other = another_of_each(data.presses(rows), rng)
     return {
-        "constant_guess": metrics.constant_guess(lesson.totals, len(rows)),
+        "constant_guess": constant_guess(lesson.totals, len(rows)),
         **({} if other is None else {"shuffled_images": predicted_totals[other]}),
-        "linear_on_image_means": metrics.linear_on_means(
-            lesson.means, lesson.totals, metrics.image_means(data.images, rows)
-        ),
+        "linear_on_image_means": linear_on_means(lesson.means, lesson.totals, image_means(data.images, rows)),
     }
 
 
@@ -129,13 +282,13 @@ def evaluate_split(
     result = {
         "n": len(rows),
         "presses": len(np.unique(data.presses(rows))),
-        "total": metrics.error_table(error, rng, settings.bootstrap, lesson.force_range, alike),
+        "total": error_table(error, rng, settings.bootstrap, lesson.force_range, alike),
         "held": held(data, rows, predicted, error, model),
-        "cell": metrics.cell_table(predicted.forces, data.labels[rows]) if mapped else None,
+        "cell": cell_table(predicted.forces, data.labels[rows]) if mapped else None,
         "contacts": contact_table(data.labels[rows], predicted.forces) if mapped else {"n": 0},
-        "per_indenter": metrics.by_group(error, data.names("indenter")[rows]),
-        "per_force": metrics.by_group(error, metrics.force_bins(target[:, 2], settings.force_edges)),
-        "per_sensor": metrics.by_group(error, data.names("sensor_id")[rows]),
+        "per_indenter": by_group(error, data.names("indenter")[rows]),
+        "per_force": by_group(error, force_bins(target[:, 2], settings.force_edges)),
+        "per_sensor": by_group(error, data.names("sensor_id")[rows]),
         "controls": {
             name: {axis: float(np.abs(guess - target).mean(0)[i]) for i, axis in enumerate(CHANNELS)}
             for name, guess in controls(data, rows, totals, lesson, rng).items()
@@ -151,9 +304,9 @@ def evaluate_split(
             mine, labels = totals[known] - reference[rows][known], target[known] - reference[rows][known]
             against[kind] = {
                 "n": int(known.sum()),
-                "network": metrics.error_table(mine, rng, settings.bootstrap, alike=alike[known]),
-                "labels": metrics.error_table(labels, rng, settings.bootstrap, alike=alike[known]),
-                "labels_over": metrics.slope(target[known], reference[rows][known]),
+                "network": error_table(mine, rng, settings.bootstrap, alike=alike[known]),
+                "labels": error_table(labels, rng, settings.bootstrap, alike=alike[known]),
+                "labels_over": slope(target[known], reference[rows][known]),
             }
     return result
 

@@ -15,8 +15,8 @@ from hypothesis import strategies as st
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, write_csv, write_json
-from gelforge.networks.data.arrays import FILES, LEAST_TOTAL, data_version, open_data, require_splits, scales
-from gelforge.networks.training.loop import loss_of
+from gelforge.learning.data import FILES, LEAST_TOTAL, data_version, open_data, require_splits, scales
+from gelforge.learning.train import loss_of
 from gelforge.records.rowfile import RowFile, array_on_disk
 from tests.support.memory import PEAK_KIB
 from tests.support.parameters import with_values

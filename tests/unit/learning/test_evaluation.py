@@ -9,16 +9,17 @@ import pytest
 
 from gelforge.flow.files import read_csv, read_json, write_csv, write_json
 from gelforge.flow.layout import Layout
-from gelforge.networks.data.arrays import calibration_rows, open_data, press_keys, split_validation
-from gelforge.networks.evaluation.evaluation import (
+from gelforge.learning.data import calibration_rows, open_data, press_keys, split_validation
+from gelforge.learning.evaluate import (
     FEWEST_DRAWN,
     another_of_each,
+    error_table,
     evaluate,
     learnt_sensors,
+    slope,
     what_errs_alike,
 )
-from gelforge.networks.evaluation.metrics import error_table, slope
-from gelforge.networks.evaluation.predicted import predict_rows
+from gelforge.learning.fitting import predict_rows
 from gelforge.reading.predictor import Predictor
 from gelforge.records.axes import CHANNELS
 from gelforge.records.predictionfile import read_predictions

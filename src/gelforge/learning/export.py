@@ -5,20 +5,25 @@ The graph takes `image` (n, height, width, 3) uint8 RGB and, where the network r
 test-time augmentation, where the network learnt from mirrored pictures: the mean over a picture and the same rotated by 180
 degrees, whose sideways force is reversed and whose cells trade places (Krizhevsky, Sutskever and Hinton 2012, NeurIPS 25,
 section 4.1, average so over parts and mirror images of a picture). One that learnt from its sensor's light alone knows no other.
+
+Weights that a network is fine-tuned from, as safetensors: tensors and metadata, of which nothing is ever executed.
 """
 
 import io
+import json
 import warnings
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 from torch import nn
 
-from gelforge.errors import GelforgeError
-from gelforge.networks.models.inputs import network_input
-from gelforge.reading.model import Graph
+from gelforge.errors import BadInput, GelforgeError
+from gelforge.learning.nets import build, network_input
+from gelforge.reading.model import KEY, Graph
 from gelforge.records.networkkind import kind_of
+from gelforge.records.regular import file_fault
 
 OPSET = 17
 OUTPUT = "forces"
@@ -95,3 +100,34 @@ def sample_pictures(size: tuple[int, int], count: int) -> list[np.ndarray]:
     slope = np.linspace(30, 200, size[1])[None, None, :, None]
     drawn = [slope + rng.normal(0, 30, (SAMPLES, *size, 3)) for _ in range(count)]
     return [np.clip(one, 0, 255).astype(np.uint8) for one in drawn]
+
+
+def save_weights(path: Path, net: nn.Module, metadata: dict[str, Any]) -> None:
+    """Write a network's weights and what is known about it to exactly `path`; OSError where it cannot be."""
+    from safetensors.torch import save
+
+    tensors = {name: value.detach().cpu().contiguous() for name, value in net.state_dict().items()}
+    Path(path).write_bytes(save(tensors, {KEY: json.dumps(metadata, sort_keys=True, allow_nan=False)}))
+
+
+def load_weights(path: Path) -> tuple[nn.Module, dict[str, Any]]:
+    """A network in evaluation mode and what is known about it; BadInput for another file, or tensors that do not fit it."""
+    from safetensors import safe_open
+
+    path = Path(path)
+    fault = file_fault(path)
+    if fault:
+        raise BadInput(f"{path}: holds no weights of gelforge ({fault}); train the model again")
+    try:
+        with safe_open(path, "pt") as stored:
+            tensors = {name: stored.get_tensor(name) for name in stored.keys()}  # noqa: SIM118, it is no dictionary
+            metadata = json.loads(stored.metadata()[KEY])
+        net = build(metadata["model"], metadata["image"], metadata["grid"])
+        net.load_state_dict(tensors)
+    except (
+        Exception
+    ) as error:  # safetensors and torch raise kinds of their own, KeyError and TypeError for a corrupt file
+        raise BadInput(
+            f"{path}: holds no weights of gelforge that fit the network it describes ({type(error).__name__}); train it again"
+        ) from None
+    return net.eval(), metadata

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gelforge.networks.evaluation import metrics
+from gelforge.learning import evaluate as metrics
 from gelforge.records.axes import CHANNELS
 
 errors = st.integers(2, 40).flatmap(

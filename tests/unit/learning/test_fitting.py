@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from gelforge.geometry.gel import USUAL_GEL, Gel
-from gelforge.networks.checkpoint.weights import load_weights
-from gelforge.networks.data.arrays import open_data
-from gelforge.networks.evaluation.fitting import set_limits
-from gelforge.networks.pipeline import Start
+from gelforge.learning.data import open_data
+from gelforge.learning.export import load_weights
+from gelforge.learning.fitting import set_limits
+from gelforge.learning.recipe import Start
 from gelforge.reading.faults import relief, relief_fault
 from gelforge.reading.markers import markers_in
 from gelforge.reading.predictor import SHIPPED

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 
 from gelforge.flow.params.tables import AugmentTable
-from gelforge.networks.models.inputs import cell_pixels, inner_part, map_grid
+from gelforge.learning.nets import cell_pixels, inner_part, map_grid
 
 # Luma, and the two chroma axes of YIQ (NTSC 1953): hue turns the chroma plane, saturation scales it.
 RGB_TO_YIQ = torch.tensor([[0.299, 0.587, 0.114], [0.5959, -0.2746, -0.3213], [0.2115, -0.5227, 0.3112]])

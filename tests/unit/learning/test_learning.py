@@ -7,24 +7,22 @@ import pytest
 import torch
 
 from gelforge.errors import BadInput
-from gelforge.networks.data.arrays import open_data, scales
-from gelforge.networks.data.loader import (
-    epoch_order,
-    epoch_steps,
-    images_to_tensor,
-    prefetched,
-    target,
-    training_batches,
-)
-from gelforge.networks.models.inputs import network_input
-from gelforge.networks.pipeline import Start
-from gelforge.networks.training.loop import (
+from gelforge.learning.data import open_data, scales
+from gelforge.learning.nets import network_input
+from gelforge.learning.recipe import Start
+from gelforge.learning.train import (
     FRACTIONS,
     Training,
     between,
+    epoch_order,
+    epoch_steps,
     fit,
+    images_to_tensor,
     loss_of,
     predict_rows,
+    prefetched,
+    target,
+    training_batches,
     training_epochs,
     validate,
 )

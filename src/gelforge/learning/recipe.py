@@ -17,9 +17,7 @@ from gelforge.flow.files import publish
 from gelforge.flow.layout import beside
 from gelforge.flow.params import plain
 from gelforge.flow.params.tables import TrainingTable
-from gelforge.networks.checkpoint.onnxexport import export
-from gelforge.networks.checkpoint.weights import save_weights
-from gelforge.networks.data.arrays import (
+from gelforge.learning.data import (
     ONE_CELL,
     Data,
     concatenate,
@@ -29,9 +27,10 @@ from gelforge.networks.data.arrays import (
     scales,
     split_validation,
 )
-from gelforge.networks.evaluation.fitting import set_intervals, set_limits, unaltered
-from gelforge.networks.models.registry import parameter_count
-from gelforge.networks.training.loop import Training, device_of, fit, require_judges, scales_before
+from gelforge.learning.export import export, save_weights
+from gelforge.learning.fitting import set_intervals, set_limits, unaltered
+from gelforge.learning.nets import parameter_count
+from gelforge.learning.train import Training, device_of, fit, require_judges, scales_before
 from gelforge.reading.model import ForceModel, model_of, save_model
 from gelforge.records.axes import CHANNELS
 from gelforge.records.networkkind import kind_of

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelforge.networks.data.arrays import concatenate, data_version, open_data, scales
-from gelforge.networks.evaluation.evaluation import evaluate, known_rows
-from gelforge.networks.training.loop import predict_rows
+from gelforge.learning.data import concatenate, data_version, open_data, scales
+from gelforge.learning.evaluate import evaluate, known_rows
+from gelforge.learning.train import predict_rows
 from gelforge.records.rowfile import ChainedRows
 from gelforge.stages.train import train
 from tests.support.parameters import with_values

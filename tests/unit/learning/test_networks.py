@@ -5,10 +5,7 @@ import sys
 
 import torch
 
-from gelforge.networks.models.gridnet import BasicBlock, strides
-from gelforge.networks.models.inputs import map_grid, network_input
-from gelforge.networks.models.registry import build, parameter_count
-from gelforge.networks.models.unet import UNet
+from gelforge.learning.nets import BasicBlock, UNet, build, map_grid, network_input, parameter_count, strides
 from gelforge.stages.train import resolve
 from tests.support.parameters import parameters
 from tests.support.refused import refused
@@ -56,7 +53,7 @@ def test_a_thinned_shortcut_is_the_strided_convolution():
 
 NARROW = """
 import torch
-from gelforge.networks.models.gridnet import BasicBlock
+from gelforge.learning.nets import BasicBlock
 
 for before in (3, 4, 8):
     block = BasicBlock(before, 2 * before, stride=2).to(memory_format=torch.channels_last)

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import torch
 
-from gelforge.networks.data.augment import (
+from gelforge.learning.augment import (
     RGB_TO_YIQ,
     augment,
     colour_matrices,

@@ -1,1 +1,0 @@
-"""Datasets of stage 60 as networks learn from them: arrays, splits, subsets, batches, augmentation."""

@@ -1,1 +1,0 @@
-"""Errors of a model on a dataset, and what is set on presses that training did not see."""

@@ -1,1 +1,0 @@
-"""The training loop, and what a network begins with. Needs torch."""
