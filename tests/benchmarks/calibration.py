@@ -34,7 +34,6 @@ from gelforge.flow import params as config
 from gelforge.flow.files import read_json, write_json, write_text
 from gelforge.flow.layout import CALIBRATE, Layout
 from gelforge.flow.main import command, option
-from gelforge.flow.params.stages import ForCalibrate
 from gelforge.flow.params.tables import CalibrateTable
 from gelforge.geometry.gel import USUAL_GEL
 from gelforge.geometry.indenters import load_catalogue
@@ -251,7 +250,7 @@ def run_stage(dataset: str, folder: Path, jobs: int) -> tuple[dict, list[Figure]
             of.root.mkdir(parents=True, exist_ok=True)
             (of.base / name).symlink_to(Path(name).absolute())
     params = config.load_params("workflow", of.data / "dataset.toml")
-    write_json(of.parameters("calibrate"), config.plain(config.parameters_of(params, ForCalibrate, stage.VERSION)))
+    write_json(of.parameters("calibrate"), config.plain(config.parameters_of(params, "calibrate", stage.VERSION)))
     write_json(of.parameters("sensors"), read_json(made.parameters("sensors")))
     for name in made.names():
         write_text(of.shard(name), made.shard(name).read_text(encoding="utf-8"))

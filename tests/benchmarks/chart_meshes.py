@@ -4,13 +4,13 @@ from pathlib import Path
 
 from gelforge.flow.files import write_json
 from gelforge.flow.params import Params
-from gelforge.flow.params.stages import ForPareto
+from gelforge.flow.params.stages import StageParameters
 from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.mesh.family import MeshName, make_mesh
 from gelforge.sweeps.trial import ChartBench
 
 
-def need_mesh(name: str, folder: Path, params: ForPareto | Params) -> Path:
+def need_mesh(name: str, folder: Path, params: StageParameters | Params) -> Path:
     """Path of a mesh of the folder, which is built first where it is missing."""
     path = Path(folder) / f"{name}.npz"
     if not (path.exists() and path.with_suffix(".json").exists()):

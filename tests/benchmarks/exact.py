@@ -18,7 +18,6 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.main import command, option
 from gelforge.flow.params import Params, load_params, parameters_of
-from gelforge.flow.params.stages import ForPareto
 from gelforge.flow.params.tables import IN_PROCESS
 from gelforge.geometry.gelcatalogue import PadTable
 from gelforge.geometry.indenters import build
@@ -163,7 +162,7 @@ class Bench:
         if name == "ccx-native":
             return prepared(scene, NATIVE_MM, self.params.fea.timeout_s, Path(tempfile.mkdtemp(dir=self.work)))
         if name == "reference":
-            tables = parameters_of(self.params, ForPareto, VERSION)
+            tables = parameters_of(self.params, "pareto", VERSION)
             return prepare(LARGE_REFERENCE, scene, self.work, tables, Path(tempfile.mkdtemp(dir=self.work)))
         solvers = self.solvers(scene.gel.height)
         choose_mesh(scene, solvers.family)  # which makes it, before the clock runs

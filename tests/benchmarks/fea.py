@@ -19,7 +19,7 @@ from gelforge.errors import BadInput
 from gelforge.flow import params as config
 from gelforge.flow.files import canonical, digest_of_value, read_json, write_json
 from gelforge.flow.main import command, option
-from gelforge.flow.params.stages import ForPareto
+from gelforge.flow.params.stages import StageParameters
 from gelforge.geometry.gel import Gel, load_gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.labelling.sensor import Sensor, load_sensors
@@ -274,7 +274,7 @@ def solve_envelope(bench: ChartBench, catalogue: dict, folder: Path, count: int,
     return records
 
 
-def envelope_settings(params: ForPareto, method: Method) -> list:
+def envelope_settings(params: StageParameters, method: Method) -> list:
     """What the records of an engine depend on."""
     if method.solver == "hex":
         return [params.version, asdict(quality(method.name))]
@@ -354,7 +354,7 @@ def cost_figures(scenes: dict[str, Scene], sensor: Sensor) -> list[Figure]:
 )
 def main(args: Namespace) -> None:
     need_ccx()
-    params = config.parameters_of(config.load_params(args.workflow), ForPareto, branch.VERSION)
+    params = config.parameters_of(config.load_params(args.workflow), "pareto", branch.VERSION)
     sensors = load_sensors(args.workflow / "sensors.toml")
     bench = load_bench(params, sensors, args.pareto / "meshes", args.pareto / "scenes", args.references)
     tables = read_tables(args.workflow)

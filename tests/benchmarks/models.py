@@ -19,7 +19,7 @@ from gelforge.flow.files import write_csv, write_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.main import command, option
 from gelforge.flow.params import load_params, plain, read_toml
-from gelforge.flow.params.stages import ForTrain
+from gelforge.flow.params.stages import StageParameters
 from gelforge.flow.params.tables import TrainTable
 from gelforge.records.image import read_image
 from gelforge.records.log import read_presses
@@ -146,7 +146,7 @@ def train_apart(dataset: Path, name: str, settings: TrainTable, folder: Path):
     from gelforge.reading.model import load_model
 
     of = Layout(folder / "results/timed")
-    write_json(of.parameters("train"), plain(ForTrain(version=1, train=settings)))
+    write_json(of.parameters("train"), plain(StageParameters(version=1, train=settings)))
     write_json(of.parameters(f"models/{name}"), {name: read_toml("workflow/models.toml")[name]})
     if not of.dataset(dataset.name).exists():
         of.dataset(dataset.name).parent.mkdir(parents=True)

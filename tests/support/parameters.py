@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Any
 
 from gelforge.flow.files import write_json
-from gelforge.flow.params import SOURCES, Params, laid_over, load_params, parameters_of, plain
+from gelforge.flow.params import Params, laid_over, load_params, parameters_of, plain
 from gelforge.flow.params.schema import ParameterTable, Place, parse
 
 WORKFLOW = Path(__file__).resolve().parents[2] / "workflow"
@@ -30,7 +30,7 @@ def with_values(table: ParameterTable, **values: Any) -> Any:
 
 def stage_of(stage: str, **tables: dict[str, Any]) -> Any:
     """What a stage reads, with some values changed."""
-    return parameters_of(parameters(**tables), SOURCES[stage].kind, 1)
+    return parameters_of(parameters(**tables), stage, 1)
 
 
 def write_stage(folder: Path, stage: str, **tables: dict[str, Any]) -> Path:

@@ -1,11 +1,11 @@
 """Small datasets of stage 60 whose images follow from their labels by a made-up but learnable law."""
 
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.flow.files import write_csv, write_json
-from gelforge.flow.params.stages import narrowed
 from gelforge.flow.params.tables import TrainingTable
 from gelforge.records.press import FORCE
 from tests.support.parameters import parameters
@@ -75,12 +75,10 @@ def write_dataset(folder, n=48, image=(240, 320), grid=(24, 32), seed=0) -> Path
     return folder
 
 
-SETTINGS = narrowed(
-    parameters(
-        train={
-            "epochs": 4, "total_weight": 0.3, "checkpoint_seconds": 0.0, "shift_cells": 1,
-            "augment": {"probability": 0.5},
-        },
-    ).train,
-    TrainingTable,
-)  # fmt: skip
+TRAIN = parameters(
+    train={
+        "epochs": 4, "total_weight": 0.3, "checkpoint_seconds": 0.0, "shift_cells": 1,
+        "augment": {"probability": 0.5},
+    },
+).train  # fmt: skip
+SETTINGS = TrainingTable(**{field.name: getattr(TRAIN, field.name) for field in fields(TrainingTable)})

@@ -9,7 +9,7 @@ import pytest
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
 from gelforge.flow.layout import Layout
-from gelforge.flow.params import plain
+from gelforge.flow.params import altered, plain
 from gelforge.geometry.gel import GELS, Gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.labelling.sensor import load_sensors
@@ -46,7 +46,7 @@ def coarse_mesh(region, size, folder):
     mesh.save(folder / f"ccx-{region}-{size}.npz")
     report = {"half_mm": list(half), "reach_mm": list(reach(mesh, GEL, half)), "gel": GEL.name, "size": size}
     write_json(folder / f"ccx-{region}-{size}.json", report)
-    return replace(params, meshes=own), folder
+    return altered(params, meshes=own), folder
 
 
 def test_a_mesh_that_ships_is_made_by_nobody_again(tmp_path):
@@ -102,7 +102,7 @@ def test_a_scene_that_cannot_be_solved_is_listed_with_its_reason(bench, tmp_path
 def test_every_solver_of_the_map_solves_with_what_its_branch_is_given(solver, ccx, tmp_path):
     params, folder = coarse_mesh("wide", 3.0, tmp_path)
     # how long a case may take is the chart's matter: a loaded machine is no fault
-    params = replace(params, stability=replace(params.stability, limit_s=3000.0))
+    params = altered(params, stability=replace(params.stability, limit_s=3000.0))
     size = 0.7 if solver == "hex" else 3.0
     case = replace(cases.centre(params.stability, solver, "round"), depth=0.2, size=size, steps=2)
     record = stability.solve_case(case, params, folder, tmp_path)

@@ -17,7 +17,7 @@ from gelforge.flow import layout
 from gelforge.flow.files import listed, read_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.main import RESULTS, command, option, positive
-from gelforge.flow.params.stages import ForTrain, read_parameters
+from gelforge.flow.params.stages import read_parameters
 from gelforge.flow.params.tables import SHIPPED
 from gelforge.flow.runs import duration
 from gelforge.labelling.grid import Grid
@@ -111,7 +111,7 @@ def image_bytes(results: Layout, rows: list[RawRow]) -> int:
 def training(results: Layout, resolution: str, model: str, images: int) -> Cost:
     """What a network takes to learn from so many images, and from those of [train] also; BadInput for one that there is not."""
     tables = {path.stem: read_json(path)[path.stem] for path in listed(results.params / "models", "*.json")}
-    of_train = read_parameters(results.params / "train.json", ForTrain).train
+    of_train = read_parameters(results.params / "train.json").train
     table, settings = resolve(tables, model, of_train)
     others = (Layout(results.root.parent / name).dataset(resolution) / "samples.csv" for name in of_train.also)
     images += sum(len(read_samples(path)) for path in others)

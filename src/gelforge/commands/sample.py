@@ -9,7 +9,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import write_text
 from gelforge.flow.layout import Layout, shard_name
 from gelforge.flow.main import RESULTS, command, option
-from gelforge.flow.params.stages import ForFea, ForForces, read_parameters
+from gelforge.flow.params.stages import read_parameters
 from gelforge.mechanics.mesh.family import mesh_names
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses, read_shard, shard_text
@@ -41,7 +41,7 @@ def prepared(work: Layout, rows: list[RawRow]) -> Layout:
 
 def steps(work: Layout, resolution: str) -> list[tuple[str, list[str], Path]]:
     """Stages that take the only shard of a folder to labels: module, words of its command line, and what it writes."""
-    meshed = mesh_names(read_parameters(work.parameters("fea"), ForFea).fea)
+    meshed = mesh_names(read_parameters(work.parameters("fea")).fea)
     of_shard = {"poses": work.poses, "meshes": work.mesh_table, "fea": work.fea, "forces": work.forces}
     root = str(work.root)
     found = [(name, [root, ONLY], target(ONLY)) for name, target in of_shard.items() if meshed or name != "meshes"]
@@ -53,7 +53,7 @@ def require_stiffness(of: Layout) -> None:
     from gelforge.stages.forces import material_c10
 
     if not of.calibration().exists():
-        material_c10(read_parameters(of.parameters("forces"), ForForces).material, of.calibration())
+        material_c10(read_parameters(of.parameters("forces")).material, of.calibration())
 
 
 @command(

@@ -19,11 +19,50 @@ CALIBRATE, PARETO, PARETO_MODELS, STABILITY = "calibrate", "pareto", "pareto_mod
 LOGS, METRICS = "logs", "metrics"
 SURFACES = "surfaces"  # in 00_plan: what was measured of STL files, by their content
 SAMPLES, ESTIMATE, EXPORT, FEATS, LOOK, DECK = "samples", "estimate", "export", "feats", "look", "deck"
-STAGES = (
-    PLAN, POSES, IMAGES, MESHES, FEA, FORCES, LABELS, DATASET, TRAIN, EVALUATE, REPORT, CALIBRATE, PARETO, PARETO_MODELS,
-    STABILITY,
-)  # fmt: skip
-FOLDERS = (*STAGES, LOGS, METRICS, SAMPLES, ESTIMATE, EXPORT, FEATS, LOOK, DECK)
+
+
+@dataclass(frozen=True)
+class Stage:
+    """A stage or branch: a module of gelforge.stages, by whose name it goes.
+
+    folder: of its results. reads: tables of the parameters, or one value of a table, TABLE.KEY, as its file of parameters holds them.
+    solves: whether it solves presses as stage 30 does, so that its results change with stage 30's.
+    """
+
+    folder: str
+    reads: tuple[str, ...] = ()
+    solves: bool = False
+
+
+STAGES = {
+    "poses": Stage(POSES, ("poses",)),
+    "images": Stage(IMAGES, ("poses.images", "poses.judge_images")),
+    "meshes": Stage(MESHES, ("meshes",)),
+    "fea": Stage(FEA, ("fea", "interface", "material.nu")),
+    "forces": Stage(FORCES, ("forces", "material")),
+    "labels": Stage(LABELS, ("labels",)),
+    "dataset": Stage(DATASET, ("dataset", "poses.images", "poses.judge_images")),
+    "train": Stage(TRAIN, ("train",)),
+    "evaluate": Stage(EVALUATE, ("evaluate",)),
+    "card": Stage(EVALUATE),
+    "report": Stage(REPORT, ("report",)),
+    "calibrate": Stage(CALIBRATE, ("calibrate", "material.nu", "interface.law"), solves=True),
+    "pareto": Stage(PARETO, ("pareto", "fea", "meshes", "material.nu")),
+    "stability": Stage(STABILITY, ("stability", "fea", "meshes"), solves=True),
+    "pareto_models": Stage(PARETO_MODELS),
+}
+FOLDERS = (
+    PLAN,
+    *dict.fromkeys(stage.folder for stage in STAGES.values()),
+    LOGS,
+    METRICS,
+    SAMPLES,
+    ESTIMATE,
+    EXPORT,
+    FEATS,
+    LOOK,
+    DECK,
+)
 # Stages of one file a shard: their parameters, the folder of what a shard's file is made from, and its own suffix.
 OF_SHARDS = {
     POSES: ("poses", f"{PLAN}/shards", ".csv"),
@@ -101,7 +140,7 @@ class Layout:
         return f"make {goal} DATASET={self.root.name}"
 
     def folder(self, stage: str) -> Path:
-        """A stage's folder, by one of STAGES."""
+        """A folder of FOLDERS."""
         return self.root / stage
 
     @property

@@ -13,7 +13,7 @@ from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import changed, names_in, record_of, states_of, write_if_changed, write_json
-from gelforge.flow.layout import PLAN, STAGES, Layout, metrics_of
+from gelforge.flow.layout import STAGES, Layout, metrics_of
 
 # A pattern of each variable's text, and what to give. Any other is text of one line without what a shell or make reads meaning into.
 NAME = (
@@ -166,11 +166,7 @@ class Asked:
             raise BadInput(
                 f"clean together with another goal: say make {' '.join(clean)} first, then make {' '.join(other)}"
             )
-        known = [
-            "clean-all",
-            "clean-STAGE",
-            *(f"clean-{name.lstrip('0123456789_')}" for name in STAGES if name != PLAN),
-        ]
+        known = ["clean-all", "clean-STAGE", *(f"clean-{name}" for name in STAGES)]
         if unknown := [goal for goal in clean if goal not in known]:
             raise BadInput(f"{unknown[0]}: no such target; there are {' '.join(known)}")
 

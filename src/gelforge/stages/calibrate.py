@@ -19,7 +19,7 @@ from gelforge.flow.files import write_json
 from gelforge.flow.layout import POSES, Layout
 from gelforge.flow.main import JOBS, stage
 from gelforge.flow.params import DatasetFile, read_dataset_file, read_indenter_tables
-from gelforge.flow.params.stages import ForCalibrate, read_parameters
+from gelforge.flow.params.stages import read_parameters
 from gelforge.flow.params.tables import CalibrateSolverTable, CalibrateTable
 from gelforge.geometry.gel import use_gels_of
 from gelforge.labelling.sensor import Sensor, load_sensors
@@ -252,7 +252,7 @@ def main(args: Namespace) -> None:
 
     of, work = args.of, args.out.parent
     use_gels_of(of.workflow)
-    tables = read_parameters(of.parameters("calibrate"), ForCalibrate)
+    tables = read_parameters(of.parameters("calibrate"))
     params, law, nu = tables.calibrate, tables.interface.law, float(tables.material.nu)
 
     about = read_dataset_file(of.data / "dataset.toml")

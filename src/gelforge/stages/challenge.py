@@ -7,8 +7,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.main import RESULTS, command, group, option
-from gelforge.flow.params import SOURCES, load_params, parameters_of, stage_version
-from gelforge.flow.params.stages import ForPareto
+from gelforge.flow.params import load_params, parameters_of, stage_version
 from gelforge.geometry.gel import use_gels_of
 from gelforge.labelling.sensor import load_sensors
 from gelforge.sweeps.challenge import write_challenge
@@ -39,7 +38,7 @@ def write(args: Namespace) -> None:
     if name not in sensors:
         raise BadInput(f"[pareto] sensor = {name!r} is not in {of.workflow}/sensors.toml")
     scenes = [parse_scene(key, table, params.material.nu) for key, table in read_tables(of.workflow).items()]
-    made = parameters_of(params, ForPareto, stage_version(Path(__file__).parent, SOURCES["pareto"]))
+    made = parameters_of(params, "pareto", stage_version(Path(__file__).parent, "pareto"))
     bench = ChartBench(args.out, sensors[name], made, args.out, of.references)
     old = [scene.name for scene in scenes if given_reference(bench, scene) is None]
     if old:

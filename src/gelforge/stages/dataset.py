@@ -18,7 +18,7 @@ from gelforge.evidence.logimages import LogImages
 from gelforge.flow.files import alone, digest_of, listed, publish, read_json, write_csv, write_json, write_text
 from gelforge.flow.layout import Layout
 from gelforge.flow.main import stage
-from gelforge.flow.params.stages import ForDataset, read_parameters
+from gelforge.flow.params.stages import read_parameters
 from gelforge.flow.params.tables import DatasetTable
 from gelforge.geometry.indenters import fold
 from gelforge.labelling.grid import Grid
@@ -356,7 +356,7 @@ def counted(found: dict) -> str:
 def build(args: Namespace) -> dict:
     """Write the arrays and tables of one resolution beside args.out; return the contents of dataset.json."""
     of, folder = args.of, args.out.parent
-    params = read_parameters(of.parameters("dataset"), ForDataset)
+    params = read_parameters(of.parameters("dataset"))
     grid, settings = Grid.parse(args.resolution), params.dataset
     shards = list_shards(of, args.resolution)
     wrong_images: dict[str, str] = {}

@@ -7,7 +7,7 @@ import numpy as np
 from gelforge.flow.files import publish, write_json
 from gelforge.flow.layout import Layout, beside
 from gelforge.flow.main import stage
-from gelforge.flow.params.stages import ForEvaluate, read_parameters
+from gelforge.flow.params.stages import read_parameters
 from gelforge.flow.params.tables import SHIPPED as SHIPS
 from gelforge.records.axes import CHANNELS
 from gelforge.records.predictionfile import write_predictions
@@ -60,7 +60,7 @@ def main(args: Namespace) -> None:
     data = open_data(of.dataset(args.resolution))
     shipped = args.model == SHIPS
     model = load_model(SHIPPED if shipped else of.network(args.resolution, args.model))
-    settings = read_parameters(of.parameters("evaluate"), ForEvaluate).evaluate
+    settings = read_parameters(of.parameters("evaluate")).evaluate
     result, predictions = evaluate(data, model, settings, "the shipped network" if shipped else "")
     if feats_tables.SENSOR in data.info.get("sensors", ()):
         result["published"] = {

@@ -6,7 +6,6 @@ import shutil
 import tempfile
 from argparse import Namespace
 from collections import Counter
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +15,8 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, digest_of_value, publish, read_json, record_of, write_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.main import stage
-from gelforge.flow.params.stages import ForFea, read_parameters
+from gelforge.flow.params.schema import altered
+from gelforge.flow.params.stages import StageParameters, read_parameters
 from gelforge.flow.params.tables import IN_PROCESS
 from gelforge.geometry.gel import load_gel, use_gels_of
 from gelforge.geometry.indenters import bodies_of
@@ -38,7 +38,7 @@ from gelforge.sweeps import verification
 VERSION = 16
 
 
-def scene_of(press: PosedPress, bodies: dict, sensors: dict, params: ForFea) -> Scene:
+def scene_of(press: PosedPress, bodies: dict, sensors: dict, params: StageParameters) -> Scene:
     """The scene of one press of a pose table."""
     interface = Interface(params.interface.law, params.interface.mu)
     gel = load_gel(sensors[press.sensor_id]["gel"])
@@ -56,7 +56,7 @@ def shape_of(press: PosedPress, tables: dict) -> dict:
 
 
 def press_keys(
-    frames: list[PosedPress], scenes: list[Scene], params: ForFea, tables: dict, meshes: dict[str, str]
+    frames: list[PosedPress], scenes: list[Scene], params: StageParameters, tables: dict, meshes: dict[str, str]
 ) -> list[str]:
     """Key of the solve of each frame of a press. meshes: that of each sample that is solved on tetrahedra, by content."""
     found = []
@@ -139,7 +139,7 @@ def solved(record: dict, press: PosedPress, folder: Path) -> Solved:
 
 
 def run_shard(
-    presses: list[PosedPress], family: MeshFamily, chosen: dict[str, str], params: ForFea, tables: dict, bodies: dict,
+    presses: list[PosedPress], family: MeshFamily, chosen: dict[str, str], params: StageParameters, tables: dict, bodies: dict,
     folder: Path,
 ) -> list[Solved]:  # fmt: skip
     """Solve what is missing of a shard, frames of a press together; rows in the order of the presses.
@@ -164,7 +164,7 @@ def run_shard(
                     " run make again, it resumes at this sample"
                 ) from error
             records |= {record["sample_id"]: record for record in found}
-            by_ccx = replace(params, fea=replace(params.fea, method="ccx"))
+            by_ccx = altered(params, fea=altered(params.fea, method="ccx"))
             twin = press_keys(frames, scenes, by_ccx, tables, chosen)[-1]
             verify_press(frames[-1], (keys[-1], twin), scenes, found[-1], solvers, tables["sensors"], folder)
     return [solved(records[press.sample_id], press, folder) for press in presses]
@@ -232,11 +232,11 @@ def verify_press(press: PosedPress, keys: tuple[str, str], scenes: list[Scene], 
     verification.write_verified(path, found)
 
 
-def read_shard(of: Layout, shard: str) -> tuple[ForFea, dict, list[PosedPress], dict]:
+def read_shard(of: Layout, shard: str) -> tuple[StageParameters, dict, list[PosedPress], dict]:
     """What stages 20 and 30 read of a shard: parameters, catalogues, presses, and their bodies by name."""
     tables = {name: read_json(of.parameters(name)) for name in ("sensors", "indenters")}
     presses = read_poses(of.poses(shard))
-    read = read_parameters(of.parameters("fea"), ForFea)
+    read = read_parameters(of.parameters("fea"))
     return read, tables, presses, bodies_of(presses, tables["indenters"], of.workflow, of.surfaces)
 
 

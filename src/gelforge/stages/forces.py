@@ -14,7 +14,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import DAMAGED, read_json, record_of
 from gelforge.flow.layout import Layout, command_for
 from gelforge.flow.main import stage
-from gelforge.flow.params.stages import ForForces, read_parameters
+from gelforge.flow.params.stages import read_parameters
 from gelforge.flow.params.tables import ForcesTable, MaterialTable
 from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat
 from gelforge.mechanics.material import REFERENCE_C10
@@ -137,7 +137,7 @@ def refuse_corrupt(table: Path, solves: list[Solved]) -> None:
 @stage(Layout.forces)
 def main(args: Namespace) -> None:
     of = args.of
-    params = read_parameters(of.parameters("forces"), ForForces)
+    params = read_parameters(of.parameters("forces"))
     c10, intervals = material_c10(params.material, of.calibration())
     load = mesh_loader(of.meshes)
     samples: list[SampleForces] = []

@@ -21,7 +21,7 @@ from gelforge.flow.files import read_json, write_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.main import JOBS, stage
 from gelforge.flow.params import read_dataset_file, read_indenter_tables
-from gelforge.flow.params.stages import ForImages, read_parameters
+from gelforge.flow.params.stages import read_parameters
 from gelforge.flow.slots import in_slots
 from gelforge.geometry.gel import use_gels_of
 from gelforge.geometry.indenters import bodies_of, build
@@ -137,7 +137,7 @@ def told(found: dict, seen: list[Seen]) -> list[str]:
 def main(args: Namespace) -> None:
     of = args.of
     use_gels_of(of.workflow)
-    judged = read_parameters(of.parameters("images"), ForImages).poses
+    judged = read_parameters(of.parameters("images")).poses
     seen, shapes = [], None
     tables = {name: read_json(of.parameters(name)) for name in ("sensors", "indenters")}
     presses = sorted((one for shard in of.names() for one in read_poses(of.poses(shard))), key=lambda one: one.row)

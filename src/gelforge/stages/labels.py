@@ -14,7 +14,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, digest_of_value, read_csv, read_json, record_of, write_json
 from gelforge.flow.layout import POSES, Layout, command_for
 from gelforge.flow.main import stage
-from gelforge.flow.params.stages import ForLabels, read_parameters
+from gelforge.flow.params.stages import read_parameters
 from gelforge.labelling.cellsurface import SurfaceMap, surface_map, traction
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import Operator, assemble, cached
@@ -308,7 +308,7 @@ def report(summary: dict, largest_share: float) -> None:
 
 @stage(Layout.labelled)
 def main(args: Namespace) -> None:
-    params = read_parameters(args.of.parameters("labels"), ForLabels).labels
+    params = read_parameters(args.of.parameters("labels")).labels
     summary = label_folder(args.of, Grid.parse(args.resolution), args.out.parent, params.channels)
     write_json(args.out, summary)
     report(summary, params.largest_outside_share)

@@ -7,7 +7,7 @@ from pathlib import Path
 from gelforge.flow.files import write_csv, write_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.main import JOBS, stage
-from gelforge.flow.params.stages import ForFea
+from gelforge.flow.params.stages import StageParameters
 from gelforge.flow.params.tables import IN_PROCESS
 from gelforge.flow.slots import in_slots
 from gelforge.geometry.gel import use_gels_of
@@ -30,7 +30,7 @@ def publish_mesh(name: str, mesh: GelMesh, report: dict, out: Path) -> None:
     print(json.dumps(report, indent=1))
 
 
-def meshed(presses: list[dict[str, Scene]], params: ForFea) -> dict[str, Scene]:
+def meshed(presses: list[dict[str, Scene]], params: StageParameters) -> dict[str, Scene]:
     """Scenes by sample that are solved on tetrahedra. presses: frames of each by their samples, in order of time."""
     found: dict[str, Scene] = {}
     for frames in presses:

@@ -14,7 +14,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json, write_csv, write_json
 from gelforge.flow.layout import Layout, beside
 from gelforge.flow.main import group, stage
-from gelforge.flow.params.stages import ForMeshes, ForPareto, read_parameters
+from gelforge.flow.params.stages import StageParameters, read_parameters
 from gelforge.flow.params.tables import METHODS
 from gelforge.geometry.gel import load_gel
 from gelforge.labelling.sensor import load_sensors
@@ -152,7 +152,7 @@ def _brief(record: dict) -> dict:
 class ChartedScene:
     """What a solve of the chart reads: its stage's parameters, its scene by name, and where its meshes lie."""
 
-    params: ForPareto
+    params: StageParameters
     scene: NamedScene
     bench: ChartBench
 
@@ -160,12 +160,12 @@ class ChartedScene:
 def asked(args: Namespace, meshes: Path) -> ChartedScene:
     """The scene that a command line names."""
     of = args.of
-    params = read_parameters(of.parameters("pareto"), ForPareto)
+    params = read_parameters(of.parameters("pareto"))
     bench = load_bench(params, load_sensors(of.parameters("sensors")), meshes, args.out.parent, of.references)
     return ChartedScene(params, planned_scene(of, args.name, params), bench)
 
 
-def planned_scene(of: Layout, name: str, params: ForPareto) -> NamedScene:
+def planned_scene(of: Layout, name: str, params: StageParameters) -> NamedScene:
     """A scene by name, its indenter's table resolved."""
     return parse_scene(name, read_json(of.parameters(f"scenes/{name}")), params.material.nu)
 
@@ -202,7 +202,7 @@ def draw(args: Namespace) -> None:
 @stage(Layout.chart_mesh)
 def mesh(args: Namespace) -> None:
     """Make one mesh, ccx-REGION-SIZE: a label region at a density of the chart."""
-    meshes = read_parameters(args.of.parameters("meshes"), ForMeshes).meshes
+    meshes = read_parameters(args.of.parameters("meshes")).meshes
     made, report = make_mesh(MeshName.parse(args.name), load_gel(meshes.gel), meshes)
     publish_mesh(args.name, made, report, args.out)
 

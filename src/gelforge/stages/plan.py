@@ -27,7 +27,7 @@ from gelforge.flow.files import (
     write_json,
     write_text,
 )
-from gelforge.flow.layout import LOGGED, PLAN, Layout, metrics_of, shard_name
+from gelforge.flow.layout import LOGGED, PLAN, STAGES, Layout, metrics_of, shard_name
 from gelforge.flow.main import option, stage
 from gelforge.flow.params import Params, stl_files, with_content
 from gelforge.flow.params.tables import ENOUGH_PRESSES, IN_PROCESS, SHIPPED
@@ -224,9 +224,9 @@ def write_beside(of: Layout, found: Mapping[str, str]) -> None:
 def write_parameters(params: Params, workflow: Path, out: Path, tables: dict[str, dict], scenes: dict) -> None:
     """Write the parameters of every stage, and the catalogues' entries that this dataset uses, without their comments."""
     source = Path(__file__).parent
-    for name, of in config.SOURCES.items():
-        made = config.parameters_of(params, of.kind, config.stage_version(source, of))
-        write_if_changed(out / "params" / f"{name}.json", canonical(config.plain(made)))
+    for name in STAGES:
+        made = config.written_for(params, name, config.stage_version(source, name))
+        write_if_changed(out / "params" / f"{name}.json", canonical(made))
     for name, entries in tables.items():
         write_if_changed(out / "params" / f"{name}.json", canonical(entries))
     # One file per network, so that a new network retrains no other.

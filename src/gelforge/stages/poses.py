@@ -17,7 +17,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import publish, read_json
 from gelforge.flow.layout import Layout, beside
 from gelforge.flow.main import stage
-from gelforge.flow.params.stages import ForPoses, read_parameters
+from gelforge.flow.params.stages import read_parameters
 from gelforge.flow.params.tables import PosesTable
 from gelforge.geometry import touch
 from gelforge.geometry.gel import Gel, load_gel, use_gels_of
@@ -278,7 +278,7 @@ def write_shard(good, rejections, out: Path, params: PosesTable) -> None:
 def main(args: Namespace) -> None:
     of, log = args.of, str(args.of.log)
     use_gels_of(of.workflow)
-    params = read_parameters(of.parameters("poses"), ForPoses).poses
+    params = read_parameters(of.parameters("poses")).poses
     tables = {name: read_json(of.parameters(name)) for name in ("sensors", "indenters")}
     rows = read_shard(of.shard(args.shard))
     tables["folder"] = of.workflow

@@ -14,7 +14,7 @@ from gelforge.flow.files import listed, read_csv, read_json, write_text
 from gelforge.flow.layout import PARETO, Layout
 from gelforge.flow.main import option, stage
 from gelforge.flow.params.frozen import FROZEN, read_frozen
-from gelforge.flow.params.stages import ForCalibrate, ForEvaluate, ForForces, ForMeshes, ForReport, read_parameters
+from gelforge.flow.params.stages import read_parameters
 from gelforge.flow.params.tables import ENOUGH_PRESSES, SHIPPED
 from gelforge.flow.runs import COST, costs_of, installed, last_runs, stages
 from gelforge.geometry.gel import load_gel
@@ -125,11 +125,11 @@ def force_section(results: Path, data: Path, rows: list[dict], doubts: Sequence[
     if not any(row.get("measured_fz") for row in rows):  # as where labels came with the dataset
         return section.text(none, absent=True)
     frozen, summary = read_frozen(data / FROZEN), of.calibration()
-    material = read_parameters(of.params / "forces.json", ForForces).material
+    material = read_parameters(of.params / "forces.json").material
     spread = spreads(
         material,
         read_json(summary) if summary.exists() else {},
-        read_parameters(of.params / "calibrate.json", ForCalibrate).calibrate,
+        read_parameters(of.params / "calibrate.json").calibrate,
     )
     presses = compare_forces(rows, spread, set(frozen.presses) if frozen else set())
     if not presses:
@@ -295,7 +295,7 @@ def about(results: Path, dataset: str, resolution: str, model: str, params: Path
         "model": model,
         "learnt_here": model != SHIPPED,
         "grid": list(Grid.parse(resolution).shape),
-        "force_edges": list(read_parameters(params / "evaluate.json", ForEvaluate).evaluate.force_edges),
+        "force_edges": list(read_parameters(params / "evaluate.json").evaluate.force_edges),
         "controls": {name: {"n": split["n"], "controls": split["controls"]} for name, split in splits.items()},
     }
 
@@ -316,7 +316,7 @@ def open_explorer(
     rejected = read_tables(Layout(results), Layout(results).rejected)
     rows = press_rows(read_presses(results), rejected, solved, samples, totals, gels)
     order = {name: at for at, name in enumerate(samples)}
-    gel = load_gel(read_parameters(Layout(results).params / "meshes.json", ForMeshes).meshes.gel)
+    gel = load_gel(read_parameters(Layout(results).params / "meshes.json").meshes.gel)
     return Explorer(results, resolution, rows, order, gel, predictions)
 
 
@@ -371,7 +371,7 @@ def main(args: Namespace) -> None:
     gels = {name: sensor.gel for name, sensor in load_sensors(of.parameters("sensors")).items()}
     explorer = open_explorer(results, resolution, model, solved, gels)
     known = about(results, of.data.name, resolution, model, of.params)
-    limit = read_parameters(of.parameters("report"), ForReport).report.embed_mb * 1e6
+    limit = read_parameters(of.parameters("report")).report.embed_mb * 1e6
     folder, embedded = place_parts(
         args.out.parent, in_parts(tqdm(explorer.presses(), "presses", len(explorer.rows))), limit
     )

@@ -16,7 +16,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of_value, publish, read_json, write_csv, write_json
 from gelforge.flow.layout import Layout, beside
 from gelforge.flow.main import group, stage
-from gelforge.flow.params.stages import ForStability, read_parameters
+from gelforge.flow.params.stages import StageParameters, read_parameters
 from gelforge.mechanics.ccx.program import need_ccx
 from gelforge.records.status import VALID
 from gelforge.sweeps.cases import FACTORS, FINEST, SERIES, Case, factor_of, row_cases
@@ -33,7 +33,7 @@ COLUMNS = ("row", "level", "solver", "kind", "shape", "depth", "shear", "place",
            "verdict", "error", "against", "fx_n", "fy_n", "fz_n", "cpu_seconds", "reason")  # fmt: skip
 
 
-def case_key(case: Case, params: ForStability) -> str:
+def case_key(case: Case, params: StageParameters) -> str:
     """Digest of all that a case's result depends on."""
     parts = [case.describe(), params.version]
     if case.solver in ("hex", FINEST):
@@ -43,7 +43,7 @@ def case_key(case: Case, params: ForStability) -> str:
     return digest_of_value(parts)
 
 
-def case_method(case: Case, params: ForStability) -> Method:
+def case_method(case: Case, params: StageParameters) -> Method:
     """How a case is solved."""
     if not case.size:
         return LABEL[case.solver]
@@ -51,13 +51,13 @@ def case_method(case: Case, params: ForStability) -> Method:
     return Method("case", case.solver, case.size, layers, case.steps)
 
 
-def case_file(case: Case, params: ForStability, folder: Path) -> tuple[Path, str]:
+def case_file(case: Case, params: StageParameters, folder: Path) -> tuple[Path, str]:
     """Where a case's record is kept, and its key."""
     key = case_key(case, params)
     return folder / f"{key[:24]}.json", key
 
 
-def solve_case(case: Case, params: ForStability, meshes: Path, folder: Path) -> dict:
+def solve_case(case: Case, params: StageParameters, meshes: Path, folder: Path) -> dict:
     """Record of one case, the kept one or a new one."""
     path, key = case_file(case, params, folder)
     limit = params.stability.limit_s
@@ -72,7 +72,7 @@ def solve_case(case: Case, params: ForStability, meshes: Path, folder: Path) -> 
     return record
 
 
-def solve_row(row: str, params: ForStability, meshes: Path, folder: Path) -> list[dict]:
+def solve_row(row: str, params: StageParameters, meshes: Path, folder: Path) -> list[dict]:
     """Records of a row, those beyond its time marked NOT_RUN; a rerun resumes at them."""
     end = time.monotonic() + 60.0 * params.stability.minutes
     records = []
@@ -85,7 +85,7 @@ def solve_row(row: str, params: ForStability, meshes: Path, folder: Path) -> lis
     return records
 
 
-def judge_row(row: str, records: list[dict], params: ForStability) -> list[dict]:
+def judge_row(row: str, records: list[dict], params: StageParameters) -> list[dict]:
     """Rows of the table: each case with its verdict "good", "drifts", "failed" or "not run", and its error.
 
     That is the difference of total force from the finest of the same press: in the rows of elements and load steps of the
@@ -153,7 +153,7 @@ def solve(args: Namespace) -> None:
     of = args.of
     if args.row not in ROWS:
         raise BadInput(f"no row {args.row!r} of cases; there are {', '.join(ROWS)}")
-    params = read_parameters(of.parameters("stability"), ForStability)
+    params = read_parameters(of.parameters("stability"))
     need_ccx()
     records = solve_row(args.row, params, of.chart_mesh("any").parent, args.out.parents[1] / "cases")
     judged = judge_row(args.row, records, params)

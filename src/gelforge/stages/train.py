@@ -11,7 +11,7 @@ from gelforge.flow.layout import Layout, beside
 from gelforge.flow.main import stage
 from gelforge.flow.params import laid_over, plain
 from gelforge.flow.params.schema import Place, parse
-from gelforge.flow.params.stages import ForTrain, read_parameters
+from gelforge.flow.params.stages import read_parameters
 from gelforge.flow.params.tables import SHIPPED as SHIPS
 from gelforge.flow.params.tables import TrainingTable, TrainTable
 from gelforge.records.networkkind import kind_of
@@ -55,7 +55,7 @@ def main(args: Namespace) -> None:
     from gelforge.reporting.networkcharts import draw_curve
 
     of = args.of
-    params = read_parameters(of.parameters("train"), ForTrain).train
+    params = read_parameters(of.parameters("train")).train
     model, settings = resolve(read_json(of.parameters(f"models/{args.model}")), args.model, params)
     checkpoint = beside(args.out, ".checkpoint.pt")
     data = open_data(of.dataset(args.resolution))

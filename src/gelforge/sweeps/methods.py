@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelforge.flow.params.stages import ForPareto, ForStability
+from gelforge.flow.params.stages import StageParameters
 from gelforge.flow.params.tables import IN_PROCESS, METHODS, ParetoTable
 from gelforge.mechanics.hexsettings import HexSettings, quality
 from gelforge.mechanics.mesh.family import MeshFamily, load_mesh
@@ -88,7 +88,7 @@ def hex_settings(method: Method) -> HexSettings:
 
 
 def prepare(
-    method: Method, scene: Scene, folder: Path, params: ForPareto | ForStability, work: Path
+    method: Method, scene: Scene, folder: Path, params: StageParameters | StageParameters, work: Path
 ) -> Callable[[], tuple[Result, GelMesh]]:
     """Read meshes and set up solvers, which many presses share; the function returned solves the scene.
 

@@ -7,12 +7,12 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.params import Params
-from gelforge.flow.params.stages import ForPareto, ForStability
+from gelforge.flow.params.stages import StageParameters
 from gelforge.mechanics.mesh.family import MeshFamily, choose_mesh, required_meshes, sizing
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.scene import Scene
 
-Charted = Params | ForPareto | ForStability  # what names the meshes and the solver of labels
+Charted = Params | StageParameters | StageParameters  # what names the meshes and the solver of labels
 
 EDGE_QUALITY = "label"  # of the hexahedra that show where the contact ends
 BESIDE = 1.6  # spacings of their points, within which a point that touches and one that does not are neighbours
@@ -26,7 +26,7 @@ def label_meshes(params: Charted) -> list[str]:
     return required_meshes(replace(params.fea, method="ccx"), params.meshes)
 
 
-def chart_meshes(params: ForPareto | Params) -> list[str]:
+def chart_meshes(params: StageParameters | Params) -> list[str]:
     """Names of the tetrahedral meshes that scenes share: those of labels, and the chart's densities in every label region."""
     sizes, regions = params.pareto.ccx_sizes_mm, params.meshes.regions
     densities = [f"ccx-{region}-{size}" for size in sizes for region in regions]
@@ -57,7 +57,7 @@ def edge_of_contact(scene: Scene) -> np.ndarray:
     return (places[~touches][beside] + places[touches][nearest[beside]]) / 2
 
 
-def reference_mesh(scene: Scene, params: ForPareto, doubled: bool = False) -> GelMesh:
+def reference_mesh(scene: Scene, params: StageParameters, doubled: bool = False) -> GelMesh:
     """Tetrahedra for the reference of one scene: small under the press, smallest where the contact ends.
 
     doubled: all of them of twice the size. BadInput where an element is inverted.

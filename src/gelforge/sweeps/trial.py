@@ -12,7 +12,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of_value, record_of, write_json
 from gelforge.flow.params import plain
-from gelforge.flow.params.stages import ForPareto, ForStability
+from gelforge.flow.params.stages import StageParameters
 from gelforge.flow.params.tables import CHOOSING
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import assemble
@@ -38,7 +38,7 @@ class ChartBench:
 
     meshes: Path
     sensor: Sensor
-    params: ForPareto
+    params: StageParameters
     records: Path
     references: Path | None = None
 
@@ -66,7 +66,7 @@ class ChartBench:
         return ccx_settings(p)
 
 
-def ccx_settings(params: ForPareto | ForStability) -> list[dict]:
+def ccx_settings(params: StageParameters | StageParameters) -> list[dict]:
     """What of [meshes] and [fea] changes a solve with CalculiX, whichever method is chosen."""
     fea = {key: value for key, value in plain(params.fea).items() if key not in NOT_SOLVER}
     return [plain(params.meshes), fea]
@@ -162,7 +162,7 @@ def solve_method(bench: ChartBench, scene: NamedScene, method: Method, work: Pat
 
 
 def load_bench(
-    params: ForPareto, sensors: dict, mesh_folder: Path, records: Path, references: Path | None = None
+    params: StageParameters, sensors: dict, mesh_folder: Path, records: Path, references: Path | None = None
 ) -> ChartBench:
     """A bench that compares cells as the sensor of [pareto] sees them."""
     name = params.pareto.sensor

@@ -18,6 +18,7 @@ from hypothesis.extra.numpy import arrays
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
 from gelforge.flow.orphans import die_with_parent
+from gelforge.flow.params import altered
 from gelforge.labelling.sensor import load_sensors
 from gelforge.stages import stability
 from gelforge.stages.pareto import summarise
@@ -149,7 +150,7 @@ def test_the_chart_holds_what_was_asked(params):
 
 def test_a_key_follows_what_the_method_depends_on_and_nothing_else(params, scenes, tmp_path):
     def key(method, **changed):
-        bench = load_bench(replace(params, **changed), load_sensors("workflow/sensors.toml"), tmp_path, tmp_path)
+        bench = load_bench(altered(params, **changed), load_sensors("workflow/sensors.toml"), tmp_path, tmp_path)
         return bench.key(scenes["punch"], method)
 
     stiffer = replace(params.fea, stiffness=1.0)
@@ -160,7 +161,7 @@ def test_a_key_follows_what_the_method_depends_on_and_nothing_else(params, scene
     assert key(ccx) != key(ccx, fea=stiffer)
     assert key(ccx) == key(ccx, fea=loose)
     assert key(auto) != key(auto, fea=loose)
-    assert key(hexahedron) != key(hexahedron, material=replace(params.material, nu=0.49))
+    assert key(hexahedron) != key(hexahedron, material=altered(params.material, nu=0.49))
     assert key(label) == key(label, fea=stiffer) and key(tets) != key(tets, fea=stiffer)
     # hours of solves: what a reference is one of, and nothing of how others solve
     moved = replace(params.pareto.reference, edge_mm=0.2)

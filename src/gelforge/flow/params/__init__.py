@@ -12,14 +12,14 @@ from typing import Any
 from gelforge.errors import BadInput, nearest
 from gelforge.flow.files import digest_of, read_toml
 from gelforge.flow.params.frozen import check_law, with_frozen
-from gelforge.flow.params.schema import Place, parse, plain
-from gelforge.flow.params.stages import SOURCES, parameters_of, read_parameters, stage_version
+from gelforge.flow.params.schema import Place, altered, parse, plain
+from gelforge.flow.params.stages import parameters_of, read_parameters, stage_version, written_for
 from gelforge.flow.params.tables import Params
 
 __all__ = [
-    "SOURCES",
     "DatasetFile",
     "Params",
+    "altered",
     "load_params",
     "overlaid",
     "parameters_of",
@@ -30,6 +30,7 @@ __all__ = [
     "read_sensor_tables",
     "read_toml",
     "stage_version",
+    "written_for",
 ]  # fmt: skip
 
 

@@ -11,10 +11,11 @@ A field with a default may be left out. Parameters of the stages have none: thei
 Only `parse` imports pydantic: stages read what the plan has checked, and start faster without it.
 """
 
+import copy
 import json
 import types
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import MISSING, dataclass, fields
 from functools import lru_cache
 from typing import (
     Annotated,
@@ -218,11 +219,17 @@ def allowed(hint: Any) -> str:
 
 
 def structured(kind: Any, given: Any) -> Any:
-    """A value as its kind has it, of what `plain` made of one that was checked: lists as tuples, tables as dataclasses."""
+    """A value as its kind has it, of what `plain` made of one that was checked: lists as tuples, tables as dataclasses.
+
+    A table has those keys that are given: of others it has no attribute, but for those that may be left out.
+    """
     kind = split(kind)[0]
     if is_table(kind):
-        known = kinds_of(kind)
-        return kind(**{name: structured(known[name], value) for name, value in given.items()})
+        made, known = object.__new__(kind), kinds_of(kind)
+        values = {field.name: field.default for field in fields(kind) if field.default is not MISSING}
+        for name, value in (values | {name: structured(known[name], value) for name, value in given.items()}).items():
+            object.__setattr__(made, name, value)
+        return made
     if isinstance(given, list):
         return tuple(structured(get_args(kind)[0], value) for value in given)
     if get_origin(kind) is dict:
@@ -230,10 +237,18 @@ def structured(kind: Any, given: Any) -> Any:
     return given
 
 
+def altered(table: T, **values: Any) -> T:
+    """A table, of which a stage may have been given a part, with other values of some keys."""
+    made = copy.copy(table)
+    for name, value in values.items():
+        object.__setattr__(made, name, value)
+    return made
+
+
 def plain(value: Any) -> Any:
     """A table as TOML and JSON have it: dictionaries, lists, and no keys that were left out."""
     if isinstance(value, ParameterTable):
-        found = ((field.name, getattr(value, field.name)) for field in fields(value))
+        found = ((field.name, getattr(value, field.name, None)) for field in fields(value))
         return {name: plain(each) for name, each in found if each is not None}
     if isinstance(value, dict):
         return {name: plain(each) for name, each in value.items()}

@@ -263,13 +263,6 @@ class CalibrateTable(ParameterTable):
     priors: PriorsTable
 
 
-class ImagesTable(ParameterTable):
-    """What of [poses] says how images are judged."""
-
-    images: bool
-    judge_images: bool
-
-
 class PosesTable(ParameterTable):
     """[poses]: from commanded paths to those of the tip against the gel."""
 
@@ -284,29 +277,19 @@ class PosesTable(ParameterTable):
     band_mm: Annotated[Number, Within(1e-3, 1e3, "mm")]
 
 
-class PoissonTable(ParameterTable):
-    """What of [material] changes a solve: Poisson's ratio."""
-
-    nu: Nu
-
-
-class MaterialTable(PoissonTable):
+class MaterialTable(ParameterTable):
     """[material]: the gel, in MPa."""
 
+    nu: Nu
     c10: Stiffness | Literal["calibrated"]
     c10_interval68: Interval | None = None  # of a frozen calibration
     c10_interval95: Interval | None = None
 
 
-class LawTable(ParameterTable):
-    """What of [interface] a calibration reads: the law, whose friction coefficient it finds."""
-
-    law: Law
-
-
-class InterfaceTable(LawTable):
+class InterfaceTable(ParameterTable):
     """[interface]: what holds sideways between indenter and gel."""
 
+    law: Law
     mu: Annotated[Number, Within(0.0, 1e3)]
 
 

@@ -9,7 +9,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from gelforge.flow.files import alone, digest_of_value, listed, publish, read_json, write_json
-from gelforge.flow.params.stages import ForMeshes, read_parameters
+from gelforge.flow.params.stages import read_parameters
 from gelforge.flow.params.tables import MeshesTable
 from gelforge.geometry.gel import Gel, gel_shape, load_gel
 from gelforge.mechanics.mesh.gelmesh import GelMesh
@@ -88,5 +88,5 @@ class MeshSource:
 
 def source_of(params: Path, workflow: Path = WORKFLOW) -> MeshSource:
     """Where a stage gets meshes from. params: the slice of [meshes]."""
-    table = read_parameters(params, ForMeshes).meshes
+    table = read_parameters(params).meshes
     return MeshSource(load_gel(table.gel), table, workflow / MESH_FOLDER)
