@@ -1,18 +1,43 @@
 """Gauge log, path log and images of a bench, each with its own clock, as a dataset with a log."""
 
+import argparse
+import sys
 from argparse import Namespace
 from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.files import read_toml
 from gelforge.flow.main import command, option, positive
-from gelforge.formats.benchfiles import Images, Setup, align, read_gauge, read_path
+from gelforge.formats.benchfiles import Aligned, Images, Setup, align, read_gauge, read_path, write_dataset
+from gelforge.geometry.gel import load_gel
+from gelforge.geometry.indenters import load_catalogue
 from gelforge.labelling.sensor import find_sensor, load_sensors
+from gelforge.records.frames import check_frames
+from gelforge.records.press import RawRow, Rejection, parse
+from gelforge.stages.poses import geometric_faults
 
 
 def place(text: str) -> tuple[float, float, float]:
     """Three numbers with commas between them."""
-    x, y, z = map(float, text.split(","))
+    try:
+        x, y, z = map(float, text.split(","))
+    except ValueError:
+        raise argparse.ArgumentTypeError(f"{text!r} is no place X,Y,Z in mm") from None
     return x, y, z
+
+
+def newtons(text: str) -> float:
+    """A force above 0."""
+    try:
+        value = float(text)
+    except ValueError:
+        value = 0.0
+    if not 0.0 < value < np.inf:
+        raise argparse.ArgumentTypeError(f"{text!r} is no force above 0, in N")
+    return value
 
 
 @command(
@@ -21,7 +46,7 @@ def place(text: str) -> tuple[float, float, float]:
         "--path",
         type=Path,
         required=True,
-        help="CSV of a time and x_UNIT, y_UNIT, z_UNIT, or lines of time and G-code",
+        help="CSV of a time and x_UNIT, y_UNIT, z_UNIT, or GRBL's reports behind their times",
     ),
     option("--images", type=Path, required=True, help="a film, or a folder of images with times.csv (image, time_s)"),
     option("--data", type=Path, required=True, help="the dataset's folder, data/NAME, which must not exist"),
@@ -30,18 +55,87 @@ def place(text: str) -> tuple[float, float, float]:
     option("--gel-id", default="gel", help="your name of the piece of gel"),
     option("--origin", type=place, default=(0.0, 0.0, 0.0), metavar="X,Y,Z", help="the gel's apex on the path, mm"),
     option("--sign", type=int, choices=(1, -1), default=1, help="-1: the gauge counts pressing as positive"),
-    option("--touch", type=positive, default=0.1, help="N from which on the gel is pressed"),
-    option("--every", type=int, default=1, help="of so many images of a press one is taken"),
+    option("--touch", type=newtons, default=0.1, help="N from which on the gel is pressed"),
+    option("--every", type=positive, default=1, help="of so many images of a press one is taken"),
     option("--sensors", type=Path, default=Path("workflow/sensors.toml")),
+    option("--indenters", type=Path, default=Path("workflow/indenters.toml")),
+    option("--params", type=Path, default=Path("workflow/params.toml")),
 )
 def main(args: Namespace) -> None:
-    if args.every < 1:
-        raise BadInput(f"--every {args.every}: give a whole number from 1")
     sensor = find_sensor(load_sensors(args.sensors), args.sensor, "--sensor", str(args.sensors))
-    gauge, path = read_gauge(args.gauge, args.sign), read_path(args.path, args.origin)
-    bench = Setup(sensor, args.indenter, args.gel_id)
-    print(*align(gauge, path, Images.of(args.images), bench, args.data, args.touch, args.every), sep="\n")
-    print(f"next: make DATASET={args.data.name} labels")
+    body = load_catalogue(args.indenters, [args.indenter])[args.indenter]
+    (gauge, measured), path = read_gauge(args.gauge, args.sign), read_path(args.path, args.origin)
+    bench, images = Setup(sensor, args.indenter, args.gel_id), Images.of(args.images)
+    found = align(gauge, measured, path, images, bench, args.touch, args.every)
+    print(*found.notes, sep="\n")
+    for line in leave_out(found, body, load_gel(sensor.gel), SimpleNamespace(**read_toml(args.params)["poses"])):
+        print(line, file=sys.stderr)
+    write_dataset(found, images, bench, args.data)
+    draw(found, args.data / "aligned.png")
+    presses = len({row.press_id for row in found.rows.values()})
+    print(
+        f"{args.data}: {len(found.rows)} rows of {presses} presses; look at aligned.png there, then make DATASET={args.data.name} labels"
+    )
+
+
+def leave_out(found: Aligned, body, gel, params) -> list[str]:
+    """Leave out rows that stage 10 would reject; a sentence for each reason. BadInput where none is left."""
+    lines = {row.sample_id: at for at, row in found.rows.items()}
+    good, wrong = [], []
+    for number, row in enumerate(found.rows.values(), 2):
+        record, faults = parse(RawRow(number, row.cells()), "log.csv")
+        if record is not None:
+            faults = geometric_faults(record, "log.csv", body, gel, params)
+            good += [] if faults else [record]
+        wrong += faults[:1]
+    wrong += check_frames(good, "log.csv")
+    by_reason: dict[str, list[Rejection]] = {}
+    for each in wrong:
+        by_reason.setdefault(f"{each.column}: {each.reason}", []).append(each)
+        found.rows.pop(lines[each.sample_id], None)
+    said = [
+        f"{len(of)} images left out, {reason} (the first is {of[0].sample_id}: {of[0].hint})"
+        for reason, of in by_reason.items()
+    ]
+    if not found.rows:
+        raise BadInput(f"{found.path.name}: no image is left: " + "; ".join(said))
+    return said
+
+
+def draw(found: Aligned, path: Path) -> None:
+    """Force, depth and change of the images over the gauge's time, the log's rows on them, and what each press says of the clocks."""
+    from gelforge.reporting.canvas import canvas_with_axes, save_png
+
+    figure, axes = canvas_with_axes(2, 1, 11.0, 6.4)
+    start, top = found.gauge.times[0], axes[0, 0]
+    depth, change = found.path, found.change
+    at = found.clocks["images"].to_gauge(change.times)
+    curves = (
+        ("force", found.gauge.times, found.gauge.values[:, 0]),
+        ("depth", found.clocks["path"].to_gauge(depth.times), np.maximum(depth.values[:, 0], 0.0)),
+        ("change of the images", at, change.values[:, 0]),
+    )
+    for name, times, values in curves:
+        top.plot(times - start, values / (np.nanmax(values) or 1.0), linewidth=0.8, label=f"{name}, of its largest")
+    rows = at[list(found.rows)] - start
+    top.plot(
+        rows,
+        np.interp(rows, found.gauge.times - start, found.gauge.values[:, 0]) / found.gauge.values[:, 0].max(),
+        "k.",
+        markersize=3,
+        label="rows",
+    )
+    top.legend(loc="upper right", fontsize=8)
+    for name, clock in found.clocks.items():
+        times, offsets = clock.presses.T
+        line = clock.offset_s + clock.drift / (1.0 + clock.drift) * (times - clock.middle_s - clock.offset_s)
+        axes[1, 0].plot(
+            times - start, 1e3 * (offsets - line), "o", markersize=4, label=f"{name}, from its clock's line"
+        )
+    axes[1, 0].axhline(0.0, color="0.7", linewidth=0.8)
+    axes[1, 0].set(xlabel="s of the gauge", ylabel="offset of each press, ms", xlim=top.get_xlim())
+    axes[1, 0].legend(loc="upper right", fontsize=8)
+    save_png(path, figure)
 
 
 if __name__ == "__main__":

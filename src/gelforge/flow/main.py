@@ -14,6 +14,7 @@ import argparse
 import errno
 import inspect
 import os
+import re
 import sys
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -34,8 +35,8 @@ EXTRAS = {
         ("pypardiso", "pymeshlab", "pytetwild", "pyvista", "vtk", "vtkmodules", "emcee", "arviz_stats", "corner", "jinja2"), "flow"
     ),
     **dict.fromkeys(("torch", "safetensors", "tqdm"), "train"),
-    **dict.fromkeys(("mcap_ros2", "rerun", "pyarrow", "webdataset", "h5py"), "exports"),
-    **dict.fromkeys(("foxglove", "mcap"), "live"),
+    **dict.fromkeys(("mcap_ros2", "mcap_protobuf", "av", "pyarrow", "h5py"), "exports"),
+    **dict.fromkeys(("foxglove", "mcap", "rosbags"), "live"),
     "huggingface_hub": "hub",
 }  # fmt: skip
 # Of a name that no file can have.
@@ -75,7 +76,7 @@ class Command:
             prog=program(home), description=home.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
         )
         self.extend(parser)
-        args = parser.parse_args(argv)
+        args = parser.parse_args(joined(sys.argv[1:] if argv is None else argv))
         return args.run(args) or 0
 
     def extend(self, parser: argparse.ArgumentParser) -> None:
@@ -87,6 +88,17 @@ class Command:
     def exit(self, argv: Sequence[str] | None = None) -> NoReturn:
         """Run and leave the process, with one line for what a user can mend."""
         exit_with(self, argv)
+
+
+def joined(argv: Sequence[str]) -> list[str]:
+    """Words of a command line with a list of numbers that begins with a minus behind its option, which argparse takes for one."""
+    words: list[str] = []
+    for word in map(str, argv):
+        if re.match(r"-[\d.]+,", word) and words and words[-1].startswith("--") and "=" not in words[-1]:
+            words[-1] += f"={word}"
+        else:
+            words.append(word)
+    return words
 
 
 @dataclass(frozen=True)

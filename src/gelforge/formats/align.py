@@ -3,7 +3,7 @@
 Every press bends the same force, depth and change of the image, so the clocks are matched by them: roughly by cross-correlation over
 the whole recording, whose best offsets are all tried, then press by press, where force is a smooth function of depth (and of the image's change) only if
 both are looked at for the same time. A line through the offsets of the presses is the clock's offset and drift; their scatter
-about it, and a tenth of a sampling interval, is the error that is told. A recording of one press has no drift.
+about it, and a tenth of a sampling interval, is the error that is told. Of one press the drift is not known. What the gauge reads while nothing presses is taken off first.
 """
 
 import math
@@ -16,14 +16,22 @@ from gelforge.errors import BadInput
 
 LAPSE = 2.5  # of the usual interval: beyond, samples were dropped, and nothing is interpolated
 COARSE_S = 0.02  # step of the cross-correlation
-REACH_S = 0.5  # around its best offset that the presses are looked at
+REACH_S = 2.0  # around its best offset that the presses are looked at
 MOST_TRIED = 6  # offsets of the cross-correlation
 TOLERATED = 0.1  # of a force's variance within a press, that the other recording may leave unexplained
 RIVAL = 0.9  # of what the best offset explains: another one that reaches it may be the right one as well
 FEWEST = 12  # samples of a press that give its offset
 ROUNDED = 0.1  # of a sampling interval: what corners between samples cost (five simulated benches: 0.07)
 DEGREE = 3  # of force over depth within a press
-MOST_DRIFT = 1e-3  # 3.6 s an hour, beyond what two clocks do
+MOST_DRIFT = 1.5e-3  # 5.4 s an hour, beyond what two clocks do
+MOST_SCATTER_S = (
+    0.025  # of the offsets of single presses: positions that were sent ahead scatter by tenths of a second
+)
+MOST_MISSING = 0.4  # of the presses, that another recording does not show
+WINDOWS = 8  # of a gauge's recording, in each of which it reads one force most often
+BEFORE_S, AFTER_S = 0.1, 0.3  # around a press, in which the gel is not at rest yet
+ROUNDS = 3  # in which presses and what the gauge reads between them are found by turns
+NOISE = 4.0  # times the scatter at rest, below which nothing is a press
 
 
 @dataclass(frozen=True)
@@ -66,17 +74,106 @@ class Recording:
 
 
 @dataclass(frozen=True)
+class Levelled:
+    """A gauge's recording without what it reads at rest. level (n, k): what was taken off. touch: N from which on the gel is pressed."""
+
+    gauge: Recording
+    level: np.ndarray
+    touch: float
+
+
+def without_level(gauge: Recording, touch: float) -> Levelled:
+    """Take off what a gauge reads between presses, whose first value is the force that presses, N; a line from pause to pause.
+
+    BadInput where forces are of the other sign, or where the gauge never rests.
+    """
+    force = gauge.values[:, 0]
+    base = _usual(gauge.times, force)
+    left = force - base
+    low, high = np.quantile(left, [0.003, 0.997])
+    if -low > max(high, touch):
+        raise BadInput(
+            f"{gauge.name}: its forces leave rest by {low:+.3g} N, and pressing is negative: give --sign -1 where the gauge counts"
+            " pressing as positive"
+        )
+    for _ in range(ROUNDS):
+        rest = at_rest(gauge, left >= max(touch, 0.05 * float(np.quantile(left, 0.997))))
+        pauses = [pause for pause in _runs(rest) if pause.stop - pause.start >= FEWEST]
+        if not pauses:
+            raise BadInput(
+                f"{gauge.name}: the gauge never rests; record a second without contact before and after each press"
+            )
+        middles = [float(gauge.times[pause].mean()) for pause in pauses]
+        level = np.stack([
+            np.interp(gauge.times, middles, [float(np.median(value[pause])) for pause in pauses]) for value in gauge.values.T
+        ], axis=1)  # fmt: skip
+        left = force - level[:, 0]
+    scatter = 1.4826 * float(np.median(np.abs(left[rest])))
+    levelled = Recording(gauge.name, gauge.times, gauge.values - level)
+    return Levelled(levelled, level, max(touch, NOISE * scatter))
+
+
+def _usual(times: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """A line (n,) N through what a gauge reads most often: per window the middle of the shortest interval that holds half of it."""
+    parts = [part for part in np.array_split(np.arange(len(force)), WINDOWS) if len(part) >= FEWEST]
+    if len(parts) < 2:
+        return np.full(len(force), float(np.median(force)))
+    middles, modes = (
+        np.array([float(times[part].mean()) for part in parts]),
+        np.array([_mode(force[part]) for part in parts]),
+    )
+    kept = np.ones(len(parts), bool)
+    for _ in range(WINDOWS):
+        slope = _slope(middles[kept], modes[kept])
+        line = np.median(modes[kept] - slope * middles[kept]) + slope * middles
+        now = modes <= line + 0.1 * np.ptp(force)
+        if now.sum() < 2 or (now == kept).all():
+            break
+        kept = now
+    return np.asarray(np.median(modes[kept] - slope * middles[kept]) + slope * times)
+
+
+def _mode(values: np.ndarray) -> float:
+    """The half-sample mode of values (n,) (Robertson and Cryer 1974, J. Am. Stat. Assoc. 69, 1012)."""
+    ordered = np.sort(values)
+    while len(ordered) > 2:
+        half = (len(ordered) + 1) // 2
+        at = int(np.argmin(ordered[half - 1 :] - ordered[: len(ordered) - half + 1]))
+        ordered = ordered[at : at + half]
+    return float(ordered.mean())
+
+
+def at_rest(gauge: Recording, pressed: np.ndarray) -> np.ndarray:
+    """Which samples (n,) lie well before and well after each press."""
+    rest = ~pressed
+    for press in _runs(pressed):
+        began, ended = gauge.times[press.start] - BEFORE_S, gauge.times[press.stop - 1] + AFTER_S
+        rest &= (gauge.times < began) | (gauge.times > ended)
+    return rest
+
+
+def _runs(where: np.ndarray) -> list[slice]:
+    """Runs of True in (n,) bool."""
+    steps = np.diff(np.concatenate([[False], where, [False]]).astype(int))
+    return [
+        slice(a, b)
+        for a, b in zip(np.flatnonzero(steps == 1).tolist(), np.flatnonzero(steps == -1).tolist(), strict=True)
+    ]
+
+
+@dataclass(frozen=True)
 class MatchedClock:
     """How a recording's clock goes beside the gauge's: gauge time = time + offset_s + drift (time - middle_s).
 
-    error_s: of the offset: the scatter of the presses, and ROUNDED of the slower recording's interval. presses: from which it was found. rival: whether another offset fits nearly as well.
+    error_s: of the offset: the scatter of the presses, and ROUNDED of the slower recording's interval. presses (k, 2): middle of
+    each press that it was found from on the gauge's clock, and its own offset, s. rival: whether another offset fits nearly as well.
     """
 
     offset_s: float
     drift: float
     middle_s: float
     error_s: float
-    presses: int
+    presses: np.ndarray
     rival: bool
 
     def to_gauge(self, times: np.ndarray) -> np.ndarray:
@@ -90,12 +187,7 @@ class MatchedClock:
 
 def presses_of(force: np.ndarray, touch: float) -> list[slice]:
     """Samples of each press: where a force (n,) N is at least `touch`, in the order of time."""
-    touched = np.concatenate([[False], force >= touch, [False]])
-    starts, ends = (
-        np.flatnonzero(np.diff(touched.astype(int)) == 1),
-        np.flatnonzero(np.diff(touched.astype(int)) == -1),
-    )
-    return [slice(a, b) for a, b in zip(starts.tolist(), ends.tolist(), strict=True) if b - a >= FEWEST]
+    return [run for run in _runs(force >= touch) if run.stop - run.start >= FEWEST]
 
 
 def match_clock(gauge: Recording, other: Recording, touch: float) -> MatchedClock:
@@ -124,19 +216,30 @@ def match_clock(gauge: Recording, other: Recording, touch: float) -> MatchedCloc
             f"{other.name}: shows none of the {len(presses)} presses of {gauge.name}; are they of one session?"
         )
     rival = sum(part >= RIVAL * max(explained) for part in explained) > 1
+    if len(found) < (1.0 - MOST_MISSING) * len(presses):
+        raise BadInput(
+            f"{other.name}: shows {len(found)} of the {len(presses)} presses of {gauge.name} at one offset of its clock: was the film"
+            " slower or faster than its frame rate says, or were positions logged when they were sent, not where the tip was?"
+        )
     times, offsets, _ = np.array(found).T
     drift = _slope(times, offsets)
     middle = float(times.mean())
     left = offsets - drift * (times - middle)
     offset = float(np.median(left))
     scatter = 1.4826 * float(np.median(np.abs(left - offset)))
+    if scatter > MOST_SCATTER_S + ROUNDED * max(gauge.interval, other.interval):
+        raise BadInput(
+            f"{other.name}: the offset of its clock differs from press to press by {1e3 * scatter:.0f} ms: were positions logged when"
+            " they were sent, ahead of the tip, or were images stamped when they arrived? Log where the tip is (the controller's"
+            " reports), and when each image was taken"
+        )
     if abs(drift) > MOST_DRIFT:
         raise BadInput(
             f"{other.name}: its clock gains {1e6 * drift:.0f} ppm on that of {gauge.name}, which no clock does; are its times in"
-            " the unit that the header names?"
+            " the unit that the header names, and is a film's frame rate the true one?"
         )
     error = math.hypot(scatter / math.sqrt(len(left)), ROUNDED * max(gauge.interval, other.interval))
-    return MatchedClock(offset, drift, middle - offset, error, len(left), rival)
+    return MatchedClock(offset, drift, middle - offset, error, np.column_stack([times, offsets]), rival)
 
 
 def _correlated(gauge: Recording, other: Recording) -> list[float]:

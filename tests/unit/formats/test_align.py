@@ -1,14 +1,20 @@
 """Clocks of a bench are matched by what its recordings show of the same presses; nothing is filled in without a word."""
 
+import tomllib
+
 import cv2
 import numpy as np
 import pytest
 
 from gelforge.commands import align as command
 from gelforge.errors import BadInput
-from gelforge.formats.align import Recording, match_clock
+from gelforge.formats.align import Recording, match_clock, without_level
 from gelforge.formats.benchfiles import read_gauge, read_path
-from gelforge.records.log import read_presses
+from gelforge.records.image import read_image
+from gelforge.records.log import read_log, read_presses
+from gelforge.stages.poses import judge
+from tests.support.parameters import parameters
+from tests.support.refused import refused
 
 LENGTH = 150.0  # s
 STARTS = np.array([8.0, 27.5, 45.0, 70.3, 88.0, 101.7, 125.0])
@@ -108,66 +114,226 @@ def test_recordings_that_cannot_serve_are_refused(times, values, said):
         match_clock(one, one, 0.1)
 
 
-def test_units_and_g_code_are_read(tmp_path):
+LEVELS = {
+    "-0.3 N": (-0.3, 0.0),
+    "+1.5 N": (1.5, 0.0),
+    "+2 N": (2.0, 0.0),
+    "drift of 0.5 N": (0.1, 0.5),
+    "-1 N and drift": (-1.0, -0.4),
+}
+
+
+@pytest.mark.parametrize("name", LEVELS)
+def test_what_a_gauge_reads_at_rest_is_taken_off(name):
+    """Each force was short by it, and presses seemed to begin early."""
+    (start, drift), rng = LEVELS[name], np.random.default_rng(1)
+    at = sampled(80, rng, dropped=0.02)
+    level = start + drift * at / LENGTH
+    forces = np.column_stack([force(at), np.zeros(len(at)), -force(at)])
+    read = forces + level[:, None] * [-1.0, 1.0, 1.0] + rng.normal(0, 0.02, forces.shape)
+    found = without_level(Recording("gauge", at, read), 0.1)
+    assert np.abs(found.gauge.values - forces).max() < 0.12
+    assert np.abs(found.level - level[:, None] * [-1.0, 1.0, 1.0]).max() < 0.03
+
+
+def test_a_gauge_of_the_other_sign_or_without_rest_is_refused():
+    rng = np.random.default_rng(2)
+    at = sampled(80, rng)
+    noise = rng.normal(0, 0.02, len(at))
+    refused(
+        "pressing is negative: give --sign -1", without_level, Recording("g", at, (-force(at) + noise)[:, None]), 0.1
+    )
+    always = 3.0 + np.sin(at) ** 2 + noise
+    never = without_level(Recording("g", at, always[:, None]), 0.1)  # a contact that is never lost is taken for rest
+    refused(
+        "shows|no press|at one offset", match_clock, never.gauge, Recording("path", at, -height(at)[:, None]), 0.1
+    )
+
+
+def told_of_path(tmp_path, text, origin=(0.0, 0.0, 0.0), name="path.log"):
+    (tmp_path / name).write_text(text)
+    return read_path(tmp_path / name, origin)
+
+
+def test_units_and_reports_of_one_frame_are_read(tmp_path):
     (tmp_path / "gauge.csv").write_text("# of the lab\ntime_ms,fz_gf\n0,0\n10,-102\n20,-204\n")
-    gauge = read_gauge(tmp_path / "gauge.csv", 1)
+    gauge, measured = read_gauge(tmp_path / "gauge.csv", 1)
+    assert measured == ("fz_n",)
     np.testing.assert_allclose(gauge.times, [0, 0.01, 0.02])
     np.testing.assert_allclose(gauge.values[:, 0], [0, 1.0003, 2.0006], atol=1e-3)
-    (tmp_path / "path.gcode").write_text(
-        "; program\n0.0 G21 G90\n0.5 G1 X1 Y2 Z5 F100\n1.0 Z4.5\n1.5 <Run|MPos:1.000,2.000,4.250|FS:0,0>\n"
-    )
-    path = read_path(tmp_path / "path.gcode", (1.0, 2.0, 5.0))
-    np.testing.assert_allclose(path.times, [0.5, 1.0, 1.5])
-    np.testing.assert_allclose(path.values[:, 0], [0.0, 0.5, 0.75])
-    for text, said in (("time_s,fz\n0,1\n", "fz_UNIT"), ("time_s,fz_n,fz_gf\n0,1,1\n", "2 columns"), ("t,fz_n\n0,1\n", "time_s"),
-                       ("time_s,fz_n\n0,one\n1,2\n", "'one'"), ("time_s,fz_n\nnow,1\n", "line 2")):  # fmt: skip
-        (tmp_path / "gauge.csv").write_text(text)
-        with pytest.raises(BadInput, match=said):
-            read_gauge(tmp_path / "gauge.csv", 1)
-    (tmp_path / "path.gcode").write_text("0.5 G91 G1 Z-0.5 X0 Y0\n")
-    with pytest.raises(BadInput, match="G91"):
-        read_path(tmp_path / "path.gcode", (0.0, 0.0, 0.0))
+    work = "0.5 <Idle|WPos:1.000,2.000,5.000|FS:0,0>\n0.6 <Run|WPos:1.000,2.000,4.500|FS:0,0|Ov:100,100,100>\n"
+    machine = "0.5 <Idle|MPos:-99.000,-48.000,-5.000|FS:0,0>\n\n0.6 <Jog|MPos:-99.000,-48.000,-5.500|WCO:-100.000,-50.000,-10.000>\n"
+    for text in (work, machine):
+        path = told_of_path(tmp_path, text, (1.0, 2.0, 5.0))
+        np.testing.assert_allclose(path.times, [0.5, 0.6])
+        np.testing.assert_allclose(path.values[:, :4], [[0.0, 0, 0, 0], [0.5, 0, 0, -0.5]], atol=1e-9)
+    inches = told_of_path(tmp_path, "time_ms,x_in,y_mm,z_mm\n0,1,0,0\n20,1.0,0,-1e-1\n", name="path.csv")
+    np.testing.assert_allclose(inches.values[:, 1], 25.4)
 
 
-def test_a_bench_becomes_a_dataset(tmp_path, capsys, root):
-    rng = np.random.default_rng(5)
-    at = sampled(60, rng)
-    readings = force(at) + rng.normal(0, 0.02, len(at))
-    lines = [f"{t:.4f},{f / 9.80665e-3:.3f}" for t, f in zip(at, readings, strict=True)]
-    (tmp_path / "gauge.csv").write_text("\n".join(["time_s,fz_gf", *lines]))
-    at = sampled(40, rng)
-    lines = [f"{1e3 * t:.1f},12.5,30,{z + 2.0:.3f}" for t, z in zip(clock(at, 0.3, 50), height(at), strict=True)]
-    (tmp_path / "path.csv").write_text("\n".join(["time_ms,x_mm,y_mm,z_mm", *lines]))
-    film = cv2.VideoWriter(str(tmp_path / "film.avi"), cv2.VideoWriter.fourcc(*"MJPG"), 10, (320, 240))
-    v, u = np.mgrid[:240, :320]
-    for z in height(np.arange(0.0, 60.0, 0.1) + 0.7):
-        press = 80 * np.maximum(-z, 0) ** 0.7 * np.exp(-((u - 160) ** 2 + (v - 120) ** 2) / 800)
-        film.write(np.repeat((100 + press)[..., None], 3, 2).astype(np.uint8))
-    film.release()
-    words = {"gauge": "gauge.csv", "path": "path.csv", "images": "film.avi", "data": "bench"}
-    argv = [word for name, file in words.items() for word in (f"--{name}", str(tmp_path / file))]
-    argv += [
-        "--sensor",
-        "gelsight_mini",
-        "--indenter",
-        "sphere_15",
-        "--sign",
-        "-1",
-        "--sensors",
-        str(root / "workflow/sensors.toml"),
+LINE = "0.5 <Idle|WPos:1.000,2.000,5.000|FS:0,0>\n"
+CSV = "time_s,x_mm,y_mm,z_mm\n0.00,1,2,5\n"
+NO_PATHS = {  # what a path may not be, and what is said of it
+    "G-code": ("0.5 G1 X1 Y2 Z5 F100\n", "line 1.*where the tip was"),
+    "relative": (LINE + "0.6 g91\n", "line 2.*where the tip was"),
+    "packed words": (LINE + "0.6 G20G90\n", "line 2.*where the tip was"),
+    "numbered": (LINE + "0.6 N10G20\n", "line 2.*where the tip was"),
+    "a jog": (LINE + "0.6 $J=G21G91X1F500\n", "line 2.*where the tip was"),
+    "padded": (LINE + "0.6 G020\n", "line 2.*where the tip was"),
+    "a moved zero": (LINE + "0.6 G92 X0\n", "line 2.*where the tip was"),
+    "offsets": (LINE + "0.6 G10 L20 P1 X0\n", "line 2.*where the tip was"),
+    "homing": (LINE + "0.6 G28\n", "line 2.*where the tip was"),
+    "machine moves": (LINE + "0.6 g53 z0\n", "line 2.*where the tip was"),
+    "spaced": (LINE + "0.6 G 91\n", "line 2"),
+    "an axis alone": (LINE + "0.6 X1.5 Z-0.5\n", "line 2"),
+    "two frames": (LINE + "0.6 <Idle|MPos:1.000,2.000,5.000|FS:0,0>\n", "line 2.*one frame of coordinates"),
+    "machine alone": (LINE.replace("WPos", "MPos") * 1, "MPos without any WCO"),
+    "zero moved": (
+        LINE.replace("|FS", "|WCO:0.000,0.000,1.000|FS") + LINE.replace("|FS", "|WCO:0.000,0.000,2.000|FS"),
+        "line 2.*was moved",
+    ),
+    "inches": ("0.5 <Idle|WPos:0.0394,0.0787,0.1969|FS:0,0>\n", "line 1.*inches"),
+    "homing state": (LINE + "0.6 <Home|WPos:1.000,2.000,5.000|FS:0,0>\n", "line 2.*its own zero"),
+    "alarm": (LINE + "0.6 <Alarm|WPos:1.000,2.000,5.000|FS:0,0>\n", "line 2.*its own zero"),
+    "old GRBL": (LINE + "0.6 <Idle,MPos:1.000,2.000,5.000,WPos:1.000,2.000,5.000>\n", "line 2.*no report"),
+    "no time": ("<Idle|WPos:1.000,2.000,5.000|FS:0,0>\n", "line 1.*time in s first"),
+    "a cut line": (LINE + "0.6 <Idle|WPos:1.000,2.000,5.0\n", "line 2.*no report"),
+    "ok": (LINE + "0.6 ok\n", "line 2.*only reports"),
+    "exponents": (LINE + "0.6 <Idle|WPos:1.0e1,2.000,5.000|FS:0,0>\n", "line 2.*no report"),
+    "decimal commas": (LINE + "0,6 <Idle|WPos:1.000,2.000,5.000|FS:0,0>\n", "line 2.*no report"),
+    "four axes": (LINE + "0.6 <Idle|WPos:1.000,2.000,5.000,0.000|FS:0,0>\n", "line 2.*no report"),
+    "M114": ("X:1.00 Y:2.00 Z:5.00 E:0.00 Count X:80 Y:160 Z:2000\n", "M114 says where"),
+    "M114 behind its time": ("0.5 X:1.00 Y:2.00 Z:5.00 E:0.00 Count X:80\n", "line 1"),
+    "no header": ("0.00,1,2,5\n0.02,1,2,5\n", "no header"),
+    "header below": ("controller,grbl,1.1,h\n" + CSV, "header stands in line 2"),
+    "another column": ("time_s,x_mm,y_mm,z_mm,mode\n0.00,1,2,5,G90\n0.02,1,2,4,G91\n", "'mode' is not known"),
+    "two units": (
+        CSV + "0.02,0.0394,0.0787,0.1969\n0.04,1,2,5\n" + CSV.split("\n")[1].replace("0.00", "0.06") * 0,
+        "",
+    ),
+    "two frames of samples": (CSV + "0.02,-99,-48,-5\n", "line 3.*jumps by"),
+    "commas for points": (CSV + "0.02,1,0,2,5\n", "row 3|another number"),
+    "a line a move": (CSV + "3.20,1,2,-1\n6.40,1,2,5\n", "whole move"),
+    "words": (CSV + "0.02,1,2,five\n", "'five'"),
+    "no unit": ("time_s,x,y,z\n0,1,2,5\n0.02,1,2,5\n", "columns x_UNIT"),
+    "two times": ("time_s,time_ms,x_mm,y_mm,z_mm\n0,0,1,2,5\n0.02,20,1,2,5\n", "2 columns of time"),
+}
+del NO_PATHS["two units"]  # inches among millimetres near the origin jump by less than a tip may
+
+
+@pytest.mark.parametrize("name", NO_PATHS)
+def test_a_path_that_may_be_meant_otherwise_is_refused_by_line(tmp_path, name):
+    """A reader that guesses was wrong without a word in twelve of thirty of these."""
+    text, said = NO_PATHS[name]
+    with pytest.raises(BadInput, match=said):
+        told_of_path(tmp_path, text)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("time_s,fz\n0,1\n", "fz_UNIT"), ("time_s,fz_n,fz_gf\n0,1,1\n", "2 columns"), ("t,fz_n\n0,1\n", "time_s"),
+        ("time_s,fz_n\n0,one\n1,2\n", "'one'"), ("time_s,fz_n\nnow,1\n", "line 2"), ("0.0,1.2\n0.1,1.3\n", "no header"),
+        ("gauge of the lab\nserial 12\ntime_s,fz_n\n0,1\n1,1\n", "header stands in line 3"),
+    ],
+)  # fmt: skip
+def test_a_gauge_log_that_cannot_be_read_names_its_cause(tmp_path, text, said):
+    (tmp_path / "gauge.csv").write_text(text)
+    with pytest.raises(BadInput, match=said):
+        read_gauge(tmp_path / "gauge.csv", 1)
+
+
+def test_positions_that_were_sent_ahead_of_the_tip_are_named():
+    """By 0.2 to 1.5 s, another time in each press: its error was told as 137 ms."""
+    rng = np.random.default_rng(3)
+    at = sampled(80, rng)
+    gauge = Recording("gauge", at, (force(at) + rng.normal(0, 0.02, len(at)))[:, None])
+    for low, high in ((0.2, 1.5), (0.05, 0.3)):
+        lead = np.interp(at, STARTS, rng.permutation(np.linspace(low, high, len(STARTS))))
+        times = np.maximum.accumulate(at - lead + 1e-6 * np.arange(len(at)))
+        path = Recording("path", times, -height(at)[:, None])
+        refused("sent", match_clock, gauge, path, 0.1)
+
+
+def test_a_film_whose_frame_rate_is_wrong_is_named():
+    rng = np.random.default_rng(4)
+    at, seen = sampled(80, rng), sampled(22, rng)
+    gauge = Recording("gauge", at, (force(at) + rng.normal(0, 0.02, len(at)))[:, None])
+    film = Recording("film", seen * 22 / 25, np.maximum(-height(seen), 0.0)[:, None])
+    refused("frame rate", match_clock, gauge, film, 0.1)
+
+
+def lay_bench(folder, name, seconds, size, began=0.0, origin=(-120.5, -88.2, -35.4)):
+    """Files of a bench as `gelforge align` reads them: a path that is logged only where it moves, images of `size`."""
+    gauge_rate, path_rate, _, delay, ppm, dropped, _ = BENCHES[name]
+    rng = np.random.default_rng(len(name))
+    at = sampled(gauge_rate, rng, dropped)
+    at = at[at < seconds]
+    readings = force(at) + 0.4 + rng.normal(0, 0.02, len(at))
+    lines = [f"{began + t:.4f},{f / 9.80665e-3:.3f}" for t, f in zip(at, readings, strict=True)]
+    (folder / "gauge.csv").write_text("\n".join(["time_s,fz_gf", *lines]))
+    at = sampled(path_rate, rng)
+    at = at[at < seconds]
+    z = np.round(height(at), 3)
+    moves = np.concatenate([[True], z[1:] != z[:-1]]) | np.concatenate([z[1:] != z[:-1], [True]])
+    x, y, top = origin
+    lines = [
+        f"{1e3 * t:.1f},{x},{y},{h + top:.3f}" for t, h in zip(clock(at, delay, ppm)[moves], z[moves], strict=True)
     ]
-    with pytest.raises(BadInput, match="--origin"):  # z = 2 is the apex
-        command.main([*argv, "--origin", "12.5,30,0"])
-    assert not (tmp_path / "bench").exists()
-    command.main([*argv, "--origin", "12.5,30,2"])
-    told = capsys.readouterr().out
-    assert "drift" in told and "one each 16.7 ms" in told
-    rows = read_presses(tmp_path / "bench/log.csv")
-    assert {row.press_id for row in rows} == {"p0001", "p0002", "p0003"}
+    (folder / "path.csv").write_text("\n".join(["time_ms,x_mm,y_mm,z_mm", *lines]))
+    (folder / "images").mkdir()
+    v, u = np.mgrid[: size[1], : size[0]] / size[1]
+    blob = 80 * np.exp(-((u - 0.667) ** 2 + (v - 0.5) ** 2) / 0.014)
+    taken = np.arange(0.7, seconds - 1.0, 0.1)
+    for k, h in enumerate(height(taken)):
+        press = 100 + max(-h, 0) ** 0.7 * blob + rng.integers(0, 3)
+        cv2.imwrite(str(folder / f"images/{k}.png"), np.repeat(press[..., None], 3, 2).astype(np.uint8))
+    lines = [f"{k}.png,{t:.4f}" for k, t in enumerate(clock(taken, 2 * delay, -ppm))]
+    (folder / "images/times.csv").write_text("\n".join(["image,time_s", *lines]))
+    return [
+        "--gauge", str(folder / "gauge.csv"), "--path", str(folder / "path.csv"), "--images", str(folder / "images"),
+        "--data", str(folder / "bench"), "--sensor", "gelsight_mini", "--sign", "-1",
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("name", BENCHES)
+def test_a_bench_becomes_a_log_that_stage_10_takes_whole(tmp_path, capsys, root, monkeypatch, name):
+    """Of 41 rows it rejected 12, sideways forces and moments that nobody measured were 0, and negative origins were no number."""
+    monkeypatch.chdir(root)
+    seconds, dated = (32.0, 1.79e9) if name == "steady" else (62.0, 0.0)  # one press, or three
+    words = lay_bench(tmp_path, name, seconds, (640, 480) if name == "delayed" else (64, 48), dated)
+    words += ["--origin", "-120.5,-88.2,-35.4"]
+    command.main([*words, "--indenter", "sphere_15"])
+    told = capsys.readouterr()
+    assert "at rest" in told.out and "the state of another one" in told.out
+    log = tmp_path / "bench/log.csv"
+    rows = read_presses(log)
+    tables = {each: tomllib.loads((root / f"workflow/{each}.toml").read_text()) for each in ("sensors", "indenters")}
+    good, wrong = judge(
+        read_log(log), "log.csv", tmp_path / "bench", tables | {"folder": root / "workflow"}, parameters().poses
+    )
+    assert not wrong and len(good) == len(rows)
+    presses = {row.press_id for row in rows}
+    assert len(presses) == (2 if dated else 3)
     for row in rows:
         assert (row.x0_mm, row.dx_mm, row.z0_mm) == pytest.approx((0, 0, 0), abs=1e-6)
-        assert -row.fz_n == pytest.approx(3.0 * max(-row.dz_mm, 0.0) ** 1.6, abs=0.12)
-        assert (tmp_path / "bench" / row.image).exists()
-    assert (tmp_path / "bench/nocontact/gelsight_mini.png").exists()
-    with pytest.raises(BadInput, match="exists already"):
-        command.main([*argv, "--origin", "12.5,30,2"])
+        assert -row.fz_n == pytest.approx(3.0 * max(-row.dz_mm, 0.0) ** 1.6, abs=0.15)
+        assert [row.fx_n, row.fy_n, row.mx_nm, row.my_nm, row.mz_nm] == [None] * 5
+        assert row.time_utc.startswith("2026-09-2" if dated else "1970-01-01T00:")
+        assert read_image(tmp_path / "bench" / row.image).shape == (240, 320, 3)
+    for press in presses:  # the deepest state, where the path says nothing for a second, has its row
+        depth = max(-row.dz_mm for row in rows if row.press_id == press)
+        assert np.abs(DEPTHS - depth).min() < 0.01
+    assert read_image(tmp_path / "bench/nocontact/gelsight_mini.png").mean() == pytest.approx(101, abs=1)
+    assert (tmp_path / "bench/aligned.png").stat().st_size > 10_000
+    refused("exists already", command.main, [*words, "--indenter", "sphere_15"])
+    refused("no indenter named 'sphere_51'", command.main, [*words, "--indenter", "sphere_51"])
+    refused("--origin", command.main, [*words[:-2], "--indenter", "sphere_15", "--data", str(tmp_path / "other")])
+
+
+def test_of_one_press_it_is_told_what_its_clocks_may_cost(tmp_path, capsys, root, monkeypatch):
+    monkeypatch.chdir(root)
+    words = lay_bench(tmp_path, "steady", 20.0, (64, 48))
+    command.main([*words, "--origin", "-120.5,-88.2,-35.4", "--indenter", "sphere_15"])
+    told = capsys.readouterr().out
+    assert "drift unknown" in told and "one press: the drift of its clocks is unknown; with 1500 ppm" in told
