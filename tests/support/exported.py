@@ -1,6 +1,5 @@
 """A small dataset of stage 60 with real picture files, and every export read back by its format's own library."""
 
-import io
 import json
 import os
 import subprocess
@@ -36,8 +35,11 @@ def lay(folder, count: int, grid=GRID, image=(32, 24)):
         }
         rows.append({"sample_id": f"s{k}", "indenter": "ball, 3 mm", "sensor_id": ("mini_a", "mini_e")[k // 2 % 2],
                      "gel_id": "g", "split": split, "group": str(k // 2), "fx_n": 0.1 * k, "fy_n": -0.25, "fz_n": -1.5 * k,
-                     "dz_mm": -0.5 - (k % 2), **pose, "image": f"images/s{k}.{suffix}"})  # fmt: skip
+                     "dz_mm": -0.5 - (k % 2), **pose, "press_id": f"p{k // 2}", "image": f"images/s{k}.{suffix}"})  # fmt: skip
     write_csv(dataset / "samples.csv", list(rows[0]), rows)
+    times = [f"2026-04-08T12:25:{k // 2:02d}.{125 * (k % 2):03d}Z" for k in range(count)]
+    write_csv(data / "log.csv", ["sample_id", "time_utc"],
+              [{"sample_id": row["sample_id"], "time_utc": time} for row, time in zip(rows, times, strict=True)])  # fmt: skip
     np.save(dataset / "labels.npy", labels)
     write_json(dataset / "dataset.json", {"name": "lab", "image": list(image), "grid": list(grid), "c10": 0.08})
     write_json(folder / "sensors.json", SENSORS)
@@ -48,7 +50,7 @@ def read_mcap(path):
     """{sample_id: (row, picture, label, total)}, and the facts, with mcap's reader and its ROS 2 decoder."""
     from mcap_ros2.reader import read_ros2_messages
 
-    found, facts, place = {}, None, {"along_y": 0, "along_x": 1, "normal": 2}
+    found, facts, place = {}, None, {"along_x": 0, "along_y": 1, "normal": 2}
     for message in read_ros2_messages(str(path)):
         topic, said = message.channel.topic, message.ros_msg
         if topic == "/facts":
@@ -67,52 +69,6 @@ def read_mcap(path):
             sample["maps"][place[topic.rsplit("/", 1)[1]]] = grid
     return {s["row"]["sample_id"]: (s["row"], s["picture"], np.stack([s["maps"][k] for k in range(3)]), s["total"])
             for s in found.values()}, facts  # fmt: skip
-
-
-def read_rerun(path):
-    """The same with Rerun's reader."""
-    from rerun.chunk import RrdReader
-
-    parts, facts = {}, None
-    for chunk in RrdReader(str(path)).stream():
-        batch = chunk.to_record_batch()
-        kind = chunk.entity_path.rsplit("/", 1)[1]
-        if kind == "facts":
-            facts = json.loads(batch.column("TextDocument:text")[0].as_py()[0])
-        if "sample" not in batch.schema.names:
-            continue
-        column = {
-            "image": "EncodedImage:blob",
-            "forces": "Tensor:data",
-            "total": "Scalars:scalars",
-            "row": "TextDocument:text",
-        }[kind]
-        for at, value in zip(batch.column("sample").to_pylist(), batch.column(column).to_pylist(), strict=True):
-            parts.setdefault(at, {})[kind] = value if kind == "total" else value[0]
-    found = {}
-    for part in parts.values():
-        row, tensor = json.loads(part["row"]), part["forces"]
-        label = np.array(tensor["buffer"], np.float32).reshape(tensor["shape"])
-        found[row["sample_id"]] = (row, bytes(part["image"]), label, part["total"])
-    return found, facts
-
-
-def read_webdataset(folder):
-    """The same with webdataset's reader."""
-    import webdataset
-
-    found = {}
-    for path in sorted(folder.glob("*.tar")):
-        for sample in webdataset.WebDataset(str(path), shardshuffle=False, empty_check=False):
-            row = json.loads(sample["json"])
-            label = np.load(io.BytesIO(sample["forces.npy"]), allow_pickle=False)
-            found[row["sample_id"]] = (
-                row,
-                sample.get("png") or sample["jpg"],
-                label,
-                [row[a] for a in ("fx_n", "fy_n", "fz_n")],
-            )
-    return found, json.loads((folder / "facts.json").read_text())
 
 
 def cell(value):
@@ -171,8 +127,7 @@ def read_lerobot(folder):
 
 
 READERS = {
-    "mcap": (".mcap", read_mcap), "rerun": (".rrd", read_rerun), "webdataset": ("", read_webdataset),
-    "hdf5": (".h5", read_hdf5), "lerobot": ("", read_lerobot),
+    "mcap": (".mcap", read_mcap), "hdf5": (".h5", read_hdf5), "lerobot": ("", read_lerobot),
 }  # fmt: skip
 
 

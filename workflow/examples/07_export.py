@@ -1,6 +1,6 @@
 """Write a solved press for other programs: FEATS' label file, a mesh for ParaView, arrays for NumPy.
 
-A whole dataset: make DATASET=demo export FORMAT=lerobot (or mcap, rerun, webdataset, hdf5); make feats-export.
+A whole dataset: make DATASET=demo export FORMAT=lerobot (or mcap, hdf5); make feats-export.
 """
 
 from pathlib import Path

@@ -1,7 +1,6 @@
 """A dataset of images and labels in a format of other programs.
 
-mcap: ROS 2 messages, for Foxglove. rerun: a recording. lerobot: LeRobot's layout, version 3. webdataset: tar shards.
-hdf5: one file. FEATS' own layout is `make feats-export`. `make setup` installs the packages for
+mcap: ROS 2 messages, which Foxglove and Rerun open. lerobot: LeRobot's layout, version 3. hdf5: one file. FEATS' own layout is `make feats-export`. `make setup` installs the packages for
 these formats; without make, `pip install '.[exports]'` in this folder does.
 """
 
@@ -20,12 +19,10 @@ from gelforge.formats.export.samples import Samples
 # The module of gelforge.formats.export that writes each.
 FORMATS = {
     "mcap": "mcap_file",
-    "rerun": "rerun_file",
     "lerobot": "lerobot",
-    "webdataset": "webdataset_shards",
     "hdf5": "hdf5",
 }
-SUFFIXES = {"mcap": ".mcap", "rerun": ".rrd", "hdf5": ".h5"}  # of those that are one file
+SUFFIXES = {"mcap": ".mcap", "hdf5": ".h5"}  # of those that are one file
 
 MARK = ".gelforge-export"  # a file in every folder that an export wrote: another export may take its place
 

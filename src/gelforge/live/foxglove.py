@@ -34,8 +34,8 @@ class FoxgloveServer:
     def send(self, reading: Reading) -> None:
         """Send the messages of a reading."""
         stamp, messages = self.messages(reading)
-        for topic, kind, content in messages:
-            self._channel(topic, kind).log(content, log_time=stamp)
+        for topic, said in messages:
+            self._channel(topic, said.__msgtype__).log(ros.encode(said), log_time=stamp)
 
     def _channel(self, topic: str, kind: str):
         import foxglove

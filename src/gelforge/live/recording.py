@@ -58,8 +58,8 @@ class McapRecording:
         """Record a reading; a full disk ends and removes the recording with BadInput."""
         stamp, messages = self.messages(reading)
         try:
-            for message in messages:
-                self.writer.write(stamp, *message)
+            for topic, said in messages:
+                self.writer.write(stamp, topic, said)
         except OSError as error:
             raise self._lost(error) from error
         self.count += 1

@@ -6,6 +6,7 @@ import re
 import time
 import tomllib
 from dataclasses import asdict
+from datetime import datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -26,6 +27,7 @@ if TYPE_CHECKING:  # a plan is read, refused or found complete without what pres
 
 # Lengths to 0.1 micrometre, forces to 0.1 mN, moments to 1 mN mm.
 DECIMALS = {**dict.fromkeys((*POSE, *FORCE), 4), **dict.fromkeys(MOMENT, 6)}
+FRAME_S = 0.1  # between frames of one press
 PUBLISHED_EVERY_S = 10.0  # at most so much is pressed anew after a run was killed
 TRUTH_COLUMNS = ("sample_id", "status", *POSE, *FORCES, "newton_iterations", "load_steps")
 
@@ -180,13 +182,21 @@ def save_image(path, image: np.ndarray) -> None:
     write_png(path, image, compression=4)
 
 
+def time_of(order: Order) -> str:
+    """Time of an order, as a log has it; frames of one film are FRAME_S apart."""
+    if not order.film_id:
+        return order.time_utc
+    time = datetime.fromisoformat(order.time_utc) + timedelta(seconds=FRAME_S * order.frame)
+    return time.isoformat(timespec="milliseconds").replace("+00:00", "Z")
+
+
 def logged(pressing: "Pressing") -> LoggedPress:
     """The bench's record: what it was asked to do and what its load cell read."""
     order, log = pressing.order, pressing.log
     path = (log.x0, log.y0, log.z0, log.dx, log.dy, log.dz, log.rot_deg)
     values = dict(zip((*POSE, *FORCES), (*path, *pressing.read_force, *pressing.read_moment), strict=True))
     return LoggedPress(
-        row=0, sample_id=order.sample_id, time_utc=order.time_utc, sensor_id=order.sensor, gel_id=order.gel,
+        row=0, sample_id=order.sample_id, time_utc=time_of(order), sensor_id=order.sensor, gel_id=order.gel,
         indenter=order.indenter, image=image_name(order), press_id=order.film_id, **{name: float(value) for name, value in values.items()},
     )  # fmt: skip
 

@@ -6,6 +6,7 @@ import sys
 from itertools import pairwise
 
 import numpy as np
+import pyarrow.parquet
 import pytest
 
 from gelforge.commands.export import FORMATS, export, whole_or_absent
@@ -64,43 +65,55 @@ def test_a_file_system_without_locks_takes_every_export(tmp_path, number):
         assert len(read(tmp_path / f"{form}{suffix}")[0]) == 4
 
 
-def test_frames_of_a_press_follow_each_other_from_shallow_to_deep(tmp_path):
-    samples = lay(tmp_path, 22)
-    for rows in samples.frames_of_presses:
-        assert [samples.rows[at]["dz_mm"] for at in rows] == ["-0.5", "-1.5"]
-        assert len({samples.rows[at]["split"] for at in rows}) == 1
-
-
-@pytest.mark.parametrize("column", ["sensor_id", "press_id"])
-def test_presses_of_one_group_are_episodes_of_their_own(tmp_path, column):
-    """A place pressed by two sensors, or twice, is one group: its frames alternated between both in one episode."""
-    samples = lay(tmp_path, 8)
+def test_frames_of_a_press_are_the_rows_that_share_its_name_and_sensor(tmp_path):
+    """In the log's order: on its way sideways a frame may rise a little. A place pressed twice is two presses."""
+    samples = lay(tmp_path, 6)
     for at, row in enumerate(samples.rows):
-        row |= {"group": str(at // 4), "split": "train", "sensor_id": "mini_a", "press_id": "p"}
-        row[column] = f"{column}_{at // 2 % 2}"
-    assert samples.frames_of_presses == [[0, 1], [2, 3], [4, 5], [6, 7]]
+        row |= {
+            "group": "0",
+            "split": "train",
+            "sensor_id": ("mini_a", "mini_e")[at // 4],
+            "press_id": ("p", "p", "", "", "p", "p")[at],
+        }
+    assert samples.frames_of_presses == [[0, 1], [2], [3], [4, 5]]
 
 
-def test_frames_of_a_filmed_press_stay_in_order_of_time(tmp_path):
-    """On its way sideways a frame that gives way may rise a little."""
-    samples = lay(tmp_path, 10)
-    for at, row in enumerate(samples.rows):
-        row |= {"group": str(at // 5), "split": "train", "sensor_id": "mini_a", "press_id": f"p{at // 5}"}
-    assert samples.frames_of_presses == [[0, 1, 2, 3, 4], [5, 6, 7, 8, 9]]
+@pytest.mark.parametrize(
+    ("times", "said"),
+    [
+        (["2026-04-08T12:25:19Z", ""], "time_utc of s1 is empty"),
+        (
+            ["2026-04-08T12:25:19Z", "2026-04-08T12:25:19Z"],
+            "time_utc of s1 is 2026-04-08T12:25:19Z, of the frame before",
+        ),
+        (["2026-04-08T12:25:19.4Z", "2026-04-08T12:25:19.2"], "in the order of their times"),
+        (["2026-04-08T12:25:19Z", "2026-04-08T12:25:21.400+00:00"], ""),
+    ],
+)
+def test_times_of_frames_are_true_ones_or_a_refusal(tmp_path, times, said):
+    """Counted as 0, 0.1, 0.2 s they were wrong without a word."""
+    samples = lay(tmp_path, 4)
+    rows = [
+        {"sample_id": f"s{k}", "time_utc": (times + ["2026-04-08T12:26:00Z", "2026-04-08T12:26:02.4Z"])[k]}
+        for k in range(4)
+    ]
+    write_csv(samples.data / "log.csv", list(rows[0]), rows)
+    if said:
+        with pytest.raises(BadInput, match=said):
+            export(samples, "lerobot", tmp_path / "out")
+        assert not (tmp_path / "out").exists()
+        return
+    export(samples, "lerobot", tmp_path / "out")
+    table = pyarrow.parquet.read_table(tmp_path / "out/data").to_pylist()
+    assert [row["timestamp"] for row in table] == pytest.approx([0.0, 2.4, 0.0, 2.4])
+    assert read_json(tmp_path / "out/meta/info.json")["fps"] == 1
 
 
 @pytest.mark.parametrize("image", [(32, 24), (24, 32)], ids=["across", "upright"])
 def test_lerobot_finds_episodes_splits_and_what_it_normalises_by(tmp_path, image):
-    """Rerun keeps a reader of LeRobot's version 3; its factory wants min, max, mean, std and count of every feature."""
-    from rerun.experimental import LeRobotReader
-
+    """Its factory wants min, max, mean, std and count of every feature."""
     samples = lay(tmp_path, 22, image=image)
     export(samples, "lerobot", tmp_path / "out")
-    reader = LeRobotReader(str(tmp_path / "out"))
-    assert len(list(reader.episodes())) == 11
-    for episode in reader.episodes():
-        rows = {chunk.entity_path: chunk.num_rows for chunk in reader.stream(episode)}
-        assert any("gelsight" in path and count == 2 for path, count in rows.items()), rows
     info = read_json(tmp_path / "out/meta/info.json")
     ends = sorted(tuple(map(int, run.split(":"))) for run in info["splits"].values())
     assert ends[0][0] == 0 and ends[-1][1] == info["total_episodes"] == 11

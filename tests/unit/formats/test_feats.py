@@ -171,7 +171,7 @@ def test_a_folder_becomes_a_dataset(tmp_path, sensor):
     assert np.array_equal(image[..., ::-1], IMAGE)
     labels = read_labels(tmp_path / "data/labels/24x32.npz")
     assert labels.sample_id.tolist() == ["press_1"]
-    assert np.array_equal(labels.label[0], np.stack([GRID, 2 * GRID, -np.abs(GRID)]).astype(np.float32))
+    assert np.array_equal(labels.label[0], np.stack([2 * GRID, GRID, -np.abs(GRID)]).astype(np.float32))
     said = (tmp_path / "data/dataset.toml").read_text()
     assert 'sensor = "feats_mini"' in said and 'gel = "gelsight_mini"' in said
 

@@ -155,21 +155,23 @@ def test_a_message_says_what_was_read():
     """The bytes are read back by the library of MCAP for ROS 2."""
     read = reading(3, flag=True)
     messages = RosMessages("9 Mini R0B-2", start_ns=10**18)
-    found = {topic: said for topic, _, said in messages.messages(read, 10**18)}
+    found = dict(messages(read)[1])
     top = "/sensor_9_Mini_R0B_2"
     assert found.keys() == {f"{top}/{name}" for name in TYPES}
-    along_y, along_x, normal = read.found.cells.sum((1, 2), dtype=np.float64)
-    assert found[f"{top}/wrench"]["wrench"]["force"] == pytest.approx({"x": along_x, "y": along_y, "z": normal})
-    high, low = (found[f"{top}/wrench/{name}"]["wrench"]["force"] for name in ("high", "low"))
-    assert {axis: high[axis] - low[axis] for axis in "xyz"} == pytest.approx({"x": 0.4, "y": 0.2, "z": 0.6})
-    cells = np.frombuffer(found[f"{top}/forces/normal"]["data"], "<f4").reshape(4, 5)
+    force, high, low = (
+        np.array([getattr(found[f"{top}/wrench{end}"].wrench.force, axis) for axis in "xyz"])
+        for end in ("", "/high", "/low")
+    )
+    assert force == pytest.approx(read.found.cells.sum((1, 2), dtype=np.float64))
+    assert high - low == pytest.approx([0.2, 0.4, 0.6])
+    cells = found[f"{top}/forces/normal"].data.view("<f4").reshape(4, 5)
     assert np.array_equal(cells, read.found.cells[2])
-    assert np.abs(decode(found[f"{top}/image/compressed"]["data"], "it").astype(int) - 90).max() <= 2
-    (status,) = found[f"{top}/flag"]["status"]
-    assert status["level"] == 1 and status["message"] == "dark"
+    assert np.abs(decode(bytes(found[f"{top}/image/compressed"].data), "it").astype(int) - 90).max() <= 2
+    (status,) = found[f"{top}/flag"].status
+    assert status.level == 1 and status.message == "dark"
     assert messages(read)[0] == 10**18 + 30_000_000
-    without = messages.messages(reading(1, half_width=None), 0)
-    assert not [topic for topic, _, _ in without if topic.endswith(("low", "high"))]
+    without = messages(reading(1, half_width=None))[1]
+    assert not [topic for topic, _ in without if topic.endswith(("low", "high"))]
 
 
 def test_viewers_that_leave_do_not_disturb_the_others(capfd):

@@ -33,7 +33,7 @@ for words in {runs!r}:
 # Import names that are not the package's own.
 MODULES = {
     "mcap-ros2-support": ["mcap_ros2"],
-    "rerun-sdk": ["rerun"],
+    "mcap-protobuf-support": ["mcap_protobuf"],
     "foxglove-sdk": ["foxglove"],
     "vtk": ["vtk", "vtkmodules"],
 }

@@ -68,15 +68,12 @@ def test_a_reading_has_the_same_order_in_tables_events_and_messages(made):
     assert [row[f"{name}_half_width_n"] for name in CHANNELS] == [0.1, 0.2, 0.3]
     event = Reading(0, 0.0, found, 1.0).event()
     assert {*FORCE} < {*COLUMNS} and [event[name] for name in FORCE] == pytest.approx(PRESSED, abs=1e-4)
-    said = {
-        topic.split("/", 2)[2]: fields
-        for topic, _, fields in RosMessages("mini").messages(Reading(0, 0.0, found, 1.0), 0)
-    }
+    said = {topic.split("/", 2)[2]: message for topic, message in RosMessages("mini")(Reading(0, 0.0, found, 1.0))[1]}
     for topic, off in (("wrench", 0.0), ("wrench/high", 1.0), ("wrench/low", -1.0)):
-        force = said[topic]["wrench"]["force"]
-        assert [force[axis] for axis in "xyz"] == pytest.approx(PRESSED + off * found.half_width, rel=1e-5)
+        force = said[topic].wrench.force
+        assert [getattr(force, axis) for axis in "xyz"] == pytest.approx(PRESSED + off * found.half_width, rel=1e-5)
     for name, value in zip(("along_x", "along_y", "normal"), PRESSED, strict=True):
-        assert np.frombuffer(said[f"forces/{name}"]["data"], "<f4").sum() == pytest.approx(value, rel=1e-5)
+        assert said[f"forces/{name}"].data.view("<f4").sum() == pytest.approx(value, rel=1e-5)
 
 
 def test_the_shipped_network_reads_shear_along_the_axis_that_it_acts_along(root, tmp_path):

@@ -1,7 +1,7 @@
 """LeRobot's dataset layout, codebase version v3.0 (https://huggingface.co/docs/lerobot, lerobot-dataset-v3).
 
-A press on one sensor is an episode, its pictures the frames by depth, one after the other at FPS; episodes of a split
-follow each other. LeRobot has no agreed schema for touch yet (its proposals speak of point sets); features here are
+A press on one sensor is an episode (rows that share a press_id), its images are the frames, `timestamp` is their time since
+the first one, by `time_utc` of the log; `fps` is the usual rate. Episodes of a split follow each other. LeRobot has no agreed schema for touch yet (its proposals speak of point sets); features here are
 ordinary ones:
 
 | feature | type | meaning |
@@ -16,19 +16,22 @@ Forces are flat, because readers of the layout other than LeRobot's own take fea
 """
 
 import json
+from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gelforge.errors import BadInput
 from gelforge.flow.files import write_json, write_text
 from gelforge.formats.export.samples import Samples
 from gelforge.records.image import decode
 from gelforge.records.press import FORCE, POSE
 from gelforge.records.samplefile import TRAINING, DatasetSample
+from gelforge.records.table import read_table
 
 VERSION = "v3.0"
-FPS = 10
+SLOWEST = 1  # frames a second of a dataset without frames
 CHUNK_FILES = 1000  # files a chunk folder holds at most
 MOST_PICTURES = 1000  # that give the ranges of all: LeRobot itself takes as many of about 10 000
 FILE_BYTES = 100e6  # of data a file holds at most, about
@@ -39,6 +42,7 @@ PICTURE, FORCES, STATE, WRENCH = (
     "observation.state",
     "observation.wrench",
 )
+HOW_TIMES = "write it as 2026-04-08T12:25:19.040Z, with fractions of a second, or export as mcap or hdf5"
 INDICES = ("frame_index", "episode_index", "index", "task_index")
 TASK = "press the gel"
 DATA_PATH = "data/chunk-{chunk_index:03d}/file-{file_index:03d}.parquet"
@@ -115,11 +119,12 @@ def sequence(length: int) -> dict:
 def write(folder: Path, samples: Samples) -> None:
     """Write the dataset's folder."""
     episodes = in_order_of_splits(samples)
-    placed = write_data(folder, samples, episodes)
+    times = times_of(samples, episodes)
+    placed = write_data(folder, samples, episodes, times)
     write_episodes(folder, episodes, placed)
     write_tasks(folder)
     write_json(folder / "meta" / "stats.json", stats(samples))
-    write_json(folder / "meta" / "info.json", info(samples, episodes))
+    write_json(folder / "meta" / "info.json", info(samples, episodes, times))
     about = __doc__.split("\n\n", 1)[1].strip()
     text = CARD.format(
         name=samples.info["name"], frames=len(samples), episodes=len(episodes), about=about,
@@ -135,7 +140,40 @@ def in_order_of_splits(samples: Samples) -> list[list[int]]:
     return [rows for split in order for rows in presses if samples.rows[rows[0]]["split"] == split]
 
 
-def write_data(folder: Path, samples: Samples, episodes: list[list[int]]) -> list[tuple[int, int]]:
+def times_of(samples: Samples, episodes: list[list[int]]) -> list[list[float]]:
+    """Seconds of each frame since the first one of its episode, by the log; BadInput where they are not known."""
+    log = samples.data / "log.csv"
+    known = {row["sample_id"]: row.get("time_utc", "") for row in read_table(log, "restore it")}
+    found = []
+    for rows in episodes:
+        names = [samples.rows[at]["sample_id"] for at in rows]
+        texts = [known.get(name, "") for name in names] if len(rows) > 1 else ["1970-01-01"]
+        for name, text in zip(names, texts, strict=True):
+            if not text:
+                raise BadInput(
+                    f"{log}: time_utc of {name} is empty; LeRobot needs the time of every frame: {HOW_TIMES}"
+                )
+        moments = [when if when.tzinfo else when.replace(tzinfo=UTC) for when in map(datetime.fromisoformat, texts)]
+        seconds = [(moment - moments[0]).total_seconds() for moment in moments]
+        for at in range(1, len(seconds)):
+            if seconds[at] <= seconds[at - 1]:
+                raise BadInput(
+                    f"{log}: time_utc of {names[at]} is {texts[at]}, of the frame before it, {names[at - 1]}, {texts[at - 1]}; LeRobot"
+                    f" needs frames in the order of their times: {HOW_TIMES}"
+                )
+        found.append(seconds)
+    return found
+
+
+def usual_rate(times: list[list[float]]) -> int:
+    """Frames a second, by the median step between frames; SLOWEST where no episode has two."""
+    steps = np.concatenate([np.diff(each) for each in times])
+    return max(SLOWEST, round(1 / float(np.median(steps)))) if len(steps) else SLOWEST
+
+
+def write_data(
+    folder: Path, samples: Samples, episodes: list[list[int]], times: list[list[float]]
+) -> list[tuple[int, int]]:
     """Write the data files, whole episodes in each; return (chunk, file) of every episode."""
     import pyarrow.parquet as pq
 
@@ -157,7 +195,7 @@ def write_data(folder: Path, samples: Samples, episodes: list[list[int]]) -> lis
         placed.append((number // CHUNK_FILES, number % CHUNK_FILES))
         for frame, at in enumerate(rows):
             sample = samples.sample(at)
-            held.append((sample, frame, episode, index))
+            held.append((sample, frame, episode, index, times[episode][frame]))
             size += len(sample.picture) + sample.label.nbytes
             index += 1
         if size >= FILE_BYTES:
@@ -189,10 +227,10 @@ def as_table(held: list, form):
         STATE: fixed([pose(sample.record) for sample in samples]),
         WRENCH: fixed([sample.total() for sample in samples]),
         **{name: pa.array([sample.row[name] for sample in samples]) for name in NAMES},
-        "timestamp": pa.array(np.array([frame / FPS for _, frame, _, _ in held], np.float32)),
-        "frame_index": pa.array([frame for _, frame, _, _ in held], pa.int64()),
-        "episode_index": pa.array([episode for _, _, episode, _ in held], pa.int64()),
-        "index": pa.array([index for *_, index in held], pa.int64()),
+        "timestamp": pa.array(np.array([time for *_, time in held], np.float32)),
+        "frame_index": pa.array([frame for _, frame, *_ in held], pa.int64()),
+        "episode_index": pa.array([episode for _, _, episode, *_ in held], pa.int64()),
+        "index": pa.array([index for *_, index, _ in held], pa.int64()),
         "task_index": pa.array(np.zeros(len(samples), np.int64)),
     }
     return pa.Table.from_arrays([columns[name] for name in form.names], schema=form)
@@ -292,14 +330,14 @@ def ranges(values: np.ndarray) -> dict:
     return {name: of(values, axis=0).tolist() for name, of in found.items()}
 
 
-def info(samples: Samples, episodes: list[list[int]]) -> dict:
+def info(samples: Samples, episodes: list[list[int]], times: list[list[float]]) -> dict:
     """meta/info.json."""
     splits: dict[str, list[int]] = {}
     for number, rows in enumerate(episodes):
         splits.setdefault(samples.rows[rows[0]]["split"], []).append(number)
     return {
         "codebase_version": VERSION, "robot_type": "gelsight_mini", "total_episodes": len(episodes),
-        "total_frames": len(samples), "total_tasks": 1, "chunks_size": CHUNK_FILES, "fps": FPS,
+        "total_frames": len(samples), "total_tasks": 1, "chunks_size": CHUNK_FILES, "fps": usual_rate(times),
         "data_files_size_in_mb": int(FILE_BYTES / 1e6), "video_files_size_in_mb": 200,
         "splits": {name: f"{numbers[0]}:{numbers[-1] + 1}" for name, numbers in splits.items()},
         "data_path": DATA_PATH, "video_path": None, "features": features(samples), "gelforge": samples.facts(),

@@ -1,4 +1,4 @@
-"""Messages of ROS 2 that recordings and live views hold: their definitions, their bytes, and one sensor's topics.
+"""Messages of ROS 2 that recordings and live views hold: one sensor's topics, by rosbags' types, in MCAP by its own library.
 
 Topics are /SENSOR/… (its name as ROS 2 allows it): `image/compressed` (sensor_msgs/CompressedImage), `wrench`
 (geometry_msgs/WrenchStamped, total force in the gel frame, no torque), `forces/normal`, `forces/along_x` and
@@ -6,76 +6,38 @@ Topics are /SENSOR/… (its name as ROS 2 allows it): `image/compressed` (sensor
 """
 
 import re
-import struct
 from collections.abc import Iterable, Sequence
+from functools import cache
 from typing import IO, Any
 
 import numpy as np
 
-# Fields of each type (https://docs.ros.org, the packages common_interfaces and rcl_interfaces), NAME=VALUE a constant.
-DEFINITIONS = {
-    "builtin_interfaces/Time": "int32 sec\nuint32 nanosec",
-    "std_msgs/Header": "builtin_interfaces/Time stamp\nstring frame_id",
-    "std_msgs/String": "string data",
-    "sensor_msgs/CompressedImage": "std_msgs/Header header\nstring format\nuint8[] data",
-    "sensor_msgs/Image": "std_msgs/Header header\nuint32 height\nuint32 width\nstring encoding\nuint8 is_bigendian\n"
-    "uint32 step\nuint8[] data",
-    "geometry_msgs/Vector3": "float64 x\nfloat64 y\nfloat64 z",
-    "geometry_msgs/Wrench": "geometry_msgs/Vector3 force\ngeometry_msgs/Vector3 torque",
-    "geometry_msgs/WrenchStamped": "std_msgs/Header header\ngeometry_msgs/Wrench wrench",
-    "diagnostic_msgs/KeyValue": "string key\nstring value",
-    "diagnostic_msgs/DiagnosticStatus": "byte OK=0\nbyte WARN=1\nbyte ERROR=2\nbyte STALE=3\nbyte level\nstring name\n"
-    "string message\nstring hardware_id\ndiagnostic_msgs/KeyValue[] values",
-    "diagnostic_msgs/DiagnosticArray": "std_msgs/Header header\ndiagnostic_msgs/DiagnosticStatus[] status",
-}
-NUMBERS = {"byte": "<B", "uint8": "<B", "int32": "<i", "uint32": "<I", "float64": "<d"}
-CDR_LITTLE_ENDIAN = b"\0\1\0\0"
 MAPS = ("along_x", "along_y", "normal")  # of force along each axis of the gel
 
-Message = tuple[str, str, dict]  # topic, type (PACKAGE/msg/NAME), fields
+Message = tuple[str, Any]  # topic, message of rosbags' types
 
 
-def fields(kind: str) -> list[tuple[str, str]]:
-    """(type, name) of each field of PACKAGE/NAME."""
-    lines = [line.split() for line in DEFINITIONS[kind].splitlines()]
-    return [(of, name) for of, name in lines if "=" not in name]
+@cache
+def _types() -> Any:
+    """rosbags' definitions of ROS 2's own messages."""
+    from rosbags.typesys import Stores, get_typestore
+
+    return get_typestore(Stores.ROS2_HUMBLE)
+
+
+def message(kind: str, **fields: Any) -> Any:
+    """A message of PACKAGE/msg/NAME."""
+    return _types().types[kind](**fields)
 
 
 def schema(kind: str) -> str:
     """Definition of PACKAGE/msg/NAME with those of all types in it, as MCAP and Foxglove want it (ros2msg)."""
-    needed = [kind.replace("/msg/", "/")]
-    for each in needed:
-        inner = [of.removesuffix("[]") for of, _ in fields(each)]
-        needed += [of for of in dict.fromkeys(inner) if of in DEFINITIONS and of not in needed]
-    first, *others = needed
-    return "\n".join([DEFINITIONS[first], *(f"{'=' * 80}\nMSG: {name}\n{DEFINITIONS[name]}" for name in others)])
+    return _types().generate_msgdef(kind, ros_version=2)[0]
 
 
-def encode(kind: str, message: dict) -> bytes:
-    """A message of PACKAGE/msg/NAME as CDR: each number aligned to its size (OMG DDS-XTypes 1.3, 7.4.3)."""
-    out = bytearray()
-    _put(out, kind.replace("/msg/", "/"), message)
-    return CDR_LITTLE_ENDIAN + bytes(out)
-
-
-def _put(out: bytearray, kind: str, value: Any) -> None:
-    if kind in NUMBERS:
-        number = struct.pack(NUMBERS[kind], value)
-        out += bytes(-len(out) % len(number)) + number
-    elif kind == "string":
-        text = value.encode() + b"\0"
-        _put(out, "uint32", len(text))
-        out += text
-    elif kind == "uint8[]":
-        _put(out, "uint32", len(value))
-        out += value
-    elif kind.endswith("[]"):
-        _put(out, "uint32", len(value))
-        for each in value:
-            _put(out, kind.removesuffix("[]"), each)
-    else:
-        for of, name in fields(kind):
-            _put(out, of, value[name])
+def encode(said: Any) -> bytes:
+    """A message as CDR."""
+    return bytes(_types().serialize_cdr(said, said.__msgtype__))
 
 
 class RosWriter:
@@ -90,31 +52,34 @@ class RosWriter:
         self.schemas: dict[str, int] = {}
         self.channels: dict[str, int] = {}
 
-    def write(self, time_ns: int, topic: str, kind: str, content: bytes) -> None:
-        """Write one encoded message."""
+    def write(self, time_ns: int, topic: str, said: Any) -> None:
+        """Write one message."""
+        kind = said.__msgtype__
         if kind not in self.schemas:
             self.schemas[kind] = self.writer.register_schema(kind, "ros2msg", schema(kind).encode())
         if topic not in self.channels:
             self.channels[topic] = self.writer.register_channel(topic, "cdr", self.schemas[kind])
-        self.writer.add_message(self.channels[topic], log_time=time_ns, data=content, publish_time=time_ns)
+        self.writer.add_message(self.channels[topic], log_time=time_ns, data=encode(said), publish_time=time_ns)
 
     def finish(self) -> None:
         """Write what is held, and the index."""
         self.writer.finish()
 
 
-def header(nanoseconds: int, frame: str) -> dict:
+def header(nanoseconds: int, frame: str) -> Any:
     """std_msgs/Header."""
-    return {"stamp": {"sec": nanoseconds // 10**9, "nanosec": nanoseconds % 10**9}, "frame_id": frame}
+    stamp = message("builtin_interfaces/msg/Time", sec=nanoseconds // 10**9, nanosec=nanoseconds % 10**9)
+    return message("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
 
 
-def wrench(stamp: dict, force: Sequence[float]) -> dict:
-    """geometry_msgs/WrenchStamped of a force (3,) N along gel x, y, z."""
-    no_torque = dict.fromkeys("xyz", 0.0)
-    return {
-        "header": stamp,
-        "wrench": {"force": dict(zip("xyz", map(float, force), strict=True)), "torque": no_torque},
-    }
+def wrench(stamp: Any, force: Sequence[float]) -> Any:
+    """geometry_msgs/WrenchStamped of a force (3,) N along gel x, y, z; stamp: its header."""
+    force_of, torque = (
+        message("geometry_msgs/msg/Vector3", **dict(zip("xyz", map(float, values), strict=True)))
+        for values in (force, np.zeros(3))
+    )
+    both = message("geometry_msgs/msg/Wrench", force=force_of, torque=torque)
+    return message("geometry_msgs/msg/WrenchStamped", header=stamp, wrench=both)
 
 
 def sensor_messages(
@@ -126,15 +91,18 @@ def sensor_messages(
     `form` (jpeg, png). total: (3,) N along gel x, y, z. label: (3, rows, cols) N per cell along the same.
     """
     top, stamp = f"/{token}", header(time, f"{token}_gel")
-    maps = np.ascontiguousarray(label, "<f4")
+    data = np.frombuffer(picture, np.uint8)
     found: list[Message] = [
-        (f"{top}/image/compressed", "sensor_msgs/msg/CompressedImage", {"header": stamp, "format": form, "data": picture}),
-        (f"{top}/wrench", "geometry_msgs/msg/WrenchStamped", wrench(stamp, total)),
-    ]  # fmt: skip
-    for name, grid in zip(MAPS, maps, strict=True):
-        image = {"header": stamp, "height": grid.shape[0], "width": grid.shape[1], "encoding": "32FC1",
-                 "is_bigendian": 0, "step": 4 * grid.shape[1], "data": grid.tobytes()}  # fmt: skip
-        found.append((f"{top}/forces/{name}", "sensor_msgs/msg/Image", image))
+        (f"{top}/image/compressed", message("sensor_msgs/msg/CompressedImage", header=stamp, format=form, data=data)),
+        (f"{top}/wrench", wrench(stamp, total)),
+    ]
+    for name, grid in zip(MAPS, np.ascontiguousarray(label, "<f4"), strict=True):
+        rows, cols = grid.shape
+        image = message(
+            "sensor_msgs/msg/Image", header=stamp, height=rows, width=cols, encoding="32FC1", is_bigendian=0,
+            step=4 * cols, data=grid.view(np.uint8).ravel(),
+        )  # fmt: skip
+        found.append((f"{top}/forces/{name}", image))
     return found
 
 

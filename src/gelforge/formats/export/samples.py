@@ -102,20 +102,12 @@ class Samples:
 
     @cached_property
     def frames_of_presses(self) -> list[list[int]]:
-        """Rows of each press in order of time, presses in the order of their first row; a press has one split and one sensor.
-
-        Rows that share a press_id stand in that order; others of one place are taken to go down.
-        A group holds all that a split must not tear apart: several presses of a place, on several sensors.
-        """
+        """Rows of each press in their order, presses in that of their first row: rows that share a press_id, and each other row alone."""
         found: dict[tuple, list[int]] = {}
         for at, row in enumerate(self.rows):
-            group = row["group"] or f"row {at}"
-            key = (row["split"], group, row["indenter"], row["sensor_id"], row.get("press_id", ""))
-            found.setdefault(key, []).append(at)
-        return [
-            rows if key[-1] else sorted(rows, key=lambda at: -np.nan_to_num(self.records[at].press.dz_mm))
-            for key, rows in found.items()
-        ]
+            name = row.get("press_id", "")
+            found.setdefault((row["split"], row["sensor_id"], name) if name else (at,), []).append(at)
+        return list(found.values())
 
     @cached_property
     def grid(self) -> tuple[int, int]:
