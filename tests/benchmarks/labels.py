@@ -15,7 +15,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, read_toml, write_csv, write_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.main import command, option, positive
-from gelforge.formats.numpy_pickle import read_npy
+from gelforge.formats.featsfile import read_npy
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import CORNERS, assemble
 from gelforge.labelling.sensor import load_sensors

@@ -18,7 +18,7 @@ from tqdm import tqdm
 from gelforge.api import gelsight_mini
 from gelforge.errors import BadInput
 from gelforge.flow.main import command, option
-from gelforge.formats.numpy_pickle import read_npy
+from gelforge.formats.featsfile import read_npy
 from gelforge.reading.forcereading import ForceReading
 from gelforge.reading.interval import half_widths, real_width
 from gelforge.reading.light import match_light

@@ -7,7 +7,7 @@ import cv2
 import numpy as np
 
 from gelforge.flow.files import write_text
-from gelforge.formats.numpy_pickle import read_npy
+from gelforge.formats.featsfile import read_npy
 from gelforge.reading.model import ForceModel
 from gelforge.reading.predictor import Predictor
 from gelforge.records.film import numbered

@@ -1,4 +1,8 @@
-"""Recordings of robots in MCAP: images and wrenches with messages of ROS 2, as the library of MCAP writes them."""
+"""Recordings of robots: images and wrenches in MCAP (ROS 2, Foxglove's protobuf, JSON) and in bags, each written by its own library."""
+
+import base64
+from fractions import Fraction
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -101,3 +105,85 @@ def moments(rows):
 
 
 FILM = np.arange(103.0, 1600.0, 40.0)
+
+
+def stamped(kind, time, data, form):
+    """A message of Foxglove's schema `kind`."""
+    import foxglove.messages as schemas
+
+    stamp = schemas.Timestamp(sec=time // 10**9, nsec=time % 10**9)
+    return getattr(schemas, kind)(timestamp=stamp, frame_id="gel", data=data, format=form)
+
+
+def encoded(images):
+    """H.264 of images (h, w, 3) RGB, the bytes of each frame."""
+    import av
+
+    height, width = images[0].shape[:2]
+    codec = av.CodecContext.create("libx264", "w")
+    codec.width, codec.height, codec.pix_fmt, codec.time_base = width, height, "yuv420p", Fraction(1, 25)
+    codec.options = {"tune": "zerolatency", "preset": "ultrafast", "crf": "4", "bf": "0"}
+    found = []
+    for at, image in enumerate(images):
+        frame = av.VideoFrame.from_ndarray(image, format="rgb24")
+        frame.pts = at
+        found += [bytes(packet) for packet in codec.encode(frame)]
+    return found + [bytes(packet) for packet in codec.encode(None)]
+
+
+def write_foxglove(path, images, forces, form):
+    """Images (time, array) as protobuf, or in JSON, and wrenches (time, (3,) N) in JSON of a schema of their own."""
+    import foxglove
+    from foxglove.channels import CompressedImageChannel, CompressedVideoChannel
+
+    context = foxglove.Context()
+    with foxglove.open_mcap(path, context=context):
+        if form == "json":
+            channel = foxglove.Channel(IMAGE, message_encoding="json", context=context)
+            for time, image in images:
+                data = base64.b64encode(cv2.imencode(".png", image[..., ::-1])[1]).decode()
+                stamp = {"sec": time // 10**9, "nsec": time % 10**9}
+                channel.log(
+                    {"timestamp": stamp, "frame_id": "gel", "format": "png", "data": data}, log_time=time + MS
+                )
+        elif form == "video":
+            channel = CompressedVideoChannel(IMAGE, context=context)
+            for (time, _), data in zip(images, encoded([image for _, image in images]), strict=True):
+                channel.log(stamped("CompressedVideo", time, data, "h264"), log_time=time + MS)
+        else:
+            channel = CompressedImageChannel(IMAGE, context=context)
+            for time, image in images:
+                channel.log(stamped("CompressedImage", time, png(image)["data"], "png"), log_time=time + MS)
+        channel = foxglove.Channel(WRENCH, message_encoding="json", context=context)
+        for time, force in forces:
+            stamp = {"sec": time // 10**9, "nsec": time % 10**9}
+            channel.log({"timestamp": stamp, "ati": {"data": [*force, 0.01, 0.02, 0.03]}}, log_time=time + MS)
+    return path
+
+
+def write_bag(path, images, forces):
+    """The same as a bag of ROS 1, or of ROS 2 where the name has no ending."""
+    from rosbags.rosbag1 import Writer as One
+    from rosbags.rosbag2 import Writer as Two
+    from rosbags.typesys import Stores, get_typestore
+
+    old = Path(path).suffix == ".bag"
+    types = get_typestore(Stores.ROS1_NOETIC if old else Stores.ROS2_HUMBLE)
+    header = types.types["std_msgs/msg/Header"]
+
+    def headed(time):
+        stamp = types.types["builtin_interfaces/msg/Time"](sec=time // 10**9, nanosec=time % 10**9)
+        return header(**({"seq": 0} if old else {}), stamp=stamp, frame_id="gel")
+
+    kinds = {IMAGE: "sensor_msgs/msg/CompressedImage", WRENCH: "geometry_msgs/msg/WrenchStamped"}
+    vector, both = (types.types[f"geometry_msgs/msg/{name}"] for name in ("Vector3", "Wrench"))
+    said = [(IMAGE, time, types.types[kinds[IMAGE]](header=headed(time), format="png", data=np.frombuffer(png(image)["data"], np.uint8)))
+            for time, image in images]  # fmt: skip
+    said += [(WRENCH, time, types.types[kinds[WRENCH]](header=headed(time), wrench=both(force=vector(*force), torque=vector(0.01, 0.02, 0.03))))
+             for time, force in forces]  # fmt: skip
+    encode = types.serialize_ros1 if old else types.serialize_cdr
+    with One(path) if old else Two(path, version=9) as writer:
+        topics = {topic: writer.add_connection(topic, kind, typestore=types) for topic, kind in kinds.items()}
+        for topic, time, message in sorted(said, key=lambda one: one[1]):
+            writer.write(topics[topic], time + MS, encode(message, kinds[topic]))
+    return path

@@ -8,6 +8,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from gelforge.commands.mcap import doubts_of_forces
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_toml
 from gelforge.flow.main import command, option, positive
@@ -72,6 +73,8 @@ def main(args: Namespace) -> None:
         print(line, file=sys.stderr)
     write_dataset(found, images, bench, args.data)
     draw(found, args.data / "aligned.png")
+    for doubt in doubts_of_forces(args.data, list(found.rows.values()), sensor.name):
+        print(f"note: {doubt}")
     presses = len({row.press_id for row in found.rows.values()})
     print(
         f"{args.data}: {len(found.rows)} rows of {presses} presses; look at aligned.png there, then make DATASET={args.data.name} labels"

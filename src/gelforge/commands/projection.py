@@ -54,7 +54,7 @@ def _number(where: str, row: dict[str, str], name: str) -> float:
 
 def read_picture(path, size: tuple[int, int]) -> np.ndarray:
     """An image file, or the gs_img of one of FEATS' .npy samples, as RGB (h, w, 3); another size raises BadInput."""
-    from gelforge.formats.numpy_pickle import read_npy
+    from gelforge.formats.featsfile import read_npy
 
     if Path(path).suffix == ".npy":
         found = read_npy(path)

@@ -47,7 +47,6 @@ SLOWEST_S = 0.25  # from sample to sample of a path
 DATED_S = 1e9  # from which on a clock counts from 1970
 OTHER_RATE = 0.12  # of a film's frame rate, by which it may be wrong: 25 frames a second for 22
 LEAST_LEVEL_N = 0.05
-SHAPE = 0.01  # by which the sides of an image and of its sensor may differ in their ratio
 MOST_HEAD = 100  # lines above a header
 NUMBER = r"(-?\d+\.\d{3})"
 REPORT = re.compile(
@@ -354,14 +353,14 @@ def shown(time: float, date: bool = False) -> str:
 
 def write_dataset(aligned: Aligned, images: Images, bench, data: Path) -> None:
     """Write the dataset folder `data`, which must not exist: log, images in the sensor's size, the mean of images at rest."""
-    size, rest = tuple(bench.sensor.image), set(aligned.rest[:STILL])
+    where, rest = f"{images.path}: images", set(aligned.rest[:STILL])
     with new_folder(data) as part:
         free = []
         for number, image in enumerate(images):
             if number in rest:
-                free.append(_sized(image, size, images.path, bench))
+                free.append(bench.sensor.sized(image, where))
             if number in aligned.rows:
-                write_png(part / aligned.rows[number].image, _sized(image, size, images.path, bench))
+                write_png(part / aligned.rows[number].image, bench.sensor.sized(image, where))
         if not free:
             raise BadInput(
                 f"{images.path}: no image was taken while the gauge rests; film the gel free before the first press"
@@ -369,19 +368,6 @@ def write_dataset(aligned: Aligned, images: Images, bench, data: Path) -> None:
         write_png(part / "nocontact" / f"{bench.sensor.name}.png", np.rint(np.mean(free, axis=0)).astype(np.uint8))
         write_log(part / "log.csv", aligned.rows.values())
         write_text(part / "dataset.toml", DATASET_TOML.format(sensor=bench.sensor.name, gel=bench.sensor.gel))
-
-
-def _sized(image: np.ndarray, size: tuple[int, int], path: Path, bench) -> np.ndarray:
-    """An image (h, w, 3) in the size of its sensor; BadInput where it has another shape."""
-    import cv2
-
-    high, wide = image.shape[:2]
-    if abs(wide * size[1] / (high * size[0]) - 1.0) > SHAPE:
-        raise BadInput(
-            f"{path}: images are {wide} x {high}, of another shape than those of sensor {bench.sensor.name}, {size[0]} x {size[1]}; name"
-            " another sensor, or describe this one in workflow/sensors.toml"
-        )
-    return image if (wide, high) == size else cv2.resize(image, size, interpolation=cv2.INTER_AREA)
 
 
 def _level_told(level: np.ndarray, measured: Sequence[str]) -> list[str]:

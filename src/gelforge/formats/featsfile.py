@@ -5,14 +5,17 @@ grid_z, f_x, f_y, f_z (feats-ai/feats, cnc_data_aquisition.py, label_generation.
 """
 
 import math
+import pickle
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
-from gelforge.formats.numpy_pickle import read_npy
+from gelforge.records.npz import in_short
+from gelforge.records.regular import file_fault
 
 POSE_FIELDS = {
     "x_0": "x0_mm",
@@ -26,6 +29,8 @@ POSE_FIELDS = {
 FORCE_FIELDS = {"f_x": "fx_n", "f_y": "fy_n", "f_z": "fz_n", "m_x": "mx_nm", "m_y": "my_nm", "m_z": "mz_nm"}
 GRIDS = ("grid_x", "grid_y", "grid_z")
 TOTALS = ("f_x", "f_y", "f_z")
+LARGEST_FILE = 2**30
+CONSTRUCTORS = {"_reconstruct", "scalar", "ndarray", "dtype"}  # of numpy, by which numpy.save pickles
 SUM_TOLERANCE = 1e-5  # of the sum of the cells' sizes; FEATS' totals are float64 sums of its cells
 
 
@@ -43,6 +48,46 @@ class LabelSample:
 
     image: np.ndarray
     label: np.ndarray
+
+
+class Unpickler(pickle.Unpickler):
+    """Python's unpickler, for which there are no names but numpy's constructors, so that no file can call anything else."""
+
+    def find_class(self, module: str, name: str) -> Any:
+        """One of numpy's constructors; UnpicklingError for any other name."""
+        if module not in ("numpy", "numpy.core.multiarray", "numpy._core.multiarray") or name not in CONSTRUCTORS:
+            raise pickle.UnpicklingError(f"the name {module[:80]}.{name[:80]}")
+        return super().find_class(module.replace("numpy.core", "numpy._core"), name)
+
+
+def read_npy(path: str | Path) -> Any:
+    """Read a .npy file, pickled or not; no code of the file runs.
+
+    A 0-d object array gives the object in it, as numpy's .item() would. BadInput for a file that is damaged, or holds anything but
+    arrays, scalars and plain containers.
+    """
+    path = Path(path)
+    fault = file_fault(path) or (f"more than {LARGEST_FILE >> 20} MiB" if path.stat().st_size > LARGEST_FILE else "")
+    if fault:
+        raise BadInput(f"{path}: cannot be read ({fault}); give a .npy file")
+    try:
+        with path.open("rb") as stream:
+            old = np.lib.format.read_magic(stream) == (1, 0)
+            read_header = np.lib.format.read_array_header_1_0 if old else np.lib.format.read_array_header_2_0
+            shape, _, kind = read_header(stream)
+            if not kind.hasobject:
+                return np.load(path, allow_pickle=False)
+            found = Unpickler(stream).load()
+        if type(found) is not np.ndarray or found.dtype != object or found.shape != shape:
+            raise pickle.UnpicklingError("a pickle that is not the object array its header promises")
+        return found[()]
+    except pickle.UnpicklingError as error:
+        raise BadInput(
+            f"{path}: refused, it holds {in_short(error)}; only numpy arrays, scalars and plain containers are read; save the sample"
+            " again with numpy.save"
+        ) from error
+    except Exception as error:  # damaged bytes make the unpickler and numpy each raise kinds of their own
+        raise BadInput(f"{path}: truncated or not a .npy file ({in_short(error)}); copy it again") from error
 
 
 def exchanged(forces: np.ndarray) -> np.ndarray:

@@ -1,9 +1,12 @@
-"""Recordings in MCAP as a dataset: images with the force sensor's wrench, where no indenter is known.
+"""Recordings of robots as a dataset: images with the force sensor's wrench, where no indenter is known.
 
 A small TOML names the topics:
 
-    image = "/gelsight/image/compressed"  # sensor_msgs/CompressedImage (JPEG, PNG) or sensor_msgs/Image (colour, Bayer)
-    wrench = "/ft/wrench"                 # geometry_msgs/WrenchStamped or Wrench
+    image = "/gelsight/image/compressed"  # CompressedImage (JPEG, PNG) or Image (colour, Bayer) of ROS; CompressedImage,
+                                          # RawImage or CompressedVideo of Foxglove, protobuf or JSON
+    wrench = "/ft/wrench"                 # geometry_msgs/WrenchStamped or Wrench, or any schema with:
+    force = ["wrench.force.x", "wrench.force.y", "wrench.force.z"]  # its three fields of force, N; a list's by number: "data.0"
+    torque = []                           # its three of moment, N m, where there are
     sensor = "gelsight_mini"              # in workflow/sensors.toml
     latest_s = 0.02                       # an image takes the nearest wrench within this time
     every = 10                            # of so many images one is taken
@@ -13,7 +16,8 @@ A small TOML names the topics:
 
 Messages are paired by the time in their headers; by the log's time, with a sentence, where a topic has no such stamps or
 both topics' are of different clocks (formats.messagetime). Every image with a wrench becomes a row of log.csv without a
-pose, and a label of one cell, the total force: a network trains on it: `make train RES=1x1 MODEL=pair_16`.
+pose, and a label of one cell, the total force: `make train RES=1x1 MODEL=pair_16` learns from them. The mean of the images
+without contact is the no-contact image.
 """
 
 import math
@@ -28,12 +32,13 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_toml, write_text
 from gelforge.formats.feats_folder import NO_PRESS, new_folder
-from gelforge.formats.mcap_messages import messages
-from gelforge.formats.messageimage import picture
+from gelforge.formats.mcap_messages import messages, recordings_of
+from gelforge.formats.messageimage import pictures
 from gelforge.formats.messagetime import MessageOrder, MessageTimes, choose_clock, stamp_of
 from gelforge.records.image import write_png
 from gelforge.records.labelfile import write_labels
 from gelforge.records.log import write_log
+from gelforge.records.nocontactimage import STILL
 from gelforge.records.press import FORCES, LoggedPress, pull_fault, size_fault
 
 DEFAULTS = {
@@ -42,10 +47,12 @@ DEFAULTS = {
     "sign": 1,
     "touch_n": 0.2,
     "rotation": np.eye(3).tolist(),
+    "force": [],
+    "torque": [],
     "sensor": "gelsight_mini",
 }
 SPLIT_NS = 10**9  # a recorder that goes on in a new file misses less
-DATASET_TOML = """# Imported from recordings in MCAP: images with total force, no indenter known: make train RES=1x1 MODEL=pair_16
+DATASET_TOML = """# Imported from recordings: images with total force, no indenter known: make train RES=1x1 MODEL=pair_16
 sensor = "{sensor}"
 gel = "{gel}"
 catalogue = "indenters.toml"
@@ -64,6 +71,8 @@ class Topics:
     sign: int
     touch_n: float
     rotation: np.ndarray
+    force: tuple[str, ...]
+    torque: tuple[str, ...]
 
     @classmethod
     def read(cls, path: Path) -> "Topics":
@@ -88,6 +97,16 @@ class Topics:
             )
         if not isinstance(found["sensor"], str):
             raise BadInput(f"{path}: sensor = {found['sensor']!r}; give one name of workflow/sensors.toml")
+        for name in ("force", "torque"):
+            fields = found[name]
+            if (
+                not isinstance(fields, list)
+                or len(fields) not in (0, 3)
+                or not all(isinstance(one, str) for one in fields)
+            ):
+                raise BadInput(
+                    f'{path}: {name} = {fields!r}; give three fields of the message, such as ["wrench.force.x", …]'
+                )
         touch, latest = number(found["touch_n"]), number(found["latest_s"])
         if not touch >= 0:
             raise BadInput(f"{path}: touch_n = {found['touch_n']!r}; give a force in N, 0 or above")
@@ -95,8 +114,9 @@ class Topics:
         if not whole or not latest > 0:
             raise BadInput(f"{path}: every is a whole number from 1, sign is 1 or -1, latest_s is above 0")
         return cls(
-            found["image"], found["wrench"], found["sensor"], latest, found["every"], found["sign"], touch, rotation
-        )
+            found["image"], found["wrench"], found["sensor"], latest, found["every"], found["sign"], touch, rotation,
+            tuple(found["force"]), tuple(found["torque"]),
+        )  # fmt: skip
 
 
 def number(value: Any) -> float:
@@ -108,13 +128,30 @@ def number(value: Any) -> float:
 
 
 def wrench_of(said: Any, where: str, topics: Topics) -> np.ndarray | None:
-    """Force and moment (6,) of a message in the gel frame, N and N m; None where they are no numbers: the sensor said nothing."""
+    """Force and moment (6,) of a message in the gel frame, N and N m; None where the force is none, NaN for a moment that it lacks."""
     wrench = getattr(said, "wrench", said)  # of the message's own class, known only to the file
     try:
-        parts = np.array([[getattr(part, axis) for axis in "xyz"] for part in (wrench.force, wrench.torque)])
-    except AttributeError as error:
-        raise BadInput(f"{where} holds no wrench ({error}); name one of geometry_msgs/Wrench") from error
-    return topics.sign * (topics.rotation @ parts.T).T.ravel() if np.isfinite(parts).all() else None
+        if topics.force:
+            force, torque = (
+                np.array([field_of(said, name) for name in fields], float) for fields in (topics.force, topics.torque)
+            )
+        else:
+            force, torque = (
+                np.array([getattr(part, axis) for axis in "xyz"], float) for part in (wrench.force, wrench.torque)
+            )
+    except (AttributeError, IndexError, TypeError, ValueError) as error:
+        raise BadInput(
+            f'{where} holds no wrench ({error}); name one of geometry_msgs/Wrench, or give its fields: force = ["…", "…", "…"]'
+        ) from error
+    parts = np.stack([force, torque if len(torque) else np.full(3, np.nan)])
+    return topics.sign * (topics.rotation @ parts.T).T.ravel() if np.isfinite(force).all() else None
+
+
+def field_of(said: Any, name: str) -> Any:
+    """A field of a message, as `wrench.force.x` or, of a list, `data.2`."""
+    for part in name.split("."):
+        said = said[int(part)] if part.isdigit() else getattr(said, part)
+    return said
 
 
 def within_limits(values: np.ndarray, where: str, topics: Topics) -> tuple[np.ndarray, list[str]]:
@@ -215,12 +252,15 @@ def import_recordings(source: Path, data: Path, topics: Topics, sensor) -> dict:
 
     source: a file, or a folder of them. sensor: labelling.sensor.Sensor. Nothing is left behind where a file fails.
     """
-    files = recordings_of(source) if source.is_dir() else [source]
-    if not files or not files[0].is_file():
-        raise BadInput(f"{source}: holds no .mcap files; give a recording or a folder of them as FROM=…")
+    files = recordings_of(source)
+    if not files:
+        raise BadInput(
+            f"{source}: holds no recordings (.mcap, .bag, folders of bags); give one or a folder of them as FROM=…"
+        )
     rows: list[LoggedPress] = []
     forces: list[np.ndarray] = []
     alone, largest, notes = 0, 0.0, []
+    rest: list[np.ndarray] = []
     with new_folder(data) as part:
         (part / "images").mkdir(parents=True)
         found = [(path, pair(path, topics)) for path in files]
@@ -229,7 +269,7 @@ def import_recordings(source: Path, data: Path, topics: Topics, sensor) -> dict:
         ended, going = 0, ""
         for number, (path, pairs) in enumerate(found):
             near = len(pairs.times) > 0 and pairs.times[0] - ended < SPLIT_NS
-            rows += take(path, number, pairs, part, topics, sensor, going if near else "")
+            rows += take(path, number, pairs, part, topics, sensor, rest, going if near else "")
             if len(pairs.times):
                 ended = pairs.times[-1]
                 going = rows[-1].press_id if touching(pairs.values, topics)[-1] else ""
@@ -240,6 +280,13 @@ def import_recordings(source: Path, data: Path, topics: Topics, sensor) -> dict:
         if not rows:
             seen = "; ".join([f"{alone} images were seen", *notes])
             raise BadInput(f"{source}: no image of {topics.image} has a wrench of {topics.wrench} within {topics.latest_s:g} s, {seen}; name other topics or a larger latest_s")  # fmt: skip
+        if rest:
+            write_png(part / "nocontact" / f"{sensor.name}.png", np.rint(np.mean(rest, axis=0)).astype(np.uint8))
+        else:
+            notes.append(
+                f"{source}: no image is without contact, below touch_n = {topics.touch_n:g} N; put one as nocontact/{sensor.name}.png into"
+                f" {data}: networks compare images with it"
+            )
         write_log(part / "log.csv", rows)
         write_totals(part / "labels" / "1x1.npz", rows, np.array(forces))
         write_text(part / "dataset.toml", DATASET_TOML.format(sensor=sensor.name, gel=sensor.gel))
@@ -248,34 +295,27 @@ def import_recordings(source: Path, data: Path, topics: Topics, sensor) -> dict:
     }  # fmt: skip
 
 
-def recordings_of(folder: Path) -> list[Path]:
-    """The recordings in a folder, also those compressed as a whole that nobody decompressed yet: these are refused, not passed over."""
-    compressed = [path for path in folder.rglob("*.mcap.zst*") if not path.with_suffix("").exists()]
-    return sorted([*folder.rglob("*.mcap"), *compressed])
-
-
 def touching(values: np.ndarray, topics: Topics) -> np.ndarray:
     """Whether each wrench (n, 6) is one of contact (n,)."""
     return np.linalg.norm(values[:, :3], axis=1) > topics.touch_n
 
 
 def take(
-    path: Path, number: int, pairs: Pairs, part: Path, topics: Topics, sensor, going: str = ""
+    path: Path, number: int, pairs: Pairs, part: Path, topics: Topics, sensor, rest: list[np.ndarray], going: str = ""
 ) -> list[LoggedPress]:
-    """Rows of the paired images of one file in the order of time; writes their PNGs.
+    """Rows of the paired images of one file in the order of time; writes their PNGs, and collects the first ones without contact in `rest`.
 
     going: press_id of the contact in which the file before this one ended, empty for none.
     """
-    required = set(pairs.images.tolist())
-    for at, (_, _, said) in enumerate(messages(path, (topics.image,))):
-        if at not in required:
-            continue
-        image = picture(said, f"{path}: topic {topics.image}, message {at + 1}")
-        if (image.shape[1], image.shape[0]) != tuple(sensor.image):
-            raise BadInput(f"{path}: images of {topics.image} are {image.shape[1]} x {image.shape[0]}, sensor {sensor.name} has {sensor.image[0]} x {sensor.image[1]}; name another sensor")  # fmt: skip
+    touches = touching(pairs.values, topics)
+    free = set(pairs.images[~touches].tolist()) if len(rest) < STILL else set()
+    said = (message for _, _, message in messages(path, (topics.image,)))
+    for at, image in pictures(said, set(pairs.images.tolist()), f"{path}: topic {topics.image}"):
+        image = sensor.sized(image, f"{path}: images of {topics.image}")
+        if at in free and len(rest) < STILL:
+            rest.append(image)
         write_png(part / "images" / f"{name_of(number, at)}.png", image)
     # Images of one contact are frames of one press: a split must not tear them apart.
-    touches = touching(pairs.values, topics)
     presses = np.cumsum(touches & ~np.concatenate([[False], touches[:-1]]))
     goes_on = np.logical_and.accumulate(touches) & bool(going)
     rows = []
@@ -283,7 +323,7 @@ def take(
         pairs.images.tolist(), pairs.times.tolist(), pairs.values, presses.tolist(), goes_on.tolist(), strict=True
     ):
         name = name_of(number, at)
-        when = datetime.fromtimestamp(time / 1e9, UTC).strftime("%Y-%m-%dT%H:%M:%SZ")
+        when = datetime.fromtimestamp(time / 1e9, UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
         known = {"sample_id": name, "sensor_id": sensor.name, "gel_id": sensor.gel, "image": f"images/{name}.png",
                  "time_utc": when, "press_id": going if on else f"r{number:03d}-p{press:05d}"}  # fmt: skip
         forces = dict(zip(FORCES, values.tolist(), strict=True))

@@ -1,17 +1,35 @@
-"""Messages of ROS 2 in an MCAP file, read from its beginning to its end by the library, which checks each chunk's checksum.
+"""Messages of recordings, each decoded by the library of its kind: MCAP (ROS 2, protobuf, JSON), bags of ROS 1 and ROS 2.
 
-Source: https://mcap.dev/spec. The summary at the end counts the messages, so that a chunk whose head is damaged is missed.
+MCAP is read from its beginning to its end, each chunk's checksum is checked (https://mcap.dev/spec). The summary at the end counts
+the messages, so that a chunk whose head is damaged is missed.
 """
 
+import json
 from collections import Counter
-from collections.abc import Collection, Iterator
+from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
+from types import SimpleNamespace
 from typing import IO, Any
 
 from gelforge.errors import BadInput
 from gelforge.records.regular import file_fault
 
 LATEST_NS = 2**63 - 1  # in the year 2262
+BAG = ".bag"  # of ROS 1
+METADATA = "metadata.yaml"  # in the folder of a bag of ROS 2
+
+
+def recordings_of(source: Path) -> list[Path]:
+    """Recordings in a folder and below: MCAP files, bags of ROS 1, folders of bags of ROS 2; a file alone.
+
+    MCAP that is compressed as a whole and not yet decompressed is named, too: it is refused, not passed over.
+    """
+    if not source.is_dir():
+        return [source] if source.is_file() else []
+    bags = [path.parent for path in source.rglob(METADATA)]
+    compressed = [path for path in source.rglob("*.mcap.zst*") if not path.with_suffix("").exists()]
+    files = [*source.rglob("*.mcap"), *compressed, *source.rglob(f"*{BAG}")]
+    return sorted([*bags, *(path for path in files if not any(bag in path.parents for bag in bags))])
 
 
 def messages(path: Path, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
@@ -19,35 +37,68 @@ def messages(path: Path, topics: Collection[str]) -> Iterator[tuple[str, int, An
 
     Some damage is noticed only at the end: nothing may be kept of what came before.
     """
-    if fault := file_fault(path):
-        raise BadInput(f"{path}: cannot be read ({fault}); give a recording in MCAP")
+    bag = path.suffix == BAG or path.is_dir()
+    if fault := "" if path.is_dir() else file_fault(path):
+        raise BadInput(f"{path}: cannot be read ({fault}); give a recording in MCAP, or a bag")
+    try:
+        yield from (_of_bag if bag else _of_mcap)(path, topics)
+    except (BadInput, ModuleNotFoundError):
+        raise
+    # a corrupt file makes mcap, the definitions in it, LZ4, Zstandard, SQLite and struct each raise errors of their own
+    except Exception as error:
+        mend = (
+            "record it again"
+            if bag
+            else "record it again, mend it with `mcap recover`, or unpack what was recorded with --compression-mode by `zstd -d` or `ros2 bag convert`"
+        )
+        raise BadInput(
+            f"{path}: cannot be read as a recording ({str(error)[:200] or type(error).__name__}); {mend}"
+        ) from error
+
+
+def _of_bag(path: Path, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_typestore
+
+    with AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE)) as reader:
+        wanted = [connection for connection in reader.connections if connection.topic in topics]
+        for connection, time, content in reader.messages(wanted):
+            yield connection.topic, _sound(time), reader.deserialize(content, connection.msgtype)
+
+
+def _of_mcap(path: Path, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
     with path.open("rb") as stream:
-        try:
-            yield from _decoded(path, stream, topics)
-        except (BadInput, ModuleNotFoundError):
-            raise
-        # a corrupt file makes mcap, the ROS definitions in it, LZ4, Zstandard and struct each raise errors of their own
-        except Exception as error:
-            raise BadInput(f"{path}: cannot be read as MCAP with ROS 2 messages ({str(error)[:200] or type(error).__name__}); record it again, mend it with `mcap recover`, or unpack what was recorded with --compression-mode by `zstd -d` or `ros2 bag convert`") from error  # fmt: skip
+        yield from _decoded(path, stream, topics)
+
+
+class Json:
+    """Decodes JSON for the library of MCAP."""
+
+    def decoder_for(self, encoding: str, _schema: Any) -> Callable[[bytes], Any] | None:
+        """What makes an object of a message, whose parts are its attributes."""
+        return (
+            (lambda data: json.loads(data, object_hook=lambda part: SimpleNamespace(**part)))
+            if encoding == "json"
+            else None
+        )
 
 
 def _decoded(path: Path, stream: IO[bytes], topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
     from mcap_ros2.decoder import DecoderFactory  # isort: skip, it brings mcap
     from mcap.exceptions import DecoderNotFoundError
     from mcap.reader import NonSeekingReader, make_reader
+    from mcap_protobuf.decoder import DecoderFactory as Protobuf
 
-    reader = NonSeekingReader(stream, validate_crcs=True, decoder_factories=[DecoderFactory()])
+    reader = NonSeekingReader(stream, validate_crcs=True, decoder_factories=[DecoderFactory(), Protobuf(), Json()])
     seen = Counter[int]()
     try:
         for _, channel, message, said in reader.iter_decoded_messages(topics, log_time_order=False):
             seen[channel.id] += 1
-            if message.log_time > LATEST_NS:
-                raise ValueError(f"a message of time {message.log_time}, ns since 1970")
-            yield channel.topic, message.log_time, said
+            yield channel.topic, _sound(message.log_time), said
     except DecoderNotFoundError as error:
         raise BadInput(
-            f"{path}: {', '.join(topics)} holds no ROS 2 messages ({error}); convert the recording to ROS 2, as rosbags-convert"
-            " does"
+            f"{path}: {', '.join(topics)} holds messages that are none of ROS 2, protobuf or JSON ({error}); record it so, or convert a"
+            " recording of ROS 1 by `rosbags-convert`"
         ) from error
     stream.seek(0)
     summary = make_reader(stream).get_summary()
@@ -57,3 +108,10 @@ def _decoded(path: Path, stream: IO[bytes], topics: Collection[str]) -> Iterator
     for number, channel in summary.channels.items():
         if channel.topic in topics and counted.get(number, 0) != seen[number]:
             raise ValueError(f"{seen[number]} messages of {channel.topic} are there of {counted.get(number, 0)}")
+
+
+def _sound(time: int) -> int:
+    """A log time in ns; ValueError for one that no clock shows."""
+    if time > LATEST_NS:
+        raise ValueError(f"a message of time {time}, ns since 1970")
+    return time

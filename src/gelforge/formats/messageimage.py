@@ -1,10 +1,12 @@
-"""Images of ROS 2 messages as RGB: the encodings that cameras write (sensor_msgs/image_encodings.hpp).
+"""Images and films in messages as RGB: the encodings that cameras write (sensor_msgs/image_encodings.hpp, Foxglove's schemas).
 
 Images without colour are refused: a gel's normal force is read from the colours of its three lights.
 """
 
+import base64
 import io
-from collections.abc import Callable
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any
 
 import numpy as np
 
@@ -22,8 +24,63 @@ ENCODINGS: dict[str, tuple[int, str]] = {
     **dict.fromkeys(("yuv422_yuy2", "yuyv"), (2, "COLOR_YUV2RGB_YUY2")),
     **{f"bayer_{name}8": (1, f"COLOR_Bayer{name.upper()}2RGB") for name in ("rggb", "bggr", "gbrg", "grbg")},
 }
+FILMS = {
+    "h264": "h264",
+    "h265": "hevc",
+    "vp9": "vp9",
+    "av1": "av1",
+}  # foxglove.CompressedVideo, and FFmpeg's name of the codec
 MONOCHROME = ("mono", "8UC1", "16UC1", "32FC1")
 IN_COLOUR = "record the camera's colour topic"
+
+
+def pictures(said: Iterable[Any], wanted: set[int], where: str) -> Iterator[tuple[int, np.ndarray]]:
+    """(number of the message, image (h, w, 3) uint8 RGB) of the wanted ones of the messages of a topic, from 0.
+
+    Each message of a film holds one frame, which only those before it make readable (Foxglove's schema CompressedVideo).
+    """
+    decoder: Any = None
+    for at, each in enumerate(said):
+        codec = FILMS.get(getattr(each, "format", None) or "")
+        if codec:
+            decoder = decoder or _decoder(codec)
+            yield from ((k, image) for k, image in _frames(decoder, at, bytes_of(each.data), where) if k in wanted)
+        elif at in wanted:
+            yield at, picture(each, f"{where}, message {at + 1}")
+    if decoder is not None:
+        yield from ((k, image) for k, image in _frames(decoder, -1, None, where) if k in wanted)
+
+
+def _decoder(codec: str) -> Any:
+    import av
+
+    decoder: Any = av.CodecContext.create(codec, "r")
+    decoder.thread_count = 1
+    return decoder
+
+
+def _frames(decoder: Any, at: int, data: bytes | None, where: str) -> Iterator[tuple[int, np.ndarray]]:
+    """Frames that a message makes readable, each with the number of its own; the last ones where `data` is None."""
+    import av
+
+    packet = None
+    if data is not None:
+        packet = av.Packet(data)
+        packet.pts = at
+    try:
+        found = decoder.decode(packet)
+    except av.error.FFmpegError as error:
+        raise BadInput(
+            f"{where}, message {at + 1}: no frame of {decoder.name} can be decoded ({error.strerror}); a recording must begin with a"
+            " keyframe"
+        ) from error
+    for frame in found:
+        yield int(frame.pts), frame.to_ndarray(format="rgb24")
+
+
+def bytes_of(data: Any) -> bytes:
+    """The bytes of a message's field, which JSON holds as base64."""
+    return base64.b64decode(data) if isinstance(data, str) else bytes(data)
 
 
 def picture(said, where: str) -> np.ndarray:
@@ -38,7 +95,7 @@ def _compressed(said, where: str) -> np.ndarray:
     """sensor_msgs/CompressedImage: `format` is png or jpeg, or as image_transport writes it, `rgb8; jpeg compressed bgr8`."""
     from PIL import Image
 
-    data, what = bytes(said.data), f"{where}: an image of format {said.format!r}"
+    data, what = bytes_of(said.data), f"{where}: an image of format {said.format!r}"
     if "compressedDepth" in said.format:
         raise BadInput(f"{what} holds depth; {IN_COLOUR}")
     image = decode(data, what, "record PNG or JPEG")
@@ -62,7 +119,7 @@ def _raw(said, where: str) -> np.ndarray:
             f"{where}: encoding {encoding!r} {'is monochrome' if mono else 'is not read'}; {hint}: {', '.join(ENCODINGS)}"
         )
     size, name = ENCODINGS[encoding]
-    data, row = np.frombuffer(bytes(said.data), np.uint8), size * said.width
+    data, row = np.frombuffer(bytes_of(said.data), np.uint8), size * said.width
     if not row or said.step < row or len(data) != said.height * said.step:
         raise BadInput(
             f"{where}: an image of {said.width} x {said.height} {encoding} has {len(data)} bytes in rows of {said.step};"

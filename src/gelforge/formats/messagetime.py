@@ -13,10 +13,17 @@ LAPSE = 1.5  # of the usual interval: beyond, messages are missing
 
 
 def stamp_of(said) -> int:
-    """Time in the header of a ROS 2 message, ns; 0 where it has no header or an empty one."""
-    stamp = getattr(getattr(said, "header", None), "stamp", None)
-    seconds, rest = (getattr(stamp, name, None) for name in ("sec", "nanosec"))
-    return 0 if seconds is None or rest is None else int(seconds) * 10**9 + int(rest)
+    """Time in the header of a ROS message, or in `timestamp` of Foxglove's schemas, ns; 0 where it has none or an empty one."""
+    stamp = getattr(getattr(said, "header", None), "stamp", None) or getattr(said, "timestamp", None)
+    for names in (
+        ("sec", "nanosec"),
+        ("sec", "nsec"),
+        ("seconds", "nanos"),
+    ):  # ROS, Foxglove in JSON, protobuf's Timestamp
+        seconds, rest = (getattr(stamp, name, None) for name in names)
+        if isinstance(seconds, int) and isinstance(rest, int):
+            return seconds * 10**9 + rest
+    return 0
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ from gelforge.geometry.gel import Gel, load_gel
 from gelforge.records.press import SENSOR_TABLES
 
 NOMINAL = Gel()
+SHAPE = 0.01  # by which the ratio of an image's sides may differ from that of the sensor's
 LEAST_SHOWN, MOST_SHOWN = 0.05, 5.0  # of the gel's length: what an image may be wide
 FEWEST_DOTS, MOST_DOTS = 2, 100  # in a row or a column of a print
 
@@ -42,6 +43,22 @@ class Sensor:
     def unproject(self, pixels: np.ndarray) -> np.ndarray:
         """Gel points (x, y) in mm, (..., 2), of pixels (..., 2)."""
         return transform(np.linalg.inv(self.projection), pixels)
+
+    def sized(self, image: np.ndarray, where: str) -> np.ndarray:
+        """An image (h, w, 3) of any size in that of the sensor; BadInput where it has another shape. where: what it is of."""
+        import cv2
+
+        (high, wide), (width, height) = image.shape[:2], self.image
+        if abs(wide * height / (high * width) - 1.0) > SHAPE:
+            raise BadInput(
+                f"{where} are {wide} x {high}, of another shape than those of sensor {self.name}, {width} x {height}; name another sensor,"
+                " or describe this one in workflow/sensors.toml"
+            )
+        return (
+            image
+            if (wide, high) == (width, height)
+            else cv2.resize(image, (width, height), interpolation=cv2.INTER_AREA)
+        )
 
 
 def transform(homography: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -12,8 +12,8 @@ import pytest
 from gelforge.commands import look, predict, sample
 from gelforge.commands.projection import read_picture
 from gelforge.errors import BadInput
+from gelforge.formats.featsfile import read_npy
 from gelforge.formats.mcap_messages import messages
-from gelforge.formats.numpy_pickle import read_npy
 from gelforge.reading.faults import LIMITS
 from gelforge.reading.model import load_model, property_of
 from gelforge.reading.predictor import load_for_use

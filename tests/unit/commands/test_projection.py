@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from gelforge.commands import projection
-from gelforge.formats.numpy_pickle import read_npy
+from gelforge.formats.featsfile import read_npy
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.homography import fit_homography
 from gelforge.labelling.operator import assemble

@@ -12,9 +12,9 @@ from hypothesis import strategies as st
 
 from gelforge.errors import BadInput
 from gelforge.formats.export import ros
+from gelforge.formats.featsfile import read_npy
 from gelforge.formats.mcap_import import Topics, pair, picture
 from gelforge.formats.mcap_messages import messages
-from gelforge.formats.numpy_pickle import read_npy
 from gelforge.reading.model import load_model
 from gelforge.records.forcefile import ForceFile, SampleForces, write_forces
 from gelforge.records.image import read_image

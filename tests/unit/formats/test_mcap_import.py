@@ -1,6 +1,7 @@
 """Recordings of robots as datasets: which force belongs to which image, and which forces a gel can have."""
 
 import re
+from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -12,7 +13,9 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, write_text
 from gelforge.formats.export import ros
 from gelforge.formats.mcap_import import Topics, nearest
+from gelforge.formats.messageimage import pictures
 from gelforge.labelling.sensor import load_sensors
+from gelforge.records.image import read_image
 from gelforge.records.labelfile import read_labels
 from tests.support.recordings import (
     FILM,
@@ -21,6 +24,7 @@ from tests.support.recordings import (
     START,
     WRENCH,
     coloured,
+    encoded,
     filmed,
     imported,
     moments,
@@ -29,6 +33,8 @@ from tests.support.recordings import (
     raw,
     wrench,
     write,
+    write_bag,
+    write_foxglove,
 )
 
 
@@ -175,7 +181,7 @@ def test_a_recording_compressed_as_a_whole_is_not_passed_over_beside_others(tmp_
     packed = whole.with_name("a.mcap.zstd")
     packed.write_bytes(zstandard.compress(whole.read_bytes()))
     whole.unlink()
-    with pytest.raises(BadInput, match=r"a\.mcap\.zstd: cannot be read as MCAP .*zstd -d"):
+    with pytest.raises(BadInput, match=r"a\.mcap\.zstd: cannot be read as a recording .*zstd -d"):
         imported(tmp_path, packed.parent, sensor)
     whole.write_bytes(zstandard.decompress(packed.read_bytes()))
     assert imported(tmp_path, packed.parent, sensor)[0]["files"] == 2
@@ -224,6 +230,93 @@ def test_readings_that_are_no_numbers_are_left_out(tmp_path, sensor):
     ]
     found, _ = imported(tmp_path, write(tmp_path / "a.mcap", filmed(FILM[:6], lambda k: 0), forces), sensor)
     assert found["images"] == 5 and found["without_wrench"] == 1
+
+
+KINDS = {  # names, writers, and what the topics file says besides
+    "film of Foxglove": (
+        "a.mcap",
+        lambda *said: write_foxglove(*said, "video"),
+        'force = ["ati.data.0", "ati.data.1", "ati.data.2"]',
+    ),
+    "images of Foxglove": (
+        "a.mcap",
+        lambda *said: write_foxglove(*said, "protobuf"),
+        'force = ["ati.data.0", "ati.data.1", "ati.data.2"]',
+    ),
+    "JSON": (
+        "a.mcap",
+        lambda *said: write_foxglove(*said, "json"),
+        'force = ["ati.data.0", "ati.data.1", "ati.data.2"]\ntorque = ["ati.data.3", "ati.data.4", "ati.data.5"]',
+    ),
+    "bag of ROS 1": ("a.bag", write_bag, ""),
+    "bag of ROS 2": ("bag", write_bag, ""),
+}
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("size", [(240, 320), (480, 640)])
+def test_recordings_of_every_kind_give_the_same_rows(tmp_path, sensor, kind, size):
+    """The public recordings of dotted Minis with a force sensor are films of Foxglove with a wrench of a schema of their own."""
+    name, write_kind, more = KINDS[kind]
+    times = [START + int(t) * MS for t in FILM]
+    shown = [cv2.resize(coloured(2 * k), size[::-1]) for k in range(len(times))]
+    forces = [(START + 10 * MS * k, (0.01 * k, 0.0, -0.1 * max(k - 30, 0))) for k in range(300)]
+    found, rows = imported(
+        tmp_path, write_kind(tmp_path / name, list(zip(times, shown, strict=True)), forces), sensor, more
+    )
+    assert len(rows) == len(FILM) and not [note for note in found["notes"] if "log's time" in note]
+    assert np.abs(100.0 * np.array([float(row["fx_n"]) for row in rows]) * 10 - FILM).max() <= 5.0
+    moments_known = "torque" in more or not more
+    assert [row["mx_nm"] for row in rows] == (["0.01"] * len(rows) if moments_known else [""] * len(rows))
+    assert rows[0]["time_utc"].endswith("20.103Z") and rows[1]["time_utc"].endswith("20.143Z")
+    for k in (0, 1, 17, len(rows) - 1):
+        image = cv2.imread(str(tmp_path / "lab" / rows[k]["image"]))[..., ::-1].astype(int)
+        assert image.shape == (240, 320, 3) and np.abs(image - coloured(2 * k)).mean() < (
+            4.0 if "film" in kind else 0.6
+        )
+    rest = cv2.imread(str(tmp_path / "lab/nocontact/gelsight_mini.png"))[..., ::-1].astype(int)
+    assert np.abs(rest - coloured(4)).mean() < 4.0  # those before the force rises
+
+
+def test_fields_that_a_message_lacks_and_films_without_a_beginning_are_named(tmp_path, sensor):
+    times = [START + int(t) * MS for t in FILM]
+    images = [(time, coloured(k)) for k, time in enumerate(times)]
+    path = write_foxglove(tmp_path / "a.mcap", images, [(times[0], (0, 0, -1))], "json")
+    for more, said in (
+        ("", "holds no wrench"),
+        ('force = ["ati.x", "ati.y", "ati.z"]', "holds no wrench"),
+        ('force = ["a"]', "give three fields"),
+    ):
+        with pytest.raises(BadInput, match=said):
+            imported(tmp_path, path, sensor, more)
+    frames = encoded([coloured(k) for k in range(6)])
+    message = SimpleNamespace(format="h264", data=frames[3])
+    with pytest.raises(BadInput, match="must begin with a keyframe"):
+        list(pictures([message], {0}, "a.mcap: topic /gel/image"))
+
+
+def test_forces_of_another_unit_are_named_by_what_the_shipped_network_reads(tmp_path, root, capsys, monkeypatch):
+    """Counts (-284 N) and pounds-force passed without a word."""
+    monkeypatch.chdir(root)
+    rows = [row for row in read_csv(root / "data/demo/log.csv") if row["sensor_id"] == "mini_a"][:14]
+    rest = read_image(root / "data/demo/nocontact/mini_a.png")
+    pressed = [
+        (read_image(root / "data/demo" / row["image"]), [float(row[f"f{axis}_n"]) for axis in "xyz"]) for row in rows
+    ]
+    for factor, said in ((1.0, ""), (1 / 4.448, "pounds-force"), (40.0, "not in newtons")):
+        images, forces = [], []
+        for k, (image, force) in enumerate([(rest, (0.0, 0.0, 0.0)), *pressed]):
+            time = START + 100 * MS * k
+            images.append((time, {"header": ros.header(time, "gel"), **png(image)}))
+            x, y, z = (factor * value if k else 0.0 for value in force)
+            forces.append((time, wrench(time, max(z, -499.0), x=x, y=y)))
+        path = write(tmp_path / f"{factor}.mcap", images, forces)
+        write_text(tmp_path / "topics.toml", f'image = "{IMAGE}"\nwrench = "{WRENCH}"\n')
+        mcap_import(
+            ["--from", str(path), "--topics", str(tmp_path / "topics.toml"), "--data", str(tmp_path / f"lab{factor}")]
+        )
+        told = capsys.readouterr().out
+        assert (said in told) if said else "newtons" not in told, told
 
 
 REFUSED_FORCES = {

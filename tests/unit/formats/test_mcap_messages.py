@@ -57,7 +57,7 @@ def test_what_is_no_recording_of_ros_2_is_one_sentence(tmp_path):
     for name, said in (
         ("cut.mcap", "mend it with `mcap recover`"),
         ("text.mcap", "mend it with `mcap recover`"),
-        ("old.mcap", "holds no ROS 2 messages .* convert the recording"),
+        ("old.mcap", "none of ROS 2, protobuf or JSON .*rosbags-convert"),
         ("none.mcap", "cannot be read"),
     ):
         with pytest.raises(BadInput, match=f"{name}: .*{said}"):

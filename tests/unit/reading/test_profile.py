@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 
 from gelforge.commands import predict, sensor
 from gelforge.errors import BadInput, GelforgeError
-from gelforge.formats.numpy_pickle import read_npy
+from gelforge.formats.featsfile import read_npy
 from gelforge.live.weigh import GRAMS, Weighing, weigh_camera
 from gelforge.reading.frame import reduced
 from gelforge.reading.markers import markers_in
