@@ -182,7 +182,7 @@ def test_a_broken_surface_is_named(two, tmp_path):
     image, kept = lost.read_bytes(), surface.read_bytes()
     lost.unlink()
     surface.write_bytes(kept[:100])
-    with pytest.raises(BadInput, match="demo-000000.npz: no surface of a press"):
+    with pytest.raises(BadInput, match="demo-000000.npz: not a surface of a press"):
         run(plan_of(tmp_path, 2), two.parent, ROOT / "workflow")
     surface.write_bytes(kept)
     lost.write_bytes(image)

@@ -14,7 +14,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
-from gelforge.records.npz import in_short
+from gelforge.records.arrays import in_short
 from gelforge.records.regular import file_fault
 
 POSE_FIELDS = {

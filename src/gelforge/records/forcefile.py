@@ -29,7 +29,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
-from gelforge.records.npz import Archive
+from gelforge.records.arrays import Archive, Schema
 from gelforge.records.status import VALID, Status
 
 INTERVALS = ("c10_interval68", "c10_interval95")
@@ -112,17 +112,25 @@ def _stack(parts: Sequence[np.ndarray], empty_shape: tuple[int, ...], dtype: Any
     return np.concatenate([np.empty(empty_shape, dtype), *(np.asarray(p, dtype) for p in parts)])
 
 
-WHAT, HINT = "a forces shard", "delete it and run make again"
+SCHEMA = Schema(
+    "a forces shard",
+    {
+        "sample_id": ("U", 1), "status": ("U", 1), "mesh": ("U", 1), "ptr": ("i", 1), "node": ("i", 1), "force": ("f", 2),
+        "surface_ptr": ("i", 1), "displacement": ("f", 2), "total": ("f", 2), "c10": ("f", 0), **dict.fromkeys(NUMBERS, ("f", 1)),
+    },
+    {"press_id": ("U", 1), **dict.fromkeys(INTERVALS, ("f", 1))},
+)  # fmt: skip
+HINT = "delete it and run make again"
 
 
 def without_forces(path: str | Path) -> dict[str, str]:
     """Status by name of a shard's samples without valid forces, at a tenth of what `ForceFile` takes; BadInput as there."""
-    with Archive(path, WHAT, HINT) as file:
-        status = file.array("status", "U", 1).tolist()
+    with Archive(path, SCHEMA, HINT) as file:
+        status = file["status"].tolist()
         bad = [at for at, state in enumerate(status) if state not in VALID]
-        names = file.array("sample_id", "U", 1).tolist() if bad else status
+        names = file["sample_id"].tolist() if bad else status
     if len(names) != len(status):
-        raise BadInput(f"{path}: not {WHAT} ({len(names)} samples and {len(status)} statuses); {HINT}")
+        raise BadInput(f"{path}: not {SCHEMA.what} ({len(names)} samples and {len(status)} statuses); {HINT}")
     return {names[at]: status[at] for at in bad}
 
 
@@ -134,13 +142,13 @@ class ForceFile:
 
     def __init__(self, path: str | Path):
         self.path = path
-        self._file = file = Archive(path, WHAT, HINT)
-        self.sample_id, self.status, self.mesh = (file.array(k, "U", 1) for k in ("sample_id", "status", "mesh"))
-        self.ptr, self.total = file.array("ptr", "i", 1), file.array("total", "f", 2)
-        self.c10 = float(file.array("c10", "f", 0))
-        self.intervals = {name: file.array(name, "f", 1) for name in INTERVALS if name in file}
-        self.press_id = file.array("press_id", "U", 1) if "press_id" in file else np.full(len(self.sample_id), "")
-        self.numbers = {name: file.array(name, "f", 1) for name in NUMBERS}
+        self._file = file = Archive(path, SCHEMA, HINT)
+        self.sample_id, self.status, self.mesh = (file[k] for k in ("sample_id", "status", "mesh"))
+        self.ptr, self.total = file["ptr"], file["total"]
+        self.c10 = float(file["c10"])
+        self.intervals = {name: file[name] for name in INTERVALS if name in file}
+        self.press_id = file["press_id"] if "press_id" in file else np.full(len(self.sample_id), "")
+        self.numbers = {name: file[name] for name in NUMBERS}
 
     def __enter__(self) -> "ForceFile":
         return self
@@ -153,19 +161,19 @@ class ForceFile:
 
     @cached_property
     def node(self) -> np.ndarray:
-        return self._file.array("node", "i", 1)
+        return self._file["node"]
 
     @cached_property
     def force(self) -> np.ndarray:
-        return self._file.array("force", "f", 2)
+        return self._file["force"]
 
     @cached_property
     def surface_ptr(self) -> np.ndarray:
-        return self._file.array("surface_ptr", "i", 1)
+        return self._file["surface_ptr"]
 
     @cached_property
     def displacement(self) -> np.ndarray:
-        return self._file.array("displacement", "f", 2)
+        return self._file["displacement"]
 
     def index(self, sample_id: str) -> int:
         """Position of a sample in the shard; a name that is not in it raises BadInput."""

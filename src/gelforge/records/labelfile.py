@@ -33,8 +33,8 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
 from gelforge.flow.layout import command_for
+from gelforge.records.arrays import Archive, Schema
 from gelforge.records.forcefile import INTERVALS, NUMBERS
-from gelforge.records.npz import Archive
 from gelforge.records.status import Status
 
 Stream = tuple[tuple[int, ...], Iterable[np.ndarray]]
@@ -72,6 +72,14 @@ def _stream(archive: zipfile.ZipFile, name: str, shape: tuple[int, ...], blocks:
 
 # Arrays beside the forces that a shard may have, and their dimensions.
 FIELDS = {"displacement": 4, "traction": 4, "area": 3, "traction_deformed": 4, "area_deformed": 3}
+SCHEMA = Schema(
+    "a label shard",
+    {"sample_id": ("U", 1), "status": ("U", 1), "label": ("f", 4), "outside": ("f", 2)},
+    {
+        "press_id": ("U", 1), "c10": ("f", 0), **dict.fromkeys((*INTERVALS, *NUMBERS), ("f", 1)),
+        **{name: ("f", dimensions) for name, dimensions in FIELDS.items()},
+    },
+)  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -103,7 +111,7 @@ class LabelShard:
 def open_labels(path: str | Path) -> Archive:
     """A label file to read single arrays of."""
     hint = f"delete it and run {command_for('labels', path)} again, or import it again"
-    return Archive(path, "a label shard", hint)
+    return Archive(path, SCHEMA, hint)
 
 
 def read_labels(path: str | Path) -> LabelShard:
@@ -113,15 +121,15 @@ def read_labels(path: str | Path) -> LabelShard:
     sample whose label is not finite raise BadInput that names the file and the sample.
     """
     with open_labels(path) as file:
-        names, states = file.array("sample_id", "U", 1), file.array("status", "U", 1)
-        label, outside = file.array("label", "f", 4), file.array("outside", "f", 2)
-        c10 = float(file.array("c10", "f", 0)) if "c10" in file else None
+        names, states = file["sample_id"], file["status"]
+        label, outside = file["label"], file["outside"]
+        c10 = float(file["c10"]) if "c10" in file else None
         material: dict[str, float | list[float]] = {} if c10 is None else {"c10": c10}
-        material |= {name: file.array(name, "f", 1).tolist() for name in INTERVALS if name in file}
-        press = file.array("press_id", "U", 1) if "press_id" in file else np.full(len(names), "")
+        material |= {name: file[name].tolist() for name in INTERVALS if name in file}
+        press = file["press_id"] if "press_id" in file else np.full(len(names), "")
         unknown = np.full(len(names), np.nan)
-        numbers = {name: file.array(name, "f", 1) if name in file else unknown for name in NUMBERS}
-        fields = {name: file.array(name, "f", dims) for name, dims in FIELDS.items() if name in file}
+        numbers = {name: file[name] if name in file else unknown for name in NUMBERS}
+        fields = {name: file[name] for name in FIELDS if name in file}
     _check_shapes(path, names, states, label, outside, press, fields)
     for name, values in numbers.items():
         if len(values) != len(names):

@@ -5,7 +5,7 @@ An uncompressed .npz. `n` images, in the order of samples.csv:
 | array | shape, type | meaning |
 | --- | --- | --- |
 | sample_id | (n,) str | |
-| total | (n, 3) float32 | N, channels as in the labels |
+| total | (n, 3) float32 | N, along gel x, y, z |
 | forces | (n, 3, rows, cols) float16 | N per cell; rows and cols are 1 where a network knows totals only |
 """
 
@@ -15,7 +15,9 @@ import numpy as np
 
 from gelforge.flow.files import publish
 from gelforge.flow.layout import command_for
-from gelforge.records.npz import Archive
+from gelforge.records.arrays import Schema, read_arrays
+
+SCHEMA = Schema("a file of predictions", {"sample_id": ("U", 1), "total": ("f", 2), "forces": ("f", 4)})
 
 
 def write_predictions(path: str | Path, sample_id: np.ndarray, forces: np.ndarray) -> None:
@@ -27,6 +29,4 @@ def write_predictions(path: str | Path, sample_id: np.ndarray, forces: np.ndarra
 
 def read_predictions(path: str | Path) -> dict[str, np.ndarray]:
     """The arrays by name; an unreadable file raises BadInput."""
-    with Archive(path, "a file of predictions", f"delete it and run {command_for('evaluate', path)}") as file:
-        required = {"sample_id": ("U", 1), "total": ("f", 2), "forces": ("f", 4)}
-        return {name: file.array(name, *form) for name, form in required.items()}
+    return read_arrays(path, SCHEMA, f"delete it and run {command_for('evaluate', path)}")

@@ -10,7 +10,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import DAMAGED
-from gelforge.records.npz import in_short
+from gelforge.records.arrays import in_short
 
 LET_GO = 512  # rows
 HINT = "remove it and make the dataset again"

@@ -196,7 +196,7 @@ def write_label_array(path, shards, places, grid: Grid, name: str = "label") -> 
 
 def _read_array(path: Path, name: str, grid: Grid) -> np.ndarray:
     with open_labels(path) as file:
-        array = file.array(name, "f", FIELDS.get(name, 4))
+        array = file[name]
     if array.shape[-2:] != grid.shape:
         raise BadInput(f"{path}: labels of {array.shape[-2:]} cells, asked for {grid}; make labels again")
     return array

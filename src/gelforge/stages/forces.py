@@ -21,8 +21,8 @@ from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.mechanics.mesh.family import mesh_loader
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.result import BALANCE
+from gelforge.records.arrays import in_short
 from gelforge.records.forcefile import INTERVALS, SampleForces, write_forces
-from gelforge.records.npz import in_short
 from gelforge.records.solvetable import Solved, corrupt, read_solves
 from gelforge.records.status import Status
 

@@ -6,15 +6,18 @@ from typing import Any
 import numpy as np
 from scipy.interpolate import CubicHermiteSpline
 
-from gelforge.errors import BadInput
-from gelforge.flow.files import DAMAGED, publish
+from gelforge.flow.files import publish
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.solids import Indenter
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.hexmesh import surface_lines
+from gelforge.records.arrays import Schema, read_arrays
 from gelforge.records.press import Press
 
 STEP = 0.1  # mm between the samples of a field
+SCHEMA = Schema(
+    "a surface of a press", {"xs": ("f", 1), "ys": ("f", 1), "moved": ("f", 3), "press": ("f", 1)}, {"down": ("f", 3)}
+)
 FAR = 4.0  # mm; no part of the body higher than this above its tip can touch the gel
 
 
@@ -75,14 +78,9 @@ class Surface:
     @classmethod
     def load(cls, path) -> "Surface":
         """Read what `save` wrote; anything else raises BadInput."""
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                down = file.get("down")
-                return cls(file["xs"], file["ys"], file["moved"], Press(*(float(v) for v in file["press"])), down)
-        except DAMAGED as error:
-            raise BadInput(
-                f"{path}: no surface of a press ({error!r}); remove it, and the press is repeated"
-            ) from error
+        found = read_arrays(path, SCHEMA, "remove it, and the press is repeated")
+        press = Press(*found["press"].tolist())
+        return cls(found["xs"], found["ys"], found["moved"], press, found.get("down"))
 
 
 def surface_of(mesh: GelMesh, displacement: np.ndarray, press: Press, down: np.ndarray | None = None) -> Surface:

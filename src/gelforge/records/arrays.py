@@ -1,5 +1,7 @@
-"""Archives of arrays (.npz) that others may have written: read by numpy, which runs nothing of them, and checked."""
+"""Files of arrays (.npz), of ours or of others: one reader, which checks them by a schema and runs nothing of them."""
 
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
@@ -9,6 +11,7 @@ from gelforge.flow.files import DAMAGED
 from gelforge.records.regular import file_fault
 
 MOST_SAID = 200  # characters of an error: numpy quotes a header whole
+Form = tuple[str, int]  # kinds of numpy ("U" text, "f" floats, "iu" whole numbers) and number of dimensions
 
 
 def in_short(error: BaseException) -> str:
@@ -16,14 +19,26 @@ def in_short(error: BaseException) -> str:
     return str(error)[:MOST_SAID]
 
 
+@dataclass(frozen=True)
+class Schema:
+    """What a kind of file holds: arrays by name, and those that it may lack; what: the kind, for messages."""
+
+    what: str
+    arrays: Mapping[str, Form]
+    optional: Mapping[str, Form] = field(default_factory=dict)
+
+
+def read_arrays(path: str | Path, schema: Schema, hint: str) -> dict[str, np.ndarray]:
+    """All arrays of a file by name; BadInput for one that is not as its schema says. hint: what to do about it."""
+    with Archive(path, schema, hint) as file:
+        return {name: file[name] for name in (*schema.arrays, *(name for name in schema.optional if name in file))}
+
+
 class Archive:
-    """Arrays of an .npz by name, each read when asked for; what cannot be read raises BadInput.
+    """Arrays of a file by name, each read and checked when asked for; BadInput as `read_arrays`."""
 
-    what: the kind of file, hint: what to do about a broken one, for the message.
-    """
-
-    def __init__(self, path: str | Path, what: str, hint: str):
-        self.path, self.what, self.hint = Path(path), what, hint
+    def __init__(self, path: str | Path, schema: Schema, hint: str):
+        self.path, self.schema, self.hint = Path(path), schema, hint
         fault = file_fault(self.path)
         if fault:
             raise self._bad(fault)
@@ -43,10 +58,10 @@ class Archive:
     def __contains__(self, name: str) -> bool:
         return name in self._file
 
-    def array(self, name: str, kinds: str, dims: int) -> np.ndarray:
-        """One array of `dims` dimensions whose numpy kind is one of `kinds` ("U" text, "f" floats, "iu" integers)."""
+    def __getitem__(self, name: str) -> np.ndarray:
+        kinds, dims = {**self.schema.arrays, **self.schema.optional}[name]
         if name not in self:
-            raise self._bad(f"array {name} is missing; it has {', '.join(self._file)[:200]}")
+            raise self._bad(f"array {name} is missing; it has {', '.join(self._file)[:MOST_SAID]}")
         try:
             found = self._file[name]
         except DAMAGED as error:
@@ -57,4 +72,4 @@ class Archive:
         return found
 
     def _bad(self, fault: str) -> BadInput:
-        return BadInput(f"{self.path}: not {self.what} ({fault}); {self.hint}")
+        return BadInput(f"{self.path}: not {self.schema.what} ({fault}); {self.hint}")
