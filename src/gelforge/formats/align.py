@@ -16,7 +16,7 @@ from gelforge.errors import BadInput
 
 LAPSE = 2.5  # of the usual interval: beyond, samples were dropped, and nothing is interpolated
 COARSE_S = 0.02  # step of the cross-correlation
-REACH_S = 2.0  # around its best offset that the presses are looked at
+REACH_S = 0.5  # around its best offset that the presses are looked at
 MOST_TRIED = 6  # offsets of the cross-correlation
 TOLERATED = 0.1  # of a force's variance within a press, that the other recording may leave unexplained
 RIVAL = 0.9  # of what the best offset explains: another one that reaches it may be the right one as well
@@ -30,6 +30,7 @@ MOST_SCATTER_S = (
 MOST_MISSING = 0.4  # of the presses, that another recording does not show
 WINDOWS = 8  # of a gauge's recording, in each of which it reads one force most often
 BEFORE_S, AFTER_S = 0.1, 0.3  # around a press, in which the gel is not at rest yet
+PART_S = 2.0  # of a pause, over which what the gauge reads is one number
 ROUNDS = 3  # in which presses and what the gauge reads between them are found by turns
 NOISE = 4.0  # times the scatter at rest, below which nothing is a press
 
@@ -93,8 +94,8 @@ def without_level(gauge: Recording, touch: float) -> Levelled:
     low, high = np.quantile(left, [0.003, 0.997])
     if -low > max(high, touch):
         raise BadInput(
-            f"{gauge.name}: its forces leave rest by {low:+.3g} N, and pressing is negative: give --sign -1 where the gauge counts"
-            " pressing as positive"
+            f"{gauge.name}: its forces leave rest by {low:+.3g} N of pulling: give --sign -1 where the gauge counts pressing as positive,"
+            " and let it rest between presses"
         )
     for _ in range(ROUNDS):
         rest = at_rest(gauge, left >= max(touch, 0.05 * float(np.quantile(left, 0.997))))
@@ -103,14 +104,22 @@ def without_level(gauge: Recording, touch: float) -> Levelled:
             raise BadInput(
                 f"{gauge.name}: the gauge never rests; record a second without contact before and after each press"
             )
-        middles = [float(gauge.times[pause].mean()) for pause in pauses]
-        level = np.stack([
-            np.interp(gauge.times, middles, [float(np.median(value[pause])) for pause in pauses]) for value in gauge.values.T
-        ], axis=1)  # fmt: skip
+        parts = [part for pause in pauses for part in _parts(gauge.times, pause)]
+        middles = [float(gauge.times[part].mean()) for part in parts]
+        level = np.stack(
+            [np.interp(gauge.times, middles, [np.median(value[part]) for part in parts]) for value in gauge.values.T],
+            axis=1,
+        )
         left = force - level[:, 0]
     scatter = 1.4826 * float(np.median(np.abs(left[rest])))
     levelled = Recording(gauge.name, gauge.times, gauge.values - level)
     return Levelled(levelled, level, max(touch, NOISE * scatter))
+
+
+def _parts(times: np.ndarray, pause: slice) -> list[np.ndarray]:
+    """Samples of a pause in parts of PART_S."""
+    samples = np.arange(pause.start, pause.stop)
+    return np.array_split(samples, max(1, int((times[samples[-1]] - times[samples[0]]) / PART_S)))
 
 
 def _usual(times: np.ndarray, force: np.ndarray) -> np.ndarray:
@@ -195,6 +204,7 @@ def match_clock(gauge: Recording, other: Recording, touch: float) -> MatchedCloc
 
     touch: N from which on something is pressed. Raises BadInput where no press is found, or none that both show.
     """
+    gauge, other = (Recording(one.name, one.times, one.values[:, :1]) for one in (gauge, other))
     presses = presses_of(gauge.values[:, 0], touch)
     if not presses:
         raise BadInput(

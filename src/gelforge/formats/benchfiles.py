@@ -61,7 +61,7 @@ STRANGE = (
     ),
     (r"<.*[MW]Pos:-?\d+\.\d{4}", "four digits behind the point are inches ($13=1): set $13=0 and log again"),
     (r"<.*[MW]Pos", "it is no report `TIME <STATE|WPos:x,y,z|...>` with its time in s first"),
-    (r"X:\s*-?\d", "M114 says where the tip shall go: log where it was, as time_s,x_mm,y_mm,z_mm"),
+    (r"(\d+(\.\d+)?\s+)?X:\s*-?\d", "M114 says where the tip shall go: log where it was, as time_s,x_mm,y_mm,z_mm"),
     (
         r"(?i)\S*\s*(\$J=|N\d+|[GM]\d)",
         "a line of G-code says when it was sent, not where the tip was: log the controller's reports",
