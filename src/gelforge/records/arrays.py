@@ -71,5 +71,9 @@ class Archive:
             raise self._bad(f"array {name} is {seen}, which it cannot be")
         return found
 
+    def get(self, name: str, default: np.ndarray) -> np.ndarray:
+        """One array, or `default` where the file lacks it."""
+        return self[name] if name in self else default
+
     def _bad(self, fault: str) -> BadInput:
         return BadInput(f"{self.path}: not {self.schema.what} ({fault}); {self.hint}")

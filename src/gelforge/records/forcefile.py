@@ -147,7 +147,7 @@ class ForceFile:
         self.ptr, self.total = file["ptr"], file["total"]
         self.c10 = float(file["c10"])
         self.intervals = {name: file[name] for name in INTERVALS if name in file}
-        self.press_id = file["press_id"] if "press_id" in file else np.full(len(self.sample_id), "")
+        self.press_id = file.get("press_id", np.full(len(self.sample_id), ""))
         self.numbers = {name: file[name] for name in NUMBERS}
 
     def __enter__(self) -> "ForceFile":

@@ -126,9 +126,9 @@ def read_labels(path: str | Path) -> LabelShard:
         c10 = float(file["c10"]) if "c10" in file else None
         material: dict[str, float | list[float]] = {} if c10 is None else {"c10": c10}
         material |= {name: file[name].tolist() for name in INTERVALS if name in file}
-        press = file["press_id"] if "press_id" in file else np.full(len(names), "")
+        press = file.get("press_id", np.full(len(names), ""))
         unknown = np.full(len(names), np.nan)
-        numbers = {name: file[name] if name in file else unknown for name in NUMBERS}
+        numbers = {name: file.get(name, unknown) for name in NUMBERS}
         fields = {name: file[name] for name in FIELDS if name in file}
     _check_shapes(path, names, states, label, outside, press, fields)
     for name, values in numbers.items():
