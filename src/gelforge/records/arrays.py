@@ -73,7 +73,9 @@ class Archive:
 
     def get(self, name: str, default: np.ndarray) -> np.ndarray:
         """One array, or `default` where the file lacks it."""
-        return self[name] if name in self else default
+        if name not in self:
+            return default
+        return self[name]
 
     def _bad(self, fault: str) -> BadInput:
         return BadInput(f"{self.path}: not {self.schema.what} ({fault}); {self.hint}")
