@@ -17,6 +17,7 @@ import numpy as np
 from gelforge.errors import BadInput, printable
 from gelforge.flow.files import write_text
 from gelforge.formats.align import (
+    LAPSE,
     MOST_DRIFT,
     MatchedClock,
     Recording,
@@ -249,7 +250,7 @@ def align(
     """
     levelled, change = without_level(gauge, touch), images.change()
     gauge, touch = levelled.gauge, levelled.touch
-    clocks = {"path": match_clock(gauge, path, touch), "images": match_clock(gauge, change, touch)}
+    clocks = {"path": match_clock(gauge, _filled(path), touch), "images": match_clock(gauge, change, touch)}
     notes = [*_level_told(levelled.level, measured), *_told(gauge, path, change)]
     notes += [_clock_told(name, clock, clock.offset_s) for name, clock in clocks.items()]
     at = clocks["images"].to_gauge(images.times)
@@ -262,7 +263,8 @@ def align(
         began, ended = gauge.times[press.start], gauge.times[press.stop - 1]
         begin = path.at(clocks["path"].from_gauge(np.array([began])))[0]
         within = np.flatnonzero((at >= began) & (at <= ended))
-        places[within] = _where_it_stood(path, on_path[within], places[within])
+        ends = clocks["path"].from_gauge(np.array([began, ended]))
+        places[within] = _where_it_stood(path, on_path[within], places[within], ends)
         during = within[np.isfinite(felt[within, 0]) & np.isfinite(places[within, 0])]
         if not np.isfinite(begin).all() or not len(during):
             notes.append(
@@ -299,15 +301,32 @@ def align(
     return Aligned(rows, gauge, path, change, clocks, rest, notes)
 
 
-def _where_it_stood(path: Recording, times: np.ndarray, places: np.ndarray) -> np.ndarray:
-    """Places (n, 5) at times (n,) of one press, with those of gaps at whose ends the tip is in one place: it was not moved there."""
-    after = np.clip(np.searchsorted(path.times, times), 1, len(path.times) - 1)
-    ends = path.values[after - 1], path.values[after]
-    inside = (
-        (path.times[after - 1] >= times.min() - 1.0) & (path.times[after] <= times.max() + 1.0) if len(times) else []
-    )
-    stood = (np.abs(ends[0] - ends[1])[:, :4].max(axis=1, initial=0.0) <= STATE_MM) & (ends[0][:, 0] > 0.0) & inside
-    return np.where((stood & ~np.isfinite(places[:, 0]))[:, None], ends[0], places)
+def _gaps(path: Recording) -> np.ndarray:
+    """Numbers of the samples before which a path that is logged where it moves says nothing, because the tip stood in the gel."""
+    before, after = path.values[:-1], path.values[1:]
+    stood = (np.abs(after - before)[:, :4].max(axis=1) <= STATE_MM) & (before[:, 0] > 0.0)
+    return np.flatnonzero(stood & (np.diff(path.times) > LAPSE * path.interval)) + 1
+
+
+def _filled(path: Recording) -> Recording:
+    """A path with samples where the tip stood, by which its clock is matched."""
+    times, values = [path.times], [path.values]
+    for at in _gaps(path).tolist():
+        more = np.arange(path.times[at - 1] + path.interval, path.times[at] - 0.5 * path.interval, path.interval)
+        times.append(more)
+        values.append(np.repeat(path.values[at - 1 : at], len(more), axis=0))
+    order = np.argsort(np.concatenate(times), kind="stable")
+    return Recording(path.name, np.concatenate(times)[order], np.concatenate(values)[order])
+
+
+def _where_it_stood(path: Recording, times: np.ndarray, places: np.ndarray, press: np.ndarray) -> np.ndarray:
+    """Places (n, 5) at times (n,) of a press from and to (2,) s, with those of gaps within it at whose ends the tip is in one place."""
+    places = places.copy()
+    for at in _gaps(path).tolist():
+        start, end = path.times[at - 1], path.times[at]
+        if press[0] <= start and end <= press[1]:
+            places[(times > start) & (times < end)] = path.values[at - 1]
+    return places
 
 
 def _states(images: np.ndarray, places: np.ndarray) -> list[np.ndarray]:

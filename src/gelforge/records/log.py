@@ -3,11 +3,11 @@
 import csv
 import io
 import re
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from dataclasses import asdict
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TypeVar
 
 from gelforge.errors import BadInput, printable
 from gelforge.flow.files import csv_text, write_csv
@@ -25,7 +25,6 @@ from gelforge.records.press import (
     PressRecord,
     RawRow,
     Rejection,
-    judge_cell,
     parse,
     parse_posed,
     reject,
@@ -38,11 +37,6 @@ P = TypeVar("P", bound=PressRecord)
 MOST_NOTES = 100  # lines above a header among which it is looked for
 REJECTION_COLUMNS = ("file", "row", "sample_id", "column", "value", "reason", "hint")
 POSED_COLUMNS = ("row", "sample_id", "sensor_id", "gel_id", "indenter", *POSE, *FORCES, "image", "stl")
-
-
-def _reader(lines: Iterable[str], strict: bool = False) -> Any:
-    """A csv reader; blanks behind a comma are no part of a cell, so that quotation marks behind them quote."""
-    return csv.reader(lines, skipinitialspace=True, strict=strict)
 
 
 def read_log(path: str | Path) -> list[RawRow]:
@@ -74,17 +68,16 @@ def _read(
     hint: str = "a dataset needs its raw log there",
     needed: tuple[str, ...] = (),
 ) -> list[RawRow]:
-    lines = list(io.StringIO(read_text(path, hint), newline=""))
-    top = next((at for at, line in enumerate(lines) if line.strip()), 0)
-    cells = next(_each(_reader(lines[top : top + 1])), [])
-    if cells is None:
-        raise BadInput(
-            f"{path}: its header has a cell of more than 131072 characters, so it is no table of ours; {hint}"
-        )
-    header = _spelt([cell.strip() for cell in cells], known)
-    below = _header_below(lines, top, known) if "sample_id" not in header else 0
-    if below:
-        raise BadInput(f"{path}: its header stands in line {below}; remove the lines above it")
+    records = _records(path, read_text(path, hint))
+    header = _spelt([cell.strip() for cell in records[0][1]], known) if records else []
+    if "sample_id" not in header:
+        below = [
+            at
+            for at, cells in records[1:MOST_NOTES]
+            if "sample_id" in _spelt([cell.strip() for cell in cells], known)
+        ]
+        if below:
+            raise BadInput(f"{path}: its header stands in line {below[0]}; remove the lines above it")
     places = _places(path, header, known)
     for name in needed:
         near = get_close_matches(name, sorted(set(header) - set(known)), 1, 0.5) if name not in places else []
@@ -93,17 +86,22 @@ def _read(
             raise BadInput(
                 f"{path}: column {name} is missing, which every press needs; rename {seen!r} if it is that"
             )
-    free = set(range(len(header))) - set(places.values())
-    return [_row(*record, places, header) for record in _records(lines, top + 1, free)]
+    return [_row(line, cells, places, header) for line, cells in records[1:]]
 
 
-def _header_below(lines: list[str], top: int, known: tuple[str, ...]) -> int:
-    """Number of the line that is a header further down, as below the notes of a force sensor; 0 where none is."""
-    for at in range(top + 1, min(top + MOST_NOTES, len(lines))):
-        cells = next(_each(_reader([lines[at]])), None)
-        if "sample_id" in _spelt([cell.strip() for cell in cells or []], known):
-            return at + 1
-    return 0
+def _records(path: Path, text: str) -> list[tuple[int, list[str]]]:
+    """Line at which each record of a CSV file begins, and its cells; blank lines are none. BadInput where it is not strict CSV."""
+    reader, found, start = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True, strict=True), [], 1
+    try:
+        for cells in reader:
+            found += [(start, cells)] if cells else []
+            start = reader.line_num + 1
+    except csv.Error as error:
+        raise BadInput(
+            f"{path}: row {start}: {error}; close each quotation mark that opens a cell, double those within it, and quote cells that hold"
+            " a comma"
+        ) from error
+    return found
 
 
 def _some(rows: list[RawRow], path: str | Path) -> list[RawRow]:
@@ -138,73 +136,14 @@ def _places(path: Path, header: list[str], known: tuple[str, ...]) -> dict[str, 
     return {name: header.index(name) for name in header if name in known}
 
 
-def _records(lines: list[str], start: int, free: set[int]) -> Iterator[tuple[int, list[str], str]]:
-    """Line number, cells and fault (of ROW_FAULTS) of every record from a line on; blank lines are none.
-
-    A quotation mark that is not closed would swallow the lines below, good presses among them. So a record of several
-    lines stands only where it is strict CSV and none but a `free` cell, which nobody reads, goes over a line's end; else
-    its first line is a record of its own, and reading goes on below it.
-    """
-    while start < len(lines):
-        reader, first = _reader(lines[at] for at in range(start, len(lines))), start
-        for cells in _each(reader):
-            end = first + reader.line_num
-            several = end > start + 1
-            if several and not (cells and _several_lines(lines[start:end], free)):
-                own = next(_each(_reader([lines[start]])), None)
-                yield start + 1, own or [], "open_quote"
-                start += 1
-                break
-            if cells is None:
-                yield start + 1, [], "long_cell"
-                start += 1
-                break
-            if cells:
-                yield start + 1, cells, ""
-            start = end
-
-
-def _each(reader: Iterable[list[str]]) -> Iterator[list[str] | None]:
-    """What a csv reader gives, then None where it fails: a cell is longer than it takes."""
-    try:
-        yield from reader
-    except csv.Error:
-        yield None
-
-
-def _several_lines(lines: list[str], free: set[int]) -> bool:
-    """Whether lines are one record of strict CSV with its line breaks in cells that nobody reads."""
-    try:
-        cells = next(_reader(lines, strict=True))
-    except csv.Error:
-        return False
-    return {at for at, cell in enumerate(cells) if "\n" in cell or "\r" in cell} <= free
-
-
-def _row(line: int, cells: list[str], fault: str, places: dict[str, int], header: list[str]) -> RawRow:
+def _row(line: int, cells: list[str], places: dict[str, int], header: list[str]) -> RawRow:
     text = {name: cells[at].strip() if at < len(cells) else "" for name, at in places.items()}
-    number, known_fault = text.pop("row", ""), text.pop("fault", "")
-    again = "second_header" if text and all(cell.lower() == name for name, cell in text.items()) else ""
-    fault = fault or known_fault or again or _surplus_fault(cells, header)
+    number, fault = text.pop("row", ""), text.pop("fault", "")
+    if text and all(cell.lower() == name for name, cell in text.items()):
+        fault = "second_header"
+    elif len(cells) > len(header):
+        fault = "more_cells"
     return RawRow(int(number) if number.isdigit() else line, text, fault)
-
-
-def _surplus_fault(cells: list[str], header: list[str]) -> str:
-    """What of ROW_FAULTS is wrong with a row of more cells than its header; nothing where it merely ends with commas.
-
-    Decimal commas may leave empty cells behind, too, where the last columns are empty. So the last cell must be one that
-    none of the columns before it can hold to which it would then belong, as a path among forces.
-    """
-    surplus = cells[len(header) :]
-    if not surplus:
-        return ""
-    if any(cell.strip() for cell in surplus):
-        return "more_cells"
-    last, before = cells[len(header) - 1].strip(), header[-1 - len(surplus) : -1]
-    sure = (
-        last and len(before) == len(surplus) and all(name in KNOWN and judge_cell(name, last)[1] for name in before)
-    )
-    return "" if sure else "end_comma"
 
 
 def write_log(path: str | Path, presses: Iterable[LoggedPress], decimals: dict[str, int] | None = None) -> None:

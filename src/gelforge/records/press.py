@@ -49,31 +49,14 @@ ROW_FAULTS = {
     "more_cells": (
         "sample_id",
         "the row has more cells than the header has columns",
-        "quote cells that hold a comma, and write decimals with a point",
+        "quote cells that hold a comma, write decimals with a point, and end rows as the header ends",
     ),
     "second_header": (
         "sample_id",
         "the row is a header again",
         "remove it, as where two logs were put one behind the other; both must have the same columns in the same order",
     ),
-    "end_comma": (
-        "sample_id",
-        "the row ends with more commas than the header",
-        "remove the comma at the end of each row, or end the header with one, too; write decimals with a point",
-    ),
-    "open_quote": (
-        "sample_id",
-        "a quotation mark opens in this row and does not close in it",
-        "remove it, or close it; rows below were read without it",
-    ),
-    "long_cell": (
-        "sample_id",
-        "a cell of the row is longer than 131072 characters",
-        "shorten it; a cell holds a name, a number or a path",
-    ),
 }
-# Faults of a row that is longer than its header, as where the header lost a column's name.
-TOO_LONG = ("more_cells", "end_comma")
 ABSENT = "the column is missing in the header"
 
 
@@ -269,7 +252,7 @@ def parse(raw: RawRow, file: str, needed: Collection[str] = COLUMNS) -> tuple[Lo
     Columns that are not `needed` may be missing or hold anything: what cannot be read of them stays empty.
     """
     absent = [name for name in COLUMNS if name in needed and name not in raw.cells]
-    if raw.fault in TOO_LONG and absent:
+    if raw.fault == "more_cells" and absent:  # as where the header lost a column's name
         return None, [
             _rejection(raw, file, name, ABSENT, f"write {name} there again, at its place") for name in absent
         ]

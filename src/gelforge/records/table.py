@@ -70,7 +70,7 @@ def numbered_rows(path: str | Path, hint: str, comments: bool = False) -> list[t
     if comments:
         text = ["\n" if line.startswith("#") else line for line in text]
     top = next((at for at, line in enumerate(text) if line.strip()), 0)
-    lines = csv.DictReader(text[top:], restval=None, skipinitialspace=True)
+    lines = csv.DictReader(text[top:], restval=None, skipinitialspace=True, strict=True)
     try:
         rows = [(top + lines.line_num, row) for row in lines]
     except csv.Error as error:
