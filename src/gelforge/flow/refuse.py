@@ -33,7 +33,7 @@ READ = (*RULES, "ID", "FROM", "TOPICS", "SPLIT", "PLAN", "POINTS", "IMAGE", "REF
         "GELFORGE_REFERENCE", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")  # fmt: skip
 NEVER_EMPTY = ("DATASET", "MODEL", "JOBS", "RES")  # DATASET= would be the folder of all results, JOBS= no limit
 EXECUTORS = ("local", "slurm")
-FORMATS = ("mcap", "rerun", "lerobot", "webdataset", "hdf5")
+FORMATS = ("mcap", "lerobot", "hdf5")
 
 # Goals that need no dataset, and those that show what was made of one, also where its log is gone.
 NO_DATASET = (

@@ -13,8 +13,9 @@ from hypothesis import strategies as st
 from gelforge.errors import BadInput
 from gelforge.formats.export import ros
 from gelforge.formats.featsfile import read_npy
-from gelforge.formats.mcap_import import Topics, pair, picture
+from gelforge.formats.mcap_import import Topics, pair
 from gelforge.formats.mcap_messages import messages
+from gelforge.formats.messageimage import picture
 from gelforge.reading.model import load_model
 from gelforge.records.forcefile import ForceFile, SampleForces, write_forces
 from gelforge.records.image import read_image
@@ -76,7 +77,7 @@ def recording(path) -> None:
 
 
 def recorded(path):
-    topics = Topics("/image", "/wrench", "mini", 0.02, 1, 1, 0.2, np.eye(3))
+    topics = Topics("/image", "/wrench", "mini", 0.02, 1, 1, 0.2, np.eye(3), (), ())
     return pair(path, topics), [picture(said, str(path)) for _, _, said in messages(path, [topics.image])]
 
 
