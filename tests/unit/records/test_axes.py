@@ -66,9 +66,10 @@ def test_a_reading_has_the_same_order_in_tables_events_and_messages(made):
     row = total_columns(found)
     assert [row[name] for name in FORCE] == pytest.approx(PRESSED, abs=1e-4)
     assert [row[f"{name}_half_width_n"] for name in CHANNELS] == [0.1, 0.2, 0.3]
-    event = Reading(0, 0.0, found, 1.0).event()
+    one = Reading(0, 0.0, found, 1.0, np.zeros((24, 32, 3), np.uint8))
+    event = one.event()
     assert {*FORCE} < {*COLUMNS} and [event[name] for name in FORCE] == pytest.approx(PRESSED, abs=1e-4)
-    said = {topic.split("/", 2)[2]: message for topic, message in RosMessages("mini")(Reading(0, 0.0, found, 1.0))[1]}
+    said = {topic.split("/", 2)[2]: message for topic, message in RosMessages("mini")(one)[1]}
     for topic, off in (("wrench", 0.0), ("wrench/high", 1.0), ("wrench/low", -1.0)):
         force = said[topic].wrench.force
         assert [getattr(force, axis) for axis in "xyz"] == pytest.approx(PRESSED + off * found.half_width, rel=1e-5)
