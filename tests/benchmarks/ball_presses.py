@@ -26,11 +26,17 @@ THICKNESS_MM = 4.0
 
 @dataclass(frozen=True)
 class BallPress:
-    """A press: its picture (h, w, 3) uint8 RGB, and the normal force in N that made it."""
+    """A press: its picture (h, w, 3) uint8 RGB, and the normal force in N that made it.
+
+    radius: of the marked circle, px. diameter: of the ball, mm. px_per_mm: where the image shows the gel.
+    """
 
     name: str
     image: np.ndarray
     force: float
+    radius: float
+    diameter: float
+    px_per_mm: float
 
 
 @dataclass(frozen=True)
@@ -80,5 +86,6 @@ def read_presses(folder: Path, px_per_mm: float) -> list[BallPress]:
         height, width = image.shape[:2]
         if size and radius < u < width - radius and radius < v < height - radius:
             force = ball_curve(float(size[1])).force_at(radius / px_per_mm)
-            found.append(BallPress(str(path.parent.relative_to(folder)), image, force))
+            name = str(path.parent.relative_to(folder))
+            found.append(BallPress(name, image, force, radius, float(size[1]), px_per_mm))
     return [one for one in found if np.isfinite(one.force)]

@@ -46,8 +46,11 @@ MOTIONS = (
 RIG_C10 = 0.0785  # MPa, of the plans that the shipped network learnt from
 
 
-def ball_figures(presses: list[BallPress], read: Sequence[ForceReading]) -> list[Figure]:
-    """Forces that are read over those of finite elements, and again with a factor from every other press."""
+def ball_figures(presses: list[BallPress], read: Sequence[ForceReading], found: np.ndarray) -> list[Figure]:
+    """Forces that are read over those of finite elements, and again with a factor from every other press.
+
+    found: (n,) radius in px of the circle that is found in each image, NaN where none is.
+    """
     normal, force = np.array([-one.total[2] for one in read]), np.array([p.force for p in presses])
     note = f"{len(presses)} presses that lie completely in the image; the level is uncertain by a quarter"
     gain = fit_gain(force[::2], normal[::2])
@@ -56,17 +59,39 @@ def ball_figures(presses: list[BallPress], read: Sequence[ForceReading]) -> list
     )
     return [
         *_level("real balls, read over finite elements", normal, force, note),
-        depth_figure(normal / force, force),
+        *truth_figures(normal, presses, found),
         *_level("real balls, factor of every other press", gain.value * normal[1::2], force[1::2], fitted),
         Figure("good ball presses flagged", 100 * float(np.mean([one.flag for one in read])), "<=", 2.0, "%"),
     ]
 
 
-def depth_figure(ratio: np.ndarray, force: np.ndarray) -> Figure:
-    """Whether deep presses are read as shallow ones are: ratio (n,) of read forces to known ones (n,) N."""
-    thirds = [float(np.median(ratio[of])) for of in np.array_split(np.argsort(force), 3)]
-    note = "thirds " + ", ".join(f"{third:.2f}" for third in thirds)
-    return Figure("real balls, the deepest third over the shallowest", thirds[2] / thirds[0], ">=", 0.95, "", note)
+def truth_figures(normal: np.ndarray, presses: list[BallPress], found: np.ndarray) -> list[Figure]:
+    """Deviation of the logarithm of normal forces (n,) N from those by found and by marked circles, and the error of each.
+
+    found: (n,) radii in px, whose level is that of the marks. Three measurements whose errors are independent tell the error of each by
+    the variances of their differences (Grubbs 1948, J. Am. Stat. Assoc. 43, 243-264). How deep presses are read beside shallow ones
+    is the slope of the reading over one truth with the other as instrument (Durbin 1954): plain regression on a noisy truth is flat.
+    """
+    known = np.isfinite(found)
+    marked = np.array([one.radius for one in presses])
+    level = float(np.median(marked[known] / found[known]))
+    curve = [
+        ball_curve(one.diameter).force_at(level * radius / one.px_per_mm)
+        for one, radius in zip(presses, found, strict=True)
+    ]
+    by_found, by_mark, read = (np.log(values)[known & np.isfinite(curve)] for values in (
+        np.array(curve), np.array([one.force for one in presses]), np.maximum(normal, 0.05)))  # fmt: skip
+    off_found, off_mark, apart = (float(np.var(one)) for one in (read - by_found, read - by_mark, by_found - by_mark))
+    errors = [np.sqrt(max(0.5 * (a + b - c), 0.0)) for a, b, c in (
+        (off_found, apart, off_mark), (off_mark, apart, off_found), (off_found, off_mark, apart))]  # fmt: skip
+    slope = float(np.cov(read, by_found)[0, 1] / np.cov(by_mark, by_found)[0, 1])
+    plain = float(np.polyfit(by_mark, read, 1)[0])
+    note = "error of the force by found circles {:.3f}, by marks {:.3f}, of the reading {:.3f}".format(*errors)
+    return [
+        Figure("real balls, deviation of the logarithm: against found circles", float(np.sqrt(off_found)), "<=", 0.11, "", f"{len(read)} presses"),
+        Figure("the same against marked circles", float(np.sqrt(off_mark)), "<=", 0.17, "", note),
+        Figure("real balls, exponent of the reading over the marks, found circles as instrument", slope, ">=", 0.9, "", f"plain regression {plain:.2f}"),
+    ]  # fmt: skip
 
 
 def _level(what: str, normal: np.ndarray, force: np.ndarray, note: str) -> list[Figure]:

@@ -31,6 +31,7 @@ from tests.benchmarks.balls import FOLDER as BALLS
 from tests.benchmarks.balls import ball_figures, motion_figures
 from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.benchmarks.films import finger_figures, frames_of, read_film, released_figures, sideways_figures
+from tests.benchmarks.imprint import found_radius
 from tests.benchmarks.spoilt import EACH, Series, spoilt_figures
 
 PANEL = 200  # px of width of each of the four panels of FEATS' film: x, y, normal map, picture
@@ -49,6 +50,7 @@ TUBE_MM = 8.6
 TUBES = (9, 31, 45, 49)  # frames of FEATS' film in which the whole ring of that tube presses
 FOOT = 0.35  # fraction of a map's largest force from which a cell counts as pressed
 NEWTONS = 0.30, 0.17  # a cell at the end of FEATS' colour scale: its code knows both
+SIDEWAYS_NEWTONS = 0.07  # the same of its sideways maps, beside the first
 PARTS = ("films", "maps", "balls", "drawn", "cuboid")
 LEAST_TOTAL = 0.05  # N that is taken to be read at least where a logarithm is taken
 # Folders of the reference data, and a kind of file in each.
@@ -180,6 +182,22 @@ def interval_figures(
     return figures, {"unprofiled": round(max(unprofiled.values()), 3), "profiled": round(max(profiled.values()), 3)}
 
 
+def straight_figures(kind: str, read: Sequence[ForceReading], known: np.ndarray | float = 0.0) -> list[Figure]:
+    """Sideways forces that are read of presses straight down: the largest error, and how many of their intervals hold.
+
+    known: sideways forces (n, 2) N along gel x and y, where they are not zero.
+    """
+    error = np.abs(np.array([one.total[:2] for one in read]) - known)
+    widths = np.array([one.half_width[:2] for one in read if one.half_width is not None])
+    normal = abs(read[int(error.max(axis=1).argmax())].total[2])
+    note = f"of {normal:.1f} N; median {np.median(error):.2f} N; {len(read)} presses"
+    held = 100 * float(np.mean(error <= widths)) if len(widths) == len(error) else 0.0
+    return [
+        Figure(f"{kind}: sideways force of straight presses, largest", float(error.max()), "<=", 0.6, "N", note),
+        Figure("the same: 90 % intervals hold", held, ">=", 90.0, "%"),
+    ]  # fmt: skip
+
+
 def evidence_of(
     model: ForceModel, read: Sequence[ForceReading], forces: np.ndarray, seen: np.ndarray | slice = np.s_[:]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -202,10 +220,11 @@ def feats_figures(
     read = [predictor.predict(image) for image, _ in presses]
     own = [-one.cells[2] for one in read]
     with np.load(folder / "demo_maps.npz") as stored:
-        sums = stored["z"][:, SEEN].sum(axis=1, dtype=float)
+        sums, *aside = (stored[axis][:, SEEN].sum(axis=1, dtype=float) for axis in "zyx")  # FEATS' x is gel y
     series = Series("FEATS' presses", model, nocontact, [image for image, _ in presses[::EACH]], read[::EACH])
     figures = [*gif_figures(own, [normal for _, normal in presses]), *tube_figures(own), *newton_figures(own, sums)]
     flagged = Figure("good FEATS' presses flagged", 100 * float(np.mean([one.flag for one in read])), "<=", 2.0, "%")
+    figures += straight_figures("FEATS' presses", read, SIDEWAYS_NEWTONS * np.stack(aside, axis=1))
     return [*figures, flagged, *spoilt_figures(series)], evidence_of(model, read, NEWTONS[0] * sums, SEEN)
 
 
@@ -218,7 +237,11 @@ def real_ball_figures(
     predictor = Predictor(model, background)
     read = [predictor.predict(press.image) for press in presses]
     series = Series("real balls", model, background, [press.image for press in presses[::EACH]], read[::EACH])
-    figures = [*ball_figures(presses, read), *spoilt_figures(series)]
+    figures = [
+        *ball_figures(presses, read, np.array([found_radius(predictor.prepare(press.image)) for press in presses])),
+        *straight_figures("real balls", read),
+        *spoilt_figures(series),
+    ]
     return figures, evidence_of(model, read, np.array([press.force for press in presses]))
 
 

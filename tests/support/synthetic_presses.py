@@ -13,10 +13,10 @@ from tests.support.parameters import parameters
 SPLITS = ("train", "val", "test", "test_unseen_indenter", "test_unseen_sensor")
 
 
-def draw_press(rng, image, grid, strength: float = 1.0):
+def draw_press(rng, image, grid, strength: float = 1.0, shade: float = 1.0, travel: float = 1.0):
     """One image (h, w, 3) uint8 and its label (3, rows, cols): a bump that shades the picture and moves its markers.
 
-    strength: factor on its force; 0 shows no contact.
+    strength: factor on its force; 0 shows no contact. shade, travel: of the sensor, factors on light and markers.
     """
     height, width = image
     place = rng.uniform(0.3, 0.7, 2)
@@ -31,23 +31,23 @@ def draw_press(rng, image, grid, strength: float = 1.0):
     label = force[:, None, None] * cells / cells.sum()
     field = bump(height, width)
     v, u = np.meshgrid(np.arange(height), np.arange(width), indexing="ij")
-    pitch, travel = height / 7, height / 60
+    pitch, travel = height / 7, travel * height / 60
     du, dv = (u - travel * force[1] * field) / pitch, (v - travel * force[0] * field) / pitch
     markers = np.exp(-(((du % 1) - 0.5) ** 2 + ((dv % 1) - 0.5) ** 2) * 30)
     slope = np.gradient(field, axis=(0, 1))
-    light = 120 + 4 * height / 10 * np.stack(
+    light = 120 + shade * 4 * height / 10 * np.stack(
         [slope[0] * force[2], slope[1] * force[2], field * force[2] / height], -1
     )
     picture = light * (1 - 0.8 * markers[..., None]) + rng.normal(0, 1.5, (height, width, 3))
     return np.clip(picture, 0, 255).astype(np.uint8), label.astype(np.float32)
 
 
-def write_dataset(folder, n=48, image=(240, 320), grid=(24, 32), seed=0) -> Path:
-    """Write a dataset of `n` presses with all five splits as stage 60 does; return its folder."""
+def write_dataset(folder, n=48, image=(240, 320), grid=(24, 32), seed=0, **sensor) -> Path:
+    """Write a dataset of `n` presses with all five splits as stage 60 does; return its folder. sensor: as for `draw_press`."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(seed)
-    pairs = [draw_press(rng, image, grid) for _ in range(n)]
+    pairs = [draw_press(rng, image, grid, **sensor) for _ in range(n)]
     labels = np.stack([label for _, label in pairs])
     np.save(folder / "images.npy", np.stack([picture for picture, _ in pairs]))
     np.save(folder / "labels.npy", labels)
