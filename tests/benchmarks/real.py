@@ -182,18 +182,21 @@ def interval_figures(
     return figures, {"unprofiled": round(max(unprofiled.values()), 3), "profiled": round(max(profiled.values()), 3)}
 
 
-def straight_figures(kind: str, read: Sequence[ForceReading], known: np.ndarray | float = 0.0) -> list[Figure]:
-    """Sideways forces that are read of presses straight down: the largest error, and how many of their intervals hold.
+def aside_figures(kind: str, read: Sequence[ForceReading], known: np.ndarray | None = None) -> list[Figure]:
+    """Sideways forces that are read: the largest error, and how many of their intervals hold.
 
-    known: sideways forces (n, 2) N along gel x and y, where they are not zero.
+    known: what they are, (n, 2) N along gel x and y; None for presses straight down, of which they are zero.
     """
-    error = np.abs(np.array([one.total[:2] for one in read]) - known)
+    aside = np.array([one.total[:2] for one in read])
+    error = np.abs(aside if known is None else aside - known)
     widths = np.array([one.half_width[:2] for one in read if one.half_width is not None])
     normal = abs(read[int(error.max(axis=1).argmax())].total[2])
     note = f"of {normal:.1f} N; median {np.median(error):.2f} N; {len(read)} presses"
+    if known is not None:
+        note += f"; correlation {np.corrcoef(aside.ravel(), known.ravel())[0, 1]:.2f}"
     held = 100 * float(np.mean(error <= widths)) if len(widths) == len(error) else 0.0
     return [
-        Figure(f"{kind}: sideways force of straight presses, largest", float(error.max()), "<=", 0.6, "N", note),
+        Figure(f"{kind}: sideways force, largest error", float(error.max()), "<=", 0.6, "N", note),
         Figure("the same: 90 % intervals hold", held, ">=", 90.0, "%"),
     ]  # fmt: skip
 
@@ -224,7 +227,7 @@ def feats_figures(
     series = Series("FEATS' presses", model, nocontact, [image for image, _ in presses[::EACH]], read[::EACH])
     figures = [*gif_figures(own, [normal for _, normal in presses]), *tube_figures(own), *newton_figures(own, sums)]
     flagged = Figure("good FEATS' presses flagged", 100 * float(np.mean([one.flag for one in read])), "<=", 2.0, "%")
-    figures += straight_figures("FEATS' presses", read, SIDEWAYS_NEWTONS * np.stack(aside, axis=1))
+    figures += aside_figures("FEATS' presses", read, SIDEWAYS_NEWTONS * np.stack(aside, axis=1))
     return [*figures, flagged, *spoilt_figures(series)], evidence_of(model, read, NEWTONS[0] * sums, SEEN)
 
 
@@ -239,7 +242,7 @@ def real_ball_figures(
     series = Series("real balls", model, background, [press.image for press in presses[::EACH]], read[::EACH])
     figures = [
         *ball_figures(presses, read, np.array([found_radius(predictor.prepare(press.image)) for press in presses])),
-        *straight_figures("real balls", read),
+        *aside_figures("real balls", read),
         *spoilt_figures(series),
     ]
     return figures, evidence_of(model, read, np.array([press.force for press in presses]))

@@ -38,6 +38,7 @@ NETWORKS = {
     "models": ["--parts", "speed", "--seconds", "0.1"],
     "unseen": ["--presses", "1", "--units", "2"],
     "real": ["--parts", "cuboid"],
+    "totals": ["--presses", "32"],
 }
 
 
