@@ -14,6 +14,7 @@ from gelforge.mechanics.hexsettings import HexSettings, quality
 from gelforge.mechanics.linear.factorisation import SuperLU
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.mesh.hexmesh import FineBox, HexMesh, fine_box, mesh_on_lines
+from gelforge.mechanics.path.equilibrium import CYCLING
 from gelforge.mechanics.path.loadpath import path_pose
 from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvers.hex import MOST_BELOW_MM, MOST_INSIDE_MM, HexSolver, solve_hex
@@ -213,7 +214,8 @@ def test_gross_slip_on_a_plate(mu):
     assert result.status is Status.OK
     # where the block bulges from under the plate, friction turns with the slip: 3 % of it points elsewhere
     assert total[0] / -total[2] == pytest.approx(mu, rel=0.03)
-    assert abs(total[1]) < 1e-3 * total[0]
+    # a path with friction takes states out of balance by CYCLING of the contact force
+    assert abs(total[1]) < CYCLING * -total[2]
 
 
 def test_friction_with_a_large_coefficient_is_no_slip():
