@@ -11,7 +11,7 @@ SLOTS = $(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),$(JOBS))
 export GELFORGE_JOBS = $(SLOTS)
 # What of -n, -q and -t make was given, under which nothing is done.
 ONLY_SHOWN = $(strip $(foreach f,n q t,$(findstring $f,$(firstword -$(MAKEFLAGS)))))
-# Before the recipe of such a program: it then takes slots that are free (flow/slots.py).
+# Before the recipe of such a program: it then takes slots that are free (flow/jobs.py).
 HANDS_SLOTS = $(if $(ONLY_SHOWN),,+)
 
 # Every prerequisite is an input; more of them than a shell takes as one command (128 KiB) go by a list.

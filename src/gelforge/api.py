@@ -9,7 +9,7 @@ from typing import Any, ParamSpec, TypeVar
 import numpy as np
 
 from gelforge.errors import BadInput, GelforgeError, nearest
-from gelforge.flow.main import missing_extra
+from gelforge.flow.cli import missing_extra
 from gelforge.geometry.gel import gels_from, load_gel
 from gelforge.geometry.solids import Indenter
 from gelforge.labelling.grid import Grid
@@ -130,7 +130,7 @@ def solve(
         BadInput: an argument that has no meaning; the message names it.
         GelforgeError: the press has no solution; the message says why.
     """
-    from gelforge.flow.params.tables import SOFTEST, STIFFEST
+    from gelforge.flow.tables import SOFTEST, STIFFEST
 
     if not (_finite(c10, nu) and SOFTEST <= c10 <= STIFFEST and 0.0 <= nu < 0.5):
         raise BadInput(

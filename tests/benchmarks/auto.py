@@ -15,10 +15,10 @@ import numpy as np
 from tqdm import tqdm
 
 from gelforge.flow import params as config
+from gelforge.flow.cli import command, option, positive
 from gelforge.flow.files import digest_of_value, read_json, write_json
-from gelforge.flow.main import command, option, positive
 from gelforge.flow.params import plain
-from gelforge.flow.params.tables import FeaTable, Params
+from gelforge.flow.tables import FeaTable, Params
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.labelling.sensor import Sensor, load_sensors

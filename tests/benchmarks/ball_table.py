@@ -8,8 +8,8 @@ import numpy as np
 from tqdm import tqdm
 
 from gelforge.errors import GelforgeError
+from gelforge.flow.cli import command, option
 from gelforge.flow.files import read_csv, write_csv
-from gelforge.flow.main import command, option
 from gelforge.geometry.gel import USUAL_GEL, load_gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.hexsettings import quality

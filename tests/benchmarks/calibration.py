@@ -31,10 +31,10 @@ from gelforge.calibration.solves import SolveCache, build_emulator, make_plan, r
 from gelforge.calibration.summary import describe
 from gelforge.errors import SolveFailed
 from gelforge.flow import params as config
+from gelforge.flow.cli import command, option
 from gelforge.flow.files import read_json, write_json, write_text
 from gelforge.flow.layout import CALIBRATE, Layout
-from gelforge.flow.main import command, option
-from gelforge.flow.params.tables import CalibrateTable
+from gelforge.flow.tables import CalibrateTable
 from gelforge.geometry.gel import USUAL_GEL
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.mechanics.hexsettings import HexSettings, quality

@@ -3,8 +3,7 @@
 from pathlib import Path
 
 from gelforge.flow.files import write_json
-from gelforge.flow.params import Params
-from gelforge.flow.params.stages import StageParameters
+from gelforge.flow.params import Params, StageParameters
 from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.mesh.family import MeshName, make_mesh
 from gelforge.sweeps.trial import ChartBench

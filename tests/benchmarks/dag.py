@@ -10,9 +10,9 @@ from pathlib import Path
 
 import numpy as np
 
+from gelforge.flow.cli import command, option, positive
 from gelforge.flow.files import read_csv, states_of, write_csv, write_json
 from gelforge.flow.layout import Layout, metrics_of
-from gelforge.flow.main import command, option, positive
 from gelforge.flow.runs import count_finished, installed
 from gelforge.records.forcefile import SampleForces, write_forces
 from tests.benchmarks.figures import Figure, publish_figures

@@ -12,8 +12,8 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import minimize
 
+from gelforge.flow.cli import command, option
 from gelforge.flow.files import read_csv, read_json, write_json
-from gelforge.flow.main import command, option
 from gelforge.mechanics.extrapolate import Coarse, Convergence, Edge, edge_of
 from gelforge.mechanics.hexsettings import HexSettings, quality
 from gelforge.mechanics.path.loadpath import path_pose

@@ -15,10 +15,10 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.cli import command, option
 from gelforge.flow.files import read_json, write_json
-from gelforge.flow.main import command, option
 from gelforge.flow.params import Params, load_params, parameters_of
-from gelforge.flow.params.tables import IN_PROCESS
+from gelforge.flow.tables import IN_PROCESS
 from gelforge.geometry.gelcatalogue import PadTable
 from gelforge.geometry.indenters import build
 from gelforge.geometry.solids import Body, Indenter

@@ -16,9 +16,9 @@ import numpy as np
 from gelforge.commands.estimate import estimated, planned_rows
 from gelforge.commands.export import FORMATS, export
 from gelforge.errors import BadInput
+from gelforge.flow.cli import command, option, positive
 from gelforge.flow.files import bytes_of, read_csv, read_json, write_csv
 from gelforge.flow.layout import Layout
-from gelforge.flow.main import command, option, positive
 from gelforge.formats.export.samples import Samples
 from tests.benchmarks.figures import Figure, publish_figures
 from tests.benchmarks.reach import time_fetch, time_live

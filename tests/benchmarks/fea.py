@@ -17,9 +17,9 @@ from tqdm import tqdm
 
 from gelforge.errors import BadInput
 from gelforge.flow import params as config
+from gelforge.flow.cli import command, option
 from gelforge.flow.files import canonical, digest_of_value, read_json, write_json
-from gelforge.flow.main import command, option
-from gelforge.flow.params.stages import StageParameters
+from gelforge.flow.params import StageParameters
 from gelforge.geometry.gel import Gel, load_gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.labelling.sensor import Sensor, load_sensors

@@ -8,7 +8,7 @@ import numpy as np
 from tqdm import tqdm
 
 from gelforge.errors import BadInput
-from gelforge.flow.main import command, option
+from gelforge.flow.cli import command, option
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
 from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures

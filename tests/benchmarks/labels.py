@@ -12,9 +12,9 @@ import numpy as np
 
 from gelforge.commands.projection import read_points
 from gelforge.errors import BadInput
+from gelforge.flow.cli import command, option, positive
 from gelforge.flow.files import read_json, read_toml, write_csv, write_json
 from gelforge.flow.layout import Layout
-from gelforge.flow.main import command, option, positive
 from gelforge.formats.featsfile import read_npy
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import CORNERS, assemble

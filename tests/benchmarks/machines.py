@@ -17,8 +17,8 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.flow import params as config
+from gelforge.flow.cli import command, option
 from gelforge.flow.files import read_json, write_json
-from gelforge.flow.main import command, option
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.hexsettings import quality
 from gelforge.mechanics.mesh.family import MeshFamily

@@ -15,12 +15,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gelforge.flow.cli import command, option
 from gelforge.flow.files import write_csv, write_json
 from gelforge.flow.layout import Layout
-from gelforge.flow.main import command, option
-from gelforge.flow.params import load_params, plain, read_toml
-from gelforge.flow.params.stages import StageParameters
-from gelforge.flow.params.tables import TrainTable
+from gelforge.flow.params import StageParameters, load_params, plain, read_toml
+from gelforge.flow.tables import TrainTable
 from gelforge.records.image import read_image
 from gelforge.records.log import read_presses
 from tests.benchmarks.figures import Figure, publish_figures

@@ -12,7 +12,7 @@ from argparse import Namespace
 from pathlib import Path
 
 from gelforge.errors import BadInput
-from gelforge.flow.main import command, option
+from gelforge.flow.cli import command, option
 from gelforge.stages import challenge
 from tests.benchmarks.figures import Figure, publish_figures
 

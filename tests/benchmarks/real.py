@@ -17,7 +17,7 @@ from tqdm import tqdm
 
 from gelforge.api import gelsight_mini
 from gelforge.errors import BadInput
-from gelforge.flow.main import command, option
+from gelforge.flow.cli import command, option
 from gelforge.formats.featsfile import read_npy
 from gelforge.reading.forcereading import ForceReading
 from gelforge.reading.interval import half_widths, real_width

@@ -13,7 +13,7 @@ from tqdm import tqdm
 
 from gelforge.commands.projection import read_points
 from gelforge.errors import BadInput
-from gelforge.flow.main import command, option
+from gelforge.flow.cli import command, option
 from gelforge.formats.featsfile import read_sample
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue

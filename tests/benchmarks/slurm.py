@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gelforge.flow.main import command, option, positive
+from gelforge.flow.cli import command, option, positive
 from tests.benchmarks.figures import Figure, publish_figures
 from tests.benchmarks.sandbox import clean_environment, link_project
 from tests.support.cluster import Cluster, cluster, lay_project, make

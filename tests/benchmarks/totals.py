@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from gelforge.flow.main import command, option
+from gelforge.flow.cli import command, option
 from gelforge.learning.data import Data, open_data
 from gelforge.learning.train import predict_rows
 from gelforge.stages.train import train

@@ -15,8 +15,8 @@ import numpy as np
 
 from gelforge.evidence.images import image_fault, nocontact_fault
 from gelforge.evidence.imprints import Rest
+from gelforge.flow.cli import command, option
 from gelforge.flow.files import read_csv, read_toml, write_csv, write_text
-from gelforge.flow.main import command, option
 from gelforge.records.film import numbered
 from gelforge.records.image import read_image, write_png
 from gelforge.records.nocontactimage import SETTLING, find_nocontact

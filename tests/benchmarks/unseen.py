@@ -16,7 +16,7 @@ import cv2
 import numpy as np
 from tqdm import tqdm
 
-from gelforge.flow.main import command, option
+from gelforge.flow.cli import command, option
 from gelforge.geometry.gel import Gel, load_gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.labelling.sensor import Sensor

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelforge.flow.params.tables import LAWS as CONFIGURED
+from gelforge.flow.tables import LAWS as CONFIGURED
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.contact.facerule import dunavant12

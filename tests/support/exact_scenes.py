@@ -14,8 +14,8 @@ from pathlib import Path
 
 import numpy as np
 
+from gelforge.flow.cli import command, option
 from gelforge.flow.files import read_json, write_json
-from gelforge.flow.main import command, option
 from tests.support.axisymmetric import RING, Body, Fineness, Layer, Pressed, cone, press, punch, sphere, tube
 
 KEPT = Path("data/fea_challenge/exact.json")

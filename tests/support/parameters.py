@@ -5,7 +5,7 @@ from typing import Any
 
 from gelforge.flow.files import write_json
 from gelforge.flow.params import Params, laid_over, load_params, parameters_of, plain
-from gelforge.flow.params.schema import ParameterTable, Place, parse
+from gelforge.flow.schema import ParameterTable, Place, parse
 
 WORKFLOW = Path(__file__).resolve().parents[2] / "workflow"
 

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import Any
 
 from gelforge.flow.files import read_toml
-from gelforge.flow.params.schema import allowed, is_table, kinds_of, split
-from gelforge.flow.params.tables import Params
+from gelforge.flow.schema import allowed, is_table, kinds_of, split
+from gelforge.flow.tables import Params
 
 HEAD = """# Parameters
 
-Made by `make format` from `src/gelforge/flow/params/tables.py` and `workflow/params.toml`. A dataset sets its own values in
+Made by `make format` from `src/gelforge/flow/tables.py` and `workflow/params.toml`. A dataset sets its own values in
 `data/DATASET/dataset.toml`, under `[params.TABLE]`; an unknown key, or a value that is not allowed, is refused by name.
 """
 

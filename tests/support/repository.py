@@ -57,7 +57,7 @@ TORCH = {"nets.py", "augment.py", "train.py", "recipe.py", "export.py"}  # of le
 # What one module alone may do or say; besides, a picture in grey, and a surface coloured by how far it moved.
 HOMES = {
     "draws with matplotlib": {"reporting/canvas.py"},
-    "makes a pool of processes": {"flow/orphans.py"},
+    "makes a pool of processes": {"flow/jobs.py"},
     "names kinds of networks": {"learning/nets.py"},
     "spells a folder of results": {"flow/layout.py"},
     "chooses colours of values": {"reporting/forcemaps.py", "commands/look.py"},

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.flow.files import write_csv, write_json
-from gelforge.flow.params.tables import TrainingTable
+from gelforge.flow.tables import TrainingTable
 from gelforge.records.press import FORCE
 from tests.support.parameters import parameters
 

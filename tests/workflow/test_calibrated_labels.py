@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from gelforge.flow.files import read_json, write_json
-from gelforge.flow.params.frozen import read_frozen
+from gelforge.flow.params import read_frozen
 from gelforge.records.forcefile import ForceFile
 from tests.benchmarks.sandbox import link_project, make
 

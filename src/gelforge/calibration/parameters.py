@@ -8,7 +8,7 @@ import numpy as np
 from scipy import stats
 
 from gelforge.calibration.emulator import HALF_MU, friction_axis, friction_of
-from gelforge.flow.params.tables import CalibrateTable, PriorTable
+from gelforge.flow.tables import CalibrateTable, PriorTable
 from gelforge.mechanics.contact.laws.frictionless import Frictionless
 from gelforge.mechanics.contact.laws.no_slip import NoSlip
 

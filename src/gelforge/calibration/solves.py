@@ -18,7 +18,7 @@ from gelforge.calibration.parameters import FRICTION
 from gelforge.calibration.readings import Readings, slides
 from gelforge.errors import BadInput, SolveFailed, nearest
 from gelforge.flow.files import record_of, write_json
-from gelforge.flow.slots import in_slots
+from gelforge.flow.jobs import in_slots
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.solids import surface_digest
 from gelforge.mechanics.hexsettings import HexSettings

@@ -10,8 +10,8 @@ import numpy as np
 
 from gelforge.commands.mcap import doubts_of_forces
 from gelforge.errors import BadInput
+from gelforge.flow.cli import command, option, positive
 from gelforge.flow.files import read_toml
-from gelforge.flow.main import command, option, positive
 from gelforge.formats.benchfiles import Aligned, Images, Setup, align, read_gauge, read_path, write_dataset
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.indenters import load_catalogue

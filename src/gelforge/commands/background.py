@@ -2,7 +2,7 @@
 
 from argparse import Namespace
 
-from gelforge.flow.main import command, option
+from gelforge.flow.cli import command, option
 from gelforge.records.image import read_image
 from gelforge.virtualrig.appearance import COLOURS, fit_background
 

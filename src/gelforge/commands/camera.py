@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Any
 
 from gelforge.errors import BadInput
-from gelforge.flow.main import command, from_zero, option
+from gelforge.flow.cli import command, from_zero, option
 from gelforge.reading.frame import same_shape
 from gelforge.records.film import asked_for, open_source
 

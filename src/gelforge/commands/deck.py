@@ -7,9 +7,9 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.cli import RESULTS, command, option
 from gelforge.flow.files import record_of, write_text
 from gelforge.flow.layout import DECK, Layout, shard_name
-from gelforge.flow.main import RESULTS, command, option
 from gelforge.flow.runs import refuse_rejected
 from gelforge.mechanics.ccx.deck import INCLUDES, include_of
 from gelforge.mechanics.material import REFERENCE_C10

@@ -14,12 +14,12 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow import layout
+from gelforge.flow.cli import RESULTS, command, option, positive
 from gelforge.flow.files import listed, read_json
 from gelforge.flow.layout import Layout
-from gelforge.flow.main import RESULTS, command, option, positive
-from gelforge.flow.params.stages import read_parameters
-from gelforge.flow.params.tables import SHIPPED
+from gelforge.flow.params import read_parameters
 from gelforge.flow.runs import duration
+from gelforge.flow.tables import SHIPPED
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import load_sensors
 from gelforge.records.log import read_shard

@@ -11,9 +11,9 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from gelforge.errors import BadInput
+from gelforge.flow.cli import command, option
 from gelforge.flow.files import bytes_of
 from gelforge.flow.layout import EXPORT, Layout
-from gelforge.flow.main import command, option
 from gelforge.formats.export.samples import Samples
 
 # The module of gelforge.formats.export that writes each.

@@ -4,8 +4,8 @@ from argparse import Namespace
 from pathlib import Path
 
 from gelforge.errors import BadInput
+from gelforge.flow.cli import command, group, option, stage
 from gelforge.flow.layout import Layout
-from gelforge.flow.main import command, group, option, stage
 from gelforge.formats.feats_folder import export_dataset, import_folder, refuse_existing
 from gelforge.formats.featsfile import write_normalisation
 from gelforge.labelling.sensor import find_sensor, load_sensors

@@ -3,10 +3,10 @@
 from argparse import Namespace
 
 from gelforge.errors import BadInput
+from gelforge.flow.cli import RESULTS, command
 from gelforge.flow.files import read_json
 from gelforge.flow.layout import Layout
-from gelforge.flow.main import RESULTS, command
-from gelforge.flow.params.frozen import FROZEN, frozen_of, write_frozen
+from gelforge.flow.params import FROZEN, frozen_of, write_frozen
 
 
 @command(RESULTS)

@@ -4,7 +4,7 @@ import importlib
 import sys
 
 from gelforge import __version__
-from gelforge.flow.main import exit_with
+from gelforge.flow.cli import exit_with
 
 COMMANDS = {
     "predict": "force maps and totals from images",

@@ -20,7 +20,7 @@ import numpy as np
 from gelforge.commands.camera import camera_number
 from gelforge.commands.sensoroptions import ENGINE, MODE, MODEL, NOCONTACT, PROFILE, SENSOR
 from gelforge.errors import BadInput
-from gelforge.flow.main import command, option, positive
+from gelforge.flow.cli import command, option, positive
 from gelforge.live.reading import Reading, StartInDoubt, readings
 from gelforge.live.recording import CsvTable, McapRecording
 from gelforge.live.topics import RosMessages

@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.cli import command, option
 from gelforge.flow.files import publish
 from gelforge.flow.layout import LOOK, Layout, command_for, shard_name
-from gelforge.flow.main import command, option
 from gelforge.flow.runs import imported_labels, refuse_rejected
 from gelforge.geometry.gel import load_gel, use_gels_of
 from gelforge.geometry.stlfile import read_stl

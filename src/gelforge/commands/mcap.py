@@ -8,7 +8,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.evidence.forces import FEWEST, misplaced, unit
-from gelforge.flow.main import command, option
+from gelforge.flow.cli import command, option
 from gelforge.formats.mcap_import import Topics, import_recordings
 from gelforge.labelling.sensor import find_sensor, load_sensors
 from gelforge.reading.reader import Reader

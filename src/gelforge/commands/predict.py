@@ -20,8 +20,8 @@ import numpy as np
 
 from gelforge.commands.sensoroptions import ENGINE, MODEL, NOCONTACT, PROFILE, SENSOR
 from gelforge.errors import BadInput, printable
+from gelforge.flow.cli import command, option
 from gelforge.flow.files import publish
-from gelforge.flow.main import command, option
 from gelforge.reading.forcereading import TOTAL_COLUMNS, ForceReading, goes_beyond, interval_text, total_columns
 from gelforge.reading.predictor import Predictor, load_for_use
 from gelforge.reading.profile import files_of, with_profile

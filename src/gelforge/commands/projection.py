@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.cli import command, option
 from gelforge.flow.files import write_json
-from gelforge.flow.main import command, option
 from gelforge.labelling.homography import Fit, fit_homography
 from gelforge.labelling.sensor import Sensor, check_projection, find_sensor, load_sensors, transform
 from gelforge.reading.markers import MarkerGrid, markers_in

@@ -7,9 +7,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 
 from gelforge.errors import BadInput
+from gelforge.flow.cli import RESULTS, command, option
 from gelforge.flow.files import record_of
 from gelforge.flow.layout import FEA, Layout
-from gelforge.flow.main import RESULTS, command, option
 from gelforge.flow.runs import (
     Step,
     concerning,

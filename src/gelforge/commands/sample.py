@@ -6,10 +6,10 @@ from argparse import Namespace
 from pathlib import Path
 
 from gelforge.errors import BadInput
+from gelforge.flow.cli import RESULTS, command, option
 from gelforge.flow.files import write_text
 from gelforge.flow.layout import Layout, shard_name
-from gelforge.flow.main import RESULTS, command, option
-from gelforge.flow.params.stages import read_parameters
+from gelforge.flow.params import read_parameters
 from gelforge.mechanics.mesh.family import mesh_names
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses, read_shard, shard_text

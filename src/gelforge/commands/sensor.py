@@ -22,7 +22,7 @@ from gelforge.commands.camera import camera_number
 from gelforge.commands.sensoroptions import MODE, MODEL, NOCONTACT
 from gelforge.errors import BadInput
 from gelforge.evidence.forces import of_readings
-from gelforge.flow.main import command, option
+from gelforge.flow.cli import command, option
 from gelforge.reading.forcereading import goes_beyond, interval_digits
 from gelforge.reading.frame import reduced
 from gelforge.reading.markers import markers_in

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from gelforge.commands.camera import camera_mode
-from gelforge.flow.main import option, positive
+from gelforge.flow.cli import option, positive
 from gelforge.reading.model import DEVICES
 
 MODEL = option("--model", type=Path, help="model file (default: the shipped network)", default=None)

@@ -8,9 +8,9 @@ from pathlib import Path
 
 from gelforge.errors import printable
 from gelforge.flow import layout
+from gelforge.flow.cli import RESULTS, command
 from gelforge.flow.files import listed, record_of
 from gelforge.flow.layout import Layout, metrics_of
-from gelforge.flow.main import RESULTS, command
 from gelforge.flow.runs import (
     LastRun,
     causes,

@@ -7,7 +7,7 @@ from pathlib import Path
 from gelforge.errors import BadInput, nearest
 from gelforge.flow.files import listed
 from gelforge.flow.params import DatasetFile, Params
-from gelforge.flow.params.tables import IN_PROCESS, SHIPPED, SHIPPED_IMAGE
+from gelforge.flow.tables import IN_PROCESS, SHIPPED, SHIPPED_IMAGE
 from gelforge.records.press import SENSOR_TABLES
 
 # Names that a no-contact image may be given by.

@@ -39,7 +39,7 @@ FORMATS = ("mcap", "lerobot", "hdf5")
 NO_DATASET = (
     "help", "setup", "lint", "format", "test", "test-*", "rig", "rig-*", "benchmark-*",
     "lock", "clean-*", "fea-challenge", "feats-fetch", "feats-import", "mcap-import", "projection", "real-check",
-    "*-env", "readme-pictures",
+    "*-env", "readme-pictures", "docs",
 )  # fmt: skip
 OF_RESULTS = ("status", "provenance")
 

@@ -21,13 +21,13 @@ from pathlib import Path
 from typing import Any
 
 from gelforge.errors import BadInput, GelforgeError
+from gelforge.flow.cli import command, option
 from gelforge.flow.files import read_toml, write_text
+from gelforge.flow.jobs import die_with_parent
 from gelforge.flow.layout import log_of
-from gelforge.flow.main import command, option
-from gelforge.flow.orphans import die_with_parent
-from gelforge.flow.params.schema import ParameterTable, Place, parse
-from gelforge.flow.params.tables import Count, FromNone, Line, Whole
+from gelforge.flow.schema import ParameterTable, Place, parse
 from gelforge.flow.step import TAIL_LINES, redated, show_notices
+from gelforge.flow.tables import Count, FromNone, Line, Whole
 
 PUBLISHED = Path("workflow/slurm.toml")
 STOP = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}

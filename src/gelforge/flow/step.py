@@ -21,10 +21,9 @@ from types import FrameType
 
 from gelforge.errors import BadInput, unwritable
 from gelforge.flow.files import State, changed, digest_of, record_of, states_of, take, write_json
+from gelforge.flow.jobs import adopt_orphans, die_with_parent, handed_on
 from gelforge.flow.layout import log_of, metrics_of
-from gelforge.flow.orphans import adopt_orphans, die_with_parent
 from gelforge.flow.runs import count_finished, installed
-from gelforge.flow.slots import handed_on
 
 TAIL_LINES = 20
 LEFT_BEHIND_S = 2.0  # that processes are waited for whose parent has ended

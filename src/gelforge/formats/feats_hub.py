@@ -8,7 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from gelforge.errors import BadInput, unwritable
-from gelforge.flow.main import UNWRITABLE
+from gelforge.flow.cli import UNWRITABLE
 from gelforge.formats.feats_folder import split_of
 
 REPOSITORY = "erikhelmut/FEATS"

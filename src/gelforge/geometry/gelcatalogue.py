@@ -9,7 +9,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, read_toml
-from gelforge.flow.params.schema import Number, ParameterTable, Place, Within, parse
+from gelforge.flow.schema import Number, ParameterTable, Place, Within, parse
 from gelforge.geometry.gel import Gel, catalogue, is_free
 from gelforge.geometry.stlfile import read_stl
 from gelforge.geometry.triangles import is_watertight, volume

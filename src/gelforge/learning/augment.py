@@ -5,7 +5,7 @@ import math
 import numpy as np
 import torch
 
-from gelforge.flow.params.tables import AugmentTable
+from gelforge.flow.tables import AugmentTable
 from gelforge.learning.nets import cell_pixels, inner_part, map_grid
 
 # Luma, and the two chroma axes of YIQ (NTSC 1953): hue turns the chroma plane, saturation scales it.

@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.params.tables import EvaluateTable
+from gelforge.flow.tables import EvaluateTable
 from gelforge.learning.data import Data, press_keys
 from gelforge.learning.fitting import Predicted, predict_rows, require_fit
 from gelforge.reading.model import ForceModel, datasets_of

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.params.tables import TrainingTable
+from gelforge.flow.tables import TrainingTable
 from gelforge.learning.data import Data, calibration_rows, press_keys, split_validation
 from gelforge.reading.faults import (
     RELIEF_MARGIN,

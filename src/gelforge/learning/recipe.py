@@ -16,7 +16,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import publish
 from gelforge.flow.layout import beside
 from gelforge.flow.params import plain
-from gelforge.flow.params.tables import TrainingTable
+from gelforge.flow.tables import TrainingTable
 from gelforge.learning.data import (
     ONE_CELL,
     Data,

@@ -5,7 +5,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from gelforge.flow.params.tables import DatasetTable
+from gelforge.flow.tables import DatasetTable
 from gelforge.records.press import PressRecord
 from gelforge.records.samplefile import TEST, TRAINING, UNSEEN_BOTH, UNSEEN_INDENTER, UNSEEN_SENSOR, VALIDATION
 

@@ -23,7 +23,7 @@ from tqdm import tqdm
 
 from gelforge.errors import BadInput, GelforgeError
 from gelforge.flow.files import publish
-from gelforge.flow.params.tables import TrainingTable
+from gelforge.flow.tables import TrainingTable
 from gelforge.learning.augment import augment, mirror_together, misplace_nocontact, narrow_views, shift_together
 from gelforge.learning.data import ONE_CELL, Data
 from gelforge.learning.nets import begin_as, build, network_input

@@ -14,7 +14,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of_value
-from gelforge.flow.params.tables import IN_PROCESS, METHODS, TAKEN, FeaTable
+from gelforge.flow.tables import IN_PROCESS, METHODS, TAKEN, FeaTable
 from gelforge.geometry.gel import gel_shape, load_gel
 from gelforge.mechanics.ccx.program import need_ccx
 from gelforge.mechanics.hexsettings import HexSettings, quality

@@ -1,6 +1,6 @@
 """Charts of pareto and stability, as PNG bytes."""
 
-from gelforge.flow.params.tables import METHODS
+from gelforge.flow.tables import METHODS
 from gelforge.reporting.canvas import canvas_with_axes, to_png
 
 COLOURS = {"hex": "#2a7f9e", "ccx": "#d1603d", "auto": "#6a4c93"}

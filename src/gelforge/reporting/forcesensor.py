@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from gelforge.flow.params.tables import CalibrateTable, MaterialTable
+from gelforge.flow.tables import CalibrateTable, MaterialTable
 
 COMPARED = ["press", "indenter", "label (N)", "95 % from", "to", "force sensor (N)", "label / sensor", "deviations",
             "bench", "material", "mesh", "calibration"]  # fmt: skip

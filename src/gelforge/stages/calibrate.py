@@ -15,12 +15,11 @@ from gelforge.calibration.readings import Readings, check_enough, check_readings
 from gelforge.calibration.sampling import Chain, Figures, Rules, sample
 from gelforge.errors import BadInput
 from gelforge.evidence import forces as evidence
+from gelforge.flow.cli import JOBS, stage
 from gelforge.flow.files import write_json
 from gelforge.flow.layout import POSES, Layout
-from gelforge.flow.main import JOBS, stage
-from gelforge.flow.params import DatasetFile, read_dataset_file, read_indenter_tables
-from gelforge.flow.params.stages import read_parameters
-from gelforge.flow.params.tables import CalibrateSolverTable, CalibrateTable
+from gelforge.flow.params import DatasetFile, read_dataset_file, read_indenter_tables, read_parameters
+from gelforge.flow.tables import CalibrateSolverTable, CalibrateTable
 from gelforge.geometry.gel import use_gels_of
 from gelforge.labelling.sensor import Sensor, load_sensors
 from gelforge.mechanics.material import REFERENCE_C10

@@ -3,10 +3,10 @@
 from argparse import Namespace
 from pathlib import Path
 
+from gelforge.flow.cli import option, stage
 from gelforge.flow.files import read_json, write_text
 from gelforge.flow.layout import Layout
-from gelforge.flow.main import option, stage
-from gelforge.flow.params.tables import SHIPPED as SHIPS
+from gelforge.flow.tables import SHIPPED as SHIPS
 from gelforge.reporting.modelcard import write_card
 
 VERSION = 5

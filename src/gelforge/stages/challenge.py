@@ -4,9 +4,9 @@ from argparse import Namespace
 from pathlib import Path
 
 from gelforge.errors import BadInput
+from gelforge.flow.cli import RESULTS, command, group, option
 from gelforge.flow.files import read_json
 from gelforge.flow.layout import Layout
-from gelforge.flow.main import RESULTS, command, group, option
 from gelforge.flow.params import load_params, parameters_of, stage_version
 from gelforge.geometry.gel import use_gels_of
 from gelforge.labelling.sensor import load_sensors

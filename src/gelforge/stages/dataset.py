@@ -15,11 +15,11 @@ from gelforge.errors import BadInput
 from gelforge.evidence.forces import LogForces, of_labels
 from gelforge.evidence.images import row_list
 from gelforge.evidence.logimages import LogImages
+from gelforge.flow.cli import stage
 from gelforge.flow.files import alone, digest_of, listed, publish, read_json, write_csv, write_json, write_text
 from gelforge.flow.layout import Layout
-from gelforge.flow.main import stage
-from gelforge.flow.params.stages import read_parameters
-from gelforge.flow.params.tables import DatasetTable
+from gelforge.flow.params import read_parameters
+from gelforge.flow.tables import DatasetTable
 from gelforge.geometry.indenters import fold
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import find_sensor, load_sensors

@@ -4,11 +4,11 @@ from argparse import Namespace
 
 import numpy as np
 
+from gelforge.flow.cli import stage
 from gelforge.flow.files import publish, write_json
 from gelforge.flow.layout import Layout, beside
-from gelforge.flow.main import stage
-from gelforge.flow.params.stages import read_parameters
-from gelforge.flow.params.tables import SHIPPED as SHIPS
+from gelforge.flow.params import read_parameters
+from gelforge.flow.tables import SHIPPED as SHIPS
 from gelforge.records.axes import CHANNELS
 from gelforge.records.predictionfile import write_predictions
 from gelforge.records.samplefile import TRAINING

@@ -12,12 +12,12 @@ import numpy as np
 from tqdm import tqdm
 
 from gelforge.errors import BadInput
+from gelforge.flow.cli import stage
 from gelforge.flow.files import digest_of, digest_of_value, publish, read_json, record_of, write_json
 from gelforge.flow.layout import Layout
-from gelforge.flow.main import stage
-from gelforge.flow.params.schema import altered
-from gelforge.flow.params.stages import StageParameters, read_parameters
-from gelforge.flow.params.tables import IN_PROCESS
+from gelforge.flow.params import StageParameters, read_parameters
+from gelforge.flow.schema import altered
+from gelforge.flow.tables import IN_PROCESS
 from gelforge.geometry.gel import load_gel, use_gels_of
 from gelforge.geometry.indenters import bodies_of
 from gelforge.labelling.sensor import sensor_of

@@ -11,11 +11,11 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.cli import stage
 from gelforge.flow.files import DAMAGED, read_json, record_of
 from gelforge.flow.layout import Layout, command_for
-from gelforge.flow.main import stage
-from gelforge.flow.params.stages import read_parameters
-from gelforge.flow.params.tables import ForcesTable, MaterialTable
+from gelforge.flow.params import read_parameters
+from gelforge.flow.tables import ForcesTable, MaterialTable
 from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.mechanics.mesh.family import mesh_loader

@@ -17,12 +17,11 @@ from gelforge.errors import BadInput
 from gelforge.evidence.images import Seen, Shapes, findings, row_list
 from gelforge.evidence.imprints import Window
 from gelforge.evidence.logimages import KEEP, LogImages, nocontact_path, read_nocontact
+from gelforge.flow.cli import JOBS, stage
 from gelforge.flow.files import read_json, write_json
+from gelforge.flow.jobs import in_slots
 from gelforge.flow.layout import Layout
-from gelforge.flow.main import JOBS, stage
-from gelforge.flow.params import read_dataset_file, read_indenter_tables
-from gelforge.flow.params.stages import read_parameters
-from gelforge.flow.slots import in_slots
+from gelforge.flow.params import read_dataset_file, read_indenter_tables, read_parameters
 from gelforge.geometry.gel import use_gels_of
 from gelforge.geometry.indenters import bodies_of, build
 from gelforge.geometry.solids import Body

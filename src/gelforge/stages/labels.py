@@ -11,10 +11,10 @@ import numpy as np
 from tqdm import tqdm
 
 from gelforge.errors import BadInput
+from gelforge.flow.cli import stage
 from gelforge.flow.files import digest_of, digest_of_value, read_csv, read_json, record_of, write_json
 from gelforge.flow.layout import POSES, Layout, command_for
-from gelforge.flow.main import stage
-from gelforge.flow.params.stages import read_parameters
+from gelforge.flow.params import read_parameters
 from gelforge.labelling.cellsurface import SurfaceMap, surface_map, traction
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import Operator, assemble, cached

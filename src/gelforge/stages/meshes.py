@@ -4,12 +4,12 @@ import json
 from argparse import Namespace
 from pathlib import Path
 
+from gelforge.flow.cli import JOBS, stage
 from gelforge.flow.files import write_csv, write_json
+from gelforge.flow.jobs import in_slots
 from gelforge.flow.layout import Layout
-from gelforge.flow.main import JOBS, stage
-from gelforge.flow.params.stages import StageParameters
-from gelforge.flow.params.tables import IN_PROCESS
-from gelforge.flow.slots import in_slots
+from gelforge.flow.params import StageParameters
+from gelforge.flow.tables import IN_PROCESS
 from gelforge.geometry.gel import use_gels_of
 from gelforge.mechanics.mesh.family import MeshFamily, choose_mesh, first_candidate, mesh_names
 from gelforge.mechanics.mesh.gelmesh import GelMesh

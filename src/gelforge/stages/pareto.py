@@ -11,11 +11,11 @@ from statistics import median
 from tqdm import tqdm
 
 from gelforge.errors import BadInput
+from gelforge.flow.cli import group, stage
 from gelforge.flow.files import publish, read_json, write_csv, write_json
 from gelforge.flow.layout import Layout, beside
-from gelforge.flow.main import group, stage
-from gelforge.flow.params.stages import StageParameters, read_parameters
-from gelforge.flow.params.tables import METHODS
+from gelforge.flow.params import StageParameters, read_parameters
+from gelforge.flow.tables import METHODS
 from gelforge.geometry.gel import load_gel
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.mesh.family import MeshName, make_mesh

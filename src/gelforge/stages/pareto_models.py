@@ -8,9 +8,9 @@ from argparse import Namespace
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.cli import option, stage
 from gelforge.flow.files import publish, read_json, write_csv, write_json
 from gelforge.flow.layout import Layout, beside
-from gelforge.flow.main import option, stage
 from gelforge.records.axes import CHANNELS
 from gelforge.records.samplefile import TEST
 from gelforge.reporting.networkcharts import PANELS, draw_networks

@@ -16,6 +16,7 @@ from types import MappingProxyType
 from gelforge.errors import BadInput, printable
 from gelforge.evidence.settings import check_dataset
 from gelforge.flow import params as config
+from gelforge.flow.cli import option, stage
 from gelforge.flow.files import (
     State,
     canonical,
@@ -28,9 +29,8 @@ from gelforge.flow.files import (
     write_text,
 )
 from gelforge.flow.layout import LOGGED, PLAN, STAGES, Layout, metrics_of, shard_name
-from gelforge.flow.main import option, stage
 from gelforge.flow.params import Params, stl_files, with_content
-from gelforge.flow.params.tables import ENOUGH_PRESSES, IN_PROCESS, SHIPPED
+from gelforge.flow.tables import ENOUGH_PRESSES, IN_PROCESS, SHIPPED
 from gelforge.records.log import read_log, shard_text
 from gelforge.records.press import RawRow, repeats
 from gelforge.records.table import read_table

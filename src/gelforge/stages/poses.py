@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.cli import stage
 from gelforge.flow.files import publish, read_json
 from gelforge.flow.layout import Layout, beside
-from gelforge.flow.main import stage
-from gelforge.flow.params.stages import read_parameters
-from gelforge.flow.params.tables import PosesTable
+from gelforge.flow.params import read_parameters
+from gelforge.flow.tables import PosesTable
 from gelforge.geometry import touch
 from gelforge.geometry.gel import Gel, load_gel, use_gels_of
 from gelforge.geometry.sampled import INCH_MM, METRE_MM, size_of

@@ -10,13 +10,12 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from gelforge.flow.cli import option, stage
 from gelforge.flow.files import listed, read_csv, read_json, write_text
 from gelforge.flow.layout import PARETO, Layout
-from gelforge.flow.main import option, stage
-from gelforge.flow.params.frozen import FROZEN, read_frozen
-from gelforge.flow.params.stages import read_parameters
-from gelforge.flow.params.tables import ENOUGH_PRESSES, SHIPPED
+from gelforge.flow.params import FROZEN, read_frozen, read_parameters
 from gelforge.flow.runs import COST, costs_of, installed, last_runs, stages
+from gelforge.flow.tables import ENOUGH_PRESSES, SHIPPED
 from gelforge.geometry.gel import load_gel
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import load_sensors

@@ -19,10 +19,10 @@ from typing import Any
 import numpy as np
 from tqdm import tqdm
 
+from gelforge.flow.cli import command, option, positive
 from gelforge.flow.files import bytes_of, write_csv
 from gelforge.flow.forecast import Cost, on_cores, pilots, table
-from gelforge.flow.main import command, option, positive
-from gelforge.flow.orphans import pool
+from gelforge.flow.jobs import pool
 from gelforge.flow.params import overlaid, with_content
 from gelforge.flow.runs import duration
 from gelforge.geometry.gel import load_gel, use_gels_of

@@ -13,10 +13,10 @@ import numpy as np
 from tqdm import tqdm
 
 from gelforge.errors import BadInput
+from gelforge.flow.cli import group, stage
 from gelforge.flow.files import digest_of_value, publish, read_json, write_csv, write_json
 from gelforge.flow.layout import Layout, beside
-from gelforge.flow.main import group, stage
-from gelforge.flow.params.stages import StageParameters, read_parameters
+from gelforge.flow.params import StageParameters, read_parameters
 from gelforge.mechanics.ccx.program import need_ccx
 from gelforge.records.status import VALID
 from gelforge.sweeps.cases import FACTORS, FINEST, SERIES, Case, factor_of, row_cases

@@ -6,14 +6,13 @@ The curve lies inside the model file and, as a table, beside it.
 from argparse import Namespace
 
 from gelforge.errors import BadInput
+from gelforge.flow.cli import stage
 from gelforge.flow.files import publish, read_json, write_csv
 from gelforge.flow.layout import Layout, beside
-from gelforge.flow.main import stage
-from gelforge.flow.params import laid_over, plain
-from gelforge.flow.params.schema import Place, parse
-from gelforge.flow.params.stages import read_parameters
-from gelforge.flow.params.tables import SHIPPED as SHIPS
-from gelforge.flow.params.tables import TrainingTable, TrainTable
+from gelforge.flow.params import laid_over, plain, read_parameters
+from gelforge.flow.schema import Place, parse
+from gelforge.flow.tables import SHIPPED as SHIPS
+from gelforge.flow.tables import TrainingTable, TrainTable
 from gelforge.records.networkkind import kind_of
 
 VERSION = 23

@@ -5,7 +5,7 @@ from typing import Any
 
 import numpy as np
 
-from gelforge.flow.params.tables import StabilityTable
+from gelforge.flow.tables import StabilityTable
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.material import Material

@@ -11,7 +11,7 @@ from multiprocessing import get_context
 from multiprocessing.connection import Connection
 
 from gelforge.errors import BadInput
-from gelforge.flow.orphans import die_with_parent
+from gelforge.flow.jobs import die_with_parent
 
 REFUSED, CRASHED, TIMED_OUT = "REFUSED", "CRASHED", "TIMED_OUT"
 # The cost of a solve is that of one thread, whatever the user has set.

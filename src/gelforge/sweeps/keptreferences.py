@@ -13,7 +13,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, digest_of_value, read_csv, read_json, write_csv, write_json
 from gelforge.flow.params import plain
-from gelforge.flow.params.tables import ReferenceTable
+from gelforge.flow.tables import ReferenceTable
 from gelforge.labelling.sensor import Sensor
 from gelforge.mechanics.scene import Scene
 from gelforge.records.press import FORCE

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gelforge.flow.params.stages import StageParameters
-from gelforge.flow.params.tables import IN_PROCESS, METHODS, ParetoTable
+from gelforge.flow.params import StageParameters
+from gelforge.flow.tables import IN_PROCESS, METHODS, ParetoTable
 from gelforge.mechanics.hexsettings import HexSettings, quality
 from gelforge.mechanics.mesh.family import MeshFamily, load_mesh
 from gelforge.mechanics.mesh.gelmesh import GelMesh

@@ -6,8 +6,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.params import Params
-from gelforge.flow.params.stages import StageParameters
+from gelforge.flow.params import Params, StageParameters
 from gelforge.mechanics.mesh.family import MeshFamily, choose_mesh, required_meshes, sizing
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.scene import Scene

@@ -11,9 +11,8 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of_value, record_of, write_json
-from gelforge.flow.params import plain
-from gelforge.flow.params.stages import StageParameters
-from gelforge.flow.params.tables import CHOOSING
+from gelforge.flow.params import StageParameters, plain
+from gelforge.flow.tables import CHOOSING
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import assemble
 from gelforge.labelling.sensor import Sensor

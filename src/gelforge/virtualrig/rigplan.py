@@ -14,8 +14,8 @@ import numpy as np
 
 from gelforge.errors import BadInput, nearest
 from gelforge.flow.files import read_toml
-from gelforge.flow.params.schema import SOME, Number, ParameterTable, Place, Span, Within, parse
-from gelforge.flow.params.tables import Finite, FromNone, Name, Stiffness
+from gelforge.flow.schema import SOME, Number, ParameterTable, Place, Span, Within, parse
+from gelforge.flow.tables import Finite, FromNone, Name, Stiffness
 from gelforge.geometry.gel import USUAL_GEL, Gel, load_gel
 from gelforge.records.press import LARGEST
 from gelforge.virtualrig.streams import MOST_FRAMES, ORDER, WHO_SEES

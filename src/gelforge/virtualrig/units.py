@@ -9,7 +9,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_toml
-from gelforge.flow.params.schema import SOME, Number, ParameterTable, Place, Span, Within, parse
+from gelforge.flow.schema import SOME, Number, ParameterTable, Place, Span, Within, parse
 from gelforge.labelling.sensor import Sensor
 from gelforge.virtualrig.appearance import HEIGHT, WIDTH, Appearance, Drift, marker_centres, read_appearances
 from gelforge.virtualrig.rigplan import DrawnUnits

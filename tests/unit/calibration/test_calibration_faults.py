@@ -11,8 +11,8 @@ from gelforge.calibration.readings import check_enough, check_readings, read_rea
 from gelforge.calibration.sampling import Chain, Figures, NotConverged, Rules, complaint, sample, start_points
 from gelforge.calibration.solves import refuse_no_contact
 from gelforge.errors import BadInput
-from gelforge.flow.params.schema import Place, parse
-from gelforge.flow.params.tables import Law, PriorTable
+from gelforge.flow.schema import Place, parse
+from gelforge.flow.tables import Law, PriorTable
 from gelforge.geometry.gel import USUAL_GEL
 from gelforge.records.press import COLUMNS
 from gelforge.stages.calibrate import load_rejected, refuse_beyond

@@ -22,8 +22,8 @@ from gelforge.calibration.parameters import FrictionPrior, Model, Prior, make_mo
 from gelforge.calibration.posterior import ERROR, SIDEWAYS_ERROR, SIDEWAYS_ERROR_OF_NORMAL, Posterior, tare_of
 from gelforge.calibration.readings import bisection_order, choose_presses, slides
 from gelforge.calibration.sampling import TAIL, Rules, independent_draws, sample
-from gelforge.flow.params.schema import Place, parse
-from gelforge.flow.params.tables import PRIOR_KEYS, PriorTable
+from gelforge.flow.schema import Place, parse
+from gelforge.flow.tables import PRIOR_KEYS, PriorTable
 from gelforge.mechanics.material import REFERENCE_C10
 from tests.support.calibration_law import (
     PARAMS,

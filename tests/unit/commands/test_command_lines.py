@@ -11,7 +11,7 @@ import pytest
 import gelforge.commands
 import gelforge.stages
 from gelforge.errors import BadInput
-from gelforge.flow.main import Command, command, group, option
+from gelforge.flow.cli import Command, command, group, option
 
 NO_PROGRAMS = {"gelforge", "sensoroptions"}  # the dispatcher, and what others import
 PROGRAMS = [

@@ -5,9 +5,8 @@ import pytest
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
-from gelforge.flow.params import load_params
-from gelforge.flow.params.frozen import FROZEN, frozen_of, read_frozen, write_frozen
-from gelforge.flow.params.tables import MaterialTable
+from gelforge.flow.params import FROZEN, frozen_of, load_params, read_frozen, write_frozen
+from gelforge.flow.tables import MaterialTable
 from gelforge.reporting.forcesensor import COMPARED, compare_forces, force_rows, force_sentences, spreads
 from gelforge.stages.report import force_section
 from tests.support.parameters import parameters, write_stage

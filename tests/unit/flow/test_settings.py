@@ -8,6 +8,7 @@ from typing import Any, Literal, get_args, get_origin
 import pytest
 
 from gelforge.errors import BadInput
+from gelforge.flow import tables as t
 from gelforge.flow.files import canonical
 from gelforge.flow.layout import STAGES
 from gelforge.flow.params import (
@@ -19,8 +20,7 @@ from gelforge.flow.params import (
     read_parameters,
     read_toml,
 )
-from gelforge.flow.params import tables as t
-from gelforge.flow.params.schema import Number, ParameterTable, Place, Within, kinds_of, parse, split
+from gelforge.flow.schema import Number, ParameterTable, Place, Within, kinds_of, parse, split
 from gelforge.mechanics.hexsettings import QUALITIES
 from tests.support.parameters import parameters
 from tests.support.refused import refused

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from gelforge.flow.slots import handed_on, in_slots
+from gelforge.flow.jobs import handed_on, in_slots
 from tests.benchmarks.sandbox import clean_environment
 from tests.support.waiting import HANG
 
@@ -16,7 +16,7 @@ from tests.support.waiting import HANG
 TASKS = """
 import sys, time
 from pathlib import Path
-from gelforge.flow.slots import in_slots
+from gelforge.flow.jobs import in_slots
 slots = int(sys.argv[1])
 def running():
     return len(list(Path("running").iterdir()))

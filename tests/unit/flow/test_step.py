@@ -72,7 +72,7 @@ def test_killing_the_wrapper_ends_its_command(tmp_path):
 
 POOL = """
 import multiprocessing, os, signal, sys
-from gelforge.flow.orphans import pool
+from gelforge.flow.jobs import pool
 if __name__ == "__main__":
     workers = pool(2, multiprocessing.get_context(sys.argv[1]))
     list(workers.map(abs, range(4)))
@@ -381,7 +381,7 @@ def test_a_folder_that_takes_nothing_is_one_sentence():
         ("OSError(28, os.strerror(28))", "No space left on device"),  # a write does not name its file
     ):
         program = (
-            f"import os\nfrom gelforge.flow.main import exit_with\ndef main(argv): raise {error}\nexit_with(main, [])"
+            f"import os\nfrom gelforge.flow.cli import exit_with\ndef main(argv): raise {error}\nexit_with(main, [])"
         )
         done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
         assert done.returncode == 2

@@ -4,7 +4,7 @@ from dataclasses import fields, replace
 
 import pytest
 
-from gelforge.flow.params.tables import IN_PROCESS, METHODS, FeaTable
+from gelforge.flow.tables import IN_PROCESS, METHODS, FeaTable
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics import solve

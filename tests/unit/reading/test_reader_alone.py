@@ -14,7 +14,7 @@ import pytest
 
 import gelforge
 from gelforge.commands.gelforge import COMMANDS
-from gelforge.flow.main import EXTRAS
+from gelforge.flow.cli import EXTRAS
 from tests.support.films import write_film
 
 # Several commands with only the base dependencies importable: a package of an extra is as if not installed.

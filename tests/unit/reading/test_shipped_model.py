@@ -9,7 +9,7 @@ import pytest
 
 from gelforge.commands import predict
 from gelforge.errors import BadInput
-from gelforge.flow.params.tables import SHIPPED_IMAGE
+from gelforge.flow.tables import SHIPPED_IMAGE
 from gelforge.reading.model import load_model, require_sensor
 from gelforge.reading.predictor import SHIPPED, Predictor
 from gelforge.records.film import frames, open_source

@@ -5,7 +5,7 @@ import pytest
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
-from gelforge.flow.params.tables import MaterialTable
+from gelforge.flow.tables import MaterialTable
 from gelforge.geometry.gel import GELS
 from gelforge.records.status import Status
 from gelforge.stages.forces import dat_forces, material_c10

@@ -14,7 +14,7 @@ from gelforge.evidence.settings import check_pictures
 from gelforge.flow import params as config
 from gelforge.flow.files import read_csv, read_json, states_of, write_if_changed
 from gelforge.flow.layout import Layout
-from gelforge.flow.params.tables import ENOUGH_PRESSES
+from gelforge.flow.tables import ENOUGH_PRESSES
 from gelforge.geometry.gel import GELS
 from gelforge.records.log import read_shard
 from gelforge.records.press import RawRow

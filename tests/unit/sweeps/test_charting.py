@@ -17,7 +17,7 @@ from hypothesis.extra.numpy import arrays
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_json
-from gelforge.flow.orphans import die_with_parent
+from gelforge.flow.jobs import die_with_parent
 from gelforge.flow.params import altered
 from gelforge.labelling.sensor import load_sensors
 from gelforge.stages import stability

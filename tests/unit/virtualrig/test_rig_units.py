@@ -9,7 +9,7 @@ import pytest
 
 from gelforge.errors import BadInput
 from gelforge.flow.params import read_sensor_tables
-from gelforge.flow.params.schema import kinds_of, split
+from gelforge.flow.schema import kinds_of, split
 from gelforge.geometry.gel import USUAL_GEL, Gel
 from gelforge.labelling.sensor import check_projection, sensors_of
 from gelforge.reading.light import match_light

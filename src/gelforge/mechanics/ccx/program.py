@@ -13,7 +13,7 @@ from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import need_room
-from gelforge.flow.orphans import die_with_parent
+from gelforge.flow.jobs import die_with_parent
 from gelforge.records.status import Status
 
 _ENOUGH_BYTES = 1 << 20  # less than this left on the disk counts as full

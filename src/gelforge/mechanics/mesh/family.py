@@ -11,7 +11,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
 from gelforge.flow.layout import command_for
-from gelforge.flow.params.tables import IN_PROCESS, FeaTable, MeshesTable
+from gelforge.flow.tables import IN_PROCESS, FeaTable, MeshesTable
 from gelforge.geometry import touch
 from gelforge.geometry.gel import Gel, load_gel
 from gelforge.mechanics.mesh import meshstore

@@ -9,8 +9,8 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 from gelforge.flow.files import alone, digest_of_value, listed, publish, read_json, write_json
-from gelforge.flow.params.stages import read_parameters
-from gelforge.flow.params.tables import MeshesTable
+from gelforge.flow.params import read_parameters
+from gelforge.flow.tables import MeshesTable
 from gelforge.geometry.gel import Gel, gel_shape, load_gel
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from gelforge.flow.params.tables import FeaTable
+from gelforge.flow.tables import FeaTable
 from gelforge.mechanics.ccx.dat import DatError, Unfinished, last_table, read_dat, without_set
 from gelforge.mechanics.ccx.deck import DIRECT, INCLUDES, ITERATIVE, press_deck, write_include
 from gelforge.mechanics.ccx.program import OVERDUE, run_ccx

@@ -9,7 +9,7 @@ from typing import Annotated, Literal, get_args
 
 from annotated_types import MinLen
 
-from gelforge.flow.params.schema import NAME, RISING, SOME, Number, ParameterTable, Rule, Within
+from gelforge.flow.schema import NAME, RISING, SOME, Number, ParameterTable, Rule, Within
 
 TINY = 1e-12  # for what must be above 0
 Fraction = Annotated[Number, Within(0.0, 1.0)]
