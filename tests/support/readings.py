@@ -11,7 +11,7 @@ def reading(number: int, flag: bool = False, **changes) -> Reading:
     forces = np.zeros((3, 4, 5), np.float32)
     forces[:, 1, 1] = 0.0, 0.0, -number
     said = {
-        "half_width": np.array([0.1, 0.2, 0.3]), "reason": "dark" if flag else "", "edge_peak": 0.0, "ood_score": 1.0,
+        "half_width": np.array([0.1, 0.2, 0.3]), "reason": "dark" if flag else "", "edge_peak": 0.0,
     }  # fmt: skip
     found = ForceReading(cells=forces, total=forces.sum((1, 2), dtype=np.float64), **(said | changes))
     return Reading(number, 0.01 * number, found, ms=3.0, image=np.full((6, 8, 3), 90, np.uint8))

@@ -160,7 +160,8 @@ def predictor_of(args: Namespace, model, picture: np.ndarray | None, seen, name:
     from gelforge.reading.predictor import Predictor
     from gelforge.reading.profile import with_profile
 
-    if picture is None and not args.profile and model.needs_nocontact:
+    found = picture is None and not args.profile and model.needs_nocontact
+    if found:
         need_frames(args.frames)
         picture, seen = find_nocontact(seen, name)
         first = next(seen)
@@ -169,6 +170,10 @@ def predictor_of(args: Namespace, model, picture: np.ndarray | None, seen, name:
         picture = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
     picture, gain = with_profile(args.profile, picture, model.metadata)
     predictor = Predictor(model, picture, gain, args.device, args.threads)
+    if found and predictor.fault:
+        raise BadInput(
+            f"{name}: {predictor.fault}. Let it begin while nothing touches the sensor, or give that image with --nocontact"
+        )
     if predictor.text:
         report(f"{name}: {predictor.text}")
     return predictor, seen

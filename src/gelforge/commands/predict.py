@@ -4,8 +4,6 @@ Every image gives a picture and a map as .npy, float32 (3, rows, cols) in N per 
 Ctrl-C this table has the rows of the images that were done.
 Columns fx_n, fy_n, fz_n are the force along gel x (short side), y (long side) and z (pressing is negative).
 ..._half_width_n: half of the 90 % prediction interval, for sensors that training never saw with gels as stiff as in training.
-ood_score: distance of an image's colours, sharpness and markers from those of the training images; about 1 for an image like
-them.
 A network that reads pairs needs an image of the sensor while nothing touches it: --nocontact FILE or --profile FILE.
 Images are predicted independently, so an image gives the same forces here, in `gelforge live` and in Python. An image is
 flagged if the gel moved in its holder since the no-contact image was taken: take a new no-contact image then.
@@ -35,7 +33,6 @@ COLUMNS = [
     "image",
     "map",
     *TOTAL_COLUMNS,
-    "ood_score",
     "vanished_markers",
     "flagged",
     "reason",
@@ -48,7 +45,6 @@ def totals_row(image: str, name: str, found: ForceReading) -> dict:
         "image": image,
         "map": f"{name}.npy",
         **{column: "" if value is None else f"{value:.4f}" for column, value in total_columns(found).items()},
-        "ood_score": f"{found.ood_score:.2f}",
         "vanished_markers": str(found.vanished),
         "flagged": int(found.flag),
         "reason": found.reason,
@@ -105,7 +101,7 @@ def predict_files(
             with publish(out / f"{name}.npy") as cells, publish(out / f"{name}.png") as drawn:
                 np.save(cells, found.cells)
                 flag = f" | FLAGGED: {found.reason}" if found.flag else ""
-                title = f"{printable(name)}, OOD score {found.ood_score:.1f}{flag}"
+                title = f"{printable(name)}{flag}"
                 write_maps(drawn, shown, found.cells, title)
                 table.add(row)
             yield row

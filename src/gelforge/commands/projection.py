@@ -20,6 +20,7 @@ from gelforge.records.table import filled_rows
 POINT_COLUMNS = ["x_mm", "y_mm", "u_px", "v_px"]
 EXACT = 4  # points that a projection meets whatever they are: its eight numbers
 LEAST_SPAN = 1.0  # mm of the gel that points must span
+SQUARE = 0.02  # fraction by which the scales along both axes of a gel may differ without a doubt
 ZOOM = 3  # of the picture, so that lines stay thin beside the pixels
 COLOURS = {"gel": (255, 255, 255), "points": (0, 255, 255), "markers": (0, 220, 0), "missing": (0, 0, 255)}  # BGR
 
@@ -237,6 +238,13 @@ def report(about: dict, old: Sensor | None, like: str | None) -> None:
         f"projection of {about['sensor']} from {about['points']} points: residual {residual['rms']:.3f} px rms,"
         f" {residual['largest']:.3f} px at most (at x, y = {residual['at_mm']} mm)"
     )
+    along_x, along_y = about["px_per_mm"]
+    print(f"scale at the apex: {along_x:.2f} px/mm along gel x, {along_y:.2f} along gel y")
+    if max(along_x / along_y, along_y / along_x) > 1.0 + SQUARE:
+        print(
+            f"doubt: these differ by {abs(along_x / along_y - 1.0):.1%}, though pixels are square: check the millimetres and the pixels of the"
+            " points along both axes"
+        )
     if "markers" in about:
         markers = about["markers"]
         print(

@@ -1,7 +1,6 @@
 """Whether the images of a log show what its rows describe: one judgement of each image, and one of all of them together.
 
-An image is judged by its light: the lamps of a sensor give the gel a pattern of colours that no press hides, and that another unit, a
-mirrored or a covered camera does not show. All images of a sensor together are judged by their imprints (`evidence.imprints`): where
+An image by itself is judged by `reading.faults`. All images of a sensor together are judged by their imprints (`evidence.imprints`): where
 they lie, how large they are, and whether they follow the poses of the rows.
 """
 
@@ -13,25 +12,16 @@ from functools import cached_property
 
 import numpy as np
 
-from gelforge.evidence.imprints import COLS, ROWS, Rest, displaced, likeness
-from gelforge.reading.faults import distance, relief
-from gelforge.reading.light import Light, match_light
-from gelforge.reading.markers import markers_in
-from gelforge.records.image import is_monochrome
+from gelforge.evidence.imprints import COLS, ROWS, displaced
+from gelforge.reading.faults import FLIPS, likeness
 
-# Limits of the light. Of 480 frames of real films, 51 real presses of a ball and 48 of the rig, beside their own no-contact images, the
-# pattern is alike to 0.59 and more (0.9 in the median), to 0.625 and more where the light is otherwise, too, as under wide strong
-# contacts; beside that of another unit to 0.49 to 0.64, below 0.62 nine of ten.
-OTHER_PATTERN = 0.62  # likeness below which an image is of another unit, if its light is otherwise, too
-NO_PATTERN = 0.4  # likeness below which an image whose light cannot be compared shows no gel of the sensor
-OWN_PATTERN = 0.75  # likeness above which a turned or mirrored no-contact image fits
-FLIPPED = 0.1  # by which it then fits better
-OTHER_DISTANCE, OTHER_RESIDUAL = 9.0, 16.0  # levels
-PRESSED = 20.0  # levels by which the light of a no-contact image is uneven where something touches the gel
 # Limits of the imprints. Of the rig's presses 0.79 to 0.97 are alike to what is expected (median 0.91), of real presses of a ball 0.9 to
 # 0.97; contacts lie within 0.2 mm of their poses in the median, and are 1.04 to 1.09 times as large as expected.
 FEWEST = 6  # images of a sensor that are judged together
 SHOWN = 3.0  # levels of change that an imprint has at least
+# Of the change (99 % of the map below) over the slope that was expected: of 48 presses of two units of the rig it is 12 to 25 and 43 to 69,
+# and 0.6 to 1.3 of its median for each. From the slope MADE on a depth makes an imprint that every unit shows.
+MADE, LEAST_CHANGE, WEAK = 0.2, 8.0, 0.45
 BETTER = 0.15  # likeness that another explanation gains in the median
 OFTEN = 0.8  # fraction of images that it suits better
 UNLIKE = 0.4  # median likeness up to which the images of a sensor show nothing of their rows
@@ -49,12 +39,6 @@ DOUBTFUL, OTHER_SHAPE, THAT_SHAPE = 0.08, 0.08, 0.8
 LOOKED_AT = 12  # images of an indenter whose shape is compared with other indenters'
 GHOST = 0.5  # of the usual change, that most images show where their poses put nothing
 
-FLIPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-    "mirrored left to right": lambda image: image[:, ::-1],
-    "mirrored top to bottom": lambda image: image[::-1],
-    "turned by 180 degrees": lambda image: image[::-1, ::-1],
-}
-ORDERS = {**FLIPS, "with red and blue exchanged": lambda image: image[..., ::-1]}
 # What rot_deg may be, by what is then to be done to it.
 TURNS: dict[str, Callable[[float], float]] = {
     "in radians": math.degrees,
@@ -63,62 +47,11 @@ TURNS: dict[str, Callable[[float], float]] = {
 }
 
 
-def nocontact_fault(picture: np.ndarray) -> str:
-    """What is wrong with a no-contact image (h, w, 3) uint8 RGB by itself; empty where nothing is."""
-    if is_monochrome(picture):
-        return "is monochrome; record it in colour, as the images of the log"
-    if int(picture.max()) - int(picture.min()) < 30:
-        return "shows no gel: it is dark, covered or of one colour"
-    uneven = relief(picture, markers_in(picture))
-    if uneven > PRESSED:
-        return f"shows something that touches the gel, or dirt: its light is uneven by {uneven:.0f} levels, at most {PRESSED:.0f} are usual"
-    return ""
-
-
-def light_pattern(image: np.ndarray) -> np.ndarray:
-    """Colours (30, 40, 3) float32 of an image (h, w, 3) uint8, each without its mean."""
-    import cv2
-
-    small = cv2.resize(image, (COLS, ROWS), interpolation=cv2.INTER_AREA).astype(np.float32)
-    return small - small.mean(axis=(0, 1))
-
-
-def image_fault(image: np.ndarray, rest: Rest, light: Light) -> str:
-    """Why an image (h, w, 3) uint8 is not of the sensor whose no-contact image is `rest`; empty where it may be.
-
-    light: of the image against the no-contact image.
-    """
-    if is_monochrome(image) and not is_monochrome(rest.picture):
-        return "the image is monochrome, the no-contact image is not"
-    pattern, own = light_pattern(image), light_pattern(rest.picture)
-    alike = likeness(pattern, own)
-    fits = {how: likeness(pattern, order(own)) for how, order in ORDERS.items()}
-    how = max(fits, key=lambda one: fits[one])
-    if fits[how] > max(OWN_PATTERN, alike + FLIPPED):
-        other = np.ascontiguousarray(ORDERS[how](rest.picture))
-        if _same_light(image, other, match_light(image, other)):
-            return f"the image is {how} against the no-contact image"
-    if alike >= OWN_PATTERN:
-        return ""
-    if not light.known:
-        unknown = "the image shows nothing of this sensor: it is dark, covered or of something else"
-        return "" if alike >= NO_PATTERN else unknown
-    if alike >= OTHER_PATTERN or _same_light(image, rest.picture, light):
-        return ""
-    return "the image and the no-contact image are of two sensors: their light comes from other sides"
-
-
-def _same_light(image: np.ndarray, nocontact: np.ndarray, light: Light) -> bool:
-    return (
-        light.known and light.residual <= OTHER_RESIDUAL and distance(light.undo(image), nocontact) <= OTHER_DISTANCE
-    )
-
-
 @dataclass(frozen=True)
 class Seen:
     """What is kept of a press whose image is judged beside others: maps (30, 40) of its imprint (`evidence.imprints`).
 
-    fault: what is wrong with the image by itself (`image_fault`). centre: (2,) columns and rows of the maps at which the tip ends. mm: size of a place.
+    fault: what is wrong with the image by itself (`reading.faults`). centre: (2,) columns and rows of the maps at which the tip ends. mm: size of a place.
     """
 
     row: int
@@ -130,6 +63,12 @@ class Seen:
     expected: np.ndarray
     centre: np.ndarray
     mm: float
+
+    @cached_property
+    def strength(self) -> float:
+        """Change of colour over the slope that is expected, levels; NaN where the depth makes no imprint that every unit shows."""
+        slope = float(np.percentile(self.expected, 99))
+        return float(np.percentile(self.measured, 99)) / slope if slope >= MADE and not self.fault else math.nan
 
     @property
     def telling(self) -> bool:
@@ -176,6 +115,14 @@ class Shapes:
     expected: Callable[[Seen, str], np.ndarray]
     turned: Callable[[Seen, Callable[[float], float]], np.ndarray]
 
+    def moved(self, moves: np.ndarray) -> "Shapes":
+        """The same where all maps are moved, `moves` (2, 3) as of OpenCV."""
+        return Shapes(
+            self.names,
+            lambda one, name: _moved(self.expected(one, name), moves),
+            lambda one, turn: _moved(self.turned(one, turn), moves),
+        )
+
 
 def findings(presses: Sequence[Seen], shapes: Shapes | None = None) -> list[Finding]:
     """What is wrong with the images of a log, each kind in one sentence with its number; nothing where they suit their rows.
@@ -185,10 +132,34 @@ def findings(presses: Sequence[Seen], shapes: Shapes | None = None) -> list[Find
     found = []
     for sensor in sorted({one.sensor for one in presses}):
         own = [one for one in presses if one.sensor == sensor]
-        telling = [one for one in own if one.telling]
-        said = _fault_of_most(own) or (_of_sensor(telling, presses, shapes) if len(telling) >= FEWEST else [])
+        said = _fault_of_most(own) or _of_sensor(own, presses, shapes)
         found += [replace(one, text=f"sensor {sensor}: {one.text}") for one in said]
     return found
+
+
+def _weak(mine: Sequence[Seen]) -> list[Finding]:
+    """Images that show no imprint, or a fraction of it, where the depth of their row makes one."""
+    made = [one for one in mine if math.isfinite(one.strength)]
+    shown = [one.strength for one in made if one.strength >= LEAST_CHANGE]
+    least = max(LEAST_CHANGE, WEAK * float(np.median(shown))) if len(shown) >= FEWEST_ALIKE else LEAST_CHANGE
+    weak = [one for one in made if one.strength < least]
+    if len(weak) >= 2 and len(weak) > len(made) / 2:
+        rows = tuple(one.row for one in weak)
+        text = (
+            f"{len(weak)} of {len(made)} images show no imprint, or hardly any, where the depth of their row makes one (rows {row_list(rows)}):"
+            " did the camera run while the indenter pressed, and is `z0_mm` where the tip touches the gel?"
+        )
+        return [Finding(text, rows, wrong=True)]
+    usual = float(np.median(shown)) if shown else LEAST_CHANGE
+    return [
+        Finding(
+            f"row {one.row} ({one.sample_id}): its image shows {one.strength / usual:.0%} of the imprint that its depth makes: is it the"
+            " image of another row, or of another moment?",
+            (one.row,),
+            wrong=True,
+        )
+        for one in weak
+    ]
 
 
 def _fault_of_most(mine: Sequence[Seen]) -> list[Finding]:
@@ -201,11 +172,25 @@ def _fault_of_most(mine: Sequence[Seen]) -> list[Finding]:
     return [Finding(text, tuple(one.row for one in mine if one.fault == fault), wrong=True)]
 
 
-def _of_sensor(mine: list[Seen], presses: Sequence[Seen], shapes: Shapes | None) -> list[Finding]:
+def _of_sensor(own: list[Seen], presses: Sequence[Seen], shapes: Shapes | None) -> list[Finding]:
+    weak = _weak(own)
+    mine = [one for one in own if one.telling and not _about(one, weak)]
+    if len(mine) < FEWEST:
+        return weak
+    projection, moves = _projection(mine)
+    if moves is None:
+        return [*weak, *_of_shown(mine, presses, shapes)]
+    # what is taken about their poses is known once all of them are moved alike
+    moved = {one.row: replace(one, expected=_moved(one.expected, moves)) for one in own}
+    shapes = shapes and shapes.moved(moves)
+    presses = [moved.get(one.row, one) for one in presses]
+    rest = _of_shown([moved[one.row] for one in mine], presses, shapes)
+    return [*weak, Finding(projection, tuple(one.row for one in mine)), *rest]
+
+
+def _of_shown(mine: list[Seen], presses: Sequence[Seen], shapes: Shapes | None) -> list[Finding]:
+    """What is wrong with images that show imprints."""
     rows = tuple(one.row for one in mine)
-    projection, together = _projection(mine)
-    if together:  # nothing that is taken about their poses is known then
-        return [Finding(projection, rows)]
     wrong = _ghost(mine) or _other_order(mine, presses) or _other_axes(mine)
     turned = None if wrong or not shapes else _other_turn(mine, shapes)
     if turned:
@@ -214,13 +199,12 @@ def _of_sensor(mine: list[Seen], presses: Sequence[Seen], shapes: Shapes | None)
     if wrong:
         return [Finding(wrong, rows, wrong=True)]
     scale = _all_sizes(mine)
-    if scale:
-        return [Finding(scale, rows)]
-    found = _other_shapes(mine, shapes) if shapes else []
-    found += _sizes([one for one in mine if not _about(one, found)])
+    found = _other_shapes(mine, shapes) if shapes and not scale else []
+    found += [] if scale else _sizes([one for one in mine if not _about(one, found)])
     left = [one for one in mine if not _about(one, found)]
     projection, _ = _projection(left)
-    return [*found, Finding(projection, rows)] if projection else [*found, *_single(left)]
+    notes = [Finding(one, rows) for one in (scale, projection) if one]
+    return [*found, *notes, *_single(left)]
 
 
 def _about(one: Seen, found: Sequence[Finding]) -> bool:
@@ -416,11 +400,20 @@ def row_list(rows: Iterable[int]) -> str:
     return ", ".join(map(str, rows[:5])) + (" …" if len(rows) > 5 else "")
 
 
-def _projection(mine: list[Seen]) -> tuple[str, bool]:
-    """What a similarity says that takes the expected places of contacts to those seen, and whether most of all fit then."""
+def _moved(expected: np.ndarray, moves: np.ndarray) -> np.ndarray:
+    import cv2
+
+    return np.asarray(cv2.warpAffine(expected, moves, (COLS, ROWS)))
+
+
+def _projection(mine: list[Seen]) -> tuple[str, np.ndarray | None]:
+    """What a similarity says that takes the expected places of contacts to those seen.
+
+    And that similarity, (2, 3) as of OpenCV, where it moves all and most fit then.
+    """
     good = [(one.middle, one.displaced[1]) for one in mine if one.displaced[0] > FITS]
     if len(good) < FEWEST:
-        return "", False
+        return "", None
     at, move, mm = np.array([at for at, _ in good]), np.array([move for _, move in good]), mine[0].mm
     at -= (COLS - 1) / 2, (ROWS - 1) / 2
     for _ in range(3):  # without the places that fit worst: single wrong rows are named by themselves
@@ -439,12 +432,17 @@ def _projection(mine: list[Seen]) -> tuple[str, bool]:
     if moved:
         said.append(f"moved by {np.hypot(*offset) * mm:.1f} mm")
     if not said:
-        return "", False
+        return "", None
     text = (
         f"the contacts lie {' and '.join(said)}, against where the poses and the projection put them: check `projection` in sensors.toml"
         " (make projection), and the origin of x0_mm and y0_mm"
     )
-    return text, moved and len(good) >= OFTEN * len(mine) and float(np.median(left)) < TOGETHER
+    if not (moved and len(good) >= OFTEN * len(mine) and float(np.median(left)) < TOGETHER):
+        return text, None
+    linear = scale * np.array([[math.cos(math.radians(turn)), -math.sin(math.radians(turn))],
+                               [math.sin(math.radians(turn)), math.cos(math.radians(turn))]])  # fmt: skip
+    middle = np.array([(COLS - 1) / 2, (ROWS - 1) / 2])
+    return text, np.column_stack([linear, middle + offset - linear @ middle])
 
 
 def _best_turn(mine: Sequence[Seen], turn: float, scale: float, offset: np.ndarray) -> float:

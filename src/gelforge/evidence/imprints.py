@@ -13,8 +13,8 @@ from gelforge.geometry import touch
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.solids import Indenter
 from gelforge.labelling.sensor import Sensor
-from gelforge.reading.light import Light, Reference
 from gelforge.reading.markers import dark_spots
+from gelforge.reading.pair import Prepared
 from gelforge.records.press import Press
 
 ROWS, COLS = 30, 40
@@ -25,25 +25,16 @@ SMOOTH = 2.5  # px at that size: standard deviation of the average between marke
 STEEPEST = 0.5  # slope of the gel around an edge that is pressed into it
 
 
-class Rest:
-    """A sensor's no-contact image (h, w, 3) uint8 RGB, as images of a log are compared with it."""
+def imprint(seen: Prepared) -> np.ndarray:
+    """Change of colour (30, 40) of an image against its no-contact image, whose light was taken back."""
+    import cv2
 
-    def __init__(self, picture: np.ndarray) -> None:
-        self.picture = picture
-        self.reference = Reference(picture)
-        self._half = _half(picture)
-        self._gel = _between_markers(self._half)
-
-    def imprint(self, image: np.ndarray) -> tuple[np.ndarray, Light]:
-        """Change of colour (30, 40) of an image (h, w, 3) uint8 of the same size, and the light that it was taken under."""
-        import cv2
-
-        lit, light = self.reference.normalised(image)
-        half = _half(lit)
-        change = cv2.transform(cv2.absdiff(half, self._half), np.full((1, 3), 1 / 3, np.float32)).astype(np.float32)
-        gel = _between_markers(half) * self._gel
-        mean = cv2.GaussianBlur(change * gel, (0, 0), SMOOTH) / (cv2.GaussianBlur(gel, (0, 0), SMOOTH) + 1e-3)
-        return cv2.resize(mean, (COLS, ROWS), interpolation=cv2.INTER_AREA), light
+    assert seen.nocontact is not None
+    half, rest = _half(seen.lit), _half(seen.nocontact.picture)
+    change = cv2.transform(cv2.absdiff(half, rest), np.full((1, 3), 1 / 3, np.float32)).astype(np.float32)
+    gel = _between_markers(half) * _between_markers(rest)
+    mean = cv2.GaussianBlur(change * gel, (0, 0), SMOOTH) / (cv2.GaussianBlur(gel, (0, 0), SMOOTH) + 1e-3)
+    return cv2.resize(mean, (COLS, ROWS), interpolation=cv2.INTER_AREA)
 
 
 def _half(image: np.ndarray) -> np.ndarray:
@@ -101,13 +92,6 @@ def _draped(depth: np.ndarray, steepest: float) -> np.ndarray:
         depth = np.minimum(depth, cv2.erode(depth, straight) + steepest)
         depth = np.minimum(depth, cv2.erode(depth, np.ones((3, 3), np.uint8)) + np.float32(np.sqrt(2.0)) * steepest)
     return depth
-
-
-def likeness(one: np.ndarray, other: np.ndarray) -> float:
-    """Normalised cross-correlation of two maps of one shape, from -1 to 1; 0 where one of them is flat."""
-    one, other = one - one.mean(), other - other.mean()
-    size = float(np.sqrt((one**2).sum() * (other**2).sum()))
-    return float((one * other).sum()) / size if size > 0.0 else 0.0
 
 
 def displaced(measured: np.ndarray, expected: np.ndarray) -> tuple[float, np.ndarray]:

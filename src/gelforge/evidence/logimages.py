@@ -6,10 +6,12 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.evidence.images import Seen, image_fault, nocontact_fault
-from gelforge.evidence.imprints import COLS, ROWS, Rest, Window
+from gelforge.evidence.images import Seen
+from gelforge.evidence.imprints import COLS, ROWS, Window, imprint
 from gelforge.geometry.solids import Indenter
 from gelforge.labelling.sensor import Sensor
+from gelforge.reading.faults import log_image_fault, nocontact_fault
+from gelforge.reading.pair import NoContact
 from gelforge.records.image import read_image, read_logged_image
 from gelforge.records.press import PosedPress, PressRecord
 
@@ -44,50 +46,47 @@ class LogImages:
 
     def __init__(self, data: Path, sensors: Mapping[str, Sensor]) -> None:
         self.data, self.sensors = data, sensors
-        self._known: dict[str, tuple[Rest, Window] | None] = {}
+        self._known: dict[str, tuple[NoContact, Window] | None] = {}
 
-    def _of(self, name: str) -> tuple[Rest, Window] | None:
+    def _of(self, name: str) -> tuple[NoContact, Window] | None:
         if name not in self._known:
             self._known[name] = self._read(name)
         return self._known[name]
 
-    def _read(self, name: str) -> tuple[Rest, Window] | None:
+    def _read(self, name: str) -> tuple[NoContact, Window] | None:
         sensor = self.sensors.get(name)
         picture = None if sensor is None else read_nocontact(self.data, name, sensor.image)
         if picture is None or sensor is None:
             return None
-        fault = nocontact_fault(picture)
+        nocontact = NoContact(picture, picture.shape[:2], None)
+        fault = nocontact_fault(nocontact, {})
         if fault:
-            raise BadInput(
-                f"{nocontact_path(self.data, name)}: the no-contact image of {name} {fault}. Record it while nothing touches the gel, {KEEP}"
-            )
-        return Rest(picture), Window(sensor)
+            raise BadInput(f"{nocontact_path(self.data, name)}: {fault}. Record it anew, {KEEP}")
+        return nocontact, Window(sensor)
 
     def fault(self, press: PressRecord) -> str:
         """Why the image of a press is not of its sensor; empty where it may be, or there is no no-contact image."""
         known = self._of(press.sensor_id)
         if known is None or not press.image:
             return ""
-        rest, window = known
-        image = read_logged_image(self.data, press.image, window.sensor.image)
-        return image_fault(image, rest, rest.reference.light_of(image))
+        nocontact, window = known
+        return log_image_fault(nocontact, read_logged_image(self.data, press.image, window.sensor.image))
 
     def see(self, press: PosedPress, body: Indenter) -> Seen | None:
         """What is kept of the image of a press, beside what is wrong with it; None without an image or a no-contact image."""
         known = self._of(press.sensor_id)
         if known is None or not press.image:
             return None
-        rest, window = known
+        nocontact, window = known
         image = read_logged_image(self.data, press.image, window.sensor.image)
-        measured, light = rest.imprint(image)
         path = press.press
         return Seen(
             row=press.row,
             sample_id=press.sample_id,
             sensor=press.sensor_id,
             indenter=press.indenter,
-            fault=image_fault(image, rest, light),
-            measured=measured,
+            fault=log_image_fault(nocontact, image),
+            measured=imprint(nocontact.lit(image)),
             expected=window.expected(body, path),
             centre=window.place(path),
             mm=window.mm,

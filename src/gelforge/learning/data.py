@@ -99,12 +99,15 @@ class Data:
         # OpenCV puts channels side by side several times faster than numpy
         return np.stack([cv2.merge([one.lit, one.nocontact.picture]) for one in pairs])
 
-    def prepared(self, row: int, image: np.ndarray) -> Prepared:
-        """The image (height, width, 3) of a row as prediction prepares it, in the frame in which it was logged."""
-        name = self.table[row].press.sensor_id
+    def sensor(self, name: str) -> NoContact:
+        """A sensor while nothing touches it, in the frame in which it was logged."""
         if name not in self._sensors:
             self._sensors[name] = NoContact(self.nocontact[name], self.image_size, None)
-        found = self._sensors[name].prepared(image, change=self._changes.get(row))
+        return self._sensors[name]
+
+    def prepared(self, row: int, image: np.ndarray) -> Prepared:
+        """The image (height, width, 3) of a row as prediction prepares it, in the frame in which it was logged."""
+        found = self.sensor(self.table[row].press.sensor_id).prepared(image, change=self._changes.get(row))
         if found.change is not None:
             self._changes[row] = found.change
         return found

@@ -1,29 +1,18 @@
 """What is set beside a trained network by what it predicts for presses that training did not see: limits and intervals."""
 
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.tables import TrainingTable
 from gelforge.learning.data import Data, calibration_rows, press_keys, split_validation
-from gelforge.reading.faults import (
-    RELIEF_MARGIN,
-    PairDiagnostics,
-    fit_to_images,
-    pair_diagnostics,
-    pair_limits,
-    relief,
-    widened,
-)
+from gelforge.reading.faults import nocontact_limits, pair_limits, pair_signs, wider
 from gelforge.reading.frame import Learnt, learnt_from
 from gelforge.reading.interval import Errors, fit_intervals
-from gelforge.reading.markers import markers_in
 from gelforge.reading.model import ForceModel, require_sensor
-from gelforge.reading.pair import Preprocessor
 from gelforge.reading.predictor import Predictor
 from gelforge.records.networkkind import kind_of
 from gelforge.records.samplefile import TRAINING, VALIDATION
@@ -134,43 +123,19 @@ def unaltered(data: Data) -> Data:
     return replace(data, splits=left)
 
 
-def set_limits(
-    metadata: dict[str, Any], learnt: Data, settings: TrainingTable, before: dict[str, Any] | None
-) -> dict[str, Any]:
-    """The part of a model's metadata that describes the usual ones of its pictures: `statistics`, and the view of their cameras.
+def set_limits(metadata: dict[str, Any], learnt: Data, before: dict[str, Any] | None) -> dict[str, Any]:
+    """The part of a model's metadata that describes the usual ones of its images: `limits`, and the view of their cameras.
 
-    learnt: all that it learnt from; pictures that were altered set no limits, or a contact in a no-contact image, whose light is
-    uneven, too, would pass. before: metadata of the network that it is fine-tuned from, whose limits are widened where few
-    pictures are new.
+    learnt: all that it learnt from; images that were altered set no limits, or a contact in a no-contact image would pass. before:
+    metadata of the network that it is fine-tuned from, whose limits are widened where few images are new.
     """
     data = unaltered(learnt)
-    pair = kind_of(metadata["model"]).pair
-    frame = {"frame": frame_of(learnt, before).table()} if pair else {}
-    rows = usual_rows(data)
-    pairs = good_pairs(metadata | frame, data, rows) if pair else {}
+    if not kind_of(metadata["model"]).pair:
+        return {"limits": {}}
+    limits = good_pairs(data, usual_rows(data))
     if before is not None and len(data.splits[TRAINING]) < ENOUGH_PAIRS:
-        images = (np.ascontiguousarray(data.images[row]) for row in rows)
-        return frame | {"statistics": widened(before["statistics"], images, pairs)}
-    see = appearances(data, pair, settings)
-    return frame | {"statistics": fit_to_images(see, data.splits[TRAINING], data.splits[VALIDATION]) | pairs}
-
-
-def appearances(data: Data, pair: bool, settings: TrainingTable) -> Callable[[int], np.ndarray]:
-    """What a picture that the network reads may look like, by row, (h, w, 3) uint8: every other one of a narrow view."""
-    from gelforge.learning.augment import narrow_views
-    from gelforge.learning.train import generator
-
-    narrow = replace(settings.augment, narrowed_share=0.5 if settings.augment.narrowed_share else 0.0)
-
-    def see(row: int) -> np.ndarray:
-        shown = data.seen([row], pair)
-        if pair:
-            shown, _, _ = narrow_views(
-                shown, data.labels[[row]], data.maps[[row]], narrow, generator(settings.seed, "view", 0, row)
-            )
-        return shown[0, ..., :3]
-
-    return see
+        limits = wider(before["limits"], limits)
+    return {"limits": limits, "frame": frame_of(learnt, before).table()}
 
 
 def usual_rows(data: Data) -> np.ndarray:
@@ -183,18 +148,11 @@ def usual_rows(data: Data) -> np.ndarray:
     return np.concatenate([rows, trained[picked]])
 
 
-def good_pairs(metadata: dict[str, Any], data: Data, rows: np.ndarray) -> dict[str, float]:
-    """Limits of what the pairs of some rows are like (reading.faults)."""
-    names = data.names("sensor_id")[rows].tolist()
-    prepare = {name: Preprocessor(metadata, data.nocontact[name]) for name in sorted(set(names))}
-    pairs: list[PairDiagnostics] = []
-    for row, name in zip(rows, names, strict=True):
-        found = pair_diagnostics(prepare[name](np.ascontiguousarray(data.images[row])))
-        pairs += [found] if found else []
-    return pair_limits(pairs) | {
-        "largest_relief": RELIEF_MARGIN
-        * max(relief(data.nocontact[name], markers_in(data.nocontact[name])) for name in prepare)
-    }
+def good_pairs(data: Data, rows: np.ndarray) -> dict[str, float]:
+    """Limits of what the pairs of some rows and their no-contact images are like (`reading.faults`)."""
+    pairs = [data.prepared(int(row), np.ascontiguousarray(data.images[row])) for row in rows]
+    sensors = [data.sensor(name) for name in sorted(set(data.names("sensor_id")[rows].tolist()))]
+    return pair_limits([found for one in pairs if (found := pair_signs(one))]) | nocontact_limits(sensors)
 
 
 def frame_of(data: Data, before: dict[str, Any] | None) -> Learnt:

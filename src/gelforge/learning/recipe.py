@@ -181,21 +181,19 @@ def make_model(
     }
     if start is not None:
         metadata |= {"start": metadata["start"] | {"fraction": training.fraction}}
-    trained = judged(training.net.cpu(), metadata, learnt, data, settings, start)
+    trained = judged(training.net.cpu(), metadata, learnt, data, start)
     seconds = training.cost["seconds"] + time.perf_counter() - began
     peak_gib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     cost = training.cost | {"seconds": seconds, "peak_gib": peak_gib}
     return replace(trained, model=replace(trained.model, metadata=trained.metadata | {"cost": cost}))
 
 
-def judged(
-    net: nn.Module, metadata: dict[str, Any], learnt: Data, own: Data, settings: TrainingTable, start: Start | None
-) -> Trained:
+def judged(net: nn.Module, metadata: dict[str, Any], learnt: Data, own: Data, start: Start | None) -> Trained:
     """A network as a model: exported, with limits of what its pictures are like and intervals of its totals.
 
     learnt: what it learnt from. own: the one dataset of it whose unseen sensors measure how wrong it is.
     """
-    metadata = metadata | set_limits(metadata, learnt, settings, None if start is None else start.metadata)
+    metadata = metadata | set_limits(metadata, learnt, None if start is None else start.metadata)
     model = model_of(metadata, export(net, metadata))
     return Trained(net, replace(model, metadata=model.metadata | set_intervals(model, own)))
 

@@ -70,8 +70,8 @@ class StartInDoubt:
             raise BadInput(self.doubt)
 
     def end(self) -> None:
-        """BadInput where the stream ends before enough frames could say so, and the last one that could does."""
-        if self.confirmed:
+        """BadInput where the stream ends before enough frames could say so, and the last two that could do: one may be odd."""
+        if self.confirmed > 1:
             raise BadInput(self.doubt)
 
 

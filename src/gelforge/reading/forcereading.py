@@ -33,7 +33,6 @@ class ForceReading:
         edge_peak: largest normal force of a cell at the edge of what the picture shows, over the largest of all; above
             0.2 the contact is cropped by the image and the total is too low. NaN where the map has fewer than three rows
             or columns.
-        ood_score: how unlike the training images it is, about 1 for one like them.
         vanished: number of markers that only the image or only the no-contact image shows; both are compared without
             them.
     """
@@ -43,7 +42,6 @@ class ForceReading:
     half_width: np.ndarray | None
     reason: str
     edge_peak: float
-    ood_score: float
     vanished: int = 0
 
     @property

@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from gelforge.errors import BadInput
-from gelforge.reading.faults import FLOORS, LIMITS
+from gelforge.reading.faults import LIMITS
 from gelforge.records.axes import CHANNELS
 from gelforge.records.networkkind import KINDS, kind_of
 
@@ -94,21 +94,18 @@ PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "normalisation.image_mean": ("three numbers", lambda value: _numbers(value, 3)),
     "normalisation.image_std": POSITIVE,
     "normalisation.label": POSITIVE,
-    "statistics": TABLE,
-    "statistics.inverse": (
-        "a square of numbers",
-        lambda value: _list_of(lambda row: _numbers(row, len(value)))(value),
+    "limits": TABLE,
+    "answer": (
+        "the numbers that its graph answers to a picture",
+        lambda value: _numbers(value, None) and bool(value),
     ),
-    "statistics.threshold": NUMBER,
-    "statistics.mean": ("numbers", lambda value: _numbers(value, None)),
-    "statistics.spread": ("numbers above 0", lambda value: _numbers(value, None, 0)),
 }
 # What may be absent.
 OPTIONAL: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "frame": ("the view of the cameras that it learnt from", _frame),
     "elastic": ("three numbers (reading.elastic)", lambda value: _numbers(value, 3)),
     "intervals": ("a table of three numbers from 0 on, by component", _intervals),
-    **{f"statistics.{name}": NUMBER for name in LIMITS},
+    **{f"limits.{name}": NUMBER for name in LIMITS},
 }
 
 
@@ -121,12 +118,5 @@ def check_metadata(metadata: Any, where: str) -> None:
         if not (good(value) or (value is ABSENT and name in OPTIONAL)):
             seen = "missing" if value is ABSENT else repr(str(value)[:60])
             raise BadInput(f"{where}: {name} is {seen}, it must be {what}; train the model again")
-    statistics = metadata["statistics"]
-    if not len(statistics["mean"]) == len(statistics["spread"]) == len(statistics["inverse"]) == len(FLOORS):
-        raise BadInput(f"{where}: statistics do not have {len(FLOORS)} numbers each; train the model again")
-    if kind_of(metadata["model"]).pair and not _numbers(
-        [statistics.get("largest_distance")], 1, -1e-300
-    ):  # 0 of images that show what the no-contact image shows
-        raise BadInput(f"{where}: statistics.largest_distance must be a number, 0 or above; train the model again")
     if kind_of(metadata["model"]).pair and "frame" not in metadata:
         raise BadInput(f"{where}: frame is missing, by which cameras are compared; train the model again")

@@ -5,7 +5,8 @@ Its inputs are named after what `reading.pair` prepares, its output is `forces`.
 
 import hashlib
 import json
-from collections.abc import Mapping
+import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -27,6 +28,10 @@ PROPERTY, BYTES = (
 MOST_BYTES = 2**31
 PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider", "coreml": "CoreMLExecutionProvider"}
 DEVICES = tuple(PROVIDERS)
+ANSWERED, AGREES = (
+    3,
+    0.01,
+)  # parts each way; devices and orders of sums differ by less than this fraction of the largest
 QUIET = 3  # onnxruntime's severity from which on it prints: errors
 
 
@@ -95,8 +100,39 @@ class ForceModel:
 
 
 def model_of(metadata: dict[str, Any], graph: bytes) -> ForceModel:
-    """A model of a graph, whose metadata then names the graph's digest."""
-    return ForceModel(metadata | {"format": FORMAT, "sha256": digest_of_graph(graph)}, graph)
+    """A model of a graph, whose metadata then has the graph's digest, and its answer to a picture (`check_runtime`)."""
+    answer = answer_of(Graph(graph, "the graph", optimise=False), metadata["image"])
+    return ForceModel(metadata | {"format": FORMAT, "sha256": digest_of_graph(graph), "answer": answer}, graph)
+
+
+def answer_of(graph: Graph, size: Sequence[int]) -> list[float]:
+    """What a graph answers to a picture of a size (h, w) that is computed alike everywhere: forces of ANSWERED parts each way, N.
+
+    The picture has waves of whole numbers, which differ between its inputs.
+    """
+    v, u, colour = np.indices((*size, 3))
+    given = {
+        name: (90 + (u * (3 + at) + v * (5 - at) + 37 * colour) % 97).astype(np.uint8)[None]
+        for at, name in enumerate(graph.inputs)
+    }
+    (forces,) = graph(given)["forces"]
+    parts = [
+        part for rows in np.array_split(forces, ANSWERED, axis=1) for part in np.array_split(rows, ANSWERED, axis=2)
+    ]
+    return [float(f"{value:.6g}") for part in parts for value in part.sum(axis=(1, 2), dtype=float)]
+
+
+def check_runtime(graph: Graph, metadata: Mapping[str, Any]) -> None:
+    """Raise BadInput where this computer's onnxruntime does not compute what the graph answered when it was made."""
+    found, known = np.array(answer_of(graph, metadata["image"])), np.array(metadata["answer"], float)
+    off = float(np.abs(found - known).max() / np.abs(known).max()) if found.shape == known.shape else math.inf
+    if not off <= AGREES:  # NaN is no agreement
+        import onnxruntime
+
+        raise BadInput(
+            f"model {metadata['name']}: this computer's onnxruntime ({onnxruntime.__version__}) computes other forces from the picture that the model"
+            f" file carries, by {off:.0%} of the largest: install another version of onnxruntime, or choose --device cpu"
+        )
 
 
 def digest_of_graph(graph: bytes) -> str:

@@ -84,14 +84,15 @@ class NoContact:
             image = shifted_back(image, change.shift) if change.shift.any() else image
             cleaned = painted_over(image, change.places, self.markers.diameter) if len(change.places) else image
             return Prepared(image, worn.reference.under(change.light, cleaned), fault, change, worn)
-        found = self._lit(image, fault)
+        found = self.lit(image, fault)
         if self.frame.shows_rim:  # else it is not known how the gel is mounted
             shift = rim_shift(self.markers, found.tracks)
             if shift.any():
-                found = self._lit(shifted_back(image, shift), fault, shift)
+                found = self.lit(shifted_back(image, shift), fault, shift)
         return self._without_worn(found)
 
-    def _lit(self, image: np.ndarray, fault: str, shift: np.ndarray = NO_SHIFT) -> "Prepared":
+    def lit(self, image: np.ndarray, fault: str = "", shift: np.ndarray = NO_SHIFT) -> "Prepared":
+        """An image (h, w, 3) uint8 in the network's frame of which the light alone is taken back; shift: what was before."""
         lit, light = self.reference.normalised(image)
         change = Change(light, shift, np.zeros(len(self.markers.points), bool), np.zeros((0, 2)))
         return Prepared(image, lit, fault, change, self)

@@ -9,31 +9,20 @@ from weakref import WeakKeyDictionary
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.reading.faults import (
-    as_arrays,
-    monochrome_fault,
-    pair_score_fault,
-    relief,
-    relief_fault,
-    sharpness_fault,
-)
+from gelforge.reading.faults import first_fault, nocontact_fault
 from gelforge.reading.forcereading import ForceReading, edge_peak
-from gelforge.reading.frame import BLUE_FIRST
 from gelforge.reading.interval import half_widths
-from gelforge.reading.model import ForceModel, Graph, load_model, require_sensor
+from gelforge.reading.model import ForceModel, Graph, check_runtime, load_model, require_sensor
 from gelforge.reading.pair import NoContact, Prepared, Preprocessor, at_rest
 from gelforge.reading.profile import AS_READ, Gain
 
-MOST_VANISHED = 8  # markers, of 63: with so many painted over in both images, nine of ten forces are within 11 %
-# Of the light's level, from the middle to the edge of the image: of all colours together, and of one. Of 114 frames of real films
-# that nothing else flags none is beyond, of 51 real presses of a ball the largest is 0.8 %.
-MOST_FALL, MOST_COLOUR_FALL = 0.04, 0.055
-LEAST_PULL = 1.0  # N above which a prediction that no contact can make is flagged
+COLOURED = 3.0 / 255  # by which the mean colours of images differ that have any
 SHIPPED = Path(__file__).with_name("weights") / "default.onnx"
 
 
 def load_for_use(path: Path | str | None, sensor: str | None = None) -> ForceModel:
     """Load a model for prediction and check that it is for `sensor`, where one is named; None: the one that ships."""
+    require_opencv()
     if path is None and not SHIPPED.exists():
         raise BadInput(
             "no model came with this copy of gelforge: train one with `make train` and name it with --model"
@@ -42,6 +31,23 @@ def load_for_use(path: Path | str | None, sensor: str | None = None) -> ForceMod
     if sensor:
         require_sensor(model, {sensor})
     return model
+
+
+def require_opencv() -> None:
+    """Raise BadInput where OpenCV is not there whole."""
+    try:
+        import cv2
+
+        missing = [name for name in ("resize", "calcOpticalFlowPyrLK", "imdecode") if not hasattr(cv2, name)]
+        fault = f"it lacks {', '.join(missing)}" if missing else ""
+    except ImportError as error:
+        fault = str(error)
+    if fault:
+        raise BadInput(
+            f"OpenCV cannot be used ({fault}): most likely two of its packages are installed, or one for desktops on a computer without a"
+            " display; run `pip uninstall -y opencv-python opencv-contrib-python opencv-python-headless opencv-contrib-python-headless`, then"
+            " `pip install opencv-python-headless`"
+        )
 
 
 class Predictor:
@@ -62,9 +68,12 @@ class Predictor:
         self.model, self.metadata, self.gain = model, model.metadata, gain
         self.prepare = Preprocessor(model.metadata, nocontact)
         self.graph = Graph(model.graph, f"model {self.metadata['name']}", device, threads)
-        self.statistics = as_arrays(self.metadata["statistics"])
+        check_runtime(self.graph, self.metadata)
+        self.limits: dict[str, float] = self.metadata["limits"]
+        self.coloured = bool(np.ptp(self.metadata["normalisation"]["image_mean"]) > COLOURED)
         self._rest: WeakKeyDictionary[NoContact, np.ndarray] = WeakKeyDictionary()
-        self.fault = self._nocontact_fault()
+        beside = self.prepare.nocontact
+        self.fault = "" if beside is None else nocontact_fault(beside, self.limits, self.coloured)
 
     @property
     def text(self) -> str:
@@ -93,24 +102,12 @@ class Predictor:
         seen = self.prepare(image)
         cells = (self.raw(seen) - self.rest(seen.nocontact)) * np.float32(self.gain.value)
         total = cells.sum((1, 2), dtype=float)
-        score, unlike = pair_score_fault(self.statistics, seen)
-        grey = monochrome_fault(self.statistics, seen.image, "the picture")
-        faults = (
-            seen.fault,
-            grey,
-            self.fault,
-            wear_fault(seen),
-            unlike,
-            light_fault(seen),
-            pull_fault(total[2]),
-        )
         found = ForceReading(
             cells=cells,
             total=total,
             half_width=half_widths(self.metadata, total, self.gain),
-            reason=next(filter(None, faults), ""),
+            reason=first_fault(seen, self.limits, self.coloured, float(total[2]), self.fault),
             edge_peak=edge_peak(cells, self.prepare.frame.cells_shown(cells.shape[1:])),
-            ood_score=score,
             vanished=seen.vanished,
         )
         return found, seen.image
@@ -122,44 +119,3 @@ class Predictor:
         seen = Preprocessor(self.metadata, self.prepare.frame(image))(self.prepare.nocontact.picture)
         rest = 0.0 if seen.nocontact is None else self.raw(at_rest(seen.nocontact))
         return float((self.raw(seen) - rest)[2].sum(dtype=float)) * self.gain.value
-
-    def _nocontact_fault(self) -> str:
-        nocontact = self.prepare.nocontact
-        if nocontact is None or nocontact.fault:
-            return "" if nocontact is None else nocontact.fault
-        picture, shown = nocontact.picture, nocontact.frame.shown
-        return (
-            monochrome_fault(self.statistics, picture[shown], "the no-contact image")
-            or sharpness_fault(self.statistics, picture[shown])
-            or relief_fault(self.statistics, relief(picture, nocontact.markers.printed, shown))
-            or (BLUE_FIRST if nocontact.frame.blue_first else "")
-        )
-
-
-def wear_fault(seen: Prepared) -> str:
-    """What is wrong with a pair that differs by more markers than a prediction without them allows; empty where it does not."""
-    if seen.vanished <= MOST_VANISHED:
-        return ""
-    return f"{seen.vanished} markers are in the image or in the no-contact image alone: take a new one, or change the gel"
-
-
-def light_fault(seen: Prepared) -> str:
-    """What is wrong with the light of a pair of pictures: it cannot be compared, or falls from another side; empty where it is right."""
-    if seen.light is None or seen.nocontact is None:
-        return ""
-    if not seen.light.known:
-        return "nothing in it has the light of the no-contact image"
-    mean, most = seen.nocontact.reference.fall_of(seen.image, seen.light)
-    if mean <= MOST_FALL and most <= MOST_COLOUR_FALL:
-        return ""
-    return (
-        f"the light falls otherwise than in the no-contact image, by {max(mean, most):.0%} of its level from the middle to the edge: take a new"
-        " one under the light of now"
-    )
-
-
-def pull_fault(normal: float) -> str:
-    """What is wrong with a gel that pulls on what touches it; empty where it presses, total normal force in N."""
-    if normal < LEAST_PULL:
-        return ""
-    return f"the gel seems to pull with {normal:.1f} N: something may have touched it in the no-contact image"

@@ -25,6 +25,13 @@ from gelforge.records.image import read_image, write_png
 SPREAD = 0.3  # of a factor's logarithm before any reading: gels, prints and cameras differ by a third
 SCATTER, KNOWN = 0.15, 2.0  # of one reading's logarithm, as two readings would give it before any is made
 MAKE_IT = "make it with `gelforge sensor`"  # what to do where there is no profile
+# Of the readings of a scale: probability that a constant was added to all of them, its standard deviation, N, and where it is looked for.
+OFFSET_PROBABILITY, OFFSET_N = 0.3, 3.0
+OFFSETS = np.concatenate([[0.0], np.linspace(-12.0, 12.0, 97)])
+SLAB = np.exp(-0.5 * (OFFSETS[1:] / OFFSET_N) ** 2)
+OFFSET_PRIOR = np.log(np.concatenate([[1.0 - OFFSET_PROBABILITY], OFFSET_PROBABILITY * SLAB / SLAB.sum()]))
+FACTORS = np.linspace(-2.0, 2.0, 801)  # logarithms of factors
+LEAST_FRACTION = 0.02  # of a reading that is left without the constant
 WEAK_N = 1.0  # forces of about this size and below say little of a factor
 LEAST_N = 0.5  # read by the network: below, nothing touches
 FARTHEST = 5.0  # times that a reading may differ from what the network reads
@@ -73,39 +80,30 @@ class SensorProfile:
 def fit_gain(measured: np.ndarray, read: np.ndarray) -> Gain:
     """Factor from normal forces (n,) N measured and read by the network, both larger where pressed more.
 
-    Normal posterior of the factor's logarithm under the prior of AS_READ, its scatter
-    estimated from the readings and a prior of two (Gelman et al., Bayesian Data Analysis, 3rd ed., sections 2.5 and 2.6), interval
-    by Student's t.
+    Posterior of the factor's logarithm on a grid, its scatter estimated from the readings and a prior of two (Gelman et al., Bayesian
+    Data Analysis, 3rd ed., sections 2.6 and 3.2). A scale that was not tared adds a constant to all readings with probability
+    OFFSET_PROBABILITY (spike and slab: Mitchell and Beauchamp 1988, J. Am. Stat. Assoc. 83, 1023-1032): few readings do not
+    show it, so the interval allows for it.
     """
     if not len(measured):
         return AS_READ
-    ratio = np.log(np.asarray(measured, float) / read)
+    known = np.maximum(np.asarray(measured, float) - OFFSETS[:, None], 1e-300)  # (offsets, n)
     weight = read**2 / (read**2 + WEAK_N**2)
-    centre = float(weight @ ratio / weight.sum())
-    freedom = KNOWN + len(ratio) - 1
-    scatter = (KNOWN * SCATTER**2 + float(weight @ (ratio - centre) ** 2)) / freedom
-    known = 1.0 / SPREAD**2
-    precision = known + weight.sum() / scatter
-    mean = float(weight @ ratio) / scatter / precision
-    # of the readings' part: few do not show their scatter
-    wider = student_quantile(0.5 + PROBABILITY / 2, freedom) / REACH
-    half = REACH / math.sqrt(known + weight.sum() / scatter / wider**2)
-    return Gain(math.exp(mean), math.exp(mean - half), math.exp(mean + half), len(ratio))
-
-
-def student_quantile(fraction: float, freedom: float) -> float:
-    """Quantile of Student's t, to a hundredth from two degrees of freedom on (Abramowitz and Stegun 1964, 26.7.5).
-
-    A robot's computer that reads forces need not have scipy.
-    """
-    z, n = NormalDist().inv_cdf(fraction), freedom
-    terms = (
-        (z**3 + z) / 4,
-        (5 * z**5 + 16 * z**3 + 3 * z) / 96,
-        (3 * z**7 + 19 * z**5 + 17 * z**3 - 15 * z) / 384,
-        (79 * z**9 + 776 * z**7 + 1482 * z**5 - 1920 * z**3 - 945 * z) / 92160,
+    ratio = np.log(known / read)
+    squares = ((weight * ratio**2).sum(axis=1)[:, None] - 2.0 * (weight * ratio).sum(axis=1)[:, None] * FACTORS
+               + weight.sum() * FACTORS**2)  # fmt: skip
+    freedom = KNOWN + len(read)
+    likelihood = (
+        -freedom / 2 * np.log(KNOWN * SCATTER**2 + np.maximum(squares, 0.0)) - np.log(known).sum(axis=1)[:, None]
     )
-    return z + sum(term / n**k for k, term in enumerate(terms, 1))
+    likelihood[(known < LEAST_FRACTION * np.asarray(measured)).any(axis=1)] = -np.inf
+    posterior = likelihood - 0.5 * (FACTORS / SPREAD) ** 2 + OFFSET_PRIOR[:, None]
+    probability = np.exp(posterior - posterior.max()).sum(axis=0)
+    held = np.cumsum(probability) - probability / 2
+    low, value, high = np.exp(
+        np.interp(np.array([0.5 - PROBABILITY / 2, 0.5, 0.5 + PROBABILITY / 2]) * probability.sum(), held, FACTORS)
+    ).tolist()
+    return Gain(value, low, high, len(read))
 
 
 def check_readings(names: list[str], measured: np.ndarray, read: np.ndarray) -> None:

@@ -256,21 +256,16 @@ HOSTILE = {
     "a scale of zero": about(normalisation__image_std=[0.1, 0.0, 0.1]),
     "scales that are text": about(normalisation__label=["a", "b", "c"]),
     "sensors that are numbers": about(known_sensors=[1, 2]),
-    "no statistics": about(statistics=None),
-    "a crooked matrix": about(statistics__inverse=[[1.0], [1.0, 2.0]]),
-    "no means of its pictures": about(statistics__mean=None),
-    "a spread of zero": about(statistics__spread=[0.0] * 18),
-    "statistics of other pictures": about(
-        statistics__mean=[1.0], statistics__spread=[1.0], statistics__inverse=[[1.0]]
-    ),
-    "no distance to a no-contact image": about(statistics__largest_distance=None),
-    "a limit that is null": about(statistics__largest_relief=None),
-    "a limit that is text": about(statistics__largest_residual="much"),
-    "a limit that is a list": about(statistics__least_share=[0.5]),
-    "a limit that is a table": about(statistics__largest_rim_px={}),
-    "a limit that is true": about(statistics__largest_rim_lost=True),
-    "a limit beyond all numbers": about(statistics__largest_uneven=float("inf")),
-    "a limit of four hundred digits": about(statistics__largest_uneven=10**400),
+    "no limits": about(limits=None),
+    "no answer": about(answer=[]),
+    "an answer that is text": about(answer="1.0"),
+    "a limit that is null": about(limits__largest_touch=None),
+    "a limit that is text": about(limits__largest_residual="much"),
+    "a limit that is a list": about(limits__least_share=[0.5]),
+    "a limit that is a table": about(limits__largest_rim_px={}),
+    "a limit that is true": about(limits__largest_rim_lost=True),
+    "a limit beyond all numbers": about(limits__largest_uneven=float("inf")),
+    "a limit of four hundred digits": about(limits__largest_uneven=10**400),
     "intervals that are null": about(intervals=None),
     "no view of cameras": about(frame=None),
     "distances of markers that are null": about(
@@ -302,8 +297,8 @@ def test_a_hostile_model_is_refused_in_a_sentence(tmp_path, model):
 def test_a_model_without_a_limit_is_read(tmp_path, model):
     """All but the distance, which every network of pairs has."""
     for name in LIMITS[1:]:
-        path = rewritten(tmp_path / "m.onnx", model, without("statistics", name))
-        assert name not in load_model(path).metadata["statistics"]
+        path = rewritten(tmp_path / "m.onnx", model, without("limits", name))
+        assert name not in load_model(path).metadata["limits"]
 
 
 def test_a_table_of_semicolons_and_decimal_commas_is_reported_what_parts_cells(tmp_path):

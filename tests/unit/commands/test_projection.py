@@ -265,6 +265,21 @@ def test_the_command_writes_json_picture_and_table(root, reference, tmp_path, ca
     assert cv2.imread(str(out.with_suffix(".png"))).shape == (720, 960, 3)
 
 
+@pytest.mark.parametrize(
+    "along_x, along_y, doubted", [(1.08, 1.0, True), (1.0, 1.03, True), (1.0, 1.0, False), (1.01, 1.0, False)]
+)
+def test_a_scale_that_differs_along_both_axes_is_doubted(tmp_path, capsys, along_x, along_y, doubted):
+    """Four corners fit whatever they are; millimetres along one axis may be wrong."""
+    corners = np.array([[-8.0, -9.0], [8.0, -9.0], [8.0, 9.0], [-8.0, 9.0]])
+    rows = np.column_stack([corners / (along_x, along_y), transform(GOOD, corners)]).tolist()
+    lines = ["x_mm,y_mm,u_px,v_px", *(",".join(f"{value:.6f}" for value in row) for row in rows)]
+    (tmp_path / "p.csv").write_text("\n".join(lines) + "\n")
+    projection.main(["--sensor", "unit", "--points", str(tmp_path / "p.csv"), "--out", str(tmp_path / "o.json")])
+    said = capsys.readouterr().out
+    assert f"{14 * along_x:.2f} px/mm along gel x, {14 * along_y:.2f} along gel y" in said
+    assert ("doubt: " in said) == doubted
+
+
 def test_the_command_refuses_and_replaces_nothing_that_it_reads(tmp_path, monkeypatch, root):
     """The no-contact image of a unit is taken once; the fit drawn over it is no picture to fit by."""
     monkeypatch.chdir(tmp_path)

@@ -8,10 +8,12 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelforge.evidence.images import FLIPS, Seen, Shapes, findings, image_fault, nocontact_fault
-from gelforge.evidence.imprints import Rest, Window, displaced, likeness
+from gelforge.evidence.images import Seen, Shapes, findings
+from gelforge.evidence.imprints import Window, displaced, imprint
 from gelforge.geometry.indenters import build, load_catalogue, read_catalogue
 from gelforge.labelling.sensor import load_sensors
+from gelforge.reading.faults import FLIPS, likeness, log_image_fault, nocontact_fault
+from gelforge.reading.pair import NoContact
 from gelforge.records.image import read_image
 from gelforge.records.press import POSE, Press
 
@@ -57,9 +59,12 @@ def once(make, *parts):
 
 
 def look(image: np.ndarray, nocontact: np.ndarray) -> tuple[np.ndarray, str]:
-    rest = once(Rest, nocontact)
-    measured, light = rest.imprint(image)
-    return measured, image_fault(image, rest, light)
+    rest = once(at_rest, nocontact)
+    return imprint(rest.lit(image)), log_image_fault(rest, image)
+
+
+def at_rest(picture: np.ndarray) -> NoContact:
+    return NoContact(picture, picture.shape[:2], None)
 
 
 def expect(row: dict, sensor, body) -> np.ndarray:
@@ -68,7 +73,7 @@ def expect(row: dict, sensor, body) -> np.ndarray:
 
 def judged(log: Log) -> list[str]:
     """What is said of a log: of its no-contact images, of its images one by one, and of all together."""
-    faults = {name: once(nocontact_fault, picture) for name, picture in log.nocontact.items()}
+    faults = {name: nocontact_fault(once(at_rest, picture), {}) for name, picture in log.nocontact.items()}
     said = [f"{name}: {fault}" for name, fault in faults.items() if fault]
     seen = []
     for number, (row, image) in enumerate(zip(log.rows, log.images, strict=True)):
@@ -152,12 +157,12 @@ def test_nothing_is_said_of_the_demo(demo):
 def test_contacts_lie_where_the_poses_put_them(demo):
     """The least likeness of 48 presses of six indenters, and their mean distance, which a place of the map is 0.5 mm of."""
     rests, windows = (
-        {n: Rest(p) for n, p in demo.nocontact.items()},
+        {n: at_rest(p) for n, p in demo.nocontact.items()},
         {n: Window(demo.sensors[n]) for n in demo.nocontact},
     )
     fits, moves = [], []
     for row, image in zip(demo.rows, demo.images, strict=True):
-        measured, _ = rests[row["sensor_id"]].imprint(image)
+        measured = imprint(rests[row["sensor_id"]].lit(image))
         expected = windows[row["sensor_id"]].expected(demo.bodies[row["indenter"]], press_of(row))
         fits.append(likeness(measured, expected))
         moves.append(np.hypot(*displaced(measured, expected)[1]) * windows[row["sensor_id"]].mm)
@@ -183,7 +188,7 @@ NOCONTACT = {
     "pressed by a sphere": (lambda log: with_nocontact(log, mini_a=log.images[0]), "something touched the gel"),
     "pressed by a triangle": (lambda log: with_nocontact(log, mini_a=log.images[5]), "something touched the gel"),
     "pressed under strong light": (lambda log: with_nocontact(log, mini_e=log.images[3]), "touches the gel"),
-    "monochrome": (lambda log: with_nocontact(log, mini_a=grey(log.nocontact["mini_a"])), "mini_a: is monochrome"),
+    "monochrome": (lambda log: with_nocontact(log, mini_a=grey(log.nocontact["mini_a"])), "mini_a: the no-contact image is monochrome"),
     "dark": (lambda log: with_nocontact(log, mini_a=log.nocontact["mini_a"] // 40), "shows no gel"),
 }  # fmt: skip
 AXES = {
