@@ -117,17 +117,17 @@ def half_widths(metadata: dict[str, Any], totals: np.ndarray, gain: Gain = AS_RE
 
     gain: of the sensor's profile, whose factor the forces were multiplied by. What is not known of it widens the intervals, and so
     does what real sensors showed of a network that learnt from drawn ones (`intervals.real`): without a profile their level is
-    unknown, too, with one what images of one sensor differ by.
+    unknown, too, with one what images of one sensor differ by. Of a press straight down real sensors read a fraction of the whole force
+    sideways, whatever the component is.
     """
     known = metadata.get("intervals", {}).get("total")
     if not known:
         return None
     real = metadata["intervals"].get("real", {})
     beside = math.hypot(gain.unsure, real.get("profiled", 0.0)) if gain.readings else real.get("unprofiled", 0.0)
-    whole = magnitudes(totals) / gain.value
-    return np.array(
-        [
-            math.hypot(gain.value * HalfWidth(*known[name]).of(force / gain.value, whole), beside * force)
-            for name, force in zip(CHANNELS, totals.tolist(), strict=True)
-        ]
-    )
+    magnitude = float(magnitudes(totals))
+    aside = (real.get("sideways", 0.0) * magnitude,) * 2 + (0.0,)
+    return np.array([
+        math.hypot(gain.value * HalfWidth(*known[name]).of(force / gain.value, magnitude / gain.value), beside * force, more)
+        for name, force, more in zip(CHANNELS, totals.tolist(), aside, strict=True)
+    ])  # fmt: skip

@@ -48,7 +48,7 @@ def _intervals(value: Any) -> bool:
     real = value.get("real", {})
     known = (
         isinstance(real, dict)
-        and set(real) <= {"unprofiled", "profiled"}
+        and set(real) <= {"unprofiled", "profiled", "sideways"}
         and _numbers(list(real.values()), None, -1e-300)
     )
     return named and known and all(_numbers(width, 3, -1e-300) for width in widths.values())

@@ -121,6 +121,19 @@ def with_images(log: Log, images: dict[int, np.ndarray]) -> Log:
     return replace(log, images=[images.get(at, image) for at, image in enumerate(log.images)])
 
 
+def exchanged(log: Log, one: int, other: int) -> Log:
+    return with_images(log, {one: log.images[other], other: log.images[one]})
+
+
+def faint(log: Log, rows, strength: float) -> Log:
+    """Some images with a fraction of their change against the no-contact image."""
+    images = {}
+    for at in rows:
+        rest = log.nocontact[log.rows[at]["sensor_id"]].astype(float)
+        images[at] = np.rint(rest + strength * (log.images[at] - rest)).astype(np.uint8)
+    return with_images(log, images)
+
+
 def with_nocontact(log: Log, **pictures) -> Log:
     return replace(log, nocontact=log.nocontact | pictures)
 
@@ -234,7 +247,22 @@ SHAPES = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("troubles", [NOCONTACT, AXES, ROWS, SHAPES], ids=["nocontact", "axes", "rows", "shapes"])
+IMPRINTS = {
+    "none in any image": (lambda log: faint(log, range(len(log.images)), 0.0), "images show no imprint"),
+    "none in most": (lambda log: faint(log, range(len(log.images) - 10), 0.0), "images show no imprint"),
+    "none in three": (lambda log: faint(log, (2, 6, 20), 0.0), "row 8 (demo-000006): its image shows"),
+    "a twentieth in two": (lambda log: faint(log, (6, 20), 0.05), "row 22 (demo-000020): its image shows"),
+    "a third in two": (lambda log: faint(log, (6, 20), 0.33), "row 8 (demo-000006): its image shows"),
+    "two exchanged beside a moved projection": (lambda log: projected(exchanged(log, 10, 16), shift=(20.0, 0.0)), "row 12 (demo-000010)"),
+    "none in three beside a moved projection": (
+        lambda log: projected(faint(log, (2, 6, 20), 0.0), shift=(14.0, -16.0)), "row 8 (demo-000006): its image shows"),
+    "two exchanged beside a projection too large": (lambda log: projected(exchanged(log, 10, 16), scale=1.2), "row 12 (demo-000010)"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(
+    "troubles", [NOCONTACT, AXES, ROWS, SHAPES, IMPRINTS], ids=["nocontact", "axes", "rows", "shapes", "imprints"]
+)
 def test_a_trouble_is_named(demo, troubles):
     missed = {}
     for name, (trouble, cause) in troubles.items():

@@ -196,3 +196,13 @@ def test_intervals_grow_by_what_real_sensors_showed():
     profile = Gain(1.0, 0.7, 1.3, 5)
     beside = np.hypot(0.2, profile.unsure) * np.abs(total)
     np.testing.assert_allclose(half_widths(about, total, profile), np.hypot(half_widths(plain, total), beside))
+
+
+@pytest.mark.parametrize("total", [(0.0, 0.0, -37.0), (-1.06, 0.3, -37.0), (4.0, 0.0, -12.0)])
+def test_sideways_intervals_grow_with_the_whole_force(shipped, total):
+    """Of a press straight down real sensors read a twelfth of the force sideways, which its component does not show."""
+    total = np.array(total)
+    for gain in (Gain(), Gain(1.2, 1.1, 1.3, 5)):
+        half = half_widths(shipped.metadata, total, gain)
+        assert (half[:2] >= 0.08 * np.linalg.norm(total)).all()
+        assert half_widths(shipped.metadata, 2 * total, gain)[:2] == pytest.approx(2 * half[:2], rel=0.3)

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from gelforge.flow.files import read_csv
+from gelforge.reading.faults import MOST_VANISHED
 from gelforge.reading.markers import painted_over
-from gelforge.reading.predictor import MOST_VANISHED, Predictor, load_for_use
+from gelforge.reading.predictor import Predictor, load_for_use
 from gelforge.records.image import read_image
 
 SAMPLES = ("demo-000000", "demo-000001", "demo-000006", "demo-000013", "demo-000018")
