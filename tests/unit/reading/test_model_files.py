@@ -1,12 +1,16 @@
 """Files of models: read back as written, refused where corrupt, foreign or hostile; the graph is the network."""
 
 import json
+import os
 import pickle
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import onnxruntime
+import pytest
 import torch
 
 from gelforge.learning.data import open_data
@@ -174,3 +178,32 @@ def test_model_of_another_sensor_grid_or_size_is_refused(folder, trained):
     refused("the shipped network reads images of 20 x 10", require_fit, other, data, "the shipped network")
     alone = replace(model, metadata=model.metadata | {"model": MODELS["unet"], "known_sensors": ["digit"]})
     refused("digit", require_fit, alone, data)  # a network of pairs reads any sensor
+
+
+@pytest.mark.parametrize("factor, refused_", [(1.3, True), (0.0, True), (1.02, True), (1.0005, False), (1.0, False)])
+def test_a_runtime_that_computes_otherwise_than_the_file_says_is_refused(shipped, factor, refused_):
+    """Whatever it gets wrong shows in the forces of the picture that the model file carries."""
+    answer = [value / factor if factor else 0.0 for value in shipped.metadata["answer"]]
+    other = replace(shipped, metadata=shipped.metadata | {"answer": answer})
+    picture = np.full((240, 320, 3), 90, np.uint8)
+    if refused_:
+        refused("computes other forces from the picture that the model file carries", Predictor, other, picture)
+    else:
+        Predictor(other, picture)
+
+
+def test_an_opencv_that_is_not_whole_is_refused_in_a_sentence(tmp_path):
+    """Two of its packages in one environment, of which one was removed; one that lacks a library of the desktop."""
+    for content, said in (
+        ("", "it lacks resize"),
+        ("raise ImportError('libGL.so.1: cannot open shared object file')", "libGL"),
+    ):
+        (tmp_path / "cv2.py").write_text(content)
+        program = "from gelforge.reading.predictor import load_for_use\ntry: load_for_use(None)\nexcept Exception as error: print(repr(error))"
+        paths = os.pathsep.join([str(tmp_path), *sys.path])
+        done = subprocess.run(
+            [sys.executable, "-c", program], capture_output=True, text=True, env=os.environ | {"PYTHONPATH": paths}
+        )
+        assert (
+            "BadInput" in done.stdout and said in done.stdout and "pip install opencv-python-headless" in done.stdout
+        ), done

@@ -80,21 +80,29 @@ def dataset(logged, cameras):
             table.append(DatasetSample(press, np.zeros(3), np.zeros(3), {}, split=TRAINING))
             images.append(camera(picture))
     labels = np.zeros((len(table), 3, 6, 8), np.float32)
-    return Data(None, np.stack(images), labels, table, {TRAINING: np.arange(len(table))}, {}, nocontact)
+    return Data(
+        None,
+        np.stack(images),
+        labels,
+        table,
+        {TRAINING: np.arange(len(table))},
+        {},
+        nocontact,
+        np.ones(len(table), bool),
+    )
 
 
 def metadata_of(data, before=None):
     return {
         "image": list(data.image_size),
-        "normalisation": {"reads": "pair"},
-        "model": {"kind": "grid", "reads": "pair"},
+        "model": {"kind": "grid"},
         "frame": frame_of(data, before).table(),
     }
 
 
 def largest_difference(data, metadata):
     """Levels between what training and prediction give the graph, of its worst pixel, and the frames of prediction."""
-    learnt = data.seen(np.arange(len(data.table)), "pair").astype(int)
+    learnt = data.seen(np.arange(len(data.table)), True).astype(int)
     worst, frames = 0, []
     for name, rest in data.nocontact.items():
         prepare = Preprocessor(metadata, rest)
@@ -146,6 +154,6 @@ def test_what_is_taken_back_of_a_row_is_kept(logged):
     images[0] = np.roll(images[0], 6, axis=1)
     images[1][100:130, 150:190] = images[1][100:130, 150:190].max(axis=(0, 1))
     data = replace(data, images=images)
-    first = data.seen(np.arange(len(images)), "pair")
-    assert np.array_equal(first, data.seen(np.arange(len(images)), "pair"))
+    first = data.seen(np.arange(len(images)), True)
+    assert np.array_equal(first, data.seen(np.arange(len(images)), True))
     assert largest_difference(data, metadata_of(data))[0] <= 1
