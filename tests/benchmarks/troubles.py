@@ -13,10 +13,10 @@ from pathlib import Path
 
 import numpy as np
 
-from gelforge.evidence.images import image_fault, nocontact_fault
-from gelforge.evidence.imprints import Rest
 from gelforge.flow.cli import command, option
 from gelforge.flow.files import read_csv, read_toml, write_csv, write_text
+from gelforge.reading.faults import log_image_fault, nocontact_fault
+from gelforge.reading.pair import NoContact
 from gelforge.records.film import numbered
 from gelforge.records.image import read_image, write_png
 from gelforge.records.nocontactimage import SETTLING, find_nocontact
@@ -204,10 +204,10 @@ def alarms_of_films(reference: Path) -> tuple[int, list[str]]:
     for path in films:
         images = frames_of(path)
         nocontact, _ = find_nocontact(numbered(images), str(path))
-        rest = Rest(nocontact)
+        rest = NoContact(nocontact, nocontact.shape[:2], None)
         chosen = np.linspace(SETTLING, len(images) - 1, FRAMES).astype(int)
-        faults = [image_fault(images[at], rest, rest.reference.light_of(images[at])) for at in chosen]
-        said += [f"{path.name}: {fault}" for fault in {nocontact_fault(nocontact), *faults} if fault]
+        faults = [log_image_fault(rest, images[at]) for at in chosen]
+        said += [f"{path.name}: {fault}" for fault in {nocontact_fault(rest, {}), *faults} if fault]
     return len(films), said
 
 
