@@ -3,6 +3,7 @@
 import argparse
 import sys
 from argparse import Namespace
+from collections.abc import Callable
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,10 +13,20 @@ from gelforge.commands.mcap import doubts_of_forces
 from gelforge.errors import BadInput
 from gelforge.flow.cli import command, option, positive
 from gelforge.flow.files import read_toml
-from gelforge.formats.benchfiles import Aligned, Images, Setup, align, read_gauge, read_path, write_dataset
+from gelforge.formats.benchfiles import (
+    Aligned,
+    Images,
+    Setup,
+    align,
+    nocontact_of,
+    read_gauge,
+    read_path,
+    write_dataset,
+)
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.indenters import load_catalogue
-from gelforge.labelling.sensor import find_sensor, load_sensors
+from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors
+from gelforge.reading.frame import image_frame, same_shape
 from gelforge.records.frames import check_frames
 from gelforge.records.press import RawRow, Rejection, parse
 from gelforge.stages.poses import geometric_faults
@@ -71,7 +82,8 @@ def main(args: Namespace) -> None:
     print(*found.notes, sep="\n")
     for line in leave_out(found, body, load_gel(sensor.gel), SimpleNamespace(**read_toml(args.params)["poses"])):
         print(line, file=sys.stderr)
-    write_dataset(found, images, bench, args.data)
+    nocontact = nocontact_of(found, images)
+    write_dataset(found, images, nocontact, framing(sensor, nocontact, f"{args.images}: images"), bench, args.data)
     draw(found, args.data / "aligned.png")
     for doubt in doubts_of_forces(args.data, list(found.rows.values()), sensor.name):
         print(f"note: {doubt}")
@@ -79,6 +91,17 @@ def main(args: Namespace) -> None:
     print(
         f"{args.data}: {len(found.rows)} rows of {presses} presses; look at aligned.png there, then make DATASET={args.data.name} labels"
     )
+
+
+def framing(sensor: Sensor, nocontact: np.ndarray, where: str) -> Callable[[np.ndarray], np.ndarray]:
+    """What brings images to the sensor's size: those of another shape by the markers of the no-contact image, as `predict` does."""
+    width, height = sensor.image
+    if not same_shape(nocontact.shape, (height, width)):
+        frame, _ = image_frame(nocontact, (height, width))
+        if not frame.as_logged:
+            print(frame.text)
+            return frame
+    return lambda image: sensor.sized(image, where)
 
 
 def leave_out(found: Aligned, body, gel, params) -> list[str]:

@@ -7,7 +7,7 @@ changes. A folder of images has a `times.csv` with the columns `image` and a tim
 """
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from pathlib import Path
@@ -370,21 +370,31 @@ def shown(time: float, date: bool = False) -> str:
     return datetime.fromtimestamp(max(time, 0.0), UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
 
 
-def write_dataset(aligned: Aligned, images: Images, bench, data: Path) -> None:
-    """Write the dataset folder `data`, which must not exist: log, images in the sensor's size, the mean of images at rest."""
-    where, rest = f"{images.path}: images", set(aligned.rest[:STILL])
+def nocontact_of(aligned: Aligned, images: Images) -> np.ndarray:
+    """The mean (h, w, 3) uint8 RGB of the first images at rest; BadInput where there are none."""
+    rest = set(aligned.rest[:STILL])
+    free = [image for number, image in enumerate(images) if number in rest]
+    if not free:
+        raise BadInput(
+            f"{images.path}: no image was taken while the gauge rests; film the gel free before the first press"
+        )
+    return np.rint(np.mean(free, axis=0)).astype(np.uint8)
+
+
+def write_dataset(
+    aligned: Aligned,
+    images: Images,
+    nocontact: np.ndarray,
+    framed: Callable[[np.ndarray], np.ndarray],
+    bench,
+    data: Path,
+) -> None:
+    """Write the dataset folder `data`, which must not exist: log, images as `framed` makes them of the sensor's size, no-contact image."""
     with new_folder(data) as part:
-        free = []
         for number, image in enumerate(images):
-            if number in rest:
-                free.append(bench.sensor.sized(image, where))
             if number in aligned.rows:
-                write_png(part / aligned.rows[number].image, bench.sensor.sized(image, where))
-        if not free:
-            raise BadInput(
-                f"{images.path}: no image was taken while the gauge rests; film the gel free before the first press"
-            )
-        write_png(part / "nocontact" / f"{bench.sensor.name}.png", np.rint(np.mean(free, axis=0)).astype(np.uint8))
+                write_png(part / aligned.rows[number].image, framed(image))
+        write_png(part / "nocontact" / f"{bench.sensor.name}.png", framed(nocontact))
         write_log(part / "log.csv", aligned.rows.values())
         write_text(part / "dataset.toml", DATASET_TOML.format(sensor=bench.sensor.name, gel=bench.sensor.gel))
 

@@ -10,6 +10,7 @@ from gelforge.commands import align as command
 from gelforge.errors import BadInput
 from gelforge.formats.align import Recording, match_clock, without_level
 from gelforge.formats.benchfiles import read_gauge, read_path
+from gelforge.labelling.sensor import load_sensors
 from gelforge.records.image import read_image
 from gelforge.records.log import read_log, read_presses
 from gelforge.stages.poses import judge
@@ -330,3 +331,13 @@ def test_of_one_press_it_is_told_what_its_clocks_may_cost(tmp_path, capsys, root
     command.main([*words, "--origin", "-120.5,-88.2,-35.4", "--indenter", "sphere_15"])
     told = capsys.readouterr().out
     assert "drift unknown" in told and "one press: the drift of its clocks is unknown; with 1500 ppm" in told
+
+
+def test_images_of_a_turned_camera_come_into_the_sensors_frame_and_others_are_refused(root):
+    sensor = load_sensors(root / "workflow/sensors.toml")["gelsight_mini"]
+    rest = read_image(root / "data/demo/nocontact/mini_a.png")
+    large = cv2.resize(np.ascontiguousarray(np.rot90(rest)), (480, 640), interpolation=cv2.INTER_CUBIC)
+    framed = command.framing(sensor, large, "film: images")(large)
+    assert framed.shape == rest.shape and np.abs(framed.astype(int) - rest).mean() < 4.0
+    even = np.full((320, 240, 3), 90, np.uint8)
+    refused("film: images are 240 x 320, of another shape", command.framing(sensor, even, "film: images"), even)
