@@ -64,7 +64,7 @@ STRANGE = (
     (r"<.*[MW]Pos", "it is no report `TIME <STATE|WPos:x,y,z|...>` with its time in s first"),
     (r"(\d+(\.\d+)?\s+)?X:\s*-?\d", "M114 says where the tip shall go: log where it was, as time_s,x_mm,y_mm,z_mm"),
     (
-        r"(?i)\S*\s*(\$J=|N\d+|[GM]\d)",
+        r"(?i)(\d[\d.]*\s+)?(\$J=|N\d+|[GM]\d)",
         "a line of G-code says when it was sent, not where the tip was: log the controller's reports",
     ),
 )
