@@ -20,7 +20,6 @@ SENSOR = "mini_b"  # virtual sensor of the image beside it
 INDENTER = "triangle_10"  # of the press, in workflow/indenters.toml
 FILMS = "cheese_tube_3_camera_0.avi", "tin_box_2_camera_2.avi", "wooden_statue_5_camera_2.avi"  # of real sensors
 LEAST_SHOWN = 0.005  # % of error: smaller ones are drawn there
-FLAGGED = "ball_white_thread_9_camera_2.avi"  # of which a flagged frame is shown
 
 
 def digest(source: str) -> str | None:
@@ -46,10 +45,10 @@ def outdated(picture: Path) -> list[str]:
     return [name for name, held in known.items() if digest(name) not in (None, held)]
 
 
-def hardest_frame(film: Path, model, flagged: bool):
-    """Image, cells (3, rows, cols) and reading of the frame of a film with the largest force, of those that are flagged or are not.
+def hardest_frame(film: Path, model):
+    """Of the frame of a film with the largest force that is not flagged: image and cells (3, rows, cols), as far as the camera sees.
 
-    Image and cells as far as the camera sees.
+    And why it is flagged once it has lost its colours.
     """
     import cv2
 
@@ -61,15 +60,19 @@ def hardest_frame(film: Path, model, flagged: bool):
         seen = (cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) for frame in frames(source, announced, str(film), None))
         picture, at_rest_and_after = find_nocontact(numbered(seen), str(film))
         predictor = Predictor(model, picture)
-        read = [predictor.predict(frame.image) for frame in at_rest_and_after]
+        read = [(*predictor.predict_shown(frame.image), frame.image) for frame in at_rest_and_after]
     frame = predictor.prepare.frame
-    hardest = max((one for one in read if one.flag == flagged), key=lambda one: -one.cells[2].sum())
-    cells = hardest.cells[(slice(None), *frame.cells_shown(hardest.cells.shape[1:]))]
-    return hardest.image[frame.shown], cells, hardest
+    found, shown, image = max((one for one in read if not one[0].flag), key=lambda one: -one[0].cells[2].sum())
+    grey = np.repeat(image.mean(axis=2, keepdims=True).astype(np.uint8), 3, axis=2)
+    return (
+        shown[frame.shown],
+        found.cells[(slice(None), *frame.cells_shown(found.cells.shape[1:]))],
+        predictor.predict(grey).reason,
+    )
 
 
 def real(args: Namespace) -> None:
-    """Frames of real sensors above the force maps that the shipped network reads in them, in one scale, and a flagged one."""
+    """Frames of real sensors above the force maps that the shipped network reads in them, in one scale, and one that lost its colours."""
     import textwrap
 
     from gelforge.reading.predictor import load_for_use
@@ -77,22 +80,20 @@ def real(args: Namespace) -> None:
     from gelforge.reporting.forcemaps import draw_pressure
 
     model = load_for_use(None)
-    films = [args.reference / "gripper_videos" / name for name in (*FILMS, FLAGGED)]
-    shown = [hardest_frame(film, model, False) for film in films[:-1]]
+    films = [args.reference / "gripper_videos" / name for name in FILMS]
+    shown = [hardest_frame(film, model) for film in films]
     figure, axes = canvas_with_axes(2, len(shown) + 1, 3.1 * (len(shown) + 1) + 0.8, 4.9)
     most = max(float(-cells[2].min()) for _, cells, _ in shown)
     for (above, below), (image, cells, _) in zip(axes.T, shown, strict=False):
         above.imshow(image)
         drawn = draw_pressure(below, cells[2], most)
         below.set_title(f"{-float(cells[2].sum()):.1f} N", fontsize=15)
-    image, cells, reading = hardest_frame(films[-1], model, True)
+    image, cells, reason = shown[-1]
     above, below = axes[:, -1]
-    above.imshow(image)
+    above.imshow(image.mean(axis=2), cmap="gray", vmin=0, vmax=255)
     below.imshow(np.full((*cells.shape[1:], 3), 255, np.uint8))
     below.set_title("flagged", fontsize=15)
-    below.text(
-        0.5, 0.5, textwrap.fill(reading.reason, 30), fontsize=12, ha="center", va="center", transform=below.transAxes
-    )
+    below.text(0.5, 0.5, textwrap.fill(reason, 30), fontsize=12, ha="center", va="center", transform=below.transAxes)
     for axis in axes.ravel():
         axis.set_xticks([])
         axis.set_yticks([])
