@@ -6,7 +6,6 @@ that it begins as must have in common.
 
 import copy
 import io
-import math
 import time
 from collections.abc import Generator, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -193,11 +192,6 @@ def validate(net, data, norm: dict, batch: int, device: str) -> dict:
     }
 
 
-def cosine(epoch: int, epochs: int) -> float:
-    """Share of the learning rate in an epoch (from 0) of a cosine schedule that ends near zero (Loshchilov 2017)."""
-    return 0.5 * (1 + math.cos(math.pi * epoch / epochs))
-
-
 def device_of(asked: str) -> str:
     """torch's device for [train] device; "auto" takes a graphics card where there is one. BadInput where it is not there."""
     there = torch.cuda.is_available()
@@ -229,7 +223,8 @@ class Training:
         # pixels side by side with their channels: convolutions on a CPU are a third faster
         self.net = initial_net(model, image, grid, settings.seed).to(device, memory_format=torch.channels_last)
         self.optimiser = torch.optim.Adam(self.net.parameters(), lr=settings.learning_rate)
-        self.schedule = torch.optim.lr_scheduler.LambdaLR(self.optimiser, lambda n: cosine(n, settings.epochs))
+        # to nothing along half a cosine (Loshchilov and Hutter 2017)
+        self.schedule = torch.optim.lr_scheduler.CosineAnnealingLR(self.optimiser, settings.epochs)
         self.mean: AveragedModel | None = None  # of the weights, once they are averaged
         self.curve: list[dict] = []
         self.best: dict[str, Any] = {"epoch": 0, "val_score": float("inf"), "weights": None}

@@ -105,6 +105,8 @@ def test_training_learns(folder, trained):
     # Forty epochs bring the loss on 48 small images to a tenth, whichever way rounding sends the weights; how well
     # unseen ones are read is another matter, but better than by guessing.
     assert curve[-1]["loss"] < 0.25 * curve[0]["loss"]
+    rates = [row["learning_rate"] / LEARNING["learning_rate"] for row in curve]
+    assert rates[0] == 1.0 and rates[-1] < 0.01 and rates == sorted(rates, reverse=True)
     assert best["val_total"] < guess.sum() and best["val_fy"] < guess[0]
     assert best["val_score"] == min(row["val_score"] for row in trained.metadata["curve"])
 
