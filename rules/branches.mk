@@ -25,16 +25,11 @@ demo: $(if $(IS_FROZEN),report)  ## the whole flow on the demo dataset: labels, 
 # Seconds against error of every solver, mesh density and load-step count, on the scenes of workflow/scenes.toml: hours; a scene that
 # is cut short resumes at its next method. References are kept in data/; one whose scene or settings changed is solved anew.
 KEPT_REFERENCES := $(wildcard data/fea_challenge/keys.json)
-PARETO_MESH_FILES := $(PARETO_MESHES:%=$D/pareto/meshes/%.npz)
 PARETO_FILES := $(PARETO_SCENES:%=$D/pareto/scenes/%.json)
 
 pareto: $D/pareto/pareto.json  ## speed against accuracy of the mechanics: chart, CSV, JSON (hours; resumes)
 
-$(PARETO_MESH_FILES): $D/pareto/meshes/%.npz: $P/meshes.json $P/gels.json
-	$(call step,gelforge.stages.pareto mesh $D $*)
-
-$(PARETO_FILES): $D/pareto/scenes/%.json: $P/pareto.json $P/scenes/%.json $P/sensors.json $P/gels.json $(KEPT_REFERENCES) \
-    $(PARETO_MESH_FILES)
+$(PARETO_FILES): $D/pareto/scenes/%.json: $P/pareto.json $P/scenes/%.json $P/sensors.json $P/gels.json $(KEPT_REFERENCES)
 	$(call step,gelforge.stages.pareto scene $D $*)
 
 $D/pareto/pareto.json: $(PARETO_FILES) $P/pareto.json
@@ -52,9 +47,6 @@ STABILITY_ROWS := depth shear place tilt ridge nu friction size steps random
 STABILITY_FILES := $(STABILITY_ROWS:%=$D/stability/rows/%.json)
 
 stability: $D/stability/map.json  ## where the mechanics converge, fail or lose accuracy: map, CSV (hours; resumes)
-
-# Rows at label setting take meshes that ship; the others those of the chart.
-$(addprefix $D/stability/rows/,size.json steps.json): $(filter $D/pareto/meshes/ccx-%,$(PARETO_MESH_FILES))
 
 $(STABILITY_FILES): $D/stability/rows/%.json: $P/stability.json $P/gels.json
 	$(call step,gelforge.stages.stability row $D $*)

@@ -20,26 +20,18 @@ images: $(IMAGES_JUDGED)  ## compare the images of the log with its poses and no
 $D/15_images/images.json: $(POSES) $(USED) $(PICTURES) $(BESIDE)/nocontact.json $P/images.json $P/gels.json
 	$(HANDS_SLOTS)$(call step,gelforge.stages.images $D)
 
-# 20: the tetrahedral gel mesh of each press, made when a press needs it and kept in workflow/meshes. Hexahedra need no file.
-MESH_TABLES := $(if $(MESHES),$(SHARDS:%=$D/20_meshes/%.csv))
-
-meshes: $(MESH_TABLES)  ## make the gel meshes that the presses need, with quality reports
-
-$(MESH_TABLES): $D/20_meshes/%.csv: $D/10_poses/%.csv $(SHARD)/%.json $P/meshes.json $P/fea.json $P/gels.json
-	$(HANDS_SLOTS)$(call step,gelforge.stages.meshes $D $*)
-
 # 30: finite elements; a solve that was made of the same is not made again.
 FEA := $(SHARDS:%=$D/30_fea/%.csv)
 
 fea: $(FEA) $(solved)  ## solve every accepted sample by finite elements
 
-$(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $(SHARD)/%.json $P/fea.json $(if $(MESHES),$D/20_meshes/%.csv) | $(IMAGES_JUDGED)
+$(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $(SHARD)/%.json $P/fea.json $P/gels.json | $(IMAGES_JUDGED)
 	$(call solve,gelforge.stages.fea $D $*)
 
 # 40: CALIBRATED is the posterior where [material] c10 = "calibrated": its median scales the forces, no solve is repeated.
 FORCES := $(SHARDS:%=$D/40_forces/%.npz)
 
-forces: $(FORCES)  ## nodal contact forces from the solvers' output, checked for equilibrium
+forces: $(FORCES)  ## nodal contact forces of the solves, scaled to the material
 
 $(FORCES): $D/40_forces/%.npz: $D/30_fea/%.csv $P/forces.json $(CALIBRATED:%=$D/%) | $(solved)
 	$(call step,gelforge.stages.forces $D $*)

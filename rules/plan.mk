@@ -17,7 +17,7 @@ SHOWN := $(addprefix $D/,$(call answered,SHOWN))
 IS_FROZEN := $(wildcard $(DATA)/calibration.toml)
 
 # The plan's lists, empty where none is read.
-LISTS := SHARDS MESHES BRANCHES PARETO_SCENES PARETO_MESHES MODELS TUNED CALIBRATED LEARN_ALSO IMAGES
+LISTS := SHARDS BRANCHES PARETO_SCENES MODELS TUNED CALIBRATED LEARN_ALSO IMAGES
 $(foreach v,$(LISTS),$(eval $v :=))
 
 # refuse.py removes a plan whose files have another content now; make makes what it includes, and starts again.

@@ -44,7 +44,7 @@ lock: $(SETUP)  ## write envs/requirements.lock from the installed packages
 	@mv envs/.requirements.part envs/requirements.lock
 
 # What benchmarks share, and is none.
-SHARED := native __init__ ball_presses ball_table balls chart_meshes fea_cost figures films imprint outside_getfem reach readme_pictures real_page \
+SHARED := native __init__ ball_presses ball_table balls fea_cost figures films imprint outside_getfem reach readme_pictures real_page \
     rig_page sandbox spoilt tables
 MODULES := $(patsubst tests/benchmarks/%.py,%,$(wildcard tests/benchmarks/*.py))
 BENCHMARKS := $(addprefix benchmark-,$(filter-out $(SHARED),$(MODULES)))

@@ -24,8 +24,6 @@ from gelforge.geometry.indenters import load_catalogue
 from gelforge.labelling.sensor import Sensor, load_sensors
 from gelforge.mechanics.ccx.program import need_ccx
 from gelforge.mechanics.material import Material
-from gelforge.mechanics.mesh.family import MeshFamily, mesh_names
-from gelforge.mechanics.mesh.meshstore import MeshSource
 from gelforge.mechanics.result import Result
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solve import Solvers
@@ -52,7 +50,7 @@ class Ordered:
 
 
 def mix(plan_file: Path, workflow: Path, count: int, folder: Path) -> list[Ordered]:
-    """The first presses of a plan, each to its end, all on the usual gel, whose meshes ship; folder: the rig's own."""
+    """The first presses of a plan, each to its end, all on the usual gel; folder: the rig's own."""
     plan = replace(read_plan(plan_file), presses=count, frames=1)
     bodies, gel = load_catalogue(workflow / plan.catalogue), load_gel(plan.gel)
     bench, found, seen = Bench(plan, bodies, gel, folder), [], set()
@@ -89,9 +87,8 @@ class Side:
         evidence = result.kept_evidence
         found = {name: evidence.get(name, "") for name in ("method", "reason", "error_n", "cells_error_n")}
         found |= {"status": result.status.name, "total": result.total.tolist()}
-        if result.status.valid:
-            mesh = self.solvers.family.load(evidence["mesh"])
-            cells = verification.surface_cells(mesh, result.forces[mesh.surface_nodes], self.sensor)
+        if result.status.valid and result.mesh is not None:
+            cells = verification.surface_cells(result.mesh, result.forces[result.mesh.surface_nodes], self.sensor)
             found["cells"] = np.round(cells, 7).tolist()
         return found
 
@@ -128,7 +125,7 @@ def figures_of(autos: dict[str, dict], ccxs: dict[str, dict], fea: FeaTable) -> 
 
 def settings(params: Params) -> list:
     """What the records depend on beside the press."""
-    return [VERSION, plain(params.fea), plain(params.meshes)]
+    return [VERSION, plain(params.fea)]
 
 
 @command(
@@ -144,12 +141,10 @@ def main(args: Namespace) -> None:
     params = config.load_params(args.workflow)
     sensor = load_sensors(args.workflow / "sensors.toml")[params.pareto.sensor]
     presses = mix(args.plan, args.workflow, args.presses, args.work)
-    source = MeshSource(load_gel(params.meshes.gel), params.meshes)
     autos: dict[str, dict] = {}
     ccxs: dict[str, dict] = {}
     with tempfile.TemporaryDirectory() as work:
-        family = MeshFamily(args.work / "meshes", mesh_names(params.fea), source)
-        solvers = Solvers(family, work, params.fea)
+        solvers = Solvers(work, params.fea)
         auto, ccx = (Side(name, solvers, sensor, args.work / "presses") for name in ("auto", "ccx"))
         for press in tqdm(presses, "auto"):
             key = digest_of_value([*settings(params), press.scene.indenter.name, asdict(press.scene.press)])

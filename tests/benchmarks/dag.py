@@ -93,7 +93,7 @@ def fill(project: Path) -> int:
     node, force, still = np.zeros(1, np.int32), np.array([[0.0, 0.0, -1.0]]), np.zeros((1, 3), np.float32)
     shards = sorted((results / "00_plan" / "shards").glob("*.csv"))
     labels = results / "50_labels" / "24x32"
-    for folder in (labels, results / "15_images", results / "20_meshes"):
+    for folder in (labels, results / "15_images"):
         folder.mkdir(parents=True)
     for shard in shards:
         ids = [row["sample_id"] for row in read_csv(shard)]

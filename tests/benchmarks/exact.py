@@ -9,25 +9,23 @@ import hashlib
 import tempfile
 from argparse import Namespace
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.cli import command, option
-from gelforge.flow.files import read_json, write_json
+from gelforge.flow.files import read_json, write_json, write_text
 from gelforge.flow.params import Params, load_params, parameters_of
 from gelforge.flow.tables import IN_PROCESS
-from gelforge.geometry.gelcatalogue import PadTable
+from gelforge.geometry.gel import gels_from, load_gel
 from gelforge.geometry.indenters import build
 from gelforge.geometry.solids import Body, Indenter
 from gelforge.labelling.operator import face_parts, node_to_part
 from gelforge.mechanics.hexsettings import quality
 from gelforge.mechanics.material import Material
-from gelforge.mechanics.mesh.family import MeshFamily, choose_mesh
 from gelforge.mechanics.mesh.gelmesh import GelMesh
-from gelforge.mechanics.mesh.meshstore import MeshSource
 from gelforge.mechanics.result import Result
 from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solve import Solvers
@@ -94,9 +92,18 @@ def indenter(kind: str, sizes: list[float]) -> Indenter:
     return build(kind, {"kind": "cylinder", "diameter": sizes[0], "fillet": sizes[-1], "height": 10.0} | hole)
 
 
-def pad(thickness: float):
-    """The flat pad of that thickness."""
-    return PadTable(width=40.0, length=40.0, thickness=thickness, corner_radius=1.0).gel(f"flat_{thickness:g}mm")
+PAD = """[flat_{0:g}mm]
+width = 40
+length = 40
+thickness = {0:g}
+corner_radius = 1
+"""
+
+
+def pads(presses: list[dict], file: Path) -> Path:
+    """Write the catalogue of the pads that are pressed: meshes are made by names of gels."""
+    write_text(file, "".join(PAD.format(h) for h in sorted({press["thickness_mm"] for press in presses})))
+    return file
 
 
 def scene_of(press: dict) -> Scene:
@@ -104,7 +111,11 @@ def scene_of(press: dict) -> Scene:
     way = Press(0.0, 0.0, 0.0, 0.0, 0.0, -press["depth_mm"])
     law = Interface(press["interface"])
     return Scene(
-        pad(press["thickness_mm"]), Material(press["nu"]), indenter(press["kind"], press["sizes_mm"]), way, law
+        load_gel(f"flat_{press['thickness_mm']:g}mm"),
+        Material(press["nu"]),
+        indenter(press["kind"], press["sizes_mm"]),
+        way,
+        law,
     )
 
 
@@ -129,24 +140,10 @@ def ring_forces(mesh: GelMesh, forces: np.ndarray, width: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Bench:
-    """Where methods solve: parameters of the flow, folder of what is kept, solvers by thickness of the pad in mm."""
+    """Where methods solve: parameters of the flow, folder of what is kept."""
 
     params: Params
     work: Path
-    made: dict[float, Solvers] = field(default_factory=dict)
-
-    def solvers(self, thickness: float) -> Solvers:
-        """Solvers with CalculiX on meshes of a pad, kept."""
-        if thickness not in self.made:
-            self.made[thickness] = self._solvers(thickness)
-        return self.made[thickness]
-
-    def _solvers(self, thickness: float) -> Solvers:
-        gel, tables = pad(thickness), self.params
-        meshes = self.work / "meshes"
-        source = MeshSource(gel, tables.meshes, meshes)
-        names = [f"ccx-{name}" for name in tables.fea.meshes]
-        return Solvers(MeshFamily(meshes / gel.name, names, source), tempfile.mkdtemp(dir=self.work), tables.fea)
 
     def method(self, name: str, press: dict) -> Callable[[], tuple[Result, GelMesh]]:
         """The solve of a press by a method's name, with the mesh of its forces."""
@@ -163,13 +160,12 @@ class Bench:
             return prepared(scene, NATIVE_MM, self.params.fea.timeout_s, Path(tempfile.mkdtemp(dir=self.work)))
         if name == "reference":
             tables = parameters_of(self.params, "pareto", VERSION)
-            return prepare(LARGE_REFERENCE, scene, self.work, tables, Path(tempfile.mkdtemp(dir=self.work)))
-        solvers = self.solvers(scene.gel.height)
-        choose_mesh(scene, solvers.family)  # which makes it, before the clock runs
+            return prepare(LARGE_REFERENCE, scene, tables, Path(tempfile.mkdtemp(dir=self.work)))
+        solvers = Solvers(tempfile.mkdtemp(dir=self.work), self.params.fea)
 
         def ask():
             result = solvers.solve(scene, name)
-            return result, solvers.family.load(result.evidence["mesh"])
+            return result, result.mesh
 
         return ask
 
@@ -257,21 +253,22 @@ def main(args: Namespace) -> None:
     table = [row for row in before if row["method"] not in args.methods]
     bench, code, figures = Bench(load_params(args.workflow), args.work), digest(), []
     warm_up()
-    for name in args.methods:
-        rows = []
-        for press in presses:
-            if press["name"] not in CHOSEN.get(name, [press["name"]]):
-                continue
-            record = record_of(bench, press, name, code)
-            rows.append({"press": press["name"], "depth": press["depth_mm"], "method": name} | errors_of(record, press)
-                        | {"seconds": record["seconds"], "status": record["status"]})  # fmt: skip
-            total, rings = (
-                "       -" if rows[-1][key] is None else f"{rows[-1][key]:+8.2f}" for key in ("total", "rings")
-            )
-            cost = f"{record['seconds']:6.2f} s {record['status']}"
-            print(f"{name:10} {press['name']:48} {total} {rings} {cost}", flush=True)
-        table += rows
-        figures += figures_of(name, rows) if rows else []
+    with gels_from(pads(presses, args.work / "gels.toml")):
+        for name in args.methods:
+            rows = []
+            for press in presses:
+                if press["name"] not in CHOSEN.get(name, [press["name"]]):
+                    continue
+                record = record_of(bench, press, name, code)
+                rows.append({"press": press["name"], "depth": press["depth_mm"], "method": name} | errors_of(record, press)
+                            | {"seconds": record["seconds"], "status": record["status"]})  # fmt: skip
+                total, rings = (
+                    "       -" if rows[-1][key] is None else f"{rows[-1][key]:+8.2f}" for key in ("total", "rings")
+                )
+                cost = f"{record['seconds']:6.2f} s {record['status']}"
+                print(f"{name:10} {press['name']:48} {total} {rings} {cost}", flush=True)
+            table += rows
+            figures += figures_of(name, rows) if rows else []
     publish_figures(args.out, figures, presses=table)
 
 

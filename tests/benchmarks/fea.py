@@ -20,7 +20,7 @@ from gelforge.flow import params as config
 from gelforge.flow.cli import command, option
 from gelforge.flow.files import canonical, digest_of_value, read_json, write_json
 from gelforge.flow.params import StageParameters
-from gelforge.geometry.gel import Gel, load_gel
+from gelforge.geometry.gel import USUAL_GEL, Gel, load_gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.labelling.sensor import Sensor, load_sensors
 from gelforge.mechanics.ccx.program import need_ccx, run_ccx
@@ -30,7 +30,6 @@ from gelforge.mechanics.scene import Interface, Scene
 from gelforge.records.press import Press
 from gelforge.records.status import VALID
 from gelforge.stages import pareto as branch
-from gelforge.sweeps import references as meshes
 from gelforge.sweeps.deviation import errors
 from gelforge.sweeps.isolate import Clock, isolated, peak_mib
 from gelforge.sweeps.methods import LARGE_REFERENCE, REFERENCE, Method, method_of, prepare
@@ -44,7 +43,6 @@ from gelforge.sweeps.trial import (
     solve_isolated,
 )
 from tests.benchmarks import fea_cost as cost
-from tests.benchmarks.chart_meshes import ensure_meshes
 from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.benchmarks.native import prepared
 
@@ -136,7 +134,6 @@ def kept_decks(folder: Path) -> dict[float, dict]:
 
 def solve_scenes(bench: ChartBench, scenes: dict[str, NamedScene]) -> dict[str, dict]:
     """Records by scene and method, with errors against the reference under "errors"."""
-    ensure_meshes(bench, meshes.label_meshes(bench.params))
     found = {}
     for name, scene in tqdm(scenes.items(), "scenes", len(scenes)):
         records = {method.name: measure(bench, scene, method) for method in METHODS}
@@ -255,8 +252,7 @@ def envelope_scene(number: int, catalogue: dict, gel: Gel) -> Scene:
 
 def solve_envelope(bench: ChartBench, catalogue: dict, folder: Path, count: int, method: Method) -> list[dict]:
     """Records of the envelope's scenes with one engine at label setting, kept one by one."""
-    ensure_meshes(bench, meshes.label_meshes(bench.params))
-    gel, limit = load_gel(bench.params.meshes.gel), bench.params.pareto.limit_s
+    gel, limit = load_gel(USUAL_GEL), bench.params.pareto.limit_s
     key = hashlib.sha256(canonical(envelope_settings(bench.params, method)).encode()).hexdigest()
     records = []
     for number in tqdm(range(count), f"envelope, {method.name}"):
@@ -265,7 +261,7 @@ def solve_envelope(bench: ChartBench, catalogue: dict, folder: Path, count: int,
         if record is None:
             scene = envelope_scene(number, catalogue, gel)
 
-            make = partial(prepare, method, scene, bench.meshes, bench.params)
+            make = partial(prepare, method, scene, bench.params)
             found = solve_isolated(make, None, limit, folder)
             asked = {"number": number, "indenter": scene.indenter.name, "press": vars(scene.press)}
             record = {"key": key} | asked | found
@@ -336,8 +332,7 @@ def cost_figures(scenes: dict[str, Scene], sensor: Sensor) -> list[Figure]:
         "--pareto",
         type=Path,
         default=Path("results/feats_sphere15/pareto"),
-        help="branch pareto's folder of a dataset that overrides no setting of [fea] and [meshes]: its"
-        " meshes and records are used and added to",
+        help="branch pareto's folder of a dataset that overrides no setting of [fea]: its records are used and added to",
     ),
     option(
         "--references",
@@ -356,7 +351,7 @@ def main(args: Namespace) -> None:
     need_ccx()
     params = config.parameters_of(config.load_params(args.workflow), "pareto", branch.VERSION)
     sensors = load_sensors(args.workflow / "sensors.toml")
-    bench = load_bench(params, sensors, args.pareto / "meshes", args.pareto / "scenes", args.references)
+    bench = load_bench(params, sensors, args.pareto / "scenes", args.references)
     tables = read_tables(args.workflow)
     scenes = {n: parse_scene(n, t, params.material.nu) for n, t in tables.items()
               if not args.scenes or n in args.scenes}  # fmt: skip

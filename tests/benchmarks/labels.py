@@ -19,6 +19,7 @@ from gelforge.formats.featsfile import read_npy
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import CORNERS, assemble
 from gelforge.labelling.sensor import load_sensors
+from gelforge.mechanics.mesh.names import Contact, TetMeshName
 from gelforge.reading.markers import markers_in
 from gelforge.records.forcefile import SampleForces, write_forces
 from gelforge.records.labelfile import read_labels
@@ -136,9 +137,9 @@ def speed(sensors, rng) -> list[Figure]:
 
 
 def write_shards(folder: Path, rng, samples: int) -> None:
-    """Forces and poses of so many presses on an irregular mesh of 0.5 mm."""
-    mesh = irregular_surface("tet10", 0.5, rng)
-    mesh.save(folder / "20_meshes" / "irregular.npz")
+    """Forces and poses of so many presses on tetrahedra of 0.5 mm."""
+    even = TetMeshName("gelsight_mini", 0.5, 0.5, Contact.of(np.ones((1, 1), bool), 26.0, (-13.0, -13.0)))
+    mesh = even.mesh()
     surface = mesh.surface_nodes.astype(np.int32)
     stock = [f[surface] for f in bumps(mesh, rng, 40, (6, 8))]
     rest = np.zeros((len(surface), 3), np.float32)
@@ -146,7 +147,7 @@ def write_shards(folder: Path, rng, samples: int) -> None:
     for shard in range(-(-samples // SHARD)):
         names = [f"p{at:05d}" for at in range(shard * SHARD, min((shard + 1) * SHARD, samples))]
         pressed = [
-            SampleForces(n, "OK", "irregular", surface, stock[(shard + k) % 40], rest) for k, n in enumerate(names)
+            SampleForces(n, "OK", even.name, surface, stock[(shard + k) % 40], rest) for k, n in enumerate(names)
         ]
         write_forces(folder / "40_forces" / f"{shard:04d}.npz", pressed, 0.0725)
         pose = dict.fromkeys(POSE, "0") | {"sensor_id": "gelsight_mini", "indenter": "sphere_15", "dz_mm": "-1"}

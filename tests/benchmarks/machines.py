@@ -21,16 +21,13 @@ from gelforge.flow.cli import command, option
 from gelforge.flow.files import read_json, write_json
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.hexsettings import quality
-from gelforge.mechanics.mesh.family import MeshFamily
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.result import Result
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solve import Solvers
 from gelforge.mechanics.solvers.hex import HexSolver
-from gelforge.sweeps import references
 from gelforge.sweeps.scenes import parse_scene, read_tables
 from gelforge.sweeps.trial import cells_of
-from tests.benchmarks.chart_meshes import need_mesh
 from tests.benchmarks.figures import Figure, publish_figures
 
 CASES = {
@@ -47,7 +44,7 @@ WAYS = ("draft", "label", "ccx")  # qualities of `hex`, and CalculiX at label se
 ONE_THREAD = {"MKL_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
-def solver_of(way: str, params: config.Params, meshes: Path, work: Path) -> Callable[[Scene], tuple[Result, GelMesh]]:
+def solver_of(way: str, params: config.Params, work: Path) -> Callable[[Scene], tuple[Result, GelMesh]]:
     """A function that solves a scene in one of WAYS and gives the mesh of the result."""
     if way != "ccx":
         hexahedra = HexSolver(quality(way))
@@ -57,26 +54,23 @@ def solver_of(way: str, params: config.Params, meshes: Path, work: Path) -> Call
             return found, found.mesh
 
         return solve
-    names = references.label_meshes(params)
-    for name in names:
-        need_mesh(name, meshes, params)
-    solvers = Solvers(MeshFamily(meshes, names), work, params.fea)
+    solvers = Solvers(work, params.fea)
 
     def solve_ccx(scene: Scene) -> tuple[Result, GelMesh]:
         found = solvers.solve(scene, "ccx")
-        return found, solvers.family.load(found.evidence["mesh"])
+        return found, found.mesh
 
     return solve_ccx
 
 
-def solve_scenes(way: str, names: list[str] | None, workflow: Path, meshes: Path) -> dict[str, dict]:
+def solve_scenes(way: str, names: list[str] | None, workflow: Path) -> dict[str, dict]:
     """Status, total force (3,) and cells (3, 24, 32) in N of scenes solved in this process in one of WAYS."""
     params = config.load_params(workflow)
     sensor = load_sensors(workflow / "sensors.toml")[params.pareto.sensor]
     tables = read_tables(workflow)
     found = {}
     with tempfile.TemporaryDirectory() as work:
-        solve = solver_of(way, params, meshes, Path(work))
+        solve = solver_of(way, params, Path(work))
         for name in names or tables:
             result, mesh = solve(parse_scene(name, tables[name], params.material.nu).scene)
             cells, _ = cells_of(mesh, result.forces, sensor)
@@ -106,7 +100,7 @@ def on_machine(case: str, way: str, names: list[str] | None, folder: Path, workf
     kept = folder / f"{way}-{case.replace(' ', '-')}-{hashlib.sha256(content.encode()).hexdigest()[:16]}.json"
     if not kept.exists():
         asked = [sys.executable, "-m", "tests.benchmarks.machines", "--way", way, "--workflow", str(workflow)]
-        asked += ["--meshes", str(folder / "meshes"), "--out", str(kept), *(["--scenes", *names] if names else [])]
+        asked += ["--out", str(kept), *(["--scenes", *names] if names else [])]
         subprocess.run(asked, check=True, env=environment(case, folder))
     return read_json(kept)
 
@@ -144,13 +138,12 @@ def figures_of(way: str, differences: dict[str, tuple[float, float]]) -> list[Fi
 @command(
     option("--workflow", type=Path, default=Path("workflow")),
     option("--way", choices=WAYS, default=None, help="solve in this process and write the results"),
-    option("--meshes", type=Path, default=Path("results/benchmarks/machines/meshes"), help="CalculiX' meshes"),
     option("--scenes", nargs="+", default=None, help="only these of workflow/scenes.toml"),
     option("--out", type=Path, help="results/benchmarks/machines.json"),
 )
 def main(args: Namespace) -> None:
     if args.way:
-        write_json(args.out, solve_scenes(args.way, args.scenes, args.workflow, args.meshes))
+        write_json(args.out, solve_scenes(args.way, args.scenes, args.workflow))
         return
     folder = args.out.parent / "machines"
     figures = []

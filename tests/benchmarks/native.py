@@ -5,6 +5,8 @@ that PRESSURE-OVERCLOSURE=TIED falls back to without a data line (50 C10 per mm)
 indenter's top led by prescribed displacements. It is the baseline of the chart, not a good answer.
 """
 
+import contextlib
+import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -15,16 +17,17 @@ import numpy as np
 from gelforge.geometry.solids import Indenter
 from gelforge.geometry.triangles import cropped
 from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat
-from gelforge.mechanics.ccx.deck import material_lines, mesh_include
+from gelforge.mechanics.ccx.deck import material_lines, mesh_lines
 from gelforge.mechanics.ccx.program import OVERDUE, run_ccx
 from gelforge.mechanics.elements.element import elements
 from gelforge.mechanics.mesh.gelmesh import GelMesh
-from gelforge.mechanics.mesh.tetmesh import FACES, boundary_faces, gel_mesh, orient, tetrahedralise
+from gelforge.mechanics.mesh.tetmesh import FACES, Sizes, base_tets, bisected, from_flat, orient
 from gelforge.mechanics.path.loadpath import first_touch
 from gelforge.mechanics.result import Result
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solvers.ccx import CcxResult, status_of
 from gelforge.records.status import Status
+from tests.support.blocks import boundary_faces
 
 MOST_MISMATCH = 1e-5  # of forces at the gel's top and at its base, as a share: the .dat holds seven digits
 # Height of the indenter that is meshed, above its tip: as deep as [poses] deepest_share lets a press be on the nominal gel.
@@ -47,6 +50,17 @@ def indenter_tets(indenter: Indenter, size: float) -> tuple[np.ndarray, np.ndarr
     return nodes, orient(nodes, tets)
 
 
+def tetrahedralise(vertices: np.ndarray, faces: np.ndarray, **options: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Linear tetrahedra inside closed triangles: the nodes (n, 3) in use and elements (e, 4)."""
+    import pytetwild
+
+    # It leaves a file in the folder it runs in.
+    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder):
+        nodes, tets = pytetwild.tetrahedralize(vertices, faces, **options)
+    used, numbered = np.unique(tets, return_inverse=True)
+    return nodes[used], numbered.reshape(-1, 4)
+
+
 def element_faces(tets: np.ndarray, faces: np.ndarray) -> list[tuple[int, int]]:
     """(element, CalculiX' face number) of each boundary face (f, 3 corners), both counted from 1."""
     found = {}
@@ -61,7 +75,7 @@ def native_deck(scene: Scene, mesh: GelMesh, nodes: np.ndarray, tets: np.ndarray
     rotation, shift = scene.press.pose(0.0, 0.0)
     placed = nodes @ rotation.T + shift
     n, e = len(mesh.nodes), len(mesh.elements)
-    lines = [mesh_include(mesh), "*NODE, NSET=NIND"]
+    lines = [*mesh_lines(mesh), "*NODE, NSET=NIND"]
     lines += [f"{n + i},{x:.9e},{y:.9e},{z:.9e}" for i, (x, y, z) in enumerate(placed.tolist(), 1)]
     lines.append("*ELEMENT, TYPE=C3D4, ELSET=EIND")
     lines += [f"{e + i}," + ",".join(str(n + c + 1) for c in tet) for i, tet in enumerate(tets.tolist(), 1)]
@@ -123,7 +137,7 @@ def solve_native(scene: Scene, mesh: GelMesh, folder: Path | str, timeout_s: flo
         displacement = last_table(tables, "displacements", "NALL", every, end)
         base = last_table(tables, "forces", "NBASE", mesh.base + 1, end).sum(axis=0)
     except DatError as error:
-        return CcxResult(status_of(error), zero, zero.copy(), evidence | {"reason": f"{error}; {job.reason()}"}, deck)
+        return CcxResult(status_of(error), zero, zero.copy(), evidence | {"reason": f"{error}; {job.reason()}"}, mesh)
     # Stock CalculiX prints no contact force per node; what the elements bear at the top is what contact exerts.
     inner, material = zero.copy(), scene.material
     solid = elements()[mesh.kind].on(mesh.nodes, mesh.cells)
@@ -138,10 +152,14 @@ def solve_native(scene: Scene, mesh: GelMesh, folder: Path | str, timeout_s: flo
     balanced = evidence["base_mismatch"] <= MOST_MISMATCH
     # the indenter's flat triangles may miss a gel that the indenter itself touches
     status = (Status.OK if forces.any() else Status.TOO_COARSE) if balanced else Status.UNBALANCED
-    return CcxResult(status, forces, displacement, evidence, deck)
+    return CcxResult(status, forces, displacement, evidence, mesh)
 
 
 def prepared(scene: Scene, size: float, limit_s: float, work: Path) -> Callable[[], tuple[Result, GelMesh]]:
     """The solve of a scene on tetrahedra of `size` mm everywhere."""
-    mesh = gel_mesh(scene.gel, lambda points: np.full(len(points), size))
+    gel = scene.gel
+    even = Sizes.at(
+        gel, np.ones((1, 1), bool), max(gel.width, gel.length), (-gel.width / 2, -gel.length / 2), size, size
+    )
+    mesh = from_flat(gel, *bisected(*base_tets(gel), even))
     return lambda: (solve_native(scene, mesh, work / "native", limit_s), mesh)

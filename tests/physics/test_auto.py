@@ -8,7 +8,6 @@ import pytest
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.material import Material
-from gelforge.mechanics.mesh.family import MeshFamily
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solve import Solvers
 from gelforge.records.press import Press
@@ -27,7 +26,7 @@ def scene(shape: str, depth: float, x: float = 0.0) -> Scene:
 
 @pytest.fixture
 def solvers(tmp_path) -> Solvers:
-    return Solvers(MeshFamily(tmp_path, []), tmp_path, parameters().fea)
+    return Solvers(tmp_path, parameters().fea)
 
 
 @pytest.mark.parametrize("shape", ["round", pytest.param("sharp", marks=pytest.mark.slow)])

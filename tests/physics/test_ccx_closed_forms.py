@@ -5,12 +5,13 @@ import pytest
 from scipy.optimize import brentq
 
 from gelforge.mechanics.ccx.dat import last_table, read_dat
-from gelforge.mechanics.ccx.deck import material_lines, mesh_include
+from gelforge.mechanics.ccx.deck import material_lines, mesh_lines
 from gelforge.mechanics.ccx.program import run_ccx
 from gelforge.mechanics.elements.element import elements
 from gelforge.mechanics.material import REFERENCE_C10, Material
 from gelforge.mechanics.mesh.gelmesh import GelMesh
-from gelforge.mechanics.mesh.tetmesh import boundary_faces, kuhn_grid, second_order
+from gelforge.mechanics.mesh.tetmesh import kuhn_grid, second_order
+from tests.support.blocks import boundary_faces
 
 MATERIAL = Material()
 SIDE = np.linspace(0.0, 1.0, 3)
@@ -19,10 +20,10 @@ SIDE = np.linspace(0.0, 1.0, 3)
 def cube() -> GelMesh:
     """The unit cube; every boundary node counts as top, the side z = 0 is the base."""
     corners, tets = kuhn_grid((SIDE, SIDE, SIDE))
-    nodes, elements, midside = second_order(corners, tets)
+    nodes, elements, middle = second_order(corners, tets)
     faces = boundary_faces(tets)
-    middles = [[midside[tuple(sorted((f[i], f[(i + 1) % 3])))] for i in range(3)] for f in faces.tolist()]
-    return GelMesh("tet10", nodes, elements, np.hstack([faces, middles]).astype(np.int32),
+    middles = [middle(faces[:, [i, (i + 1) % 3]]) for i in range(3)]
+    return GelMesh("tet10", nodes, elements, np.column_stack([faces, *middles]).astype(np.int32),
                    np.flatnonzero(nodes[:, 2] == 0).astype(np.int32))  # fmt: skip
 
 
@@ -47,7 +48,7 @@ CASES = {
 
 
 def deck(mesh, displacement) -> str:
-    lines = [mesh_include(mesh), *material_lines(MATERIAL), "*STEP, NLGEOM", "*STATIC", "1.,1.", "*BOUNDARY"]
+    lines = [*mesh_lines(mesh), *material_lines(MATERIAL), "*STEP, NLGEOM", "*STATIC", "1.,1.", "*BOUNDARY"]
     for n in mesh.surface_nodes:
         lines += [f"{n + 1},{a + 1},{a + 1},{displacement[n, a]:.12e}" for a in range(3)]
     return "\n".join([*lines, "*NODE PRINT, NSET=NTOP", "RF", "*END STEP"]) + "\n"

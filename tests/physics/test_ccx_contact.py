@@ -1,22 +1,25 @@
 """A sphere on a small flat pad: CalculiX' forces against the in-process solver and against equilibrium."""
 
+import re
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
 
 from gelforge.geometry.indenters import build
+from gelforge.mechanics.ccx.deck import press_deck
+from gelforge.mechanics.ccx.program import need_ccx, run_ccx
 from gelforge.mechanics.contact.law import laws
 from gelforge.mechanics.contact.penalty import FREE, STICK
 from gelforge.mechanics.hexsettings import HexSettings
+from gelforge.mechanics.linear.factorisation import SuperLU
 from gelforge.mechanics.material import Material
-from gelforge.mechanics.mesh.moved import moved
 from gelforge.mechanics.path.equilibrium import System
 from gelforge.mechanics.path.loadpath import first_touch, path_pose
 from gelforge.mechanics.path.pathsettings import PathSettings
 from gelforge.mechanics.path.scenepath import ScenePath
 from gelforge.mechanics.scene import Interface, Scene
-from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver
+from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver, read_answer
 from gelforge.mechanics.solvers.hex import solve_hex
 from gelforge.records.press import Press
 from gelforge.records.status import Status
@@ -121,22 +124,50 @@ def test_coulomb_bounds_shear_and_no_slip_exceeds_it(solver):
     assert abs(bound[0]) <= 0.42 * abs(bound[2])  # mu = 0.4, its rounds stop at 2 % of the drag
 
 
-def test_a_solver_of_a_moved_fine_part_is_as_one_of_its_own(solver, tmp_path):
-    """It shares the matrix with the one in the middle: neither sees that of the other, and the force is that of hexahedra."""
-    aside, middle = replace(scene("no_slip").press, x0=1.0, y0=-0.5), scene("no_slip")
-    pressed, before = replace(middle, press=aside), solver.solve(middle).total
-    there = moved(solver.mesh, PAD, (2.0, 2.0), (1.0, -0.5))
-    one = solver.on(there, tmp_path / "on").solve(pressed)
-    other = CcxSolver(there, tmp_path / "own", solver.settings).solve(pressed)
-    assert one.status is Status.OK and other.status is Status.OK
-    np.testing.assert_allclose(one.total, other.total, atol=1e-6 * abs(other.total[2]))
-    np.testing.assert_allclose(solver.solve(middle).total, before, atol=1e-6 * abs(before[2]))
-    # what tetrahedra of 1 mm add to the force of hexahedra they add there, too: 3 to 4 %
-    stiffer = [
-        found[2] / solve_hex(here, HexSettings(size=0.5, layers=6, gauss=2, press_steps=3)).total[2]
-        for found, here in ((before, middle), (one.total, pressed))
-    ]
-    assert stiffer[1] == pytest.approx(stiffer[0], abs=0.015)
+def test_without_mkl_a_press_is_the_same(solver):
+    usual, kept = solver.solve(scene("no_slip")), solver.system.linear
+    pattern = solver.system.pattern
+    solver.system.linear = SuperLU(pattern.indptr, pattern.indices)
+    try:
+        result = solver.solve(scene("no_slip"))
+    finally:
+        solver.system.linear = kept
+    assert result.status is Status.OK and usual.status is Status.OK
+    np.testing.assert_allclose(result.total, usual.total, atol=1e-6 * abs(usual.total[2]))
+
+
+# CalculiX whose forces, at the top and at the base, are another one's by a factor: in balance, and wrong.
+WRONG = """#!/bin/sh
+{program} "$1" || exit
+awk '/^ *forces/ {{ forces = 1 }} /^ *displacements/ {{ forces = 0 }}
+     forces && NF == 4 {{ printf "%10d %13.6E %13.6E %13.6E\\n", $1, $2 * {factor}, $3 * {factor}, $4 * {factor}; next }} 1' "$1.dat" > "$1.new"
+mv "$1.new" "$1.dat"
+"""
+
+
+@pytest.mark.parametrize("factor", [1.05, 0.999, -1.0, 1.0])
+def test_calculix_that_computes_otherwise_is_refused_with_both_forces(solver, tmp_path, monkeypatch, factor):
+    program = tmp_path / "ccx"
+    program.write_text(WRONG.format(program=need_ccx(), factor=factor))
+    program.chmod(0o755)
+    monkeypatch.setenv("CCX", str(program))
+    result = solver.solve(scene("no_slip", dx=0.1))
+    assert re.fullmatch(r"\d+\.\d+\S*", result.evidence["ccx_version"]), "its version stands in every record"
+    if factor == 1.0:
+        assert result.status is Status.OK and result.evidence["engine_difference"] < 1e-6
+        return
+    assert result.status is Status.DISAGREES
+    assert "in process" in result.evidence["reason"] and f"{result.total[2]:.6g}" in result.evidence["reason"]
+
+
+def test_what_is_kept_of_a_press_makes_its_deck_again(solver, tmp_path):
+    result = solver.solve(scene("no_slip", dx=0.1), "kept")
+    deck = press_deck(solver.mesh, result.prescribed, result.start, **result.deck)
+    assert deck == (solver.folder / "kept.inp").read_text()
+    (tmp_path / "again.inp").write_text(deck)
+    run_ccx("again", tmp_path, 100.0)
+    again = read_answer(tmp_path / "again.dat", solver.mesh).top.sum(axis=0)
+    np.testing.assert_allclose(again, result.total, atol=1e-6 * abs(result.total[2]))
 
 
 def test_a_press_that_touches_nothing_runs_nothing(solver):

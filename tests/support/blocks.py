@@ -4,7 +4,7 @@ import numpy as np
 
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.mesh.gelmesh import GelMesh
-from gelforge.mechanics.mesh.tetmesh import from_flat, kuhn_grid
+from gelforge.mechanics.mesh.tetmesh import FACES, from_flat, kuhn_grid
 
 
 def symmetric_block(gel: Gel, size: float, layers: int) -> GelMesh:
@@ -21,3 +21,10 @@ def symmetric_block(gel: Gel, size: float, layers: int) -> GelMesh:
         nodes, same = np.unique(np.round(np.concatenate([nodes, mirrored]), 9) + 0.0, axis=0, return_inverse=True)
         tets = same.ravel()[tets]
     return from_flat(gel, nodes, tets)
+
+
+def boundary_faces(tets: np.ndarray) -> np.ndarray:
+    """Corner triples (f, 3) of the faces that belong to one tetrahedron only, oriented outward."""
+    faces = tets[:, FACES].reshape(-1, 3)
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    return faces[first[count == 1]]

@@ -7,10 +7,10 @@ import numpy as np
 from gelforge.flow.files import canonical, read_json, read_toml, write_csv, write_if_changed, write_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.params import plain
-from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
 from gelforge.geometry.triangles import cropped, write_stl
-from gelforge.mechanics.mesh.hexmesh import FineBox, build_mesh
+from gelforge.mechanics.mesh.hexmesh import FineBox
+from gelforge.mechanics.mesh.hexname import HexMeshName
 from gelforge.records.forcefile import SampleForces, write_forces
 from gelforge.records.press import COLUMNS
 from tests.support.parameters import parameters, with_values, write_stage
@@ -21,9 +21,17 @@ SETTINGS = with_values(parameters().dataset, validation=0.1, test=0.2)
 CATALOGUE = {"sphere_10": {"kind": "sphere"}, "cuboid_7": {"kind": "cuboid"}, "triangle_8": {"seen": False}}
 
 
+def mesh_name(size: float = 1.2) -> HexMeshName:
+    """The name of hexahedra that are even all over."""
+    return HexMeshName("gelsight_mini", FineBox(-10.0, 10.0, -12.0, 12.0, size), 2, 3.0, 1.5, 2.0)
+
+
+HEXAHEDRA = mesh_name().name
+
+
 def make_mesh(size: float = 1.2):
     """A gel of hexahedra, even all over."""
-    return build_mesh(Gel(), FineBox(-10.0, 10.0, -12.0, 12.0, size), layers=2)
+    return mesh_name(size).mesh()
 
 
 def bump(mesh, x, y, radius, force) -> np.ndarray:
@@ -40,7 +48,6 @@ def write_pressed(
 
     folder, rng, mesh = Path(folder), np.random.default_rng(seed), make_mesh()
     data, results = folder / "data" / "made", folder / "results" / "made"
-    mesh.save(results / "20_meshes" / "hexahedra.npz")
     (data / "images").mkdir(parents=True)
     rows, loads, samples = [], {}, []
     for at in range(count):
@@ -70,9 +77,9 @@ def write_pressed(
         rows.append(row)
         good = at not in failed
         samples.append(
-            SampleForces(name, "OK", "hexahedra", surface, loads[name][surface], -0.1 * np.abs(loads[name][surface]))
+            SampleForces(name, "OK", HEXAHEDRA, surface, loads[name][surface], -0.1 * np.abs(loads[name][surface]))
             if good
-            else SampleForces.failed(name, "DIVERGED", "hexahedra")
+            else SampleForces.failed(name, "DIVERGED", HEXAHEDRA)
         )
     write_csv(data / "log.csv", COLUMNS, rows)
     vertices, faces = cropped(build("ball", {"kind": "sphere", "diameter": 10, "height": 10}), 2.0)

@@ -16,7 +16,7 @@ PLANTED = {
     "api.py": ("from gelforge.commands import look", "api.py imports commands"),
     "stages/b.py": ("def main():\n    from gelforge.commands import look", "stages/b.py imports a command"),
     "geometry/c.py": ("from tests import support", "geometry/c.py imports tests"),
-    "mechanics/linear/d.py": ("import gelforge.mechanics.mesh.family", "mechanics/linear/d.py imports"),
+    "mechanics/linear/d.py": ("import gelforge.mechanics.mesh.names", "mechanics/linear/d.py imports"),
     "reading/e.py": ("import torch", "reading/e.py imports torch"),
     "labelling/f.py": ("class Gel: ...", "class Gel stands in"),
     "labelling/gel.py": ("class Gel: ...", "module gel stands in"),

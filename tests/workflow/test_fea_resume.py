@@ -1,6 +1,5 @@
 """Stages 30 and 40 on a tiny mesh: a killed run resumes, corruption is found, failures stay rows."""
 
-import gzip
 import json
 import os
 import shlex
@@ -19,29 +18,23 @@ from gelforge.flow.layout import Layout
 from gelforge.geometry.gel import GELS
 from gelforge.mechanics.ccx.dat import last_table, read_dat
 from gelforge.mechanics.material import REFERENCE_C10
-from gelforge.mechanics.mesh.meshstore import source_of
 from gelforge.records.forcefile import ForceFile
-from gelforge.stages import fea, forces, meshes
-from tests.support.blocks import symmetric_block
+from gelforge.records.solvetable import read_solves
+from gelforge.stages import fea, forces
+from gelforge.stages.report import failures_section
 from tests.support.parameters import write_stage
 from tests.support.waiting import HANG, wait_until
 
 GEL = GELS["gelsight_mini"]
 HEADER = "sample_id,sensor_id,gel_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg\n"
 ROWS = [f"s{i},cam,g,ball,{i},0,0,0,0,-0.4,0\n" for i in range(3)]
-FEA = {"method": "ccx", "meshes": ["wide-2.6"], "press_steps": 2, "shear_steps": 1, "rounds": 4}
+FEA = {"method": "ccx", "edge_mm": 2.6, "inside_mm": 2.6, "press_steps": 2, "shear_steps": 1, "rounds": 4}
 
 
 @pytest.fixture
 def folder(tmp_path):
-    """Inputs of stage 30: three presses, one coarse mesh."""
+    """Inputs of stage 30: three presses, on coarse meshes."""
     of = Layout(tmp_path / "results/lab")
-    of.meshes.mkdir(parents=True)
-    mesh = symmetric_block(GEL, 2.6, 2)
-    mesh.save(of.meshes / "ccx-wide-2.6.npz")
-    key = source_of(write_stage(of.params, "meshes"), of.workflow).key("ccx-wide-2.6")
-    report = {"engine": "ccx", "region": "wide", "size": 2.6, "half_mm": [10, 12], "reach_mm": [0, 0], "recipe": key}
-    write_json(of.meshes / "ccx-wide-2.6.json", report)
     write_stage(of.params, "fea", fea=FEA)
     write_stage(of.params, "forces", material={"c10": 0.145})
     write_json(of.parameters("sensors"), {"cam": {"gel": GEL.name}})
@@ -51,9 +44,8 @@ def folder(tmp_path):
 
 
 def lay_presses(folder, rows):
-    """The pose table of a shard, and its table of meshes by stage 20."""
+    """The pose table of a shard."""
     write_text(Layout(folder).poses("0000"), HEADER + "".join(rows))
-    assert meshes.main(arguments(folder)) == 0
 
 
 def arguments(folder):
@@ -93,11 +85,11 @@ def test_killed_run_resumes_and_corruption_is_found(folder, held_at_the_second):
         np.testing.assert_allclose(found.total[:, 2], [2 * float(r["fz_n"]) for r in rows], rtol=1e-4)
 
     # what lost bytes, or all of them, is named, and solved again with the next run; the rest is kept
-    text = gzip.decompress((out / "s1.dat.gz").read_bytes())
-    (out / "s1.dat.gz").write_bytes(gzip.compress(text[: len(text) // 2]))
-    (out / "s2.dat.gz").unlink()
+    whole = (out / "s1.npz").read_bytes()
+    (out / "s1.npz").write_bytes(whole[: len(whole) // 2])
+    (out / "s2.npz").unlink()
     table = folder / "30_fea" / "0000.csv"
-    with pytest.raises(BadInput, match=r"s1\.dat\.gz and 1 more: missing, or not as it was written.* run make again"):
+    with pytest.raises(BadInput, match=r"s1\.npz and 1 more: missing, or not as it was written.* run make again"):
         forces.main(arguments(folder))
     assert not table.exists()
     assert fea.main(arguments(folder)) == 0
@@ -118,6 +110,27 @@ def test_missing_calculix_is_one_clear_error(folder, monkeypatch):
     monkeypatch.setitem(os.environ, "CCX", "no-such-ccx")
     with pytest.raises(fea.BadInput, match="solver program was not found"):
         fea.main(arguments(folder))
+
+
+def test_what_another_method_solved_says_so_in_table_and_report(folder, ccx, capfd):
+    """CalculiX finds no balance at its base: the label is of hexahedra, and nobody takes it for CalculiX'."""
+    off = folder / "ccx"
+    off.write_text(
+        f'#!/bin/sh\n{shlex.quote(ccx)} "$1" || exit\n'
+        "awk '/^ *forces.*NBASE/ { base = 1 } /^ *(displacements|forces.*NTOP)/ { base = 0 }\n"
+        '     base && NF == 4 { printf "%10d %13.6E %13.6E %13.6E\\n", $1, $2 * 1.01, $3 * 1.01, $4 * 1.01; next } 1\' '
+        '"$1.dat" > "$1.new" && mv "$1.new" "$1.dat"\n'
+    )
+    off.chmod(0o755)
+    lay_presses(folder, ROWS[:1])
+    environment = os.environ | {"CCX": str(off)}
+    run = subprocess.run([sys.executable, "-m", "gelforge.stages.fea", *arguments(folder)], env=environment, capture_output=True, text=True)  # fmt: skip
+    (row,) = read_csv(folder / "30_fea" / "0000.csv")
+    assert (row["status"], row["method"]) == ("OK", "label") and row["mesh"].startswith("hex@")
+    assert row["reason"].startswith("solved by label, because ccx: UNBALANCED") and row["reason"] in run.stdout
+    solved = {solve.sample_id: solve for solve in read_solves(folder / "30_fea" / "0000.csv")}
+    shown = failures_section(folder, solved).items
+    assert "Labels by another method than was asked for" in str(shown) and "UNBALANCED" in str(shown)
 
 
 def test_a_failed_solve_is_a_row_with_its_reason(folder, ccx):
@@ -171,29 +184,28 @@ def test_decks_run_by_stock_calculix_give_the_forces_of_stage_40(folder, ccx, tm
     lay_presses(folder, ROWS[::2])
     assert fea.main(arguments(folder)) == 0
     assert forces.main(arguments(folder)) == 0
-    decks = sorted((folder / "30_fea").rglob("*.inp"))
-    assert [path.parent.name for path in decks] == ["0000", "0000", "meshes"], "one mesh serves both decks"
-    shutil.copytree(folder / "30_fea", copy := tmp_path_factory.mktemp("away") / "fea")
-    for name in ("s0", "s2"):
-        printed, ours = forces_by_stock_ccx(ccx, copy / "0000", name, folder / "40_forces" / "0000.npz")
-        assert np.abs(printed - ours).max() <= 1e-6 * np.abs(ours).max() and ours[:, 2].sum() < -0.1
+    kept = [path for path in (folder / "30_fea").rglob("*") if path.is_file()]
+    assert {path.suffix for path in kept} == {".npz", ".json", ".csv"} and sum(p.stat().st_size for p in kept) < 6e5
+    version = json.loads((folder / "30_fea/0000/s0.json").read_text())["evidence"]["ccx_version"]
+    assert version in subprocess.run([ccx, "-v"], capture_output=True, text=True).stdout
 
     rows = [{"sample_id": name, "shard": "0", "logged": "1"} for name in ("s0", "s2", "s3")]
     write_csv(folder / "00_plan" / "shards.csv", ["sample_id", "shard", "logged"], rows)
-    assert deck.main([str(folder), "--id", "s2"]) == 0
-    shutil.copytree(folder / "deck" / "s2", alone := tmp_path_factory.mktemp("alone") / "s2")
-    printed, ours = forces_by_stock_ccx(ccx, alone, "s2", folder / "40_forces" / "0000.npz")
-    assert np.abs(printed - ours).max() <= 1e-6 * np.abs(ours).max()
+    for name in ("s0", "s2"):
+        assert deck.main([str(folder), "--id", name]) == 0
+        shutil.copytree(folder / "deck" / name, alone := tmp_path_factory.mktemp("alone") / name)
+        printed, ours = forces_by_stock_ccx(ccx, alone, name, folder / "40_forces" / "0000.npz")
+        assert np.abs(printed - ours).max() <= 1e-6 * np.abs(ours).max() and ours[:, 2].sum() < -0.1
     readme = (alone / "README").read_text().splitlines()
     assert len(readme) == 3 and "`ccx s2` in this folder" in readme[0]
     assert "times 2, because their C10 is 0.145 MPa (as given)" in readme[2]
 
     with pytest.raises(BadInput, match="s3 was not solved yet; run make sample ID=s3"):
         deck.main([str(folder), "--id", "s3"])
-    # without the mesh a deck is worth nothing: the press is solved again, which writes it
-    decks[-1].unlink()
+    # what a deck is made of again is gone: the press is solved again
+    (folder / "30_fea/0000/s2.npz").unlink()
     with pytest.raises(
-        BadInput, match=r"the mesh that .*s2\.inp includes is missing; remove .*0000\.csv and run make"
+        BadInput, match=r"s2\.npz: missing, or not as it was written; remove .*0000\.csv and run make"
     ):
         deck.main([str(folder), "--id", "s2"])
     assert fea.main(arguments(folder)) == 0

@@ -32,8 +32,6 @@ from tests.support.parameters import place_workflow
 OWN = ("flat_2mm", "dome")
 DATASET = """
 gel = "{gel}"
-[params.meshes]
-gel = "{gel}"
 [params.poses]
 images = false
 [params.fea]

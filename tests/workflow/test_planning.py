@@ -240,7 +240,7 @@ def test_a_gel_that_is_edited_calibrates_anew(labelled):
     sensors, gels = (labelled / f"workflow/{name}.toml" for name in ("sensors", "gels"))
     write_text(sensors, sensors.read_text().replace('gel = "gelsight_mini"', 'gel = "dome"'))
     table = labelled / "data/tiny/dataset.toml"
-    write_text(table, table.read_text().replace("gelsight_mini", "dome") + '[params.meshes]\ngel = "dome"\n')
+    write_text(table, table.read_text().replace("gelsight_mini", "dome"))
     done = make(labelled, "poses", "DATASET=tiny")
     assert done.returncode == 0, done.stdout
     write_text(labelled / "results/tiny/calibrate/summary.json", "{}")

@@ -8,29 +8,20 @@ import pytest
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, read_toml, write_json, write_text
 from gelforge.flow.layout import Layout
-from gelforge.geometry.gel import GELS
-from gelforge.mechanics.mesh.meshstore import source_of
-from gelforge.stages import fea, meshes
+from gelforge.stages import fea
 from gelforge.stages.report import verified_section
 from gelforge.sweeps import verification
 from gelforge.sweeps.verification import Verified
 from tests.benchmarks.auto import figures_of
-from tests.support.blocks import symmetric_block
 from tests.support.parameters import parameters, write_stage
 
-GEL = GELS["gelsight_mini"]
 HEADER = "sample_id,sensor_id,gel_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg\n"
 
 
 @pytest.fixture
 def folder(root, tmp_path):
-    """Inputs of stage 30: one press of a ball, one coarse mesh."""
+    """Inputs of stage 30: one press of a ball."""
     of = Layout(tmp_path / "results/lab")
-    of.meshes.mkdir(parents=True)
-    symmetric_block(GEL, 2.6, 2).save(of.meshes / "ccx-wide-2.6.npz")
-    key = source_of(write_stage(of.params, "meshes"), of.workflow).key("ccx-wide-2.6")
-    report = {"engine": "ccx", "region": "wide", "size": 2.6, "half_mm": [10, 12], "reach_mm": [0, 0], "recipe": key}
-    write_json(of.meshes / "ccx-wide-2.6.json", report)
     sensor = read_toml(root / "workflow" / "sensors.toml")["gelsight_mini"]
     write_json(of.parameters("sensors"), {"gelsight_mini": sensor})
     write_json(of.parameters("indenters"), {"ball": {"kind": "sphere", "diameter": 15, "height": 10}})
@@ -39,10 +30,9 @@ def folder(root, tmp_path):
 
 
 def solve(folder, verify: float) -> list[Verified]:
-    table = {"method": "auto", "tolerance": 0.05, "meshes": ["wide-2.6"], "verify": verify}
+    table = {"method": "auto", "tolerance": 0.05, "edge_mm": 2.6, "inside_mm": 2.6, "verify": verify}
     write_stage(folder / "00_plan/params", "fea", fea=table)
-    for stage in (meshes, fea):
-        assert stage.main([str(folder), "0000"]) == 0
+    assert fea.main([str(folder), "0000"]) == 0
     return verification.read_verified([folder / "30_fea" / "0000"])
 
 
@@ -54,7 +44,7 @@ def test_a_verified_press_has_a_deck_a_difference_and_limits(folder, ccx):
     assert 0 < found.total < 0.6 and found.total < found.cells < 2.0 and found.beyond
     solves = folder / "30_fea" / "0000"
     own, twin = read_json(solves / "s0.json"), read_json(solves / "s0.ccx.json")
-    assert (own["method"], twin["method"]) == ("draft", "ccx") and (solves / "s0.ccx.inp").exists()
+    assert (own["method"], twin["method"]) == ("draft", "ccx") and twin["deck"]
     right = np.array(twin["total"])
     stated = own["evidence"]["error_n"] + twin["evidence"]["error_n"]
     assert found.limit_total == pytest.approx(stated / np.linalg.norm(right))

@@ -1,4 +1,4 @@
-"""The deck of one sample as a self-contained folder, which stock CalculiX runs without changes."""
+"""The deck of one sample, made again from what is kept of its solve, as a folder in which stock CalculiX runs it."""
 
 import shutil
 from argparse import Namespace
@@ -11,10 +11,13 @@ from gelforge.flow.cli import RESULTS, command, option
 from gelforge.flow.files import record_of, write_text
 from gelforge.flow.layout import DECK, Layout, shard_name
 from gelforge.flow.runs import refuse_rejected
-from gelforge.mechanics.ccx.deck import INCLUDES, include_of
+from gelforge.geometry.gel import use_gels_of
+from gelforge.mechanics.ccx.deck import press_deck
 from gelforge.mechanics.material import REFERENCE_C10
+from gelforge.mechanics.mesh.names import load_mesh
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.press import check_id
+from gelforge.records.solvetable import corrupt
 
 README = """\
 `ccx {name}` in this folder solves press {name} of dataset {dataset} with stock CalculiX (mm, N, MPa), in the frame of the gel.
@@ -46,23 +49,27 @@ def of_labels(forces: Path) -> str:
 
 
 def hand_out(results: Path, sample_id: str, out: Path) -> None:
-    """Write deck, mesh and README of a sample to the folder `out`; BadInput where it has no deck."""
+    """Write deck and README of a sample to the folder `out`; BadInput where it has no deck."""
     record, folder, forces = solve_of(results, sample_id)
-    deck = next((folder / name for name in record["files"] if name.endswith(".inp")), None)
-    if deck is None:
+    if not record.get("deck"):
         how = record.get("reason") or f"it was solved by {record['method']}, without CalculiX"
         raise BadInput(
             f'sample {sample_id} has no deck: {how}; with [params.fea] method = "ccx" there is one, run'
             f" {Layout(results).command('fea')}"
         )
-    text = deck.read_text()
-    mesh = folder / include_of(text)
-    if not (mesh.parent.name == INCLUDES and mesh.exists()):
+    if lost := corrupt(folder, record):
         again = f"remove {folder}.csv and run {Layout(results).command('fea')}, which solves the press again"
-        raise BadInput(f"{mesh}: the mesh that {deck} includes is missing; {again}")
+        raise BadInput(f"{lost[0]}: missing, or not as it was written; {again}")
+    with np.load(folder / record["files"][0], allow_pickle=False) as kept:
+        mesh, start = load_mesh(record["mesh"]), kept["start"]
+        if len(start) != len(mesh.nodes):
+            raise BadInput(
+                f"{record['mesh']}: is of {len(mesh.nodes)} nodes, {sample_id} was solved on {len(start)}: the gel changed since;"
+                f" run {Layout(results).command('fea')}"
+            )
+        text = press_deck(mesh, kept["prescribed"], start, **record["deck"])
     shutil.rmtree(out, ignore_errors=True)
-    write_text(out / deck.name, text.replace(include_of(text), mesh.name, 1))
-    shutil.copyfile(mesh, out / mesh.name)
+    write_text(out / f"{sample_id}.inp", text)
     total = " ".join(f"{force:.6g}" for force in np.asarray(record["total"]))
     readme = README.format(
         name=sample_id, dataset=results.name, total=total, reference=REFERENCE_C10, labels=of_labels(forces)
@@ -77,6 +84,7 @@ def hand_out(results: Path, sample_id: str, out: Path) -> None:
 def main(args: Namespace) -> None:
     if not args.id:
         raise BadInput(f"no sample named; say {Layout(args.results).command('deck ID=SAMPLE_ID')}")
+    use_gels_of(Layout(args.results).workflow)
     out = Layout(args.results).folder(DECK) / check_id(args.id)
     hand_out(args.results, args.id, out)
     print(f"deck: {out}")

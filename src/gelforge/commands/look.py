@@ -9,15 +9,18 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.cli import command, option
-from gelforge.flow.files import publish
+from gelforge.flow.files import publish, read_json
 from gelforge.flow.layout import LOOK, Layout, command_for, shard_name
 from gelforge.flow.runs import imported_labels, refuse_rejected
 from gelforge.geometry.gel import load_gel, use_gels_of
+from gelforge.geometry.indenters import build
+from gelforge.geometry.sampled import notes_of
+from gelforge.geometry.standing import TIP_MM
 from gelforge.geometry.stlfile import read_stl
 from gelforge.geometry.triangles import Mesh, write_stl
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors
-from gelforge.mechanics.mesh.family import load_mesh
+from gelforge.mechanics.mesh.names import load_mesh
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.image import read_logged_image
 from gelforge.records.labelfile import read_labels
@@ -95,7 +98,7 @@ def load(data: Path, paths: dict, sample_id: str, sensors: dict, resolution: str
     return Pictured(press, found.label[at].astype(float), found.outside[at], image, sensor, resolution, indenter)
 
 
-def export_vtu(path, paths: dict, meshes: Path, sample_id: str) -> None:
+def export_vtu(path, paths: dict, sample_id: str) -> None:
     """Write the gel of a sample with displacement and nodal force; inner nodes are filled in."""
     from gelforge.formats.vtu import fill_inside, write_vtu
 
@@ -104,7 +107,7 @@ def export_vtu(path, paths: dict, meshes: Path, sample_id: str) -> None:
         name = str(forces.mesh[at])
         if forces.surface_ptr[at] == forces.surface_ptr[at + 1]:
             raise BadInput(f"sample {sample_id} has no state ({forces.status[at]}), so there is nothing to export")
-        mesh = load_mesh(meshes, name)
+        mesh = load_mesh(name)
         sample = forces.sample(at, mesh.surface_nodes)
     force, known = np.zeros_like(mesh.nodes), np.zeros(len(mesh.nodes), bool)
     force[sample.nodes], known[sample.nodes], known[mesh.base] = sample.force, True, True
@@ -121,6 +124,13 @@ def outline(look: Pictured) -> np.ndarray:
     part = (high[cut] / (high[cut] - low[cut]))[:, None]
     points = start[cut] + part * (end[cut] - start[cut])
     return look.sensor.project(points[:, :2]).reshape(-1, 2, 2)
+
+
+def lowest(look: Pictured) -> np.ndarray:
+    """Middle (2,) mm of what of the indenter lies lowest, in the gel frame."""
+    vertices, _ = look.indenter
+    low = vertices[vertices[:, 2] < vertices[:, 2].min() + TIP_MM, :2]
+    return (low.min(axis=0) + low.max(axis=0)) / 2.0
 
 
 def draw(look: Pictured) -> Any:
@@ -147,7 +157,8 @@ def draw(look: Pictured) -> Any:
         levels = pressure.max() * np.array([0.05, 0.35, 0.65])
         first.contour(u, v, pressure, levels=levels, colors=INK if look.image is None else "white", linewidths=0.9)
     first.add_collection(LineCollection(outline(look), colors="#3fd0ff", linewidths=1.2))
-    first.set_title("indenter (blue), pressure (lines at 5, 35, 65 % of its peak)", fontsize=10)
+    first.plot(*look.sensor.project(lowest(look)[None])[0], "+", color="#3fd0ff", markersize=11, markeredgewidth=1.6)
+    first.set_title("indenter (blue, + its lowest part), pressure (lines at 5, 35, 65 % of its peak)", fontsize=10)
     for channel, axis in enumerate(others):
         if look.image is not None:
             axis.imshow(look.image.mean(axis=2), cmap="gray", vmin=-120, vmax=255, extent=extent)
@@ -190,7 +201,13 @@ def main(args: Namespace) -> None:
         print(out / f"{args.id}-{resolution}.png")
         with publish(indenter) as part:
             write_stl(part, *look.indenter)
-    export_vtu(out / f"{args.id}.vtu", paths, Layout(args.results).meshes, args.id)
+    of = Layout(args.results)
+    table = read_json(of.parameters("indenters"))[look.press.indenter]
+    if table.get("kind") == "stl":
+        body = build(look.press.indenter, table, "indenter catalogue", of.workflow, of.surfaces)
+        for line in notes_of(body):
+            print(f"indenter {body.name}: {line}")
+    export_vtu(out / f"{args.id}.vtu", paths, args.id)
     print(out / f"{args.id}.vtu", indenter, sep="\n")
 
 

@@ -10,7 +10,6 @@ from gelforge.flow.cli import RESULTS, command, option
 from gelforge.flow.files import write_text
 from gelforge.flow.layout import Layout, shard_name
 from gelforge.flow.params import read_parameters
-from gelforge.mechanics.mesh.family import mesh_names
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses, read_shard, shard_text
 from gelforge.records.press import RawRow, check_id
@@ -41,10 +40,9 @@ def prepared(work: Layout, rows: list[RawRow]) -> Layout:
 
 def steps(work: Layout, resolution: str) -> list[tuple[str, list[str], Path]]:
     """Stages that take the only shard of a folder to labels: module, words of its command line, and what it writes."""
-    meshed = mesh_names(read_parameters(work.parameters("fea")).fea)
-    of_shard = {"poses": work.poses, "meshes": work.mesh_table, "fea": work.fea, "forces": work.forces}
+    of_shard = {"poses": work.poses, "fea": work.fea, "forces": work.forces}
     root = str(work.root)
-    found = [(name, [root, ONLY], target(ONLY)) for name, target in of_shard.items() if meshed or name != "meshes"]
+    found = [(name, [root, ONLY], target(ONLY)) for name, target in of_shard.items()]
     return [*found, ("labels", [root, resolution], work.labelled(resolution))]
 
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from gelforge.errors import BadInput, nearest
 from gelforge.flow.files import listed
 from gelforge.flow.params import DatasetFile, Params
-from gelforge.flow.tables import IN_PROCESS, SHIPPED, SHIPPED_IMAGE
+from gelforge.flow.tables import SHIPPED, SHIPPED_IMAGE
 from gelforge.records.press import SENSOR_TABLES
 
 # Names that a no-contact image may be given by.
@@ -26,7 +26,7 @@ def check_dataset(
     check_names(f"{where} unseen_sensors", params.dataset.unseen_sensors, sensors)
     check_names(f"{file}: sensor", [of.sensor] if of.sensor is not None else [], sensors)
     check_names("[pareto] sensor", [params.pareto.sensor], sensors)
-    check_gel(file, of, params, logged)
+    check_gel(file, of, logged)
     if params.poses.images:
         check_nocontact(file.parent, logged, sensors)
     check_pictures(file, params, logged, models)
@@ -66,33 +66,33 @@ def check_nocontact(data: Path, logged: Iterable[str], known: Iterable[str]) -> 
             )
 
 
-def check_gel(file: Path, of: DatasetFile, params: Params, sensors: dict[str, dict]) -> None:
-    """Refuse a dataset whose gel is not one throughout: in its file, in [meshes], and on the sensors of its log.
+def check_gel(file: Path, of: DatasetFile, sensors: dict[str, dict]) -> None:
+    """Refuse a dataset whose gel is not one throughout: in its file, and on the sensors of its log.
 
-    Where presses are solved on hexahedra, which are built for each press, sensors may state a thickness of their own.
-    sensors: tables of those that the log names. A gel that is none is left to stage 10, which rejects its rows.
+    Sensors may state thicknesses of their own. sensors: tables of those that the log names. A gel that is none is left to
+    stage 10, which rejects its rows.
     """
-    from gelforge.geometry.gel import is_gel, load_gel, states_thickness
+    from gelforge.geometry.gel import is_gel, load_gel, without_thickness
     from gelforge.geometry.gelcatalogue import refuse_taken
 
-    mesh_gel = params.meshes.gel
-    try:
-        load_gel(mesh_gel)
-    except BadInput as error:
-        raise BadInput(f"{file}: [params.meshes] {error}") from None
-    refuse_taken(mesh_gel)
-    if of.gel is not None and of.gel != mesh_gel:
-        raise BadInput(
-            f"{file}: gel = {of.gel!r}, but [meshes] gel = {mesh_gel!r}, on which presses are solved; name one gel"
-        )
-    hexahedra = params.fea.method in IN_PROCESS
+    if of.gel is not None:
+        try:
+            load_gel(of.gel)
+        except BadInput as error:
+            raise BadInput(f"{file}: {error}") from None
+        refuse_taken(of.gel)
+    meant, where = of.gel, f"{file}: gel"
     for name, table in sorted(sensors.items()):
         gel = table.get("gel") if isinstance(table, dict) else None
-        if is_gel(gel) and gel != mesh_gel and not (hexahedra and states_thickness(gel, mesh_gel)):
+        if not is_gel(gel):
+            continue
+        refuse_taken(gel)
+        if meant is None:
+            meant, where = gel, f"sensor {name!r}"
+        elif without_thickness(gel) != without_thickness(meant):
             raise BadInput(
-                f"{file}: sensor {name!r} of the log has gel {gel!r} ({SENSOR_TABLES}), but"
-                f" [meshes] gel = {mesh_gel!r}: set [params.meshes] gel, and keep presses on different gels in datasets of their own;"
-                ' hexahedra ([params.fea] method = "label") follow the thickness that each sensor states'
+                f"{file}: sensor {name!r} of the log has gel {gel!r} ({SENSOR_TABLES}), but {where} has {meant!r}: keep presses on"
+                " different gels in datasets of their own; sensors of one may state thicknesses, as gelsight_mini-3.6mm"
             )
 
 

@@ -3,7 +3,7 @@
 import math
 from dataclasses import dataclass
 
-from gelforge.flow.layout import CALIBRATE, FEA, FORCES, LABELS, MESHES, PARETO, POSES
+from gelforge.flow.layout import CALIBRATE, FEA, FORCES, LABELS, PARETO, POSES
 
 PILOTS = 5
 
@@ -41,7 +41,7 @@ def pilots(strength: list[float]) -> list[int]:
 
 
 # Stages of many targets, and branches that run beside others. A calibration fills the cores by itself.
-PARALLEL = (POSES, MESHES, FEA, FORCES, PARETO)
+PARALLEL = (POSES, FEA, FORCES, PARETO)
 
 
 def wall_seconds(costs: list[Cost], presses: int, cores: int, shards: int) -> float:
@@ -56,7 +56,7 @@ LABELLED = (POSES, FEA, FORCES, LABELS)
 
 
 def presses_an_hour(costs: list[Cost], cores: int) -> float:
-    """Presses that so many cores bring from the log to a label in an hour, once the meshes are there."""
+    """Presses that so many cores bring from the log to a label in an hour."""
     each = sum(cost.cpu_each for cost in costs if cost.stage in LABELLED)
     return 3600.0 * cores / each if each > 0.0 else math.inf
 

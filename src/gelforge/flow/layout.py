@@ -13,7 +13,7 @@ from pathlib import Path
 from gelforge.errors import BadInput
 from gelforge.flow.files import names_in
 
-PLAN, POSES, IMAGES, MESHES, FEA, FORCES = "00_plan", "10_poses", "15_images", "20_meshes", "30_fea", "40_forces"
+PLAN, POSES, IMAGES, FEA, FORCES = "00_plan", "10_poses", "15_images", "30_fea", "40_forces"
 LABELS, DATASET, TRAIN, EVALUATE, REPORT = "50_labels", "60_dataset", "70_train", "80_evaluate", "90_report"
 CALIBRATE, PARETO, PARETO_MODELS, STABILITY = "calibrate", "pareto", "pareto_models", "stability"
 LOGS, METRICS = "logs", "metrics"
@@ -37,9 +37,8 @@ class Stage:
 STAGES = {
     "poses": Stage(POSES, ("poses",)),
     "images": Stage(IMAGES, ("poses.images", "poses.judge_images")),
-    "meshes": Stage(MESHES, ("meshes",)),
     "fea": Stage(FEA, ("fea", "interface", "material.nu")),
-    "forces": Stage(FORCES, ("forces", "material")),
+    "forces": Stage(FORCES, ("material",)),
     "labels": Stage(LABELS, ("labels",)),
     "dataset": Stage(DATASET, ("dataset", "poses.images", "poses.judge_images")),
     "train": Stage(TRAIN, ("train",)),
@@ -47,8 +46,8 @@ STAGES = {
     "card": Stage(EVALUATE),
     "report": Stage(REPORT, ("report",)),
     "calibrate": Stage(CALIBRATE, ("calibrate", "material.nu", "interface.law"), solves=True),
-    "pareto": Stage(PARETO, ("pareto", "fea", "meshes", "material.nu")),
-    "stability": Stage(STABILITY, ("stability", "fea", "meshes"), solves=True),
+    "pareto": Stage(PARETO, ("pareto", "fea", "material.nu")),
+    "stability": Stage(STABILITY, ("stability", "fea"), solves=True),
     "pareto_models": Stage(PARETO_MODELS),
 }
 FOLDERS = (
@@ -66,7 +65,6 @@ FOLDERS = (
 # Stages of one file a shard: their parameters, the folder of what a shard's file is made from, and its own suffix.
 OF_SHARDS = {
     POSES: ("poses", f"{PLAN}/shards", ".csv"),
-    MESHES: ("meshes", POSES, ".csv"),
     FEA: ("fea", POSES, ".csv"),
     FORCES: ("forces", FEA, ".npz"),
 }
@@ -205,11 +203,6 @@ class Layout:
         """Table of the shard of every sample."""
         return self.root / PLAN / "shards.csv"
 
-    @property
-    def meshes(self) -> Path:
-        """Folder of the gel's meshes, those of the dataset for its samples and pilots too."""
-        return self.dataset_root / MESHES
-
     def shard(self, name: str) -> Path:
         """Raw rows of a shard."""
         return self.shards / f"{name}.csv"
@@ -237,10 +230,6 @@ class Layout:
     def images(self) -> Path:
         """What stage 15 found in the images of the log."""
         return self.root / IMAGES / "images.json"
-
-    def mesh_table(self, shard: str) -> Path:
-        """The mesh of each press of a shard."""
-        return self.root / MESHES / f"{shard}.csv"
 
     def fea(self, shard: str) -> Path:
         """Table of a shard's solves."""
@@ -302,10 +291,6 @@ class Layout:
     def calibration(self) -> Path:
         """Summary of the posterior, that of the dataset for its samples and pilots too."""
         return self.dataset_root / CALIBRATE / "summary.json"
-
-    def chart_mesh(self, name: str) -> Path:
-        """A mesh of the chart."""
-        return self.root / PARETO / "meshes" / f"{name}.npz"
 
     def chart_scene(self, name: str) -> Path:
         """A scene solved by every method."""

@@ -31,7 +31,6 @@ NAMED = "a name of letters, digits, periods, - and _"
 Name = Annotated[str, Rule(re.compile(NAME).fullmatch, NAMED)]
 Names = tuple[Name, ...]
 Line = Annotated[str, Rule(str.isprintable, "text of one line")]
-Half = tuple[Length, Length]
 Law = Literal["no_slip", "coulomb", "frictionless"]
 LAWS = get_args(Law)
 Method = Literal["draft", "label", "fine", "ccx", "auto"]
@@ -293,33 +292,14 @@ class InterfaceTable(ParameterTable):
     mu: Annotated[Number, Within(0.0, 1e3)]
 
 
-class MeshesTable(ParameterTable):
-    """[meshes]: the gel and how its tetrahedra coarsen away from the press."""
-
-    gel: Name
-    growth: Annotated[Number, Within(0.0, 1e3)]
-    coarsest_mm: Annotated[Number, Within(0.1, 1e3, "mm")]
-    fine_depth_mm: Annotated[Number, Within(0.0, 1e3, "mm")]
-    hold: dict[str, Annotated[Number, Within(0.0, 1e3)]]
-    regions: dict[str, Half]
-
-    def fault(self) -> str | None:
-        """No region at all, or edges held in one that there is not."""
-        if not self.regions:
-            return "regions is empty: give at least one, as NAME = [half extent along x, along y] in mm"
-        stray = [name for name in self.hold if name not in self.regions]
-        if stray:
-            return f"hold.{stray[0]}: is no region; [meshes.regions] has {', '.join(self.regions)}"
-        return None
-
-
 class FeaTable(ParameterTable):
     """[fea]: finite element solves of presses."""
 
     method: Method
-    meshes: Annotated[tuple[Name, ...], SOME]
     tolerance: Annotated[Number, Within(TINY, 1.0)]
     verify: Fraction
+    edge_mm: Size
+    inside_mm: Size
     press_steps: Steps
     shear_steps: Steps
     step_mm: Length
@@ -331,12 +311,6 @@ class FeaTable(ParameterTable):
     timeout_s: Seconds
 
 
-class ForcesTable(ParameterTable):
-    """[forces]: nodal forces out of the solvers' output."""
-
-    noise: Annotated[Number, Within(0.0, 0.5)]
-
-
 class ReferenceTable(ParameterTable):
     """[pareto.reference]: load steps of the reference, and its mesh."""
 
@@ -344,8 +318,6 @@ class ReferenceTable(ParameterTable):
     shear_steps: Steps
     size_mm: Size
     edge_mm: Size
-    growth: Annotated[Number, Within(0.0, 1e3)]
-    fine_depth_mm: Annotated[Number, Within(0.0, 1e3, "mm")]
 
 
 Sizes = Annotated[tuple[Annotated[Number, Within(0.1, 10.0, "mm")], ...], SOME]
@@ -434,8 +406,6 @@ class Params(ParameterTable):
     poses: PosesTable
     material: MaterialTable
     interface: InterfaceTable
-    meshes: MeshesTable
     fea: FeaTable
-    forces: ForcesTable
     pareto: ParetoTable
     stability: StabilityTable

@@ -242,10 +242,10 @@ def gel_shape(gel: Gel) -> dict:
     return numbers | {"kind": type(gel).__name__}
 
 
-def states_thickness(name: str, of: str) -> bool:
-    """Whether a gel's name is that of the gel `of` with a thickness stated, as gelsight_mini-3.6mm of gelsight_mini."""
+def without_thickness(name: str) -> str:
+    """The name of a gel without a thickness that it states: gelsight_mini of gelsight_mini-3.6mm."""
     match = _OF_THICKNESS.fullmatch(name)
-    return match is not None and match[1] == of
+    return match[1] if match else name
 
 
 def is_gel(name: object) -> TypeGuard[str]:

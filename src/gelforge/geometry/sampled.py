@@ -1,5 +1,6 @@
 """Indenters from a user's STL: checked, then held as a smooth grid of distances."""
 
+import sys
 from functools import cached_property
 from pathlib import Path
 
@@ -7,15 +8,17 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, digest_of_value, kept
-from gelforge.geometry.shells import outer_surface, signed_distances
+from gelforge.geometry.shells import outer_surface
 from gelforge.geometry.solids import Body
+from gelforge.geometry.standing import section_at, standing
 from gelforge.geometry.stlfile import read_stl
 from gelforge.geometry.triangles import Mesh
 
 MARGIN_MM = 1.0  # of the grid around the body: farther away only the sign and a rough distance matter
 LEAST_MM, LARGEST_MM = 0.5, 60.0  # largest extent of a body
 MOST_POINTS = 6_000_000
-MOST_LOST = 0.01  # of the places above the tip
+LOOKED_AT_MM, MOST_LOST = 0.2, 0.4  # height above the tip, and share of the section there that may be lost
+MOST_LOOKED_AT = 250_000  # places of that section
 INCH_MM, METRE_MM = 25.4, 1000.0
 MEASURED = 1  # raise when a surface or its grid of distances changes: what was kept of a file is then measured again
 
@@ -69,22 +72,21 @@ class Sampled(Body):
 
         field = _distance_grid(self.vertices, self.faces, self._low, self.spacing, self._shape)
         self.__dict__["_coefficients"] = found = spline_filter(field, order=3, mode="mirror")
-        if self._lost_at_tip() > MOST_LOST:
+        if (lost := self._lost(min(LOOKED_AT_MM, self.height / 2.0))) > MOST_LOST:
             raise BadInput(
                 f"indenter {self.name}: where it touches first its walls are too thin for distances every spacing ="
-                f" {self.spacing:g} mm; give a `spacing` of half their thickness or less"
+                f" {self.spacing:g} mm, which lose {lost:.0%} of its section; give a `spacing` of half their thickness or less"
             )
         return found
 
-    def _lost_at_tip(self) -> float:
-        """Fraction of places just above the lowest triangles, inside the body, that the grid holds for outside of it."""
-        corners = self.vertices[self.faces]
-        low = corners[:, :, 2]
-        blunt = (low < self.spacing / 2.0).all(axis=1)
-        places = corners[blunt if blunt.any() else low.min(axis=1) <= 0.0].mean(axis=1)
-        places[:, 2] = min(2.0 * self.spacing, self.height / 2.0)
-        places = places[signed_distances(places, (self.vertices, self.faces)) < 0.0]
-        return float((self.distance(places)[0] >= 0.0).mean()) if len(places) else 0.0
+    def _lost(self, height: float) -> float:
+        """Share of the body's section at a height (mm) above its lowest point that the grid holds for outside of it."""
+        section = section_at((self.vertices, self.faces), height)
+        low, high = section.low - 2.0 * self.spacing, section.high + 2.0 * self.spacing
+        step = max(self.spacing / 4.0, float(np.sqrt(np.prod(high - low) / MOST_LOOKED_AT)))
+        x, y = (np.arange(start, end, step) for start, end in zip(low, high, strict=True))
+        places = np.stack([*(axis.ravel() for axis in np.meshgrid(x, y)), np.full(len(x) * len(y), height)], axis=1)
+        return 1.0 - np.count_nonzero(self.distance(places)[0] < 0.0) * step**2 / section.area
 
     def distance(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signed distance (n,) and unit outward normal (n, 3) at points (n, 3)."""
@@ -133,6 +135,14 @@ class Sampled(Body):
         return float(np.hypot(*self.vertices[:, :2].T).max())
 
 
+def notes_of(body: Body) -> list[str]:
+    """How a body from a file stands, and doubts about it; nothing of other bodies, which their tables describe."""
+    if not isinstance(body, Sampled):
+        return []
+    found = standing(body.vertices, body.faces)
+    return [found.touches, *found.doubts]
+
+
 def _basis(t: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Cubic B-spline weights and their derivatives at offsets t (n, 3) in a cell: (n, 3, 4) each."""
     u = 1.0 - t
@@ -162,7 +172,11 @@ def sampled_from_stl(
     how = {"spacing": spacing, "reach": reach, **flags}
 
     def measure() -> Sampled:
-        return Sampled(name, *check_body(*read_stl(path, scale), f"indenter {name}: {path}"), **how)
+        body = Sampled(name, *check_body(*read_stl(path, scale), f"indenter {name}: {path}"), **how)
+        body.distance(np.zeros((1, 3)))  # which refuses walls that are too thin
+        for line in notes_of(body):
+            print(f"note: indenter {name}: {path}: {line}", file=sys.stderr)
+        return body
 
     def read(file: Path) -> Sampled:
         with np.load(file) as found:

@@ -14,7 +14,7 @@ from gelforge.labelling.clip import clip_to_grid, polygon_area
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import CORNERS, face_parts, part_to_cell
 from gelforge.labelling.sensor import Sensor, transform
-from gelforge.mechanics.contact.facerule import shapes
+from gelforge.mechanics.contact.facerule import bilinear, shapes
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 
 NEWTON_STEPS = 8  # of the inverse of a bilinear map: doubles its digits each
@@ -138,14 +138,7 @@ def _shapes(mesh: GelMesh, face: np.ndarray, points: np.ndarray) -> np.ndarray:
         return shapes(fraction)
     place = np.zeros_like(points)
     for _ in range(NEWTON_STEPS):
-        value, slope = _bilinear(place)
+        value, slope = bilinear(place)
         wrong = np.einsum("mk,mkd->md", value, corners) - points
         place -= np.linalg.solve(np.einsum("mke,mkd->mde", slope, corners), wrong[..., None])[..., 0]
-    return _bilinear(place)[0]
-
-
-def _bilinear(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Bilinear shape functions (m, 4) at (xi, eta) (m, 2), and their slopes (m, 4, 2)."""
-    side = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    along = 1.0 + side * place[:, None, :]
-    return along.prod(axis=2) / 4.0, side * along[..., ::-1] / 4.0
+    return bilinear(place)[0]

@@ -10,22 +10,18 @@ traction comes out exactly. Against spreading over whole faces, with or without 
 towards linear traction, the errors of linear traction and of contact edges are a third smaller.
 """
 
-import hashlib
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import kept
 from gelforge.labelling.clip import clip_to_grid, polygon_area
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor, transform
-from gelforge.mechanics.mesh.family import load_mesh, mesh_file
+from gelforge.mechanics.contact.facerule import face_rule
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 
-VERSION = 1  # of the numbers in an operator file; part of its name
 CORNERS = {"tet10": 3, "hex8": 4}
 UPRIGHT = 1e-6  # a face whose projection is smaller than this fraction of its area stands upright
 WHOLE = 1e-9  # a part that clipping finds inside the image to this accuracy lies inside; the rest is rounding
@@ -81,16 +77,6 @@ class Operator:
                 f"force on node {bare[0]}, which is on no surface face of the mesh; the mesh changed, run make"
             )
 
-    def save(self, path) -> None:
-        """Write to an .npz file."""
-        np.savez(path, grid=np.array(self.grid.shape), ptr=self.ptr, cell=self.cell, weight=self.weight)
-
-    @classmethod
-    def load(cls, path) -> "Operator":
-        """Read what `save` wrote."""
-        with np.load(path, allow_pickle=False) as file:
-            return cls(Grid(*map(int, file["grid"])), file["ptr"], file["cell"], file["weight"])
-
 
 def assemble(mesh: GelMesh, sensor: Sensor, grid: Grid) -> Operator:
     """Build the operator of `mesh` seen by `sensor` on `grid`.
@@ -138,14 +124,11 @@ def face_loads(mesh: GelMesh) -> np.ndarray:
     if mesh.kind == "tet10":
         normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
         return np.repeat(np.linalg.norm(normal, axis=1)[:, None] / 6, 3, axis=1)
+    shape, slope, weight = face_rule(4, 2)
     loads = np.zeros(mesh.faces.shape)
-    side = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
-    for point in side / np.sqrt(3):
-        shape = np.prod(1 + side * point, axis=1) / 4
-        along = [
-            np.einsum("fkd,k->fd", corners, side[:, i] * (1 + side[:, 1 - i] * point[1 - i]) / 4) for i in (0, 1)
-        ]
-        loads += np.linalg.norm(np.cross(*along), axis=1)[:, None] * shape
+    for at in range(len(weight)):
+        along = np.einsum("fkd,ke->efd", corners, slope[at])
+        loads += weight[at] * np.linalg.norm(np.cross(*along), axis=1)[:, None] * shape[at]
     return loads
 
 
@@ -228,21 +211,3 @@ def point_to_cell(mesh: GelMesh, sensor: Sensor, grid: Grid, nodes):
     inside = (col >= 0) & (col < grid.cols) & (row >= 0) & (row < grid.rows)
     cell = np.where(inside, row * grid.cols + col, grid.cells).astype(int)
     return csr_matrix((np.ones(len(nodes)), (nodes, cell)), shape=(len(mesh.nodes), grid.cells + 1))
-
-
-def operator_path(folder, meshes, name: str, sensor: Sensor, grid: Grid) -> Path:
-    """Where the operator of a mesh of the folder `meshes`, a sensor and a grid is kept below `folder`.
-
-    The name carries a digest of all that the numbers depend on, so a stale operator is never read.
-    """
-    digest = hashlib.sha256(f"{VERSION} {name} {grid} {sensor.image} {sensor.projection.tolist()} ".encode())
-    digest.update(mesh_file(meshes, name).read_bytes())
-    return Path(folder) / f"{name.replace(':', '_')}-{sensor.name}-{digest.hexdigest()[:16]}.npz"
-
-
-def cached(folder, meshes, name: str, sensor: Sensor, grid: Grid) -> Operator:
-    """Read the operator of a mesh by its name, or assemble and keep it."""
-    path = operator_path(folder, meshes, name, sensor, grid)
-    return kept(
-        path, Operator.load, lambda: assemble(load_mesh(meshes, name), sensor, grid), lambda to, of: of.save(to)
-    )

@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.scene import Scene
 from gelforge.records.status import Status
 
@@ -32,6 +33,7 @@ class Result:
     forces: np.ndarray
     displacement: np.ndarray
     evidence: dict = field(default_factory=dict)
+    mesh: GelMesh | None = None
 
     @property
     def total(self) -> np.ndarray:

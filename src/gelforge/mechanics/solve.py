@@ -18,12 +18,12 @@ from gelforge.flow.tables import IN_PROCESS, METHODS, TAKEN, FeaTable
 from gelforge.geometry.gel import gel_shape, load_gel
 from gelforge.mechanics.ccx.program import need_ccx
 from gelforge.mechanics.hexsettings import HexSettings, quality
-from gelforge.mechanics.mesh.family import MeshFamily, choose_mesh, unplaced
 from gelforge.mechanics.path.transfer import LoadPath
 from gelforge.mechanics.result import Result, Solve
 from gelforge.mechanics.scene import Scene
-from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver
+from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver, mesh_of
 from gelforge.mechanics.solvers.hex import HexSolver
+from gelforge.records.status import Status
 
 # Hexahedra on which the load path of `ccx` is found, and which solve a press for which it finds no valid state.
 GUIDE = "label"
@@ -37,16 +37,12 @@ FINER = 4  # times as many load steps where a press on hexahedra failed
 
 
 class Solvers:
-    """Solvers of one family of tetrahedral meshes, kept between scenes; files of a solve lie in `workdir`, settings: [fea].
+    """Solvers that are kept between scenes; files of CalculiX lie in `workdir`, of this process alone. settings: [fea]."""
 
-    family: of meshes of the gel that all scenes sit on; hexahedra follow the gel of each scene. workdir: of this process alone.
-    """
-
-    def __init__(self, family: MeshFamily, workdir: Path | str, settings: FeaTable) -> None:
-        self.family, self.workdir, self.settings = family, Path(workdir), settings
+    def __init__(self, workdir: Path | str, settings: FeaTable) -> None:
+        self.workdir, self.settings = Path(workdir), settings
         self.ccx = CcxSettings.of(settings)
         self.guide = HexSolver(quality(GUIDE))
-        self._ccx: dict[str, CcxSolver] = {}
         self._hex: dict[tuple[str, int], HexSolver] = {}
 
     def solve(self, scene: Scene, method: str) -> Result:
@@ -71,8 +67,12 @@ class Solvers:
             return self._within_tolerance(scenes)
         if method not in IN_PROCESS:
             need_ccx()
-        first = self._as_asked(scenes, method)
-        return [self._with_fallbacks(scene, method, attempt) for scene, attempt in zip(scenes, first, strict=True)]
+        for gel in {scene.gel for scene in scenes}:
+            if load_gel(gel.name) != gel:  # of which the mesh could not be made again by its name
+                raise BadInput(f"gel {gel.name!r} of the scene is not the one of that name; give it one of its own")
+        return [
+            self._first_valid(scene, tries) for scene, tries in zip(scenes, self._tries(scenes, method), strict=True)
+        ]
 
     def _within_tolerance(self, scenes: Sequence[Scene]) -> list[Result]:
         """The first of TAKEN whose stated error at the end of the press is within `tolerance`, else the one of the least."""
@@ -84,63 +84,68 @@ class Solvers:
                 return found
         return min(tried, key=lambda one: one[0])[1]
 
-    def _as_asked(self, scenes: Sequence[Scene], method: str) -> list[Solve]:
-        """How each scene is solved as asked; where a path serves several of them it is followed here."""
+    def _tries(self, scenes: Sequence[Scene], method: str) -> list[list[tuple[str, Solve]]]:
+        """By scene, how it is solved as asked, and what is tried where that fails, by name; a path of several is followed here.
+
+        That is smaller load steps, more contact iterations, and hexahedra for CalculiX.
+        """
         if method in IN_PROCESS:
-            return [_answer(found) for found in self._solve_hex(scenes, method)]
-        frames = self.guide.coarse_path(scenes)
+            smaller: Solve = lambda scene: self._solve_hex([scene], method, FINER)[0]  # noqa: E731
+            found = self._solve_hex(scenes, method)
+            return [[(method, _answer(each)), (f"{method}, smaller load steps", smaller)] for each in found]
+        tries = []
         # with Coulomb friction a force depends on all of a point's slip, so its path is followed on the tetrahedra
         slips = scenes[-1].interface.contact.frictional
-        paths = [None if slips or frame is None else frame.path for frame in frames]
-        return [partial(self._solve_ccx, coarse_path=path) for path in paths]
+        for frame in self.guide.coarse_path(scenes):
+            shown = frame.path if frame else None
+            solve = partial(self._solve_ccx, shown=shown)
+            tries.append([
+                ("ccx", partial(solve, coarse_path=None if slips else shown)), ("ccx, smaller load steps", partial(solve, steps=3)),
+                ("ccx, more contact rounds", partial(solve, steps=3, rounds=3)),
+                (GUIDE, lambda scene: self._solve_hex([scene], GUIDE)[0]),
+            ])  # fmt: skip
+        return tries
 
-    def _with_fallbacks(self, scene: Scene, method: str, first: Solve) -> Result:
-        """The first valid result of the attempts, else the last one, with what failed before it."""
+    def _first_valid(self, scene: Scene, tries: list[tuple[str, Solve]]) -> Result:
+        """The first valid result of the tries, else the last one, with what failed before it."""
         failed = []
-        for name, attempt in [(method, first), *self._fallbacks(method)]:
+        for name, attempt in tries:
             result = attempt(scene)
             result.evidence["attempt"] = name
-            if result.status.valid:
+            # where CalculiX computes otherwise than this process, no other way makes its answer right
+            if result.status.valid or result.status is Status.DISAGREES:
                 break
             failed.append(f"{name}: {result.status.name}, {result.evidence.get('reason') or result.status.value}")
+        if result.status.valid and result.evidence["method"] != tries[0][0]:
+            result.evidence["replaced"] = f"solved by {result.evidence['method']}, because {failed[0]}"
         result.evidence["failed_attempts"] = failed + result.evidence.get("failed_attempts", [])
         return result
 
-    def _fallbacks(self, method: str) -> list[tuple[str, Solve]]:
-        """What is tried where solving as asked fails: smaller load steps, more contact iterations, hexahedra for CalculiX."""
-        if method in IN_PROCESS:
-            return [(f"{method}, smaller load steps", lambda scene: self._solve_hex([scene], method, FINER)[0])]
-        return [
-            ("ccx, smaller load steps", partial(self._solve_ccx, steps=3)),
-            ("ccx, more contact rounds", partial(self._solve_ccx, steps=3, rounds=3)),
-            (GUIDE, lambda scene: self._solve_hex([scene], GUIDE)[0]),
-        ]
-
     def _solve_ccx(
-        self, scene: Scene, steps: int = 1, rounds: int = 1, coarse_path: LoadPath | None = None
+        self,
+        scene: Scene,
+        shown: LoadPath | None,
+        steps: int = 1,
+        rounds: int = 1,
+        coarse_path: LoadPath | None = None,
     ) -> Result:
-        mesh, base = choose_mesh(scene, self.family), self.ccx
+        """Solve by CalculiX on a mesh by the contact that a path on hexahedra has shown."""
+        base = self.ccx
         finer = replace(base, press_steps=steps * base.press_steps, shear_steps=steps * base.shear_steps,
                         step_mm=base.step_mm / steps, rounds=rounds * base.rounds)  # fmt: skip
-        result = self._ccx_on(mesh).solve(scene, settings=finer, coarse_path=coarse_path)
-        result.evidence |= {"mesh": mesh, "method": "ccx"}
+        mesh = mesh_of(scene, shown, base.edge_mm, base.inside_mm)
+        result = CcxSolver(mesh.mesh(), self.workdir, finer).solve(scene, coarse_path=coarse_path)
         force = float(np.linalg.norm(result.total))
-        result.evidence |= {"error_n": CCX_ERROR * force, "cells_error_n": CCX_CELLS * force}
+        result.evidence |= {
+            "mesh": mesh.name,
+            "method": "ccx",
+            "error_n": CCX_ERROR * force,
+            "cells_error_n": CCX_CELLS * force,
+        }
         return result
-
-    def _ccx_on(self, mesh: str) -> CcxSolver:
-        """The solver of a mesh; one whose fine part is moved shares all that it can with the one it is made from."""
-        own, _ = unplaced(mesh)
-        if own not in self._ccx:
-            self._ccx[own] = CcxSolver(self.family.load(own), self.workdir / own, self.ccx)
-        solver = self._ccx[own]
-        return solver if mesh == own else solver.on(self.family.load(mesh), self.workdir / mesh)
 
     def _solve_hex(self, scenes: Sequence[Scene], method: str, finer: int = 1) -> list[Result]:
         """Solve on hexahedra that follow the press; a result's mesh is a name that holds all numbers of it."""
-        for gel in {scene.gel for scene in scenes}:
-            if load_gel(gel.name) != gel:
-                raise BadInput(f"gel {gel.name!r} of the scene is not the one of that name; give it one of its own")
         if (method, finer) not in self._hex:
             self._hex[method, finer] = HexSolver(quality(method).with_steps(finer))
         results = self._hex[method, finer].solve_frames(scenes)
@@ -161,7 +166,7 @@ def solve_key(frames: Sequence[Scene], shape: Any, how: Any, version: int, at: i
     """Key of frame `at` of a press, whose frames share one path: a digest of exactly what changes its result.
 
     Content and numbers, no names. shape: what the indenter's surface is, as a digest of it or the numbers that it is built
-    from. how: settings of the solver and the content of its mesh, see `settings_of` and `hexahedra_key`. version: of the
+    from. how: settings of the solver, see `settings_of` and `hexahedra_key`. version: of the
     solver's answers.
     """
     scenes = [frames[0].direct] if len(frames) == 1 else list(frames)
@@ -178,14 +183,11 @@ def hexahedra_key(settings: HexSettings) -> list:
     return ["hex", asdict(settings)]
 
 
-def settings_of(method: str, fea: FeaTable, mesh: str) -> list:
-    """What of [fea] changes the result of a press that is solved by a method.
-
-    mesh: name of its tetrahedra, which has a digest of their content.
-    """
+def settings_of(method: str, fea: FeaTable) -> list:
+    """What of [fea] changes the result of a press that is solved by a method."""
     if method in IN_PROCESS:
         return hexahedra_key(quality(method))
     if method == "auto":
-        return [method, fea.tolerance, *(settings_of(one, fea, mesh) for one in TAKEN)]
+        return [method, fea.tolerance, *(settings_of(one, fea) for one in TAKEN)]
     ccx = {f.name: getattr(fea, f.name) for f in fields(CcxSettings) if f.name not in NO_RESULT}
-    return [method, ccx, mesh, asdict(quality(GUIDE))]
+    return [method, ccx, asdict(quality(GUIDE))]

@@ -4,7 +4,7 @@ An uncompressed .npz. `n` samples; `k` contact nodes and `m` surface nodes, all 
 
 | array | shape, type | meaning |
 | --- | --- | --- |
-| sample_id, status, mesh | (n,) str | `status` names a `Status`, `mesh` what `gelforge.mechanics.mesh.family.load_mesh` takes |
+| sample_id, status, mesh | (n,) str | `status` names a `Status`, `mesh` what `gelforge.mechanics.mesh.names.load_mesh` takes |
 | ptr, node, force | (n+1,) int64, (k,) int32, (k, 3) float64 | N on the gel at `c10`; free nodes are left out |
 | surface_ptr, displacement | (n+1,) int64, (m, 3) float32 | mm, rows follow the mesh's `surface_nodes` |
 | total | (n, 3) float64 | resultant, N |

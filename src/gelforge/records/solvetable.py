@@ -1,4 +1,4 @@
-"""The tables of stages 20 and 30, one row a press: the mesh that it is solved on, and how it was solved."""
+"""The table of stage 30, one row a press: how it was solved."""
 
 import math
 from collections.abc import Sequence
@@ -19,7 +19,6 @@ EVIDENCE = (
     "cells_error_n",
 )  # fmt: skip
 NAMES = ("sample_id", "status", "reason", "method", "mesh", "file")
-MESH_COLUMNS = ("sample_id", "mesh")  # of the table of stage 20
 COLUMNS = (*NAMES, *FORCE, *EVIDENCE)
 
 
@@ -84,9 +83,3 @@ def corrupt(folder: Path, record: dict[str, Any]) -> list[Path]:
     digests = record.get("sha256", {})
     paths = [folder / name for name in record["files"]]
     return [path for path in paths if not path.is_file() or digest_of(path) != digests.get(path.name)]
-
-
-def read_meshes(path: Path) -> dict[str, str]:
-    """Name of the mesh of each sample, empty where it is solved on hexahedra, as `mechanics.mesh.family.load_mesh` takes it."""
-    rows = read_table(path, f"delete it and run {command_for('meshes', path)}")
-    return {row.get("sample_id") or "": row.get("mesh") or "" for row in rows}

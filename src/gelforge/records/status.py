@@ -14,6 +14,7 @@ class Status(Enum):
     TOO_COARSE = "The indenter touches the gel between the points at which contact is looked for; use a finer mesh."
     SOLVER_MISSING = "The solver program was not found; run `make setup` or choose method label."
     UNREADABLE = "The solver's output is truncated or not finite; look at its log and run again."
+    DISAGREES = "CalculiX and the solver in process disagree on one equilibrium; install another CalculiX, its numbers cannot be trusted."
     UNBALANCED = "Contact forces and base reactions do not agree; the result cannot be trusted."
 
     @property

@@ -11,7 +11,7 @@ import numpy as np
 from gelforge.flow.layout import POSES, Layout
 from gelforge.geometry.gel import Gel, load_gel
 from gelforge.geometry.stlfile import read_stl
-from gelforge.mechanics.mesh.family import mesh_loader
+from gelforge.mechanics.mesh.names import load_mesh
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import read_labels
 from gelforge.records.rowfile import map_array
@@ -45,8 +45,7 @@ class Explorer:
     @cached_property
     def resampler(self):
         """`Resampler` by mesh name; those last used are kept."""
-        load = mesh_loader(Layout(self.results).meshes)
-        return lru_cache(maxsize=16)(lambda name: Resampler(load(name), self.gel))
+        return lru_cache(maxsize=16)(lambda name: Resampler(load_mesh(name), self.gel))
 
     @cached_property
     def predicted(self) -> dict[str, int]:

@@ -1,6 +1,5 @@
 """Stage 30: finite element solves of a shard's samples; a rerun resumes at the missing ones."""
 
-import gzip
 import json
 import shutil
 import tempfile
@@ -21,17 +20,16 @@ from gelforge.flow.tables import IN_PROCESS
 from gelforge.geometry.gel import load_gel, use_gels_of
 from gelforge.geometry.indenters import bodies_of
 from gelforge.labelling.sensor import sensor_of
-from gelforge.mechanics.ccx.deck import INCLUDES
 from gelforge.mechanics.material import Material
-from gelforge.mechanics.mesh.family import MeshFamily, mesh_names
-from gelforge.mechanics.mesh.meshstore import source_of
+from gelforge.mechanics.mesh.names import load_mesh
 from gelforge.mechanics.result import Result
 from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solve import Solvers, settings_of, solve_key
+from gelforge.mechanics.solvers.ccx import CcxResult
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses
 from gelforge.records.press import SENSOR_TABLES, PosedPress
-from gelforge.records.solvetable import Solved, corrupt, read_meshes, write_solves
+from gelforge.records.solvetable import Solved, corrupt, write_solves
 from gelforge.records.status import Status
 from gelforge.sweeps import verification
 
@@ -55,15 +53,10 @@ def shape_of(press: PosedPress, tables: dict) -> dict:
     return {key: value for key, value in tables["indenters"][press.indenter].items() if key not in NO_SHAPE}
 
 
-def press_keys(
-    frames: list[PosedPress], scenes: list[Scene], params: StageParameters, tables: dict, meshes: dict[str, str]
-) -> list[str]:
-    """Key of the solve of each frame of a press. meshes: that of each sample that is solved on tetrahedra, by content."""
-    found = []
-    for at, frame in enumerate(frames):
-        how = settings_of(params.fea.method, params.fea, meshes.get(frame.sample_id, ""))
-        found.append(solve_key(scenes, shape_of(frame, tables), how, params.version, at))
-    return found
+def press_keys(frames: list[PosedPress], scenes: list[Scene], params: StageParameters, tables: dict) -> list[str]:
+    """Key of the solve of each frame of a press."""
+    how = settings_of(params.fea.method, params.fea)
+    return [solve_key(scenes, shape_of(frame, tables), how, params.version, at) for at, frame in enumerate(frames)]
 
 
 def finished(folder: Path, sample_id: str, key: str, timeout_s: float) -> dict | None:
@@ -74,47 +67,36 @@ def finished(folder: Path, sample_id: str, key: str, timeout_s: float) -> dict |
     record = record_of(folder / f"{sample_id}.json", key)
     if record is None or corrupt(folder, record):
         return None
-    if record["evidence"].get("stopped_after_s", timeout_s) < timeout_s:
-        return None
-    include = record["include"]  # none of a press that was solved in process, or not at all
-    return record if not include or (folder.parent / INCLUDES / include).exists() else None
+    return None if record["evidence"].get("stopped_after_s", timeout_s) < timeout_s else record
 
 
-def publish_solve(sample_id: str, result: Result, solvers: Solvers, key: str, folder: Path) -> dict:
-    """Publish the files of one solved sample, its record last; return the record."""
-    evidence, include = result.kept_evidence, getattr(result, "include", None) if result.status.valid else None
+def publish_solve(sample_id: str, result: Result, key: str, folder: Path) -> dict:
+    """Publish the arrays of one solved sample, its record last; return the record.
+
+    They are forces and displacements of the surface's nodes, and of a press that CalculiX solved what its deck is made of
+    again, with the numbers of "deck".
+    """
+    evidence = result.kept_evidence
     record = {
         "key": key, "sample_id": sample_id, "status": result.status.name, "mesh": evidence.get("mesh", ""),
-        "reason": "" if result.status.valid else str(evidence.get("reason") or result.status.value),
+        # of a valid one: why another method solved it than was asked for
+        "reason": str(evidence.get("replaced", "") if result.status.valid else evidence.get("reason") or result.status.value),
         "method": evidence["method"], "total": result.total.tolist(),
-        "evidence": evidence, "files": [], "include": include.name if include else "",
+        "evidence": evidence, "files": [], "deck": {},
     }  # fmt: skip
-    if result.status.valid:
-        record["files"] = publish_result(folder, sample_id, result, solvers.family.load(record["mesh"]))
+    if result.status.valid and result.mesh is not None:
+        top = result.mesh.surface_nodes
+        arrays = {"force": result.forces[top], "displacement": result.displacement[top]}
+        if isinstance(result, CcxResult) and result.start is not None and result.prescribed is not None:
+            record["deck"] = result.deck
+            arrays |= {"start": result.start, "prescribed": result.prescribed.astype(np.int32)}
+            arrays["displacement"] = arrays["displacement"].astype(np.float32)
+        with publish(folder / f"{sample_id}.npz") as part:
+            np.savez_compressed(part, **arrays)
+        record["files"] = [f"{sample_id}.npz"]
     record["sha256"] = {name: digest_of(folder / name) for name in record["files"]}
     write_json(folder / f"{sample_id}.json", record)
     return record
-
-
-def publish_result(folder: Path, sample_id: str, result, mesh) -> list[str]:
-    """Write deck and output of CalculiX, or the surface's arrays of a result that has none; names of the files.
-
-    The mesh that a deck includes lies beside the shards' folders, once for all decks.
-    """
-    if getattr(result, "dat", None):
-        if not (mesh_text := folder.parent / INCLUDES / result.include.name).exists():
-            with publish(mesh_text) as part:
-                shutil.copyfile(result.include, part)
-        with publish(folder / f"{sample_id}.inp") as part:
-            part.write_text(result.deck)
-        with publish(folder / f"{sample_id}.dat.gz") as part:
-            # no time stamp inside: the same solve writes the same bytes
-            part.write_bytes(gzip.compress(result.dat.encode(), 6, mtime=0))
-        return [f"{sample_id}.inp", f"{sample_id}.dat.gz"]
-    top = mesh.surface_nodes
-    with publish(folder / f"{sample_id}.npz") as part:
-        np.savez(part, force=result.forces[top], displacement=result.displacement[top])
-    return [f"{sample_id}.npz"]
 
 
 def borrow(record: dict, sample_id: str, key: str, folder: Path) -> dict:
@@ -139,23 +121,19 @@ def solved(record: dict, press: PosedPress, folder: Path) -> Solved:
 
 
 def run_shard(
-    presses: list[PosedPress], family: MeshFamily, chosen: dict[str, str], params: StageParameters, tables: dict, bodies: dict,
-    folder: Path,
-) -> list[Solved]:  # fmt: skip
-    """Solve what is missing of a shard, frames of a press together; rows in the order of the presses.
-
-    chosen: the mesh of each sample that stage 20 found. family: what these are chosen from.
-    """
+    presses: list[PosedPress], params: StageParameters, tables: dict, bodies: dict, folder: Path
+) -> list[Solved]:
+    """Solve what is missing of a shard, frames of a press together; rows in the order of the presses."""
     folder.mkdir(parents=True, exist_ok=True)
     for stale in folder.glob(".work-*"):
         shutil.rmtree(stale, ignore_errors=True)
     records: dict[str, dict] = {}
     known: dict[tuple, dict] = {}
     with tempfile.TemporaryDirectory(prefix=".work-", dir=folder) as work:
-        solvers = Solvers(family, work, params.fea)
+        solvers = Solvers(work, params.fea)
         for frames in tqdm(presses_of(presses), f"fea {folder.name}"):
             scenes = [scene_of(press, bodies, tables["sensors"], params) for press in frames]
-            keys = press_keys(frames, scenes, params, tables, chosen)
+            keys = press_keys(frames, scenes, params, tables)
             try:
                 found = run_press(frames, keys, scenes, solvers, known, folder)
             except OSError as error:
@@ -165,7 +143,7 @@ def run_shard(
                 ) from error
             records |= {record["sample_id"]: record for record in found}
             by_ccx = altered(params, fea=altered(params.fea, method="ccx"))
-            twin = press_keys(frames, scenes, by_ccx, tables, chosen)[-1]
+            twin = press_keys(frames, scenes, by_ccx, tables)[-1]
             verify_press(frames[-1], (keys[-1], twin), scenes, found[-1], solvers, tables["sensors"], folder)
     return [solved(records[press.sample_id], press, folder) for press in presses]
 
@@ -186,7 +164,7 @@ def run_press(frames: list[PosedPress], keys: list[str], scenes: list[Scene], so
     if None in records:
         # all frames again: what a frame is solved from must not depend on which others were there before
         for at, result in enumerate(solvers.solve_frames(scenes, solvers.settings.method)):
-            records[at] = records[at] or publish_solve(frames[at].sample_id, result, solvers, keys[at], folder)
+            records[at] = records[at] or publish_solve(frames[at].sample_id, result, keys[at], folder)
     found = [record for record in records if record is not None]
     known |= dict(zip(same, found, strict=True))
     return found
@@ -196,8 +174,8 @@ def verify_press(press: PosedPress, keys: tuple[str, str], scenes: list[Scene], 
                  sensors: dict, folder: Path) -> None:  # fmt: skip
     """Solve a press that "auto" solved without CalculiX by CalculiX, too, where it is one of [fea] verify.
 
-    press, keys, record: of the last frame; the second key is that of CalculiX' solve. Deck, output and record of CalculiX
-    are those of a sample called ID.ccx; the difference is ID.verify.json.
+    press, keys, record: of the last frame; the second key is that of CalculiX' solve. What CalculiX found is
+    kept as of a sample called ID.ccx; the difference is ID.verify.json.
     """
     path, twin = folder / f"{press.sample_id}{verification.ENDING}", f"{press.sample_id}.ccx"
     automatic = solvers.settings.method == "auto" and Status[record["status"]].valid
@@ -212,7 +190,7 @@ def verify_press(press: PosedPress, keys: tuple[str, str], scenes: list[Scene], 
         return
     path.unlink(missing_ok=True)
     result = solvers.solve_frames(scenes, "ccx")[-1]
-    right = publish_solve(twin, result, solvers, keys[1], folder)
+    right = publish_solve(twin, result, keys[1], folder)
     about = (key, press.sample_id, record["method"])
     sensor = sensor_of(SENSOR_TABLES, press.sensor_id, sensors[press.sensor_id])
     if right["method"] != "ccx" or not right["files"]:
@@ -221,10 +199,10 @@ def verify_press(press: PosedPress, keys: tuple[str, str], scenes: list[Scene], 
         )
         found = verification.compare(about, [], reason, None)
     else:
-        result_mesh = solvers.family.load(right["mesh"])
+        result_mesh = load_mesh(right["mesh"])
         with np.load(folder / record["files"][-1], allow_pickle=False) as file:
             forces = [file["force"], result.forces[result_mesh.surface_nodes]]
-        meshes = [solvers.family.load(record["mesh"]), result_mesh]
+        meshes = [load_mesh(record["mesh"]), result_mesh]
         pairs = [(force.sum(axis=0), verification.surface_cells(mesh, force, sensor))
                  for mesh, force in zip(meshes, forces, strict=True)]  # fmt: skip
         errors = [tuple(of["evidence"][name] for name in ("error_n", "cells_error_n")) for of in (record, right)]
@@ -233,7 +211,7 @@ def verify_press(press: PosedPress, keys: tuple[str, str], scenes: list[Scene], 
 
 
 def read_shard(of: Layout, shard: str) -> tuple[StageParameters, dict, list[PosedPress], dict]:
-    """What stages 20 and 30 read of a shard: parameters, catalogues, presses, and their bodies by name."""
+    """What stage 30 reads of a shard: parameters, catalogues, presses, and their bodies by name."""
     tables = {name: read_json(of.parameters(name)) for name in ("sensors", "indenters")}
     presses = read_poses(of.poses(shard))
     read = read_parameters(of.parameters("fea"))
@@ -245,15 +223,13 @@ def main(args: Namespace) -> None:
     of = args.of
     use_gels_of(of.workflow)
     params, tables, presses, bodies = read_shard(of, args.shard)
-    family, chosen = MeshFamily(of.meshes, []), {}
-    if names := mesh_names(params.fea):
-        family = MeshFamily(of.meshes, names, source_of(of.parameters("meshes"), of.workflow))
-        chosen = read_meshes(of.mesh_table(args.shard))
-    solves = run_shard(presses, family, chosen, params, tables, bodies, of.solves(args.shard))
+    solves = run_shard(presses, params, tables, bodies, of.solves(args.shard))
     write_solves(args.out, solves)
     for solve in solves:
         if not solve.status.valid:
             print(f"failed: {solve.sample_id}: {solve.status.name}, {solve.reason}")
+        elif solve.reason:
+            print(f"note: {solve.sample_id}: {solve.reason}")
     lost = Counter(f"{solve.status.name}: {solve.reason}" for solve in solves if not solve.status.valid)
     print(json.dumps({"done": len(solves) - lost.total(), "failed": lost}))
 

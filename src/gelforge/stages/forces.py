@@ -1,10 +1,8 @@
-"""Stage 40: nodal contact forces out of the solvers' output, checked for equilibrium, scaled to the material."""
+"""Stage 40: nodal contact forces of a shard's solves, scaled to the material."""
 
-import gzip
 import json
 from argparse import Namespace
 from collections import Counter
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -15,12 +13,9 @@ from gelforge.flow.cli import stage
 from gelforge.flow.files import DAMAGED, read_json, record_of
 from gelforge.flow.layout import Layout, command_for
 from gelforge.flow.params import read_parameters
-from gelforge.flow.tables import ForcesTable, MaterialTable
-from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat
+from gelforge.flow.tables import MaterialTable
 from gelforge.mechanics.material import REFERENCE_C10
-from gelforge.mechanics.mesh.family import mesh_loader
-from gelforge.mechanics.mesh.gelmesh import GelMesh
-from gelforge.mechanics.result import BALANCE
+from gelforge.mechanics.mesh.names import load_mesh
 from gelforge.records.arrays import in_short
 from gelforge.records.forcefile import INTERVALS, SampleForces, write_forces
 from gelforge.records.solvetable import Solved, corrupt, read_solves
@@ -29,51 +24,17 @@ from gelforge.records.status import Status
 VERSION = 3
 
 
-def dat_forces(text: str, mesh: GelMesh, noise: float) -> tuple[Status, str, np.ndarray, np.ndarray]:
-    """Status, reason, forces (s, 3) N and displacements (s, 3) mm of the surface nodes from a .dat text.
-
-    noise: fraction of the largest nodal force below which a node counts as free; what Newton's residual
-    leaves there is not contact.
-    """
-    top, base = mesh.surface_nodes + 1, mesh.base + 1
-    empty = np.empty((0, 3))
-    try:
-        tables = read_dat(text)
-        forces = last_table(tables, "forces", "NTOP", top)
-        reaction = last_table(tables, "forces", "NBASE", base).sum(axis=0)
-        displacement = last_table(tables, "displacements", "NTOP", top)
-    except DatError as error:
-        return Status.UNREADABLE, str(error), empty, empty
-    size = np.linalg.norm(forces, axis=1)
-    forces[size < noise * size.max(initial=0.0)] = 0.0
-    total = forces.sum(axis=0)
-    imbalance = np.linalg.norm(total + reaction) / max(float(np.linalg.norm(total)), 1e-12)
-    if imbalance > BALANCE:
-        reason = f"contact forces and base reactions differ by {imbalance:.2g} of their size, {BALANCE:g} is allowed"
-        return Status.UNBALANCED, reason, empty, empty
-    return Status.OK, "", forces, displacement
-
-
-def read_sample(
-    solve: Solved, folder: Path, load: Callable[[str], GelMesh], table: ForcesTable
-) -> tuple[SampleForces, str]:
-    """Forces of one row of 30_fea's table at the reference C10, and the reason where there are none.
-
-    load: gives the mesh of a name.
-    """
+def read_sample(solve: Solved, folder: Path) -> tuple[SampleForces, str]:
+    """Forces of one row of 30_fea's table at the reference C10, and the reason where there are none."""
     status, reason = solve.status, solve.reason
     if not status.valid:
         return SampleForces.failed(solve.sample_id, status.name, solve.mesh, solve.press_id), reason
-    mesh = load(solve.mesh)
+    mesh = load_mesh(solve.mesh)
     path = folder / solve.file
     reason = ""
     try:
-        if path.suffix == ".gz":
-            text = gzip.decompress(path.read_bytes()).decode("ascii", errors="replace")
-            status, reason, force, displacement = dat_forces(text, mesh, table.noise)
-        else:
-            with np.load(path, allow_pickle=False) as file:
-                force, displacement = file["force"], file["displacement"]
+        with np.load(path, allow_pickle=False) as file:
+            force, displacement = file["force"], file["displacement"]
     except DAMAGED as error:
         status, reason = Status.UNREADABLE, f"{path}: {in_short(error)}"
     if not status.valid:
@@ -139,14 +100,13 @@ def main(args: Namespace) -> None:
     of = args.of
     params = read_parameters(of.parameters("forces"))
     c10, intervals = material_c10(params.material, of.calibration())
-    load = mesh_loader(of.meshes)
     samples: list[SampleForces] = []
     lost: Counter[str] = Counter()
     table = of.fea(args.shard)
     solves = list(read_solves(table))
     refuse_corrupt(table, solves)
     for solve in solves:
-        sample, reason = read_sample(solve, table.parent, load, params.forces)
+        sample, reason = read_sample(solve, table.parent)
         if solve.status.valid and reason:  # others were reported by stage 30
             print(f"failed: {sample.sample_id}: {sample.status}, {reason}")
             lost[f"{sample.status}: {Status[sample.status].value}"] += 1

@@ -17,11 +17,10 @@ from gelforge.flow.layout import POSES, Layout, command_for
 from gelforge.flow.params import read_parameters
 from gelforge.labelling.cellsurface import SurfaceMap, surface_map, traction
 from gelforge.labelling.grid import Grid
-from gelforge.labelling.operator import Operator, assemble, cached
+from gelforge.labelling.operator import Operator, assemble
 from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors
-from gelforge.mechanics.mesh.family import load_mesh
 from gelforge.mechanics.mesh.gelmesh import GelMesh
-from gelforge.mechanics.mesh.hexname import is_hex_mesh_name
+from gelforge.mechanics.mesh.names import load_mesh
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import Stream, to_float32, write_labels
 from gelforge.records.log import read_poses
@@ -89,14 +88,14 @@ def note_small_cells(grid: Grid, sensor: Sensor) -> None:
 
 
 class Finder:
-    """Operators and surface maps of a folder of meshes at one resolution, the last ones kept in memory.
+    """Operators and surface maps of meshes at one resolution, the last ones kept in memory.
 
-    Operators of mesh files are also kept below `folder`. Hexahedra follow the press: nearly every press has its own, and
-    its operator takes a fiftieth of a second, so that no file is worth it.
+    Meshes follow the press: nearly every press has its own, and its operator takes a fiftieth of a second, so that no file is
+    worth it.
     """
 
-    def __init__(self, meshes, sensors: dict, grid: Grid, folder, where: str):
-        self.meshes, self.sensors, self.grid, self.folder, self.where = meshes, sensors, grid, folder, where
+    def __init__(self, sensors: dict, grid: Grid, where: str):
+        self.sensors, self.grid, self.where = sensors, grid, where
         self.operator, self.fields = (
             lru_cache(OPERATORS_KEPT)(self._operator),
             lru_cache(OPERATORS_KEPT)(self._fields),
@@ -110,12 +109,10 @@ class Finder:
 
     def _operator(self, mesh: str, sensor: str) -> Operator:
         unit = self.sensor(sensor)
-        if is_hex_mesh_name(mesh):
-            return assemble(load_mesh(self.meshes, mesh), unit, self.grid)
-        return cached(self.folder, self.meshes, mesh, unit, self.grid)
+        return assemble(load_mesh(mesh), unit, self.grid)
 
     def _fields(self, name: str, sensor: str) -> tuple[SurfaceMap, Operator, GelMesh]:
-        mesh = load_mesh(self.meshes, name)
+        mesh = load_mesh(name)
         surface = surface_map(mesh, self.sensor(sensor), self.grid)
         return surface, self.operator(name, sensor), mesh
 
@@ -232,9 +229,7 @@ def label_folder(of: Layout, grid: Grid, folder: Path, channels) -> dict:
     What a shard's labels were made of stands in the labels.json of the run before.
     """
     tables = [read_json(of.parameters(name)) for name in ("sensors", "gels", "labels")]
-    find = Finder(
-        of.meshes, load_sensors(of.parameters("sensors")), grid, folder / "operators", str(of.folder(POSES))
-    )
+    find = Finder(load_sensors(of.parameters("sensors")), grid, str(of.folder(POSES)))
     shards = of.names()
     if not shards:
         raise BadInput(f"{of.shards}: holds no shards; run make, which plans them")

@@ -1,6 +1,6 @@
 """Branch pareto: seconds of a solve against its error, for every solver, mesh density and load-step count.
 
-`mesh` makes one of its meshes, `scene` solves one scene by every method, `chart` draws.
+`scene` solves one scene by every method, `chart` draws.
 """
 
 from argparse import Namespace
@@ -16,10 +16,7 @@ from gelforge.flow.files import publish, read_json, write_csv, write_json
 from gelforge.flow.layout import Layout, beside
 from gelforge.flow.params import StageParameters, read_parameters
 from gelforge.flow.tables import METHODS
-from gelforge.geometry.gel import load_gel
 from gelforge.labelling.sensor import load_sensors
-from gelforge.mechanics.mesh.family import MeshName, make_mesh
-from gelforge.stages.meshes import publish_mesh
 from gelforge.sweeps.deviation import errors, frontier
 from gelforge.sweeps.methods import DOUBLED, REFERENCE, Method, every_method
 from gelforge.sweeps.scenes import NamedScene, parse_scene, read_tables
@@ -150,18 +147,18 @@ def _brief(record: dict) -> dict:
 
 @dataclass(frozen=True)
 class ChartedScene:
-    """What a solve of the chart reads: its stage's parameters, its scene by name, and where its meshes lie."""
+    """What a solve of the chart reads: its stage's parameters, and its scene by name."""
 
     params: StageParameters
     scene: NamedScene
     bench: ChartBench
 
 
-def asked(args: Namespace, meshes: Path) -> ChartedScene:
+def asked(args: Namespace) -> ChartedScene:
     """The scene that a command line names."""
     of = args.of
     params = read_parameters(of.parameters("pareto"))
-    bench = load_bench(params, load_sensors(of.parameters("sensors")), meshes, args.out.parent, of.references)
+    bench = load_bench(params, load_sensors(of.parameters("sensors")), args.out.parent, of.references)
     return ChartedScene(params, planned_scene(of, args.name, params), bench)
 
 
@@ -176,7 +173,7 @@ def solve(args: Namespace) -> None:
     from gelforge.mechanics.ccx.program import need_ccx
 
     need_ccx()
-    found = asked(args, args.of.chart_mesh("any").parent)
+    found = asked(args)
     methods = every_method(found.params.pareto)
     write_json(args.out, solve_scene(found.bench, found.scene, methods, [Method(DOUBLED, REFERENCE, doubled=True)]))
 
@@ -199,15 +196,7 @@ def draw(args: Namespace) -> None:
     chart_of(paths, args.out)
 
 
-@stage(Layout.chart_mesh)
-def mesh(args: Namespace) -> None:
-    """Make one mesh, ccx-REGION-SIZE: a label region at a density of the chart."""
-    meshes = read_parameters(args.of.parameters("meshes")).meshes
-    made, report = make_mesh(MeshName.parse(args.name), load_gel(meshes.gel), meshes)
-    publish_mesh(args.name, made, report, args.out)
-
-
-main = group(mesh=mesh, scene=solve, chart=draw)
+main = group(scene=solve, chart=draw)
 
 
 if __name__ == "__main__":

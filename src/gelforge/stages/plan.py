@@ -295,13 +295,6 @@ def pressed(rows: list[RawRow]) -> int:
     return len({row.press_id or f"row {row.row}" for row in rows if row.cells.get("image")})
 
 
-def chart_lists(params: Params, scenes: dict) -> dict[str, list[str]]:
-    """Names that the rules of the branches pareto and stability need."""
-    from gelforge.sweeps.references import chart_meshes
-
-    return {"PARETO_SCENES": list(scenes), "PARETO_MESHES": chart_meshes(params)}
-
-
 def plan_files(data: Path, workflow: Path, catalogue: str) -> list[Path]:
     """Files that any plan is made from, those too that are not there: tables, the log, what lies beside it, and the code."""
     tables = ("params", "models", "scenes", "sensors", "gels", "indenters")
@@ -356,7 +349,6 @@ CCX = option(
 @stage(Layout.plan, CCX)
 def main(args: Namespace) -> None:
     from gelforge.geometry.gel import use_gels_of
-    from gelforge.mechanics.mesh.family import required_meshes
     from gelforge.sweeps.scenes import read_tables
 
     of = args.of
@@ -382,12 +374,11 @@ def main(args: Namespace) -> None:
     states |= states_of(read, known)
     check_dataset(dataset_toml, dataset, params, used(sensors, named(rows, "sensor_id")), sensors, indenters, models)
     seen_by = used(sensors, named(rows, "sensor_id") | {params.pareto.sensor})
-    gels = own_shapes([params.meshes.gel, *gels_of(seen_by)])
+    gels = own_shapes(gels_of(seen_by))
     tables = {"sensors": seen_by, "indenters": with_content(bodies, workflow), "gels": gels}
     lists: dict[str, list[str]] = {
-        "MESHES": required_meshes(params.fea, params.meshes),
         "BRANCHES": [SHOWN_OF[name] for name in params.report.branches],
-        **chart_lists(params, scenes),
+        "PARETO_SCENES": [*scenes],
         **network_lists(models),
         "LEARNER": ["pair_24_mirrored" if (data / "nocontact").is_dir() else "unet"],
         "CALIBRATED": [SHOWN_OF["calibrate"]] if params.material.c10 == "calibrated" else [],

@@ -156,13 +156,14 @@ def add_pictures(section: Section, folder: Path, captions: dict[str, str]) -> Se
 
 
 def failures_section(results: Path, solved: dict[str, Solved]) -> Section:
-    """Everything that did not become a label, with its reason."""
+    """Everything that did not become a label as was asked for, with its reason."""
     section = Section("Failures")
     rejected = read_tables(Layout(results), Layout(results).rejected)
     failed = [solve for solve in solved.values() if not solve.status.valid]
+    replaced = [solve for solve in solved.values() if solve.status.valid and solve.reason]
     path = Layout(results).images()
     images = read_json(path) if path.exists() else {"left_out": {}, "notes": []}
-    if not rejected and not failed and not any(images[kind] for kind in ("left_out", "notes")):
+    if not rejected and not failed and not replaced and not any(images[kind] for kind in ("left_out", "notes")):
         return section.text("None: every row of the log became a label.")
     if rejected:
         columns = ["sample_id", "row", "column", "value", "reason", "hint"]
@@ -175,6 +176,10 @@ def failures_section(results: Path, solved: dict[str, Solved]) -> Section:
         )
     for note in images["notes"]:
         section.text(note)
+    if replaced:
+        section.text("Labels by another method than was asked for.").table(
+            ["sample_id", "method", "reason"], [[s.sample_id, s.method, s.reason] for s in replaced]
+        )
     if failed:
         columns = ["sample_id", "status", "reason", "method"]
         section.text("Solves that failed.").table(
@@ -315,7 +320,7 @@ def open_explorer(
     rejected = read_tables(Layout(results), Layout(results).rejected)
     rows = press_rows(read_presses(results), rejected, solved, samples, totals, gels)
     order = {name: at for at, name in enumerate(samples)}
-    gel = load_gel(read_parameters(Layout(results).params / "meshes.json").meshes.gel)
+    gel = load_gel(min(gels.values()))
     return Explorer(results, resolution, rows, order, gel, predictions)
 
 

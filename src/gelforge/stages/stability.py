@@ -39,7 +39,7 @@ def case_key(case: Case, params: StageParameters) -> str:
     if case.solver in ("hex", FINEST):
         parts.append(asdict(hex_settings(case_method(case, params))))
     else:
-        parts += [list(params.fea.meshes), *ccx_settings(params)]
+        parts += ccx_settings(params)
     return digest_of_value(parts)
 
 
@@ -57,14 +57,14 @@ def case_file(case: Case, params: StageParameters, folder: Path) -> tuple[Path, 
     return folder / f"{key[:24]}.json", key
 
 
-def solve_case(case: Case, params: StageParameters, meshes: Path, folder: Path) -> dict:
+def solve_case(case: Case, params: StageParameters, folder: Path) -> dict:
     """Record of one case, the kept one or a new one."""
     path, key = case_file(case, params, folder)
     limit = params.stability.limit_s
     record = kept(path, key, limit)
     if record is None:
         method = case_method(case, params)
-        make = partial(prepare, method, case.scene, meshes, params)
+        make = partial(prepare, method, case.scene, params)
         found = solve_isolated(make, None, limit, folder)
         record = {"key": key, "case": case.describe()} | found
         write_json(path, record)
@@ -72,7 +72,7 @@ def solve_case(case: Case, params: StageParameters, meshes: Path, folder: Path) 
     return record
 
 
-def solve_row(row: str, params: StageParameters, meshes: Path, folder: Path) -> list[dict]:
+def solve_row(row: str, params: StageParameters, folder: Path) -> list[dict]:
     """Records of a row, those beyond its time marked NOT_RUN; a rerun resumes at them."""
     end = time.monotonic() + 60.0 * params.stability.minutes
     records = []
@@ -81,7 +81,7 @@ def solve_row(row: str, params: StageParameters, meshes: Path, folder: Path) -> 
             reason = "the row's time was over; raise [stability] minutes, it resumes here"
             records.append({"case": case.describe(), "status": NOT_RUN, "reason": reason})
         else:
-            records.append(solve_case(case, params, meshes, folder))
+            records.append(solve_case(case, params, folder))
     return records
 
 
@@ -155,7 +155,7 @@ def solve(args: Namespace) -> None:
         raise BadInput(f"no row {args.row!r} of cases; there are {', '.join(ROWS)}")
     params = read_parameters(of.parameters("stability"))
     need_ccx()
-    records = solve_row(args.row, params, of.chart_mesh("any").parent, args.out.parents[1] / "cases")
+    records = solve_row(args.row, params, args.out.parents[1] / "cases")
     judged = judge_row(args.row, records, params)
     write_json(args.out, {"row": args.row, "judged": judged, "evidence": [r.get("evidence", {}) for r in records]})
     left = sum(r["status"] == NOT_RUN for r in records)

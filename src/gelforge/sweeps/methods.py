@@ -10,13 +10,11 @@ import numpy as np
 from gelforge.flow.params import StageParameters
 from gelforge.flow.tables import IN_PROCESS, METHODS, ParetoTable
 from gelforge.mechanics.hexsettings import HexSettings, quality
-from gelforge.mechanics.mesh.family import MeshFamily, load_mesh
 from gelforge.mechanics.mesh.gelmesh import GelMesh
-from gelforge.mechanics.mesh.meshstore import MeshSource
 from gelforge.mechanics.result import Result
 from gelforge.mechanics.scene import Scene
-from gelforge.sweeps import references as meshes
 
+WIDER = 1.5  # times the size at the edge of contact that tetrahedra of a density series have inside it
 REFERENCE, DOUBLED = "reference", "reference-doubled"  # DOUBLED: on elements and load steps of twice the size
 
 
@@ -88,40 +86,37 @@ def hex_settings(method: Method) -> HexSettings:
 
 
 def prepare(
-    method: Method, scene: Scene, folder: Path, params: StageParameters | StageParameters, work: Path
+    method: Method, scene: Scene, params: StageParameters, work: Path
 ) -> Callable[[], tuple[Result, GelMesh]]:
-    """Read meshes and set up solvers, which many presses share; the function returned solves the scene.
-
-    folder: meshes. work: an empty folder for CalculiX' files.
-    """
-    from gelforge.mechanics.solve import Solvers
-    from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver
+    """Set up solvers; the function returned solves the scene. work: an empty folder for CalculiX' files."""
+    from gelforge.mechanics.solve import GUIDE, Solvers
+    from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver, mesh_of
     from gelforge.mechanics.solvers.hex import HexSolver
 
     if method.name in METHODS and method.solver != "hex":
-        family = MeshFamily(folder, meshes.label_meshes(params), MeshSource(scene.gel, params.meshes))
-        solvers = Solvers(family, work, params.fea)
-
-        def run() -> tuple[Result, GelMesh]:
-            result = solvers.solve(scene, method.name)
-            return result, family.load(result.evidence["mesh"])
-
-        return run
+        solvers = Solvers(work, params.fea)
+        return lambda: _with_mesh(solvers.solve(scene, method.name))
     if method.solver == "hex":
         hexahedra = HexSolver(hex_settings(method))
-
-        def run_hex() -> tuple[Result, GelMesh]:
-            result = hexahedra.solve(scene)
-            return result, result.solved_mesh
-
-        return run_hex
+        return lambda: _with_mesh(hexahedra.solve(scene))
     if method.solver == REFERENCE:
         table, factor = params.pareto.reference, 2 if method.doubled else 1
-        mesh = meshes.reference_mesh(scene, params, method.doubled)
+        sizes = factor * table.edge_mm, factor * table.size_mm
         press_steps, shear_steps = (max(1, count // factor) for count in (table.press_steps, table.shear_steps))
     else:
-        mesh = load_mesh(folder, meshes.density_mesh(scene, folder, params, method.size))
+        if method.size is None or method.steps is None:
+            raise ValueError(f"{method.name}: tetrahedra of {method.size} mm without their steps")
+        sizes = method.size, WIDER * method.size
         press_steps, shear_steps = method.steps, (method.steps + 1) // 2
+    frame = HexSolver(quality(GUIDE)).coarse_path([scene])[0]
+    mesh = mesh_of(scene, frame.path if frame else None, *sizes).mesh()
     usual = CcxSettings.of(params.fea)
     solver = CcxSolver(mesh, work, replace(usual, press_steps=press_steps, shear_steps=shear_steps, step_mm=np.inf))
     return lambda: (solver.solve(scene), mesh)
+
+
+def _with_mesh(result: Result) -> tuple[Result, GelMesh]:
+    """A result with the mesh of its forces; ValueError where nothing was solved."""
+    if result.mesh is None:
+        raise ValueError(f"nothing was solved: {result.status.value}")
+    return result, result.mesh

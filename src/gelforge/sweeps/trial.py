@@ -17,25 +17,23 @@ from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import assemble
 from gelforge.labelling.sensor import Sensor
 from gelforge.mechanics.hexsettings import quality
-from gelforge.mechanics.solve import settings_of
+from gelforge.mechanics.solve import GUIDE, settings_of
 from gelforge.sweeps.isolate import CRASHED, REFUSED, TIMED_OUT, Clock, isolated, peak_mib
 from gelforge.sweeps.keptreferences import kept_reference, reference_key
 from gelforge.sweeps.methods import LARGE_REFERENCE, REFERENCE, Method, hex_settings, prepare, warm_up
-from gelforge.sweeps.references import EDGE_QUALITY
 from gelforge.sweeps.scenes import NamedScene
 
 GRID = Grid(24, 32)  # of FEATS' labels
-NOT_SOLVER = CHOOSING | {"meshes", "method", "timeout_s"}
+NOT_SOLVER = CHOOSING | {"method", "timeout_s"}
 
 
 @dataclass(frozen=True)
 class ChartBench:
-    """Where methods are measured: meshes, sensor whose cells are compared, parameters, kept records.
+    """Where methods are measured: the sensor whose cells are compared, parameters, kept records.
 
     references: folder of references that were solved elsewhere (sweeps.keptreferences); None: all are solved here.
     """
 
-    meshes: Path
     sensor: Sensor
     params: StageParameters
     records: Path
@@ -57,18 +55,15 @@ class ChartBench:
         if method.solver == "hex":
             return [asdict(hex_settings(method))]
         if method.solver == REFERENCE:  # on elements of twice the size: the reference itself has a key of its own
-            return [plain(p.pareto.reference), asdict(quality(EDGE_QUALITY)), *ccx_settings(p)]
-        if method.name == "auto":
-            return [settings_of("auto", p.fea, ""), list(p.fea.meshes), *ccx_settings(p)]
-        if method.size is None:
-            return [settings_of("ccx", p.fea, ""), list(p.fea.meshes), *ccx_settings(p)]
+            return [plain(p.pareto.reference), *ccx_settings(p)]
+        if method.name in ("auto", "ccx"):
+            return [settings_of(method.name, p.fea)]
         return ccx_settings(p)
 
 
-def ccx_settings(params: StageParameters | StageParameters) -> list[dict]:
-    """What of [meshes] and [fea] changes a solve with CalculiX, whichever method is chosen."""
-    fea = {key: value for key, value in plain(params.fea).items() if key not in NOT_SOLVER}
-    return [plain(params.meshes), fea]
+def ccx_settings(params: StageParameters) -> list[dict]:
+    """What changes a solve with CalculiX, whichever method is chosen: its part of [fea], and the hexahedra that lead it."""
+    return [{key: value for key, value in plain(params.fea).items() if key not in NOT_SOLVER}, asdict(quality(GUIDE))]
 
 
 def cells_of(mesh, forces: np.ndarray, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
@@ -156,15 +151,13 @@ def given_reference(bench: ChartBench, scene: NamedScene) -> dict | None:
 
 def solve_method(bench: ChartBench, scene: NamedScene, method: Method, work: Path) -> dict:
     """The record of a scene solved now, in a process of its own."""
-    make = partial(prepare, method, scene.scene, bench.meshes, bench.params)
+    make = partial(prepare, method, scene.scene, bench.params)
     return solve_isolated(make, bench.sensor, bench.params.pareto.limit_s, work)
 
 
-def load_bench(
-    params: StageParameters, sensors: dict, mesh_folder: Path, records: Path, references: Path | None = None
-) -> ChartBench:
+def load_bench(params: StageParameters, sensors: dict, records: Path, references: Path | None = None) -> ChartBench:
     """A bench that compares cells as the sensor of [pareto] sees them."""
     name = params.pareto.sensor
     if name not in sensors:
         raise BadInput(f"[pareto] sensor = {name!r} is not in workflow/sensors.toml; it has {', '.join(sensors)}")
-    return ChartBench(Path(mesh_folder), sensors[name], params, Path(records), references)
+    return ChartBench(sensors[name], params, Path(records), references)

@@ -171,6 +171,20 @@ def test_points_of_another_picture_or_unit_are_refused():
         refused(said, projection.check_marks, on_gel, pixels, (320, 240), "points.csv")
 
 
+@pytest.mark.parametrize(
+    ("stretched", "told"), [(1.0, False), (1.015, False), (1.03, True), (0.92, True), (1.25, True)]
+)
+def test_scales_along_both_axes_are_said_and_doubted_where_they_differ(capsys, stretched, told):
+    """Four corners fit a stretched picture exactly."""
+    square = np.array([[-5.0, -5], [5, -5], [5, 5], [-5, 5]])
+    like = load_sensors("workflow/sensors.toml")["gelsight_mini"]
+    found = projection.fit_projection("unit", like, (square * [stretched, 1.0], transform(GOOD, square)))
+    projection.report(projection.describe(found), None, None)
+    said = capsys.readouterr().out
+    assert f"scale: {14 / stretched:.2f} px/mm along gel x, 14.00 px/mm along gel y" in said
+    assert ("doubt: both differ by" in said) == told
+
+
 def test_the_markers_of_reference_images(reference):
     found = markers_in(read_npy(reference / "feats/images/nocontact_train_sensor.npy")["gs_img"]).grid(7, 9)
     assert found.count == 63 and not len(found.missing)

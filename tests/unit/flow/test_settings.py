@@ -142,8 +142,7 @@ MEANINGLESS = (
     ("[params.evaluate]\nforce_edges = [2.0, 1.0]", "force_edges = .*: give a list of 2 or more, .* rising"),
     ("[params.dataset]\nvalidation = 0.6\ntest = 0.5", "validation = 0.6 and test = 0.5"),
     ("[params.labels]\nchannels = ['traction']", "channels = .*\"force\" first"),
-    ("[params.meshes]\nregions = {spot = [1.0]}", r"\[params.meshes.regions\] spot = \[1.0\]: give a list of 2"),
-    ("[params.meshes.hold]\nspt = 1.0", "hold.spt: is no region"),
+    ("[params.meshes]\ngel = 'dome'", "meshes: unknown"),
     ("[params.pareto]\nhex_layers = [3]", "hex_sizes_mm has 5 sizes and hex_layers 1"),
     ("[params.stability.sizes]\nhx = [1.0]", "hx: unknown name; hex is meant"),
     ("[params.stability]\nlayers = {}\nsizes = {hex = [2.0, 1.0, 0.7, 0.5]}", "layers has no \"2.0\""),
@@ -186,10 +185,9 @@ def test_files_of_settings_that_cannot_be_read_are_named(root, tmp_path):
 def test_settings_that_mean_something_are_taken(root, tmp_path):
     params = load(
         root, tmp_path, "[params.material]\nc10 = 'calibrated'\nnu = 0\n[params.interface]\nlaw = 'coulomb'\nmu = 2\n"
-        "[params.meshes.regions]\nmine = [3, 4.0]\n[params.calibrate.priors.c10]\nkind = 'normal'\nmean = 0.1\nspread = 1",
+        "[params.calibrate.priors.c10]\nkind = 'normal'\nmean = 0.1\nspread = 1",
     )  # fmt: skip
     assert plain(params.material) == {"c10": "calibrated", "nu": 0} and params.interface.mu == 2
-    assert params.meshes.regions["mine"] == (3, 4.0) and params.meshes.regions["wide"] == (9.4, 11.6)
     assert params.calibrate.priors.c10.numbers == {"mean": 0.1, "spread": 1}
 
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelforge.mechanics.ccx.dat import DatError, Unfinished, last_table, read_dat, without_set
+from gelforge.mechanics.ccx.dat import DatError, Unfinished, last_table, read_dat
 
 HEAD = "\n displacements (vx,vy,vz) for set NTOP and time  0.{time}000000E+01\n\n"
 ROWS = "         1  1.000000E-01 -2.000000E-01  3.000000E-01\n         7  4.000000E-01  5.000000E-01 -6.000000E-01\n"
@@ -54,12 +54,6 @@ def test_what_is_not_whole_is_refused_by_name():
     ):
         with pytest.raises(DatError, match=reason):
             read(text)
-
-
-def test_a_set_can_be_left_out():
-    text = whole() + FORCES
-    assert "NTOP" not in without_set(text, "NTOP")
-    assert read_dat(without_set(text, "NTOP"))[0].set_name == "NBASE"
 
 
 def test_a_job_that_did_not_finish_is_distinguished_from_a_file_that_cannot_be_read():

@@ -4,7 +4,7 @@ from dataclasses import fields, replace
 
 import pytest
 
-from gelforge.flow.tables import IN_PROCESS, METHODS, FeaTable
+from gelforge.flow.tables import METHODS, FeaTable
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics import solve
@@ -20,11 +20,13 @@ BALL = {"kind": "sphere", "diameter": 15, "height": 10}
 SCENE = Scene(load_gel("gelsight_mini"), Material(), build("ball", BALL), Press(0.1, 0.2, 0.0, 0.1, 0.2, -1.0, 5.0))
 # Another value of each parameter of [fea].
 OTHER = {
-    "method": None, "meshes": ("wide-1.0",), "tolerance": 0.05,
+    "method": None, "edge_mm": 0.9, "inside_mm": 1.3, "tolerance": 0.05,
     "press_steps": 5, "shear_steps": 4, "step_mm": 0.3, "stiffness": 1000.0, "rounds": 9,
     "pull_tolerance": 3e-3, "penetration_mm": 3e-3, "residual": 2e-5, "timeout_s": 3600.0, "verify": 0.5,
 }  # fmt: skip
 CALCULIX = {
+    "edge_mm",
+    "inside_mm",
     "press_steps",
     "shear_steps",
     "step_mm",
@@ -37,8 +39,8 @@ CALCULIX = {
 READ = {"ccx": CALCULIX, "auto": CALCULIX | {"tolerance"}}
 
 
-def key(scene=SCENE, fea=FEA, shape=BALL, mesh="ccx-centre-0.45-0123abcd", version=1, frames=None):
-    how = settings_of(fea.method, fea, "" if fea.method in IN_PROCESS else mesh)
+def key(scene=SCENE, fea=FEA, shape=BALL, version=1, frames=None):
+    how = settings_of(fea.method, fea)
     return solve_key(frames or [scene], shape, how, version, -1)
 
 
@@ -71,8 +73,7 @@ def test_inputs_count_by_what_they_are():
     others = [
         key(replace(SCENE, gel=thin)), key(replace(SCENE, material=Material(0.47))), key(shape=BALL | {"diameter": 14}),
         key(replace(SCENE, interface=Interface("frictionless"))), key(replace(SCENE, interface=Interface("coulomb", 0.5))),
-        key(replace(SCENE, interface=Interface("coulomb", 0.6))), key(mesh="ccx-centre-0.45-4567abcd"),
-        key(mesh="ccx-centre-0.45-0123abcd@0.5:0"), key(version=2),
+        key(replace(SCENE, interface=Interface("coulomb", 0.6))), key(version=2),
     ]  # fmt: skip
     assert len({key(), *others}) == len(others) + 1
     # names, and a coefficient that no law reads, change nothing

@@ -18,7 +18,7 @@ from gelforge.records.axes import CHANNELS, TITLES
 from gelforge.records.forcefile import SampleForces, write_forces
 from gelforge.records.labelfile import read_labels
 from gelforge.records.press import FORCE
-from tests.support.pressed_dataset import bump, collect, label, write_pressed
+from tests.support.pressed_dataset import HEXAHEDRA, bump, collect, label, write_pressed
 
 PRESSED = np.array([0.5, -1.5, -4.0])
 
@@ -28,7 +28,7 @@ def made(tmp_path):
     """Eight presses that all bear PRESSED, from force files to the dataset."""
     made = write_pressed(tmp_path, count=8)
     load, surface = bump(made["mesh"], 0.5, -1.0, 3.0, PRESSED), made["mesh"].surface_nodes
-    forces = [SampleForces(f"s{k:03d}", "OK", "hexahedra", surface, load[surface], 0 * load[surface])
+    forces = [SampleForces(f"s{k:03d}", "OK", HEXAHEDRA, surface, load[surface], 0 * load[surface])
               for k in range(8)]  # fmt: skip
     write_forces(made["results"] / "40_forces/0000.npz", forces, 0.0725)
     return made

@@ -10,7 +10,7 @@ import pytest
 from gelforge.flow.files import write_csv
 from gelforge.flow.step import NOTICES
 from gelforge.labelling.grid import Grid
-from gelforge.labelling.operator import Operator, assemble, cached, operator_path
+from gelforge.labelling.operator import assemble
 from gelforge.labelling.sensor import load_sensors
 from gelforge.records.forcefile import ForceFile, SampleForces, write_forces
 from gelforge.records.labelfile import read_labels, write_labels
@@ -18,7 +18,7 @@ from gelforge.records.log import write_rejections
 from gelforge.records.press import COLUMNS, Rejection
 from gelforge.records.status import Status
 from gelforge.stages import labels
-from tests.support.pressed_dataset import bump, label, make_mesh, write_pressed
+from tests.support.pressed_dataset import HEXAHEDRA, bump, label, make_mesh, mesh_name, write_pressed
 from tests.support.refused import refused
 
 
@@ -97,7 +97,6 @@ def test_only_shards_whose_forces_changed_are_labelled_again(made):
     again = {path.name for path in folder.glob("0*.npz") if path.stat().st_mtime_ns != stamps[path.name]}
     assert again == {"0001.npz"}
     assert summary["samples"] == 24 and summary["failed"] == 1 and summary["resolution"] == "6x8"
-    assert len(list((folder / "operators").glob("*.npz"))) == 2
     second.write_bytes(kept)
     label(made, "6x8")
 
@@ -114,7 +113,7 @@ def test_a_press_over_the_rim_reports_what_it_lost(tmp_path, capsys):
     made = write_pressed(tmp_path, count=1)
     mesh, force = made["mesh"], bump(make_mesh(), 0.0, 11.0, 3.0, (0, 0, -4.0))
     surface = mesh.surface_nodes
-    sample = SampleForces("s000", "OK", "hexahedra", surface, force[surface], np.zeros((len(surface), 3)))
+    sample = SampleForces("s000", "OK", HEXAHEDRA, surface, force[surface], np.zeros((len(surface), 3)))
     write_forces(made["results"] / "40_forces/0000.npz", [sample], 0.0725)
     found = read_labels(label(made, "24x32") / "0000.npz")
     outside = found.outside[0, 2]
@@ -157,6 +156,14 @@ def spoil_forces(results):
     np.savez(path, **arrays)
 
 
+def rename_mesh(results, name):
+    path = results / "40_forces/0000.npz"
+    with np.load(path) as file:
+        arrays = dict(file)
+    arrays["mesh"] = np.array([name] * len(arrays["mesh"]))
+    np.savez(path, **arrays)
+
+
 def rewrite(path, old, new):
     path.write_text(path.read_text().replace(old, new))
 
@@ -164,11 +171,10 @@ def rewrite(path, old, new):
 BROKEN = (
     (spoil_forces, "0000.npz.*s000.*not finite"),
     (lambda r: (r / "40_forces/0000.npz").write_bytes(b"PK\x03\x04half"), "0000.npz.*delete it"),
-    (lambda r: (r / "20_meshes/hexahedra.npz").unlink(), "hexahedra.npz.*make meshes"),
-    (lambda r: (r / "20_meshes/hexahedra.npz").write_bytes(b"junk"), "hexahedra.npz.*not a gel mesh"),
+    (lambda r: rename_mesh(r, "teapot"), "mesh name 'teapot' is none"),
     (lambda r: (r / "10_poses/0000.csv").write_text("sample_id,sensor_id\n"), "0000.csv.*s000|s000.*0000.csv"),
     (lambda r: rewrite(r / "10_poses/0000.csv", "mini_a", "zzz"), "zzz.*mini_a"),
-    (lambda r: make_mesh(2.5).save(r / "20_meshes/hexahedra.npz"), "node.*make"),
+    (lambda r: rename_mesh(r, mesh_name(2.5).name), "node.*make"),
 )
 
 
@@ -180,28 +186,6 @@ def test_broken_inputs_are_named_and_nothing_is_half_written(tmp_path):
         folder = results / "50_labels/10x10"
         assert not list(folder.glob(".*")) and not [n for n in ("labels.json", "0000.npz") if (folder / n).exists()]
     refused("24by32", label, made, "24by32")
-
-
-def test_operators_are_cached_by_content(tmp_path):
-    sensors = load_sensors("workflow/sensors.toml")
-    make_mesh(2.0).save(tmp_path / "m.npz")
-    unit, grid = sensors["mini_a"], Grid(6, 8)
-
-    def path_of(name, unit):
-        return operator_path(tmp_path / "ops", tmp_path, name, unit, grid)
-
-    first, path = cached(tmp_path / "ops", tmp_path, "m", unit, grid), path_of("m", unit)
-    assert np.array_equal(Operator.load(path).weight, first.weight)
-    assert path_of("m", sensors["mini_c"]) != path and path_of("m@1:0", unit) != path
-    make_mesh(2.5).save(tmp_path / "m.npz")
-    assert path_of("m", unit) != path
-    path.write_bytes(b"junk")
-    made = cached(tmp_path / "ops", tmp_path, "m", unit, grid)
-    assert made.ptr.size != first.ptr.size, "another mesh"
-    again = path_of("m", unit)
-    again.write_bytes(b"junk")
-    assert np.array_equal(cached(tmp_path / "ops", tmp_path, "m", unit, grid).weight, made.weight)
-    assert np.array_equal(Operator.load(again).weight, made.weight), "a broken one is made anew"
 
 
 def test_forces_come_back(tmp_path):

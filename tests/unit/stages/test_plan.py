@@ -223,11 +223,9 @@ def test_rows_that_name_no_sensor_are_of_the_datasets(lab):
 
 UNKNOWN = [
     ('sensor = "mini_x"', r"dataset\.toml: sensor: 'mini_x' is unknown; mini_e is meant\?|sensor: 'mini_x'"),
-    ('gel = "digit"', r"gel = 'digit', but \[meshes\] gel = 'gelsight_mini'"),
-    ('[params.meshes]\ngel = "digit"', r"dataset\.toml: \[params.meshes\] gel 'digit' is unknown"),
+    ('gel = "digit"', r"dataset\.toml: gel 'digit' is unknown"),
     ('[params.report]\nmodel = "tunedd"', r"dataset\.toml: \[params.report\] model = 'tunedd': choose"),
-    ('gel = "soft"', r"gel = 'soft', but"),
-    ('[params.meshes]\ngel = "soft"', "sensor 'mini_a' of the log has gel 'gelsight_mini'"),
+    ('gel = "soft"', "sensor 'mini_a' of the log has gel 'gelsight_mini'.*dataset.toml: gel has 'soft'"),
     ('[params.dataset]\nunseen_sensors = ["mini_f"]', "unseen_sensors: 'mini_f' is unknown"),
     (
         '[params.dataset]\nunseen_indenters = ["spere_15"]',
@@ -246,19 +244,21 @@ def test_names_that_are_none_are_refused_at_the_plan(lab, monkeypatch):
             planned(lab, text)
 
 
-def test_sensors_sit_on_gels_of_their_own_where_bricks_follow_them(lab):
-    (lab / "sensors.toml").write_text(
-        '[thin]\ngel = "gelsight_mini-3.6mm"\nimage = [320, 240]\n'
-        "projection = [[0.0, -14.0, 160.0], [-14.0, 0.0, 120.0], [0.0, 0.0, 1.0]]\n"
-    )
-    hexahedra = '[params.fea]\nmethod = "label"\n'
-    assert planned(lab, hexahedra, "thin") == ["thin", "mini_b"]
-    off = r"sensor '{}' of the log has gel '{}'.*hexahedra .*follow the thickness"
-    with pytest.raises(BadInput, match=off.format("thin", "gelsight_mini-3.6mm")):
-        planned(lab, '[params.fea]\nmethod = "auto"\n', "thin", ccx="/usr/bin/ccx")
-    # of a thickness for all presses nobody has to guess whether it serves sensors that state none
-    with pytest.raises(BadInput, match=off.format("mini_b", "gelsight_mini")):
-        planned(lab, hexahedra + '[params.meshes]\ngel = "gelsight_mini-3.6mm"\n', "thin")
+def test_sensors_sit_on_gels_of_one_shape_each_of_its_own_thickness(lab, monkeypatch):
+    def sensor(gel):
+        (lab / "sensors.toml").write_text(
+            f'[thin]\ngel = "{gel}"\nimage = [320, 240]\n'
+            "projection = [[0.0, -14.0, 160.0], [-14.0, 0.0, 120.0], [0.0, 0.0, 1.0]]\n"
+        )
+
+    sensor("gelsight_mini-3.6mm")
+    for table in ('[params.fea]\nmethod = "label"\n', 'gel = "gelsight_mini-3.6mm"\n'):
+        assert planned(lab, table, "thin") == ["thin", "mini_b"]
+    assert planned(lab, '[params.fea]\nmethod = "auto"\n', "thin", ccx="/usr/bin/ccx") == ["thin", "mini_b"]
+    monkeypatch.setitem(GELS, "soft", GELS["gelsight_mini"])
+    sensor("soft")
+    with pytest.raises(BadInput, match="different gels in datasets of their own"):
+        planned(lab, "", "thin")
 
 
 LARGE = """[large]

@@ -78,12 +78,3 @@ def last_table(tables: list[Table], quantity: str, set_name: str, nodes: np.ndar
         bad = int(nodes[np.flatnonzero(~np.isfinite(values).all(axis=1))[0]])
         raise DatError(f"{where} is not finite at node {bad}")
     return values
-
-
-def without_set(text: str, set_name: str) -> str:
-    """The same file without the tables of one set."""
-    heads = list(_HEAD.finditer(text))
-    ends = [head.start() for head in heads[1:]] + [len(text)] * bool(heads)
-    keep = [text[: heads[0].start()]] if heads else [text]
-    keep += [text[head.start() : end] for head, end in zip(heads, ends, strict=True) if head[2] != set_name]
-    return "".join(keep)

@@ -1,11 +1,7 @@
-"""Input decks for CalculiX: the mesh as a shared include, one press as a small deck."""
-
-import hashlib
-from pathlib import Path
+"""Input decks for CalculiX: one press and its mesh in one file."""
 
 import numpy as np
 
-from gelforge.flow.files import publish
 from gelforge.mechanics.material import REFERENCE_C10, Material
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 
@@ -16,11 +12,12 @@ DIRECT, ITERATIVE = "SPOOLES", "ITERATIVE SCALING"
 # Displacements in decks. Conjugate gradients stop at a share of the residual that they begin with: rounding at the eighth
 # digit leaves a rough one, which is gone in half the iterations that the smooth rest of Newton's method would take.
 PLACE = ".7e"
-INCLUDES = "meshes"  # folder of meshes as text, beside the one that decks lie in: one mesh serves many decks
-INCLUDE = "*INCLUDE, INPUT="
+INCREMENT = 0.25  # of the load, the first where a start from the kinematics fails
+# How a state is looked for, in turn: whether from the kinematics' displacements, the first load increment, the linear solver.
+ATTEMPTS = ((True, 1.0, ITERATIVE), (True, 1.0, DIRECT), (False, INCREMENT, DIRECT), (False, INCREMENT / 10, DIRECT))
 
 
-def mesh_include(mesh: GelMesh) -> str:
+def mesh_lines(mesh: GelMesh) -> list[str]:
     """Nodes, elements and node sets of a C3D10 mesh; CalculiX counts from 1."""
     lines = ["*NODE, NSET=NALL"]
     lines += [f"{i},{x:.9e},{y:.9e},{z:.9e}" for i, (x, y, z) in enumerate(mesh.nodes.tolist(), 1)]
@@ -31,22 +28,7 @@ def mesh_include(mesh: GelMesh) -> str:
     lines.append("*NSET, NSET=NTOP")
     lines += [str(i + 1) for i in mesh.surface_nodes.tolist()]
     lines.append(f"*SOLID SECTION, ELSET=EGEL, MATERIAL={MATERIAL_NAME}")
-    return "\n".join(lines) + "\n"
-
-
-def write_include(mesh: GelMesh, folder: Path | str) -> Path:
-    """Write `mesh_include` to a folder, unless it lies there; the path, whose name holds a digest of the content."""
-    text = mesh_include(mesh).encode()
-    path = Path(folder) / f"mesh-{hashlib.sha256(text).hexdigest()[:12]}.inp"
-    if not path.exists():
-        with publish(path) as part:
-            part.write_bytes(text)
-    return path
-
-
-def include_of(deck: str) -> str:
-    """Path of the mesh that a deck of `press_deck` includes, relative to the deck's folder."""
-    return deck.partition(INCLUDE)[2].partition("\n")[0]
+    return lines
 
 
 def material_lines(material: Material) -> list[str]:
@@ -67,24 +49,23 @@ def start_lines(start: np.ndarray) -> list[str]:
 
 
 def press_deck(
-    include: str, material: Material, prescribed: np.ndarray, places: np.ndarray,
-    start: np.ndarray | None, increment: float, residual: float, solver: str,
-) -> str:  # fmt: skip
+    mesh: GelMesh, prescribed: np.ndarray, start: np.ndarray, nu: float, attempt: int, residual: float
+) -> str:
     """Deck of one equilibrium without contact.
 
-    include: path of the mesh, relative to the deck. prescribed: (k,) nodes, counted from 0, led to the displacements `places` (k, 3) mm.
-    start: (n, 3) mm, or None: from rest. increment: first load increment, 1 for all at once. residual: largest nodal
-    residual over the mean nodal force. Prints U and RF of the top's nodes, RF of the base, U of all. RF of a prescribed node is
-    the force that holds it.
+    prescribed: (k,) nodes, counted from 0, led to their displacements in `start` (n, 3) mm. nu: Poisson's ratio. attempt: which of ATTEMPTS.
+    residual: largest nodal residual over the mean nodal force. Prints U and RF of the top's nodes, RF of the base, U of all. RF of a
+    prescribed node is the force that holds it.
     """
-    lines = [f"{INCLUDE}{include}", *material_lines(material), "*BOUNDARY", "NBASE,1,3"]
-    if start is not None:
+    from_start, increment, solver = ATTEMPTS[attempt]
+    lines = [*mesh_lines(mesh), *material_lines(Material(nu)), "*BOUNDARY", "NBASE,1,3"]
+    if from_start:
         lines += start_lines(start)
     lines += ["*STEP, NLGEOM, INC=200", f"*STATIC, SOLVER={solver}", f"{increment:.6g},1.,1e-4,1."]
     lines += ["*CONTROLS, PARAMETERS=TIME INCREMENTATION", "6,20,12,30,15,8,,20,,", "0.25,0.5,0.75,0.85,,,1.5,"]
     lines += ["*CONTROLS, PARAMETERS=FIELD", f"{residual:.3g},1.,,,{residual:.3g},,1e-12"]
     lines.append("*BOUNDARY")
-    for i, u in zip((prescribed + 1).tolist(), places.tolist(), strict=True):
+    for i, u in zip((prescribed + 1).tolist(), start[prescribed].tolist(), strict=True):
         lines += [f"{i},1,1,{u[0]:{PLACE}}", f"{i},2,2,{u[1]:{PLACE}}", f"{i},3,3,{u[2]:{PLACE}}"]
     for nodes, quantity in (("NTOP", "U"), ("NTOP", "RF"), ("NBASE", "RF"), ("NALL", "U")):
         lines += [f"*NODE PRINT, NSET={nodes}, FREQUENCY=1000", quantity]

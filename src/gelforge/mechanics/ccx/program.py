@@ -55,6 +55,12 @@ class Job:
         """Newton iterations of all increments and attempts."""
         return self.log.count("largest residual force")
 
+    @property
+    def version(self) -> str:
+        """What the program calls its version, such as 2.20; empty where it did not say."""
+        found = re.search(rf"{BANNER}\s+([^\s,]+)", self.log)
+        return found[1] if found else ""
+
     def reason(self) -> str:
         """The first error in the log, in one line."""
         for start, line in enumerate(lines := self.log.splitlines()):

@@ -33,6 +33,13 @@ def slopes(bary: np.ndarray) -> np.ndarray:
     return np.stack([db, dc], axis=-1)
 
 
+def bilinear(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Four shape functions (q, 4) at places (q, 2) on [-1, 1]^2, and their slopes (q, 4, 2)."""
+    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
+    along = 1 + place[:, None, :] * signs
+    return along.prod(axis=2) / 4, signs * along[..., ::-1] / 4
+
+
 def gauss_points(order: int) -> tuple[np.ndarray, np.ndarray]:
     """Local coordinates (order^2, 2) and weights (order^2,) of the Gauss rule on [-1, 1]^2."""
     x, w = np.polynomial.legendre.leggauss(order)
@@ -49,6 +56,4 @@ def face_rule(nodes: int, order: int) -> tuple[np.ndarray, np.ndarray, np.ndarra
         bary, weight = dunavant12()
         return shapes(bary), slopes(bary), weight / 2.0
     local, weight = gauss_points(order)
-    signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
-    shape = np.prod(1 + local[:, None, :] * signs[None], axis=2) / 4
-    return shape, signs[None] * (1 + local[:, None, ::-1] * signs[None, :, ::-1]) / 4, weight
+    return *bilinear(local), weight

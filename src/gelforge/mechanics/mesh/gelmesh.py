@@ -1,14 +1,10 @@
 """A volume mesh of the gel, with the parts that contact and labels need."""
 
-import hashlib
 from dataclasses import dataclass
 from functools import cached_property
-from pathlib import Path
 
 import numpy as np
 
-from gelforge.errors import BadInput
-from gelforge.flow.files import DAMAGED, publish
 from gelforge.mechanics.mesh.stepped import Cells, Hanging
 
 
@@ -29,22 +25,6 @@ class GelMesh:
     faces: np.ndarray
     base: np.ndarray
 
-    def save(self, path: Path | str) -> None:
-        """Write to an .npz file, whole or not at all."""
-        with publish(path) as part:
-            np.savez_compressed(
-                part, kind=self.kind, nodes=self.nodes, elements=self.elements, faces=self.faces, base=self.base
-            )
-
-    @classmethod
-    def load(cls, path: Path | str) -> "GelMesh":
-        """Read what `save` wrote; a file that is no mesh raises BadInput."""
-        try:
-            with np.load(path, allow_pickle=False) as file:
-                return cls(str(file["kind"]), file["nodes"], file["elements"], file["faces"], file["base"])
-        except DAMAGED as error:
-            raise BadInput(f"{path}: not a gel mesh ({error}); delete it and run make again") from error
-
     @cached_property
     def cells(self) -> Cells:
         """The elements that are solved."""
@@ -61,15 +41,6 @@ class GelMesh:
         moves = np.ones(len(self.nodes), bool)
         moves[self.base] = moves[self.hanging.nodes] = False
         return np.flatnonzero(moves)
-
-    @property
-    def digest(self) -> str:
-        """Eight hexadecimal digits of the content, the same for equal nodes, elements, faces and base."""
-        parts = (self.nodes, self.elements, self.faces, self.base)
-        found = hashlib.sha256(self.kind.encode())
-        for part in parts:
-            found.update(np.ascontiguousarray(part).tobytes())
-        return found.hexdigest()[:8]
 
     @property
     def surface_nodes(self) -> np.ndarray:

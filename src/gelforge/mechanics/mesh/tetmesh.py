@@ -1,91 +1,199 @@
-"""Second-order tetrahedra: the gel with a sizing field, and the quality of a mesh."""
+"""Second-order tetrahedra: one base mesh of a gel, bisected for a press at the edge of its contact, and the quality of a mesh.
 
-import contextlib
+At the edge of contact displacement goes as the root of the distance, so the force of a flat body depends on the size of
+elements there more than anywhere else.
+"""
+
 import itertools
-import signal
-import tempfile
-import threading
-from collections.abc import Callable, Iterator, Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 
+import numba
 import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.mesh.hexmesh import round_corners
 
 EDGES = np.array([[0, 1], [1, 2], [2, 0], [0, 3], [1, 3], [2, 3]])  # midside order of C3D10
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])  # corners, outward for a positive tetrahedron
-OUTLINE_STEP_MM = 1.5  # length of a side of the outline polygon; no edge of a mesh there is shorter
-ARC_SIDES = 4  # of the outline at each of its rounded corners
-SIZING_STEP_MM = 0.75
-# How far pytetwild may leave the flat pad's surface before top and base are made flat again. 0.007 takes four times the
-# time, because the surface is sampled that densely.
-ENVELOPE_MM = 0.016
-ANEW = "make it again, pytetwild's meshes are never the same, or give it a smaller size (the last part of its name)"
+COARSEST_MM = 2.0  # side of a cell of the base mesh, about
+# In longest edges: how far from the edge of contact edges are shortest; how far beside the contact, and down to which depth, they
+# are those of its inside.
+RIM, BESIDE, DEEP = 0.25, 0.25, 0.33
+RIM_GROWTH, GROWTH = 1.0, 0.6  # mm by which they grow per mm from there
+FLAT = 1e-9  # of a gel's height within which a node of the flat box lies on its top or base
+EXACT = 256  # pixels around a contact in which distances to it are exact
+_LENGTHS = 1e8  # squared lengths in mm are compared as whole numbers of 1e-8: rounding decides nothing
 
 
-def outline(gel: Gel) -> np.ndarray:
-    """Outline of the gel as a polygon, counter-clockwise, (n, 2) mm, sides about OUTLINE_STEP_MM long."""
+def base_tets(gel: Gel) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes (n, 3) mm and tetrahedra (e, 4) of the gel's box with sharp corners and a flat top at z = 0.
+
+    Every diagonal of the top leads outwards, so that no tetrahedron has both sides of a corner, which `round_corners` makes
+    one line.
+    """
     half = np.array([gel.width, gel.length]) / 2
-    centres = (half - gel.corner_radius) * np.array([[1, 1], [-1, 1], [-1, -1], [1, -1]])
-    corners = []
-    for quarter, centre in enumerate(centres):
-        angle = np.pi / 2 * (quarter + np.linspace(0, 1, ARC_SIDES + 1))
-        corners.append(centre + gel.corner_radius * np.column_stack([np.cos(angle), np.sin(angle)]))
-    points = np.concatenate(corners)
-    filled = []
-    for start, end in zip(points, np.roll(points, -1, axis=0), strict=True):
-        pieces = max(1, round(np.linalg.norm(end - start) / OUTLINE_STEP_MM))
-        filled.append(start + (end - start) * np.arange(pieces)[:, None] / pieces)
-    return np.concatenate(filled)
+    nx, ny = (2 * max(1, round(float(side) / COARSEST_MM)) for side in half)
+    nz = max(1, round(gel.height / COARSEST_MM))
+    x, y = (np.linspace(-side, side, count + 1) for side, count in zip(half, (nx, ny), strict=True))
+    return kuhn_grid((x, y, np.linspace(-gel.height, 0, nz + 1)), (nx // 2, ny // 2))
 
 
-def prism(polygon: np.ndarray, height: float) -> tuple[np.ndarray, np.ndarray]:
-    """Closed triangles of the convex prism over `polygon` (n, 2) from z = -height to z = 0."""
-    count = len(polygon)
-    top = np.column_stack([polygon, np.zeros(count)])
-    bottom = np.column_stack([polygon, np.full(count, -height)])
-    vertices = np.concatenate([top, bottom, [[0, 0, 0], [0, 0, -height]]])
-    here = np.arange(count)
-    there = np.roll(here, -1)
-    faces = [
-        np.column_stack([here, there, np.full(count, 2 * count)]),
-        np.column_stack([there + count, here + count, np.full(count, 2 * count + 1)]),
-        np.column_stack([here, here + count, there]),
-        np.column_stack([there, here + count, there + count]),
-    ]
-    return vertices, np.concatenate(faces).astype(np.int32)
+def kuhn_grid(axes: Sequence[np.ndarray], middle: tuple[int, int] = (0, 0)) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes (n, 3) and tetrahedra (e, 4) of a grid with lines `axes` (x, y, z), six to a cell (Kuhn 1960).
 
-
-def sizing_grid(gel: Gel, size: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Background tetrahedra for pytetwild: vertices, tets and edge lengths from size(points) -> mm."""
-    margin = step = SIZING_STEP_MM
-    axes = [
-        np.linspace(-extent / 2 - margin, extent / 2 + margin, int(np.ceil(extent / step)) + 3)
-        for extent in (gel.width, gel.length)
-    ]
-    axes.append(np.linspace(-gel.height - margin, margin, int(np.ceil(gel.height / step)) + 3))
-    vertices, tets = kuhn_grid(axes)
-    return vertices, tets.astype(np.int32), size(vertices)
-
-
-def kuhn_grid(axes: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes (n, 3) and tetrahedra (e, 4) of a grid with lines `axes` (x, y, z), six to a cell (Kuhn 1960)."""
-    points = np.stack(np.meshgrid(*axes, indexing="ij"), -1)
-    index: Any = np.arange(points[..., 0].size).reshape(points.shape[:3])
-    corner: dict[tuple[int, ...], Any] = {
-        (i, j, k): index[i : index.shape[0] - 1 + i, j : index.shape[1] - 1 + j, k : index.shape[2] - 1 + k].ravel()
-        for i, j, k in itertools.product((0, 1), repeat=3)
-    }
+    middle: number of the line along x, and along y, before which cells are mirrored.
+    """
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    _, ny, nz = (len(lines) for lines in axes)
+    i, j, k = (v.ravel() for v in np.meshgrid(*(np.arange(len(lines) - 1) for lines in axes), indexing="ij"))
+    out = np.stack([2 * (i >= middle[0]) - 1, 2 * (j >= middle[1]) - 1, np.ones_like(k)], axis=1)
+    inner = np.stack([i, j, k], axis=1) + (out < 0)
     tets = []
     for order in itertools.permutations(range(3)):
-        path: list[tuple[int, ...]] = [(0, 0, 0)]
-        for axis in order:
-            path.append(tuple(1 if a == axis else v for a, v in enumerate(path[-1])))
-        tets.append(np.column_stack([corner[p] for p in path]))
-    vertices = points.reshape(-1, 3)
-    return vertices, orient(vertices, np.concatenate(tets))
+        corner, corners = inner.copy(), []
+        for axis in (None, *order):
+            if axis is not None:
+                corner[:, axis] += out[:, axis]
+            corners.append((corner[:, 0] * ny + corner[:, 1]) * nz + corner[:, 2])
+        tets.append(np.column_stack(corners))
+    return nodes, orient(nodes, np.concatenate(tets))
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Longest edges wanted around a contact, mm.
+
+    away: (nx, ny), signed distance to its edge at points `pixel` apart from `low` (x, y) on, negative inside. edge, inside:
+    longest edges at its edge and inside it.
+    """
+
+    away: np.ndarray
+    low: tuple[float, float]
+    pixel: float
+    edge: float
+    inside: float
+
+    @classmethod
+    def at(
+        cls, gel: Gel, mask: np.ndarray, pixel: float, low: tuple[float, float], edge: float, inside: float
+    ) -> "Sizes":
+        """Around the pixels `mask` (rows, columns) of a contact, the first of which begins at `low` (x, y) mm."""
+        from scipy.ndimage import distance_transform_edt
+
+        rim = [
+            tuple(min(EXACT, int(np.ceil(max(0.0, free) / pixel)) + 1) for free in (start + side / 2, side / 2 - start - pixel * count))
+            for start, side, count in zip(low, (gel.width, gel.length), mask.shape, strict=True)
+        ]  # fmt: skip
+        whole = np.pad(mask, rim)
+        within = distance_transform_edt(whole) if mask.any() else np.zeros(whole.shape)
+        beyond = distance_transform_edt(~whole) if mask.any() else np.full(whole.shape, np.inf)
+        # between the last pixel inside and the first one outside both would be half
+        away = pixel * np.where(whole, 0.5 - within, beyond - 0.5)
+        first = tuple(start - pixel * before[0] + pixel / 2 for start, before in zip(low, rim, strict=True))
+        return cls(away, first, pixel, edge, inside)
+
+
+def bisected(nodes: np.ndarray, tets: np.ndarray, sizes: Sizes) -> tuple[np.ndarray, np.ndarray]:
+    """Halve tetrahedra (e, 4) at their longest edges until these are as short as wanted and the mesh conforms.
+
+    Longest-edge bisection (Rivara 1984, Int. J. Numer. Methods Eng. 20, 745-756), under which shapes stay sound.
+    """
+    return _bisected(
+        nodes, tets.astype(np.int64), sizes.away, np.array(sizes.low), sizes.pixel, sizes.edge, sizes.inside
+    )
+
+
+@numba.njit(cache=True)
+def _longest(x, y, z, away, low, pixel, edge, inside):  # pragma: no cover - compiled
+    """Longest edge wanted at a place of the box, mm."""
+    u, v = (x - low[0]) / pixel, (y - low[1]) / pixel
+    i, j = min(max(round(u), 0), away.shape[0] - 1), min(max(round(v), 0), away.shape[1] - 1)
+    s = away[i, j]
+    if max(abs(u - i), abs(v - j)) > 0.5:  # beside what the distances cover
+        s += pixel * np.hypot(u - i, v - j)
+    at_edge = edge + RIM_GROWTH * max(np.hypot(abs(s), z) - RIM * edge, 0.0)
+    around = inside + GROWTH * np.hypot(max(s - BESIDE * inside, 0.0), max(-z - DEEP * inside, 0.0))
+    return min(at_edge, around)
+
+
+@numba.njit(cache=True)
+def _slot(keys, a, b):  # pragma: no cover - compiled
+    """Where the edge between nodes a and b lies in a hash table of edges, or would."""
+    key = (min(a, b) << 32) | max(a, b)
+    size = len(keys)
+    # Fibonacci hashing (Knuth, The Art of Computer Programming 3, section 6.4)
+    at = ((key * 7046029254386353131) >> 20) & (size - 1)
+    while keys[at] != -1 and keys[at] != key:
+        at = (at + 1) & (size - 1)
+    return at, key
+
+
+@numba.njit(cache=True)
+def _bisected(start, first, away, low, pixel, edge, inside):  # pragma: no cover - compiled
+    nodes = np.empty((4 * len(start) + 1024, 3))
+    nodes[: len(start)] = start
+    count = len(start)
+    # tets: those looked at; a stack of those still to look at, with what was found sound below it
+    tets = np.empty((4 * len(first) + 1024, 4), np.int64)
+    tets[: len(first)] = first
+    n = len(first)
+    keys, middles, filled = np.full(1 << 16, -1, np.int64), np.empty(1 << 16, np.int64), 0
+    changed = True
+    while changed:
+        changed = False
+        at = 0
+        while at < n:
+            best, best_key, best_a, best_b, marked = -1, -1, 0, 0, False
+            for a in range(3):
+                for b in range(a + 1, 4):
+                    p, q = tets[at, a], tets[at, b]
+                    u, v = min(p, q), max(p, q)
+                    squared = 0.0
+                    for axis in range(3):
+                        squared += (nodes[u, axis] - nodes[v, axis]) ** 2
+                    length = int(squared * _LENGTHS + 0.5)
+                    slot, key = _slot(keys, p, q)
+                    marked = marked or keys[slot] == key
+                    if length > best or (length == best and key > best_key):
+                        best, best_key, best_a, best_b = length, key, a, b
+            p, q = tets[at, best_a], tets[at, best_b]
+            if not marked:
+                x, y, z = (nodes[p] + nodes[q]) / 2
+                marked = np.sqrt(best / _LENGTHS) > _longest(x, y, z, away, low, pixel, edge, inside)
+            if not marked:
+                at += 1
+                continue
+            changed = True
+            slot, key = _slot(keys, p, q)
+            if keys[slot] != key:
+                if count == len(nodes):
+                    more = np.empty((2 * len(nodes), 3))
+                    more[:count] = nodes
+                    nodes = more
+                nodes[count] = (nodes[min(p, q)] + nodes[max(p, q)]) / 2
+                keys[slot], middles[slot] = key, count
+                count += 1
+                filled += 1
+                if 2 * filled > len(keys):
+                    old_keys, old_middles = keys, middles
+                    keys, middles = np.full(2 * len(keys), -1, np.int64), np.empty(2 * len(keys), np.int64)
+                    for old in range(len(old_keys)):
+                        if old_keys[old] != -1:
+                            new, _ = _slot(keys, old_keys[old] >> 32, old_keys[old] & 0xFFFFFFFF)
+                            keys[new], middles[new] = old_keys[old], old_middles[old]
+                    slot, _ = _slot(keys, p, q)
+            if n == len(tets):
+                wider = np.empty((2 * len(tets), 4), np.int64)
+                wider[:n] = tets
+                tets = wider
+            tets[n] = tets[at]
+            tets[at, best_a] = middles[slot]  # looked at again
+            tets[n, best_b] = middles[slot]
+            n += 1
+    return nodes[:count].copy(), tets[:n].copy()
 
 
 def orient(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
@@ -102,127 +210,45 @@ def signed_volumes(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
     return np.einsum("ij,ij->i", np.cross(b - a, c - a), d - a) / 6
 
 
-def boundary_faces(tets: np.ndarray) -> np.ndarray:
-    """Corner triples (f, 3) of the faces that belong to one tetrahedron only, oriented outward."""
-    faces = tets[:, FACES].reshape(-1, 3)
-    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
-    return faces[first[count == 1]]
-
-
-def second_order(nodes: np.ndarray, tets: np.ndarray) -> tuple[np.ndarray, np.ndarray, dict]:
-    """Add midside nodes: nodes (n, 3), elements (e, 10), and the midside of each sorted corner pair."""
-    pairs = np.sort(tets[:, EDGES].reshape(-1, 2), axis=1)
-    unique, inverse = np.unique(pairs, axis=0, return_inverse=True)
-    middles = nodes[unique].mean(axis=1)
-    elements = np.concatenate([tets, len(nodes) + inverse.reshape(-1, 6)], axis=1).astype(np.int32)
-    midside = {(int(a), int(b)): len(nodes) + i for i, (a, b) in enumerate(unique)}
-    return np.concatenate([nodes, middles]), elements, midside
-
-
-def gel_mesh(
-    gel: Gel,
-    size: Callable[[np.ndarray], np.ndarray],
-    threads: int = 1,
-    longest: Callable[[np.ndarray], np.ndarray] | None = None,
-) -> GelMesh:
-    """Mesh the gel with second-order tetrahedra.
-
-    gel: the pad. size: points (n, 3) mm -> edge lengths (n,) mm, on the flat pad (top at z = 0). longest:
-    points -> edge lengths (n,) mm above which edges are split (None: they stay as pytetwild leaves them, two to
-    three sizes long where the fine part is small).
-    The pad is meshed as a flat prism and then bent column by column onto `gel.top`, so that every
-    top node, midsides included, lies on the exact surface and every base node on z = -height.
-    """
-    vertices, faces = prism(outline(gel), gel.height)
-    background, bg_tets, values = sizing_grid(gel, size)
-    envelope = ENVELOPE_MM / float(np.linalg.norm(np.ptp(vertices, axis=0)))  # of the diagonal
-    nodes, tets = tetrahedralise(
-        vertices, faces, edge_length_abs=float(values.max()), epsilon=envelope, num_threads=threads,
-        bg_vertices=background, bg_tets=bg_tets, bg_values=values,
-    )  # fmt: skip
-    if longest:
-        nodes, tets = split_long_edges(nodes, tets, longest)
-    return from_flat(gel, nodes, tets)
-
-
-def split_long_edges(
-    nodes: np.ndarray, tets: np.ndarray, longest: Callable[[np.ndarray], np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Halve edges longer than longest(points (n, 3)) -> (n,) mm at their midpoints, until none is left.
-
-    An edge is halved in all elements (e, 4) around it at once, so that the mesh stays conforming, and only where it
-    is the longest to halve in each: longest-edge bisection (Rivara 1984), under which shapes stay sound.
-    """
-    while True:
-        pairs = np.sort(tets[:, EDGES], axis=2).reshape(-1, 2)
-        edges, of = np.unique(pairs, axis=0, return_inverse=True)
-        of = of.reshape(-1, 6)
-        length = np.linalg.norm(nodes[edges[:, 0]] - nodes[edges[:, 1]], axis=1)
-        long = length > longest(nodes[edges].mean(axis=1))
-        if not long.any():
-            return nodes, tets
-        rank = np.empty(len(edges), int)
-        rank[np.argsort(length, kind="stable")] = np.arange(len(edges))
-        own = np.where(long[of], rank[of], -1)  # an element's edges to halve, the longest highest
-        first = np.where(own.max(axis=1) >= 0, of[np.arange(len(tets)), own.argmax(axis=1)], -1)
-        agreed = np.bincount(first[first >= 0], minlength=len(edges)) == np.bincount(of.ravel())
-        middle = np.full(len(edges), -1)
-        middle[long & agreed] = len(nodes) + np.arange((long & agreed).sum())
-        nodes = np.concatenate([nodes, nodes[edges[long & agreed]].mean(axis=1)])
-        cut = (first >= 0) & (middle[first] >= 0)
-        whole, ends, new = tets[cut], edges[first[cut]], middle[first[cut]][:, None]
-        halves = [np.where(whole == ends[:, [side]], new, whole) for side in (0, 1)]
-        tets = np.concatenate([tets[~cut], *halves])
-
-
-def tetrahedralise(vertices: np.ndarray, faces: np.ndarray, **options: Any) -> tuple[np.ndarray, np.ndarray]:
-    """Linear tetrahedra inside closed triangles: the nodes (n, 3) in use and elements (e, 4)."""
-    import pytetwild
-
-    # It leaves a file in the folder it runs in.
-    with tempfile.TemporaryDirectory() as folder, contextlib.chdir(folder), _interrupt_kept():
-        nodes, tets = pytetwild.tetrahedralize(vertices, faces, **options)
-    used, numbered = np.unique(tets, return_inverse=True)
-    return nodes[used], numbered.reshape(-1, 4)
-
-
-@contextlib.contextmanager
-def _interrupt_kept() -> Iterator[None]:
-    """What SIGINT does stays what it was: pytetwild makes it end the process, so Ctrl-C would end a whole notebook."""
-    handler = signal.getsignal(signal.SIGINT)
-    try:
-        yield
-    finally:
-        # Python lets its main thread alone set handlers.
-        if threading.current_thread() is threading.main_thread():
-            signal.signal(signal.SIGINT, handler)
-
-
 def from_flat(gel: Gel, nodes: np.ndarray, tets: np.ndarray) -> GelMesh:
-    """GelMesh from linear tetrahedra (e, 4) of the flat pad (top at z = 0)."""
+    """GelMesh of second-order tetrahedra from linear ones (e, 4) of the gel's box, whose nodes (n, 3) mm are bent onto the gel.
+
+    Corners of the outline are rounded and each column is stretched between base and `gel.top`: every node of the top,
+    midsides included, lies on the exact surface, but where `straighten` had to move it.
+    """
+    top, bottom = (np.abs(nodes[:, 2] - z) < FLAT * gel.height for z in (0.0, -gel.height))
+    x, y = round_corners(nodes[:, 0], nodes[:, 1], gel.width / 2, gel.length / 2, gel.corner_radius)
+    nodes = np.column_stack([x, y, nodes[:, 2]])
     tets = orient(nodes, tets)
-    faces = boundary_faces(tets)
-    heights = nodes[faces][..., 2]
-    tolerance = 1.25 * ENVELOPE_MM  # edges on the sides are longer than 0.2 mm
-    is_top = (np.abs(heights) < tolerance).all(axis=1)
-    is_base = (np.abs(heights + gel.height) < tolerance).all(axis=1)
-    if not is_top.any() or not is_base.any():
-        raise BadInput(f"the mesh of the gel lost its top or base; {ANEW}")
-    nodes = nodes.copy()
-    nodes[np.unique(faces[is_top]), 2] = 0.0
-    nodes[np.unique(faces[is_base]), 2] = -gel.height
-    nodes, elements, midside = second_order(nodes, tets)
+    corners = tets[:, FACES].reshape(-1, 3)
+    faces, base = corners[top[corners].all(axis=1)], corners[bottom[corners].all(axis=1)]
+    nodes, elements, middle = second_order(nodes, tets)
     nodes[:, 2] = bend(gel, nodes)
     straighten(nodes, elements)
+    sides = [middle(faces[:, [a, b]]) for a, b in ((0, 1), (1, 2), (2, 0))]
+    faces = np.column_stack([faces, *sides]).astype(np.int32)
+    bonded = np.unique(
+        np.concatenate([base.ravel(), *(middle(base[:, [a, b]]) for a, b in ((0, 1), (1, 2), (2, 0)))])
+    )
+    nodes[bonded, 2] = -gel.height
+    return GelMesh("tet10", nodes, elements, faces, bonded.astype(np.int32))
 
-    def whole(corners: np.ndarray) -> np.ndarray:
-        middles = [[midside[min(a, b), max(a, b)] for a, b in ((f[0], f[1]), (f[1], f[2]), (f[2], f[0]))]
-                   for f in corners.tolist()]  # fmt: skip
-        return np.concatenate([corners, np.array(middles)], axis=1).astype(np.int32)
 
-    base = np.unique(whole(faces[is_base])).astype(np.int32)
-    nodes[base, 2] = -gel.height
-    return GelMesh("tet10", nodes, elements, whole(faces[is_top]), base)
+def second_order(
+    nodes: np.ndarray, tets: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
+    """Add midside nodes: nodes (n, 3), elements (e, 10), and what gives the midsides (m,) of corner pairs (m, 2)."""
+
+    def keyed(pairs: np.ndarray) -> np.ndarray:
+        return pairs.min(axis=-1).astype(np.int64) * len(nodes) + pairs.max(axis=-1)
+
+    keys, inverse = np.unique(keyed(tets[:, EDGES]), return_inverse=True)
+    ends = np.column_stack(np.divmod(keys, len(nodes)))
+    elements = np.concatenate([tets, len(nodes) + inverse.reshape(-1, 6)], axis=1).astype(np.int32)
+    return (
+        np.concatenate([nodes, nodes[ends].mean(axis=1)]), elements,
+        lambda pairs: len(nodes) + np.searchsorted(keys, keyed(pairs)),
+    )  # fmt: skip
 
 
 def straighten(nodes: np.ndarray, elements: np.ndarray, least: float = 0.1) -> None:
@@ -313,6 +339,7 @@ def mesh_report(mesh: GelMesh, gel: Gel) -> dict:
     }  # fmt: skip
     if float(scaled.min()) <= 0:
         raise BadInput(
-            f"the mesh has an inverted element (scaled Jacobian {report['min_scaled_jacobian']:.3g}); {ANEW}"
+            f"gel {gel.name}: its mesh has an inverted element (scaled Jacobian {report['min_scaled_jacobian']:.3g}); its edges fall"
+            " too steeply for tetrahedra, so solve presses on it by hexahedra"
         )
     return report

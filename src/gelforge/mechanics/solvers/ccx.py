@@ -2,51 +2,61 @@
 
 The deck has no contact. The final state of a hyperelastic body depends on its boundary data only, so the part of the
 surface that touches has the displacement that contact gave it; CalculiX finds the equilibrium of the gel and the forces that hold it
-so. What pulls or penetrates in its state makes no valid result. Contact is integrated at twelve points of each face,
+so. What pulls or penetrates in its state makes no valid result, and a force other than that found in process neither. Contact is integrated at twelve points of each face,
 because at nodes a footprint's edge falls between them.
 """
 
-import copy
 import time
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from gelforge.flow.tables import FeaTable
-from gelforge.mechanics.ccx.dat import DatError, Unfinished, last_table, read_dat, without_set
-from gelforge.mechanics.ccx.deck import DIRECT, INCLUDES, ITERATIVE, press_deck, write_include
+from gelforge.geometry import touch
+from gelforge.mechanics.ccx.dat import DatError, Unfinished, last_table, read_dat
+from gelforge.mechanics.ccx.deck import ATTEMPTS, press_deck
 from gelforge.mechanics.ccx.program import OVERDUE, run_ccx
 from gelforge.mechanics.contact.penalty import FREE
+from gelforge.mechanics.hexsettings import quality
 from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.mesh.hexmesh import fine_box
+from gelforge.mechanics.mesh.names import SMALLEST_MM, Contact, TetMeshName
 from gelforge.mechanics.path.equilibrium import System
 from gelforge.mechanics.path.loadpath import first_touch
 from gelforge.mechanics.path.pathsettings import PathSettings
 from gelforge.mechanics.path.scenepath import ScenePath, Verdict
-from gelforge.mechanics.path.transfer import LoadPath
+from gelforge.mechanics.path.transfer import LoadPath, touches
 from gelforge.mechanics.result import BALANCE, Result
 from gelforge.mechanics.scene import Scene
 from gelforge.records.status import Status
 
+AROUND = quality("label")  # whose small hexahedra show where the contact may be
+PIXELS = 64  # across the longer side of that place
+ACROSS = 5  # longest edges, at its edge, that the width of a contact holds at least
 NEAR_MM = 0.5  # from the indenter: points that may come to touch within a load step
 # Residual at which the end of a path on hexahedra shows what pulls and what presses on tetrahedra: nine scenes end within
 # 0.07 % of what 1e-3 gives, in three quarters of the time; at 0.2 they end up to 1.2 % off.
 ROUGH = 0.03
 FRICTION = 0.1  # stiffness of the springs along the indenter over that along its normal, for laws with friction
-INCREMENT = 0.25  # of the load, the first where a start from the kinematics fails
+# Share of the force by which CalculiX' may differ from that of the same equilibrium in process: they agree to 1e-8 or so.
+MOST_DIFFERENT = 1e-5
 
 
 @dataclass(frozen=True)
 class CcxSettings:
     """How `ccx` works: the numbers of [fea] that concern it, with the reasons for them in workflow/params.toml.
 
+    edge_mm, inside_mm: longest edges of tetrahedra at the edge of contact, and inside it.
     press_steps, shear_steps: load steps of the kinematics, at least. step_mm: none of the press is longer.
     stiffness: contact penalty, multiples of C10 per mm. rounds: in which the contact at the path's end may change.
     pull_tolerance: share of the normal force that may pull in a valid state. penetration_mm: depth that counts as touching. residual:
     largest nodal residual over the mean nodal force. timeout_s: seconds after which a run of CalculiX is stopped.
     """
 
+    edge_mm: float
+    inside_mm: float
     press_steps: int
     shear_steps: int
     step_mm: float
@@ -73,34 +83,61 @@ class CcxSettings:
         )  # fmt: skip
 
 
+def mesh_of(scene: Scene, path: LoadPath | None, edge_mm: float, inside_mm: float) -> TetMeshName:
+    """The mesh of a press: the gel's base mesh, bisected where its contact ends and inside it.
+
+    path: as followed on hexahedra, which shows what touches. None: what of the undeformed gel lies inside the indenter.
+    edge_mm, inside_mm: longest edges there; shorter where the contact is narrow (touch.width_of).
+    """
+    box = fine_box(scene, AROUND.size, AROUND.across)
+    low, size = (
+        (_digits(box.x_min, 6), _digits(box.y_min, 6)),
+        np.array([box.x_max - box.x_min, box.y_max - box.y_min]),
+    )
+    pixel = _digits(size.max() / PIXELS, 3)
+    x, y = (
+        start + pixel * (np.arange(max(1, round(side / pixel))) + 0.5) for start, side in zip(low, size, strict=True)
+    )
+    x, y = np.meshgrid(x, y, indexing="ij")
+    places = np.stack([x.ravel(), y.ravel(), np.asarray(scene.gel.top(x, y), float).ravel()], axis=1)
+    if path:
+        met, _ = touches(path, places)
+    else:
+        met = touch.touched(scene.indenter, scene.press, places)
+    mask = met.reshape(x.shape) & scene.gel.inside(x, y)
+    if not mask.any():  # between the pixels: what lies nearest
+        near = touch.gap(scene.indenter, scene.press, places, scene.press.end).reshape(x.shape)
+        mask = near <= near.min()
+    most = touch.width_of(mask, (pixel, pixel)) / ACROSS
+    edge, inside = (_digits(max(SMALLEST_MM, size * min(1.0, most / edge_mm)), 3) for size in (edge_mm, inside_mm))
+    return TetMeshName(scene.gel.name, edge, inside, Contact.of(mask, pixel, low))
+
+
+def _digits(number: float, count: int) -> float:
+    """A number of so many digits: what a mesh's name holds of it is all that there is."""
+    return float(f"{number:.{count}g}")
+
+
 @dataclass
 class CcxResult(Result):
-    """A Result with CalculiX' deck, .dat text and the mesh that the deck includes (None where nothing was run)."""
+    """A Result with what CalculiX' deck is written from (None where nothing was run).
 
-    deck: str | None = None
-    dat: str | None = None
-    include: Path | None = None
+    start: (n, 3) float32 mm, displacements that Newton's method starts from. prescribed: (k,) nodes that are led to theirs.
+    deck: the numbers that `ccx.deck.press_deck` takes beside.
+    """
+
+    start: np.ndarray | None = None
+    prescribed: np.ndarray | None = None
+    deck: dict[str, float] = field(default_factory=dict)
 
 
 class CcxSolver:
-    """Solves scenes on one tetrahedral mesh; decks and output live in `folder`/run, the mesh as text beside it."""
+    """Solves scenes on one tetrahedral mesh; decks and output of CalculiX lie in `folder`."""
 
     def __init__(self, mesh: GelMesh, folder: Path | str, settings: CcxSettings) -> None:
         self.mesh, self.folder, self.settings = mesh, Path(folder), settings
         self.system = System(mesh)
-        self._write()
-
-    def _write(self) -> None:
-        self.run = self.folder / "run"
-        self.run.mkdir(parents=True, exist_ok=True)
-        self.include = write_include(self.mesh, self.folder / INCLUDES)
-
-    def on(self, mesh: GelMesh, folder: Path | str) -> "CcxSolver":
-        """A solver of the same elements whose nodes lie elsewhere; both share matrix and factorisation, so one works at a time."""
-        other = copy.copy(self)
-        other.mesh, other.folder = mesh, Path(folder)
-        other._write()
-        return other
+        self.folder.mkdir(parents=True, exist_ok=True)
 
     def solve(
         self,
@@ -132,7 +169,6 @@ class CcxSolver:
         kinematics_s = time.perf_counter() - began
         if status is Status.OK:
             result = self._state(found, name, s)
-            result.evidence["engine_difference"] = _difference(result.total, found.contact_forces().sum(axis=0))
         else:
             result = self._empty(Status.DIVERGED, found.reason or status.value, began)
         result.evidence |= {
@@ -148,30 +184,44 @@ class CcxSolver:
         )
         evidence |= dict.fromkeys(("newton_iterations", "rounds", "load_steps"), 0)
         evidence |= {"reason": reason, "seconds": time.perf_counter() - began, "peak_mib": 0.0}
-        return CcxResult(status, zero, zero.copy(), evidence)
+        return CcxResult(status, zero, zero.copy(), evidence, self.mesh)
 
     def _state(self, found: ScenePath, name: str, s: CcxSettings) -> CcxResult:
         """CalculiX' equilibrium with the displacement of the touching surface as the path left it."""
         touching = found.state.status != FREE
         prescribed = np.unique(found.nodes[touching])
         run = _Run(self, found.scene, name, s)
-        answer = run.solve(prescribed, found.u)
+        # what is kept of a press makes its deck again to the last digit
+        start = found.u.astype(np.float32)
+        answer = run.solve(prescribed, start)
         if isinstance(answer, CcxResult):
             return answer
-        result = run.result(answer, prescribed, found.judge(answer.displacement))
+        result = run.result(answer, prescribed, start, found.judge(answer.displacement))
         result.evidence["touching_points"] = int(touching.sum())
+        _compare(result, found.contact_forces().sum(axis=0))
         return result
+
+
+def _compare(result: CcxResult, in_process: np.ndarray) -> None:
+    """Note by how much CalculiX' force differs from that of the same equilibrium in process, (3,) N; refuse it where it does."""
+    off = float(np.linalg.norm(result.total - in_process)) / max(float(np.linalg.norm(in_process)), 1e-12)
+    result.evidence["engine_difference"] = off
+    if result.status.valid and off > MOST_DIFFERENT:
+        result.status = Status.DISAGREES
+        force, own = (" ".join(f"{value:.6g}" for value in total) for total in (result.total, in_process))
+        result.evidence["reason"] = (
+            f"CalculiX {result.evidence['ccx_version']} gives {force} N where the same equilibrium in process gives {own} N,"
+            f" {off:.2g} of the force apart, {MOST_DIFFERENT:g} is allowed; {Status.DISAGREES.value}"
+        )
 
 
 @dataclass(frozen=True)
 class Answer:
-    """A solved deck: displacement (n, 3), reactions at the top (t, 3) and base (b, 3), texts."""
+    """A solved deck: displacement (n, 3), reactions at the top (t, 3) and base (b, 3)."""
 
     displacement: np.ndarray
     top: np.ndarray
     base: np.ndarray
-    deck: str
-    dat: str
 
 
 class _Run:
@@ -183,37 +233,35 @@ class _Run:
         self.seconds = self.peak = 0.0
         self.failed_attempts: list[str] = []
         self.overdue: dict[str, float] = {}
+        self.version = ""
+        self.deck: dict[str, Any] = {}
 
     def solve(self, prescribed: np.ndarray, start: np.ndarray) -> "Answer | CcxResult":
         """Equilibrium in which the nodes `prescribed` (k,) are displaced as in `start` (n, 3) mm; or a failed CcxResult.
 
         Newton's method begins there; where that fails the displacements grow from rest in increments.
         """
-        mesh, s = self.solver.mesh, self.settings
+        mesh, s, folder = self.solver.mesh, self.settings, self.solver.folder
         problem = Status.DIVERGED, "no point touches"
-        attempts: list[tuple[np.ndarray | None, float, str]] = [(start, 1.0, ITERATIVE), (start, 1.0, DIRECT)]
-        attempts += [(None, INCREMENT, DIRECT), (None, INCREMENT / 10, DIRECT)]
-        run, include = self.solver.run, f"../{INCLUDES}/{self.solver.include.name}"
-        for begin, increment, method in attempts if len(prescribed) else []:
-            deck = press_deck(
-                include, self.scene.material, prescribed, start[prescribed], begin, increment, s.residual, method
-            )
-            (run / f"{self.name}.inp").write_text(deck)
-            job = run_ccx(self.name, run, s.timeout_s)
+        for attempt, (_, increment, method) in enumerate(ATTEMPTS if len(prescribed) else ()):
+            self.deck = {"nu": self.scene.material.nu, "attempt": attempt, "residual": s.residual}
+            deck = press_deck(mesh, prescribed, start, **self.deck)
+            (folder / f"{self.name}.inp").write_text(deck)
+            job = run_ccx(self.name, folder, s.timeout_s)
             self.iterations += job.iterations
             self.seconds += job.seconds
-            self.peak = max(self.peak, job.peak_mib)
+            self.peak, self.version = max(self.peak, job.peak_mib), job.version
             if job.returncode == OVERDUE:
                 self.overdue = {"stopped_after_s": s.timeout_s}
             try:
-                return read_answer(run / f"{self.name}.dat", mesh, deck)
+                return read_answer(folder / f"{self.name}.dat", mesh)
             except DatError as error:
                 problem = status_of(error), f"{error}; {job.reason()}"
                 self.failed_attempts.append(f"{method}, first increment {increment:g}: {problem[1]}")
         zero = np.zeros_like(mesh.nodes)
-        return CcxResult(problem[0], zero, zero.copy(), self._evidence() | {"reason": problem[1]}, deck=None)
+        return CcxResult(problem[0], zero, zero.copy(), self._evidence() | {"reason": problem[1]}, mesh)
 
-    def result(self, answer: Answer, prescribed: np.ndarray, verdict: Verdict) -> CcxResult:
+    def result(self, answer: Answer, prescribed: np.ndarray, start: np.ndarray, verdict: Verdict) -> CcxResult:
         """The answer as a result: forces are those on the nodes `prescribed`, and valid where contact and balance are."""
         mesh, s = self.solver.mesh, self.settings
         forces = np.zeros_like(mesh.nodes)
@@ -230,31 +278,26 @@ class _Run:
             "penetration_mm": verdict.penetration, "pulling_fraction": verdict.pulling_fraction,
             "base_mismatch": mismatch,
         }  # fmt: skip
-        dat = without_set(answer.dat, "NALL")
-        return CcxResult(status, forces, answer.displacement, evidence, answer.deck, dat, self.solver.include)
+        return CcxResult(status, forces, answer.displacement, evidence, mesh, start, prescribed, self.deck)
 
     def _evidence(self) -> dict:
         return {
             "newton_iterations": self.iterations, "peak_mib": self.peak, "solver_seconds": self.seconds,
-            "failed_attempts": self.failed_attempts, **self.overdue,
+            "failed_attempts": self.failed_attempts, "ccx_version": self.version, **self.overdue,
         }  # fmt: skip
 
 
-def read_answer(path: Path, mesh: GelMesh, deck: str) -> Answer:
+def read_answer(path: Path, mesh: GelMesh) -> Answer:
     """Parse and check the .dat of a press deck; raises DatError."""
     text = path.read_text(errors="replace") if path.exists() else ""
     tables = read_dat(text)
     top, base, every = mesh.surface_nodes + 1, mesh.base + 1, np.arange(len(mesh.nodes)) + 1
     return Answer(
         last_table(tables, "displacements", "NALL", every), last_table(tables, "forces", "NTOP", top),
-        last_table(tables, "forces", "NBASE", base), deck, text,
+        last_table(tables, "forces", "NBASE", base),
     )  # fmt: skip
 
 
 def status_of(error: DatError) -> Status:
     """Status of a solve whose .dat cannot be used: it ended before its load was on, or it is no table of ours."""
     return Status.DIVERGED if isinstance(error, Unfinished) else Status.UNREADABLE
-
-
-def _difference(one: np.ndarray, other: np.ndarray) -> float:
-    return float(np.linalg.norm(one - other)) / max(float(np.linalg.norm(one)), 1e-12)

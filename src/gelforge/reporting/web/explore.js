@@ -487,7 +487,7 @@ function provenanceRows(i) {
   line("pose", `${d}/10_poses/${shard}.csv`, "poses.json", `10_poses/${shard}`, "its shard");
   if (COLUMNS.status[i] === "REJECTED") return rows;
   const mesh = COLUMNS.mesh[i];
-  if (mesh) line("mesh", mesh.startsWith("hex@") ? mesh : `${d}/20_meshes/${mesh.split("@")[0]}.npz`, "meshes.json", `20_meshes/${shard}`, "its shard");
+  if (mesh) rows.push(["mesh", mesh.length > 90 ? `${mesh.slice(0, 90)}…` : mesh, "", "", "", "", ""]);
   rows.push([`solve (${COLUMNS.method[i] || "none"})`, `${d}/30_fea/${shard}/${id}.*`, "fea.json", fixed(COLUMNS.seconds[i], 1), "", fixed(COLUMNS.peak_mib[i], 0), "this press"]);
   line("solves", `${d}/30_fea/${shard}.csv`, "fea.json", `30_fea/${shard}`, "its shard");
   line("forces", `${d}/40_forces/${shard}.npz`, "forces.json", `40_forces/${shard}`, "its shard");
