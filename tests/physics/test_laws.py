@@ -16,6 +16,7 @@ from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvers.hex import HexResult, HexSolver
 from gelforge.records.press import Press
 from gelforge.records.status import Status
+from gelforge.sweeps.scenes import parse_scene, read_tables
 from tests.benchmarks.exact import scene_of
 from tests.support.exact_scenes import KEPT
 from tests.support.flat_pad import FlatPad
@@ -150,3 +151,12 @@ def test_presses_of_known_force_are_within_what_they_state(method):
         off = abs(force(found) - known[name]["force_n"])
         assert off < found.error_n and off < {"draft": 0.02, "label": 0.01}[method] * known[name]["force_n"], name
         assert found.error_n < found.evidence["cells_error_n"] < 0.5 * force(found)
+
+
+@pytest.mark.slow
+def test_a_press_whose_coarse_path_does_not_arrive_is_corrected_too(root):
+    """Its end is followed on the fine hexahedra themselves: two sizes say as much of it as of any other."""
+    tables = read_tables(root / "workflow")
+    found = HexSolver(quality("draft")).solve(parse_scene("slope", tables["sloping_cuboid"], 0.475).scene)
+    assert found.evidence["load_steps"] > 0, "it arrives: give another scene"
+    assert 0.9 < found.evidence["extrapolated"] < 0.99 and found.error_share < 0.05
