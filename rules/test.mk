@@ -1,8 +1,7 @@
 # Tests, and benchmarks of what was promised.
 TESTS ?= tests
-# A process of tests that dies is not started again: with --dist loadfile the others would wait for it for ever. Files
-# keep the order of tests/conftest.py.
-PYTEST = $(PY_HERE) -m pytest -n $(SLOTS) --dist loadfile --no-loadscope-reorder --max-worker-restart=0 --durations=20
+# A process of tests that dies is not started again: the others would wait for it for ever.
+PYTEST = $(PY_HERE) -m pytest -n $(SLOTS) --dist worksteal --max-worker-restart=0 --durations=20
 
 # A browser for tests of pages, Slurm for a cluster of one node: one install at a time, else they fight for the lock.
 CHROMIUM_FOUND := .venv/chromium.found

@@ -38,31 +38,6 @@ for name in ("OMP_NUM_THREADS", "MKL_NUM_THREADS"):
 REFERENCE = Path(os.environ.get("GELFORGE_REFERENCE", ROOT.parent / "shared" / "reference"))
 
 
-# Files that take longest, in that order: begun at the end they would be waited for by processes with nothing to do. Of the
-# first three one solves presses: in a fresh clone its kernels are compiled once, and not by each process for itself.
-LONG = (
-    "test_slurm",
-    "test_nested",
-    "test_benchmarks",
-    "test_machines",
-    "test_planning",
-    "test_one_sample",
-    "test_hex",
-    "test_rig_forces",
-    "test_flow",
-    "test_training",
-    "test_rig",
-    "test_meshes",
-    "test_calibrated_labels",
-    "test_calibration_inference",
-    "test_calibrate",
-    "test_auto",
-    "test_evaluation",
-    "test_exports",
-    "test_fea_resume",
-)
-
-
 # What --strict-tools asks for: words of the reasons with which tests skip where a tool or the reference data are missing.
 TOOLS = ("CalculiX", "Slurm", "chromium", "getfem", "reference data")
 
@@ -82,12 +57,6 @@ def pytest_runtest_makereport(item):
     reason = report.longrepr[2] if report.skipped and isinstance(report.longrepr, tuple) else ""
     if item.config.getoption("--strict-tools") and any(tool in reason for tool in TOOLS):
         report.outcome, report.longrepr = "failed", f"{reason} (--strict-tools)"
-
-
-def pytest_collection_modifyitems(config, items):
-    """Tests that take long come first, where no other order is asked for."""
-    if not config.pluginmanager.hasplugin("randomly"):
-        items.sort(key=lambda item: LONG.index(item.path.stem) if item.path.stem in LONG else len(LONG))
 
 
 @pytest.fixture(autouse=True)

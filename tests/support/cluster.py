@@ -65,6 +65,10 @@ with open(f"runs/{name}", "a") as stream:
 """
 
 
+# Stops a cluster once the process that it is for has ended, however that was.
+GUARD = 'while kill -0 "$1" 2>/dev/null; do sleep 1; done; "$2" stop "$3"; rm -rf "$3"'
+
+
 class Cluster:
     """A Slurm cluster of one node on the loopback address, in a short temporary folder of its own."""
 
@@ -94,10 +98,20 @@ class Cluster:
 def cluster(cpus: int = 2, memory_mb: int = 4000, extra: str = ""):
     """Start a cluster and stop it at the end. extra: lines for slurm.conf."""
     made = Cluster(cpus, memory_mb, extra)
+    words = ["bash", "-c", GUARD, "guard", str(os.getpid()), str(ROOT / "envs/slurm-cluster.sh"), str(made.folder)]
+    guard = subprocess.Popen(
+        words,
+        start_new_session=True,
+        env=os.environ | made.settings,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.DEVNULL,
+    )
     try:
         made.do("start")
         yield made
     finally:
+        guard.kill()
+        guard.wait()
         made.do("stop")
         shutil.rmtree(made.folder, ignore_errors=True)
 

@@ -4,6 +4,8 @@ import os
 import re
 import shutil
 import signal
+import subprocess
+import sys
 import time
 from pathlib import Path
 
@@ -12,7 +14,7 @@ import pytest
 
 from gelforge.flow.files import write_text
 from tests.benchmarks import sandbox
-from tests.support.cluster import Cluster, cluster, lay_profile, lay_project, make, start_make
+from tests.support.cluster import ROOT, Cluster, cluster, lay_profile, lay_project, make, start_make
 from tests.support.waiting import HANG, wait_until
 from tests.workflow.conftest import NEEDS_SLURM, lay_dataset
 
@@ -84,6 +86,23 @@ class TestSmoke:
         for path in made:
             assert path.read_bytes() == (project / path.relative_to(local)).read_bytes()
         assert not list((project / "results/lab/.slurm").iterdir())
+
+
+class TestEnd:
+    pytestmark = needs_slurm
+
+    def test_a_cluster_ends_with_the_process_that_it_is_for(self, tmp_path):
+        """Tests that a person stops leave no daemons behind."""
+        program = "from tests.support.cluster import cluster\nwith cluster() as made: print(made.folder, flush=True); input()"
+        process = subprocess.Popen(
+            [sys.executable, "-c", program], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT
+        )
+        folder = process.stdout.readline().strip()
+        assert Path(folder, "slurm.conf").exists()
+        process.kill()
+        process.wait()
+        wait_until(lambda: not Path(folder).exists())
+        assert not subprocess.run(["pgrep", "-f", folder], capture_output=True).stdout
 
 
 def test_dry_run_shows_exactly_what_local_would_run(tmp_path):

@@ -1,0 +1,94 @@
+"""A make that dies anywhere leaves whole files or none: the next one ends as if nothing had happened."""
+
+import os
+import signal
+import subprocess
+
+import pytest
+
+from gelforge.flow.files import write_text
+from tests.benchmarks.sandbox import clean_environment, link_project, make
+from tests.support.waiting import HANG
+
+from .conftest import lay_dataset
+
+# In the place of what Python imports of itself at its start: counts renames of all processes, and kills them all at one.
+AT_START = """
+import os, signal
+rename = os.replace
+def replace(*paths, **options):
+    with open(os.environ["RENAMED"], "a") as count:
+        count.write("x")
+    if os.stat(os.environ["RENAMED"]).st_size == int(os.environ.get("KILL_AT", "0")):
+        os.killpg(0, signal.SIGKILL)
+    return rename(*paths, **options)
+if "RENAMED" in os.environ:
+    os.replace = replace
+"""
+MADE = ("00_plan", "10_poses", "15_images", "40_forces", "50_labels")  # stage 30 notes the seconds of its solves
+
+
+def laid(root, folder):
+    """A sandbox with a dataset of one press, whose processes count their renames."""
+    project = link_project(root, folder)
+    (project / "src").unlink()
+    (project / "src").mkdir()
+    (project / "src/gelforge").symlink_to(root / "src/gelforge")
+    write_text(project / "src/sitecustomize.py", AT_START)
+    lay_dataset(project, root, "tiny", 1)
+    return project
+
+
+def begun(project, **environment: str) -> subprocess.Popen:
+    """A make of the labels, with all that it starts in a group of processes."""
+    return subprocess.Popen(
+        ["make", "-j1", "labels", "DATASET=tiny"],
+        cwd=project,
+        env={**clean_environment(), "RENAMED": str(project / "renamed"), **environment},
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def contents(project) -> dict[str, bytes]:
+    """Bytes of all results by their place; what a process of a number left is none of them."""
+    results = project / "results/tiny"
+    found = [path for name in MADE for path in (results / name).rglob("*") if path.is_file()]
+    return {str(path.relative_to(results)): path.read_bytes() for path in found if not path.name.startswith(".")}
+
+
+@pytest.mark.slow
+def test_a_make_that_is_killed_at_a_rename_ends_as_one_that_was_not(root, tmp_path):
+    whole = laid(root, tmp_path / "whole")
+    said, _ = (first := begun(whole)).communicate(timeout=HANG)
+    assert first.returncode == 0, said
+    count, expected = (whole / "renamed").stat().st_size, contents(whole)
+    assert count > 50 and len(expected) > 40
+    for number, at in enumerate((2, count // 4, count // 2, count - 8, count - 4, count - 1)):
+        project = laid(root, tmp_path / str(number))
+        killed = begun(project, KILL_AT=str(at))
+        killed.communicate(timeout=HANG)
+        assert killed.returncode == -signal.SIGKILL
+        said, _ = (again := begun(project)).communicate(timeout=HANG)
+        assert again.returncode == 0, said
+        assert contents(project) == expected, f"killed at rename {at} of {count}"
+
+
+def test_two_makes_that_plan_at_once_end_as_one(root, tmp_path):
+    """Neither reads what the other is writing, nor removes what the other has planned."""
+    project = link_project(root, tmp_path / "project")
+    lay_dataset(project, root, "tiny", 2)
+    both = [
+        subprocess.Popen(
+            ["make", "poses", "DATASET=tiny"], cwd=project, env=clean_environment(), text=True,
+            stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
+        )
+        for _ in range(2)
+    ]  # fmt: skip
+    for process in both:
+        said, _ = process.communicate(timeout=HANG)
+        assert process.returncode == 0, said
+    assert "flow.step" not in make(project, "-n", "poses", "DATASET=tiny").stdout
+    assert sorted(os.listdir(project / "results/tiny/10_poses")) == ["0000", "0000.csv", "0000.rejected.csv"]
