@@ -10,7 +10,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of, digest_of_value, kept
 from gelforge.geometry.shells import outer_surface
 from gelforge.geometry.solids import Body
-from gelforge.geometry.standing import section_at, standing
+from gelforge.geometry.standing import cut_at, standing
 from gelforge.geometry.stlfile import read_stl
 from gelforge.geometry.triangles import Mesh
 
@@ -81,7 +81,7 @@ class Sampled(Body):
 
     def _lost(self, height: float) -> float:
         """Share of the body's section at a height (mm) above its lowest point that the grid holds for outside of it."""
-        section = section_at((self.vertices, self.faces), height)
+        section = cut_at((self.vertices, self.faces), height)
         low, high = section.low - 2.0 * self.spacing, section.high + 2.0 * self.spacing
         step = max(self.spacing / 4.0, float(np.sqrt(np.prod(high - low) / MOST_LOOKED_AT)))
         x, y = (np.arange(start, end, step) for start, end in zip(low, high, strict=True))

@@ -18,7 +18,7 @@ SHARP_DEG = 60.0  # between the outward normals of two sides that make a ridge; 
 
 
 @dataclass(frozen=True)
-class Section:
+class Cut:
     """A level cut through a body: area mm2, middle (2,), lowest and highest x, y (2,) mm."""
 
     area: float
@@ -27,7 +27,7 @@ class Section:
     high: np.ndarray
 
 
-def section_at(mesh: Mesh, height: float) -> Section:
+def cut_at(mesh: Mesh, height: float) -> Cut:
     """The section of a closed surface, lowest point at z = 0, at a height in mm."""
     vertices, faces = below(*mesh, height)
     corners = vertices[faces]
@@ -35,7 +35,7 @@ def section_at(mesh: Mesh, height: float) -> Section:
     cap = (np.abs(corners[..., 2] - height) < 1e-9 + 1e-6 * height).all(axis=1) & (normal[:, 2] > 0.0)
     flat, area = corners[cap][..., :2], 0.5 * normal[cap, 2]
     middle = (flat.mean(axis=1) * area[:, None]).sum(axis=0) / area.sum()
-    return Section(float(area.sum()), middle, flat.min(axis=(0, 1)), flat.max(axis=(0, 1)))
+    return Cut(float(area.sum()), middle, flat.min(axis=(0, 1)), flat.max(axis=(0, 1)))
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ def standing(vertices: np.ndarray, faces: np.ndarray) -> Standing:
     vertices = vertices - [0.0, 0.0, vertices[:, 2].min()]
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     size = high - low
-    section = section_at((vertices, faces), min(TIP_MM, size[2] / 2.0))
+    section = cut_at((vertices, faces), min(TIP_MM, size[2] / 2.0))
     wide = section.high - section.low
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -86,9 +86,9 @@ def _lying(mesh: Mesh, size: np.ndarray) -> list[str]:
         # the axis turned up or down is the same surface, seen from its other end
         turned = np.roll(vertices, 2 - axis, axis=1) * ([1.0, 1.0, 1.0] if sign < 0.0 else [1.0, -1.0, -1.0])
         turned = turned - [0.0, 0.0, turned[:, 2].min()]
-        ends.append(section_at((turned, faces), TIP_MM).area)
+        ends.append(cut_at((turned, faces), TIP_MM).area)
     height = float(size[2])
-    low, middle, high = (section_at(mesh, z).area for z in (TIP_MM, height / 2.0, height - TIP_MM))
+    low, middle, high = (cut_at(mesh, z).area for z in (TIP_MM, height / 2.0, height - TIP_MM))
     round_ = abs(high - low) < ALIKE * low and middle > BULGE * low
     if max(ends) < ENDS_DIFFER * min(ends) or not round_:
         return []

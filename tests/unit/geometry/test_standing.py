@@ -5,7 +5,7 @@ import pytest
 
 from gelforge.geometry.indenters import build, load_catalogue
 from gelforge.geometry.sampled import sampled_from_stl
-from gelforge.geometry.standing import section_at, standing
+from gelforge.geometry.standing import cut_at, standing
 from gelforge.geometry.triangles import Mesh, write_stl
 from tests.support.refused import refused
 
@@ -96,7 +96,7 @@ def test_what_touches_first_is_measured():
     flat, ball = (standing(*CATALOGUE[name].surface()).touches for name in ("cuboid_7", "sphere_10"))
     assert "a flat side of 25 mm2 touches first" in flat and "0.00 mm beside the axis" in flat
     assert "a tip or a rounded side touches first, 1.98 x 1.98 mm wide" in ball
-    section = section_at(wedge(90.0, length=8.0), 1.0)
+    section = cut_at(wedge(90.0, length=8.0), 1.0)
     assert section.area == pytest.approx(16.0) and section.high - section.low == pytest.approx([8.0, 2.0])
 
 
