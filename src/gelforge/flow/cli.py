@@ -32,7 +32,7 @@ EXTRAS = {
     **dict.fromkeys(("scipy", "numba", "pydantic", "annotated_types"), "solve"),
     "matplotlib": "plot",
     **dict.fromkeys(
-        ("pypardiso", "pymeshlab", "pytetwild", "pyvista", "vtk", "vtkmodules", "emcee", "arviz_stats", "corner", "jinja2"), "flow"
+        ("pypardiso", "pymeshlab", "pyvista", "vtk", "vtkmodules", "emcee", "arviz_stats", "corner", "jinja2"), "flow"
     ),
     **dict.fromkeys(("torch", "safetensors", "tqdm"), "train"),
     **dict.fromkeys(("mcap_ros2", "mcap_protobuf", "av", "pyarrow", "h5py"), "exports"),

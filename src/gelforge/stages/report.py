@@ -39,7 +39,7 @@ VERSION = 5
 ABSENT = "not installed"
 FOLDED = ("trace.png",)  # pictures for who doubts a result
 PACKAGES = (
-    "gelforge", "numpy", "scipy", "torch", "pymeshlab", "pytetwild", "pyvista", "emcee", "opencv-contrib-python-headless",
+    "gelforge", "numpy", "scipy", "torch", "pymeshlab", "pyvista", "emcee", "opencv-contrib-python-headless",
 )  # fmt: skip
 
 
