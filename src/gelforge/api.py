@@ -130,11 +130,15 @@ def solve(
         BadInput: an argument that has no meaning; the message names it.
         GelforgeError: the press has no solution; the message says why.
     """
-    from gelforge.flow.tables import SOFTEST, STIFFEST
+    from gelforge.flow.tables import IN_PROCESS, SOFTEST, STIFFEST
 
     if not (_finite(c10, nu) and SOFTEST <= c10 <= STIFFEST and 0.0 <= nu < 0.5):
         raise BadInput(
             f"gelforge.solve: c10 = {c10!r}, nu = {nu!r}: give c10 from {SOFTEST:g} to {STIFFEST:g} MPa and nu from 0 to below 0.5"
+        )
+    if method not in IN_PROCESS:
+        raise BadInput(
+            f"gelforge.solve: method = {method!r}: choose {', '.join(IN_PROCESS)}; CalculiX and `auto` solve by make (README)"
         )
     if friction is not None and not (_finite(friction) and friction >= 0.0):
         raise BadInput(

@@ -202,7 +202,7 @@ def test_a_press_that_is_none_is_no_press_of_0_n():
     for given in (
         {"depth": nan}, {"depth": -0.5}, {"depth": "0.5"}, {"depth": None}, {"at": (nan, 0.0)}, {"at": (1.0, 0.0, 0.2)},
         {"at": 1.0}, {"shear": (0.2,)}, {"shear": (0.0, inf)}, {"rot_deg": nan}, {"c10": "soft"}, {"c10": 72.5}, {"nu": nan},
-        {"friction": -0.1}, {"friction": nan},
+        {"friction": -0.1}, {"friction": nan}, {"method": "ccx"}, {"method": 3},
     ):  # fmt: skip
         refused(next(iter(given)), gelforge.solve, BALL, **({"depth": 0.5} | given))
     refused("kind", gelforge.solve, {"kind": "teapot"}, depth=0.5)

@@ -23,4 +23,4 @@ of_unit = np.array([gelforge.solve("sphere_15", depth, c10=UNIT).total[2] for de
 c10 = UNIT * np.mean(measured / of_unit)
 for (depth, force), unit in zip(presses, of_unit):
     print(f"{depth:.1f} mm: measured {force:8.3f} N, solved {unit * c10 / UNIT:8.3f} N")
-print(f"C10 = {c10:.4f} MPa")
+print(f"C10 = {c10:.4f} MPa; what is left are touch offset, compliance and slip, which `make calibrate` finds, too")
