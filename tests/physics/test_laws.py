@@ -160,3 +160,13 @@ def test_a_press_whose_coarse_path_does_not_arrive_is_corrected_too(root):
     found = HexSolver(quality("draft")).solve(parse_scene("slope", tables["sloping_cuboid"], 0.475).scene)
     assert found.evidence["load_steps"] > 0, "it arrives: give another scene"
     assert 0.9 < found.evidence["extrapolated"] < 0.99 and found.error_share < 0.05
+
+
+@pytest.mark.slow
+def test_a_long_slide_ends_in_balance_at_the_coefficient_of_friction(draft):
+    """Points that go to and fro between sticking and slipping keep their tractions, so that the end is tight."""
+    found = draft.solve(press(WIDE, 0.5, shear=(1.5, 0.0), law=Interface("coulomb", 0.6)))
+    assert force(found) > 0.5
+    # a ball ploughs: at its front the normal leans against the travel
+    assert found.total[0] == pytest.approx(-0.6 * found.total[2], rel=0.03)
+    assert abs(found.total[1]) < 1e-3 * found.total[0]

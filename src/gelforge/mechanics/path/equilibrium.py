@@ -119,16 +119,19 @@ class Equilibrium:
         still: bool = False,
         enough: float = 0.0,
         parts: Sequence[float] = PARTS,
+        held: bool = False,
     ) -> tuple[np.ndarray, int]:
         """Newton steps from u until the residual is below tolerance times the contact force: u (n, 3) and their number.
 
         With friction the first step holds every sticking point (but where indenter and contact are as they were, `still`):
         points that slip from a poor guess drag others along, and Newton loses its way. enough: residual that is taken
-        where no number of steps meets the tolerance. parts: of a step that are tried in turn. Raises NoEquilibrium.
+        where no number of steps meets the tolerance. parts: of a step that are tried in turn. held: no sticking point slips in any
+        step. Raises NoEquilibrium.
         """
         if self.iterations > self.settings.most_in_all:
             raise NoEquilibrium(f"the path took more than {self.settings.most_in_all:g} Newton iterations")
         penalties = [self.holding, self.penalty] if self.law.frictional and not still else [self.penalty]
+        penalties = [self.holding] if held else penalties
         state = self._out_of_balance(u, pose, penalties[0])
         best: tuple[float, np.ndarray, Any] = np.inf, u, None
         for iteration in range(self.settings.max_iterations + 1):
@@ -240,12 +243,18 @@ class Equilibrium:
         return apply
 
     def solve_here(
-        self, pose: Pose, tolerance: float, still: bool = False, enough: float = 0.0, parts: Sequence[float] = PARTS
+        self,
+        pose: Pose,
+        tolerance: float,
+        still: bool = False,
+        enough: float = 0.0,
+        parts: Sequence[float] = PARTS,
+        held: bool = False,
     ) -> None:
         """Equilibrium with the indenter at a pose. still: nothing in the contact changed since the last one."""
         gap = gaps(self.scene, self.points(self.u), pose)
         self.candidates = np.flatnonzero((self.state.status != STICK) & (gap < self.settings.size))
-        self.u, _ = self.newton(self.u, pose, tolerance, still, enough, parts)
+        self.u, _ = self.newton(self.u, pose, tolerance, still, enough, parts, held)
 
     def contact_forces(self) -> np.ndarray:
         """Nodal contact forces on the gel (n, 3) of the last equilibrium, N."""

@@ -350,7 +350,8 @@ class ScenePath(Equilibrium):
     def _polish(self, pose: Pose) -> None:
         """Tight equilibrium; points that go on changing between sticking and slipping stick for one step.
 
-        Where even then one flips in rounding noise, the accepted residual is enough; where several do, shorter steps help.
+        Where even then one flips in rounding noise, the accepted residual is enough; where several do, shorter steps help. At the
+        end of a long slide many do for ever: they keep the tractions at which they slip.
         """
         final = self.settings.final_tolerance
         for parts in (PARTS, SHORT):
@@ -359,7 +360,11 @@ class ScenePath(Equilibrium):
                     return self.solve_here(pose, tolerance, still, parts=parts)
                 except NoEquilibrium:
                     continue
-        raise NoEquilibrium
+        if not self.law.frictional:
+            raise NoEquilibrium
+        self._slide(pose)
+        self.state.go(1.0)
+        return self.solve_here(pose, max(final, ACCEPTED), held=True)
 
     # -- evidence
 
