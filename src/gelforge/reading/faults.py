@@ -102,10 +102,10 @@ def nocontact_fault(nocontact: NoContact, limits: Limits, coloured: bool = True)
     level = float(picture.mean())
     if nocontact.fault:
         return nocontact.fault
-    if coloured and is_grey(picture):
-        return "the no-contact image is monochrome, but colours are compared: set the camera to colour (RGB or BGR)"
     if is_blank(picture):
         return "the no-contact image shows no gel: it is dark, covered or of one colour"
+    if coloured and is_grey(picture):
+        return "the no-contact image is monochrome, but colours are compared: set the camera to colour (RGB or BGR)"
     if level < LEAST_LEVEL:
         return f"the no-contact image is dark: its mean level is {level:.0f} of 255, at least {LEAST_LEVEL:.0f} is usual; check the lamps and the exposure"
     sharp, least = sharpness(picture), limits.get("least_sharp", -math.inf)
@@ -495,8 +495,9 @@ def log_image_fault(nocontact: NoContact, image: np.ndarray) -> str:
 
     Only what makes it useless in a dataset: what a network reads is judged where it reads.
     """
-    seen = nocontact.lit(image)
-    return grey_fault(image, not is_grey(nocontact.picture)) or pattern_fault(seen)
+    if is_blank(image):
+        return "the image shows nothing of this sensor: it is dark, covered or of one colour"
+    return grey_fault(image, not is_grey(nocontact.picture)) or pattern_fault(nocontact.lit(image))
 
 
 def shear_fault(seen: Prepared) -> str:

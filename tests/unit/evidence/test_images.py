@@ -200,7 +200,7 @@ NOCONTACT = {
     "exchanged": (lambda log: with_nocontact(log, mini_a=log.nocontact["mini_e"], mini_e=log.nocontact["mini_a"]), "two sensors"),
     "pressed by a sphere": (lambda log: with_nocontact(log, mini_a=log.images[0]), "something touched the gel"),
     "pressed by a triangle": (lambda log: with_nocontact(log, mini_a=log.images[5]), "something touched the gel"),
-    "pressed under strong light": (lambda log: with_nocontact(log, mini_e=log.images[3]), "touches the gel"),
+    "pressed under strong light": (lambda log: with_nocontact(log, mini_e=log.images[3]), "touch the gel"),
     "monochrome": (lambda log: with_nocontact(log, mini_a=grey(log.nocontact["mini_a"])), "mini_a: the no-contact image is monochrome"),
     "dark": (lambda log: with_nocontact(log, mini_a=log.nocontact["mini_a"] // 40), "shows no gel"),
 }  # fmt: skip
