@@ -23,7 +23,7 @@ from gelforge.records.status import Status
 from tests.benchmarks.exact import scene_of
 from tests.support.flat_pad import FlatPad
 
-COARSE = HexSettings(size=1.2, layers=3, press_steps=3, shear_steps=2)
+COARSE = HexSettings(size=1.2, layers=3, gauss=3, press_steps=3, shear_steps=2)
 
 
 class Sphere:
