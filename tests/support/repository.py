@@ -35,7 +35,7 @@ ALLOWED: dict[str, set[str]] = {
     "virtualrig": {"flow", "records", "reading", "geometry", "mechanics", "labelling"},
     "sweeps": {"flow", "records", "geometry", "mechanics", "labelling"},
     "reporting": {"flow", "records", "geometry", "mechanics", "labelling", "calibration"},
-    "live": {"records", "reading", "reporting", "formats"},
+    "live": {"flow", "records", "reading", "reporting", "formats"},
     "evidence": {"flow", "records", "geometry", "labelling", "reading"},
 }
 ON_TOP = {"stages", "commands"}  # thin mains, which may use all of the above
