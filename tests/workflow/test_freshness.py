@@ -13,11 +13,6 @@ from tests.benchmarks.sandbox import link_project, make
 from .conftest import FAST, lay_dataset
 
 TRAINED = """
-[params.dataset]
-validation = 0.2
-test = 0.01
-unseen_indenters = []
-
 [params.report]
 branches = []
 
@@ -35,6 +30,9 @@ def built(root, tmp_path_factory):
     project = link_project(root, tmp_path_factory.mktemp("fresh") / "project")
     data = lay_dataset(project, root, "tiny", 8, FAST.replace("shard_size = 2", "shard_size = 4") + TRAINED)
     shutil.copytree(root / "data/demo/nocontact", data / "nocontact")
+    names = [row["sample_id"] for row in read_csv(data / "log.csv")]
+    splits = [{"sample_id": name, "split": "val" if at > 5 else "train"} for at, name in enumerate(names)]
+    write_csv(data / "splits.csv", ["sample_id", "split"], splits)
     models = project / "workflow/models.toml"
     write_text(models, models.read_text(encoding="utf-8") + NETWORK)
     made(project)
