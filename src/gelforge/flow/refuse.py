@@ -4,6 +4,7 @@ make calls it first of all, and takes from its answer what people chose: DATASET
 only the standard library.
 """
 
+import json
 import os
 import re
 import sys
@@ -12,7 +13,7 @@ from fnmatch import fnmatchcase
 from pathlib import Path
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import changed, names_in, record_of, states_of, write_if_changed, write_json
+from gelforge.flow.files import changed, names_in, record_of, states_of, write_if_changed, write_text
 from gelforge.flow.layout import STAGES, Layout, metrics_of
 
 # A pattern of each variable's text, and what to give. Any other is text of one line without what a shell or make reads meaning into.
@@ -296,7 +297,7 @@ def is_planned(of: Layout) -> bool:
     if changed(known, now):
         return False
     if now != known:  # touched files are read once
-        write_json(record, made | {"inputs": now})
+        write_text(record, json.dumps(made | {"inputs": now}) + "\n")
     return True
 
 

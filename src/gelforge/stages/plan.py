@@ -25,7 +25,6 @@ from gelforge.flow.files import (
     record_of,
     states_of,
     write_if_changed,
-    write_json,
     write_text,
 )
 from gelforge.flow.layout import LOGGED, PLAN, STAGES, Layout, metrics_of, shard_name
@@ -111,7 +110,7 @@ def write_shards(
     for row, name in zip(rows, ids, strict=True):
         by_shard.setdefault(shards[name], []).append(row)
     repeated = repeated_rows(rows, pictures)
-    names = []
+    folder, names = str(of.shards), []  # of thousands of files a Path each would take longer than to write it
     for shard, members in sorted(by_shard.items()):
         names.append(shard_name(shard))
         # an entry that only other shards use may change without a rerun of this one
@@ -121,10 +120,12 @@ def write_shards(
             "images": {name: pictures[name] for name in sorted(named(members, "image")) if name in pictures},
             "repeated": {str(row.row): repeated[row.row] for row in members if row.row in repeated},
         }
-        write_if_changed(of.shard(names[-1]), shard_text(members))
-        # thousands of files: json writes one line several times as fast as many
-        write_if_changed(of.used(names[-1]), json.dumps(entries, sort_keys=True, ensure_ascii=False) + "\n")
-        write_if_changed(of.pictures(names[-1]), json.dumps(seen, sort_keys=True, ensure_ascii=False) + "\n")
+        write_if_changed(f"{folder}/{names[-1]}.csv", shard_text(members))
+        # json writes one line several times as fast as many
+        write_if_changed(f"{folder}/{names[-1]}.json", json.dumps(entries, sort_keys=True, ensure_ascii=False) + "\n")
+        write_if_changed(
+            f"{folder}/{names[-1]}.pictures.json", json.dumps(seen, sort_keys=True, ensure_ascii=False) + "\n"
+        )
     for gone in set(of.names()) - set(names):
         # the log lost its rows: no stage may read them again
         for path in (of.shard(gone), of.used(gone), of.pictures(gone)):
@@ -396,7 +397,8 @@ def main(args: Namespace) -> None:
     )
     check_count(shards, params.plan.shard_size)
     write_text(args.out, f"{make_list('SHARDS', shards)}{text}")
-    write_json(metrics_of(of.plan()), {"inputs": states, "counts": {"rows": len(rows), "shards": len(shards)}})
+    record = {"inputs": states, "counts": {"rows": len(rows), "shards": len(shards)}}
+    write_text(metrics_of(of.plan()), json.dumps(record) + "\n")
 
 
 if __name__ == "__main__":
