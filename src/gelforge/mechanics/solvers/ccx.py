@@ -34,7 +34,9 @@ from gelforge.records.status import Status
 
 AROUND = quality("label")  # whose small hexahedra show where the contact may be
 PIXELS = 64  # across the longer side of that place
-ACROSS = 5  # longest edges, at its edge, that the width of a contact holds at least
+LONGEST = (
+    3.2  # of edges at the edge of contact, in sides of these hexahedra, which are smaller under a narrow contact
+)
 NEAR_MM = 0.5  # from the indenter: points that may come to touch within a load step
 # Residual at which the end of a path on hexahedra shows what pulls and what presses on tetrahedra: nine scenes end within
 # 0.07 % of what 1e-3 gives, in three quarters of the time; at 0.2 they end up to 1.2 % off.
@@ -87,7 +89,7 @@ def mesh_of(scene: Scene, path: LoadPath | None, edge_mm: float, inside_mm: floa
     """The mesh of a press: the gel's base mesh, bisected where its contact ends and inside it.
 
     path: as followed on hexahedra, which shows what touches. None: what of the undeformed gel lies inside the indenter.
-    edge_mm, inside_mm: longest edges there; shorter where the contact is narrow (touch.width_of).
+    edge_mm, inside_mm: longest edges there; shorter where the contact is narrow.
     """
     box = fine_box(scene, AROUND.size, AROUND.across)
     low, size = (
@@ -108,7 +110,7 @@ def mesh_of(scene: Scene, path: LoadPath | None, edge_mm: float, inside_mm: floa
     if not mask.any():  # between the pixels: what lies nearest
         near = touch.gap(scene.indenter, scene.press, places, scene.press.end).reshape(x.shape)
         mask = near <= near.min()
-    most = touch.width_of(mask, (pixel, pixel)) / ACROSS
+    most = LONGEST * box.size
     edge, inside = (_digits(max(SMALLEST_MM, size * min(1.0, most / edge_mm)), 3) for size in (edge_mm, inside_mm))
     return TetMeshName(scene.gel.name, edge, inside, Contact.of(mask, pixel, low))
 
