@@ -49,11 +49,11 @@ class Ordered:
     scene: Scene
 
 
-def mix(plan_file: Path, workflow: Path, count: int, folder: Path) -> list[Ordered]:
-    """The first presses of a plan, each to its end, all on the usual gel; folder: the rig's own."""
+def mix(plan_file: Path, workflow: Path, count: int) -> list[Ordered]:
+    """The first presses of a plan, each to its end, all on the usual gel."""
     plan = replace(read_plan(plan_file), presses=count, frames=1)
     bodies, gel = load_catalogue(workflow / plan.catalogue), load_gel(plan.gel)
-    bench, found, seen = Bench(plan, bodies, gel, folder), [], set()
+    bench, found, seen = Bench(plan, bodies, gel), [], set()
     for order in orders(plan):
         if order.press_id in seen:
             continue  # the same press, seen by another sensor
@@ -140,7 +140,7 @@ def main(args: Namespace) -> None:
     warm_up()
     params = config.load_params(args.workflow)
     sensor = load_sensors(args.workflow / "sensors.toml")[params.pareto.sensor]
-    presses = mix(args.plan, args.workflow, args.presses, args.work)
+    presses = mix(args.plan, args.workflow, args.presses)
     autos: dict[str, dict] = {}
     ccxs: dict[str, dict] = {}
     with tempfile.TemporaryDirectory() as work:

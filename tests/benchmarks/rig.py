@@ -1,6 +1,5 @@
 """What was promised of the virtual rig: speed, likeness to real pictures, agreement with mechanics."""
 
-import tempfile
 import time
 from argparse import Namespace
 from dataclasses import dataclass, field, replace
@@ -41,15 +40,13 @@ class Rig:
     plan: Plan
     bench: Bench
     units: tuple[dict, dict]  # appearances and sensors by name
-    kept: tempfile.TemporaryDirectory  # the bench's force factors; gone with the rig
     cameras: dict[str, Renderer] = field(default_factory=dict)  # those that were asked for
 
     @classmethod
     def of(cls, plan_path, workflow: Path) -> "Rig":
         plan = read_plan(plan_path)
-        kept = tempfile.TemporaryDirectory(prefix="factors-")
-        bench = Bench(plan, load_catalogue(workflow / plan.catalogue), Gel(), Path(kept.name))
-        return cls(plan, bench, units_of(plan, workflow), kept)
+        bench = Bench(plan, load_catalogue(workflow / plan.catalogue), Gel())
+        return cls(plan, bench, units_of(plan, workflow))
 
     def camera(self, name: str) -> Renderer:
         """The camera of a unit, made at its first use."""
@@ -75,25 +72,22 @@ class Rig:
         return self.camera(pressing.order.sensor).image(*self.view(pressing), noise)
 
 
-def pressed(rig: Rig, count: int = 24) -> tuple[list[Pressing], list[float], list[float]]:
-    """Presses spread over the whole plan, processor seconds of simulating and rendering each, and of each new indenter."""
+def pressed(rig: Rig, count: int = 24) -> tuple[list[Pressing], list[float]]:
+    """Presses spread over the whole plan, processor seconds of simulating and rendering each."""
     some = [order for order in orders(rig.plan) if order.unit == 0][7 :: max(1, rig.plan.presses // count)][:count]
     rig.picture(rig.bench.press(some[0])[-1])  # compiles what numba compiles
-    pressings, seconds, firsts = [], [], []
+    pressings, seconds = [], []
     for name in tqdm(dict.fromkeys(order.indenter for order in some[1:]), "indenters"):
         rig.bench.body(name)
-        start = time.process_time()
-        rig.bench.factor(name)
-        firsts.append(time.process_time() - start)
     for order in tqdm(some, "presses"):
         start = time.process_time()
         pressings.append(rig.bench.press(order)[-1])
         rig.picture(pressings[-1])
         seconds.append(time.process_time() - start)
-    return pressings, seconds, firsts
+    return pressings, seconds
 
 
-def speed(rig: Rig, pressings: list[Pressing], seconds: list[float], firsts: list[float]) -> list[Figure]:
+def speed(rig: Rig, pressings: list[Pressing], seconds: list[float]) -> list[Figure]:
     """How long presses take, and pictures a second."""
     worst = pressings[int(np.argmax(seconds))]
     note = f"processor time on one core, {len(seconds)} presses of {rig.plan.dataset}.toml, "
@@ -107,8 +101,6 @@ def speed(rig: Rig, pressings: list[Pressing], seconds: list[float], firsts: lis
         Figure("one press simulated and rendered, mean", float(np.mean(seconds)), "<=", 3.0, "s",
                note + f"median {np.median(seconds):.2f} s"),
         Figure("one press simulated and rendered, slowest", max(seconds), "<=", 3.0, "s", note + slowest),
-        Figure("a new indenter's force factor, once for all its presses, without a goal", float(np.median(firsts)), ">=", 0.0,
-               "s", f"median of {len(firsts)}"),
         Figure("rendering alone", rate, ">=", 50.0, "images/s", "displacement field to 8-bit image"),
     ]  # fmt: skip
 
@@ -262,8 +254,8 @@ def main(given: Namespace) -> None:
     rig = Rig.of(given.plan, given.workflow)
     pressings, figures = [], []
     if "presses" in given.parts:
-        pressings, seconds, firsts = pressed(rig)
-        figures += speed(rig, pressings, seconds, firsts) + tracking(rig, pressings)
+        pressings, seconds = pressed(rig)
+        figures += speed(rig, pressings, seconds) + tracking(rig, pressings)
     if "likeness" in given.parts:
         figures += likeness(rig, given.reference)
     if "cuboid" in given.parts:

@@ -5,7 +5,6 @@ The true force of a press is that of `hex` at label quality on the path that it 
 are twice as wide: on edged shapes they are up to a tenth too stiff, and 3 % in the mean.
 """
 
-import tempfile
 from argparse import Namespace
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -82,10 +81,9 @@ def press_units(plan_path: Path, count: int, most: int | None) -> Units:
     fresh = replace(plan, seed=plan.seed + 1, kinds=plan.kinds[-1:], presses=count)
     bodies = load_catalogue(plan_path.parents[1] / plan.catalogue, fresh.indenters)
     seen: list[Seen] = []
-    with tempfile.TemporaryDirectory(prefix="factors-") as folder:
-        bench = Bench(fresh, bodies, gel, Path(folder))
-        for order in tqdm([order for order in orders(fresh) if order.unit == 0], "presses", count):
-            seen += see(bench, order, cameras, sensors)
+    bench = Bench(fresh, bodies, gel)
+    for order in tqdm([order for order in orders(fresh) if order.unit == 0], "presses", count):
+        seen += see(bench, order, cameras, sensors)
     return Units(plan.dataset, cameras, nocontact, seen)
 
 

@@ -13,7 +13,6 @@ from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.records.press import Press
 from gelforge.virtualrig.bench import SETTINGS, Bench, frames_along
-from gelforge.virtualrig.excess import ForceFactor, kept_factor, name_of
 from gelforge.virtualrig.rigplan import orders, read_plan
 
 
@@ -24,60 +23,24 @@ def plan(root):
     return replace(demo, truth=replace(demo.truth, friction=0.0, compliance_mm_per_n=0.0, cnc_um=0.0))
 
 
-@pytest.fixture(scope="module")
-def factors(tmp_path_factory):
-    """Where factors of forces are kept, which are found once for a shape."""
-    return tmp_path_factory.mktemp("factors")
-
-
 @pytest.mark.parametrize("name", [pytest.param("sphere_10", marks=pytest.mark.slow), "triangle_10"])
-def test_hidden_forces_are_those_of_fine_hexahedra(plan, root, tmp_path, name):
-    """Within 1.5 % at another place, turn and depth than the factor was found at; the bench's own hexahedra add 3 and 7 %."""
+def test_hidden_forces_are_those_of_fine_hexahedra(plan, root, name):
+    """Within 1.5 % of label."""
     catalogue = load_catalogue(root / "workflow" / "indenters.toml", [name])
-    bench = Bench(plan, catalogue, Gel(), tmp_path)
+    bench = Bench(plan, catalogue, Gel())
     order = replace(orders(plan)[0], indenter=name, x=1.3, y=-2.1, depth=1.0, rot_deg=70.0, shear=(0.0, 0.0))
     pressed = bench.press(order)[-1]
     scene = Scene(Gel(), Material(nu=plan.truth.nu), catalogue[name], pressed.real, Interface("frictionless"))
     exact = HexSolver(quality("label")).solve(scene).total[2] * plan.truth.c10_mpa / REFERENCE_C10
     assert pressed.force[2] == pytest.approx(exact, rel=0.015)
-    again = Bench(plan, catalogue, Gel(), tmp_path).factor(
-        name
-    )  # the kept one: found by shape and settings, not solved
-    np.testing.assert_array_equal(again.factor, bench.factor(name).factor)
-    assert len(list(tmp_path.glob("*.json"))) == 1
-
-
-def test_a_kept_factor_is_that_of_its_shape_and_a_broken_one_is_made_again(plan, root, tmp_path):
-    one, other = (
-        load_catalogue(root / "workflow" / "indenters.toml", [name])[name] for name in ("sphere_10", "sphere_15")
-    )
-    rest = Material(), Interface(), SETTINGS
-    names = {name_of(Gel(), rest[0], body, *rest[1:]) for body in (one, other)}
-    names.add(name_of(Gel(), Material(nu=0.45), one, *rest[1:]))
-    names.add(name_of(Gel(), rest[0], one, Interface("frictionless"), SETTINGS))
-    assert len(names) == 4
-    made = ForceFactor(np.array([0.4, 0.8]), np.array([0.9, 1.0]), 0.97)
-    (tmp_path / "ball.json").write_text("{")
-    for _ in range(2):
-        found = kept_factor(tmp_path, "ball", lambda: made)
-        np.testing.assert_array_equal(found.factor, made.factor)
-        assert found.sideways == made.sideways
-    np.testing.assert_array_equal(kept_factor(tmp_path, "ball", lambda: pytest.fail("made again")).depth, made.depth)
-
-
-def test_a_factor_is_constant_beyond_the_depths_it_was_found_at():
-    factor = ForceFactor(np.array([0.4, 0.8]), np.array([0.9, 1.0]), 0.97)
-    found = np.array([factor.at(depth) for depth in (-1.0, 0.4, 0.6, 0.8, 3.0)])
-    assert found[:, 2] == pytest.approx([0.9, 0.9, 0.95, 1.0, 1.0])
-    assert (found[:, :2] == 0.97).all()
 
 
 @pytest.mark.slow
-def test_hidden_sideways_force_is_that_of_fine_hexahedra(plan, root, tmp_path):
-    """Within 3 % under edges that are dragged; the factor of normal force alone leaves 10 %."""
+def test_hidden_sideways_force_is_that_of_fine_hexahedra(plan, root):
+    """Within 3 % under edges that are dragged."""
     catalogue = load_catalogue(root / "workflow" / "indenters.toml", ["triangle_10"])
     dragged = replace(plan, truth=replace(plan.truth, friction=0.7, shear_compliance_mm_per_n=0.0))
-    bench = Bench(dragged, catalogue, Gel(), tmp_path)
+    bench = Bench(dragged, catalogue, Gel())
     order = replace(
         orders(plan)[0], indenter="triangle_10", x=1.0, y=-1.0, depth=0.9, rot_deg=65.0, shear=(-0.25, 0.1)
     )
@@ -108,13 +71,13 @@ def test_a_flat_body_with_friction_converges_at_every_frame(plan, root, turn_deg
 
 
 @pytest.mark.parametrize("thickness", [3.6, pytest.param(4.4, marks=pytest.mark.slow)])
-def test_hidden_forces_on_a_gel_of_other_thickness_are_those_of_fine_hexahedra(plan, root, factors, thickness):
-    """The factors of the usual gel serve: what a mesh adds belongs to the shape that is pressed."""
+def test_hidden_forces_on_a_gel_of_other_thickness_are_those_of_fine_hexahedra(plan, root, thickness):
+    """At one depth a thinner gel is stiffer."""
     catalogue, gel = (
         load_catalogue(root / "workflow" / "indenters.toml", ["sphere_15"]),
         load_gel(f"gelsight_mini-{thickness}mm"),
     )
-    bench = Bench(plan, catalogue, Gel(), factors)
+    bench = Bench(plan, catalogue, Gel())
     order = replace(orders(plan)[0], indenter="sphere_15", x=1.3, y=-2.1, depth=1.0, rot_deg=70.0, shear=(0.0, 0.0))
     usual, pressed = bench.press(order)[-1], bench.press(replace(order, gel=gel.name))[-1]
     # at one depth a gel a tenth thinner or thicker is 16 % stiffer or 11 % softer; a bench that yields takes a part of it back
@@ -126,17 +89,17 @@ def test_hidden_forces_on_a_gel_of_other_thickness_are_those_of_fine_hexahedra(p
     assert estimated == pytest.approx(pressed.force[2] / usual.force[2], rel=0.06)
 
 
-def test_a_bench_that_does_not_give_way_keeps_its_load_limit(plan, root, factors):
-    bench = Bench(plan, load_catalogue(root / "workflow" / "indenters.toml", ["sphere_15"]), Gel(), factors)
+def test_a_bench_that_does_not_give_way_keeps_its_load_limit(plan, root):
+    bench = Bench(plan, load_catalogue(root / "workflow" / "indenters.toml", ["sphere_15"]), Gel())
     order = replace(orders(plan)[0], indenter="sphere_15", x=0.0, y=0.0, depth=2.0, max_force_n=5.0)
     reached = bench.reached(order, 0.0)
     assert bench.estimate(order, 0.0, reached) <= 5.0 < bench.estimate(order, 0.0, 1.1 * reached)
 
 
-def test_the_frames_of_a_straight_press_are_all_of_its_way_down(plan, root, factors):
+def test_the_frames_of_a_straight_press_are_all_of_its_way_down(plan, root):
     """The axes' play is an error of travel: what was not ordered to travel sideways has none."""
     played = replace(plan, frames=5, truth=replace(plan.truth, cnc_um=0.25))
-    bench = Bench(played, load_catalogue(root / "workflow" / "indenters.toml", ["sphere_15"]), Gel(), factors)
+    bench = Bench(played, load_catalogue(root / "workflow" / "indenters.toml", ["sphere_15"]), Gel())
     order = replace(orders(plan)[0], indenter="sphere_15", x=0.0, y=0.0, depth=0.3, shear=(0.0, 0.0))
     ends = [pressing.real.dz for pressing in bench.press(order)]
     assert len(ends) == 5 and (np.diff(ends) < -0.05).all()

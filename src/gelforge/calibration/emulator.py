@@ -146,7 +146,7 @@ def sticking(table: np.ndarray) -> np.ndarray:
 
 
 # Normal force over friction is 1 - exp(-(mu / STICKS)^POWER) of the way from none to no slip: of a ball, a block, a bar and a
-# cylinder within 1 % between 0.2 and no slip, 3 % at 0.12, where it is solved at 0.25.
+# cylinder within 1 % from 0.5 to no slip, 2 % at 0.2, where it is solved at 0.25.
 STICKS, POWER = 0.27, 1.25
 
 

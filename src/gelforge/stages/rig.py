@@ -3,9 +3,6 @@
 import hashlib
 import json
 import os
-import resource
-import tempfile
-import time
 from argparse import Namespace
 from collections import deque
 from collections.abc import Callable
@@ -20,11 +17,9 @@ import numpy as np
 from tqdm import tqdm
 
 from gelforge.flow.cli import command, option, positive
-from gelforge.flow.files import bytes_of, write_csv
-from gelforge.flow.forecast import Cost, on_cores, pilots, table
+from gelforge.flow.files import publish, write_csv
 from gelforge.flow.jobs import pool
 from gelforge.flow.params import overlaid, with_content
-from gelforge.flow.runs import duration
 from gelforge.geometry.gel import load_gel, use_gels_of
 from gelforge.geometry.indenters import load_catalogue, read_catalogue
 from gelforge.labelling.sensor import Sensor, load_sensors
@@ -43,7 +38,7 @@ from gelforge.virtualrig.writer import (
     write_sensors,
 )
 
-FACTORS = "truth/factors"  # of forces, by indenter; the same for all presses of it
+FILM, RATE, QUALITY = "film.avi", 15, 90  # name, images a second, JPEG's quality
 CAMERAS = 64  # that a process keeps, of 20 MB each; to make one anew costs about three pictures
 
 
@@ -59,7 +54,7 @@ class Worker:
         gel = load_gel(plan.gel)
         self.plan, self.folder, self.gel = plan, folder, gel
         indenters = load_catalogue(workflow / plan.catalogue, plan.indenters, workflow)
-        self.bench = Bench(plan, indenters, gel, folder / FACTORS)
+        self.bench = Bench(plan, indenters, gel)
         self.appearances, self.sensors = units_of(plan, workflow)
         self.camera = lru_cache(CAMERAS)(self._camera)
 
@@ -102,6 +97,27 @@ class Worker:
             (order, logged(seen) if seen.result.status.valid else None, truth_row(seen)) for order, seen in of_each
         ]
 
+    def take_film(self) -> None:
+        """Film the presses of the plan's [film]: a second of rest, then each on its way down and up, with rest in between."""
+        from gelforge.virtualrig.bench import Bench
+        from gelforge.virtualrig.fields import field_of, surface_of
+        from gelforge.virtualrig.render import Pressed
+
+        film, every = self.plan.film, orders(self.plan)
+        assert film is not None, "a plan without a film"
+        bench = Bench(replace(self.plan, frames=film.frames), self.bench.indenters, self.gel)
+        camera, chance = self.camera(film.sensor), of_nocontact(self.plan, self.appearances[film.sensor])
+        images = [camera.image(rng=chance) for _ in range(RATE)]
+        for number in film.presses:
+            pressings = bench.press(next(order for order in every if order.index == number))
+            done = [one for one in pressings if one.result.status.valid]
+            seen = [surface_of(one.result.solved_mesh, one.result.displacement, one.real, one.down) for one in done]
+            body = self.bench.body(done[-1].order.indenter)
+            for surface in [*seen, *seen[-2::-1]]:
+                images.append(camera.image(field_of(self.gel, surface), Pressed(body, surface.press), chance))
+            images += [camera.image(rng=chance) for _ in range(RATE // 5)]
+        write_film(self.folder / FILM, images)
+
     def _take_pictures(self, orders: list[Order], surface) -> None:
         from gelforge.virtualrig.fields import field_of
         from gelforge.virtualrig.render import Pressed
@@ -110,6 +126,22 @@ class Worker:
         for order in orders:
             camera = self.camera(order.sensor)
             save_image(self.folder / image_name(order), camera.image(field, body, of_picture(self.plan, order)))
+
+
+def write_film(path: Path, images: list[np.ndarray]) -> None:
+    """Write RGB images as a film of JPEGs, whole or not at all."""
+    import cv2
+
+    with publish(path) as part:
+        named = Path(f"{part}{path.suffix}")  # by which OpenCV chooses the container
+        writer = cv2.VideoWriter(
+            str(named), cv2.CAP_OPENCV_MJPEG, cv2.VideoWriter.fourcc(*"MJPG"), RATE, images[0].shape[1::-1]
+        )
+        writer.set(cv2.VIDEOWRITER_PROP_QUALITY, QUALITY)
+        for image in images:
+            writer.write(image[..., ::-1])
+        writer.release()
+        named.replace(part)
 
 
 def of_nocontact(plan: Plan, appearance: Appearance) -> np.random.Generator:
@@ -172,6 +204,8 @@ def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
                 new += len(of_press)
                 dataset.add(rows)
                 failed += [(order, truth["status"]) for order, log, truth in rows if log is None]
+            if plan.film and not (folder / FILM).exists():
+                deque(done_by_all(Worker.take_film, [()]), maxlen=0)
     finally:
         if new:
             dataset.publish()
@@ -181,54 +215,6 @@ def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
     for order, status in failed:
         print(f"  no equilibrium, left out: {order.sample_id} ({order.indenter}, {order.depth:.2f} mm: {status})")
     return folder
-
-
-def estimate(plan_path, data, workflow: Path, cores: int) -> None:
-    """Print core hours, disk, memory and time of what is missing of a plan, from a few of its presses; nothing is written."""
-    plan = check(plan_path, workflow)
-    dataset = Dataset(Path(data) / plan.dataset, plan)
-    dataset.check_same_plan(*contents_of(plan, workflow, *units_of(plan, workflow)))
-    todo = by_press(dataset, orders(plan))
-    left = [of_press for of_press, solved in todo if not solved]
-    drawn = sum(len(of_press) for of_press, solved in todo if solved)
-    if drawn:
-        print(f"{drawn} pictures of presses that are solved are drawn again, some 50 a second")
-    if not left:
-        print(f"{dataset.folder}: every press of the plan is there")
-        return
-    chosen = [left[k] for k in pilots([of_press[0].depth for of_press in left])]
-    print(f"pressing {len(chosen)} of {len(left)} presses to see what they take", flush=True)
-    with tempfile.TemporaryDirectory() as folder:
-        costs = measured(Worker(plan, workflow, Path(folder)), chosen, len(plan.indenters))
-    memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    print("\n".join(table(costs, len(left))))
-    print(f"{sum(map(len, left))} pictures; {memory:.0f} MiB of memory for each core")
-    print(f"about {duration(sum(cost.cpu(len(left)) for cost in costs) / cores)} {on_cores(cores)}")
-
-
-def measured(worker: Worker, presses: list[list[Order]], indenters: int) -> list[Cost]:
-    """Cost of presses and of new indenters, from pressing those given; their files lie in the worker's folder.
-
-    indenters: how many the plan has. Each is made once: its surface with texture, and the factor on its forces.
-    """
-    from gelforge.sweeps.methods import warm_up
-
-    warm_up()
-    made: dict[str, float] = {}
-    pressed = 0.0
-    for of_press in presses:
-        name, began = of_press[0].indenter, time.process_time()
-        if name not in made:
-            worker.bench.body(name)
-            worker.bench.factor(name)
-            made[name] = time.process_time() - began
-            began = time.process_time()
-        worker.carry_out(of_press, solved=False)
-        pressed += time.process_time() - began
-    return [
-        Cost("indenters", cpu_once=indenters * sum(made.values()) / len(made)),
-        Cost("presses", pressed / len(presses), bytes_each=bytes_of(worker.folder) / len(presses)),
-    ]
 
 
 def by_press(dataset: Dataset, every: list[Order]) -> list[tuple[list[Order], bool]]:
@@ -308,19 +294,13 @@ def _pool(jobs: int, plan: Plan, workflow: Path, folder: Path):
     option("--data", default="data", help="folder of the datasets"),
     option("--workflow", default="workflow", help="folder of sensors.toml and rig/sensors.toml"),
     option("--jobs", type=positive, default=1, help="presses at a time, one core each"),
-    option(
-        "--estimate", action="store_true", help="press a few, write nothing, print what the plan takes on JOBS cores"
-    ),
 )
 def main(given: Namespace) -> None:
     """Carry out a plan, or refuse it with the reason."""
     # one thread per press, whatever the user has set: presses run side by side, and sums keep their order
     os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
     os.environ.setdefault("MKL_CBWR", "AUTO")  # the same digits wherever in memory an array lies
-    if given.estimate:
-        estimate(given.plan, given.data, Path(given.workflow), given.jobs)
-    else:
-        run(given.plan, given.data, given.workflow, given.jobs)
+    run(given.plan, given.data, given.workflow, given.jobs)
 
 
 if __name__ == "__main__":

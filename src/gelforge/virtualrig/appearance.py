@@ -226,6 +226,7 @@ def _appearance(name: str, table: dict, path) -> Appearance:
             shadow_depth=float(markers["shadow_depth"]),
             shadow_length=np.array(markers["shadow_length_px"], float),
             seed=int(markers["seed"]),
+            normal_motion=float(markers.get("normal_motion", 1.0)),
         )
     except (KeyError, TypeError, ValueError, AttributeError) as error:
         raise BadInput(f"{path}: [{name}] is incomplete or malformed: {error!r}; compare it with [mini_a]") from error

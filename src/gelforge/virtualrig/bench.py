@@ -3,43 +3,27 @@
 import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
 from gelforge.geometry.gel import Gel, load_gel
 from gelforge.geometry.solids import Indenter
-from gelforge.mechanics.hexsettings import HexSettings
+from gelforge.mechanics.hexsettings import HexSettings, quality
 from gelforge.mechanics.material import REFERENCE_C10, Material
-from gelforge.mechanics.mesh.hexmesh import FineBox
 from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvers.hex import HexResult, HexSolver
 from gelforge.records.press import Press
 from gelforge.virtualrig import streams
-from gelforge.virtualrig.excess import ForceFactor, force_factor, kept_factor, name_of
 from gelforge.virtualrig.fields import FAR, RoughBody, body_of
 from gelforge.virtualrig.rigplan import Order, Plan, Truth, generator
 
-# The rig's own mesh, in no ratio to those of the labels: about 40 iterations a press.
-SETTINGS = HexSettings(
-    size=0.7,
-    layers=4,
-    widened=(2,),
-    layer_ratio=2.5,
-    growth=1.8,
-    largest=3.0,
-    press_steps=4,
-    shear_steps=2,
-    tolerance=3e-3,
-    final_tolerance=1e-7,
-)
+SETTINGS = quality("draft")  # of the hexahedra that the truth is solved on
 # Power of how much thinner a gel is, by which its force is larger: 1.0 under shallow balls, 1.7 under blocks.
 STIFFER = 1.5
 EVERY = 4  # of the lines of a body's heights by which its footprint is found
-MOST_BRICKS = 500  # under a footprint: keeps the widest bars within seconds
 # A bench never diverges: where the steps were too long it takes shorter ones, and at last a less deep press,
 # which the log then reports.
-FINER = replace(SETTINGS, press_steps=10, shear_steps=6, max_cuts=10)
+FINER = SETTINGS.with_steps(3)
 ATTEMPTS = ((SETTINGS, 1.0), (FINER, 1.0), (FINER, 0.8))
 
 
@@ -49,7 +33,7 @@ class Pressing:
 
     real: the path the tip took, mm. log: the same as the bench believes it. force: (3,) N on the gel,
     moment: (3,) N m about the apex. read_force, read_moment: the load cell's readings of both. down: displacement (n, 3) mm
-    at the end of the way down, for a press that goes sideways on drawn units.
+    at the end of the way down, for a press that goes sideways.
     """
 
     order: Order
@@ -64,16 +48,11 @@ class Pressing:
 
 
 class Bench:
-    """Presses indenters as a plan's truth has it; keeps bodies between presses, and force factors in a folder.
+    """Presses indenters as a plan's truth has it; keeps bodies between presses."""
 
-    gel: the plan's own, for which factors are found. Gels of other thickness, which orders may name, have the same outline
-    and top; a tenth thinner or thicker, the factors of a ball, a block, a pyramid and a tilted solid differ by 0.1 to 1.5 %.
-    """
-
-    def __init__(self, plan: Plan, indenters: Mapping[str, Indenter], gel: Gel, kept: Path):
-        self.plan, self.indenters, self.gel, self.kept = plan, indenters, gel, kept
+    def __init__(self, plan: Plan, indenters: Mapping[str, Indenter], gel: Gel):
+        self.plan, self.indenters, self.gel = plan, indenters, gel
         self._bodies: dict[str, RoughBody] = {}
-        self._factors: dict[str, ForceFactor] = {}
 
     @property
     def _law(self) -> Interface:
@@ -88,17 +67,6 @@ class Bench:
                 self.indenters[name], rng.uniform(0.025, 0.045), rng.uniform(0.55, 0.75), angle
             )
         return self._bodies[name]
-
-    def factor(self, name: str) -> ForceFactor:
-        """What the forces of an indenter are multiplied by, because the bench's hexahedra are a little too stiff."""
-        if name not in self._factors:
-            scene = self.gel, Material(nu=self.plan.truth.nu), self.indenters[name], self._law, SETTINGS
-
-            def make() -> ForceFactor:
-                return force_factor(*scene, lambda press: self.fine_box(name, press, SETTINGS.size))
-
-            self._factors[name] = kept_factor(self.kept, name_of(*scene), make)
-        return self._factors[name]
 
     def press(self, order: Order) -> list[Pressing]:
         """Carry out one order, the frames of its press in order of time; all of them from one load path.
@@ -129,10 +97,10 @@ class Bench:
     def _states(self, real: Press) -> tuple[list[dict[str, float]], int | None]:
         """States of a press that are solved, in order of time, and which of them is the end of its way down and no frame.
 
-        Drawn units scale the motion of the way down, so that of a press which goes sideways is solved for them.
+        Units scale the motion of the way down, so that of a press which goes sideways is solved for them.
         """
         states = frames_along(real, self.plan.frames)
-        if self.plan.units is None or real.end == 1.0:
+        if real.end == 1.0:
             return states, None
         at = sum(1 for state in states if not (state["dx"] or state["dy"]))
         return [*states[:at], {"dx": 0.0, "dy": 0.0, "dz": real.dz}, *states[at:]], at
@@ -146,8 +114,7 @@ class Bench:
     def _reported(self, order: Order, real: Press, result: HexResult, play, noise, down) -> Pressing:
         """What the bench reports of one solved frame."""
         truth = self.plan.truth
-        depth = float(self.gel.top(real.x0, real.y0)) - (real.z0 + real.dz)
-        scale = truth.c10_mpa / REFERENCE_C10 * self.factor(order.indenter).at(depth)
+        scale = truth.c10_mpa / REFERENCE_C10
         force = scale * result.total
         arm = result.solved_mesh.nodes + result.displacement
         moment = np.cross(arm, scale * result.forces).sum(axis=0) * 1e-3
@@ -159,8 +126,7 @@ class Bench:
         body, gel, material = self.indenters[order.indenter], load_gel(order.gel), Material(nu=self.plan.truth.nu)
         states, _ = self._states(real)
         scenes = [Scene(gel, material, body, replace(real, **state), self._law) for state in states]
-        box = self.fine_box(order.indenter, real, settings.size)
-        return HexSolver(replace(settings, box=box)).solve_frames(scenes)
+        return HexSolver(settings).solve_frames(scenes)
 
     def reached(self, order: Order, height: float) -> float:
         """Depth that is left of the ordered one when the frame has given way and the load limit was kept.
@@ -194,28 +160,6 @@ class Bench:
         stiffness = 0.304 - 0.027 * mean - 0.00011 * area + 0.00124 * mean * area
         thinner = (self.gel.height / load_gel(order.gel).height) ** STIFFER
         return self.plan.truth.c10_mpa / REFERENCE_C10 * volume * stiffness * thinner
-
-    def fine_box(self, name: str, real: Press, size: float) -> FineBox | None:
-        """Fine part of the mesh, laid so that a hexahedron straddles each side of the footprint. None: no footprint.
-
-        A punch's flank is a step, and the picture shows it where the hexahedron that spans it lies. The size of hexahedra
-        is varied by a tenth so that the footprint is a whole number of hexahedra along both axes. Hexahedra are larger where
-        the footprint would take more than MOST_BRICKS.
-        """
-        x, y, sunk, _ = self._sunk(name, real)
-        if not (sunk > 0).any():
-            return None
-        low = np.array([x[sunk > 0].min(), y[sunk > 0].min()])
-        high = np.array([x[sunk > 0].max(), y[sunk > 0].max()])
-        size = max(size, float(np.sqrt(np.prod(high - low) / MOST_BRICKS)))
-        sizes = np.linspace(0.9 * size, 1.1 * size, 41)
-        misfit = np.abs((high - low)[None] / sizes[:, None] - np.rint((high - low)[None] / sizes[:, None])).max(
-            axis=1
-        )
-        best = float(sizes[np.argmin(misfit)])
-        half = np.array([self.gel.width, self.gel.length]) / 2
-        low, high = np.maximum(low - 1.35 * best, -half), np.minimum(high + 1.35 * best, half)
-        return FineBox(float(low[0]), float(high[0]), float(low[1]), float(high[1]), best)
 
     def _sunk(self, name: str, press: Press):
         """Gel points x, y under the body at the end of the path, how far it is below the gel there, cell area."""

@@ -115,6 +115,17 @@ class DrawnUnits(RigTable):
         return self.known_gels + self.unseen_gels
 
 
+class FilmTable(RigTable):
+    """A film of some presses by one sensor: film.avi, which begins with a second of rest.
+
+    presses: their numbers in the plan. frames: of each way down; the way up shows them backwards.
+    """
+
+    sensor: str
+    presses: Annotated[tuple[Annotated[int, Within(0, 1e7)], ...], SOME]
+    frames: Annotated[int, Within(1, MOST_FRAMES)]
+
+
 class Plan(RigTable):
     """A whole plan; `presses` may grow, everything else but `params` makes it another plan.
 
@@ -134,22 +145,13 @@ class Plan(RigTable):
     # [params.TABLE] of the plan: parameters of the stages, written to dataset.toml. A dictionary has no hash.
     params: dict = field(hash=False)
     frames: Annotated[int, Within(1, MOST_FRAMES)] = 1
+    film: FilmTable | None = None
     units: DrawnUnits | None = None
 
     def identity(self) -> str:
         """Canonical text of everything that a press depends on but the number of presses."""
-        content = {key: value for key, value in asdict(self).items() if key != "params"}
-        # as plans were identified before presses had frames, and sensors could be drawn
-        if self.frames == 1:
-            del content["frames"]
-        if self.units is None:
-            del content["units"]
-        elif not self.units.gels:
-            del content["units"]["known_gels"], content["units"]["unseen_gels"]
-        for kind in content["kinds"]:
-            seen_by = kind.pop("seen_by")
-            kind["each_sensor"] = seen_by if 1 < seen_by < len(kind["sensors"]) else seen_by > 1
-        return json.dumps({**content, "presses": None}, sort_keys=True)
+        content = {key: value for key, value in asdict(self).items() if key not in ("params", "presses", "film")}
+        return json.dumps(content, sort_keys=True)
 
     def gel_of(self, sensor: str) -> str:
         """Name of a sensor's gel."""
@@ -243,6 +245,10 @@ def _check_values(plan: Plan, path) -> None:
             f"{path}: {plan.presses} presses of {plan.seconds_per_press:g} s from {plan.start_utc} on end after the year "
             "9999; check seconds_per_press and start_utc"
         ) from error
+    if plan.film and max(plan.film.presses) >= plan.presses:
+        raise BadInput(
+            f"{path}: [film] presses = {list(plan.film.presses)}: the plan has presses 0 to {plan.presses - 1}"
+        )
     for k, kind in enumerate(plan.kinds, 1):
         thinnest = min((load_gel(plan.gel_of(name)) for name in kind.sensors), key=lambda gel: gel.height)
         _check_kind(kind, thinnest, min(map(len, by_gel(plan, kind.sensors).values())), f"{path}: [[kind]] {k}")
@@ -280,7 +286,7 @@ def _check_kind(kind: Kind, gel: Gel, fewest: int, where: str) -> None:
 
 def check_names(plan: Plan, indenters, sensors, appearances, path) -> None:
     """Refuse a plan that names indenters, sensors or appearances nobody defined."""
-    units = [*plan.sensors, *plan.held_out_sensors]
+    units = [*plan.sensors, *plan.held_out_sensors, *([plan.film.sensor] if plan.film else [])]
     for what, asked, known, where in (
         ("indenter", plan.indenters, indenters, plan.catalogue),
         ("sensor", units, sensors, "workflow/sensors.toml"),
