@@ -6,6 +6,7 @@ sensor` uses them, too. Normal forces are compression here, in N and positive, i
 
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
 
@@ -25,7 +26,7 @@ ENOUGH = 12  # presses that a constant force or a drift beside labels needs
 OF_ONE = 3  # presses of one indenter that are compared with those of all others
 OTHER_FORCE = 1.15  # the factor by which their forces then differ at least
 OTHER_POWER = 0.05  # by which forces grow with another power of labels where the gel has another thickness
-SURE_OF_THICKNESS = 2.0  # standard errors of it, which are never taken to be smaller than those of a scatter of 5 %
+SURE_OF_THICKNESS = 3.0  # standard errors of it, which are never taken to be smaller than those of a scatter of 5 %
 NEARLY = 1.5  # ratio of the sums of squares that two causes leave, within which both are named
 STUCK, DIFFERS = 3, 0.3  # presses that read the same, and the fraction by which their labels differ
 LEAST_N = 0.15  # of a constant force or a drift: smaller ones are usual, and change hardly anything
@@ -42,6 +43,16 @@ ALONE = 1e-9  # of a term of a fit that the others must leave, or it cannot be t
 TAKEN_OVER = 0.6  # sideways over normal force where most contacts slip
 TURNED_DEG = 20.0  # by which sideways forces may be turned against the path, by curved gels and slopes of bodies
 FOLLOWS = 0.6  # fraction of the variance of sideways forces that a cause must explain to be named
+TOUCH_MM, COMPLIANCE, OWN = (
+    0.03,
+    0.01,
+    0.03,
+)  # mm, mm/N, fraction: of touch, a frame and an indenter's forces, before a calibration
+USUAL_POWER, WIDE = 1.6, 0.5  # of depth, by which force grows; range of ln depth from which on labels show it
+LEAST_LEFT = 0.05  # of a depth, where the frame yields
+OFFSETS, STIFF_ENOUGH = (-0.6, 0.6), 0.1  # mm that touch may be missed by, mm/N that a frame yields at most
+LEAST_SCATTER = 0.25  # of a weighted reading, squared
+MISSED_MM = 0.15  # of touch: five times what is usual
 HINT = "tare the sensor without contact and log again, or subtract it from the force columns"
 
 
@@ -282,6 +293,9 @@ def noise(found: float, largest: float) -> str | None:
     )
 
 
+Fit = Callable[[], "_Bench"]  # of the bench, made once where a cause asks for it
+
+
 def of_labels(log: LogForces, label: np.ndarray, indenters: Sequence[str], usual: float = 1.0) -> list[str]:
     """What readings say beside the labels of their presses: a cause, without what follows from it.
 
@@ -294,17 +308,19 @@ def of_labels(log: LogForces, label: np.ndarray, indenters: Sequence[str], usual
     felt = np.flatnonzero((-label[:, 2] > LEAST_N) & (log.depth > 0))
     if len(felt) < FEWEST:
         return []
+    bench = cache(lambda: _bench(log, label, felt, names))
     causes = (
         lambda: misplaced(log.force[felt], -label[felt, 2]),
         lambda: unit(log.normal[felt], -usual * label[felt, 2]),
         lambda: _stuck(log, label),
         lambda: shifted(log.normal, -label[felt, 2], felt),
-        lambda: _lagging(log, label, felt),
+        lambda: _lagging(log, label, felt, bench),
         lambda: sideways(log),
-        lambda: _changed(log, label, felt, names),
-        lambda: _moved(log, label, felt),
-        lambda: _one_indenter(log, label, felt, names),
-        lambda: _other_thickness(log, label, felt),
+        lambda: _changed(log, label, felt, names, bench),
+        lambda: _missed(log, label, felt, names, bench),
+        lambda: _moved(log, label, felt, bench),
+        lambda: _one_indenter(log, felt, names, bench),
+        lambda: _other_thickness(log, felt, bench),
     )
     return _first_said(causes)
 
@@ -326,14 +342,15 @@ def _stuck(log: LogForces, label: np.ndarray) -> str | None:
     return None
 
 
-def _lagging(log: LogForces, label: np.ndarray, felt: np.ndarray) -> str | None:
+def _lagging(log: LogForces, label: np.ndarray, felt: np.ndarray, bench: Fit) -> str | None:
     """Readings that hold a part of the press before, as behind a filter or of a sensor that creeps."""
-    felt = felt[felt > 0]
+    later = felt > 0
+    before = -label[felt - 1, 2]
+    felt = felt[later]
     if len(felt) < ENOUGH:
         return None
-    normal, before = -label[felt, 2], -label[felt - 1, 2]
-    weight = 1.0 / np.hypot(SPREAD[0] * normal, SPREAD[1])
-    found, errors, _ = _fitted(np.column_stack([_bench(normal, log.depth[felt]), before]), log.normal[felt], weight)
+    normal = -label[felt, 2]
+    found, errors, _ = bench().fitted(log.normal[felt], _weight(normal), before, used=later)
     usual = float(np.median(log.normal[felt]) / np.median(normal))
     share = float(found[-1]) / usual
     if share < LAGGING or found[-1] < SURE * errors[-1]:
@@ -344,26 +361,25 @@ def _lagging(log: LogForces, label: np.ndarray, felt: np.ndarray) -> str | None:
     )
 
 
-def _changed(log: LogForces, label: np.ndarray, felt: np.ndarray, names: np.ndarray) -> str | None:
+def _changed(log: LogForces, label: np.ndarray, felt: np.ndarray, names: np.ndarray, bench: Fit) -> str | None:
     """Forces that differ from their labels by another factor from some press on: another gel, or another setting of the sensor."""
-    normal, measured, names = -label[felt, 2], log.normal[felt], names[felt]
-    terms, order = _bench(normal, log.depth[felt]), np.arange(len(felt))
-    weight = 1.0 / np.hypot(SPREAD[0] * normal, SPREAD[1])
+    normal, measured, names, fit = -label[felt, 2], log.normal[felt], names[felt], bench()
+    weight, order = _weight(normal), np.arange(len(felt))
     low, high, tried = FEWEST, len(felt) - FEWEST, {}
     for _ in range(2):  # some, then those about the best of them
         for at in np.unique(np.linspace(low, high, SPLITS).round().astype(int)) if low <= high else ():
             if set(names[:at]) & set(names[at:]):  # else it is rather an indenter
-                tried[at] = _fitted(np.column_stack([terms, np.where(order < at, 0.0, normal)]), measured, weight)
+                tried[at] = fit.fitted(measured, weight, np.where(order < at, 0.0, normal))
         if not tried:
             return None
         at = min(tried, key=lambda one: tried[one][2])
         step = (high - low) // (SPLITS - 1) + 1
         low, high = max(FEWEST, at - step), min(len(felt) - FEWEST, at + step)
     found, errors, left = tried[at]
-    drifting = _fitted(np.column_stack([terms, np.ones(len(felt)), order]), measured, weight)[2]
-    if left > min(drifting, 0.5 * _fitted(terms, measured, weight)[2]) or abs(found[-1]) < SURE * errors[-1]:
+    drifting = fit.fitted(measured, weight, np.ones(len(felt)), order)[2]
+    if left > min(drifting, 0.5 * fit.left) or abs(found[-1]) < SURE * errors[-1]:
         return None
-    ratio = 1.0 + float(np.median(found[-1] * normal[at:] / (terms @ found[:-1])[at:]))
+    ratio = 1.0 + float(np.median(found[-1] * normal[at:] / (fit.terms @ found[:-1])[at:]))
     if 1.0 / OTHER_FORCE < ratio < OTHER_FORCE:
         return None
     return (
@@ -372,12 +388,86 @@ def _changed(log: LogForces, label: np.ndarray, felt: np.ndarray, names: np.ndar
     )
 
 
-def _bench(label: np.ndarray, depth: np.ndarray) -> np.ndarray:
-    """What readings (n,) may be made of beside a label (n,) N: stiffness, depth of touch, compliance, (n, 3)."""
-    return np.column_stack([label, label / depth, label**2 / depth])
+@dataclass(frozen=True)
+class _Bench:
+    """Readings of n presses beside labels at the commanded depth, on a frame that yields and with touch that was missed.
+
+    terms: (n, k), by which readings change: with stiffness (the first column is the label on the gel as it is pressed), depth of
+    touch, compliance, and each indenter's own factor. prior: (k, k) and (k,), rows and values of what is known of their
+    coefficients. offset: mm deeper than logged. left: weighted sum of squares.
+    """
+
+    terms: np.ndarray
+    prior: tuple[np.ndarray, np.ndarray]
+    offset: float
+    left: float
+
+    def fitted(self, values: np.ndarray, weight: np.ndarray, *more: np.ndarray, used=np.s_[:]):
+        """Like `_fitted`, of some of the presses, with further terms (n,) each, whose coefficients come last."""
+        rows, known = self.prior
+        terms = np.column_stack([self.terms, *more])[used]
+        below = np.hstack([rows, np.zeros((len(rows), len(more)))])
+        return _fitted(
+            np.vstack([terms * weight[:, None], below]),
+            np.append(values * weight, known),
+            np.ones(len(terms) + len(rows)),
+        )
 
 
-def _moved(log: LogForces, label: np.ndarray, felt: np.ndarray) -> str | None:
+def _bench(log: LogForces, label: np.ndarray, felt: np.ndarray, names: np.ndarray, touch: float = TOUCH_MM) -> _Bench:
+    """Stiffness, depth of touch, compliance and indenters' factors that fit readings best, by Gauss and Newton.
+
+    label: (m, 3) N of all presses, of which `felt` (n,) serve. touch: mm that it is usually missed by. Force goes as a power of
+    depth, which the labels of an indenter show.
+    """
+    normal, depth, read = -label[felt, 2], log.depth[felt], log.normal[felt]
+    names, power = names[felt], np.full(len(felt), USUAL_POWER)
+    kinds = sorted(set(names))
+    for name in kinds:
+        own = names == name
+        if own.sum() >= OF_ONE and np.ptp(np.log(depth[own])) > WIDE:
+            power[own] = np.clip(np.polyfit(np.log(depth[own]), np.log(normal[own]), 1)[0], 1.0, 3.0)
+    weight = _weight(normal)
+    stiffness = float(np.median(read / normal))
+    offset, compliance = 0.0, COMPLIANCE
+    which = (names[:, None] == kinds).astype(float)
+    for _ in range(6):
+        left = np.maximum(1.0 + (offset - compliance * read) / depth, LEAST_LEFT)
+        on_gel, slope = normal * left**power, power * normal * left ** (power - 1.0) / depth
+        terms = np.column_stack([on_gel, slope, -slope * read, on_gel[:, None] * which])
+        # what is known: offset, compliance and factors, each by its usual size; readings scatter by half of SPREAD
+        sizes = 2.0 * stiffness * np.array([touch, COMPLIANCE, *[OWN] * len(kinds)])
+        rows = np.diag(1.0 / sizes)
+        known = stiffness * np.array([-offset, COMPLIANCE - compliance, *[0.0] * len(kinds)]) / sizes
+        prior = np.hstack([np.zeros((len(rows), 1)), rows]), known
+        found, _, squares = _Bench(terms, prior, offset, 0.0).fitted(read, weight)
+        stiffness = max(float(found[0]), 1e-3)
+        offset = float(np.clip(offset + found[1] / stiffness, *OFFSETS))
+        compliance = float(np.clip(compliance + found[2] / stiffness, 0.0, STIFF_ENOUGH))
+    return _Bench(terms, prior, offset, squares)
+
+
+def _weight(normal: np.ndarray) -> np.ndarray:
+    """Weight of readings at labels (n,) N."""
+    return 1.0 / np.hypot(SPREAD[0] * normal, SPREAD[1])
+
+
+def _missed(log: LogForces, label: np.ndarray, felt: np.ndarray, names: np.ndarray, bench: Fit) -> str | None:
+    """Presses that go deeper, or less deep, than logged: touch that was missed, where a constant force explains it less well."""
+    if len(felt) < ENOUGH:
+        return None
+    usual, free = bench(), _bench(log, label, felt, names, OFFSETS[1])
+    by_constant = usual.fitted(log.normal[felt], _weight(-label[felt, 2]), np.ones(len(felt)))[2]
+    scatter = max(free.left / len(felt), LEAST_SCATTER)
+    if abs(free.offset) < MISSED_MM or usual.left - free.left < SURE**2 * scatter or free.left > by_constant:
+        return None
+    return (
+        f"Forces are those of presses {abs(free.offset):.2f} mm {'deeper' if free.offset > 0 else 'less deep'} than logged: check at which z0_mm and"
+        " dz_mm the tip touched the gel, or set [poses] touch_offset_mm."
+    )
+
+
+def _moved(log: LogForces, label: np.ndarray, felt: np.ndarray, bench: Fit) -> str | None:
     """A drift, else a constant force, beyond what labels explain."""
     if len(felt) < ENOUGH:
         return None
@@ -386,12 +476,17 @@ def _moved(log: LogForces, label: np.ndarray, felt: np.ndarray) -> str | None:
     constants: dict[str, tuple[float, float]] = {}
     for at, axis in ((2, "z"), (0, "x"), (1, "y")):
         values, own = log.force[felt, at], label[felt, at]
-        terms = _bench(own, log.depth[felt]) if axis == "z" else own[:, None]
         used = np.isfinite(values)
         if used.sum() < ENOUGH:
             continue
-        weight = (1.0 / np.hypot(SPREAD[0] * np.abs(label[felt]).max(axis=1), SPREAD[1]))[used]
-        found, errors, _ = _fitted(np.column_stack([terms, ones, order])[used], values[used], weight)
+        weight = _weight(np.abs(label[felt]).max(axis=1))[used]
+        if axis == "z":  # of a force along -z
+            found, errors, _ = bench().fitted(-values[used], weight, -ones, -order, used=used)
+        else:
+            own = (
+                own * bench().terms[:, 0] / -label[felt, 2]
+            )  # as much less as the normal force where the frame yields
+            found, errors, _ = _fitted(np.column_stack([own, ones, order])[used], values[used], weight)
         constants[axis], drifts[axis] = zip(found[-2:].tolist(), errors[-2:].tolist(), strict=True)
     for axis, (per_press, error) in drifts.items():
         if abs(per_press) > SURE * error and abs(per_press) * np.ptp(felt) > 2 * LEAST_N:
@@ -407,7 +502,7 @@ def _fitted(terms: np.ndarray, values: np.ndarray, weight: np.ndarray) -> tuple[
     weighted = terms * weight[:, None]
     found, *_ = np.linalg.lstsq(weighted, values * weight, rcond=None)
     left = float(np.sum((weight * (values - terms @ found)) ** 2))
-    scatter = np.sqrt(max(left / (len(values) - terms.shape[1]), 0.25))
+    scatter = np.sqrt(max(left / (len(values) - terms.shape[1]), LEAST_SCATTER))
     errors = np.full(len(found), np.inf)
     for k, own in enumerate(weighted.T):
         others = np.delete(weighted, k, axis=1)
@@ -417,44 +512,44 @@ def _fitted(terms: np.ndarray, values: np.ndarray, weight: np.ndarray) -> tuple[
     return found, errors, left
 
 
-def _one_indenter(log: LogForces, label: np.ndarray, felt: np.ndarray, names: np.ndarray) -> str | None:
+def _one_indenter(log: LogForces, felt: np.ndarray, names: np.ndarray, bench: Fit) -> str | None:
     """An indenter whose forces differ from its labels by another factor than those of all others."""
-    terms, measured, names = _bench(-label[felt, 2], log.depth[felt]), log.normal[felt], names[felt]
-    weight = 1.0 / np.hypot(SPREAD[0] * terms[:, 0], SPREAD[1])
-    left, ratios = {}, {}
+    fit, measured, names = bench(), log.normal[felt], names[felt]
+    on_gel = fit.terms[:, 0]
+    weight, left, sure = _weight(on_gel), {}, {}
     for name in sorted(set(names)):
         own = names == name
         if own.sum() < OF_ONE or len(set(names[~own])) < 2 or (~own).sum() < FEWEST:
             continue
-        columns = np.column_stack([terms, np.where(own, terms[:, 0], 0.0)])
-        found, _, left[name] = _fitted(columns, measured, weight)
-        ratios[name] = float(np.median((columns @ found)[own] / (terms @ found[:-1])[own]))
+        found, errors, left[name] = fit.fitted(measured, weight, np.where(own, on_gel, 0.0))
+        sure[name] = 1.0 + float(found[-1] / found[0]), abs(found[-1]) > SURE * errors[-1]
     worst = min(left, key=lambda name: left[name], default="")
     # rather the gel is of another thickness, or there is a constant force
-    for rather in (terms[:, 0] * np.log(terms[:, 0]), np.ones(len(felt))):
-        if not worst or _fitted(np.column_stack([terms, rather]), measured, weight)[2] < left[worst]:
+    for rather in (on_gel * np.log(on_gel), np.ones(len(felt))):
+        if not worst or fit.fitted(measured, weight, rather)[2] < left[worst]:
             return None
-    if 1.0 / OTHER_FORCE < ratios[worst] < OTHER_FORCE:
+    ratio, certain = sure[worst]
+    if 1.0 / OTHER_FORCE < ratio < OTHER_FORCE or not certain:
         return None
     return (
-        f"Forces of {worst} are {ratios[worst]:.2f} times what its labels say beside those of the other indenters: check its shape, size and"
+        f"Forces of {worst} are {ratio:.2f} times what its labels say beside those of the other indenters: check its shape, size and"
         " unit in the catalogue, and the column `indenter`."
     )
 
 
-def _other_thickness(log: LogForces, label: np.ndarray, felt: np.ndarray) -> str | None:
-    """Forces that grow otherwise with the size of a contact than stiffness, depth of touch and compliance can make them grow.
+def _other_thickness(log: LogForces, felt: np.ndarray, bench: Fit) -> str | None:
+    """Forces that grow otherwise with the size of a contact than stiffness, touch, a frame that yields and indenters make them grow.
 
     A layer resists the more, the wider a contact is beside its thickness: on a gel a fifth thinner than its labels say forces grow with
-    1.1 times the power, on one a third thicker with 0.9 times, where other faults of a bench leave 0.97 to 1.03.
+    1.1 times the power, on one a third thicker with 0.9 times.
     """
     if len(felt) < ENOUGH:
         return None
-    normal, depth, measured = -label[felt, 2], log.depth[felt], log.normal[felt]
-    weight = 1.0 / np.hypot(SPREAD[0] * normal, SPREAD[1])
-    terms = np.column_stack([_bench(normal, depth), normal * np.log(normal)])
-    found, errors, left = _fitted(terms, measured, weight)
-    offset, error, by_offset = _fitted(np.column_stack([terms[:, :-1], np.ones(len(felt))]), measured, weight)
+    fit, measured = bench(), log.normal[felt]
+    normal = fit.terms[:, 0]
+    weight = _weight(normal)
+    found, errors, left = fit.fitted(measured, weight, normal * np.log(normal))
+    offset, error, by_offset = fit.fitted(measured, weight, np.ones(len(felt)))
     # a tare too small to be sure of beside touch and compliance, but likelier than another thickness
     if NEARLY * by_offset < left:
         return constant({"z": (-float(offset[-1]), float(error[-1]))}, SURE_OF_THICKNESS)
@@ -468,8 +563,8 @@ def _other_thickness(log: LogForces, label: np.ndarray, felt: np.ndarray) -> str
     by = float(np.exp(power * np.log(ratio[0] / ratio[1])))
     return (
         f"Forces grow otherwise with the size of a contact than labels do, by {by:.2f} times from small to large presses beyond what stiffness,"
-        f" touch and compliance explain: most likely the gel is {'thinner' if power > 0 else 'thicker'} than its table says; check its thickness,"
-        f" and the column `gel_id`.{other}"
+        f" touch, a frame that yields and indenters explain: most likely the gel is {'thinner' if power > 0 else 'thicker'} than its table says;"
+        f" check its thickness, and the column `gel_id`.{other}"
     )
 
 
