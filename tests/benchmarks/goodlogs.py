@@ -13,7 +13,7 @@ from argparse import Namespace
 import numpy as np
 
 from gelforge.evidence.forces import LogForces, of_labels
-from gelforge.flow.main import command, option
+from gelforge.flow.cli import command, option
 from tests.benchmarks.figures import Figure, table
 
 # Force in N at 1 mm and its power over depth, of shapes on the usual gel; power of the gel's thickness that it goes with, and

@@ -26,7 +26,7 @@ ENOUGH = 12  # presses that a constant force or a drift beside labels needs
 OF_ONE = 3  # presses of one indenter that are compared with those of all others
 OTHER_FORCE = 1.15  # the factor by which their forces then differ at least
 OTHER_POWER = 0.05  # by which forces grow with another power of labels where the gel has another thickness
-SURE_OF_THICKNESS = 3.0  # standard errors of it, which are never taken to be smaller than those of a scatter of 5 %
+SURE_OF_THICKNESS = 3.5  # standard errors of it, which are never taken to be smaller than those of a scatter of 5 %
 NEARLY = 1.5  # ratio of the sums of squares that two causes leave, within which both are named
 STUCK, DIFFERS = 3, 0.3  # presses that read the same, and the fraction by which their labels differ
 LEAST_N = 0.15  # of a constant force or a drift: smaller ones are usual, and change hardly anything
@@ -51,6 +51,10 @@ TOUCH_MM, COMPLIANCE, OWN = (
 USUAL_POWER, WIDE = 1.6, 0.5  # of depth, by which force grows; range of ln depth from which on labels show it
 LEAST_LEFT = 0.05  # of a depth, where the frame yields
 OFFSETS, STIFF_ENOUGH = (-0.6, 0.6), 0.1  # mm that touch may be missed by, mm/N that a frame yields at most
+SURE_OF_INDENTER, NEARER = (
+    4.0,
+    1.1,
+)  # standard errors of its factor; of two causes, by how much one must leave less to be the likelier
 LEAST_SCATTER = 0.25  # of a weighted reading, squared
 MISSED_MM = 0.15  # of touch: five times what is usual
 HINT = "tare the sensor without contact and log again, or subtract it from the force columns"
@@ -522,11 +526,11 @@ def _one_indenter(log: LogForces, felt: np.ndarray, names: np.ndarray, bench: Fi
         if own.sum() < OF_ONE or len(set(names[~own])) < 2 or (~own).sum() < FEWEST:
             continue
         found, errors, left[name] = fit.fitted(measured, weight, np.where(own, on_gel, 0.0))
-        sure[name] = 1.0 + float(found[-1] / found[0]), abs(found[-1]) > SURE * errors[-1]
+        sure[name] = 1.0 + float(found[-1] / found[0]), abs(found[-1]) > SURE_OF_INDENTER * errors[-1]
     worst = min(left, key=lambda name: left[name], default="")
     # rather the gel is of another thickness, or there is a constant force
     for rather in (on_gel * np.log(on_gel), np.ones(len(felt))):
-        if not worst or fit.fitted(measured, weight, rather)[2] < left[worst]:
+        if not worst or NEARER * fit.fitted(measured, weight, rather)[2] < left[worst]:
             return None
     ratio, certain = sure[worst]
     if 1.0 / OTHER_FORCE < ratio < OTHER_FORCE or not certain:

@@ -162,14 +162,14 @@ def test_labels_name_the_trouble_and_of_a_clean_session_nothing(seed):
         change, said = TROUBLES[name]
         (line,) = of_labels(log_of(with_force(session, change(session.force))), label, names)
         assert re.search(said, line), name
-    for name, factor in (("ball", 1.25), ("cube", 0.8)):
+    for name, factor in (("ball", 1.25), ("cube", 0.75)):
         wrong = session.force * np.where(names == name, factor, 1.0)[:, None]
         (line,) = of_labels(log_of(with_force(session, wrong)), label, names)
         assert f"Forces of {name} are" in line
 
 
 @pytest.mark.parametrize(
-    "power, said", [(0.12, "the gel is thinner than its table says"), (-0.12, "the gel is thicker")]
+    "power, said", [(0.15, "the gel is thinner than its table says"), (-0.2, "the gel is thicker")]
 )
 def test_forces_that_grow_otherwise_with_the_contact_name_the_gel_s_thickness(power, said):
     session, label, names = labelled(1)
