@@ -1,6 +1,7 @@
 """Read forces from a film of a GelSight Mini with printed markers, frame by frame.
 
-python workflow/examples/06_read_a_film.py [FILM] [IMAGE WITHOUT CONTACT]; with neither, pictures of the demo are read.
+python workflow/examples/06_read_a_film.py [FILM] [IMAGE WITHOUT CONTACT]; without them the demo's film is read, and its first
+frame, in which nothing touches the gel, is the image without contact.
 """
 
 import sys
@@ -10,26 +11,17 @@ import cv2
 
 import gelforge
 
-DEMO = Path(__file__).parents[2] / "data" / "demo"
+FILM = Path(__file__).parents[2] / "data" / "demo" / "film.mp4"
 
 
 def frames(film):
-    """Images (h, w, 3) RGB of a film, or of the demo's first presses on sensor mini_a."""
-    pictures = (
-        iter(cv2.VideoCapture(film).read, (False, None)) if film else ((True, cv2.imread(str(p))) for p in demo())
-    )
-    return (cv2.cvtColor(picture, cv2.COLOR_BGR2RGB) for _, picture in pictures)
+    """Images (h, w, 3) RGB of a film."""
+    return (cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) for _, frame in iter(cv2.VideoCapture(film).read, (False, None)))
 
 
-def demo():
-    return sorted((DEMO / "images").glob("*.png"))[:6]
-
-
-film, still = (sys.argv[1:] + [None, None])[:2]
-without = cv2.cvtColor(cv2.imread(still or str(DEMO / "nocontact" / "mini_a.png")), cv2.COLOR_BGR2RGB)
+film, still = (sys.argv[1:] + [str(FILM), None][len(sys.argv) - 1 :])[:2]
+without = cv2.cvtColor(cv2.imread(still), cv2.COLOR_BGR2RGB) if still else next(frames(film))
 
 read = gelforge.Reader(without)
 for number, found in enumerate(read.stream(frames(film))):
-    x, y, z = found.total  # N along gel x, y, z; pressing is negative
-    width = "" if found.half_width is None else f" +- {found.half_width[2]:.2f}"
-    print(f"{number:4d}  x {x:+6.2f}  y {y:+6.2f}  z {z:+7.2f}{width} N  {found.reason if found.flag else ''}")
+    print(f"{number:4d}  {found}")  # forces on the gel along its x, y, z; pressing is negative

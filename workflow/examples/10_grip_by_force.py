@@ -1,6 +1,6 @@
 """On a robot: close a gripper until the sensor in its finger reads a force, by the newest frame of its camera alone.
 
-python workflow/examples/10_grip_by_force.py [CAMERA OR FILM] [IMAGE WITHOUT CONTACT]; with neither, pictures of the demo are read.
+python workflow/examples/10_grip_by_force.py [CAMERA OR FILM]; else the demo's film is read. The first frame shows the free gel.
 """
 
 import sys
@@ -12,7 +12,7 @@ import cv2
 
 import gelforge
 
-DEMO, GRIP_N = Path(__file__).parents[2] / "data" / "demo", 3.0
+FILM, GRIP_N = Path(__file__).parents[2] / "data" / "demo" / "film.mp4", 3.0
 
 
 def watch(camera, came):
@@ -22,13 +22,13 @@ def watch(camera, came):
     came.put(None)
 
 
-camera, still = (sys.argv[1:] + [str(DEMO / "images" / "demo-%06d.png"), str(DEMO / "nocontact" / "mini_a.png")])[:2]
-read, came = gelforge.Reader(cv2.imread(still)[..., ::-1]), SimpleQueue()
+camera, came = (sys.argv[1:] + [str(FILM)])[0], SimpleQueue()
 Thread(target=watch, args=(cv2.VideoCapture(int(camera) if camera.isdigit() else camera), came), daemon=True).start()
 
 frame = came.get()
+read = gelforge.Reader(frame[..., ::-1])  # OpenCV's images are BGR
 while frame is not None:
-    found = read(frame[..., ::-1])  # OpenCV's pictures are BGR
+    found = read(frame[..., ::-1])
     if found.flag:
         sys.exit(f"{found.reason}: no force to rely on, so nothing moves")
     if found.total[2] <= -GRIP_N:  # along the normal; pressing is negative
