@@ -133,6 +133,14 @@ def test_a_no_contact_image_that_is_dark_blurred_or_grey_is_named(demo_nocontact
         assert "monochrome" in fault(np.repeat(picture[..., :1], 3, axis=2))
 
 
+@pytest.mark.parametrize("least", [2.0, 8.0, 15.0])
+def test_a_no_contact_image_that_shows_a_press_is_named(demo_nocontact, presses, least):
+    """Of a unit whose light answers strongly all; of one of weak contrast the markers alone may show it."""
+    assert all(touch(picture) < 1.0 for picture in demo_nocontact.values())
+    strong = [touch(image) > 1.0 for name, image, force in presses if name == "mini_e" and force > least]
+    assert all(strong)
+
+
 # By what a no-contact image is multiplied that was taken under another fall of light; x, y from -1 to 1 over the image.
 FALLS = {
     "corners 30 % darker": lambda x, y: 1.0 - 0.15 * (x**2 + y**2),
