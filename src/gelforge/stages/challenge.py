@@ -39,7 +39,7 @@ def write(args: Namespace) -> None:
         raise BadInput(f"[pareto] sensor = {name!r} is not in {of.workflow}/sensors.toml")
     scenes = [parse_scene(key, table, params.material.nu) for key, table in read_tables(of.workflow).items()]
     made = parameters_of(params, "pareto", stage_version(Path(__file__).parent, "pareto"))
-    bench = ChartBench(args.out, sensors[name], made, args.out, of.references)
+    bench = ChartBench(sensors[name], made, args.out, of.references)
     old = [scene.name for scene in scenes if given_reference(bench, scene) is None]
     if old:
         raise BadInput(

@@ -5,13 +5,13 @@ import re
 import shutil
 import subprocess
 import sys
-from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
+from gelforge.flow.params import parameters_of
 from gelforge.geometry.stlfile import read_stl
 from gelforge.labelling.sensor import load_sensors
 from gelforge.stages import challenge as stage
@@ -31,7 +31,7 @@ from gelforge.sweeps.keptreferences import (
 from gelforge.sweeps.methods import DOUBLED, LARGE_REFERENCE, REFERENCE
 from gelforge.sweeps.scenes import parse_scene, read_tables
 from gelforge.sweeps.trial import GRID, load_bench, measure
-from tests.support.parameters import place_workflow, stage_of
+from tests.support.parameters import parameters, place_workflow
 
 
 @pytest.fixture(scope="module")
@@ -224,8 +224,8 @@ def test_a_symmetric_scene_has_a_symmetric_reference_and_beside_it_what_halving_
 def bench(root, tmp_path):
     """A bench that has no mesh to solve a reference on, only those that are kept."""
     sensors, kept = load_sensors(root / "workflow" / "sensors.toml"), root / "data" / "fea_challenge"
-    params = replace(stage_of("pareto"), version=pareto.VERSION)
-    return load_bench(params, sensors, tmp_path / "meshes", tmp_path / "records", kept)
+    params = parameters_of(parameters(), "pareto", pareto.VERSION)
+    return load_bench(params, sensors, tmp_path / "records", kept)
 
 
 def test_the_references_that_are_kept_are_those_of_todays_scenes_and_settings(bench, root):

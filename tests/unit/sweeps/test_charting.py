@@ -128,7 +128,7 @@ def test_the_chart_holds_what_was_asked(params):
 
 def test_a_key_follows_what_the_method_depends_on_and_nothing_else(params, scenes, tmp_path):
     def key(method, **changed):
-        bench = load_bench(altered(params, **changed), load_sensors("workflow/sensors.toml"), tmp_path, tmp_path)
+        bench = load_bench(altered(params, **changed), load_sensors("workflow/sensors.toml"), tmp_path)
         return bench.key(scenes["punch"], method)
 
     stiffer = replace(params.fea, stiffness=1.0)
