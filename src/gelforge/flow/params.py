@@ -259,7 +259,8 @@ def stage_version(folder: Path, name: str) -> int:
 
 def written_for(params: Params, name: str, version: int) -> dict[str, Any]:
     """What is written for a stage of the parameters, as JSON has it."""
-    every, found = plain(params), {"version": version}
+    every: dict[str, Any] = plain(params)
+    found: dict[str, Any] = {"version": version}
     for words in STAGES[name].reads:
         table, _, key = words.partition(".")
         if not key:
