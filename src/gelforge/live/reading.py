@@ -53,13 +53,14 @@ class StartInDoubt:
 
     def __init__(self, predictor: Any, name: str) -> None:
         self.predictor, self.name = predictor, name
-        self.confirmed, self.next, self.doubt = 0, 0, ""
+        self.confirmed, self.asked, self.next, self.doubt = 0, 0, 0, ""
 
     def look(self, number: int, image: np.ndarray, normal: float) -> None:
         """BadInput once several frames say that the stream began in a press. image: (h, w, 3) uint8 RGB. normal: read of it, N."""
         if number < self.next or -normal < DOUBTED_N:
             return
         self.next, exchanged = number + APART, self.predictor.exchanged(image)
+        self.asked += 1
         self.confirmed = self.confirmed + 1 if exchanged < MORE * normal else 0
         if self.confirmed:
             self.doubt = (
@@ -70,8 +71,8 @@ class StartInDoubt:
             raise BadInput(self.doubt)
 
     def end(self) -> None:
-        """BadInput where the stream ends before enough frames could say so, and the last two that could do: one may be odd."""
-        if self.confirmed > 1:
+        """BadInput where the stream ends before enough frames could say so, and the last two that could do, or all of them: one may be odd."""
+        if self.confirmed > 1 or 0 < self.confirmed == self.asked:
             raise BadInput(self.doubt)
 
 

@@ -46,7 +46,7 @@ def require_opencv() -> None:
         raise BadInput(
             f"OpenCV cannot be used ({fault}): most likely two of its packages are installed, or one for desktops on a computer without a"
             " display; run `pip uninstall -y opencv-python opencv-contrib-python opencv-python-headless opencv-contrib-python-headless`, then"
-            " `pip install opencv-python-headless`"
+            " `pip install opencv-contrib-python-headless`"
         )
 
 

@@ -136,17 +136,21 @@ def test_all_outputs_of_one_run_hold_the_same(film, tmp_path, chromium):
     assert event["fz_n"] == float(rows[-1]["fz_n"]) and event["frame"] == FRAMES - 1
 
 
-@pytest.mark.parametrize("frames, in_doubt", [(0, False), (1, False), (2, True)])
+@pytest.mark.parametrize(
+    "frames, in_doubt", [("", False), ("deep rest", False), ("rest", True), ("deep rest rest", True)]
+)
 def test_one_odd_frame_before_its_end_does_not_spoil_a_film(root, frames, in_doubt):
-    """Against a pressed no-contact image a released gel reads less than both do once they change places: two such frames say so."""
-    names = ["images/demo-000004.png", "nocontact/mini_a.png"]
-    pressed, rest = (np.ascontiguousarray(cv2.imread(str(root / "data/demo" / name))[..., ::-1]) for name in names)
-    predictor = Predictor(load_for_use(None), pressed)
-    start, normal = StartInDoubt(predictor, "f.avi"), float(predictor.predict(rest).total[2])
+    """Against a lightly pressed no-contact image a released gel reads less than both do once they change places, a deep press more."""
+    names = ["images/demo-000004.png", "nocontact/mini_a.png", "images/demo-000001.png"]
+    light, rest, deep = (
+        np.ascontiguousarray(cv2.imread(str(root / "data/demo" / name))[..., ::-1]) for name in names
+    )
+    predictor, shown = Predictor(load_for_use(None), light), {"rest": rest, "deep": deep}
+    start = StartInDoubt(predictor, "f.avi")
 
     def read():
-        for number in range(frames):
-            start.look(10 * number, rest, normal)
+        for number, name in enumerate(frames.split()):
+            start.look(10 * number, shown[name], float(predictor.predict(shown[name]).total[2]))
         start.end()
 
     if in_doubt:

@@ -205,5 +205,7 @@ def test_an_opencv_that_is_not_whole_is_refused_in_a_sentence(tmp_path):
             [sys.executable, "-c", program], capture_output=True, text=True, env=os.environ | {"PYTHONPATH": paths}
         )
         assert (
-            "BadInput" in done.stdout and said in done.stdout and "pip install opencv-python-headless" in done.stdout
+            "BadInput" in done.stdout
+            and said in done.stdout
+            and "pip install opencv-contrib-python-headless" in done.stdout
         ), done
