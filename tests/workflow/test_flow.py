@@ -103,7 +103,7 @@ def test_a_truncated_artifact_is_refused_and_made_again_alone(labelled):
 
 
 def test_killing_make_in_a_solve_loses_at_most_that_solve(project):
-    build(project, "poses", "meshes")
+    build(project, "poses")
     child = subprocess.Popen(
         ["make", "-j1", "DATASET=tiny", "fea"], cwd=project, env=clean_environment(), start_new_session=True,
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
@@ -196,10 +196,10 @@ def test_a_full_disk_fails_and_the_next_make_resumes(project, tmp_path):
         pytest.skip("a tmpfs cannot be mounted here")
     try:
         (project / "results").symlink_to(small)
-        full = make(project, "DATASET=tiny", "poses", "meshes")
+        full = make(project, "DATASET=tiny", "poses")
         assert full.returncode != 0 and "No space left" in full.stdout, full.stdout
         subprocess.run(["mount", "-o", "remount,size=200m", str(small)], check=True)
-        assert make(project, "DATASET=tiny", "poses", "meshes").returncode == 0
-        assert make(project, "-q", "DATASET=tiny", "poses", "meshes").returncode == 0
+        assert make(project, "DATASET=tiny", "poses").returncode == 0
+        assert make(project, "-q", "DATASET=tiny", "poses").returncode == 0
     finally:
         subprocess.run(["umount", "-l", str(small)], check=True)
