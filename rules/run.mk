@@ -29,12 +29,12 @@ else
 # 30 notes its command, and takes its outdated target away, so that make sees it change; `solved` waits until what was noted has run.
 SLURM_PROFILE ?= workflow/slurm.toml
 NOTES = $D/.slurm/$(GELFORGE_RUN)
-note = $(shell mkdir -p $D/.slurm)$(file >>$(NOTES)$1,$@	$(wrapped))if [ -e $@ ]; then mv $@ $@.old; fi
+note = $(shell mkdir -p $D/.slurm)$(file >>$(NOTES)$1,$@	$2)if [ -e $@ ]; then mv $@ $@.old; fi
 slurm = $(PY) -m gelforge.flow.slurm $(NOTES)$1 --profile '$(SLURM_PROFILE)'
-train = @$(if $(ONLY_SHOWN),$(wrapped),$(call note,-$(@F)); $(call slurm,-$(@F)))
+train = @$(if $(ONLY_SHOWN),$(wrapped),$(call note,-$(@F),$(wrapped)); $(call slurm,-$(@F)))
 # A file that is asked for by its name is a job of its own.
 BY_NAME := $(filter $D/%,$(MAKECMDGOALS))
-solve = $(if $(BY_NAME),$(train),@$(if $(ONLY_SHOWN),$(wrapped),$(call note,)))
+solve = $(if $(BY_NAME),$(train),@$(if $(ONLY_SHOWN),$(wrapped),$(call note,,$(wrapped))))
 solved := $(if $(BY_NAME),,solved)
 
 .PHONY: solved

@@ -89,9 +89,9 @@ def test_the_moments_of_a_press_are_frames_of_one_path_at_little_more_than_its_p
         assert np.linalg.norm(film[-1].force - single.force) < 0.02 * np.linalg.norm(single.force) + 0.05
         assert all(later.fz_n < before.fz_n + 0.2 for before, later in zip(film, film[1:], strict=False))
         assert film[0].fz_n > 0.6 * film[-1].fz_n
-        # counted along one path, from its touch to each frame
+        # counted along one path, from its touch to each frame; each ends in a tight equilibrium of its own
         counted = [iterations[press.sample_id] for press in film]
-        assert counted == sorted(counted)
+        assert min(counted[3:]) > max(counted[:3])
     lost = data / presses[3].image
     kept = lost.read_bytes()
     lost.unlink()

@@ -349,7 +349,7 @@ def test_whatever_reads_what_is_solved_waits_for_the_array(root, tmp_path):
     project = sandbox.link_project(root, tmp_path / "p")
     data = project / "data" / "tiny"
     write_text(data / "log.csv", "sample_id,indenter\ns1,sphere_15\ns2,sphere_15\n")
-    write_text(data / "dataset.toml", 'sensor = "feats"\ngel = "g"\n')
+    write_text(data / "dataset.toml", 'sensor = "gelsight_mini"\n')
     done = sandbox.make(
         project, "-np", "DATASET=tiny", "EXECUTOR=slurm", "report", "calibrate", "pareto", "stability"
     )

@@ -40,8 +40,8 @@ def test_a_verified_press_has_a_deck_a_difference_and_limits(folder, ccx):
     """Nothing is solved twice, another fraction leaves the press's own solve alone, and none takes what was kept away."""
     (found,) = solve(folder, 1.0)
     assert (found.sample_id, found.method, found.reason) == ("s0", "draft", "")
-    # tetrahedra of 2.6 mm: far off, and beyond what both state
-    assert 0 < found.total < 0.6 and found.total < found.cells < 2.0 and found.beyond
+    # edges shrink under a narrow contact, so even coarse tetrahedra are within what both solves state
+    assert 0 < found.total < 0.05 and found.total < found.cells < 0.2 and not found.beyond
     solves = folder / "30_fea" / "0000"
     own, twin = read_json(solves / "s0.json"), read_json(solves / "s0.ccx.json")
     assert (own["method"], twin["method"]) == ("draft", "ccx") and twin["deck"]
