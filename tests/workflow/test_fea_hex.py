@@ -41,6 +41,7 @@ def made(tmp_path_factory):
     write_stage(of.params, "labels")
     write_json(of.parameters("sensors"), read_toml("workflow/sensors.toml"))
     write_json(of.parameters("indenters"), {"ball": BALL})
+    write_json(of.parameters("gels"), {})
     for module, word in ((fea, "0000"), (forces, "0000"), (labels, "24x32")):
         assert module.main([str(of.root), word]) == 0
     return of.root

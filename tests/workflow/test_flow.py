@@ -65,7 +65,7 @@ def labelled(built, tmp_path):
 def test_parameters_are_prerequisites_exactly(labelled):
     assert predict(labelled, "labels") == [] and build(labelled, "labels") == []
 
-    edit(labelled, "[fea]", "# a comment\n[fea]")
+    edit(labelled, "\n[fea]\n", "\n# a comment\n[fea]\n")
     assert predict(labelled, "labels") == [] and build(labelled, "labels") == []
 
     expected = predict(labelled, "labels", "RES=12x16")

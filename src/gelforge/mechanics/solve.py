@@ -93,7 +93,7 @@ class Solvers:
             smaller: Solve = lambda scene: self._solve_hex([scene], method, FINER)[0]  # noqa: E731
             found = self._solve_hex(scenes, method)
             return [[(method, _answer(each)), (f"{method}, smaller load steps", smaller)] for each in found]
-        tries = []
+        tries: list[list[tuple[str, Solve]]] = []
         # with Coulomb friction a force depends on all of a point's slip, so its path is followed on the tetrahedra
         slips = scenes[-1].interface.contact.frictional
         for frame in self.guide.coarse_path(scenes):

@@ -2,7 +2,6 @@
 
 import io
 import zipfile
-from types import SimpleNamespace
 
 import cv2
 import numpy as np
@@ -16,6 +15,8 @@ from gelforge.formats.featsfile import read_npy
 from gelforge.formats.mcap_import import Topics, pair
 from gelforge.formats.mcap_messages import messages
 from gelforge.formats.messageimage import picture
+from gelforge.mechanics.mesh.hexmesh import FineBox
+from gelforge.mechanics.mesh.hexname import HexMeshName
 from gelforge.reading.model import load_model
 from gelforge.records.forcefile import ForceFile, SampleForces, write_forces
 from gelforge.records.image import read_image
@@ -33,7 +34,7 @@ from tests.support.press_records import log_line
 PICTURE = np.random.default_rng(1).integers(0, 255, (24, 32, 3), np.uint8)
 LABELS = {"sample_id": np.array(["a", "b"]), "status": np.array(["OK", "OK"]), "outside": np.zeros((2, 3)),
           "label": np.zeros((2, 3, 2, 2), np.float32), "c10": np.float64(0.07)}  # fmt: skip
-SURFACE = SimpleNamespace(surface_nodes=np.arange(3))
+MESH = HexMeshName("gelsight_mini", FineBox(-2.0, 2.0, -2.0, 2.0, 1.0), 2, 2.0, 2.0, 4.0).name
 LOG = "\n".join([",".join(COLUMNS), *(log_line(sample_id=f"s{k}", fz_n=-1.0 - k) for k in range(6))]) + "\n"
 
 
@@ -48,8 +49,8 @@ def forces(path):
 
 def solved(path):
     """What stage 40 makes of a solve's output; where that is corrupt, a status and a reason of one sentence."""
-    solve = Solved("a", Status.OK, "", "hex", "m", path.name, (0.0, 0.1, -1.0), {})
-    sample, reason = read_sample(solve, path.parent, lambda _: SURFACE, None)
+    solve = Solved("a", Status.OK, "", "label", MESH, path.name, (0.0, 0.1, -1.0), {})
+    sample, reason = read_sample(solve, path.parent)
     if sample.status != "OK":
         raise BadInput(reason)
     return sample.force

@@ -41,7 +41,8 @@ class Contact:
     @classmethod
     def of(cls, mask: np.ndarray, pixel: float, low: tuple[float, float]) -> "Contact":
         """From pixels (rows, columns) of bool."""
-        return cls(pixel, low, *mask.shape, np.packbits(mask).tobytes())
+        rows, columns = mask.shape
+        return cls(pixel, low, rows, columns, np.packbits(mask).tobytes())
 
     @property
     def mask(self) -> np.ndarray:

@@ -92,8 +92,8 @@ class Sizes:
         beyond = distance_transform_edt(~whole) if mask.any() else np.full(whole.shape, np.inf)
         # between the last pixel inside and the first one outside both would be half
         away = pixel * np.where(whole, 0.5 - within, beyond - 0.5)
-        first = tuple(start - pixel * before[0] + pixel / 2 for start, before in zip(low, rim, strict=True))
-        return cls(away, first, pixel, edge, inside)
+        x, y = (start - pixel * before[0] + pixel / 2 for start, before in zip(low, rim, strict=True))
+        return cls(away, (x, y), pixel, edge, inside)
 
 
 def bisected(nodes: np.ndarray, tets: np.ndarray, sizes: Sizes) -> tuple[np.ndarray, np.ndarray]:
@@ -107,7 +107,7 @@ def bisected(nodes: np.ndarray, tets: np.ndarray, sizes: Sizes) -> tuple[np.ndar
 
 
 @numba.njit(cache=True)
-def _longest(x, y, z, away, low, pixel, edge, inside):  # pragma: no cover - compiled
+def _longest(x, y, z, away, low, pixel, edge, inside):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Longest edge wanted at a place of the box, mm."""
     u, v = (x - low[0]) / pixel, (y - low[1]) / pixel
     i, j = min(max(round(u), 0), away.shape[0] - 1), min(max(round(v), 0), away.shape[1] - 1)
@@ -120,7 +120,7 @@ def _longest(x, y, z, away, low, pixel, edge, inside):  # pragma: no cover - com
 
 
 @numba.njit(cache=True)
-def _slot(keys, a, b):  # pragma: no cover - compiled
+def _slot(keys, a, b):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     """Where the edge between nodes a and b lies in a hash table of edges, or would."""
     key = (min(a, b) << 32) | max(a, b)
     size = len(keys)
@@ -132,7 +132,7 @@ def _slot(keys, a, b):  # pragma: no cover - compiled
 
 
 @numba.njit(cache=True)
-def _bisected(start, first, away, low, pixel, edge, inside):  # pragma: no cover - compiled
+def _bisected(start, first, away, low, pixel, edge, inside):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
     nodes = np.empty((4 * len(start) + 1024, 3))
     nodes[: len(start)] = start
     count = len(start)

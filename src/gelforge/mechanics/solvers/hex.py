@@ -189,7 +189,8 @@ class HexSolver:
     def _extrapolate(self, scene: Scene, coarse: "CoarseFrame | None", box: FineBox, result: HexResult) -> None:
         """Correct a result by what two sizes of hexahedra together say, and state the error that is left."""
         force = float(np.linalg.norm(result.total))
-        contact, numbers = result.contact, self.settings.nested and self.settings.nested.convergence
+        contact, nested = result.contact, self.settings.nested
+        numbers = nested.convergence if nested else None
         result.evidence |= coarse.counts if coarse else {}
         if result.status is not Status.OK or contact is None or force == 0.0:
             return
