@@ -56,7 +56,7 @@ $(EXPORTED): $D/feats/%/normalization_gelforge.npy: $D/60_dataset/%/dataset.json
 LIKE ?= gelsight_mini
 
 projection: $(SETUP)  ## fit a sensor: make projection SENSOR=name POINTS=points.csv and/or IMAGE=nocontact.png
-	@$(PY) -m gelforge.commands.projection --sensor '$(value SENSOR)' --like $(LIKE) \
+	@$(PY) -m gelforge.commands.projection --sensor '$(value SENSOR)' --like '$(value LIKE)' \
 	    $(if $(value POINTS),--points '$(value POINTS)') $(if $(value IMAGE),--image '$(value IMAGE)')
 
 # -- the virtual bench writes data/DATASET as a plan says, resumes where it stopped, and appends when a plan grows. Pictures that were

@@ -9,12 +9,13 @@ readings that differ by 3 %, all within what priors call usual.
 
 import re
 from argparse import Namespace
+from pathlib import Path
 
 import numpy as np
 
 from gelforge.evidence.forces import LogForces, of_labels
 from gelforge.flow.cli import command, option
-from tests.benchmarks.figures import Figure, table
+from tests.benchmarks.figures import Figure, publish_figures
 
 # Force in N at 1 mm and its power over depth, of shapes on the usual gel; power of the gel's thickness that it goes with, and
 # of the indenter's size.
@@ -95,9 +96,9 @@ def rates(logs: int) -> list[Figure]:
     return figures
 
 
-@command(option("--logs", type=int, default=400))
+@command(option("--logs", type=int, default=400), option("--out", type=Path))
 def main(args: Namespace) -> None:
-    print(table(rates(args.logs)))
+    publish_figures(args.out, rates(args.logs))
 
 
 if __name__ == "__main__":

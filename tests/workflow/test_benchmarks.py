@@ -30,6 +30,7 @@ LEFT_OUT = {
     "calibration": "an emulator takes minutes: tests/workflow/test_calibrate.py",
     "edge_order": "solves 84 presses on hexahedra: tests/physics/test_laws.py",
     "exact": "solves 68 presses by every method: tests/physics/test_axisymmetric.py",
+    "goodlogs": "fits thousands of simulated logs: tests/unit/evidence/test_forces.py",
     "troubles": "labels the demo: tests/unit/evidence and tests/unit/stages/test_images.py",
     "outside": "GetFEM takes minutes for a scene: tests/workflow/test_outside.py",
 }

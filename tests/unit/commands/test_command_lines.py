@@ -75,7 +75,7 @@ def test_gelforge_lists_its_commands(capsys):
     assert ended.value.code == 2 and "'sample' is no command of gelforge" in capsys.readouterr().err
 
 
-@pytest.mark.parametrize("words", [[], ["why"]])
+@pytest.mark.parametrize("words", [[], ["--help"], ["status", "--help"]])
 def test_a_reader_that_is_gone_is_no_error(words):
     """As `gelforge | head -1` leaves it."""
     read, write = os.pipe()

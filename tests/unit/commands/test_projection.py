@@ -181,8 +181,8 @@ def test_scales_along_both_axes_are_said_and_doubted_where_they_differ(capsys, s
     found = projection.fit_projection("unit", like, (square * [stretched, 1.0], transform(GOOD, square)))
     projection.report(projection.describe(found), None, None)
     said = capsys.readouterr().out
-    assert f"scale: {14 / stretched:.2f} px/mm along gel x, 14.00 px/mm along gel y" in said
-    assert ("doubt: both differ by" in said) == told
+    assert f"scale at the apex: {14 / stretched:.2f} px/mm along gel x, 14.00 along gel y" in said
+    assert ("doubt: these differ by" in said) == told
 
 
 def test_the_markers_of_reference_images(reference):
