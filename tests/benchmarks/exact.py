@@ -19,7 +19,8 @@ from gelforge.flow.cli import command, option
 from gelforge.flow.files import read_json, write_json, write_text
 from gelforge.flow.params import Params, load_params, parameters_of
 from gelforge.flow.tables import IN_PROCESS
-from gelforge.geometry.gel import gels_from, load_gel
+from gelforge.geometry.gel import Gel, gels_from
+from gelforge.geometry.gelcatalogue import PadTable
 from gelforge.geometry.indenters import build
 from gelforge.geometry.solids import Body, Indenter
 from gelforge.labelling.operator import face_parts, node_to_part
@@ -92,17 +93,21 @@ def indenter(kind: str, sizes: list[float]) -> Indenter:
     return build(kind, {"kind": "cylinder", "diameter": sizes[0], "fillet": sizes[-1], "height": 10.0} | hole)
 
 
-PAD = """[flat_{0:g}mm]
-width = 40
-length = 40
-thickness = {0:g}
-corner_radius = 1
-"""
+SIDES = {"width": 40.0, "length": 40.0, "corner_radius": 1.0}  # mm, of a pad
+
+
+def pad(thickness: float) -> Gel:
+    """The flat pad of that thickness."""
+    return PadTable(thickness=thickness, **SIDES).gel(f"flat_{thickness:g}mm")
 
 
 def pads(presses: list[dict], file: Path) -> Path:
     """Write the catalogue of the pads that are pressed: meshes are made by names of gels."""
-    write_text(file, "".join(PAD.format(h) for h in sorted({press["thickness_mm"] for press in presses})))
+    lines = []
+    for thickness in sorted({press["thickness_mm"] for press in presses}):
+        sides = SIDES | {"thickness": thickness}
+        lines += [f"[{pad(thickness).name}]", *(f"{key} = {value:g}" for key, value in sides.items()), ""]
+    write_text(file, "\n".join(lines))
     return file
 
 
@@ -111,11 +116,7 @@ def scene_of(press: dict) -> Scene:
     way = Press(0.0, 0.0, 0.0, 0.0, 0.0, -press["depth_mm"])
     law = Interface(press["interface"])
     return Scene(
-        load_gel(f"flat_{press['thickness_mm']:g}mm"),
-        Material(press["nu"]),
-        indenter(press["kind"], press["sizes_mm"]),
-        way,
-        law,
+        pad(press["thickness_mm"]), Material(press["nu"]), indenter(press["kind"], press["sizes_mm"]), way, law
     )
 
 
