@@ -5,8 +5,10 @@ import numpy as np
 from gelforge.live.reading import Reading
 from gelforge.reading.forcereading import ForceReading
 
+GREY = np.full((6, 8, 3), 90, np.uint8)
 
-def reading(number: int, flag: bool = False, **changes) -> Reading:
+
+def reading(number: int, flag: bool = False, image: np.ndarray = GREY, **changes) -> Reading:
     """Frame of that number, a hundredth of a second each: `number` N of normal force in one cell of (4, 5)."""
     forces = np.zeros((3, 4, 5), np.float32)
     forces[:, 1, 1] = 0.0, 0.0, -number
@@ -14,4 +16,4 @@ def reading(number: int, flag: bool = False, **changes) -> Reading:
         "half_width": np.array([0.1, 0.2, 0.3]), "reason": "dark" if flag else "", "edge_peak": 0.0,
     }  # fmt: skip
     found = ForceReading(cells=forces, total=forces.sum((1, 2), dtype=np.float64), **(said | changes))
-    return Reading(number, 0.01 * number, found, ms=3.0, image=np.full((6, 8, 3), 90, np.uint8))
+    return Reading(number, 0.01 * number, found, ms=3.0, image=image)

@@ -156,7 +156,7 @@ def draw(look: Pictured) -> Any:
         u, v = (np.arange(cols) + 0.5) * width / cols, (np.arange(rows) + 0.5) * height / rows
         levels = pressure.max() * np.array([0.05, 0.35, 0.65])
         first.contour(u, v, pressure, levels=levels, colors=INK if look.image is None else "white", linewidths=0.9)
-    first.add_collection(LineCollection(outline(look), colors="#3fd0ff", linewidths=1.2))
+    first.add_collection(LineCollection([*outline(look)], colors="#3fd0ff", linewidths=1.2))
     first.plot(*look.sensor.project(lowest(look)[None])[0], "+", color="#3fd0ff", markersize=11, markeredgewidth=1.6)
     first.set_title("indenter (blue, + its lowest part), pressure (lines at 5, 35, 65 % of its peak)", fontsize=10)
     for channel, axis in enumerate(others):

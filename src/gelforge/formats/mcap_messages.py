@@ -89,7 +89,8 @@ def _decoded(path: Path, stream: IO[bytes], topics: Collection[str]) -> Iterator
     from mcap.reader import NonSeekingReader, make_reader
     from mcap_protobuf.decoder import DecoderFactory as Protobuf
 
-    reader = NonSeekingReader(stream, validate_crcs=True, decoder_factories=[DecoderFactory(), Protobuf(), Json()])
+    factories: list[Any] = [DecoderFactory(), Protobuf(), Json()]
+    reader = NonSeekingReader(stream, validate_crcs=True, decoder_factories=factories)
     seen = Counter[int]()
     try:
         for _, channel, message, said in reader.iter_decoded_messages(topics, log_time_order=False):

@@ -97,7 +97,7 @@ class Data:
         self.require_nocontact(rows)
         pairs = [self.prepared(int(row), image) for row, image in zip(rows, self.images[rows], strict=True)]
         # OpenCV puts channels side by side several times faster than numpy
-        return np.stack([cv2.merge([one.lit, one.nocontact.picture]) for one in pairs])
+        return np.stack([cv2.merge([one.lit, one.feature("nocontact")[0]]) for one in pairs])
 
     def sensor(self, name: str) -> NoContact:
         """A sensor while nothing touches it, in the frame in which it was logged."""

@@ -22,7 +22,7 @@ from mcap_ros2.decoder import DecoderFactory
 
 from gelforge.commands import live
 from gelforge.errors import BadInput
-from gelforge.live.reading import StartInDoubt
+from gelforge.live.reading import APART, StartInDoubt
 from gelforge.live.recording import CsvTable, McapRecording
 from gelforge.live.topics import RosMessages
 from gelforge.reading.predictor import Predictor, load_for_use
@@ -165,7 +165,7 @@ def test_a_film_that_begins_in_a_press_is_refused_once_the_gel_reads_as_pressed(
     names = [f"images/demo-{press:06d}.png", "nocontact/mini_a.png"]
     pressed, rest = (cv2.imread(str(root / "data/demo" / name)) for name in names)
     words = ["--csv", str(tmp_path / "live.csv"), "--video"]
-    for released in (2, 14):  # of which two are too few to be sure while the film goes on
+    for released in (APART + 1, 14):  # the former are looked at twice: too few to be sure while the film goes on
         film = write_film(tmp_path / "film.avi", [pressed] * 14 + [rest] * released, 10.0)
         said = (
             "(begins in a press: frame .* reads|something seems to touch the gel) .*give that image with --nocontact"
@@ -255,7 +255,7 @@ def test_a_recording_that_cannot_be_kept_leaves_nothing_and_all_hear_of_it(tmp_p
         assert to.send(map(reading, range(3))) == 3
         spoil(to.files[0])
         to.end("over")
-        assert "the recording is lost" in to.servers[0].said and "the recording is lost" in str(to.fault)
+        assert "the recording is lost" in to.servers[0].said["said"] and "the recording is lost" in str(to.fault)
     assert not [path for path in tmp_path.rglob("*") if path.is_file() and path.name != "a.csv"]
     assert len((tmp_path / "a.csv").read_text().splitlines()) == 4
 

@@ -179,7 +179,7 @@ def test_nocontact_images_come_along_where_they_were_photographed(tmp_path, root
     lit = [match_light(data.images[i], picture[..., ::-1]).undo(data.images[i]) for i in photographed]
     assert np.array_equal(seen[..., :3], lit)
     assert (seen[..., 3:] == picture[..., ::-1]).all()
-    assert np.array_equal(data.seen(other, "image"), data.images[other])
+    assert np.array_equal(data.seen(other, False), data.images[other])
     with pytest.raises(BadInput, match="nocontact/mini_a.png"):
         data.seen(other, True)
 
