@@ -10,6 +10,7 @@ scale. A new family is a class here, one line in `build`, and one in `records/ne
 """
 
 import math
+from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import torch
@@ -100,6 +101,8 @@ class UNet(nn.Module):
     in the paper.
     """
 
+    pair: bool  # whether it reads the no-contact image, too
+
     def __init__(self, grid, widths=(16, 32, 64, 128, 256), channels: int = 3):
         super().__init__()
         self.grid = tuple(grid)
@@ -182,6 +185,8 @@ class GridNet(nn.Module):
     :param blocks: residual blocks at the grid.
     """
 
+    pair: bool  # whether it reads the no-contact image, too
+
     def __init__(self, image, grid, width: int = 16, blocks: int = 3, channels: int = 6):
         super().__init__()
         self.total_only, grid = tuple(grid) == (1, 1), map_grid(image, grid)
@@ -217,7 +222,10 @@ def build(config: dict, image, grid) -> nn.Module:
     :param image: (height, width) in pixels. :param grid: (rows, cols) of the label.
     """
     sizes = sizes_of(config) | {"channels": 6 if kind_of(config).pair else 3}
-    kinds = {"unet": lambda: UNet(grid, **sizes), "grid": lambda: GridNet(image, grid, **sizes)}
+    kinds: dict[str, Callable[[], UNet | GridNet]] = {
+        "unet": lambda: UNet(grid, **sizes),
+        "grid": lambda: GridNet(image, grid, **sizes),
+    }
     net = kinds[config["kind"]]()
     net.pair = kind_of(config).pair
     if isinstance(net, UNet) and side_at_top(min(image), len(net.down)) < 1:

