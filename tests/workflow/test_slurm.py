@@ -351,7 +351,7 @@ def test_whatever_reads_what_is_solved_waits_for_the_array(root, tmp_path):
     write_text(data / "log.csv", "sample_id,indenter\ns1,sphere_15\ns2,sphere_15\n")
     write_text(data / "dataset.toml", 'sensor = "gelsight_mini"\n')
     done = sandbox.make(
-        project, "-np", "DATASET=tiny", "EXECUTOR=slurm", "report", "calibrate", "pareto", "stability"
+        project, "-np", "DATASET=tiny", "EXECUTOR=slurm", "labels", "calibrate", "pareto", "stability"
     )
     graph = prerequisites(done.stdout)
     readers = [target for target in graph if any(name.startswith("results/tiny/30_fea/") for name in graph[target])]
