@@ -90,7 +90,7 @@ def prepare(
 ) -> Callable[[], tuple[Result, GelMesh]]:
     """Set up solvers; the function returned solves the scene. work: an empty folder for CalculiX' files."""
     from gelforge.mechanics.solve import GUIDE, Solvers
-    from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver, mesh_of
+    from gelforge.mechanics.solvers.ccx import LONGEST, CcxSettings, CcxSolver, mesh_of
     from gelforge.mechanics.solvers.hex import HexSolver
 
     if method.name in METHODS and method.solver != "hex":
@@ -99,6 +99,7 @@ def prepare(
     if method.solver == "hex":
         hexahedra = HexSolver(hex_settings(method))
         return lambda: _with_mesh(hexahedra.solve(scene))
+    longest = LONGEST
     if method.solver == REFERENCE:
         table, factor = params.pareto.reference, 2 if method.doubled else 1
         sizes = factor * table.edge_mm, factor * table.size_mm
@@ -106,10 +107,11 @@ def prepare(
     else:
         if method.size is None or method.steps is None:
             raise ValueError(f"{method.name}: tetrahedra of {method.size} mm without their steps")
-        sizes = method.size, WIDER * method.size
+        # a density series holds its size, as on hexahedra
+        sizes, longest = (method.size, WIDER * method.size), np.inf
         press_steps, shear_steps = method.steps, (method.steps + 1) // 2
     frame = HexSolver(quality(GUIDE)).coarse_path([scene])[0]
-    mesh = mesh_of(scene, frame.path if frame else None, *sizes).mesh()
+    mesh = mesh_of(scene, frame.path if frame else None, *sizes, longest).mesh()
     usual = CcxSettings.of(params.fea)
     solver = CcxSolver(mesh, work, replace(usual, press_steps=press_steps, shear_steps=shear_steps, step_mm=np.inf))
     return lambda: (solver.solve(scene), mesh)

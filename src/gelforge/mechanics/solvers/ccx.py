@@ -85,11 +85,13 @@ class CcxSettings:
         )  # fmt: skip
 
 
-def mesh_of(scene: Scene, path: LoadPath | None, edge_mm: float, inside_mm: float) -> TetMeshName:
+def mesh_of(
+    scene: Scene, path: LoadPath | None, edge_mm: float, inside_mm: float, longest: float = LONGEST
+) -> TetMeshName:
     """The mesh of a press: the gel's base mesh, bisected where its contact ends and inside it.
 
     path: as followed on hexahedra, which shows what touches. None: what of the undeformed gel lies inside the indenter.
-    edge_mm, inside_mm: longest edges there; shorter where the contact is narrow.
+    edge_mm, inside_mm: longest edges there; shorter where the contact is narrow, by `longest` (inf: never).
     """
     box = fine_box(scene, AROUND.size, AROUND.across)
     low, size = (
@@ -110,7 +112,7 @@ def mesh_of(scene: Scene, path: LoadPath | None, edge_mm: float, inside_mm: floa
     if not mask.any():  # between the pixels: what lies nearest
         near = touch.gap(scene.indenter, scene.press, places, scene.press.end).reshape(x.shape)
         mask = near <= near.min()
-    most = LONGEST * box.size
+    most = longest * box.size
     edge, inside = (_digits(max(SMALLEST_MM, size * min(1.0, most / edge_mm)), 3) for size in (edge_mm, inside_mm))
     return TetMeshName(scene.gel.name, edge, inside, Contact.of(mask, pixel, low))
 
