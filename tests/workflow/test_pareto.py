@@ -86,7 +86,9 @@ def test_a_density_of_tetrahedra_follows_the_press(ccx, tmp_path):
     pressed = scene("ball", {"indenter": {"kind": "sphere", "diameter": 5, "height": 5}, "x0": 2.0, "y0": -1.5}).scene
     sizes = []
     for size in (2.0, 0.7):
-        result, mesh = prepare(Method(f"ccx-{size:g}-2", "ccx", size, steps=2), pressed, stage_of("pareto"), tmp_path)()
+        result, mesh = prepare(
+            Method(f"ccx-{size:g}-2", "ccx", size, steps=2), pressed, stage_of("pareto"), tmp_path
+        )()
         assert result.status is Status.OK, result.evidence
         ends = mesh.nodes[mesh.faces[:, [[0, 1], [1, 2], [2, 0]]]].reshape(-1, 2, 3)
         near = np.hypot(*(ends.mean(axis=1)[:, :2] - [2.0, -1.5]).T) < 2.0
