@@ -9,6 +9,7 @@ import sys
 import tempfile
 import time
 from argparse import Namespace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import numpy as np
@@ -67,8 +68,15 @@ def many(folder: Path, count: int, pictures: int = 48) -> Samples:
     """A dataset of so many samples that share a few dozen pictures of a sensor's size."""
     samples = lay(folder, pictures, (24, 32), (320, 240))
     rows = read_csv(samples.dataset / "samples.csv")
-    rows = [{**rows[k % pictures], "sample_id": f"s{k}", "group": str(k)} for k in range(count)]
+    rows = [
+        {**rows[k % pictures], "sample_id": f"s{k}", "group": str(k // 2), "press_id": f"p{k // 2}"}
+        for k in range(count)
+    ]  # two frames a press, as `lay` has them
     write_csv(samples.dataset / "samples.csv", list(rows[0]), rows)
+    begin = datetime(2026, 4, 8, 12, 25, tzinfo=UTC)
+    times = [(begin + timedelta(seconds=k // 2 + 0.125 * (k % 2))).isoformat() for k in range(count)]
+    log = [{"sample_id": row["sample_id"], "time_utc": when} for row, when in zip(rows, times, strict=True)]
+    write_csv(samples.data / "log.csv", list(log[0]), log)
     np.save(samples.dataset / "labels.npy", np.tile(samples.labels, (-(-count // pictures), 1, 1, 1))[:count])
     return Samples.open(samples.data, samples.dataset, folder / "sensors.json")
 
