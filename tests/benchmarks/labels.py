@@ -28,7 +28,7 @@ from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.support.parameters import write_stage
 from tests.support.patch import consistent_loads, irregular_surface
 
-SENSORS = Path("workflow/sensors.toml")
+SENSORS, GELS = Path("workflow/sensors.toml"), Path("workflow/gels.toml")
 SAMPLES, SHARD = 15_000, 8
 LARGEST_BUMP = 5.0  # mm, radius
 REFERENCE_PITCH = np.array([32.9, 31.4])
@@ -156,6 +156,7 @@ def write_shards(folder: Path, rng, samples: int) -> None:
         Layout(folder).shard(f"{shard:04d}").touch()
     write_stage(Layout(folder).params, "labels", labels={"largest_outside_share": 1.0})
     write_json(Layout(folder).parameters("sensors"), read_toml(SENSORS))
+    write_json(Layout(folder).parameters("gels"), read_toml(GELS))
 
 
 def whole_dataset(rng, samples: int) -> list[Figure]:
