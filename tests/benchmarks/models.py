@@ -131,13 +131,13 @@ def untrained(model: dict, threads: int) -> "Predictor":
     """A network with fresh weights and unit scales, for timing."""
     from gelforge.learning.export import export
     from gelforge.learning.nets import build
-    from gelforge.reading.model import ForceModel
+    from gelforge.reading.model import model_of
     from gelforge.reading.predictor import Predictor, load_for_use
 
     norm = {"image_mean": [0.4] * 3, "image_std": [0.2] * 3, "label": [1.0] * 3}
     metadata = load_for_use(None).metadata | {"model": model, "normalisation": norm, "tta": False}
     graph = export(build(model, IMAGE, GRID).eval(), metadata)
-    return Predictor(ForceModel(metadata, graph), np.zeros((*IMAGE, 3), np.uint8), threads=threads)
+    return Predictor(model_of(metadata, graph), np.zeros((*IMAGE, 3), np.uint8), threads=threads)
 
 
 def train_apart(dataset: Path, name: str, settings: TrainTable, folder: Path):
