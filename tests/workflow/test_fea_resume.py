@@ -137,13 +137,16 @@ def test_a_failed_solve_is_a_row_with_its_reason(folder, ccx):
     params = json.loads((folder / "00_plan/params/fea.json").read_text())
     params["fea"]["timeout_s"] = 1e-3
     write_json(folder / "00_plan/params/fea.json", params)
-    lay_presses(folder, ROWS[:1])
+    lay_presses(folder, [ROWS[0], "through,cam,g,ball,0,0,0,0,0,-4.5,0\n"])
     assert fea.main(arguments(folder)) == 0
-    row = read_csv(folder / "30_fea" / "0000.csv")[0]
-    assert row["status"] == "DIVERGED" and "raise timeout_s in [fea]" in row["reason"]
+    replaced, failed = read_csv(folder / "30_fea" / "0000.csv")
+    assert (replaced["status"], replaced["method"]) == ("OK", "label")
+    assert "DIVERGED" in replaced["reason"] and "raise timeout_s in [fea]" in replaced["reason"]
+    assert failed["status"] == "OUT_OF_RANGE" and "below the gel's base" in failed["reason"]
     forces.main(arguments(folder))
     with ForceFile(folder / "40_forces/0000.npz") as found:
-        assert found.status.tolist() == ["DIVERGED"] and not len(found.node)
+        assert found.status.tolist() == ["OK", "OUT_OF_RANGE"]
+        assert 0 < found.ptr[1] == found.ptr[2] == len(found.node)
 
 
 def test_a_longer_timeout_solves_again_only_what_the_shorter_one_stopped(folder, ccx):
@@ -153,15 +156,16 @@ def test_a_longer_timeout_solves_again_only_what_the_shorter_one_stopped(folder,
     def solved(**changed):
         write_stage(folder / "00_plan/params", "fea", fea=FEA | changed)
         assert fea.main(arguments(folder)) == 0
-        return json.loads(record.read_text())["status"], record.stat().st_mtime_ns
+        assert (found := json.loads(record.read_text()))["status"] == "OK"
+        return found["evidence"]["method"], record.stat().st_mtime_ns
 
     (stopped, at_first), (again, still) = solved(timeout_s=1e-3), solved(timeout_s=1e-3)
-    assert (stopped, again, still) == ("DIVERGED", "DIVERGED", at_first)
-    status, solved_at = solved()
-    assert status == "OK" and solved_at != at_first
+    assert (stopped, again, still) == ("label", "label", at_first)  # in CalculiX' place
+    method, solved_at = solved()
+    assert method == "ccx" and solved_at != at_first
     # neither what no solve reads nor what this one does not
     for changed in ({"timeout_s": 7200.0}, {"timeout_s": 1e-3}, {"tolerance": 0.1}, {"verify": 0.5}):
-        assert solved(**changed) == ("OK", solved_at), changed
+        assert solved(**changed) == ("ccx", solved_at), changed
     assert solved(press_steps=3)[1] != solved_at
 
 

@@ -29,6 +29,7 @@ from gelforge.records.status import Status
 GUIDE = "label"
 # Of CcxSettings: how long CalculiX may run. A press that it stopped is solved again where it may take longer (stages/fea.py).
 NO_RESULT = {"timeout_s"}
+OVERDUE = {"stopped_after_s"}  # evidence of that
 CCX_ERROR, CCX_CELLS = (
     0.045,
     0.14,
@@ -108,14 +109,18 @@ class Solvers:
 
     def _first_valid(self, scene: Scene, tries: list[tuple[str, Solve]]) -> Result:
         """The first valid result of the tries, else the last one, with what failed before it."""
-        failed = []
+        failed: list[str] = []
+        overdue: dict[str, Any] = {}
         for name, attempt in tries:
             result = attempt(scene)
             result.evidence["attempt"] = name
             # where CalculiX computes otherwise than this process, no other way makes its answer right
             if result.status.valid or result.status is Status.DISAGREES:
                 break
+            overdue |= {key: result.evidence[key] for key in OVERDUE & set(result.evidence)}
             failed.append(f"{name}: {result.status.name}, {result.evidence.get('reason') or result.status.value}")
+        if result.evidence["method"] != tries[0][0]:
+            result.evidence |= overdue  # CalculiX may solve it where it may take longer
         if result.status.valid and result.evidence["method"] != tries[0][0]:
             result.evidence["replaced"] = f"solved by {result.evidence['method']}, because {failed[0]}"
         result.evidence["failed_attempts"] = failed + result.evidence.get("failed_attempts", [])
