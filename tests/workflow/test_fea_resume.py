@@ -156,7 +156,8 @@ def test_a_longer_timeout_solves_again_only_what_the_shorter_one_stopped(folder,
     def solved(**changed):
         write_stage(folder / "00_plan/params", "fea", fea=FEA | changed)
         assert fea.main(arguments(folder)) == 0
-        assert (found := json.loads(record.read_text()))["status"] == "OK"
+        found = json.loads(record.read_text())
+        assert found["status"] == "OK"
         return found["evidence"]["method"], record.stat().st_mtime_ns
 
     (stopped, at_first), (again, still) = solved(timeout_s=1e-3), solved(timeout_s=1e-3)
