@@ -31,7 +31,7 @@ SLURM_PROFILE ?= workflow/slurm.toml
 NOTES = $D/.slurm/$(GELFORGE_RUN)
 note = $(shell mkdir -p $D/.slurm)$(file >>$(NOTES)$1,$@	$2)if [ -e $@ ]; then mv $@ $@.old; fi
 slurm = $(PY) -m gelforge.flow.slurm $(NOTES)$1 --profile '$(SLURM_PROFILE)'
-train = @$(if $(ONLY_SHOWN),$(wrapped),$(call note,-$(@F),$(wrapped)); $(call slurm,-$(@F)))
+train = @$(if $(ONLY_SHOWN),$(wrapped),$(call note,-$(@F),$(wrapped)); exec $(call slurm,-$(@F)))
 # A file that is asked for by its name is a job of its own.
 BY_NAME := $(filter $D/%,$(MAKECMDGOALS))
 solve = $(if $(BY_NAME),$(train),@$(if $(ONLY_SHOWN),$(wrapped),$(call note,,$(wrapped))))
@@ -39,5 +39,5 @@ solved := $(if $(BY_NAME),,solved)
 
 .PHONY: solved
 solved: $(SHARDS:%=$D/30_fea/%.csv)
-	@$(if $(ONLY_SHOWN),,if [ -e $(NOTES) ]; then $(call slurm,); fi)
+	@$(if $(ONLY_SHOWN),,if [ -e $(NOTES) ]; then exec $(call slurm,); fi)
 endif
