@@ -133,20 +133,18 @@ def test_what_another_method_solved_says_so_in_table_and_report(folder, ccx, cap
     assert "Labels by another method than was asked for" in str(shown) and "UNBALANCED" in str(shown)
 
 
-def test_a_failed_solve_is_a_row_with_its_reason(folder, ccx):
+def test_a_press_that_calculix_does_not_finish_says_who_solved_it(folder, ccx):
     params = json.loads((folder / "00_plan/params/fea.json").read_text())
     params["fea"]["timeout_s"] = 1e-3
     write_json(folder / "00_plan/params/fea.json", params)
-    lay_presses(folder, [ROWS[0], "through,cam,g,ball,0,0,0,0,0,-4.5,0\n"])
+    lay_presses(folder, ROWS[:1])
     assert fea.main(arguments(folder)) == 0
-    replaced, failed = read_csv(folder / "30_fea" / "0000.csv")
-    assert (replaced["status"], replaced["method"]) == ("OK", "label")
-    assert "DIVERGED" in replaced["reason"] and "raise timeout_s in [fea]" in replaced["reason"]
-    assert failed["status"] == "OUT_OF_RANGE" and "below the gel's base" in failed["reason"]
+    (row,) = read_csv(folder / "30_fea" / "0000.csv")
+    assert (row["status"], row["method"]) == ("OK", "label")
+    assert "DIVERGED" in row["reason"] and "raise timeout_s in [fea]" in row["reason"]
     forces.main(arguments(folder))
     with ForceFile(folder / "40_forces/0000.npz") as found:
-        assert found.status.tolist() == ["OK", "OUT_OF_RANGE"]
-        assert 0 < found.ptr[1] == found.ptr[2] == len(found.node)
+        assert found.status.tolist() == ["OK"] and len(found.node)
 
 
 def test_a_longer_timeout_solves_again_only_what_the_shorter_one_stopped(folder, ccx):
