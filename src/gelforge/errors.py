@@ -19,12 +19,6 @@ def nearest(name: str, known: Iterable[str]) -> str:
     return f"; {f'{close[0]} is meant? ' if close else ''}known here: {', '.join(known)}"
 
 
-def last_words(said: str, code: int) -> str:
-    """The last line of what a program that failed said; one that was killed says nothing, then its exit code."""
-    lines = said.strip().splitlines()
-    return lines[-1] if lines else f"it ended with code {code} without a word; was memory short?"
-
-
 def unwritable(error: OSError) -> str:
     """What a disk or a folder that takes nothing says, and what to do; a full disk does not always name the file."""
     where = f"{error.filename}: " if error.filename else ""

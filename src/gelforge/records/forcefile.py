@@ -30,7 +30,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import publish
 from gelforge.records.arrays import Archive, Schema
-from gelforge.records.status import VALID, Status
+from gelforge.records.status import Status
 
 INTERVALS = ("c10_interval68", "c10_interval95")
 NUMBERS = ("extrapolated", "error_n", "cells_error_n")  # of each sample
@@ -121,17 +121,6 @@ SCHEMA = Schema(
     {"press_id": ("U", 1), **dict.fromkeys(INTERVALS, ("f", 1))},
 )  # fmt: skip
 HINT = "delete it and run make again"
-
-
-def without_forces(path: str | Path) -> dict[str, str]:
-    """Status by name of a shard's samples without valid forces, at a tenth of what `ForceFile` takes; BadInput as there."""
-    with Archive(path, SCHEMA, HINT) as file:
-        status = file["status"].tolist()
-        bad = [at for at, state in enumerate(status) if state not in VALID]
-        names = file["sample_id"].tolist() if bad else status
-    if len(names) != len(status):
-        raise BadInput(f"{path}: not {SCHEMA.what} ({len(names)} samples and {len(status)} statuses); {HINT}")
-    return {names[at]: status[at] for at in bad}
 
 
 class ForceFile:
