@@ -1,5 +1,6 @@
 # Tests, and benchmarks of what was promised.
 TESTS ?= tests
+MARKED ?=
 # A process of tests that dies is not started again: the others would wait for it for ever.
 PYTEST = $(PY_HERE) -m pytest -n $(SLOTS) --dist worksteal --max-worker-restart=0 --durations=20
 
@@ -25,7 +26,7 @@ test: $(SETUP) $(CCX_FOUND)  ## the tests of every change, in minutes: all but t
 	@$(PYTEST) -m 'not slow' $(TESTS)
 
 test-all: $(SETUP) $(CCX_FOUND)  ## all tests, in half an hour; MARKED=slow: those that `make test` leaves out
-	@$(PYTEST) -m $(call given,MARKED) $(TESTS)
+	@$(PYTEST) $(if $(MARKED),-m '$(MARKED)') $(TESTS)
 
 lint: $(SETUP)  ## check style, names, types and imports of the code, and that generated files are those of today
 	@$(PY) -m ruff check

@@ -163,7 +163,8 @@ def test_nothing_is_used_before_it_is_defined(root, tmp_path):
         done = make(project, "--warn-undefined-variables", *words, "DATASET=tiny")
         assert done.returncode == 0 and "warning" not in done.stdout, done.stdout
     (project / ".venv").symlink_to(root / ".venv")
-    for words in (["report", "MODEL=unet"], ["labels", "EXECUTOR=slurm"], ["labels"]):
+    of_developers = ["test", "test-all", "lint", "format", "lock", "real-check", "lerobot-env", "docs"]
+    for words in (["report", "MODEL=unet"], ["labels", "EXECUTOR=slurm"], ["labels"], of_developers):
         done = make(project, "--warn-undefined-variables", "-n", *words, "DATASET=tiny")
         assert done.returncode == 0 and "warning" not in done.stdout, done.stdout
 
