@@ -3,10 +3,11 @@
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 from gelforge.flow.files import read_json
-from tests.benchmarks import tables
+from tests.benchmarks import faults, tables
 from tests.benchmarks.figures import Figure, digest_of_sources, publish_figures, sources
 from tests.benchmarks.readme_pictures import outdated, publish_picture
 from tests.support import repository
@@ -43,6 +44,18 @@ def test_a_planted_fault_of_every_kind_is_reported(tmp_path, monkeypatch):
         (tmp_path / name).write_text(code)
     found = "\n".join(fault for check in checks for fault in check())
     assert [said for _, said in PLANTED.values() if said not in found] == []
+
+
+def test_a_planted_fault_that_fits_no_file_or_names_no_test_fails_the_list():
+    known = faults.listed()
+    missing = "tests/unit/test_repository.py::test_nothing"
+    odd = replace(known[0], name="odd", old="no such text", tests=(missing,))
+    fewer = [*(fault for fault in known if fault.room != "live"), odd]
+    assert set(faults.misfits(fewer)) - set(faults.misfits(known)) == {
+        f"'odd': its old text stands 0 times in {odd.file}, not once",
+        f"'odd': there is no test {missing}",
+        "0 faults are of live, 4 are asked for",
+    }
 
 
 def test_a_figure_that_changes_changes_the_page(root, monkeypatch):

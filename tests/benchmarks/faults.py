@@ -1,0 +1,171 @@
+"""Whether the tests notice single faults that are planted in the code: `make benchmark-faults`.
+
+faults.toml lists them: a file, a text that stands in it once, the text that takes its place, and the tests that must then
+fail. Each is planted alone in a copy of the project. Method: mutation testing (DeMillo, Lipton, Sayward, "Hints on test data
+selection", Computer 1978), with faults chosen by hand.
+"""
+
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import tomllib
+from argparse import Namespace
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from gelforge.flow.cli import command, option
+from gelforge.flow.files import digest_of_value, record_of, write_json
+from tests.benchmarks.figures import PUBLISHED_DATA, ROOT, Figure, publish_figures
+from tests.benchmarks.sandbox import clean_environment
+
+LIST = Path(__file__).with_suffix(".toml")
+LEAST = 4  # faults of each room
+SECONDS = 300  # that a test may take: a fault may make it wait for ever
+# Pytest's exit status: some test failed. Others say that nothing was judged, such as a file that cannot be imported.
+PASSED, FAILED = 0, 1
+CAUGHT, SURVIVES = "caught", "SURVIVES"
+
+
+@dataclass(frozen=True)
+class Fault:
+    """One fault to plant: in `file`, of the project's folder, `new` takes the place of `old`; `tests` are pytest's arguments."""
+
+    name: str
+    file: str
+    old: str
+    new: str
+    tests: tuple[str, ...]
+
+    @property
+    def room(self) -> str:
+        """The package of gelforge that the file is in, or the folder at the top."""
+        parts = Path(self.file).parts
+        return parts[2] if len(parts) > 3 else parts[0]
+
+    def key(self, root: Path = ROOT) -> str:
+        """Digest of what the outcome depends on first: the fault, the file that it is planted in, and the files of its tests."""
+        files = sorted({self.file, *(test.partition("::")[0] for test in self.tests)})
+        texts = [(root / file).read_text(encoding="utf-8") for file in files]
+        return digest_of_value([self.name, self.old, self.new, self.tests, texts])
+
+
+def listed(path: Path = LIST) -> list[Fault]:
+    """The faults of the list, in its order."""
+    tables = tomllib.loads(path.read_text(encoding="utf-8"))["fault"]
+    return [Fault(**table | {"tests": tuple(table["tests"])}) for table in tables]
+
+
+def misfits(faults: list[Fault], root: Path = ROOT) -> Iterator[str]:
+    """What is wrong with the list: faults that do not fit their file, tests that are missing, rooms with too few."""
+    for fault in faults:
+        path = root / fault.file
+        count = path.read_text(encoding="utf-8").count(fault.old) if path.is_file() else 0
+        if count != 1:
+            yield f"{fault.name!r}: its old text stands {count} times in {fault.file}, not once"
+        for test in fault.tests:
+            file, _, name = test.partition("::")
+            text = (root / file).read_text(encoding="utf-8") if (root / file).is_file() else ""
+            if not text or (name and f"def {name}(" not in text):
+                yield f"{fault.name!r}: there is no test {test}"
+    package = root / "src" / "gelforge"
+    for room in sorted(["rules", *(path.name for path in package.iterdir() if any(path.glob("*.py")))]):
+        found = sum(fault.room == room for fault in faults)
+        if found < LEAST:
+            yield f"{found} faults are of {room}, {LEAST} are asked for"
+
+
+def copied(folder: Path) -> Path:
+    """A copy of all tracked files as they are now, with a link to the environment."""
+    said = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
+    for name in filter(None, said.split("\0")):
+        if (ROOT / name).is_file():
+            (folder / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(ROOT / name, folder / name)
+    (folder / ".venv").symlink_to((ROOT / ".venv").resolve())
+    return folder
+
+
+def tested(project: Path, tests: tuple[str, ...], compiled: Path) -> subprocess.CompletedProcess:
+    """Run these tests until the first one fails. compiled: where numba keeps what it compiles."""
+    environment = {
+        **clean_environment(), "PYTHONPATH": str(project / "src"), "NUMBA_CACHE_DIR": str(compiled),
+        "GELFORGE_REFERENCE": str(PUBLISHED_DATA.resolve()),
+    }  # fmt: skip
+    words = ["-x", "-q", "-m", "", "-p", "no:cacheprovider", "--tb=line", f"--timeout={SECONDS}"]
+    return subprocess.run(
+        [sys.executable, "-m", "pytest", *words, *tests],
+        cwd=project,
+        env=environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.STDOUT,
+        text=True,
+    )
+
+
+def outcome(fault: Fault, project: Path, moment: int) -> str:
+    """Plant a fault in a copy, run its tests, take it out again: whether it is noticed, or what kept it from being judged.
+
+    moment: a time of its own for the file, by which Python sees that what it compiled is outdated. Numba does not see where
+    what it compiled calls what changed, so it compiles all anew.
+    """
+    path = project / fault.file
+    whole, times = path.read_bytes(), path.stat()
+    path.write_text(whole.decode().replace(fault.old, fault.new), encoding="utf-8")
+    os.utime(path, (moment, moment))
+    compiled = project.parent / ("anew" if b"njit" in whole else "compiled")
+    shutil.rmtree(project.parent / "anew", ignore_errors=True)
+    try:
+        done = tested(project, fault.tests, compiled)
+    finally:
+        path.write_bytes(whole)
+        os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
+    if done.returncode == PASSED:
+        return SURVIVES
+    failed = [line for line in done.stdout.splitlines() if line.startswith(("FAILED ", "ERROR "))]
+    if done.returncode != FAILED or not failed:
+        return f"not judged: {done.stdout[-1000:]}"
+    name = failed[0].partition(" ")[2].partition(" - ")[0]
+    # a test that fails anyway has noticed nothing
+    sound = tested(project, (name,), project.parent / "compiled").returncode == PASSED
+    return CAUGHT if sound else f"not judged: {name} fails without the fault, too"
+
+
+@command(
+    option("--out", type=Path, default=None, metavar="FILE", help="where the figures go (JSON)"),
+    option("--only", default="", metavar="TEXT", help="faults whose name or file contains it"),
+    option("--kept", type=Path, default=ROOT / "build" / "faults.json", metavar="FILE",
+           help="outcomes of earlier runs, which count while a fault, its file and its tests are the same"),
+)  # fmt: skip
+def main(args: Namespace) -> int:
+    """Plant every fault alone and print which survive."""
+    every = listed()
+    if wrong := list(misfits(every)):
+        print(*(f"faults.toml: {said}" for said in wrong), sep="\n")
+        return 1
+    faults = [fault for fault in every if args.only in fault.name or args.only in fault.file]
+    kept = record_of(args.kept) or {}
+    with tempfile.TemporaryDirectory(prefix="gelforge-faults-") as folder:
+        project = copied(Path(folder) / "project")
+        for at, fault in enumerate(faults):
+            key = fault.key()
+            if key not in kept:
+                said = outcome(fault, project, 1_000_000_000 + at)
+                kept = (record_of(args.kept) or {}) | {key: said}
+                write_json(args.kept, kept)
+            print(f"{kept[key].partition(': ')[0]:10}  {fault.file}: {fault.name}", flush=True)
+    outcomes = {fault.name: kept[fault.key()] for fault in faults}
+    print(*(f"{name}: {said}" for name, said in outcomes.items() if said not in (CAUGHT, SURVIVES)), sep="\n")
+    caught = sum(said == CAUGHT for said in outcomes.values())
+    note = f"{caught} of {len(faults)}; survivors: {', '.join(n for n, said in outcomes.items() if said != CAUGHT) or 'none'}"
+    fraction = 100.0 * caught / max(len(faults), 1)
+    publish_figures(
+        None if args.only else args.out, [Figure("planted faults caught", fraction, ">=", 95.0, "%", note)]
+    )
+    return 0
+
+
+if __name__ == "__main__":
+    main.exit()
