@@ -96,7 +96,7 @@ def rates(logs: int) -> list[Figure]:
     return figures
 
 
-@command(option("--logs", type=int, default=400), option("--out", type=Path))
+@command(option("--logs", type=int, default=400), option("--out", type=Path, default=None))
 def main(args: Namespace) -> None:
     publish_figures(args.out, rates(args.logs))
 

@@ -206,7 +206,7 @@ def alarms_of_films(reference: Path) -> tuple[int, list[str]]:
         nocontact, _ = find_nocontact(numbered(images), str(path))
         rest = NoContact(nocontact, nocontact.shape[:2], None)
         chosen = np.linspace(SETTLING, len(images) - 1, FRAMES).astype(int)
-        faults = [log_image_fault(rest, images[at]) for at in chosen]
+        faults = [log_image_fault(rest.lit(images[at])) for at in chosen]
         said += [f"{path.name}: {fault}" for fault in {nocontact_fault(rest, {}), *faults} if fault]
     return len(films), said
 

@@ -5,31 +5,31 @@ they lie, how large they are, and whether they follow the poses of the rows.
 """
 
 import math
+import operator
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import partial
+from itertools import pairwise
 
 import numpy as np
 
-from gelforge.evidence.imprints import COLS, ROWS, displaced
-from gelforge.reading.faults import FLIPS, likeness
+from gelforge.evidence.imprints import COLS, ROWS, Seen
+from gelforge.evidence.placement import BETTER, FEWEST, FITS, OFTEN, gains, moved_map, other_axes, projection
+from gelforge.reading.faults import likeness
 
 # Limits of the imprints. Of the rig's presses 0.79 to 0.97 are alike to what is expected (median 0.91), of real presses of a ball 0.9 to
 # 0.97; contacts lie within 0.2 mm of their poses in the median, and are 1.04 to 1.09 times as large as expected.
-FEWEST = 6  # images of a sensor that are judged together
-SHOWN = 3.0  # levels of change that an imprint has at least
-# Of the change (99 % of the map below) over the slope that was expected: of 48 presses of two units of the rig it is 12 to 25 and 43 to 69,
-# and 0.6 to 1.3 of its median for each. From the slope MADE on a depth makes an imprint that every unit shows.
-MADE, LEAST_CHANGE, WEAK = 0.2, 8.0, 0.45
-BETTER = 0.15  # likeness that another explanation gains in the median
-OFTEN = 0.8  # fraction of images that it suits better
+LEAST_CHANGE, WEAK = (
+    8.0,
+    0.45,
+)  # of an imprint beside the slope that its depth makes, and beside the usual one of its sensor
+# Of the rim's markers in an image: how far they may have moved, as a fraction of their distance, and how many may look otherwise; more
+# where a quarter of a sensor's images have half as much. Of 48 presses of the rig none is beyond, of images of other units in light
+# that suits four of five.
+RIM_MOVED, RIM_LOST = 0.2, 0.3
 UNLIKE = 0.4  # median likeness up to which the images of a sensor show nothing of their rows
-FITS = 0.5  # likeness from which an imprint is where it was expected
 MOVED_MM = 3.0  # beside its pose, from where on a single imprint is named
-TURNED_DEG, SCALED, OFFSET_MM = 3.0, 0.1, 0.7  # of a projection
-TOGETHER = 1.0  # place of the map, that most contacts lie within of where one move puts them
-SPREAD_MM = 2.0  # of the poses, from which on a turn and a scale are known
 SIZES = np.geomspace(0.7, 1.4, 15)
 # Of imprints over what is expected: usual one, and by which fraction that of an indenter and that of all may differ.
 USUAL_SIZE, OTHER_SIZE, OTHER_SCALE = 1.05, 0.1, 0.14
@@ -43,53 +43,12 @@ GHOST = 0.5  # of the usual change, that most images show where their poses put 
 TURNS: dict[str, Callable[[float], float]] = {
     "in radians": math.degrees,
     "of the other sign": lambda degrees: -degrees,
-    "off by 90 degrees": lambda degrees: degrees + 90.0,
+    **{
+        f"off by {by} degrees": partial(operator.add, by)
+        for by in sorted(range(-165, 181, 15), key=lambda by: (abs(by), -by))
+        if by
+    },
 }
-
-
-@dataclass(frozen=True)
-class Seen:
-    """What is kept of a press whose image is judged beside others: maps (30, 40) of its imprint (`evidence.imprints`).
-
-    fault: what is wrong with the image by itself (`reading.faults`). centre: (2,) columns and rows of the maps at which the tip ends. mm: size of a place.
-    """
-
-    row: int
-    sample_id: str
-    sensor: str
-    indenter: str
-    fault: str
-    measured: np.ndarray
-    expected: np.ndarray
-    centre: np.ndarray
-    mm: float
-
-    @cached_property
-    def strength(self) -> float:
-        """Change of colour over the slope that is expected, levels; NaN where the depth makes no imprint that every unit shows."""
-        slope = float(np.percentile(self.expected, 99))
-        return float(np.percentile(self.measured, 99)) / slope if slope >= MADE and not self.fault else math.nan
-
-    @property
-    def telling(self) -> bool:
-        """Whether there is an imprint in an image without a fault, and one to expect."""
-        return bool(not self.fault and np.ptp(self.measured) > SHOWN and np.ptp(self.expected) > 0.0)
-
-    @cached_property
-    def likeness(self) -> float:
-        """Likeness of what is measured and what is expected, from -1 to 1."""
-        return likeness(self.measured, self.expected)
-
-    @cached_property
-    def middle(self) -> np.ndarray:
-        """Columns and rows (2,) of the middle of what is expected: on a dome it lies nearer to the apex than where the tip ends."""
-        rows, cols = np.indices(self.expected.shape)
-        return np.array([np.average(cols, weights=self.expected), np.average(rows, weights=self.expected)])
-
-    @cached_property
-    def displaced(self) -> tuple[float, np.ndarray]:
-        """That likeness where the expected map is moved as it fits best, and by how much, (2,) columns and rows."""
-        return displaced(self.measured, self.expected)
 
 
 @dataclass(frozen=True)
@@ -119,8 +78,8 @@ class Shapes:
         """The same where all maps are moved, `moves` (2, 3) as of OpenCV."""
         return Shapes(
             self.names,
-            lambda one, name: _moved(self.expected(one, name), moves),
-            lambda one, turn: _moved(self.turned(one, turn), moves),
+            lambda one, name: moved_map(self.expected(one, name), moves),
+            lambda one, turn: moved_map(self.turned(one, turn), moves),
         )
 
 
@@ -173,25 +132,56 @@ def _fault_of_most(mine: Sequence[Seen]) -> list[Finding]:
 
 
 def _of_sensor(own: list[Seen], presses: Sequence[Seen], shapes: Shapes | None) -> list[Finding]:
-    weak = _weak(own)
-    mine = [one for one in own if one.telling and not _about(one, weak)]
+    found = [*_frozen(own), *_other_gel(own)]
+    found += _weak([one for one in own if not _about(one, found)])
+    mine = [one for one in own if one.telling and not _about(one, found)]
     if len(mine) < FEWEST:
-        return weak
-    projection, moves = _projection(mine)
+        return found
+    said, moves = projection(mine)
     if moves is None:
-        return [*weak, *_of_shown(mine, presses, shapes)]
+        return [*found, *_of_shown(mine, presses, shapes)]
     # what is taken about their poses is known once all of them are moved alike
-    moved = {one.row: replace(one, expected=_moved(one.expected, moves)) for one in own}
+    moved = {one.row: replace(one, expected=moved_map(one.expected, moves)) for one in own}
     shapes = shapes and shapes.moved(moves)
     presses = [moved.get(one.row, one) for one in presses]
     rest = _of_shown([moved[one.row] for one in mine], presses, shapes)
-    return [*weak, Finding(projection, tuple(one.row for one in mine)), *rest]
+    return [*found, Finding(said, tuple(one.row for one in mine)), *rest]
+
+
+def _frozen(mine: Sequence[Seen]) -> list[Finding]:
+    """Images that are those of the row before, though their poses differ."""
+    text = "its image is the very one of the row before, though their poses differ: the camera, or what recorded it, stood still"
+    return [
+        Finding(text, (one.row,), wrong=True)
+        for before, one in pairwise(mine)
+        if one.telling
+        and np.array_equal(before.measured, one.measured)
+        and not np.array_equal(before.expected, one.expected)
+    ]
+
+
+def _other_gel(mine: Sequence[Seen]) -> list[Finding]:
+    """Single images whose markers at the rim stand or look otherwise than those of the no-contact image."""
+    good = [one for one in mine if not one.fault]
+    if len(good) < FEWEST:
+        return []
+    rim = np.array([one.rim for one in good])
+    most = np.maximum([RIM_MOVED, RIM_LOST], 2.0 * np.quantile(rim, 0.75, axis=0))
+    text = "the markers at the rim of its image are not those of the no-contact image: it is of another unit, or the gel was moved"
+    return [
+        Finding(text, (one.row,), wrong=True)
+        for one, beyond in zip(good, (rim > most).any(axis=1), strict=True)
+        if beyond
+    ]
 
 
 def _of_shown(mine: list[Seen], presses: Sequence[Seen], shapes: Shapes | None) -> list[Finding]:
     """What is wrong with images that show imprints."""
     rows = tuple(one.row for one in mine)
-    wrong = _ghost(mine) or _other_order(mine, presses) or _other_axes(mine)
+    ghost = _ghost(mine)
+    if not ghost and (shifted := _other_order(mine, presses)):
+        return [shifted]
+    wrong = ghost or other_axes(mine)
     turned = None if wrong or not shapes else _other_turn(mine, shapes)
     if turned:
         return [turned]
@@ -202,8 +192,7 @@ def _of_shown(mine: list[Seen], presses: Sequence[Seen], shapes: Shapes | None) 
     found = _other_shapes(mine, shapes) if shapes and not scale else []
     found += [] if scale else _sizes([one for one in mine if not _about(one, found)])
     left = [one for one in mine if not _about(one, found)]
-    projection, _ = _projection(left)
-    notes = [Finding(one, rows) for one in (scale, projection) if one]
+    notes = [Finding(one, rows) for one in (scale, projection(left)[0]) if one]
     return [*found, *notes, *_single(left)]
 
 
@@ -229,57 +218,28 @@ def _ghost(seen: Sequence[Seen]) -> str:
     )
 
 
-def _gains(base: np.ndarray, other: np.ndarray) -> bool:
-    """Whether another explanation suits most images better."""
-    return bool(np.median(other - base) > BETTER and (other > base).mean() >= OFTEN and np.median(other) > FITS)
-
-
-def _other_order(mine: list[Seen], presses: Sequence[Seen]) -> str:
+def _other_order(mine: list[Seen], presses: Sequence[Seen]) -> Finding | None:
+    """Images that suit the pose of a neighbouring row, from some row on."""
     place = {one.row: at for at, one in enumerate(presses)}
     base = np.array([one.likeness for one in mine])
     for step, what in ((1, "next"), (-1, "previous")):
-        beside = [place[one.row] + step for one in mine]
-        there = np.array([0 <= at < len(presses) for at in beside])
+        beside = np.array([place[one.row] + step for one in mine])
+        there = (beside >= 0) & (beside < len(presses))
         other = np.array([
-            likeness(one.measured, presses[at].expected) for one, at in zip(mine, beside, strict=True) if 0 <= at < len(presses)
+            likeness(one.measured, presses[at].expected) if known else 0.0 for one, at, known in zip(mine, beside, there, strict=True)
         ])  # fmt: skip
-        if there.sum() >= FEWEST and _gains(base[there], other):
-            return (
-                f"the images suit the pose of the {what} row (likeness {np.median(other):.2f}) better than that of their own"
-                f" ({np.median(base):.2f}): the column `image` is shifted by one row"
-            )
-    return ""
-
-
-def _turned(expected: np.ndarray, degrees: float) -> np.ndarray:
-    import cv2
-
-    turn = cv2.getRotationMatrix2D(((COLS - 1) / 2, (ROWS - 1) / 2), degrees, 1.0)
-    return cv2.warpAffine(expected, turn, (COLS, ROWS))
-
-
-AXES = {
-    **FLIPS,
-    "turned by 90 degrees": lambda expected: _turned(expected, 90.0),
-    "turned by -90 degrees": lambda expected: _turned(expected, -90.0),
-    "mirrored, with x and y exchanged": lambda expected: _turned(expected[:, ::-1], 90.0),
-    "mirrored, with x and y exchanged and both signs": lambda expected: _turned(expected[:, ::-1], -90.0),
-}
-
-
-def _other_axes(mine: list[Seen]) -> str:
-    base = np.array([one.likeness for one in mine])
-    best, how = base, ""
-    for what, change in AXES.items():
-        other = np.array([likeness(one.measured, change(one.expected)) for one in mine])
-        if _gains(base, other) and np.median(other) > np.median(best):
-            best, how = other, what
-    if not how:
-        return ""
-    return (
-        f"the contacts lie where the poses put them, but {how} (likeness {np.median(best):.2f}, as logged {np.median(base):.2f}):"
-        " check the projection, the axes and signs of x0_mm and y0_mm, and whether the camera mirrors"
-    )
+        gain = np.where(there, other - base, 0.0)
+        those = there & (np.arange(len(mine)) >= gain[::-1].cumsum()[::-1].argmax())
+        if those.sum() < FEWEST_ALIKE or not gains(base[those], other[those]):
+            continue
+        rows = tuple(one.row for one, among in zip(mine, those, strict=True) if among)
+        since = "" if len(rows) > OFTEN * len(mine) else f" from row {rows[0]} on"
+        text = (
+            f"{'the images' + since} suit the pose of the {what} row (likeness {np.median(other[those]):.2f}) better than that of their own"
+            f" ({np.median(base[those]):.2f}): the column `image` is shifted by one row{since}"
+        )
+        return Finding(text, rows, wrong=True)
+    return None
 
 
 def _other_turn(mine: Sequence[Seen], shapes: Shapes) -> Finding | None:
@@ -294,7 +254,7 @@ def _other_turn(mine: Sequence[Seen], shapes: Shapes) -> Finding | None:
         for what, turn in TURNS.items()
     }
     what = max(found, key=lambda one: float(np.median(found[one])))
-    if not _gains(base, found[what]) or np.median(found[what]) < THAT_SHAPE:
+    if not gains(base, found[what]) or np.median(found[what]) < THAT_SHAPE:
         return None
     rows = tuple(one.row for one in unlike)
     text = (
@@ -398,78 +358,6 @@ def row_list(rows: Iterable[int]) -> str:
     """The first numbers of rows as text."""
     rows = list(rows)
     return ", ".join(map(str, rows[:5])) + (" …" if len(rows) > 5 else "")
-
-
-def _moved(expected: np.ndarray, moves: np.ndarray) -> np.ndarray:
-    import cv2
-
-    return np.asarray(cv2.warpAffine(expected, moves, (COLS, ROWS)))
-
-
-def _projection(mine: list[Seen]) -> tuple[str, np.ndarray | None]:
-    """What a similarity says that takes the expected places of contacts to those seen.
-
-    And that similarity, (2, 3) as of OpenCV, where it moves all and most fit then.
-    """
-    good = [(one.middle, one.displaced[1]) for one in mine if one.displaced[0] > FITS]
-    if len(good) < FEWEST:
-        return "", None
-    at, move, mm = np.array([at for at, _ in good]), np.array([move for _, move in good]), mine[0].mm
-    at -= (COLS - 1) / 2, (ROWS - 1) / 2
-    for _ in range(3):  # without the places that fit worst: single wrong rows are named by themselves
-        turn, scale, offset, left = _similarity(at, move)
-        near = left <= max(0.5, 3.0 * float(np.median(left)))
-        if near.all() or near.sum() < FEWEST:
-            break
-        at, move = at[near], move[near]
-    said = []
-    if np.hypot(*np.ptp(at, axis=0)) * mm >= SPREAD_MM:
-        if abs(scale - 1.0) > SCALED:
-            said.append(f"{scale:.2f} times as far from the image's middle")
-        if abs(turn) > TURNED_DEG:
-            said.append(f"turned by {_best_turn(mine, turn, scale, offset):.1f} degrees about it")
-    moved = bool(np.hypot(*offset) * mm > OFFSET_MM)
-    if moved:
-        said.append(f"moved by {np.hypot(*offset) * mm:.1f} mm")
-    if not said:
-        return "", None
-    text = (
-        f"the contacts lie {' and '.join(said)}, against where the poses and the projection put them: check `projection` in sensors.toml"
-        " (make projection), and the origin of x0_mm and y0_mm"
-    )
-    if not (moved and len(good) >= OFTEN * len(mine) and float(np.median(left)) < TOGETHER):
-        return text, None
-    linear = scale * np.array([[math.cos(math.radians(turn)), -math.sin(math.radians(turn))],
-                               [math.sin(math.radians(turn)), math.cos(math.radians(turn))]])  # fmt: skip
-    middle = np.array([(COLS - 1) / 2, (ROWS - 1) / 2])
-    return text, np.column_stack([linear, middle + offset - linear @ middle])
-
-
-def _best_turn(mine: Sequence[Seen], turn: float, scale: float, offset: np.ndarray) -> float:
-    """The turn, degrees, about the middle of the image that suits whole maps best, near one found by their places alone.
-
-    Places alone make it too small: a map that leaves the image, or is turned itself, is found where most of it overlaps.
-    """
-    import cv2
-
-    near = turn + np.arange(-4.0, 4.1, 0.5)
-    fits = []
-    for degrees in near:
-        about = cv2.getRotationMatrix2D(((COLS - 1) / 2, (ROWS - 1) / 2), -degrees, scale)
-        about[:, 2] += offset
-        maps = (cv2.warpAffine(one.expected, about, (COLS, ROWS)) for one in mine)
-        fits.append(np.mean([likeness(one.measured, expected) for one, expected in zip(mine, maps, strict=True)]))
-    return float(near[int(np.argmax(fits))])
-
-
-def _similarity(at: np.ndarray, move: np.ndarray) -> tuple[float, float, np.ndarray, np.ndarray]:
-    """Turn in degrees, scale and offset (2,) of the similarity that moves places (n, 2) by `move` (n, 2), and what is left (n,)."""
-    ones, zeros = np.ones(len(at)), np.zeros(len(at))
-    along, across = at.T
-    design = np.stack([np.column_stack([along, -across, ones, zeros]), np.column_stack([across, along, zeros, ones])])
-    found = np.linalg.lstsq(design.reshape(-1, 4), (at + move).T.ravel(), rcond=None)[0]
-    left = np.hypot(*((at + move).T - design @ found))
-    return float(np.degrees(np.arctan2(found[1], found[0]))), float(np.hypot(*found[:2])), found[2:], left
 
 
 def _single(mine: list[Seen]) -> list[Finding]:

@@ -6,24 +6,15 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.evidence.images import Seen
-from gelforge.evidence.imprints import COLS, ROWS, Window, imprint
+from gelforge.evidence.imprints import Seen, Window, imprint
 from gelforge.geometry.solids import Indenter
 from gelforge.labelling.sensor import Sensor
-from gelforge.reading.faults import log_image_fault, nocontact_fault
-from gelforge.reading.pair import NoContact
+from gelforge.reading.faults import log_image_fault, nocontact_fault, rim_signs
+from gelforge.reading.pair import NoContact, Prepared
 from gelforge.records.image import read_image, read_logged_image
 from gelforge.records.press import PosedPress, PressRecord
 
 KEEP = "or set judge_images = false under [params.poses] in dataset.toml to use the images as they are"
-TEXTS = ("sample_id", "sensor", "indenter", "fault")
-SHAPES: dict[str, tuple[int, ...]] = {
-    "row": (),
-    "measured": (ROWS, COLS),
-    "expected": (ROWS, COLS),
-    "centre": (2,),
-    "mm": (),
-}
 
 
 def nocontact_path(data: Path, name: str) -> Path:
@@ -35,6 +26,14 @@ def read_nocontact(data: Path, name: str, size: tuple[int, int]) -> np.ndarray |
     """The no-contact image (h, w, 3) uint8 RGB of a sensor, None where there is none; BadInput for one of another size, (width, height)."""
     path = nocontact_path(data, name)
     return read_image(path, size, "restore it, or remove it") if path.exists() else None
+
+
+def rim_of(seen: Prepared) -> np.ndarray:
+    """How far half of the rim's markers moved at least, as a fraction of their distance, and which fraction of them looks otherwise, (2,)."""
+    assert seen.nocontact is not None
+    markers = seen.nocontact.markers
+    signs = rim_signs(markers, seen.tracks)
+    return np.array([signs.rim_px / max(markers.printed.pitch, 1.0), signs.rim_lost])
 
 
 class LogImages:
@@ -70,7 +69,7 @@ class LogImages:
         if known is None or not press.image:
             return ""
         nocontact, window = known
-        return log_image_fault(nocontact, read_logged_image(self.data, press.image, window.sensor.image))
+        return log_image_fault(nocontact.lit(read_logged_image(self.data, press.image, window.sensor.image)))
 
     def see(self, press: PosedPress, body: Indenter) -> Seen | None:
         """What is kept of the image of a press, beside what is wrong with it; None without an image or a no-contact image."""
@@ -80,14 +79,16 @@ class LogImages:
         nocontact, window = known
         image = read_logged_image(self.data, press.image, window.sensor.image)
         path = press.press
+        seen = nocontact.lit(image)
         return Seen(
             row=press.row,
             sample_id=press.sample_id,
             sensor=press.sensor_id,
             indenter=press.indenter,
-            fault=log_image_fault(nocontact, image),
-            measured=imprint(nocontact.lit(image)),
+            fault=log_image_fault(seen),
+            measured=imprint(seen),
             expected=window.expected(body, path),
             centre=window.place(path),
             mm=window.mm,
+            rim=rim_of(seen),
         )

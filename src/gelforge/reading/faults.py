@@ -490,14 +490,15 @@ def _same_light(image: np.ndarray, nocontact: np.ndarray, light: Light) -> bool:
     )
 
 
-def log_image_fault(nocontact: NoContact, image: np.ndarray) -> str:
-    """Why an image (h, w, 3) uint8 of a log is not of the sensor of its no-contact image; empty where it may be.
+def log_image_fault(seen: Prepared) -> str:
+    """Why an image of a log is not of the sensor of its no-contact image; empty where it may be.
 
     Only what makes it useless in a dataset: what a network reads is judged where it reads.
     """
-    if is_blank(image):
+    assert seen.nocontact is not None
+    if is_blank(seen.image):
         return "the image shows nothing of this sensor: it is dark, covered or of one colour"
-    return grey_fault(image, not is_grey(nocontact.picture)) or pattern_fault(nocontact.lit(image))
+    return grey_fault(seen.image, not is_grey(seen.nocontact.picture)) or pattern_fault(seen)
 
 
 def shear_fault(seen: Prepared) -> str:

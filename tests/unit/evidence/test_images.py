@@ -8,11 +8,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gelforge.evidence.images import Seen, Shapes, findings
-from gelforge.evidence.imprints import Window, displaced, imprint
+from gelforge.evidence.images import Shapes, findings
+from gelforge.evidence.imprints import Seen, Window, displaced, imprint
+from gelforge.evidence.logimages import rim_of
 from gelforge.geometry.indenters import build, load_catalogue, read_catalogue
 from gelforge.labelling.sensor import load_sensors
 from gelforge.reading.faults import FLIPS, likeness, log_image_fault, nocontact_fault
+from gelforge.reading.markers import markers_in, painted_over
 from gelforge.reading.pair import NoContact
 from gelforge.records.image import read_image
 from gelforge.records.press import POSE, Press
@@ -58,9 +60,10 @@ def once(make, *parts):
     return KNOWN[key][0]
 
 
-def look(image: np.ndarray, nocontact: np.ndarray) -> tuple[np.ndarray, str]:
+def look(image: np.ndarray, nocontact: np.ndarray) -> tuple[np.ndarray, str, np.ndarray]:
     rest = once(at_rest, nocontact)
-    return imprint(rest.lit(image)), log_image_fault(rest, image)
+    seen = rest.lit(image)
+    return imprint(seen), log_image_fault(seen), rim_of(seen)
 
 
 def at_rest(picture: np.ndarray) -> NoContact:
@@ -78,7 +81,7 @@ def judged(log: Log) -> list[str]:
     seen = []
     for number, (row, image) in enumerate(zip(log.rows, log.images, strict=True)):
         sensor = log.sensors[row["sensor_id"]]
-        measured, fault = once(look, image, log.nocontact[row["sensor_id"]])
+        measured, fault, rim = once(look, image, log.nocontact[row["sensor_id"]])
         if fault:
             said.append(f"row {number + 2}: {fault}")
         expected, window = once(expect, row, sensor, log.bodies[row["indenter"]]), once(Window, sensor)
@@ -94,6 +97,7 @@ def judged(log: Log) -> list[str]:
                 expected,
                 centre,
                 window.mm,
+                rim,
             )
         )
 
@@ -132,6 +136,26 @@ def faint(log: Log, rows, strength: float) -> Log:
         rest = log.nocontact[log.rows[at]["sensor_id"]].astype(float)
         images[at] = np.rint(rest + strength * (log.images[at] - rest)).astype(np.uint8)
     return with_images(log, images)
+
+
+def reprinted(log: Log, rows, shift: int) -> Log:
+    """Some images with markers printed elsewhere, as of another unit under the same light."""
+    images = {}
+    for at in rows:
+        rest = log.nocontact[log.rows[at]["sensor_id"]]
+        bare = [
+            painted_over(one, markers_in(one).points - 0.5, markers_in(one).diameter)
+            for one in (rest, log.images[at])
+        ]
+        ink = np.clip((rest + 1.0) / (bare[0] + 1.0), 0.0, 1.0)
+        images[at] = np.rint(bare[1] * np.roll(ink, (shift, shift), (0, 1))).astype(np.uint8)
+    return with_images(log, images)
+
+
+def frozen(log: Log, count: int) -> Log:
+    """As many images that are the one of the row before, of one sensor."""
+    own = [at for at, row in enumerate(log.rows) if row["sensor_id"] == "mini_a"][5 : 6 + count]
+    return with_images(log, dict.fromkeys(own[1:], log.images[own[0]]))
 
 
 def with_nocontact(log: Log, **pictures) -> Log:
@@ -225,6 +249,14 @@ ROWS = {
                      "row 7: the image shows nothing"),
     "in the order BGR": (lambda log: replace(log, images=[np.ascontiguousarray(image[..., ::-1]) for image in log.images]),
                          "mini_e: 9 of 9 images have one fault, the image is with red and blue exchanged"),
+    "shifted from the middle on": (lambda log: replace(
+        log, images=log.images[:30] + log.images[31:] + log.images[-1:]), "on suit the pose of the next row"),
+    "shifted back from the middle on": (lambda log: replace(
+        log, images=log.images[:30] + log.images[29:-1]), "on suit the pose of the previous row"),
+    "one of a frozen camera": (lambda log: frozen(log, 1), "the very one of the row before"),
+    "three of a frozen camera": (lambda log: frozen(log, 3), "the very one of the row before"),
+    "two of another print": (lambda log: reprinted(log, (6, 20), 12), "the markers at the rim of its image are not"),
+    "one of a gel that moved": (lambda log: with_images(log, {6: np.roll(log.images[6], 9, 1)}), "the markers at the rim of its image are not"),
     "all monochrome": (lambda log: replace(log, images=[grey(image) for image in log.images]), "row 2: the image is monochrome"),
 }  # fmt: skip
 SHAPES = {
@@ -241,6 +273,7 @@ SHAPES = {
     "rot_deg in radians": (lambda log: with_turn(log, np.radians), "as if rot_deg were in radians"),
     "rot_deg of the other sign": (lambda log: with_turn(log, np.negative), "as if rot_deg were of the other sign"),
     "rot_deg off by a right angle": (lambda log: with_turn(log, lambda turn: turn - 90.0), "as if rot_deg were off by 90 degrees"),
+    "rot_deg off by 30 degrees": (lambda log: with_turn(log, lambda turn: turn - 30.0), "as if rot_deg were off by 30 degrees"),
     "sphere upside down": (lambda log: replace(log, bodies=log.bodies | {name: build(
         name, {"kind": "cylinder", "diameter": 15, "height": 10, "fillet": 0.3}) for name in ("sphere_10", "sphere_15")}), "imprints of sphere_15 are 0.6"),
     "triangle called cylinder": (lambda log: renamed(log, "triangle_10", "cylinder_8"), "of cylinder_8 show the shape of triangle_10"),
