@@ -32,28 +32,24 @@ lint: $(SETUP)  ## check style, names, types and imports of the code, and that g
 	@$(PY) -m ruff check
 	@$(PY) -m ruff format --check
 	@$(PY) -m mypy
-	@$(PY_HERE) -m tests.support.repository
+	@$(PY_HERE) -m tests.lint.checks
 
 format: $(SETUP)  ## format the code, and write what is generated: tables of figures, parameters.md, digests of stages
 	@$(PY) -m ruff check --fix
 	@$(PY) -m ruff format
-	@$(PY_HERE) -m tests.support.repository --fix
+	@$(PY_HERE) -m tests.lint.checks --fix
 
 lock: $(SETUP)  ## write envs/requirements.lock from the installed packages
 	@$(PY) -m pip freeze --exclude-editable | sed 's/+cpu$$//' > envs/.requirements.part
 	@mv envs/.requirements.part envs/requirements.lock
 
-# What benchmarks share, and is none.
-SHARED := native __init__ ball_presses ball_table balls fea_cost figures films imprint outside_getfem reach readme_pictures real_page \
-    rig_page sandbox spoilt tables
-MODULES := $(patsubst tests/benchmarks/%.py,%,$(wildcard tests/benchmarks/*.py))
-BENCHMARKS := $(addprefix benchmark-,$(filter-out $(SHARED),$(MODULES)))
+BENCHMARKS := $(patsubst tests/benchmarks/%.py,benchmark-%,$(filter-out %/__init__.py,$(wildcard tests/benchmarks/*.py)))
 .PHONY: $(BENCHMARKS)
 $(BENCHMARKS): benchmark-%: $(SETUP) $(CCX_FOUND)
 	@$(PY_HERE) -m tests.benchmarks.$* --out results/benchmarks/$*.json
 
 benchmark-tables: $(SETUP)  ## write figures of results/benchmarks/ into README and guide, name what changed
-	@$(PY_HERE) -m tests.benchmarks.tables
+	@$(PY_HERE) -m tests.lint.tables
 
 real-check: $(SETUP)  ## run benchmark-real; real images with their predictions: results/real-check/index.html
 	@$(PY_HERE) -m tests.benchmarks.real $(AT_REFERENCE) --page results/real-check/index.html

@@ -66,7 +66,7 @@ PLAN ?= workflow/rig/demo.toml
 rig: $(SETUP)  ## simulate the presses of a plan, write them to data/: make rig PLAN=workflow/rig/train.toml
 	@$(PY) -m gelforge.stages.rig --plan '$(PLAN)' --data data --jobs $(SLOTS)
 
-# The folder of real pictures, where it is not that of GELFORGE_REFERENCE (tests/benchmarks/figures.py).
+# The folder of real pictures, where it is not that of GELFORGE_REFERENCE (tests/support/figures.py).
 AT_REFERENCE = $(if $(value REFERENCE),--reference '$(value REFERENCE)')
 
 rig-check: $(SETUP)  ## run benchmark-rig; images of the rig beside real ones: results/rig-check/index.html
@@ -83,4 +83,4 @@ results/readme/speed.png: $D/pareto/pareto.json
 results/readme/exact.png: results/benchmarks/exact.json
 results/readme/stability.png: $D/stability/map.json
 $(README_PICTURES): results/readme/%.png: | $(SETUP)
-	@$(PY_HERE) -m tests.benchmarks.readme_pictures $* --data $^ $(AT_REFERENCE) --out $@
+	@$(PY_HERE) -m tests.lint.readme_pictures $* --data $^ $(AT_REFERENCE) --out $@

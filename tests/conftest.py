@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from hypothesis import settings
 
-from tests.benchmarks.sandbox import OF_MAKE
+from tests.support.sandbox import OF_MAKE
 
 # How long an example takes is a matter of the machine's load; no law is broken by it.
 settings.register_profile("any machine", deadline=None)

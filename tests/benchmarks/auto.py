@@ -34,7 +34,7 @@ from gelforge.sweeps.isolate import Clock
 from gelforge.sweeps.methods import warm_up
 from gelforge.virtualrig.bench import Bench
 from gelforge.virtualrig.rigplan import orders, read_plan
-from tests.benchmarks.figures import Figure, publish_figures
+from tests.support.figures import Figure, publish_figures
 
 PRESSES = 200
 BESIDE = 0.12  # fraction of the presses that CalculiX solves

@@ -41,7 +41,7 @@ from gelforge.mechanics.hexsettings import HexSettings, quality
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.stages import calibrate as stage
 from gelforge.stages.fea import VERSION as SOLVER_VERSION
-from tests.benchmarks.figures import Figure, publish_figures, table
+from tests.support.figures import Figure, publish_figures, table
 
 NU = 0.475
 # Synthetic chains are shorter than those of the stage: a few hundred independent draws place the ends of an interval to a tenth

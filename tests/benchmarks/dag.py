@@ -15,8 +15,8 @@ from gelforge.flow.files import read_csv, states_of, write_csv, write_json
 from gelforge.flow.layout import Layout, metrics_of
 from gelforge.flow.runs import count_finished, installed
 from gelforge.records.forcefile import SampleForces, write_forces
-from tests.benchmarks.figures import Figure, publish_figures
-from tests.benchmarks.sandbox import link_project, make
+from tests.support.figures import Figure, publish_figures
+from tests.support.sandbox import link_project, make
 
 SAMPLES = 15_000
 REPEATS = 5

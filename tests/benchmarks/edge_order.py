@@ -22,8 +22,8 @@ from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.records.press import FORCE
 from gelforge.sweeps.scenes import parse_scene, read_tables
 from tests.benchmarks.exact import SHALLOW, digest, scene_of
-from tests.benchmarks.figures import ROOT, Figure, publish_figures
 from tests.support.exact_scenes import KEPT
+from tests.support.figures import ROOT, Figure, publish_figures
 
 # Of Convergence: what each quality is fitted by; the others are 0. And the power of errors that the fit makes least: a high one
 # looks at the worst.

@@ -19,26 +19,21 @@ from gelforge.flow.cli import command, option
 from gelforge.flow.files import read_json, write_json, write_text
 from gelforge.flow.params import Params, load_params, parameters_of
 from gelforge.flow.tables import IN_PROCESS
-from gelforge.geometry.gel import Gel, gels_from
-from gelforge.geometry.gelcatalogue import PadTable
-from gelforge.geometry.indenters import build
-from gelforge.geometry.solids import Body, Indenter
+from gelforge.geometry.gel import gels_from
 from gelforge.labelling.operator import face_parts, node_to_part
 from gelforge.mechanics.hexsettings import quality
-from gelforge.mechanics.material import Material
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.result import Result
-from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solve import Solvers
 from gelforge.mechanics.solvers.hex import HexSolver
-from gelforge.records.press import Press
 from gelforge.stages.pareto import VERSION
 from gelforge.sweeps.isolate import Clock
 from gelforge.sweeps.methods import LARGE_REFERENCE, prepare, warm_up
-from tests.benchmarks.figures import ROOT, Figure, publish_figures
-from tests.benchmarks.native import prepared
+from tests.benchmarks.parts.native import prepared
 from tests.support import axisymmetric
 from tests.support.exact_scenes import KEPT
+from tests.support.figures import ROOT, Figure, publish_figures
+from tests.support.known_scenes import SIDES, pad, scene_of
 
 NATIVE = ("sphere-15-nu0.475-pad4-no_slip-0.4mm", "punch-10-1-nu0.475-pad4-no_slip-0.3mm")  # minutes each
 # Of the bodies that differ most, for the references of the scenes: minutes each.
@@ -60,47 +55,6 @@ NATIVE_MM = 0.45  # tetrahedra of CalculiX' own contact
 SPLIT = 5  # each side of a piece of a face is cut so often where its force is shared out among rings
 
 
-class Revolved(Body):
-    """A body of revolution by the profile of `axisymmetric.Body`, for shapes that the catalogue lacks."""
-
-    def __init__(self, name: str, body: axisymmetric.Body, reach: float, height: float):
-        super().__init__(name, height)
-        self.body, self.reach = body, reach
-
-    def distance(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Signed distance (n,) and outward normal (n, 3) at points (n, 3); the body has no upper end."""
-        r = np.hypot(points[:, 0], points[:, 1])
-        gap, normal, _ = self.body.distance(np.column_stack([r, points[:, 2]]))
-        along = points[:, :2] / np.maximum(r, 1e-12)[:, None]
-        return gap, np.column_stack([normal[:, :1] * along, normal[:, 1]])
-
-    def radius(self) -> float:
-        """Radius at its upper end, mm."""
-        return self.reach
-
-    @property
-    def _surface(self) -> tuple[np.ndarray, np.ndarray]:
-        raise NotImplementedError("only CalculiX' own contact needs triangles")
-
-
-def indenter(kind: str, sizes: list[float]) -> Indenter:
-    """The body as the catalogue has it, or turned from its profile."""
-    if kind == "sphere":
-        return build(kind, {"kind": "sphere", "diameter": sizes[0], "height": max(10.0, sizes[0] / 2)})
-    if kind == "cone":
-        return Revolved(kind, axisymmetric.cone(*sizes), reach=10.0, height=6.0)
-    hole = {"hole": sizes[1]} if kind == "tube" else {}
-    return build(kind, {"kind": "cylinder", "diameter": sizes[0], "fillet": sizes[-1], "height": 10.0} | hole)
-
-
-SIDES = {"width": 40.0, "length": 40.0, "corner_radius": 1.0}  # mm, of a pad
-
-
-def pad(thickness: float) -> Gel:
-    """The flat pad of that thickness."""
-    return PadTable(thickness=thickness, **SIDES).gel(f"flat_{thickness:g}mm")
-
-
 def pads(presses: list[dict], file: Path) -> Path:
     """Write the catalogue of the pads that are pressed: meshes are made by names of gels."""
     lines = []
@@ -109,15 +63,6 @@ def pads(presses: list[dict], file: Path) -> Path:
         lines += [f"[{pad(thickness).name}]", *(f"{key} = {value:g}" for key, value in sides.items()), ""]
     write_text(file, "\n".join(lines))
     return file
-
-
-def scene_of(press: dict) -> Scene:
-    """The press as every method is asked for it; its place is beside the lines along which a mesh might be aligned."""
-    way = Press(0.0, 0.0, 0.0, 0.0, 0.0, -press["depth_mm"])
-    law = Interface(press["interface"])
-    return Scene(
-        pad(press["thickness_mm"]), Material(press["nu"]), indenter(press["kind"], press["sizes_mm"]), way, law
-    )
 
 
 def ring_forces(mesh: GelMesh, forces: np.ndarray, width: float) -> np.ndarray:

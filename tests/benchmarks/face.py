@@ -21,13 +21,13 @@ from gelforge.flow.cli import command, option, positive
 from gelforge.flow.files import bytes_of, read_csv, read_json, write_csv
 from gelforge.flow.layout import Layout
 from gelforge.formats.export.samples import Samples
-from tests.benchmarks.figures import Figure, publish_figures
-from tests.benchmarks.reach import time_fetch, time_live
-from tests.benchmarks.sandbox import make
+from tests.benchmarks.parts.reach import time_fetch, time_live
 from tests.support.browser import WIDTHS, browser, console_errors, wait_for
 from tests.support.explored import write_page
 from tests.support.exported import READERS, lay
-from tests.unit.commands.test_questions import lay as lay_flow
+from tests.support.figures import Figure, publish_figures
+from tests.support.recorded_flow import lay as lay_flow
+from tests.support.sandbox import make
 
 PRESSES = 15_000
 CHOICES = 20

@@ -18,8 +18,8 @@ from pathlib import Path
 
 from gelforge.flow.cli import command, option
 from gelforge.flow.files import digest_of_value, record_of, write_json
-from tests.benchmarks.figures import PUBLISHED_DATA, ROOT, Figure, publish_figures
-from tests.benchmarks.sandbox import clean_environment
+from tests.support.figures import PUBLISHED_DATA, ROOT, Figure, publish_figures
+from tests.support.sandbox import clean_environment
 
 LIST = Path(__file__).with_suffix(".toml")
 LEAST = 4  # faults of each room
@@ -52,7 +52,7 @@ class Fault:
         return digest_of_value([self.name, self.old, self.new, self.tests, texts])
 
 
-def listed(path: Path = LIST) -> list[Fault]:
+def listed(path: Path) -> list[Fault]:
     """The faults of the list, in its order."""
     tables = tomllib.loads(path.read_text(encoding="utf-8"))["fault"]
     return [Fault(**table | {"tests": tuple(table["tests"])}) for table in tables]
@@ -135,15 +135,16 @@ def outcome(fault: Fault, project: Path, moment: int) -> str:
 
 @command(
     option("--out", type=Path, default=None, metavar="FILE", help="where the figures go (JSON)"),
+    option("--list", type=Path, default=LIST, metavar="FILE"),
     option("--only", default="", metavar="TEXT", help="faults whose name or file contains it"),
     option("--kept", type=Path, default=ROOT / "build" / "faults.json", metavar="FILE",
            help="outcomes of earlier runs, which count while a fault, its file and its tests are the same"),
 )  # fmt: skip
 def main(args: Namespace) -> int:
     """Plant every fault alone and print which survive."""
-    every = listed()
+    every = listed(args.list)
     if wrong := list(misfits(every)):
-        print(*(f"faults.toml: {said}" for said in wrong), sep="\n")
+        print(*(f"{args.list.name}: {said}" for said in wrong), sep="\n")
         return 1
     faults = [fault for fault in every if args.only in fault.name or args.only in fault.file]
     kept = record_of(args.kept) or {}

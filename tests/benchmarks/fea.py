@@ -42,9 +42,9 @@ from gelforge.sweeps.trial import (
     measure,
     solve_isolated,
 )
-from tests.benchmarks import fea_cost as cost
-from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
-from tests.benchmarks.native import prepared
+from tests.benchmarks.parts import fea_cost as cost
+from tests.benchmarks.parts.native import prepared
+from tests.support.figures import PUBLISHED_DATA, Figure, publish_figures
 
 # Depth of FEATS' deck: scene, and times faster that `ccx` and `hex` at label setting are to be.
 SPEED = {1.0: ("sphere_1mm", 15.0, 100.0), 2.0: ("sphere_2mm", 30.0, 100.0)}

@@ -11,7 +11,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.cli import command, option
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
-from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
+from tests.support.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.support.published import compare_gel_top, compare_indenter, published_names, step_file
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from gelforge.evidence.forces import LogForces, of_labels
 from gelforge.flow.cli import command, option
-from tests.benchmarks.figures import Figure, publish_figures
+from tests.support.figures import Figure, publish_figures
 
 # Force in N at 1 mm and its power over depth, of shapes on the usual gel; power of the gel's thickness that it goes with, and
 # of the indenter's size.

@@ -24,7 +24,7 @@ from gelforge.reading.markers import markers_in
 from gelforge.records.forcefile import SampleForces, write_forces
 from gelforge.records.labelfile import read_labels
 from gelforge.records.press import POSE
-from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
+from tests.support.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.support.parameters import write_stage
 from tests.support.patch import consistent_loads, irregular_surface
 

@@ -28,7 +28,7 @@ from gelforge.mechanics.solve import Solvers
 from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.sweeps.scenes import parse_scene, read_tables
 from gelforge.sweeps.trial import cells_of
-from tests.benchmarks.figures import Figure, publish_figures
+from tests.support.figures import Figure, publish_figures
 
 CASES = {
     "as it is": {},
@@ -99,7 +99,7 @@ def on_machine(case: str, way: str, names: list[str] | None, folder: Path, workf
     content = json.dumps([digest_of_all(workflow), case, way, names])
     kept = folder / f"{way}-{case.replace(' ', '-')}-{hashlib.sha256(content.encode()).hexdigest()[:16]}.json"
     if not kept.exists():
-        asked = [sys.executable, "-m", "tests.benchmarks.machines", "--way", way, "--workflow", str(workflow)]
+        asked = [sys.executable, "-m", "tests.benchmarks.machines", "--solve", way, "--workflow", str(workflow)]
         asked += ["--out", str(kept), *(["--scenes", *names] if names else [])]
         subprocess.run(asked, check=True, env=environment(case, folder))
     return read_json(kept)
@@ -137,17 +137,18 @@ def figures_of(way: str, differences: dict[str, tuple[float, float]]) -> list[Fi
 
 @command(
     option("--workflow", type=Path, default=Path("workflow")),
-    option("--way", choices=WAYS, default=None, help="solve in this process and write the results"),
+    option("--ways", nargs="+", choices=WAYS, default=WAYS, help="only these"),
+    option("--solve", choices=WAYS, default=None, help="solve in this process and write the results"),
     option("--scenes", nargs="+", default=None, help="only these of workflow/scenes.toml"),
     option("--out", type=Path, help="results/benchmarks/machines.json"),
 )
 def main(args: Namespace) -> None:
-    if args.way:
-        write_json(args.out, solve_scenes(args.way, args.scenes, args.workflow))
+    if args.solve:
+        write_json(args.out, solve_scenes(args.solve, args.scenes, args.workflow))
         return
     folder = args.out.parent / "machines"
     figures = []
-    for way in WAYS:
+    for way in args.ways:
         figures += figures_of(way, compare(way, folder, args.workflow, args.scenes))
     publish_figures(args.out, figures)
 

@@ -22,7 +22,7 @@ from gelforge.flow.params import StageParameters, load_params, plain, read_toml
 from gelforge.flow.tables import TrainTable
 from gelforge.records.image import read_image
 from gelforge.records.log import read_presses
-from tests.benchmarks.figures import Figure, publish_figures
+from tests.support.figures import Figure, publish_figures
 
 if TYPE_CHECKING:
     from gelforge.reading.predictor import Predictor

@@ -14,19 +14,12 @@ from pathlib import Path
 from gelforge.errors import BadInput
 from gelforge.flow.cli import command, option
 from gelforge.stages import challenge
-from tests.benchmarks.figures import Figure, publish_figures
+from tests.support.figures import Figure, publish_figures
+from tests.support.getfem import PROGRAM, PYTHON, has_getfem
 
-PYTHON = "/usr/bin/python3"
-PROGRAM = Path(__file__).with_name("outside_getfem.py")
 GOALS = ("sphere_1mm", "cuboid_round", "cylinder", "pyramid", "cuboid_shear", "sloping_cuboid", "triple_triangle")
 SHARP = ("cuboid_sharp", "punch")  # no goal: their references still move where elements are halved
 TOTAL, CELLS = 0.5, 3.0  # % of total force: the total, and the sum over 2 x 2 cells
-
-
-def has_getfem() -> bool:
-    """Whether Debian's own Python has GetFEM and what the program needs beside it."""
-    asked = [PYTHON, "-c", "import getfem, scipy"]
-    return Path(PYTHON).exists() and subprocess.run(asked, capture_output=True, check=False).returncode == 0
 
 
 def submission(folder: Path, scenes: tuple[str, ...], work: Path) -> Path:

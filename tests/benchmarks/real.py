@@ -1,14 +1,14 @@
 """What the shipped network reads in pictures of real sensors that it never saw, where something of the truth is known.
 
 No force was measured beside these pictures. What is known: a ball of known diameter is a force sensor
-(`tests/benchmarks/balls.py`); a released gel bears nothing; a sideways force moves the markers its way; FEATS published its
+(`tests/benchmarks/parts/balls.py`); a released gel bears nothing; a sideways force moves the markers its way; FEATS published its
 own maps of 51 presses; a cuboid leaves a square and a tube a ring, whose sizes are known. The same images are spoilt on purpose
-(`tests/benchmarks/spoilt.py`), and balls are drawn whose markers move less than finite elements say.
+(`tests/benchmarks/parts/spoilt.py`), and balls are drawn whose markers move less than finite elements say.
 """
 
 import itertools
 from argparse import Namespace
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 
 import cv2
@@ -21,22 +21,19 @@ from gelforge.flow.cli import command, option
 from gelforge.formats.featsfile import read_npy
 from gelforge.reading.forcereading import ForceReading
 from gelforge.reading.interval import half_widths, real_width
-from gelforge.reading.light import match_light
 from gelforge.reading.model import ForceModel, fingerprint
 from gelforge.reading.predictor import Predictor, load_for_use
 from gelforge.reading.profile import fit_gain
 from gelforge.records.image import read_image
-from tests.benchmarks.ball_presses import BACKGROUND, read_presses
-from tests.benchmarks.balls import FOLDER as BALLS
-from tests.benchmarks.balls import ball_figures, motion_figures
-from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
-from tests.benchmarks.films import finger_figures, frames_of, read_film, released_figures, sideways_figures
-from tests.benchmarks.imprint import found_radius
-from tests.benchmarks.spoilt import EACH, Series, spoilt_figures
+from tests.benchmarks.parts.ball_presses import BACKGROUND, read_presses
+from tests.benchmarks.parts.balls import FOLDER as BALLS
+from tests.benchmarks.parts.balls import ball_figures, motion_figures
+from tests.benchmarks.parts.films import finger_figures, read_film, released_figures, sideways_figures
+from tests.benchmarks.parts.imprint import found_radius
+from tests.benchmarks.parts.spoilt import EACH, Series, spoilt_figures
+from tests.support.feats_film import feats_maps
+from tests.support.figures import PUBLISHED_DATA, Figure, publish_figures
 
-PANEL = 200  # px of width of each of the four panels of FEATS' film: x, y, normal map, picture
-CUT = 1  # px of height that it lacks at its top: cells of its maps are 6.25 px along both axes, the first row's 5.6 px high
-NAME = np.s_[:32, :82]  # px of a picture that its name covers
 NAMED = np.s_[:5, :10]  # cells of a map that the panels' names cover
 SEEN = np.ones((24, 32), bool)  # and those that they do not
 SEEN[NAMED] = SEEN[:3, :11] = False
@@ -58,41 +55,6 @@ HELD = {"gripper_videos": "*.avi", "feats/images": "*.gif", BALLS: "background.p
 
 
 # -- FEATS' film of its own maps
-
-
-def map_of(panel: np.ndarray, colours: np.ndarray) -> np.ndarray:
-    """Values 0 to 1 (24, 32) of a panel (h, w, 3) that shows cells in a colour map (256, 3)."""
-    cells = cv2.resize(panel.astype(np.float32), (32, 24), interpolation=cv2.INTER_AREA).reshape(-1, 1, 3)
-    return np.argmin(((cells - colours) ** 2).sum(axis=2), axis=1).reshape(24, 32) / 255.0
-
-
-def film_panels(path: Path) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Picture, its name covered by what surrounds it, and normal map (24, 32), larger where pressed more, of each press."""
-    import matplotlib as mpl
-
-    covered = np.zeros((240, 320), np.uint8)
-    covered[NAME] = 255
-    colours = 255.0 * mpl.colormaps["viridis"](np.arange(256))[:, :3]
-    for image in frames_of(path):
-        whole = cv2.copyMakeBorder(image, CUT, 0, 0, 0, cv2.BORDER_REPLICATE)
-        shown = cv2.resize(whole[:, 3 * PANEL :], (320, 240), interpolation=cv2.INTER_CUBIC)
-        yield (
-            cv2.inpaint(shown, covered, 5, cv2.INPAINT_TELEA),
-            1.0 - map_of(whole[:, 2 * PANEL : 3 * PANEL], colours),
-        )
-
-
-def feats_maps(path: Path, nocontact: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Picture and normal map of each press as `film_panels` gives them, the name covered by the gel of the no-contact image."""
-    return [(_named_over(picture, nocontact), normal) for picture, normal in film_panels(path)]
-
-
-def _named_over(picture: np.ndarray, behind: np.ndarray) -> np.ndarray:
-    """A picture (h, w, 3) whose name is covered by the same place of another one in its light."""
-    light = match_light(picture, behind)
-    whole = picture.copy()
-    whole[NAME] = np.clip(np.rint(behind[NAME] * light.gain + light.offset), 0, 255)
-    return whole
 
 
 def laid(cells: np.ndarray, fraction: float, right: float = 0.0, down: float = 0.0) -> np.ndarray:
@@ -334,7 +296,7 @@ def main(args: Namespace) -> None:
         figures, told = [*figures, *intervals], {"real": real}
     publish_figures(args.out, figures, fingerprint(model.metadata), **told)
     if args.page and len(args.parts) == len(PARTS):
-        from tests.benchmarks.real_page import write_page
+        from tests.benchmarks.parts.real_page import write_page
 
         write_page(args.page, model, args.reference, films, figures)
 

@@ -23,8 +23,8 @@ from gelforge.virtualrig.bench import Bench, Pressing
 from gelforge.virtualrig.fields import field_of, surface_of
 from gelforge.virtualrig.render import Pressed, Renderer
 from gelforge.virtualrig.rigplan import Order, Plan, generator, orders, read_plan
-from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.support import likeness as measure
+from tests.support.figures import PUBLISHED_DATA, Figure, publish_figures
 
 REFERENCE_UNIT = "mini_a"
 # The real cuboid's log is not published: its depth is; the sideways path is read off its markers (3 px in u).
@@ -262,7 +262,7 @@ def main(given: Namespace) -> None:
         figures += cuboid(rig, given.reference)
     publish_figures(given.out, figures)
     if given.page and len(given.parts) == len(PARTS):
-        from tests.benchmarks.rig_page import write_page
+        from tests.benchmarks.parts.rig_page import write_page
 
         write_page(given.page, rig, given.reference, pressings, figures)
         print(given.page)

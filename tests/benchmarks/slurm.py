@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.flow.cli import command, option, positive
-from tests.benchmarks.figures import Figure, publish_figures
-from tests.benchmarks.sandbox import clean_environment, link_project
 from tests.support.cluster import Cluster, cluster, lay_project, make
+from tests.support.figures import Figure, publish_figures
+from tests.support.sandbox import clean_environment, link_project
 
 ROOT = Path(__file__).resolve().parents[2]
 PROFILE = ROOT / "envs" / "slurm-cluster.toml"

@@ -15,7 +15,7 @@ from gelforge.flow.cli import command, option
 from gelforge.learning.data import Data, open_data
 from gelforge.learning.train import predict_rows
 from gelforge.stages.train import train
-from tests.benchmarks.figures import Figure, publish_figures
+from tests.support.figures import Figure, publish_figures
 from tests.support.parameters import with_values
 from tests.support.synthetic_presses import SETTINGS, write_dataset
 

@@ -20,9 +20,9 @@ from gelforge.reading.pair import NoContact
 from gelforge.records.film import numbered
 from gelforge.records.image import read_image, write_png
 from gelforge.records.nocontactimage import SETTLING, find_nocontact
-from tests.benchmarks.figures import PUBLISHED_DATA, Figure, publish_figures
-from tests.benchmarks.films import frames_of
-from tests.benchmarks.sandbox import link_project, make
+from tests.support.figures import PUBLISHED_DATA, Figure, publish_figures
+from tests.support.films import frames_of
+from tests.support.sandbox import link_project, make
 
 DATA = Path("data/demo")
 SPHERES = "feats_sphere15"

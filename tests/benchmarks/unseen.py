@@ -35,7 +35,7 @@ from gelforge.virtualrig.bench import Bench
 from gelforge.virtualrig.fields import field_of, surface_of
 from gelforge.virtualrig.render import Pressed, Renderer
 from gelforge.virtualrig.rigplan import Order, generator, orders, read_plan
-from tests.benchmarks.figures import Figure, publish_figures
+from tests.support.figures import Figure, publish_figures
 from tests.support.pictures import moved
 
 RANGE = {"fy": 10.0, "fx": 10.0, "fz": 40.0}  # N, of the FEATS paper

@@ -23,9 +23,8 @@ from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver, read_answer
 from gelforge.mechanics.solvers.hex import solve_hex
 from gelforge.records.press import Press
 from gelforge.records.status import Status
-from tests.physics.test_hex import SlideThenPress
 from tests.support.blocks import symmetric_block
-from tests.support.flat_pad import FlatPad
+from tests.support.flat_pad import FlatPad, SlideThenPress
 from tests.support.parameters import parameters
 
 

@@ -20,8 +20,8 @@ from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvers.hex import MOST_BELOW_MM, MOST_INSIDE_MM, HexSolver, solve_hex
 from gelforge.records.press import Press
 from gelforge.records.status import Status
-from tests.benchmarks.exact import scene_of
-from tests.support.flat_pad import FlatPad
+from tests.support.flat_pad import FlatPad, SlideThenPress
+from tests.support.known_scenes import scene_of
 
 COARSE = HexSettings(size=1.2, layers=3, gauss=3, press_steps=3, shear_steps=2)
 
@@ -54,16 +54,6 @@ class Plate:
 
 
 @dataclass(frozen=True)
-class SlideThenPress(Press):
-    """Slides with a gap in the first half of the press leg, then goes straight down."""
-
-    def pose(self, press, shear):
-        rotation, _ = super().pose(0.0, 0.0)
-        slide, down = min(max(2 * press, 0.0), 1.0), min(max(2 * press - 1, 0.0), 1.0)
-        height = 0.1 + down * (self.dz - 0.1)
-        return rotation, np.array([self.x0 + slide * self.dx, self.y0 + slide * self.dy, height])
-
-
 def ball(depth=1.0, dx=0.0, dy=0.0, x0=0.0, law="no_slip", mu=0.0, material=Material(), diameter=15.0):
     press = Press(x0, 0.0, 0.0, dx, dy, -depth)
     return Scene(Gel(), material, Sphere(diameter), press, Interface(law, mu))

@@ -17,9 +17,9 @@ from gelforge.mechanics.solvers.hex import HexResult, HexSolver
 from gelforge.records.press import Press
 from gelforge.records.status import Status
 from gelforge.sweeps.scenes import parse_scene, read_tables
-from tests.benchmarks.exact import scene_of
 from tests.support.exact_scenes import KEPT
 from tests.support.flat_pad import FlatPad
+from tests.support.known_scenes import scene_of
 
 PAD = FlatPad(name="pad", width=16.0, length=16.0, corner_radius=0.0, height=4.0)
 BALL = build("ball", {"kind": "sphere", "diameter": 8, "height": 10})

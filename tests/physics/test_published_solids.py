@@ -4,8 +4,8 @@ import pytest
 
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import load_catalogue
-from tests.conftest import ROOT
 from tests.support.published import compare_gel_top, compare_indenter, published_names, step_file
+from tests.support.sandbox import ROOT
 
 pytest.importorskip(
     "gmsh",

@@ -1,10 +1,18 @@
-"""Gel meshes of tetrahedra that are as symmetric as the gel."""
+"""Gel meshes of tetrahedra that are as symmetric as the gel, and boxes of triangles."""
 
 import numpy as np
 
 from gelforge.geometry.gel import Gel
+from gelforge.geometry.triangles import Mesh, volume
 from gelforge.mechanics.mesh.gelmesh import GelMesh
-from gelforge.mechanics.mesh.tetmesh import FACES, from_flat, kuhn_grid
+from gelforge.mechanics.mesh.tetmesh import FACES as OF_TET
+from gelforge.mechanics.mesh.tetmesh import from_flat, kuhn_grid
+
+FACES = np.array(
+    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+     [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+)  # fmt: skip
+MIRRORED = np.array([0, 2, 1, 3, 4, 6, 5, 7])  # corners with x and y exchanged: walls cut along their other diagonals
 
 
 def symmetric_block(gel: Gel, size: float, layers: int) -> GelMesh:
@@ -25,6 +33,14 @@ def symmetric_block(gel: Gel, size: float, layers: int) -> GelMesh:
 
 def boundary_faces(tets: np.ndarray) -> np.ndarray:
     """Corner triples (f, 3) of the faces that belong to one tetrahedron only, oriented outward."""
-    faces = tets[:, FACES].reshape(-1, 3)
+    faces = tets[:, OF_TET].reshape(-1, 3)
     _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
     return faces[first[count == 1]]
+
+
+def box(low, size, inverted: bool = False, other_diagonals: bool = False) -> Mesh:
+    """A box with its lowest corner at `low` mm and sides of `size` mm."""
+    corners = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], float)
+    faces = FACES if not other_diagonals else MIRRORED[FACES][:, ::-1]
+    solid = corners * size + np.asarray(low, float), faces
+    return (solid[0], faces[:, ::-1]) if inverted != (volume(*solid) < 0.0) else solid

@@ -9,10 +9,20 @@ import tempfile
 from contextlib import contextmanager
 from pathlib import Path
 
+import pytest
+
 from gelforge.flow.files import write_text
-from tests.benchmarks.sandbox import clean_environment
+from tests.support.sandbox import clean_environment
 
 ROOT = Path(__file__).resolve().parents[2]
+
+NEEDS_SLURM = [
+    pytest.mark.slurm,
+    pytest.mark.skipif(
+        not shutil.which("slurmd", path=f"{os.environ.get('PATH', '')}:/usr/sbin"),
+        reason="Slurm is absent; make test installs slurm-wlm and munge where it may",
+    ),
+]
 
 # The flow's own macros over a module that does what the file faults/NAME says, and nothing else.
 MAKEFILE = """

@@ -1,9 +1,6 @@
 """A small dataset of stage 60 with real picture files, and every export read back by its format's own library."""
 
 import json
-import os
-import subprocess
-from pathlib import Path
 
 import cv2
 import numpy as np
@@ -11,8 +8,6 @@ import numpy as np
 from gelforge.flow.files import write_csv, write_json
 from gelforge.formats.export.samples import Samples
 
-ROOT = Path(__file__).resolve().parents[2]
-LEROBOT = ROOT / ".venv-lerobot" / "ready"  # there where `make lerobot-env` made it
 GRID = (6, 8)
 SENSORS = {name: {"gel": "gelsight_mini", "image": [32, 24], "projection": [[1, 0, 0], [0, 1, 0], [0, 0, 1]]}
            for name in ("mini_a", "mini_e")}  # fmt: skip
@@ -129,14 +124,3 @@ def read_lerobot(folder):
 READERS = {
     "mcap": (".mcap", read_mcap), "hdf5": (".h5", read_hdf5), "lerobot": ("", read_lerobot),
 }  # fmt: skip
-
-
-def opened_by_lerobot(folder: Path, home: Path) -> dict:
-    """What LeRobot's training factory finds in an export, in an environment of its own (tests/support/lerobot_opens.py); home: its caches."""
-    env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    env |= {"HF_HUB_OFFLINE": "1", "HF_HOME": str(home / "hub"), "HOME": str(home)}
-    command = [LEROBOT.parent / "bin" / "python", ROOT / "tests" / "support" / "lerobot_opens.py", folder]
-    ran = subprocess.run(command, capture_output=True, text=True, check=False, env=env, cwd=home)
-    if ran.returncode:
-        raise RuntimeError(ran.stderr[-3000:])
-    return json.loads(ran.stdout.splitlines()[-1])

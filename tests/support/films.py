@@ -6,6 +6,14 @@ from pathlib import Path
 import cv2
 import numpy as np
 
+from gelforge.records.film import frames, open_source
+
+
+def frames_of(path: Path) -> list[np.ndarray]:
+    """All frames (h, w, 3) uint8 RGB of a film, whatever number it announces; BadInput where it holds none."""
+    with open_source(path, None) as (source, _announced):
+        return [np.ascontiguousarray(frame[..., ::-1]) for frame in frames(source, 0, str(path), None)]
+
 
 def write_film(path: Path, images, rate: float = 25.0) -> Path:
     """Images (h, w, 3) uint8 BGR as a film of an even rate: motion JPEG in .avi, MPEG-4 in .mp4."""

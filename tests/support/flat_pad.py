@@ -1,10 +1,11 @@
-"""A gel whose top is a plane."""
+"""A gel whose top is a plane, and a path that no log has."""
 
 from dataclasses import dataclass
 
 import numpy as np
 
 from gelforge.geometry.gel import Gel
+from gelforge.records.press import Press
 
 
 @dataclass(frozen=True)
@@ -13,3 +14,13 @@ class FlatPad(Gel):
 
     def top(self, x, y):
         return np.zeros(np.broadcast(x, y).shape)
+
+
+class SlideThenPress(Press):
+    """Slides with a gap in the first half of the press leg, then goes straight down."""
+
+    def pose(self, press, shear):
+        rotation, _ = super().pose(0.0, 0.0)
+        slide, down = min(max(2 * press, 0.0), 1.0), min(max(2 * press - 1, 0.0), 1.0)
+        height = 0.1 + down * (self.dz - 0.1)
+        return rotation, np.array([self.x0 + slide * self.dx, self.y0 + slide * self.dy, height])

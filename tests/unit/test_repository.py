@@ -3,14 +3,13 @@
 import re
 import subprocess
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 from gelforge.flow.files import read_json
-from tests.benchmarks import faults, tables
-from tests.benchmarks.figures import Figure, digest_of_sources, publish_figures, sources
-from tests.benchmarks.readme_pictures import outdated, publish_picture
-from tests.support import repository
+from tests.lint import checks as lint
+from tests.lint import tables
+from tests.lint.readme_pictures import outdated, publish_picture
+from tests.support.figures import Figure, digest_of_sources, publish_figures, sources
 
 PLANTED = {
     "records/a.py": ("import gelforge.geometry.gel", "records/a.py imports geometry"),
@@ -33,12 +32,12 @@ PLANTED = {
 
 
 def test_a_planted_fault_of_every_kind_is_reported(tmp_path, monkeypatch):
-    for path in repository.PACKAGE.rglob("*.py"):
-        folder = tmp_path / path.relative_to(repository.PACKAGE).parent
+    for path in lint.PACKAGE.rglob("*.py"):
+        folder = tmp_path / path.relative_to(lint.PACKAGE).parent
         folder.mkdir(parents=True, exist_ok=True)
         (folder / "__init__.py").touch()
-    monkeypatch.setattr(repository, "PACKAGE", tmp_path)
-    checks = (repository.wrong_imports, repository.same_names, repository.facts_twice)
+    monkeypatch.setattr(lint, "PACKAGE", tmp_path)
+    checks = (lint.wrong_imports, lint.same_names, lint.facts_twice)
     assert [fault for check in checks for fault in check()] == []
     for name, (code, _) in PLANTED.items():
         (tmp_path / name).write_text(code)
@@ -46,16 +45,20 @@ def test_a_planted_fault_of_every_kind_is_reported(tmp_path, monkeypatch):
     assert [said for _, said in PLANTED.values() if said not in found] == []
 
 
-def test_a_planted_fault_that_fits_no_file_or_names_no_test_fails_the_list():
-    known = faults.listed()
-    missing = "tests/unit/test_repository.py::test_nothing"
-    odd = replace(known[0], name="odd", old="no such text", tests=(missing,))
-    fewer = [*(fault for fault in known if fault.room != "live"), odd]
-    assert set(faults.misfits(fewer)) - set(faults.misfits(known)) == {
-        f"'odd': its old text stands 0 times in {odd.file}, not once",
-        f"'odd': there is no test {missing}",
-        "0 faults are of live, 4 are asked for",
-    }
+def test_a_planted_fault_that_fits_no_file_or_names_no_test_fails_the_list(tmp_path):
+    known, missing = tmp_path / "list.toml", "tests/unit/test_repository.py::test_nothing"
+    known.write_text(
+        f'[[fault]]\nname = "odd"\nfile = "Makefile"\nold = "none such"\nnew = ""\ntests = ["{missing}"]\n'
+    )
+    asked = [sys.executable, "-m", "tests.benchmarks.faults", "--list", str(known)]
+    done = subprocess.run(asked, capture_output=True, text=True)
+    assert done.returncode == 1
+    for said in (
+        "its old text stands 0 times in Makefile",
+        f"no test {missing}",
+        "0 faults are of live, 4 are asked",
+    ):
+        assert said in done.stdout
 
 
 def test_a_figure_that_changes_changes_the_page(root, monkeypatch):
@@ -80,7 +83,7 @@ def test_a_part_that_is_measured_again_leaves_the_others(tmp_path):
 
 def test_sources_are_what_is_imported_and_what_that_imports(root):
     found = {str(path.relative_to(root)) for path in sources(root / "tests/benchmarks/labels.py")}
-    assert {"tests/benchmarks/labels.py", "tests/benchmarks/figures.py", "src/gelforge/labelling/grid.py"} <= found
+    assert {"tests/benchmarks/labels.py", "tests/support/figures.py", "src/gelforge/labelling/grid.py"} <= found
     assert "src/gelforge/flow/files.py" in found and not any("live/" in path for path in found)
 
 

@@ -8,7 +8,7 @@ import pytest
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.params import read_frozen
 from gelforge.records.forcefile import ForceFile
-from tests.benchmarks.sandbox import link_project, make
+from tests.support.sandbox import link_project, make
 
 SETTINGS = """
 sensor = "gelsight_mini"

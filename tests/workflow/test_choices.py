@@ -16,9 +16,7 @@ from gelforge.flow.files import write_text
 from gelforge.flow.layout import metrics_of
 from gelforge.flow.refuse import lists_of
 from gelforge.stages.plan import make_list
-from tests.benchmarks.sandbox import link_project, make
-
-from .conftest import lay_dataset
+from tests.support.sandbox import lay_dataset, link_project, make
 
 EVERY_WAY = "$(shell touch pwned)`touch pwned`; touch pwned"
 

@@ -8,7 +8,7 @@ import pytest
 from gelforge.flow.files import read_csv
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import read_labels
-from tests.benchmarks.sandbox import link_project, make
+from tests.support.sandbox import link_project, make
 
 NAMES = ("frames", "bad_rows", "two_gels")
 

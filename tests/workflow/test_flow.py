@@ -10,10 +10,8 @@ import time
 import pytest
 
 from gelforge.flow.files import read_csv, write_csv
-from tests.benchmarks.sandbox import clean_environment, link_project, make
+from tests.support.sandbox import clean_environment, lay_dataset, link_project, make
 from tests.support.waiting import wait_until
-
-from .conftest import lay_dataset
 
 BUILT = re.compile(r"^results/tiny/(\S+)  [\d.]+ s", re.MULTILINE)
 PREDICTED = re.compile(r"gelforge\.flow\.step results/tiny/(\S+)", re.MULTILINE)

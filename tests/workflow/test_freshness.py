@@ -8,9 +8,7 @@ import time
 import pytest
 
 from gelforge.flow.files import read_csv, write_csv, write_text
-from tests.benchmarks.sandbox import link_project, make
-
-from .conftest import FAST, lay_dataset
+from tests.support.sandbox import FAST, lay_dataset, link_project, make
 
 TRAINED = """
 [params.report]

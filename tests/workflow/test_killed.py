@@ -7,10 +7,8 @@ import subprocess
 import pytest
 
 from gelforge.flow.files import write_text
-from tests.benchmarks.sandbox import clean_environment, link_project, make
+from tests.support.sandbox import clean_environment, lay_dataset, link_project, make
 from tests.support.waiting import HANG
-
-from .conftest import lay_dataset
 
 # In the place of what Python imports of itself at its start: counts renames of all processes, and kills them all at one.
 AT_START = """

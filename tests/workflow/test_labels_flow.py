@@ -10,8 +10,8 @@ import pytest
 
 from gelforge.flow.files import write_json
 from gelforge.records.labelfile import read_labels
-from tests.benchmarks.sandbox import link_project, make
 from tests.support.pressed_dataset import write_pressed
+from tests.support.sandbox import link_project, make
 
 # The images are noise, of which nothing can be told.
 UNJUDGED = "[params.poses]\njudge_images = false\n"

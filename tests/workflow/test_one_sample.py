@@ -4,7 +4,7 @@ import numpy as np
 
 from gelforge.flow.files import read_csv, write_csv, write_json
 from gelforge.records.forcefile import ForceFile
-from tests.benchmarks.sandbox import make
+from tests.support.sandbox import make
 
 
 def say(project, *words):

@@ -6,10 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelforge.errors import BadInput
 from gelforge.flow.params import altered
-from gelforge.geometry.gel import GELS, Gel
-from gelforge.geometry.indenters import load_catalogue
+from gelforge.geometry.gel import GELS
 from gelforge.labelling.sensor import load_sensors
 from gelforge.records.status import Status
 from gelforge.stages import pareto, stability
@@ -17,7 +15,6 @@ from gelforge.sweeps import cases
 from gelforge.sweeps.methods import Method, hex_method, prepare
 from gelforge.sweeps.scenes import parse_scene
 from gelforge.sweeps.trial import load_bench
-from tests.benchmarks.fea import deck_force, envelope_scene
 from tests.support.parameters import stage_of
 
 GEL = GELS["gelsight_mini"]
@@ -94,21 +91,3 @@ def test_a_density_of_tetrahedra_follows_the_press(ccx, tmp_path):
         near = np.hypot(*(ends.mean(axis=1)[:, :2] - [2.0, -1.5]).T) < 2.0
         sizes.append(np.linalg.norm(ends[near, 0] - ends[near, 1], axis=1).max())
     assert sizes[1] < 0.7 * sizes[0]
-
-
-def test_envelope_scenes_are_the_same_ones_every_time():
-    catalogue = load_catalogue("workflow/indenters.toml", ["sphere_15", "cuboid_7"])
-    one, other = (envelope_scene(7, catalogue, Gel()).press for _ in range(2))
-    assert one == other != envelope_scene(8, catalogue, Gel()).press
-    presses = [envelope_scene(n, catalogue, Gel()).press for n in range(50)]
-    assert max(abs(p.x0) for p in presses) <= 3 and max(abs(p.y0) for p in presses) <= 5
-    assert max(np.hypot(p.dx, p.dy) / -p.dz for p in presses) <= 0.4
-
-
-def test_the_decks_force_is_the_last_total_on_its_base():
-    block = " total force (fx,fy,fz) for set NGELSIGHT_MINI{} and time  {:.7E}\n\n {:e} {:e} {:e}\n"
-    sets = (("VOLUME", 9.0), ("FIXED", 5.0))
-    text = "".join(block.format(name, t, 0.1, 0.2, f * t) for t in (0.5, 1.0) for name, f in sets)
-    assert deck_force(text) == 5.0
-    with pytest.raises(BadInput, match="no total force"):
-        deck_force(text[:20])

@@ -15,11 +15,9 @@ from gelforge.flow.params import stl_files, with_content
 from gelforge.geometry.triangles import write_stl
 from gelforge.stages.fea import shape_of
 from gelforge.stages.plan import check_count, used
-from tests.benchmarks.sandbox import link_project, make
 from tests.support.parameters import parameters
+from tests.support.sandbox import lay_dataset, link_project, make
 from tests.support.waiting import HANG
-
-from .conftest import lay_dataset
 
 BLOCK = np.array([[x, y, z] for z in (0, 6) for y in (0, 1) for x in (0, 1)], float)
 FACES = [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4], [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6],

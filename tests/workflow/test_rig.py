@@ -16,7 +16,7 @@ from gelforge.stages import rig
 from gelforge.stages.rig import main, run
 from gelforge.virtualrig.rigplan import orders, read_plan
 from gelforge.virtualrig.writer import Dataset
-from tests.conftest import ROOT
+from tests.support.sandbox import ROOT
 
 DEMO = ROOT / "workflow" / "rig" / "demo.toml"
 

@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from gelforge.flow.files import write_text
-from tests.benchmarks import sandbox
-from tests.support.cluster import ROOT, Cluster, cluster, lay_profile, lay_project, make, start_make
+from tests.support import sandbox
+from tests.support.cluster import NEEDS_SLURM, ROOT, Cluster, cluster, lay_profile, lay_project, make, start_make
+from tests.support.sandbox import lay_dataset
 from tests.support.waiting import HANG, wait_until
-from tests.workflow.conftest import NEEDS_SLURM, lay_dataset
 
 slow = pytest.mark.slow
 needs_slurm = [*NEEDS_SLURM, slow]

@@ -12,8 +12,7 @@ from gelforge.stages import fea
 from gelforge.stages.report import verified_section
 from gelforge.sweeps import verification
 from gelforge.sweeps.verification import Verified
-from tests.benchmarks.auto import figures_of
-from tests.support.parameters import parameters, write_stage
+from tests.support.parameters import write_stage
 
 HEADER = "sample_id,sensor_id,gel_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg\n"
 
@@ -79,18 +78,3 @@ def test_the_choice_of_presses_is_a_fraction_and_grows_with_it():
     few, more = ({n for n in names if verification.chosen(n, f)} for f in (0.05, 0.1))
     assert few < more and 0.04 < len(few) / len(names) < 0.06
     assert not any(verification.chosen(n, 0.0) for n in names) and all(verification.chosen(n, 1.0) for n in names)
-
-
-def test_the_benchmark_counts_verified_presses_as_a_cost_of_auto_and_differences_beyond_their_limits():
-    fea_table = replace(parameters().fea, verify=1.0)
-
-    def record(way: str, seconds: float, factor: float) -> dict:
-        own = {"cpu_seconds": seconds, "method": way, "reason": "", "error_n": 0.02, "cells_error_n": 0.2}
-        return own | {"total": [0.0, 0.0, -factor], "cells": np.full((3, 1, 1), -factor / 3).tolist()}
-
-    autos = {f"p{k}": record("label", 0.5, 1.2 if k == 0 else 1.0) for k in range(3)} | {"q": record("ccx", 4, 1.0)}
-    ccxs = {name: record("ccx", 4.0, 1.0) for name in autos}
-    cost, beyond, without = figures_of(autos, ccxs, fea_table)[0]
-    # four presses, three of which CalculiX solves, too; the fourth it solved already
-    assert cost.value == pytest.approx((3 * 0.5 + 4 + 3 * 4) / 4 / 4) and beyond.value == pytest.approx(100 / 3)
-    assert "p0: label" in beyond.note and without.met

@@ -8,7 +8,7 @@ import sys
 import pytest
 
 from gelforge.flow.jobs import handed_on, in_slots
-from tests.benchmarks.sandbox import clean_environment
+from tests.support.sandbox import clean_environment
 from tests.support.waiting import HANG
 
 # Each task is marked by a file while it runs, as is the other job of make, and looks how many there are. It ends once as many

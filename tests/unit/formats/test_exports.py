@@ -2,8 +2,11 @@
 
 import errno
 import json
+import os
+import subprocess
 import sys
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pyarrow.parquet
@@ -15,7 +18,7 @@ from gelforge.flow.files import read_csv, read_json, write_csv
 from gelforge.formats.export import lerobot, ros
 from gelforge.formats.export.samples import Samples
 from gelforge.records.image import decode
-from tests.support.exported import LEROBOT, READERS, lay, opened_by_lerobot, read_mcap
+from tests.support.exported import READERS, lay, read_mcap
 from tests.support.limited import limited, small_disk
 from tests.support.no_locks import without_locks
 
@@ -136,6 +139,20 @@ def test_of_many_pictures_some_give_the_ranges(tmp_path, monkeypatch):
     monkeypatch.setattr(lerobot, "MOST_PICTURES", 5)
     reported = lerobot.picture_stats(lay(tmp_path, 22))
     assert reported["count"] == [5] and 0.4 < reported["mean"][0][0][0] < 0.6
+
+
+LEROBOT = Path(__file__).parents[3] / ".venv-lerobot" / "ready"  # there where `make lerobot-env` made it
+
+
+def opened_by_lerobot(folder: Path, home: Path) -> dict:
+    """What LeRobot's training factory finds in an export, in an environment of its own; home: its caches."""
+    env = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
+    env |= {"HF_HUB_OFFLINE": "1", "HF_HOME": str(home / "hub"), "HOME": str(home)}
+    command = [LEROBOT.parent / "bin" / "python", Path(__file__).with_name("lerobot_opens.py"), folder]
+    ran = subprocess.run(command, capture_output=True, text=True, check=False, env=env, cwd=home)
+    if ran.returncode:
+        raise RuntimeError(ran.stderr[-3000:])
+    return json.loads(ran.stdout.splitlines()[-1])
 
 
 @pytest.mark.skipif(

@@ -10,7 +10,6 @@ import pytest
 
 from gelforge.errors import BadInput
 from gelforge.formats.featsfile import read_npy
-from tests.support.npy_files import npy
 
 PLAIN = {
     "image": np.arange(2400, dtype=np.uint8).reshape(20, 40, 3),
@@ -39,6 +38,14 @@ class Call:
 class Stateful:
     def __init__(self):
         self.x = 1
+
+
+def npy(path, body: bytes):
+    """A .npy file that promises an object and holds `body`."""
+    stream = io.BytesIO()
+    np.lib.format.write_array_header_1_0(stream, {"descr": "|O", "fortran_order": False, "shape": ()})
+    path.write_bytes(stream.getvalue() + body)
+    return path
 
 
 def save(path, value):

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from gelforge.geometry.indenters import build, fold, load_catalogue, read_catalogue
 from gelforge.records.press import Press
-from tests.conftest import ROOT
+from tests.support.sandbox import ROOT
 
 CATALOGUE = ROOT / "workflow" / "indenters.toml"
 EXTRA = {

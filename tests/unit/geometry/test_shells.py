@@ -10,20 +10,7 @@ from gelforge.errors import BadInput
 from gelforge.geometry.sampled import Sampled, check_body
 from gelforge.geometry.shells import outer_surface
 from gelforge.geometry.triangles import Mesh, cleaned, is_watertight, joined, volume
-
-FACES = np.array(
-    [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
-     [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
-)  # fmt: skip
-MIRRORED = np.array([0, 2, 1, 3, 4, 6, 5, 7])  # corners with x and y exchanged: walls cut along their other diagonals
-
-
-def box(low, size, inverted: bool = False, other_diagonals: bool = False) -> Mesh:
-    """A box with its lowest corner at `low` mm and sides of `size` mm."""
-    corners = np.array([[x, y, z] for z in (0, 1) for y in (0, 1) for x in (0, 1)], float)
-    faces = FACES if not other_diagonals else MIRRORED[FACES][:, ::-1]
-    solid = corners * size + np.asarray(low, float), faces
-    return (solid[0], faces[:, ::-1]) if inverted != (volume(*solid) < 0.0) else solid
+from tests.support.blocks import FACES, box
 
 
 def outer(*shells: Mesh) -> Mesh:

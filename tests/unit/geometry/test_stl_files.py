@@ -6,7 +6,7 @@ import pytest
 from gelforge.errors import BadInput
 from gelforge.geometry.stlfile import read_stl
 from gelforge.geometry.triangles import cleaned, is_watertight, joined, write_stl
-from tests.unit.geometry.test_shells import box
+from tests.support.blocks import box
 
 BODY = box([-2.0, -2.0, 0.0], [4.0, 4.0, 6.0])
 

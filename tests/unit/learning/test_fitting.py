@@ -15,8 +15,8 @@ from gelforge.stages.train import train
 from gelforge.virtualrig.render import Renderer
 from gelforge.virtualrig.rigplan import DrawnUnits
 from gelforge.virtualrig.units import draw_units
-from tests.conftest import ROOT
 from tests.support.refused import refused
+from tests.support.sandbox import ROOT
 from tests.support.synthetic_presses import SETTINGS, write_dataset
 
 

@@ -25,8 +25,8 @@ from gelforge.mechanics.mesh.tetmesh import (
     second_order,
     signed_volumes,
 )
+from tests.support.blocks import box
 from tests.support.refused import refused
-from tests.unit.geometry.test_shells import box
 
 GEL = GELS["gelsight_mini"]
 GELS_TOML = """

@@ -18,7 +18,6 @@ from gelforge.reading.predictor import Predictor
 from gelforge.reading.profile import Gain, make_profile, write_profile
 from gelforge.records.film import Frame
 from gelforge.records.nocontactimage import FEWEST, SETTLING, STILL
-from tests.benchmarks import real, real_page
 from tests.support.films import write_film
 from tests.support.refused import refused
 from tests.support.small_networks import IMAGE
@@ -62,19 +61,6 @@ def test_a_film_that_is_cut_is_read_as_far_as_it_goes_into_a_folder_of_its_own(d
     words = ["--video", str(video), "--model", str(paths["unet"]), "--csv", str(out)]
     refused("in.avi: ended after .* of 24 frames; the file is cut short", live.main, words)
     assert 1 <= len(rows_of(out)) < 24
-
-
-def test_the_page_of_real_pictures_names_axes_as_everything_else_does():
-    lines = real_page.total_lines(np.array([1.0, 2.0, -3.0]), np.array([0.1, 0.2, 0.3]))
-    assert lines == ["z -3.0 +- 0.3 N", "x +1.00 +- 0.1  y +2.00 +- 0.2 N"]
-
-
-def test_a_folder_without_real_pictures_is_named_with_what_it_lacks(tmp_path):
-    lacks = "no gripper_videos/.*avi and no feats/images/.*gif and no balls/unit_a/.*png; .*REFERENCE=FOLDER"
-    refused(f"{tmp_path}: holds {lacks}", real.main, ["--reference", str(tmp_path)])
-    (tmp_path / "gripper_videos").mkdir()
-    (tmp_path / "gripper_videos/a.avi").touch()
-    refused("holds no feats/images/.*gif and no balls", real.main, ["--reference", str(tmp_path)])
 
 
 def rows_of(table) -> list[dict]:

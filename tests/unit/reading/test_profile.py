@@ -31,7 +31,7 @@ from gelforge.reading.profile import (
 from gelforge.records.film import Frame
 from gelforge.records.image import read_image
 from gelforge.records.nocontactimage import FEWEST
-from tests.benchmarks.real import feats_maps
+from tests.support.feats_film import feats_maps
 from tests.support.films import write_film
 from tests.support.refused import refused
 

@@ -16,7 +16,7 @@ from gelforge.virtualrig.appearance import read_appearances
 from gelforge.virtualrig.bench import SETTINGS
 from gelforge.virtualrig.fields import Surface, body_of, field_of, surface_of
 from gelforge.virtualrig.render import Pressed, Renderer
-from tests.conftest import ROOT
+from tests.support.sandbox import ROOT
 
 
 def pressed_ball():

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -16,9 +17,9 @@ from gelforge.virtualrig.appearance import TERMS, Appearance, read_appearances
 from gelforge.virtualrig.fields import STEP, body_of, unloaded
 from gelforge.virtualrig.render import RIPPLE_MM, Pressed, Renderer
 from gelforge.virtualrig.rigplan import kind_of, orders, read_plan
-from tests.conftest import ROOT
 from tests.support.likeness import gel_points, inside_image
 
+ROOT = Path(__file__).parents[3]
 PLAN = ROOT / "workflow" / "rig" / "train.toml"
 UNITS = ("mini_a", "mini_b", "mini_c", "mini_d", "mini_e")
 
@@ -188,3 +189,25 @@ def test_a_body_shows_where_the_gel_that_it_presses_shows(name, x, y, down):
     assume(inside_image(seen[weight > 0.0], 2.0 * RIPPLE_MM * eye.scale).all())
     expected = (weight[:, None] * seen).sum(axis=0) / weight.sum()
     assert np.abs(found - expected).max() < 0.03
+
+
+def test_a_dent_is_lit_from_the_three_sides():
+    eye = camera("mini_a")
+    field = unloaded(Gel())
+    y, x = np.mgrid[: field.values.shape[0], : field.values.shape[1]]
+    r2 = (field.x0 + STEP * x) ** 2 + (field.y0 + STEP * y) ** 2
+    field.values[..., 2] = -np.exp(-r2 / (2 * 1.5**2))
+    change = eye.image(field).astype(float) - eye.image().astype(float)
+    above, below, right, left = (
+        np.median(change[rows, cols], axis=(0, 1))
+        for rows, cols in (
+            (np.s_[92:102], np.s_[145:175]),
+            (np.s_[138:148], np.s_[145:175]),
+            (np.s_[105:135], np.s_[178:188]),
+            (np.s_[105:135], np.s_[132:142]),
+        )
+    )
+    # the gel bulges towards the camera: each light brightens the flank that faces it
+    assert above[0] > 5 > -5 > below[0]
+    assert right[1] > 5 > -5 > left[1]
+    assert below[2] > 5 > -5 > above[2]

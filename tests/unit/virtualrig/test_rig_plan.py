@@ -20,8 +20,8 @@ from gelforge.virtualrig.appearance import read_appearances
 from gelforge.virtualrig.bench import load_cell_error
 from gelforge.virtualrig.rigplan import generator, kind_of, orders, read_plan, with_indenters
 from gelforge.virtualrig.writer import Dataset, describe, image_name, surface_name
-from tests.conftest import ROOT
 from tests.support.refused import refused
+from tests.support.sandbox import ROOT
 
 DEMO = ROOT / "workflow" / "rig" / "demo.toml"
 TRAIN = ROOT / "workflow" / "rig" / "train.toml"

@@ -20,8 +20,8 @@ from gelforge.virtualrig.render import Renderer
 from gelforge.virtualrig.rigplan import DrawnUnits, orders, read_plan
 from gelforge.virtualrig.units import UnitRanges, draw_units, read_ranges
 from gelforge.virtualrig.writer import write_sensors
-from tests.conftest import ROOT
 from tests.support.refused import refused
+from tests.support.sandbox import ROOT
 
 RIG = ROOT / "workflow" / "rig"
 SOME = DrawnUnits("units.toml", known=6, unseen=2)

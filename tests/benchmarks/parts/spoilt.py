@@ -9,7 +9,7 @@ from gelforge.reading.forcereading import ForceReading
 from gelforge.reading.markers import markers_in, painted_over
 from gelforge.reading.model import ForceModel
 from gelforge.reading.predictor import Predictor
-from tests.benchmarks.figures import Figure
+from tests.support.figures import Figure
 from tests.support.pictures import moved
 
 WORN = {1: 1.03, 2: 1.05, 4: 1.08, 8: 1.15}  # markers painted over: factor on nine of ten forces that is asked for

@@ -17,7 +17,7 @@ from gelforge.mechanics.material import Material
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solvers.hex import HexResult, HexSolver
 from gelforge.records.press import Press
-from tests.benchmarks.ball_presses import COLUMNS, TABLE
+from tests.benchmarks.parts.ball_presses import COLUMNS, TABLE
 
 THICKNESSES = 4.0, 3.6, 4.4  # mm of gel at its apex
 DIAMETERS = 5.0, 4.0, 6.0, 8.0, 10.0, 12.0  # mm of ball

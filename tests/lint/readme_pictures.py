@@ -12,7 +12,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.cli import command, option
 from gelforge.flow.files import digest_of, digest_of_value, publish, read_json, read_toml, write_json
-from tests.benchmarks.figures import PUBLISHED_DATA
+from tests.support.figures import PUBLISHED_DATA
 
 PRESSED = 1.4, (0.5, 1.0), (0.4, -0.3)  # depth, place and way sideways of the press that is shown, mm
 ARROW_MM = 2.5  # length of the largest force

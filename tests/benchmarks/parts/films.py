@@ -11,21 +11,16 @@ from gelforge.reading.forcereading import BEYOND
 from gelforge.reading.markers import markers_in
 from gelforge.reading.model import ForceModel
 from gelforge.reading.predictor import Predictor
-from gelforge.records.film import frames, numbered, open_source
+from gelforge.records.film import numbered
 from gelforge.records.nocontactimage import SETTLING, find_nocontact
-from tests.benchmarks.figures import Figure
+from tests.support.figures import Figure
+from tests.support.films import frames_of
 
 EVERY = 3  # every so manyth frame of a film is read
 RELEASED_PX = 0.6  # nine of ten markers nearer than this to where they are at rest: nothing touches
 HELD_PX = 1.0  # and farther than this: something does
 MOST_AT_EDGE = 0.7  # edge_peak up to which most of a contact is taken to be seen
 TRACKED = {"winSize": (21, 21), "maxLevel": 2}
-
-
-def frames_of(path: Path) -> list[np.ndarray]:
-    """All frames (h, w, 3) uint8 RGB of a film, whatever number it announces; BadInput where it holds none."""
-    with open_source(path, None) as (source, _announced):
-        return [np.ascontiguousarray(frame[..., ::-1]) for frame in frames(source, 0, str(path), None)]
 
 
 @dataclass(frozen=True)

@@ -14,12 +14,13 @@ from gelforge.flow.layout import FOLDERS
 from gelforge.records.networkkind import KINDS
 from gelforge.records.press import FORCE, POSE
 from gelforge.records.samplefile import SPLITS, TEST, TRAINING
-from tests.benchmarks.readme_pictures import outdated
-from tests.benchmarks.tables import BLOCK, CHOSEN, KEPT, PAGES, rendered
-from tests.support.parameters_page import page
+from tests.lint.parameters_page import page
+from tests.lint.readme_pictures import outdated
+from tests.lint.tables import BLOCK, CHOSEN, KEPT, PAGES, rendered
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "src" / "gelforge"
+TESTS = ROOT / "tests"
 
 # Each folder and the folders it may import from; everything may use `errors`. `flow` is files, parameters, make.
 ALLOWED: dict[str, set[str]] = {
@@ -38,6 +39,9 @@ ALLOWED: dict[str, set[str]] = {
     "live": {"flow", "records", "reading", "reporting", "formats"},
     "evidence": {"flow", "records", "geometry", "labelling", "reading"},
 }
+# Folders of tests, and those of tests that each may import from; of others what tests share.
+SHARED = {"support"}
+OF_TESTS = {"benchmarks": {"benchmarks", "support"}, "lint": {"lint", "support"}, "unit": {"lint", "support"}}
 ON_TOP = {"stages", "commands"}  # thin mains, which may use all of the above
 # Rooms of a folder, and the rooms that each may import from. Of mechanics scene, material and their like above them are for
 # all.
@@ -113,6 +117,12 @@ def wrong_imports() -> Iterator[str]:
             yield f"{name} imports a command: what both need is a library"
         if any(module.split(".")[0] == "tests" for module in imports(path)):
             yield f"{name} imports tests"
+    for path in TESTS.rglob("*.py"):
+        folder = path.relative_to(TESTS).parts[0]
+        used = {name.split(".")[1] for name in imports(path) if name.startswith("tests.")}
+        yield from (
+            f"tests/{path.relative_to(TESTS)} imports tests.{other}" for other in used - OF_TESTS.get(folder, SHARED)
+        )
     for folder, rooms in ROOMS.items():
         home = PACKAGE / folder
         if odd := folders_in(home) ^ rooms.keys():

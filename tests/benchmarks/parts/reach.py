@@ -12,8 +12,8 @@ from pathlib import Path
 
 import cv2
 
-from tests.benchmarks.figures import Figure
 from tests.support.feats_published import DEMO, publish
+from tests.support.figures import Figure
 from tests.support.foxglove_client import FoxgloveClient
 from tests.support.hub_server import hub
 from tests.support.waiting import HANG, wait_until

@@ -1,4 +1,4 @@
-"""A project folder of its own, for benchmarks and tests that run make for real."""
+"""A project folder of its own, for benchmarks and tests that run make for real, and small datasets in it."""
 
 import os
 import shutil
@@ -7,6 +7,9 @@ from collections.abc import Mapping
 from pathlib import Path
 from types import MappingProxyType
 
+from gelforge.flow.files import read_csv, write_csv, write_text
+
+ROOT = Path(__file__).resolve().parents[2]  # the project
 # What an outer make leaves in the environment of what it runs.
 OF_MAKE = ("MAKEFLAGS", "MAKELEVEL", "MFLAGS", "GNUMAKEFLAGS", "MAKE_TERMERR", "MAKE_TERMOUT")
 LINKED = ("Makefile", "rules", "src", "envs", ".venv", "pyproject.toml")
@@ -40,3 +43,27 @@ def make(
         stderr=subprocess.STDOUT,
         **options,
     )
+
+
+# Coarse and in-process: the flow is on trial here, not the mechanics.
+FAST = """
+[params.plan]
+shard_size = 2
+
+[params.fea]
+method = "draft"
+tolerance = 0.2
+"""
+
+
+def lay_dataset(project, root, name, count, overrides=FAST):
+    """Copy the first `count` presses of the demo log into data/NAME of a sandbox."""
+    demo, data = root / "data" / "demo", project / "data" / name
+    rows = read_csv(demo / "log.csv")[:count]
+    write_csv(data / "log.csv", list(rows[0]), rows)
+    base = (demo / "dataset.toml").read_text(encoding="utf-8").split("[params")[0]
+    write_text(data / "dataset.toml", base + overrides)
+    for row in rows:
+        (data / row["image"]).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(demo / row["image"], data / row["image"])
+    return data

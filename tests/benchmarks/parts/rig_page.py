@@ -9,9 +9,9 @@ from gelforge.flow.files import write_text
 from gelforge.reporting.page import Section, render
 from gelforge.virtualrig.bench import Pressing
 from gelforge.virtualrig.rigplan import Order
-from tests.benchmarks.figures import Figure
-from tests.benchmarks.films import frames_of
 from tests.benchmarks.rig import REFERENCE_UNIT, Rig, no_contact_pair, real_cuboid
+from tests.support.figures import Figure
+from tests.support.films import frames_of
 
 ENLARGED = 2
 SHOWN = 15  # presses of the plan

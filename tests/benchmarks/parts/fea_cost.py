@@ -15,7 +15,7 @@ from gelforge.records.status import Status
 from gelforge.sweeps.isolate import Clock, isolated, peak_mib
 from gelforge.sweeps.methods import warm_up
 from gelforge.sweeps.trial import cells_of
-from tests.benchmarks.figures import Figure
+from tests.support.figures import Figure
 
 FRAMES = 6
 # Sizes of hexahedra under the press and layers, from some 5 000 to some 200 000 unknowns on a 10 mm cuboid.

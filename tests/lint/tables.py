@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 from gelforge.flow.files import read_json, write_text
-from tests.benchmarks.figures import ROOT, digest_of_sources
+from tests.support.figures import ROOT, digest_of_sources
 
 PAGES = ("README.md", "workflow/guide/benchmarks.md")
 KEPT = ROOT / "results" / "benchmarks"

@@ -6,7 +6,6 @@ The level is uncertain by a quarter (circles are marked by hand, the diameter is
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
-from pathlib import Path
 
 import numpy as np
 
@@ -25,12 +24,11 @@ from gelforge.virtualrig.appearance import read_appearances
 from gelforge.virtualrig.bench import SETTINGS
 from gelforge.virtualrig.fields import RoughBody, Surface, body_of, field_of, surface_of
 from gelforge.virtualrig.render import Pressed, Renderer
-from tests.benchmarks.ball_presses import BallPress, ball_curve
-from tests.benchmarks.ball_table import DEPTHS
-from tests.benchmarks.figures import Figure
+from tests.benchmarks.parts.ball_presses import BallPress, ball_curve
+from tests.benchmarks.parts.ball_table import DEPTHS
+from tests.support.figures import ROOT, Figure
 
 FOLDER = "balls/unit_a"
-ROOT = Path(__file__).parents[2]
 BALLS_MM = (4.0, 6.0)
 # Where balls are pressed that the virtual rig draws: x, y and depth in mm.
 DRAWN = (

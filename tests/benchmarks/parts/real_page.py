@@ -23,10 +23,10 @@ from gelforge.reporting.forcemaps import (
     wrapped,
 )
 from gelforge.reporting.page import Section, render
-from tests.benchmarks.figures import Figure
-from tests.benchmarks.films import frames_of
-from tests.benchmarks.real import feats_maps
-from tests.benchmarks.rig_page import figure_table
+from tests.benchmarks.parts.rig_page import figure_table
+from tests.support.feats_film import feats_maps
+from tests.support.figures import Figure
+from tests.support.films import frames_of
 
 A_ROW = 2  # pictures side by side
 OF_THE_GIF = 12  # of FEATS' 51 presses
