@@ -143,7 +143,8 @@ def lay_profile(folder: Path, **settings) -> None:
     """Write the project's own profile."""
     values = {"memory_mb": 50, "time_minutes": 5, "visible_seconds": 3, **settings}
     text = "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
-    write_text(folder / "own.toml", f"[default]\n{text}[train]\noptions = []\ncores = 1\nmemory_mb = 50\n")
+    train = "[train]\noptions = []\ncores = 1\nmemory_mb = 50\n"
+    write_text(folder / "own.toml", f"[default]\n{text}[fea]\ntime_minutes = {values['time_minutes']}\n{train}")
 
 
 def start_make(folder: Path, lab: Cluster, *arguments: str, **environment: str) -> subprocess.Popen:
