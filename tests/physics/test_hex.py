@@ -1,6 +1,6 @@
 """The contact solver against laws of contact mechanics. Meshes are coarse: the laws hold on any of them."""
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -53,7 +53,6 @@ class Plate:
         return 30.0
 
 
-@dataclass(frozen=True)
 def ball(depth=1.0, dx=0.0, dy=0.0, x0=0.0, law="no_slip", mu=0.0, material=Material(), diameter=15.0):
     press = Press(x0, 0.0, 0.0, dx, dy, -depth)
     return Scene(Gel(), material, Sphere(diameter), press, Interface(law, mu))

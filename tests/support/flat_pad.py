@@ -16,6 +16,7 @@ class FlatPad(Gel):
         return np.zeros(np.broadcast(x, y).shape)
 
 
+@dataclass(frozen=True)
 class SlideThenPress(Press):
     """Slides with a gap in the first half of the press leg, then goes straight down."""
 
