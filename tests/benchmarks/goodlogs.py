@@ -13,7 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gelforge.evidence.forces import LogForces, of_labels
+from gelforge.evidence.forces import LogForces
+from gelforge.evidence.labels import of_labels
 from gelforge.flow.cli import command, option
 from tests.support.figures import Figure, publish_figures
 

@@ -1,4 +1,4 @@
-"""Twenty troubles of a lab, each put alone into a copy of the demo: does the flow name its cause before anything learns from it?
+"""Twenty-eight troubles of a lab, each put alone into a copy of the demo: does the flow name its cause before anything learns from it?
 
 The copy is labelled once. Each trouble then changes images, force readings or tables, and make runs to stage 60. What is said of the
 demo as it is, of FEATS' spheres and of real films is a false alarm.
@@ -9,22 +9,37 @@ import shutil
 import tempfile
 from argparse import Namespace
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.flow.cli import command, option
 from gelforge.flow.files import read_csv, read_toml, write_csv, write_text
+from gelforge.geometry.gel import USUAL_GEL, load_gel
+from gelforge.geometry.indenters import load_catalogue
+from gelforge.geometry.triangles import write_stl
+from gelforge.mechanics.ccx.program import need_ccx
+from gelforge.mechanics.material import Material
+from gelforge.mechanics.scene import Scene
+from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.reading.faults import log_image_fault, nocontact_fault
 from gelforge.reading.pair import NoContact
 from gelforge.records.film import numbered
 from gelforge.records.image import read_image, write_png
 from gelforge.records.nocontactimage import SETTLING, find_nocontact
+from gelforge.records.press import POSE, Press
+from gelforge.virtualrig.bench import SETTINGS
+from gelforge.virtualrig.fields import body_of, field_of, surface_of
+from gelforge.virtualrig.render import Pressed, Renderer
+from gelforge.virtualrig.rigplan import DrawnUnits
+from gelforge.virtualrig.units import draw_units
 from tests.support.figures import PUBLISHED_DATA, Figure, publish_figures
 from tests.support.films import frames_of
 from tests.support.sandbox import link_project, make
 
 DATA = Path("data/demo")
+WRAPPER = "ccx"  # of CalculiX, in a project that has one of its own
 SPHERES = "feats_sphere15"
 QUICK = '\n[params.fea]\nmethod = "draft"\n'  # as near to the demo's forces as its calibration is
 ORDINARY = "lies outside the image"  # as the labels note of every log with a press near the edge
@@ -87,16 +102,17 @@ def of_table(name: str, change: Callable[[str], str]) -> Change:
     return act
 
 
-def with_projection(degrees: float, scale: float) -> Change:
-    """Another projection of both sensors, turned and scaled about the image's middle."""
+def with_projection(degrees: float, scale: float, moved: float = 0.0) -> Change:
+    """Another projection of all sensors, turned and scaled about the image's middle, and moved by px along u."""
 
     def act(text: str) -> str:
-        for name in ("mini_a", "mini_e"):
-            table = read_toml(Path("workflow/sensors.toml"))[name]
+        tables = read_toml(Path("workflow/sensors.toml"))
+        for name in (name for name in tables if name.startswith("mini_")):
+            table = tables[name]
             turn, middle = np.deg2rad(degrees), np.array(table["image"]) / 2
             about = np.eye(3)
             about[:2, :2] = scale * np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
-            about[:2, 2] = middle - about[:2, :2] @ middle
+            about[:2, 2] = middle - about[:2, :2] @ middle + [moved, 0.0]
             other = (about @ np.array(table["projection"])).tolist()
             text = re.sub(rf"(?s)(\[{name}\].*?projection = )[^\n]*", rf"\g<1>{other}", text, count=1)
         return text
@@ -116,6 +132,83 @@ def exchanged(images: list[np.ndarray]) -> list[np.ndarray]:
 def black(images: list[np.ndarray]) -> list[np.ndarray]:
     images[5] = np.zeros_like(images[5])
     return images
+
+
+def faint(rows: Iterable[int] | None, strength: float) -> Change:
+    """Some images, or all, with a fraction of their change against the no-contact image."""
+
+    def act(project: Path) -> None:
+        log = read_csv(project / DATA / "log.csv")
+        for at in range(len(log)) if rows is None else rows:
+            rest = read_image(project / DATA / f"nocontact/{log[at]['sensor_id']}.png").astype(float)
+            path = project / DATA / log[at]["image"]
+            write_png(path, np.rint(rest + strength * (read_image(path) - rest)).astype(np.uint8))
+
+    return act
+
+
+def of_third_unit(project: Path) -> None:
+    """Two images as another unit shows the same presses."""
+    looks, sensors = draw_units(DrawnUnits("units.toml", 1, 0), USUAL_GEL, project / "workflow/rig", seed=3)
+    ((name, look),) = looks.items()
+    gel, bodies, log = (
+        load_gel(USUAL_GEL),
+        load_catalogue(project / "workflow/indenters.toml"),
+        read_csv(project / DATA / "log.csv"),
+    )
+    camera = Renderer(look, sensors[name].projection, gel)
+    for at in (6, 20):
+        press, body = Press(*(float(log[at][each]) for each in POSE)), bodies[log[at]["indenter"]]
+        straight = replace(press, dx=0.0, dy=0.0)
+        down, solved = HexSolver(SETTINGS).solve_frames(
+            [Scene(gel, Material(), body, one) for one in (straight, press)]
+        )
+        field = field_of(gel, surface_of(solved.solved_mesh, solved.displacement, press, down.displacement))
+        image = camera.image(field, Pressed(body_of(body, 0.0, 0.6, 0.0), press), np.random.default_rng(at))
+        write_png(project / DATA / log[at]["image"], image)
+
+
+def both(*changes: Change) -> Change:
+    def act(project: Path) -> None:
+        for change in changes:
+            change(project)
+
+    return act
+
+
+def from_stl(place: Callable[[np.ndarray], np.ndarray]) -> Change:
+    """A cylinder of the catalogue as an STL file whose vertices (n, 3) mm were placed by someone."""
+
+    def act(project: Path) -> None:
+        catalogue = project / "workflow/indenters.toml"
+        vertices, faces = load_catalogue(catalogue)["cylinder_8"].surface()
+        write_stl(project / "workflow/cylinder.stl", place(vertices), faces)
+        text = catalogue.read_text(encoding="utf-8")
+        write_text(
+            catalogue,
+            re.sub(r"(?s)\[cylinder_8\].*?(?=\n\[)", '[cylinder_8]\nkind = "stl"\nfile = "cylinder.stl"\n', text),
+        )
+
+    return act
+
+
+# CalculiX whose forces, at the top and at the base, are 5 % too large: in balance, and wrong.
+WRONG_CCX = """#!/bin/sh
+{program} "$1" || exit
+awk '/^ *forces/ {{ forces = 1 }} /^ *displacements/ {{ forces = 0 }}
+     forces && NF == 4 {{ printf "%10d %13.6E %13.6E %13.6E\\n", $1, $2 * 1.05, $3 * 1.05, $4 * 1.05; next }} 1' "$1.dat" > "$1.new"
+mv "$1.new" "$1.dat"
+"""
+
+
+def wrong_ccx(project: Path) -> None:
+    """Two presses by a CalculiX that computes otherwise."""
+    write_text(project / WRAPPER, WRONG_CCX.format(program=need_ccx()))
+    (project / WRAPPER).chmod(0o755)
+    rows = read_csv(project / DATA / "log.csv")
+    write_csv(project / DATA / "log.csv", list(rows[0]), rows[:2])
+    table = project / DATA / "dataset.toml"
+    write_text(table, table.read_text(encoding="utf-8").replace('method = "draft"', 'method = "ccx"'))
 
 
 def renamed(rows: list[dict[str, str]]) -> None:
@@ -155,6 +248,14 @@ TROUBLES: dict[str, tuple[Change, str]] = {
     "wrong indenter": (of_rows(renamed), "show the shape of triangle_10"),
     "diameter of an indenter a fifth too small": (of_table("workflow/indenters.toml", lambda text: text.replace(
         "[sphere_15]\nkind = \"sphere\"\ndiameter = 15\n", "[sphere_15]\nkind = \"sphere\"\ndiameter = 12\n")), "sphere_15.*(?:size|diameter)"),
+    "no imprint in any image": (faint(None, 0.0), "images show no imprint"),
+    "no imprint in three images": (faint((2, 6, 20), 0.0), r"its image shows \d+% of the imprint"),
+    "a third of the imprint in two images": (faint((6, 20), 0.33), r"its image shows \d+% of the imprint"),
+    "two images of a third unit": (of_third_unit, "markers at the rim|two sensors"),
+    "two images exchanged, projection moved": (both(of_pictures(exchanged), with_projection(0.0, 1.0, 20.0)), r"row 12 \(.*image of another row"),
+    "a body from STL that lies on its side": (from_stl(lambda xyz: xyz[:, [1, 2, 0]]), "it lies"),
+    "a body from STL beside its axis": (from_stl(lambda xyz: xyz + [4.0, 4.0, 0.0]), "beside the axis"),
+    "a CalculiX that computes 5 % too much": (wrong_ccx, "in process"),
     "gel a fifth too thin": (of_table("workflow/sensors.toml", lambda text: re.sub(
         r"(?s)(\[mini_[ae]\][^\n]*\ngel = \"gelsight_mini)\"", r'\1-3.2mm"', text)), "thick"),
 }  # fmt: skip
@@ -162,7 +263,8 @@ TROUBLES: dict[str, tuple[Change, str]] = {
 
 def said_of(project: Path, goal: str = "dataset", dataset: str = "demo") -> list[str]:
     """What make says of a dataset up to a goal, one sentence each."""
-    done = make(project, goal, f"DATASET={dataset}")
+    own = {"CCX": str(project / WRAPPER)} if (project / WRAPPER).exists() else {}
+    done = make(project, goal, f"DATASET={dataset}", environment=own)
     said = [one for one in SAID.findall(done.stdout) if ORDINARY not in one]
     if done.returncode and not said:
         raise RuntimeError(f"make {goal} failed:\n{done.stdout[-2000:]}")
@@ -230,7 +332,7 @@ def main(args: Namespace) -> None:
     publish_figures(
         args.out,
         [
-            Figure(f"troubles of {len(tried)} named by their cause", named, ">=", 17, "", f"not named: {unnamed or 'none'}"),
+            Figure(f"troubles of {len(tried)} named by their cause", named, ">=", len(tried) - 1, "", f"not named: {unnamed or 'none'}"),
             Figure("false alarms on the demo", len(of_demo), "<=", 0, "", " | ".join(of_demo)),
             Figure("false alarms on FEATS' spheres", len(of_spheres), "<=", 0, "", " | ".join(of_spheres)),
             Figure(f"false alarms on {films} real films", len(of_films), "<=", 0, "", " | ".join(of_films)),

@@ -12,8 +12,9 @@ import numpy as np
 from tqdm import tqdm
 
 from gelforge.errors import BadInput
-from gelforge.evidence.forces import LogForces, of_labels
+from gelforge.evidence.forces import LogForces
 from gelforge.evidence.images import row_list
+from gelforge.evidence.labels import of_labels
 from gelforge.evidence.logimages import LogImages
 from gelforge.flow.cli import stage
 from gelforge.flow.files import alone, digest_of, listed, publish, read_json, write_csv, write_json, write_text

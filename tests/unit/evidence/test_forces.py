@@ -6,7 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from gelforge.evidence.forces import Fitted, LogForces, drift, mean_forces, of_labels, of_log, of_readings, sideways
+from gelforge.evidence.forces import Fitted, LogForces, drift, mean_forces, of_log, of_readings, sideways
+from gelforge.evidence.labels import of_labels
 from gelforge.stages.calibrate import calibrate, evidence_of
 from tests.support.calibration_law import PARAMS, law_session
 from tests.support.parameters import with_values
@@ -87,6 +88,17 @@ def test_an_axis_that_the_sensor_lacks_is_named():
         single = log_of(with_force(session, session.force * kept))
         assert said in sideways(single)
         assert [said in line for line in of_labels(single, label, names)] == [True]
+
+
+def test_presses_without_a_path_whose_sideways_forces_are_a_drag_s_are_named():
+    session, label, names = labelled(0)
+    straight = replace(log_of(session), path=np.zeros((len(session.force), 2)))
+    free = label * [0.0, 0.0, 1.0]
+    assert ["dx_mm and dy_mm are 0 in all presses" in line for line in of_labels(straight, free, names)] == [True]
+    for share in (0.02, -0.05):  # a body's sides, a tilt of the force sensor
+        still = session.force[:, 2:] * [share, -share, 1.0]
+        assert of_labels(replace(straight, force=still), free, names) == []
+    assert of_labels(replace(straight, force=straight.force * [0.0, 0.0, 1.0]), free, names) == []
 
 
 def test_readings_that_stay_as_they_were_or_end_at_a_limit_are_named():
