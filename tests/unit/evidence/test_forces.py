@@ -174,7 +174,7 @@ def test_labels_name_the_trouble_and_of_a_clean_session_nothing(seed):
         change, said = TROUBLES[name]
         (line,) = of_labels(log_of(with_force(session, change(session.force))), label, names)
         assert re.search(said, line), name
-    for name, factor in (("ball", 1.35), ("cube", 0.7)):
+    for name, factor in (("ball", 1.3), ("bar", 0.8)):
         wrong = session.force * np.where(names == name, factor, 1.0)[:, None]
         (line,) = of_labels(log_of(with_force(session, wrong)), label, names)
         assert f"Forces of {name} are" in line

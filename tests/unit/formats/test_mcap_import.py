@@ -295,20 +295,27 @@ def test_fields_that_a_message_lacks_and_films_without_a_beginning_are_named(tmp
         list(pictures([message], {0}, "a.mcap: topic /gel/image"))
 
 
-def test_forces_of_another_unit_are_named_by_what_the_shipped_network_reads(tmp_path, root, capsys, monkeypatch):
-    """Counts (-284 N) and pounds-force passed without a word."""
+def test_forces_of_another_unit_or_axis_are_named_by_what_the_shipped_network_reads(
+    tmp_path, root, capsys, monkeypatch
+):
+    """Counts (-284 N), pounds-force and exchanged axes passed without a word."""
     monkeypatch.chdir(root)
     rows = [row for row in read_csv(root / "data/demo/log.csv") if row["sensor_id"] == "mini_a"][:14]
     rest = read_image(root / "data/demo/nocontact/mini_a.png")
     pressed = [
         (read_image(root / "data/demo" / row["image"]), [float(row[f"f{axis}_n"]) for axis in "xyz"]) for row in rows
     ]
-    for factor, said in ((1.0, ""), (1 / 4.448, "pounds-force"), (40.0, "not in newtons")):
+    for factor, said in (
+        (1.0, ""),
+        (1 / 4.448, "pounds-force"),
+        (40.0, "not in newtons"),
+        ("axes", "fx_n follows the normal force"),
+    ):
         images, forces = [], []
         for k, (image, force) in enumerate([(rest, (0.0, 0.0, 0.0)), *pressed]):
             time = START + 100 * MS * k
             images.append((time, {"header": ros.header(time, "gel"), **png(image)}))
-            x, y, z = (factor * value if k else 0.0 for value in force)
+            x, y, z = force[::-1] if factor == "axes" else (factor * value if k else 0.0 for value in force)
             forces.append((time, wrench(time, max(z, -499.0), x=x, y=y)))
         path = write(tmp_path / f"{factor}.mcap", images, forces)
         write_text(tmp_path / "topics.toml", f'image = "{IMAGE}"\nwrench = "{WRENCH}"\n')
