@@ -116,12 +116,19 @@ def misplaced(force: np.ndarray, predicted: np.ndarray) -> str | None:
 
 
 def unit(measured: np.ndarray, predicted: np.ndarray, where: str = "fz_n and dz_mm in the log") -> str | None:
-    """Forces (n,) several times as large or as small as predicted ones; the unit that would explain it is named."""
+    """Forces (n,) several times as large or as small as predicted ones: by a constant force, else by a unit, which is named."""
     if not len(measured):
         return None
     ratio = float(np.median(np.abs(measured) / predicted))
     if 1.0 / SEVERAL < ratio < SEVERAL or not ratio:
         return None
+    large = predicted > np.median(predicted)
+    if len(measured) >= FEWEST and large.any():
+        apart = [float(np.median(each[large]) - np.median(each[~large])) for each in (measured, predicted)]
+        slope = apart[0] / apart[1]
+        beyond = float(np.median(measured - slope * predicted))
+        if 1.0 / SEVERAL < slope < SEVERAL and abs(beyond) > float(np.median(predicted)):
+            return f"Forces are {beyond:+.1f} N beyond what is usual, in large presses as in small ones: {HINT}."
     name, of = min(UNITS.items(), key=lambda pair: abs(np.log(ratio * pair[1])))
     said = f"{ratio:.3g} times" if ratio > 1.0 else f"1/{1.0 / ratio:.3g} of"
     like = f", as where they are in {name} (1 is {of:g} N)" if abs(np.log(ratio * of)) < np.log(ALIKE) else ""

@@ -200,6 +200,8 @@ BESIDE_LABELS = {
     "a quarter of the press before": (lambda f: 0.75 * f + 0.25 * np.vstack([f[:1], f[:-1]]), r"Readings hold [23]\d % of the force"),
     "a stiffer gel halfway": (lambda f: f * np.where(np.arange(len(f)) < len(f) // 2, 1.0, 1.25)[:, None], r"From press 13 .* are 1.2\d times"),
     "a softer gel halfway": (lambda f: f * np.where(np.arange(len(f)) < len(f) // 2, 1.0, 0.8)[:, None], r"From press 13 .* are 0.8\d? times"),
+    "weight of a tool": (lambda f: f - [0.0, 0.0, 20.0], r"Forces are [+](19|2\d).\d N beyond what is usual"),
+    "weight that lifts": (lambda f: f + [0.0, 0.0, 30.0], r"Forces are -[23]\d.\d N beyond what is usual"),
     "small tare": (lambda f: f - [0.0, 0.0, 0.4], r"constant force of -0.\d+ N along z"),
 }  # fmt: skip
 
