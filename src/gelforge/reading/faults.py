@@ -15,7 +15,7 @@ from gelforge.reading.frame import BLUE_FIRST
 from gelforge.reading.light import Light, match_light
 from gelforge.reading.markers import MarkerTracker, Tracks, grey_of
 from gelforge.reading.pair import NoContact, Prepared
-from gelforge.reading.touch import bends, touch_fault, touch_of
+from gelforge.reading.touch import touch_fault, touch_of
 
 Limits = Mapping[str, float]
 TOUCH_MARGIN = 1.1  # beyond the most of the no-contact images that a network learnt beside
@@ -220,6 +220,16 @@ def rimless_signs(tracks: Tracks) -> MarkerSigns:
     fraction = OTHER_LOOK_ALIKE_FRACTION if other_look > OTHER_LOOK else ALIKE_FRACTION
     least, most = np.quantile(moved, (0.1, 0.9)).tolist()
     return MarkerSigns(alike_px=least if least > fraction * most else 0.0, other_look=other_look)
+
+
+def bends(moved: np.ndarray) -> np.ndarray:
+    """How far places (3, rows, cols), the third 1 where there is one, depart from the middle of two neighbours', (n,) px."""
+    found = []
+    for rows in (moved, moved.transpose(0, 2, 1)):
+        known = (rows[2, :, :-2] > 0) & (rows[2, :, 1:-1] > 0) & (rows[2, :, 2:] > 0)
+        beside = rows[:2, :, 1:-1] - (rows[:2, :, :-2] + rows[:2, :, 2:]) / 2
+        found.append(np.hypot(*beside[:, known]))
+    return np.concatenate(found)
 
 
 def unevenness(motion: np.ndarray) -> float:
