@@ -15,7 +15,7 @@ from gelforge.reading.frame import BLUE_FIRST
 from gelforge.reading.light import Light, match_light
 from gelforge.reading.markers import MarkerTracker, Tracks, grey_of
 from gelforge.reading.pair import NoContact, Prepared
-from gelforge.reading.touch import touch_fault, touch_of
+from gelforge.reading.untouched import touch_fault, touch_of
 
 Limits = Mapping[str, float]
 TOUCH_MARGIN = 1.1  # beyond the most of the no-contact images that a network learnt beside

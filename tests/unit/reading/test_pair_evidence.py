@@ -23,7 +23,7 @@ from gelforge.reading.markers import COLS, ROWS, MarkerTracker, Tracks, markers_
 from gelforge.reading.pair import Preprocessor
 from gelforge.reading.predictor import Predictor, load_for_use
 from gelforge.reading.profile import Gain
-from gelforge.reading.touch import touch_of
+from gelforge.reading.untouched import touch_of
 from gelforge.records.image import read_image
 from gelforge.records.log import read_presses
 from tests.support.pictures import moved
