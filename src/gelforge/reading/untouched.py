@@ -15,7 +15,12 @@ from gelforge.reading.markers import Markers, dark_spots
 # Signs of touch, both of which must be beyond. Of 108 clean no-contact images of drawn units 3 % are, of 4 real ones at rest none, of the
 # starts of 40 real films one, which shows a stain; of 245 presses of 0.5 N and more, drawn on 22 units and real, none is not.
 UNEVEN, COLOURED = 0.075, 3.2
-WIDTH, RIM, CELL = 320.0, 12, 4  # px of width at which is looked, of its border that is left out, and of a place
+WIDTH, LEAST_WIDTH, RIM, CELL = (
+    320.0,
+    160,
+    12,
+    4,
+)  # px of width at which is looked, and that an image has at least; of its border that is left out, and of a place
 SPOT, SPOT_MARGIN, INK = 25, 7, 0.15  # px, larger than a dark spot and left out around one; how much darker it is
 SMOOTH, ORDER, ROUNDS = 2.0, 6, 8  # px; of the polynomial; of the fit
 SHOWN, DARK, LEAST_SCATTER, LEAST_HUE = (
@@ -54,6 +59,8 @@ def touch_signs(nocontact: np.ndarray, markers: Markers, shown: tuple[slice, sli
     import cv2
 
     seen = nocontact[shown]
+    if seen.shape[1] < LEAST_WIDTH:  # too coarse to show more than noise between its markers
+        return TouchSigns(0.0, 0.0)
     gel = np.ones(nocontact.shape[:2], np.uint8)
     for u, v in markers.points.astype(int).tolist():
         cv2.circle(gel, (u, v), int(0.9 * markers.diameter) + 3, 0, -1)
