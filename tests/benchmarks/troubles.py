@@ -253,7 +253,7 @@ TROUBLES: dict[str, tuple[Change, str]] = {
     "a third of the imprint in two images": (faint((6, 20), 0.33), r"its image shows \d+% of the imprint"),
     "two images of a third unit": (of_third_unit, "markers at the rim|two sensors"),
     "two images exchanged, projection moved": (both(of_pictures(exchanged), with_projection(0.0, 1.0, 20.0)), r"row 12 \(.*image of another row"),
-    "a body from STL that lies on its side": (from_stl(lambda xyz: xyz[:, [1, 2, 0]]), "it lies"),
+    "a body from STL that lies on its side": (from_stl(lambda xyz: (xyz * [1.0, 1.0, 2.0])[:, [1, 2, 0]]), "it lies"),
     "a body from STL beside its axis": (from_stl(lambda xyz: xyz + [4.0, 4.0, 0.0]), "beside the axis"),
     "a CalculiX that computes 5 % too much": (wrong_ccx, "in process"),
     "gel a fifth too thin": (of_table("workflow/sensors.toml", lambda text: re.sub(

@@ -28,10 +28,11 @@ from gelforge.evidence.forces import (
 )
 
 ENOUGH = 12  # presses that a constant force or a drift beside labels needs
+MANY = 18  # presses from which on the errors of a constant force are themselves known
 OF_ONE = 3  # presses of one indenter that are compared with those of all others
 OTHER_FORCE = 1.15  # the factor by which their forces then differ at least
 OTHER_POWER = 0.05  # by which forces grow with another power of labels where the gel has another thickness
-SURE_OF_THICKNESS = 3.5  # standard errors of it, which are never taken to be smaller than those of a scatter of 5 %
+SURE_OF_THICKNESS = 3.7  # standard errors of it, which are never taken to be smaller than those of a scatter of 5 %
 NEARLY = 1.5  # ratio of the sums of squares that two causes leave, within which both are named
 STUCK, DIFFERS = 3, 0.3  # presses that read the same, and the fraction by which their labels differ
 SPLITS = 25  # places of a log at which its gel may have been changed, tried at a time
@@ -269,7 +270,7 @@ def _moved(log: LogForces, label: np.ndarray, felt: np.ndarray, bench: Fit) -> s
     for axis, (per_press, error) in drifts.items():
         if abs(per_press) > SURE * error and abs(per_press) * np.ptp(felt) > 2 * LEAST_N:
             return drift_text(axis, per_press, np.ptp(felt))
-    return constant(dict(sorted(constants.items())))
+    return constant(dict(sorted(constants.items())), SURE * max(1.0, MANY / len(felt)))
 
 
 def _one_indenter(log: LogForces, felt: np.ndarray, names: np.ndarray, bench: Fit) -> str | None:
