@@ -44,7 +44,7 @@ def test_units_and_sign_of_a_factor(factor, count, seed):
     gain = fit_gain(factor * read, read)
     assert gain.low < gain.value < gain.high and gain.readings == count
     assert min(1.0, factor) - 0.01 <= gain.value <= max(1.0, factor) + 0.01
-    assert abs(np.log(gain.value) - np.log(factor)) <= 2.5 * abs(np.log(factor)) / (1 + count) + 0.005
+    assert abs(np.log(gain.value) - np.log(factor)) <= 1.3 * abs(np.log(factor)) / (1 + count) + 0.005
 
 
 def test_the_interval_holds_what_it_says():
