@@ -13,16 +13,8 @@ from gelforge.commands.mcap import doubts_of_forces
 from gelforge.errors import BadInput
 from gelforge.flow.cli import command, option, positive
 from gelforge.flow.files import read_toml
-from gelforge.formats.benchfiles import (
-    Aligned,
-    Images,
-    Setup,
-    align,
-    nocontact_of,
-    read_gauge,
-    read_path,
-    write_dataset,
-)
+from gelforge.formats.benchfiles import Images, read_gauge, read_path
+from gelforge.formats.benchlog import Aligned, Setup, align, nocontact_of, write_dataset
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors
