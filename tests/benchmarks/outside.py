@@ -14,8 +14,8 @@ from pathlib import Path
 from gelforge.errors import BadInput
 from gelforge.flow.cli import command, option
 from gelforge.stages import challenge
+from tests.support.debian_python import PROGRAM, PYTHON, has_getfem
 from tests.support.figures import Figure, publish_figures
-from tests.support.getfem import PROGRAM, PYTHON, has_getfem
 
 GOALS = ("sphere_1mm", "cuboid_round", "cylinder", "pyramid", "cuboid_shear", "sloping_cuboid", "triple_triangle")
 SHARP = ("cuboid_sharp", "punch")  # no goal: their references still move where elements are halved

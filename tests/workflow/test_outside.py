@@ -9,7 +9,7 @@ import pytest
 from gelforge.flow.files import read_json
 from gelforge.geometry.indenters import build
 from gelforge.stages import challenge
-from tests.support.getfem import PROGRAM, PYTHON, has_getfem
+from tests.support.debian_python import PROGRAM, PYTHON, has_getfem
 from tests.support.parameters import place_workflow
 
 COARSE = """

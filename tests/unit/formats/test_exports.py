@@ -51,7 +51,7 @@ WRITES_ALL = """
 from pathlib import Path
 import sys
 from gelforge.commands.export import FORMATS, export
-from tests.support.exported import LEROBOT, READERS, lay, opened_by_lerobot
+from tests.support.exported import READERS, lay
 samples = lay(Path(sys.argv[1]), 4)
 for form in FORMATS:
     export(samples, form, Path(sys.argv[1]) / f"{form}{READERS[form][0]}")
