@@ -20,10 +20,8 @@ from gelforge.reading.faults import likeness
 
 # Limits of the imprints. Of the rig's presses 0.79 to 0.97 are alike to what is expected (median 0.91), of real presses of a ball 0.9 to
 # 0.97; contacts lie within 0.2 mm of their poses in the median, and are 1.04 to 1.09 times as large as expected.
-LEAST_CHANGE, WEAK = (
-    8.0,
-    0.45,
-)  # of an imprint beside the slope that its depth makes, and beside the usual one of its sensor
+# Of an imprint: beside the slope that its depth makes, and beside the usual one of its sensor.
+LEAST_CHANGE, WEAK = 8.0, 0.45
 # Of the rim's markers in an image: how far they may have moved, as a fraction of their distance, and how many may look otherwise; more
 # where a quarter of a sensor's images have half as much. Of 48 presses of the rig none is beyond, of images of other units in light
 # that suits four of five.

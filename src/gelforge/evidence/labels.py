@@ -36,23 +36,16 @@ SURE_OF_THICKNESS = 3.7  # standard errors of it, which are never taken to be sm
 NEARLY = 1.5  # ratio of the sums of squares that two causes leave, within which both are named
 STUCK, DIFFERS = 3, 0.3  # presses that read the same, and the fraction by which their labels differ
 SPLITS = 25  # places of a log at which its gel may have been changed, tried at a time
-DRAGGED, OFTEN = (
-    0.12,
-    0.5,
-)  # of the normal force, that a straight press does not give sideways; fraction of the presses
+# Fraction of the normal force that a straight press does not give sideways; fraction of the presses that have it.
+DRAGGED, OFTEN = 0.12, 0.5
 LAGGING = 0.15  # of the force of the press before, that a reading may hold
-TOUCH_MM, COMPLIANCE, OWN = (
-    0.03,
-    0.01,
-    0.03,
-)  # mm, mm/N, fraction: of touch, a frame and an indenter's forces, before a calibration
+# Before a calibration: touch, mm; a frame that yields, mm/N; an indenter's forces, as a fraction.
+TOUCH_MM, COMPLIANCE, OWN = 0.03, 0.01, 0.03
 USUAL_POWER, WIDE = 1.6, 0.5  # of depth, by which force grows; range of ln depth from which on labels show it
 LEAST_LEFT = 0.05  # of a depth, where the frame yields
 OFFSETS, STIFF_ENOUGH = (-0.6, 0.6), 0.1  # mm that touch may be missed by, mm/N that a frame yields at most
-SURE_OF_INDENTER, NEARER = (
-    4.0,
-    1.1,
-)  # standard errors of its factor; of two causes, by how much one must leave less to be the likelier
+# Standard errors of an indenter's factor; of two causes, by how much one must leave less to be the likelier.
+SURE_OF_INDENTER, NEARER = 4.0, 1.1
 MISSED_MM = 0.15  # of touch: five times what is usual
 
 Fit = Callable[[], "_Bench"]  # of the bench, made once where a cause asks for it

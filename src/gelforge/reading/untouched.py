@@ -15,20 +15,12 @@ from gelforge.reading.markers import Markers, dark_spots
 # Signs of touch, both of which must be beyond. Of 108 clean no-contact images of drawn units 3 % are, of 4 real ones at rest none, of the
 # starts of 40 real films one, which shows a stain; of 245 presses of 0.5 N and more, drawn on 22 units and real, none is not.
 UNEVEN, COLOURED = 0.075, 3.2
-WIDTH, LEAST_WIDTH, RIM, CELL = (
-    320.0,
-    160,
-    12,
-    4,
-)  # px of width at which is looked, and that an image has at least; of its border that is left out, and of a place
+# px: the width to which an image is reduced, and the least that it has itself; of a border that is left out, and of a place.
+WIDTH, LEAST_WIDTH, RIM, CELL = 320.0, 160, 12, 4
 SPOT, SPOT_MARGIN, INK = 25, 7, 0.15  # px, larger than a dark spot and left out around one; how much darker it is
 SMOOTH, ORDER, ROUNDS = 2.0, 6, 8  # px; of the polynomial; of the fit
-SHOWN, DARK, LEAST_SCATTER, LEAST_HUE = (
-    0.2,
-    8.0,
-    0.006,
-    0.2,
-)  # of a place that is gel; levels added to all; of a fit; levels
+# Of a place, the fraction that is gel; levels added to all, which a logarithm needs; the least scatter of a fit; levels of hue.
+SHOWN, DARK, LEAST_SCATTER, LEAST_HUE = 0.2, 8.0, 0.006, 0.2
 
 
 @dataclass(frozen=True)
@@ -102,7 +94,7 @@ def touch_of(nocontact: np.ndarray, markers: Markers, shown: tuple[slice, slice]
     return min(signs.uneven / UNEVEN, signs.coloured / COLOURED)
 
 
-def touch_fault(nocontact: np.ndarray, markers: Markers, shown: tuple[slice, slice], most: float = 1.0) -> str:
+def touch_fault(nocontact: np.ndarray, markers: Markers, shown: tuple[slice, slice], most: float) -> str:
     """The sign that something touches a sensor in its no-contact image, beyond `most` of `touch_of`; empty where nothing does."""
     if touch_of(nocontact, markers, shown) <= most:
         return ""
