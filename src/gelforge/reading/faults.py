@@ -460,8 +460,8 @@ def first_fault(seen: Prepared, limits: Limits, coloured: bool, normal: float, o
     pair = None if seen.fault else pair_signs(seen)
     return (
         seen.fault
-        or ("the image shows nothing: it is dark, covered or of one colour" if is_blank(seen.image) else "")
-        or grey_fault(seen.image, coloured)
+        or ("the image shows nothing: it is dark, covered or of one colour" if is_blank(seen.shown) else "")
+        or grey_fault(seen.shown, coloured)
         or of_nocontact
         or wear_fault(seen)
         or crowd_fault(seen)

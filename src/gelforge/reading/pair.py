@@ -156,6 +156,11 @@ class Prepared:
     nocontact: NoContact | None
 
     @property
+    def shown(self) -> np.ndarray:
+        """What of `image` the camera shows: (h', w', 3) without the margin that a narrow view leaves."""
+        return self.image if self.nocontact is None else self.image[self.nocontact.frame.shown]
+
+    @property
     def vanished(self) -> int:
         """How many markers only the image or only the no-contact image shows; they are painted over in `lit` and in `nocontact`."""
         return 0 if self.change is None else len(self.change.places)

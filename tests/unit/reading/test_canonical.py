@@ -181,14 +181,22 @@ def test_a_picture_is_flagged_for_its_shape_and_not_for_its_size(shipped, nocont
     assert "of another shape" in Predictor(shipped, rest).predict(np.ascontiguousarray(press[:, :240])).reason
 
 
-def test_a_monochrome_picture_is_flagged_with_what_to_do(shipped, nocontact):
-    """It was read a third too high, without a word."""
-    rest, image = nocontact[0], pressed(nocontact[0], 0.05, 3)
+@pytest.mark.parametrize("view", ["whole", "narrow"])
+def test_a_picture_without_colour_is_flagged_with_what_to_do(shipped, nocontact, view):
+    """It was read a third too high without a word, and by a camera of a narrow view three times: the margin has colour."""
+    part = (slice(None), slice(None)) if view == "whole" else (slice(34, 206), slice(46, 274))
+    rest, image = (
+        cv2.resize(np.ascontiguousarray(one[part]), (320, 240))
+        for one in (nocontact[0], pressed(nocontact[0], 0.05, 3))
+    )
     grey = [np.repeat(cv2.cvtColor(one, cv2.COLOR_RGB2GRAY)[..., None], 3, axis=2) for one in (rest, image)]
-    for beside in (rest, grey[0]):
-        found = Predictor(shipped, beside).predict(grey[1])
+    predictor = Predictor(shipped, rest)
+    assert (predictor.prepare.frame.zoom < 0.8) == (view == "narrow")
+    for found in (predictor.predict(grey[1]), Predictor(shipped, grey[0]).predict(grey[1])):
         assert found.flag and "monochrome" in found.reason and "set the camera to colour" in found.reason
-    assert "monochrome" not in Predictor(shipped, rest).predict(image).reason
+    for level in (0, 120):
+        assert "dark, covered or of one colour" in predictor.predict(np.full_like(image, level)).reason
+    assert "monochrome" not in predictor.predict(image).reason
 
 
 def test_force_does_not_jump_where_a_press_begins(shipped, root):
