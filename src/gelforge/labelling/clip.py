@@ -87,7 +87,8 @@ def _cut_to_cells(
                     owner[found], cell[found], corners[found] = at, row * (len(u_edges) - 1) + col, count
                     found, widest = found + 1, max(widest, count)
     for piece in range(found):
-        pieces[piece, corners[piece] : widest] = pieces[piece, corners[piece] - 1]
+        for corner in range(corners[piece], widest):
+            _copy(pieces[piece], corners[piece] - 1, pieces[piece], corner)
     return owner[:found], cell[:found], pieces[:found, :widest]
 
 
@@ -102,11 +103,18 @@ def _cut(corners: np.ndarray, count: int, axis: int, bound: float, sign: float, 
         after = at + 1 if at + 1 < count else 0
         height, next_height = sign * (corners[at, axis] - bound), sign * (corners[after, axis] - bound)
         if height >= 0.0:
-            kept[number] = corners[at]
+            _copy(corners, at, kept, number)
             number += 1
         if (height >= 0.0) != (next_height >= 0.0):
             part = height / (height - next_height)
-            kept[number] = corners[at] + part * (corners[after] - corners[at])
+            for i in range(2):
+                kept[number, i] = corners[at, i] + part * (corners[after, i] - corners[at, i])
             kept[number, axis] = bound
             number += 1
     return number
+
+
+@njit(inline="always")
+def _copy(source: np.ndarray, row: int, target: np.ndarray, at: int) -> None:
+    """Copy a corner; said as `target[at] = source[row]` the compiler adds checks of shapes, which take it seconds."""
+    target[at, 0], target[at, 1] = source[row, 0], source[row, 1]
