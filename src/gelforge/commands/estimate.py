@@ -29,8 +29,8 @@ from gelforge.records.samplefile import read_samples
 from gelforge.stages.train import resolve
 
 # Processor seconds of a press straight down, by method, and of one that is dragged over one that is not.
-MEASURED = {"draft": 0.8, "label": 2.0, "fine": 12.0, "ccx": 5.0, "auto": 2.0}
-DRAGGED = 3.0
+MEASURED = {"draft": 0.6, "label": 1.4, "fine": 27.0, "ccx": 5.7, "auto": 2.0}
+DRAGGED = 1.5
 # The same of a row in the other stages, and of the start of a process; of a calibration and of a page.
 EACH = {
     layout.POSES: 7e-3,
