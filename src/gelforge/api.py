@@ -4,6 +4,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import wraps
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, ParamSpec, TypeVar
 
 import numpy as np
@@ -19,6 +20,7 @@ from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.scene import Interface, Scene
 from gelforge.records.press import Press
 
+PARAMETERS = Path(__file__).parent / "flow"  # where an installed package has params.toml
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -120,7 +122,8 @@ def solve(
         c10: stiffness of the neo-Hookean gel, MPa.
         nu: its Poisson's ratio, from 0 to below 0.5.
         friction: Coulomb's coefficient between indenter and gel, from 0; None: points that touch stick.
-        method: "fine", "label" or "draft": hexahedra, slow to fast.
+        method: "draft", "label" or "fine": hexahedra, fast to slow; "ccx": CalculiX, which must be on PATH; "auto": the first of
+            draft, label, ccx that states an error within 4 %.
         gels: file of gels of your own, such as workflow/gels.toml; `gel` may then name one of them.
 
     Returns:
@@ -130,16 +133,14 @@ def solve(
         BadInput: an argument that has no meaning; the message names it.
         GelforgeError: the press has no solution; the message says why.
     """
-    from gelforge.flow.tables import IN_PROCESS, SOFTEST, STIFFEST
+    from gelforge.flow.tables import METHODS, SOFTEST, STIFFEST
 
     if not (_finite(c10, nu) and SOFTEST <= c10 <= STIFFEST and 0.0 <= nu < 0.5):
         raise BadInput(
             f"gelforge.solve: c10 = {c10!r}, nu = {nu!r}: give c10 from {SOFTEST:g} to {STIFFEST:g} MPa and nu from 0 to below 0.5"
         )
-    if method not in IN_PROCESS:
-        raise BadInput(
-            f"gelforge.solve: method = {method!r}: choose {', '.join(IN_PROCESS)}; CalculiX and `auto` solve by make (README)"
-        )
+    if method not in METHODS:
+        raise BadInput(f"gelforge.solve: method = {method!r}: choose {', '.join(METHODS)}")
     if friction is not None and not (_finite(friction) and friction >= 0.0):
         raise BadInput(
             f"gelforge.solve: friction = {friction!r}: give a coefficient from 0 on, or None where points stick"
@@ -150,20 +151,24 @@ def solve(
             f"gelforge.solve: depth = {depth!r}, at = {at!r}, shear = {shear!r}, rot_deg = {rot_deg!r}: give finite numbers, two "
             "of them, along gel x and y, for at and for shear, and a depth in mm from 0 on, positive into the gel"
         )
-    from gelforge.mechanics.hexsettings import quality
-    from gelforge.mechanics.solvers.hex import HexSolver
+    from gelforge.flow.params import load_params
+    from gelforge.mechanics.mesh.names import load_mesh
+    from gelforge.mechanics.solve import Solvers
 
     body = _body(indenter)
     interface = Interface() if friction is None else Interface.of_friction(float(friction))
     press = Press(at[0], at[1], 0.0, shear[0], shear[1], -depth, rot_deg)
-    with gels_from(gels):
-        result = HexSolver(quality(method)).solve(Scene(load_gel(gel), Material(nu), body, press, interface))
-        mesh = result.mesh_name.mesh() if result.mesh_name else None
-    if not result.status.valid or mesh is None:
-        raise GelforgeError(f"the press was not solved: {result.evidence.get('reason') or result.status.value}")
+    with gels_from(gels), TemporaryDirectory() as workdir:
+        solvers = Solvers(workdir, load_params(PARAMETERS).fea)
+        result = solvers.solve(Scene(load_gel(gel), Material(nu), body, press, interface), method)
+        if not (result.status.valid and result.evidence.get("mesh")):
+            raise GelforgeError(f"the press was not solved: {result.evidence.get('reason') or result.status.value}")
+        mesh = load_mesh(result.evidence["mesh"])
     stiffer = c10 / REFERENCE_C10  # exactly so: the solid's stress is proportional to C10
     forces, error_n = stiffer * result.forces, stiffer * result.error_n
-    return SolvedPress(gel, mesh, forces, result.displacement, error_n, result.evidence, body.name, method)
+    return SolvedPress(
+        gel, mesh, forces, result.displacement, error_n, result.evidence, body.name, result.evidence["method"]
+    )
 
 
 def _body(indenter: Indenter | dict[str, Any] | str) -> Any:

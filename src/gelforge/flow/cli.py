@@ -31,9 +31,8 @@ UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT
 EXTRAS = {
     **dict.fromkeys(("scipy", "numba", "pydantic", "annotated_types"), "solve"),
     "matplotlib": "plot",
-    **dict.fromkeys(
-        ("pypardiso", "pymeshlab", "pyvista", "vtk", "vtkmodules", "emcee", "arviz_stats", "corner", "jinja2"), "flow"
-    ),
+    **dict.fromkeys(("pymeshlab", "pyvista", "vtk", "vtkmodules"), "stl"),
+    **dict.fromkeys(("pypardiso", "emcee", "arviz_stats", "corner", "jinja2"), "flow"),
     **dict.fromkeys(("torch", "safetensors", "tqdm"), "train"),
     **dict.fromkeys(("mcap_ros2", "mcap_protobuf", "av", "pyarrow", "h5py"), "exports"),
     **dict.fromkeys(("foxglove", "mcap", "rosbags"), "live"),
