@@ -85,14 +85,22 @@ def gif_figures(own: list[np.ndarray], of_feats: list[np.ndarray]) -> list[Figur
     ]  # fmt: skip
 
 
-def newton_figures(own: list[np.ndarray], of_feats: np.ndarray) -> list[Figure]:
-    """Total normal force against FEATS' maps in newtons; of_feats: (n,) sums of theirs, whose pressing runs from 0 to 1 of one scale."""
+def newton_figures(own: list[np.ndarray], of_feats: np.ndarray, normal: list[np.ndarray]) -> list[Figure]:
+    """Total normal force against FEATS' maps in newtons; of_feats: (n,) sums of theirs, whose pressing runs from 0 to 1 of one scale.
+
+    normal: FEATS' maps (24, 32), whose cells above `FOOT` of the largest are the area of contact.
+    """
     total = np.array([one[SEEN].sum(dtype=float) for one in own])
     logarithms = np.log(np.maximum(total, LEAST_TOTAL) / of_feats)
     median, other = (float(np.exp(np.median(logarithms))) / newtons for newtons in NEWTONS)
     note = f"{len(logarithms)} presses; with {NEWTONS[1]:.2f} N a cell {other:.2f}"
+    nine = float(np.quantile(np.abs(np.exp(np.median(logarithms) - logarithms) - 1.0), 0.9))
+    area = np.array([(one > FOOT * one.max()).sum() for one in normal])
+    trend = float(np.corrcoef(logarithms, np.log(area))[0, 1])
     return [
-        Figure("totals over FEATS' maps, deviation of the logarithm", float(logarithms.std()), "<=", 0.3, "", f"{len(logarithms)} presses"),
+        Figure("totals over FEATS' maps, deviation of the logarithm", float(logarithms.std()), "<=", 0.29, "", f"{len(logarithms)} presses"),
+        Figure("the same after their median: nine of ten within", 100 * nine, "<=", 46.0, "%"),
+        Figure("the same: correlation with the logarithm of the area of contact", abs(trend), "<=", 0.3, "", f"{trend:+.2f}"),
         Figure(f"the same at {NEWTONS[0]:.2f} N a cell, median: at least", median, ">=", 0.85, "", note),
         Figure(f"the same at {NEWTONS[0]:.2f} N a cell, median: at most", median, "<=", 1.15),
     ]  # fmt: skip
@@ -187,7 +195,11 @@ def feats_figures(
     with np.load(folder / "demo_maps.npz") as stored:
         sums, *aside = (stored[axis][:, SEEN].sum(axis=1, dtype=float) for axis in "zyx")  # FEATS' x is gel y
     series = Series("FEATS' presses", model, nocontact, [image for image, _ in presses[::EACH]], read[::EACH])
-    figures = [*gif_figures(own, [normal for _, normal in presses]), *tube_figures(own), *newton_figures(own, sums)]
+    figures = [
+        *gif_figures(own, [normal for _, normal in presses]),
+        *tube_figures(own),
+        *newton_figures(own, sums, [normal for _, normal in presses]),
+    ]
     flagged = Figure("good FEATS' presses flagged", 100 * float(np.mean([one.flag for one in read])), "<=", 2.0, "%")
     figures += aside_figures("FEATS' presses", read, SIDEWAYS_NEWTONS * np.stack(aside, axis=1))
     return [*figures, flagged, *spoilt_figures(series)], evidence_of(model, read, NEWTONS[0] * sums, SEEN)

@@ -13,7 +13,7 @@ import numpy as np
 
 from gelforge.reading.frame import BLUE_FIRST
 from gelforge.reading.light import Light, match_light
-from gelforge.reading.markers import MarkerTracker, Tracks, grey_of
+from gelforge.reading.markers import Markers, MarkerTracker, Tracks, dark_spots, faded, grey_of, pale
 from gelforge.reading.pair import NoContact, Prepared
 from gelforge.reading.untouched import touch_fault, touch_of
 
@@ -51,6 +51,10 @@ SHARP_MARGIN = (
 )
 MOST_CROWDED = 1.35  # markers of an image over those of its no-contact image: real films have 1.14 at most, one cropped by a seventh 1.8
 GREY = 1.5  # levels by which the colours of a picture differ in the mean where it has none
+MOST_FADED, MOST_PALE = (
+    0.25,
+    0.33,
+)  # of all markers: with so many half worn, in the image alone or in both, forces are within 10 %
 MOST_VANISHED = 8  # markers, of 63: with so many painted over in both images, nine of ten forces are within 11 %
 # Of the light's level, from the middle to the edge of the image: of all colours together, and of one. Of 114 frames of real films
 # that nothing else flags none is beyond, of 51 real presses of a ball the largest is 0.8 %.
@@ -102,6 +106,8 @@ def nocontact_fault(nocontact: NoContact, limits: Limits, coloured: bool = True)
             f"the no-contact image is blurred: its sharpness is {math.exp(sharp - least):.0%} of the least that is usual; focus the camera and"
             " hold it still"
         )
+    if pale(nocontact.markers) > MOST_PALE:
+        return "the markers of the no-contact image are pale: they are worn, or printed otherwise than those that the network learnt from"
     most = limits.get("largest_touch", 1.0)
     touched = touch_fault(nocontact.picture, nocontact.markers.printed, nocontact.frame.shown, most)
     return touched or (BLUE_FIRST if nocontact.frame.blue_first else "")
@@ -303,9 +309,14 @@ def pair_fault(limits: Limits, pair: PairSigns) -> str:
 
 def wear_fault(seen: Prepared) -> str:
     """What is wrong with a pair that differs by more markers than a prediction without them allows; empty where it does not."""
-    if seen.vanished <= MOST_VANISHED:
+    if seen.vanished > MOST_VANISHED:
+        return f"{seen.vanished} markers are in the image or in the no-contact image alone: take a new one, or change the gel"
+    if seen.nocontact is None or seen.change is None:
         return ""
-    return f"{seen.vanished} markers are in the image or in the no-contact image alone: take a new one, or change the gel"
+    fainter = faded(seen.nocontact.markers, seen.nocontact.darkness, seen.tracks, seen.darkness)
+    if fainter <= MOST_FADED:
+        return ""
+    return f"{fainter:.0%} of its markers are fainter than in the no-contact image: take a new one, focus the camera, or change the gel"
 
 
 def crowd_fault(seen: Prepared) -> str:

@@ -120,7 +120,7 @@ def smooth(seed: int) -> np.ndarray:
     return cv2.GaussianBlur(gel(seed), (0, 0), 3.0)
 
 
-@given(st.integers(0, 99), st.floats(0.55, 0.95))
+@given(st.integers(0, 99), st.floats(0.7, 0.95))
 @settings(max_examples=15)
 def test_a_camera_that_sees_less_shows_the_same_where_it_sees(seed, zoom):
     """A part cut out and enlarged, as a driver that crops does, comes back to where it was; beside it all is even."""
@@ -142,7 +142,7 @@ def test_a_camera_of_the_learnt_scale_or_without_markers_is_left_as_it_is():
         frame = frame_of(gel(0), pitch)
         assert frame.shows_rim and frame.shown == (slice(0, 240), slice(0, 320))
         assert np.array_equal(frame(gel(1)), gel(1))
-    for pitch in (15.0, 80.0):
+    for pitch in (15.0, 50.0):
         with pytest.raises(BadInput, match=f"stand {pitch:.1f} px apart, the network learnt from 31 to 33"):
             zoom_of(pitch, (31.0, 33.0))
 

@@ -1,5 +1,6 @@
 """Markers that only the image or only the no-contact image shows hardly change a force, and are counted."""
 
+import cv2
 import numpy as np
 import pytest
 
@@ -50,6 +51,40 @@ def test_markers_that_only_the_no_contact_image_lacks_hardly_change_a_force(sens
             assert count - 1 <= worn.predict(image).vanished <= count
             assert worn.predict(image).total[2] / predictor.predict(image).total[2] == pytest.approx(1, abs=most - 1)
             assert worn.predict(rest).total == pytest.approx(0.0, abs=0.15)  # N
+
+
+def half_worn(image, points, diameter):
+    """An image on whose gel some markers (n, 2) px have half of their ink left."""
+    gone = painted_over(image, points, diameter)
+    return ((gone.astype(int) + image) // 2).astype(np.uint8)
+
+
+@pytest.mark.parametrize("count", [8, 24, 63])
+@pytest.mark.parametrize("both", [False, True], ids=["image", "both"])
+def test_half_worn_markers_change_a_force_by_a_tenth_or_are_flagged(sensor, root, count, both):
+    predictor, images = sensor
+    rest, markers = read_image(root / "data/demo/nocontact/mini_a.png"), predictor.prepare.nocontact.markers
+    for seed, image in enumerate(images):
+        which = np.random.default_rng(seed).permutation(len(markers.points))[:count]
+        tracks = predictor.prepare(image).tracks
+        there = (markers.points + np.nan_to_num(tracks.motion))[which]
+        reader = predictor
+        if both:
+            reader = Predictor(predictor.model, half_worn(rest, markers.points[which], markers.diameter))
+        seen, whole = reader.predict(half_worn(image, there, markers.diameter)), predictor.predict(image)
+        assert seen.flag or seen.total[2] / whole.total[2] == pytest.approx(1.0, abs=0.1)
+        assert seen.flag or count < 63
+
+
+def test_dust_changes_a_force_by_a_tenth_or_is_flagged(sensor):
+    predictor, images = sensor
+    for seed, image in enumerate(images):
+        rng, dust = np.random.default_rng(seed), np.ones(image.shape[:2], np.float32)
+        for u, v in rng.uniform((10, 10), (310, 230), (20, 2)).astype(int).tolist():
+            cv2.circle(dust, (u, v), int(rng.integers(1, 6)), float(rng.uniform(0.5, 1.2)), -1, cv2.LINE_AA)
+        dusty = np.clip(image * dust[..., None], 0, 255).astype(np.uint8)
+        seen = predictor.predict(dusty)
+        assert seen.flag or seen.total[2] / predictor.predict(image).total[2] == pytest.approx(1.0, abs=0.1)
 
 
 def test_a_released_gel_without_markers_bears_nothing(sensor, root):
