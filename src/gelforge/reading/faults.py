@@ -13,9 +13,10 @@ import numpy as np
 
 from gelforge.reading.frame import BLUE_FIRST
 from gelforge.reading.light import Light, match_light
-from gelforge.reading.markers import Markers, MarkerTracker, Tracks, dark_spots, faded, grey_of, pale
+from gelforge.reading.markers import MarkerTracker, Tracks, grey_of
 from gelforge.reading.pair import NoContact, Prepared
 from gelforge.reading.untouched import touch_fault, touch_of
+from gelforge.reading.wear import faded, pale
 
 Limits = Mapping[str, float]
 TOUCH_MARGIN = 1.1  # beyond the most of the no-contact images that a network learnt beside
@@ -51,10 +52,8 @@ SHARP_MARGIN = (
 )
 MOST_CROWDED = 1.35  # markers of an image over those of its no-contact image: real films have 1.14 at most, one cropped by a seventh 1.8
 GREY = 1.5  # levels by which the colours of a picture differ in the mean where it has none
-MOST_FADED, MOST_PALE = (
-    0.25,
-    0.33,
-)  # of all markers: with so many half worn, in the image alone or in both, forces are within 10 %
+# Of all markers: with so many half worn, in the image alone or in both, forces are within 10 %.
+MOST_FADED, MOST_PALE = 0.25, 0.33
 MOST_VANISHED = 8  # markers, of 63: with so many painted over in both images, nine of ten forces are within 11 %
 # Of the light's level, from the middle to the edge of the image: of all colours together, and of one. Of 114 frames of real films
 # that nothing else flags none is beyond, of 51 real presses of a ball the largest is 0.8 %.

@@ -19,20 +19,8 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.reading.frame import ImageFrame, Learnt, image_frame
 from gelforge.reading.light import Light, Reference
-from gelforge.reading.markers import (
-    MarkerTracker,
-    Tracks,
-    appeared,
-    darkness_of,
-    grey_of,
-    markers_in,
-    painted_over,
-    places_in,
-    rim_shift,
-    shifted_back,
-    usual_darkness,
-    vanished,
-)
+from gelforge.reading.markers import MarkerTracker, Tracks, grey_of, markers_in, rim_shift, shifted_back
+from gelforge.reading.wear import appeared, darkness_of, painted_over, places_in, usual_darkness, vanished
 from gelforge.records.networkkind import kind_of
 
 INPUTS = ("image", "nocontact")  # what the inputs of a graph may be named

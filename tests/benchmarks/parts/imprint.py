@@ -7,8 +7,8 @@ along a ray from the middle; a circle is fitted to all rays.
 import cv2
 import numpy as np
 
-from gelforge.reading.markers import painted_over, places_in
 from gelforge.reading.pair import Prepared
+from gelforge.reading.wear import painted_over, places_in
 
 LEAST_LEVELS = 10.0  # of difference, blurred, below which nothing touches
 BLUR_PX, RIM = 2.5, 0.6

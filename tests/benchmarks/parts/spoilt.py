@@ -6,9 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 
 from gelforge.reading.forcereading import ForceReading
-from gelforge.reading.markers import markers_in, painted_over
+from gelforge.reading.markers import markers_in
 from gelforge.reading.model import ForceModel
 from gelforge.reading.predictor import Predictor
+from gelforge.reading.wear import painted_over
 from tests.support.figures import Figure
 from tests.support.pictures import moved
 

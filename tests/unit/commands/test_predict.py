@@ -13,8 +13,9 @@ import pytest
 
 from gelforge.commands import predict
 from gelforge.reading.faults import count_markers
-from gelforge.reading.markers import darkness_of, grey_of
+from gelforge.reading.markers import grey_of
 from gelforge.reading.predictor import Predictor
+from gelforge.reading.wear import darkness_of
 from gelforge.reporting import forcemaps
 from tests.support.limited import small_disk
 from tests.support.refused import refused

@@ -14,8 +14,9 @@ from gelforge.evidence.logimages import rim_of
 from gelforge.geometry.indenters import build, load_catalogue, read_catalogue
 from gelforge.labelling.sensor import load_sensors
 from gelforge.reading.faults import FLIPS, likeness, log_image_fault, nocontact_fault
-from gelforge.reading.markers import markers_in, painted_over
+from gelforge.reading.markers import markers_in
 from gelforge.reading.pair import NoContact
+from gelforge.reading.wear import painted_over
 from gelforge.records.image import read_image
 from gelforge.records.press import POSE, Press
 
