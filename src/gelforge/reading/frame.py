@@ -30,10 +30,8 @@ LEAST_MARKERS, ON_GRID = 12, 0.6  # of a grid, and the fraction of all dark spot
 UNEVEN = 0.12  # fraction by which sensors differ in the distance of their markers, px
 SAME_SHAPE = 0.02  # fraction by which the sides of an image may be in another ratio
 SQUARE = 0.1  # the same below which an image is neither upright nor across
-ZOOMS = (
-    0.7,
-    1.6,
-)  # between which an image still shows what a network looks for: of its views three tenths are hidden at most
+# Between which an image still shows what a network looks for: of its views three tenths are hidden at most.
+ZOOMS = (0.7, 1.6)
 SLACK = 0.02  # of the markers' distance: how well an image shows it
 # First moments over the image of the part of red, green and blue in its light, and over a marker's surroundings of the darkness
 # of each colour beyond that of all three: of real Minis, (3, 2) along u and v, length 1.
@@ -351,14 +349,12 @@ def zoom_of(pitch: float, learnt: Sequence[float]) -> float:
         return 1.0
     zoom = sum(learnt) / 2 / pitch
     if not ZOOMS[0] <= zoom <= ZOOMS[1]:
+        remedy = "crop or scale all pictures of this sensor so that its markers stand about as far apart"
+        if zoom < 1.0:
+            remedy = "the pictures show too little of the gel: take them in a mode of the camera that crops less"
         raise BadInput(
             f"the markers of the no-contact image stand {pitch:.1f} px apart, the network learnt from {learnt[0]:.0f} to"
-            f" {learnt[1]:.0f}: "
-            + (
-                "the pictures show too little of the gel: take them in a mode of the camera that crops less"
-                if zoom < 1.0
-                else "crop or scale all pictures of this sensor so that its markers stand about as far apart"
-            )
+            f" {learnt[1]:.0f}: {remedy}"
         )
     return zoom
 
