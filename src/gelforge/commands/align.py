@@ -13,6 +13,7 @@ from gelforge.commands.mcap import doubts_of_forces
 from gelforge.errors import BadInput
 from gelforge.flow.cli import command, option, positive
 from gelforge.flow.files import read_toml
+from gelforge.formats.align import MOST_SCATTER_S
 from gelforge.formats.benchfiles import Images, read_gauge, read_path
 from gelforge.formats.benchlog import Aligned, Setup, align, nocontact_of, write_dataset
 from gelforge.geometry.gel import load_gel
@@ -124,9 +125,8 @@ def draw(found: Aligned, path: Path) -> None:
     """Force, depth and change of the images over the gauge's time, the log's rows on them, and what each press says of the clocks."""
     from gelforge.reporting.canvas import canvas_with_axes, save_png
 
-    figure, axes = canvas_with_axes(2, 1, 11.0, 6.4)
-    start, top = found.gauge.times[0], axes[0, 0]
-    depth, change = found.path, found.change
+    figure, ((top,), (below,)) = canvas_with_axes(2, 1, 11.0, 6.4)
+    start, depth, change = found.gauge.times[0], found.path, found.change
     at = found.clocks["images"].to_gauge(change.times)
     curves = (
         ("force", found.gauge.times, found.gauge.values[:, 0]),
@@ -134,25 +134,38 @@ def draw(found: Aligned, path: Path) -> None:
         ("change of the images", at, change.values[:, 0]),
     )
     for name, times, values in curves:
-        top.plot(times - start, values / (np.nanmax(values) or 1.0), linewidth=0.8, label=f"{name}, of its largest")
+        top.plot(times - start, values / (np.nanmax(values) or 1.0), linewidth=0.8, label=name)
     rows = at[list(found.rows)] - start
+    forces = found.gauge.values[:, 0]
     top.plot(
         rows,
-        np.interp(rows, found.gauge.times - start, found.gauge.values[:, 0]) / found.gauge.values[:, 0].max(),
+        np.interp(rows, found.gauge.times - start, forces) / forces.max(),
         "k.",
-        markersize=3,
-        label="rows",
+        markersize=4,
+        label="rows of the log",
     )
-    top.legend(loc="upper right", fontsize=8)
-    for name, clock in found.clocks.items():
+    top.set(title="The three recordings by the gauge's clock: where they press they rise and fall together")
+    top.set(ylabel="share of its largest value")
+    most = furthest = 1e3 * MOST_SCATTER_S
+    for (name, clock), mark in zip(found.clocks.items(), ("o", "x"), strict=True):
         times, offsets = clock.presses.T
         line = clock.offset_s + clock.drift / (1.0 + clock.drift) * (times - clock.middle_s - clock.offset_s)
-        axes[1, 0].plot(
-            times - start, 1e3 * (offsets - line), "o", markersize=4, label=f"{name}, from its clock's line"
-        )
-    axes[1, 0].axhline(0.0, color="0.7", linewidth=0.8)
-    axes[1, 0].set(xlabel="s of the gauge", ylabel="offset of each press, ms", xlim=top.get_xlim())
-    axes[1, 0].legend(loc="upper right", fontsize=8)
+        off = 1e3 * (offsets - line)
+        furthest = max(furthest, np.abs(off).max())
+        below.plot(times - start, off, mark, label=f"{name}, drift {clock.drift * 1e6:+.0f} ppm")
+    for height in (-most, 0.0, most):
+        below.axhline(height, color="0.7", linewidth=0.8, linestyle="-" if height == 0.0 else "--")
+    below.set(
+        title=f"Where each press lies off its clock's line; clocks whose presses scatter by {most:.0f} ms (dashed) are refused"
+    )
+    below.set(
+        xlabel="time by the gauge's clock, s",
+        ylabel="ms",
+        xlim=top.get_xlim(),
+        ylim=(-1.4 * furthest, 1.4 * furthest),
+    )
+    for axis in (top, below):
+        axis.legend(loc="upper right", fontsize=8)
     save_png(path, figure)
 
 
