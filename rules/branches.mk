@@ -7,6 +7,7 @@ POSTERIOR := $D/calibrate/summary.json
 calibrate: $(POSTERIOR)  ## posterior of C10, touch offset, compliance and friction from the log's force readings
 
 $(POSTERIOR): $(SHARDS:%=$(SHARD)/%.csv) $P/about.json $P/calibrate.json $P/indenters.json $P/sensors.json $P/gels.json | $(POSES)
+	$(foretold)
 	$(HANDS_SLOTS)$(call step,gelforge.stages.calibrate $D)
 
 freeze: $(POSTERIOR)  ## write the posterior to data/DATASET/calibration.toml: labels use it until the next make freeze
@@ -30,6 +31,7 @@ PARETO_FILES := $(PARETO_SCENES:%=$D/pareto/scenes/%.json)
 pareto: $D/pareto/pareto.json  ## speed against accuracy of the mechanics: chart, CSV, JSON (hours; resumes)
 
 $(PARETO_FILES): $D/pareto/scenes/%.json: $P/pareto.json $P/scenes/%.json $P/sensors.json $P/gels.json $(KEPT_REFERENCES)
+	$(foretold)
 	$(call step,gelforge.stages.pareto scene $D $*)
 
 $D/pareto/pareto.json: $(PARETO_FILES) $P/pareto.json
@@ -49,6 +51,7 @@ STABILITY_FILES := $(STABILITY_ROWS:%=$D/stability/rows/%.json)
 stability: $D/stability/map.json  ## where the mechanics converge, fail or lose accuracy: map, CSV (hours; resumes)
 
 $(STABILITY_FILES): $D/stability/rows/%.json: $P/stability.json $P/gels.json
+	$(foretold)
 	$(call step,gelforge.stages.stability row $D $*)
 
 $D/stability/map.json: $(STABILITY_FILES)

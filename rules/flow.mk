@@ -26,6 +26,7 @@ FEA := $(SHARDS:%=$D/30_fea/%.csv)
 fea: $(FEA) $(solved)  ## solve every accepted sample by finite elements
 
 $(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $(SHARD)/%.json $P/fea.json $P/gels.json | $(IMAGES_JUDGED)
+	$(foretold)
 	$(call solve,gelforge.stages.fea $D $*)
 
 # 40: CALIBRATED is the posterior where [material] c10 = "calibrated": its median scales the forces, no solve is repeated.
@@ -65,6 +66,7 @@ LEARNT_WITH := $(foreach name,$(LEARN_ALSO),results/$(name)/60_dataset/$(if $(wi
 train: $D/70_train/$(RES1)/$(LEARNT).onnx  ## train one network, write it as ONNX: make train MODEL=pair_16 RES=24x32
 
 $(TRAINED): $D/70_train/$(RES1)/%.onnx: $D/60_dataset/$(RES1)/dataset.json $P/models/%.json $P/train.json $(LEARNT_WITH)
+	$(foretold)
 	$(call train,gelforge.stages.train $D $(RES1) $*)
 
 $(TUNED:%=$D/70_train/$(RES1)/%.onnx): $(SHIPPED).safetensors

@@ -20,6 +20,14 @@ INPUTS = $(if $(word 500,$^),@$(LIST)$(file >$(LIST),$^),$^)
 wrapped = $(PY) -m gelforge.flow.step $@ $(INPUTS) -- $(PY) -m $(strip $1) --part
 step = @$(wrapped)
 
+# The first line of a long stage's recipe, expanded when make is about to begin it: once in a run it says how long all of that stage
+# may take. How many cores a cluster gives is not known here.
+BELOW = $(@:$D/%=%)
+STAGE_OF = $(firstword $(subst /, ,$(BELOW)))
+foretold = $(if $(ONLY_SHOWN)$(filter-out local,$(EXECUTOR))$(filter $(STAGE_OF),$(FORETOLD)),,$(eval FORETOLD += $(STAGE_OF))@$(PY) \
+    -m gelforge.commands.estimate $D --ahead $(BELOW) --cores $(SLOTS))
+FORETOLD :=
+
 ifeq ($(EXECUTOR),local)
 solve = $(step)
 train = $(step)

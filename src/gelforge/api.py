@@ -182,12 +182,13 @@ def _body(indenter: Indenter | dict[str, Any] | str) -> Any:
                 f"gelforge.solve: indenter = {indenter!r}: no name of workflow/indenters.toml{nearest(indenter, tables)}"
             )
         return build(indenter, tables[indenter], "workflow/indenters.toml")
-    body: Any = build("indenter", indenter, "gelforge.solve") if isinstance(indenter, dict) else indenter
-    if not hasattr(body, "distance"):
+    if isinstance(indenter, dict):
+        return build(str(indenter.get("kind", "")), indenter, "gelforge.solve")
+    if not hasattr(indenter, "distance"):
         raise BadInput(
-            f"gelforge.solve: indenter = {body!r}: give a name or a table of workflow/indenters.toml, or a body"
+            f"gelforge.solve: indenter = {indenter!r}: give a name or a table of workflow/indenters.toml, or a body"
         )
-    return body
+    return indenter
 
 
 def _finite(*values: Any) -> bool:

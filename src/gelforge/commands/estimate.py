@@ -9,6 +9,7 @@ import math
 import os
 from argparse import Namespace
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -27,6 +28,7 @@ from gelforge.records.networkkind import kind_of
 from gelforge.records.press import RawRow, parse
 from gelforge.records.samplefile import read_samples
 from gelforge.stages.train import resolve
+from gelforge.sweeps.cases import FACTORS
 
 # Processor seconds of a press straight down, by method, and of one that is dragged over one that is not.
 MEASURED = {"draft": 0.6, "label": 1.4, "fine": 27.0, "ccx": 5.7, "auto": 2.0}
@@ -41,6 +43,7 @@ EACH = {
     layout.REPORT: 0.02,
 }
 START, CALIBRATE_ONCE = 3.0, 25.0
+OF_FILE = {layout.PARETO: 450.0, layout.STABILITY: 600.0}  # processor seconds of a scene, of a row of the map
 BYTES = {layout.POSES: 2e4, layout.FEA: 2e5, layout.FORCES: 5e4}  # of a row
 OF_SHARDS = (layout.POSES, layout.FEA, layout.FORCES)
 
@@ -153,6 +156,32 @@ def estimated(of: Layout, resolution: str, model: str, rows: list[RawRow], cores
     return [*costs, of_rows(layout.EVALUATE, cells / 2), of_rows(layout.REPORT, 4e4)]
 
 
+def ahead(of: Layout, target: Path, cores: int) -> str:
+    """What a long stage, whose first step of this run makes `target` (below the dataset's folder), may take; empty where it is short."""
+    stage, name = target.parts[0], target.parts[1]
+    cpu, source, spread = START, "table", cores
+    if stage == layout.FEA:
+        shards = of.outdated(stage)
+        rows = [row for shard in shards for row in read_shard(of.shard(shard))]
+        each, source = press_seconds(of)
+        cpu, spread = each * weights(rows) + START * len(shards), len(shards)
+        what = f"{len(rows)} rows by {method_of(of)}"
+    elif stage == layout.CALIBRATE:
+        cpu, what = CALIBRATE_ONCE, "solves and a chain"
+    elif stage == layout.TRAIN:
+        images = len(read_samples(of.dataset(name) / "samples.csv"))
+        cpu, spread, what = training(of, name, target.stem, images).cpu, 1, f"{images} images"
+    else:
+        scenes = [of.chart_scene(path.stem) for path in listed(of.params / "scenes", "*.json")]
+        files = scenes if stage == layout.PARETO else [of.stability_row(row) for row in (*FACTORS, "random")]
+        asked = layout.written(str(of.parameters(stage)))
+        spread = sum(layout.written(str(path)) < asked for path in files)
+        cpu, what = OF_FILE[stage] * spread, f"{spread} of {len(files)} files"
+    if not spread:
+        return ""
+    return f"{of.root / stage} begins: {what}, about {duration(cpu / min(cores, spread))} where all is new ({source})"
+
+
 def size(count: float) -> str:
     """Bytes as people say them, three digits of them: the next unit begins where these would be 1000."""
     power = next((p for p in range(5) if float(f"{count / 1000**p:.3g}") < 1000), 5)
@@ -164,9 +193,14 @@ def size(count: float) -> str:
     option("--resolution", default="24x32"),
     option("--model", default=SHIPPED, help="network of the run; `shipped` is not trained"),
     option("--cores", type=positive, default=os.cpu_count(), help="cores that the run may use"),
+    option("--ahead", type=Path, default=None, help="one line on the stage of this target, which is about to begin"),
 )
 def main(args: Namespace) -> None:
     of = Layout(args.results)
+    if args.ahead:
+        if said := ahead(of, args.ahead, args.cores):
+            print(said)
+        return
     rows = planned_rows(of)
     if not rows:
         raise BadInput(f"{of.log}: no row is left to solve; {of.command('poses')} says why each was rejected")
