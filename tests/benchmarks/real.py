@@ -131,7 +131,7 @@ def interval_figures(
         width = max(value for other, value in unprofiled.items() if other != kind)
         held = 100 * float(np.mean(np.abs(read - force) <= np.hypot(half, width * read)))
         own = 100 * float(np.mean(np.abs(read - force) <= half))
-        note = f"+- {100 * width:.0f} %; the network's own hold {own:.0f} %; {len(read)} presses need {100 * unprofiled[kind]:.0f} %"
+        note = f"+- {100 * width:.0f} %; the network's own hold {own:.0f} %; {len(read)} images need {100 * unprofiled[kind]:.0f} %"
         figures.append(
             Figure(
                 f"90 % interval without a profile, width by other sensors: holds on {kind}",
@@ -145,7 +145,7 @@ def interval_figures(
         read, force, half, gain = rest[kind]
         width = max(value for other, value in profiled.items() if other != kind)
         held = 100 * float(np.mean(np.abs(read - force) <= np.hypot(half, np.hypot(gain.unsure, width) * read)))
-        note = f"factor {gain.value:.2f} from ten; +- {100 * width:.0f} % beside it; {len(read)} presses need {100 * profiled[kind]:.0f} %"
+        note = f"factor {gain.value:.2f} from ten; +- {100 * width:.0f} % beside it; {len(read)} images need {100 * profiled[kind]:.0f} %"
         figures.append(
             Figure(f"the same with a profile of ten presses: holds on {kind}", held, ">=", 85.0, "%", note)
         )

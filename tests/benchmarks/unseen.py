@@ -120,7 +120,7 @@ def error_figures(units: Units, read: np.ndarray) -> list[Figure]:
     true = np.array([seen.total for seen in units.seen])
     mae = np.abs(read - true).mean(axis=0)
     rig = np.abs(read - np.array([seen.rig_total for seen in units.seen])).mean(axis=0)
-    note = f"{len(true)} pictures of {len(true) // len(units.nocontact)} presses by {len(units.nocontact)} units; "
+    note = f"{len(true)} images of {len(true) // len(units.nocontact)} presses by {len(units.nocontact)} units; "
     note += f"against the rig's own forces {', '.join(f'{value:.2f}' for value in rig)} N"
     return [
         Figure(f"unseen units, total {name}", 100 * value / RANGE[name], "<=", 2.5 if name == "fz" else 1.2,
@@ -144,7 +144,7 @@ def interval_figure(units: Units, model: ForceModel, read: np.ndarray) -> list[F
     held = 100 * (np.abs(read - true) <= half)[others].mean(axis=0)
     note = ", ".join(f"{name} {value:.0f}" for name, value in zip(CHANNELS, held, strict=True))
     return [Figure("totals that their 90 % intervals hold, farthest from it", float(held[np.abs(held - 90).argmax()]), ">=", 87.0,
-                   "%", f"{note}; {others.sum()} pictures of other units than the intervals were set on")]  # fmt: skip
+                   "%", f"{note}; {others.sum()} images of other units than the intervals were set on")]  # fmt: skip
 
 
 # -- what a pair may suffer

@@ -200,7 +200,7 @@ class Preprocessor:
             if nocontact is None:
                 raise BadInput(
                     "this network compares an image with a no-contact image of the same sensor:"
-                    " give it with --nocontact PICTURE or --profile FILE (in Python nocontact=, and profile= of Reader)"
+                    " give it with --nocontact NOCONTACT or --profile FILE (in Python nocontact=, and profile= of Reader)"
                 )
             self.nocontact = NoContact(nocontact, (rows, cols), Learnt.of(metadata["frame"]))
             self.frame = self.nocontact.frame
