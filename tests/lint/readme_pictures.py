@@ -1,7 +1,6 @@
 """Pictures of the README, made from what they show; beside each lies the digest of its data, so that a test can check it."""
 
 import os
-import shutil
 from argparse import Namespace
 from collections.abc import Sequence
 from pathlib import Path
@@ -9,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from gelforge.errors import BadInput
 from gelforge.flow.cli import command, option
 from gelforge.flow.files import digest_of, digest_of_value, publish, read_json, read_toml, write_json
 from tests.support.figures import PUBLISHED_DATA
@@ -100,16 +98,6 @@ def real(args: Namespace) -> None:
     figure.colorbar(drawn, ax=axes, shrink=0.6).set_label("N per cell", fontsize=12)
     # from the project's root, because the record of the picture is tracked and no machine's
     publish_picture(args.out, to_png(figure), [*args.data, *map(os.path.relpath, films)])
-
-
-def chart(args: Namespace) -> None:
-    """A branch's chart as it was drawn."""
-    drawn = args.data[0].with_suffix(".png")
-    if not (drawn.exists() and args.data[0].exists()):
-        raise BadInput(f"{drawn}: not there; draw it with make pareto and make stability, which take hours")
-    args.out.parent.mkdir(parents=True, exist_ok=True)
-    publish_picture(args.out, drawn.read_bytes(), args.data)
-    shutil.copystat(drawn, args.out)
 
 
 def press(args: Namespace) -> None:
@@ -228,7 +216,7 @@ def exact(args: Namespace) -> None:
     publish_picture(args.out, to_png(figure), args.data)
 
 
-PICTURES = {"press": press, "real": real, "speed": chart, "stability": chart, "exact": exact}
+PICTURES = {"press": press, "real": real, "exact": exact}
 
 
 @command(

@@ -7,7 +7,7 @@ from scipy.optimize import brentq
 from gelforge.mechanics.ccx.dat import last_table, read_dat
 from gelforge.mechanics.ccx.deck import material_lines, mesh_lines
 from gelforge.mechanics.ccx.program import run_ccx
-from gelforge.mechanics.elements.element import elements
+from gelforge.mechanics.elements.element import ELEMENTS
 from gelforge.mechanics.material import REFERENCE_C10, Material
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.tetmesh import kuhn_grid, second_order
@@ -64,7 +64,7 @@ def test_forces_on_every_side_of_a_cube(case, ccx, tmp_path):
     forces = np.zeros_like(mesh.nodes)
     forces[top] = last_table(read_dat((tmp_path / "cube.dat").read_text()), "forces", "NTOP", top + 1)
     own, u = np.zeros_like(mesh.nodes), mesh.nodes @ (f - np.eye(3)).T
-    solid = elements()[mesh.kind].on(mesh.nodes, mesh.cells)
+    solid = ELEMENTS[mesh.kind].on(mesh.nodes, mesh.cells)
     solid.internal_forces(u, MATERIAL.shear_modulus, MATERIAL.bulk_modulus, own)
     # the .dat prints seven digits; forces are of the order of the modulus
     np.testing.assert_allclose(forces[top], own[top], atol=2e-6 * np.abs(own).max())

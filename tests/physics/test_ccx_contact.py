@@ -9,7 +9,7 @@ import pytest
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.ccx.deck import press_deck
 from gelforge.mechanics.ccx.program import need_ccx, run_ccx
-from gelforge.mechanics.contact.law import laws
+from gelforge.mechanics.contact.law import LAWS
 from gelforge.mechanics.contact.penalty import FREE, STICK
 from gelforge.mechanics.hexsettings import HexSettings
 from gelforge.mechanics.linear.factorisation import SuperLU
@@ -84,7 +84,7 @@ def test_a_state_is_judged_by_what_pulls_and_by_what_lies_in_the_indenter(mesh):
     assert verdict.penetration == pytest.approx(depth[~held].max()) and verdict.penetration > 0.5
 
 
-@pytest.mark.parametrize("law", laws())
+@pytest.mark.parametrize("law", LAWS)
 def test_calculix_needs_on_every_node_the_force_that_contact_gives_it(solver, law):
     """CalculiX is given where the touched nodes are, and no force: the in-process solver's must be the ones that hold them there."""
     pressed, s = scene(law, dx=0.1), solver.settings

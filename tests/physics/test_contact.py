@@ -7,7 +7,7 @@ from gelforge.flow.tables import LAWS as CONFIGURED
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.contact.facerule import dunavant12
-from gelforge.mechanics.contact.law import contact_law, laws
+from gelforge.mechanics.contact.law import LAWS, contact_law
 from gelforge.mechanics.contact.penalty import (
     STICK,
     FacePlaces,
@@ -34,9 +34,9 @@ from tests.support.surface_values import interpolate_surface
 
 NO_SLIP = Penalty(50.0, 5.0, contact_law("no_slip"))
 # Every law, with several numbers where it has one.
-LAWS = [
+EVERY = [
     contact_law(name, number)
-    for name, law in laws().items()
+    for name, law in LAWS.items()
     for number in ((0.0, 0.1, 0.8) if law.has_coefficient else (0.0,))
 ]
 
@@ -98,7 +98,7 @@ def test_rule_covers_the_surface(mesh):
 
 
 def test_the_configuration_names_laws_that_there_are():
-    assert set(CONFIGURED) <= laws().keys()
+    assert set(CONFIGURED) <= LAWS.keys()
 
 
 def test_free_points_feel_the_normal_only(mesh):
@@ -117,7 +117,7 @@ def sticking(mesh, seed=0):
     return state, state.reference + [0, 0, 2.0]
 
 
-@pytest.mark.parametrize("law", LAWS, ids=named)
+@pytest.mark.parametrize("law", EVERY, ids=named)
 def test_stiffness_is_the_derivative_of_the_traction(mesh, law):
     """On a flat face, where the indenter's curvature (left out of the stiffness) is zero."""
     (state, x), penalty = sticking(mesh), Penalty(50.0, 5.0, law)
@@ -136,7 +136,7 @@ def test_stiffness_is_the_derivative_of_the_traction(mesh, law):
     assert (len(slip.point) > 0) == law.slips
 
 
-@pytest.mark.parametrize("law", [law for law in LAWS if law.slips], ids=named)
+@pytest.mark.parametrize("law", [law for law in EVERY if law.slips], ids=named)
 def test_tangential_traction_stays_within_the_limit_and_opposes_slip(mesh, law):
     state, x = sticking(mesh)
     tractions = penalty_tractions(state, x, HERE, Floor(), Penalty(50.0, 5.0, law), np.empty(0, int))
@@ -248,10 +248,10 @@ def test_layers_under_a_small_contact_are_thin_and_grow_slowly():
 
 
 def test_mesh_fills_the_gel(mesh):
-    from gelforge.mechanics.elements.hex8 import ELEMENT
+    from gelforge.mechanics.elements.element import ELEMENTS
 
     gel = Gel()
-    volume = ELEMENT.on(mesh.nodes, mesh.cells).weights.sum()  # raises where a hexahedron is inverted
+    volume = ELEMENTS["hex8"].on(mesh.nodes, mesh.cells).weights.sum()  # raises where a hexahedron is inverted
     x, y = np.meshgrid(np.linspace(-10.37, 10.37, 400), np.linspace(-12.62, 12.62, 400))
     inside = gel.edge_distance(x, y) <= 0
     exact = (gel.top(x, y) + gel.height)[inside].mean() * inside.mean() * gel.width * gel.length

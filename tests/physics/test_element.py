@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelforge.mechanics.elements.element import elements
+from gelforge.mechanics.elements.element import ELEMENTS
 from gelforge.mechanics.elements.kernels import batched
 from gelforge.mechanics.linear.factorisation import SuperLU, symmetric_solver
 from gelforge.mechanics.linear.pattern import block_places, build_pattern, symmetric_product
@@ -14,7 +14,7 @@ from gelforge.mechanics.mesh.tetmesh import kuhn_grid, second_order
 EXACT = 1e-10  # relative; homogeneous fields lie in the element's space, so only rounding is left
 
 
-@pytest.fixture(params=elements().values(), ids=elements())
+@pytest.fixture(params=ELEMENTS.values(), ids=ELEMENTS)
 def element(request):
     return request.param
 
@@ -187,7 +187,7 @@ def test_newton_converges_quadratically(element):
 
 def test_no_locking_near_incompressibility():
     """A bonded block pressed flat: its force hardly knows nu, a locking hexahedron answers with the bulk modulus."""
-    element = elements()["hex8"]
+    element = ELEMENTS["hex8"]
     nodes, cells, _ = distorted_block(element, 4, amount=0.0)
     fixed = np.flatnonzero((nodes[:, 2] < 1e-9) | (nodes[:, 2] > 1 - 1e-9))
     answers = []

@@ -8,7 +8,7 @@ import pytest
 from gelforge.flow.files import read_json
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build, load_catalogue
-from gelforge.mechanics.contact.law import laws
+from gelforge.mechanics.contact.law import LAWS
 from gelforge.mechanics.contact.penalty import FREE, STICK
 from gelforge.mechanics.hexsettings import HexSettings, quality
 from gelforge.mechanics.linear.factorisation import SuperLU
@@ -160,7 +160,7 @@ def rubbed():
     return solve_hex(ball(dx=0.5, law="coulomb", mu=0.2), COARSE)
 
 
-@pytest.mark.parametrize("name", [name for name, law in laws().items() if law.slips])
+@pytest.mark.parametrize("name", [name for name, law in LAWS.items() if law.slips])
 def test_tangential_traction_stays_within_the_limit_of_the_law(name):
     scene = ball(0.8, dx=0.4, law=name, mu=0.2).direct
     result, law = solve_hex(scene, COARSE), scene.interface.contact

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from gelforge.geometry.indenters import build
-from gelforge.mechanics.elements.element import elements
+from gelforge.mechanics.elements.element import ELEMENTS
 from gelforge.mechanics.hexsettings import HexSettings, Nested, quality
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.result import BALANCE
@@ -80,7 +80,7 @@ def base_reactions(result: HexResult, material: Material) -> np.ndarray:
     """What the base bears (b, 3) N, from the displacement alone: the elements' own forces at the nodes that are held."""
     mesh = result.solved_mesh
     inner = np.zeros_like(mesh.nodes)
-    solid = elements()[mesh.kind].on(mesh.nodes, mesh.cells)
+    solid = ELEMENTS[mesh.kind].on(mesh.nodes, mesh.cells)
     solid.internal_forces(result.displacement, material.shear_modulus, material.bulk_modulus, inner)
     return inner[mesh.base]
 
@@ -111,7 +111,7 @@ def test_the_work_of_a_press_without_friction_is_stored():
     scene = press(law=Interface("frictionless"))
     result = HexSolver(replace(COARSE, press_steps=24)).solve(scene)
     mesh, u = result.solved_mesh, result.displacement
-    solid = elements()[mesh.kind].on(mesh.nodes, mesh.cells)
+    solid = ELEMENTS[mesh.kind].on(mesh.nodes, mesh.cells)
     at, weight = np.polynomial.legendre.leggauss(6)
     stored = 0.0
     for share, part in zip((at + 1.0) / 2.0, weight / 2.0, strict=True):

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build, load_catalogue
 from gelforge.geometry.touch import width_of
-from gelforge.mechanics.elements import hex8
+from gelforge.mechanics.elements.element import ELEMENTS
 from gelforge.mechanics.extrapolate import Convergence
 from gelforge.mechanics.hexsettings import QUALITIES, HexSettings, Nested
 from gelforge.mechanics.linear.factorisation import symmetric_solver
@@ -74,7 +74,7 @@ def test_carrying_keeps_trilinear_fields(seed):
 @settings(max_examples=20)
 def test_what_is_tangled_is_made_sound_and_what_is_sound_stays(seed, size):
     """Nodes thrown out of place turn hexahedra over; afterwards none is, the base holds, and the rest has not moved."""
-    rng, hexahedra = np.random.default_rng(seed), hex8.ELEMENT.on(FINE.nodes, FINE.cells)
+    rng, hexahedra = np.random.default_rng(seed), ELEMENTS["hex8"].on(FINE.nodes, FINE.cells)
     at_rest = np.zeros_like(FINE.nodes)
     assert untangled(FINE, hexahedra, at_rest) is at_rest
     u = at_rest.copy()

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
-from gelforge.mechanics.elements import hex8
+from gelforge.mechanics.elements.element import ELEMENTS
 from gelforge.mechanics.hexsettings import HexSettings
 from gelforge.mechanics.linear.pattern import symmetric_product
 from gelforge.mechanics.material import Material
@@ -38,7 +38,7 @@ widened = pytest.mark.parametrize("mesh", MESHES)
 def forces_of(mesh, u):
     """Nodal forces dE/du (n, 3)."""
     out = np.zeros_like(u)
-    hexahedra = hex8.ELEMENT.on(mesh.nodes, mesh.cells)
+    hexahedra = ELEMENTS["hex8"].on(mesh.nodes, mesh.cells)
     assert hexahedra.internal_forces(u, MATERIAL.shear_modulus, MATERIAL.bulk_modulus, out) > 0.0
     return out
 
@@ -53,7 +53,7 @@ def moving(mesh, seed, size=0.02):
 
 @widened
 def test_fewer_hexahedra_fill_the_same_gel(mesh):
-    whole, own = (hex8.ELEMENT.on(m.nodes, m.cells) for m in (PLAIN, mesh))
+    whole, own = (ELEMENTS["hex8"].on(m.nodes, m.cells) for m in (PLAIN, mesh))
     assert len(own.elements) < len(whole.elements)
     volumes = [b.weights.transpose(0, 2, 1).reshape(-1, 8)[: len(b.elements)].sum() for b in (whole, own)]
     # the wide faces are flatter than the gel's arched planes
@@ -94,9 +94,9 @@ def test_planes_have_the_heights_they_were_given():
 def test_every_hexahedron_deforms_as_its_corners_do(mesh):
     """The deformation gradients of hexahedra on wide faces are those of their own corners, which hang there."""
     u = moving(mesh, 1)
-    whole = hex8.ELEMENT.on(mesh.nodes, replace(mesh.cells, nodes=mesh.cells.corners, standing=np.empty(0, int),
+    whole = ELEMENTS["hex8"].on(mesh.nodes, replace(mesh.cells, nodes=mesh.cells.corners, standing=np.empty(0, int),
                                                shares=np.empty((0, 4, 4))))  # fmt: skip
-    own = hex8.ELEMENT.on(mesh.nodes, mesh.cells)
+    own = ELEMENTS["hex8"].on(mesh.nodes, mesh.cells)
     np.testing.assert_allclose(own.smallest_ratios(u), whole.smallest_ratios(u), atol=1e-12)
 
 
@@ -131,7 +131,7 @@ def test_forces_are_the_slope_of_one_energy(seed, which):
     u, way, step = moving(mesh, seed), moving(mesh, seed + 1), 1e-5
     system = System(mesh)
     system.values[:] = 0.0
-    hexahedra, moduli = hex8.ELEMENT.on(mesh.nodes, mesh.cells), (MATERIAL.shear_modulus, MATERIAL.bulk_modulus)
+    hexahedra, moduli = ELEMENTS["hex8"].on(mesh.nodes, mesh.cells), (MATERIAL.shear_modulus, MATERIAL.bulk_modulus)
     hexahedra.tangent(u, *moduli, 1.0, system.base, system.width, system.values)
     slope = symmetric_product(system.pattern, system.values, way[mesh.unknown].ravel())
     ahead, behind = (forces_of(mesh, u + sign * step * way)[mesh.unknown].ravel() for sign in (1, -1))

@@ -9,8 +9,7 @@ from scipy import stats
 
 from gelforge.calibration.emulator import HALF_MU, friction_axis, friction_of
 from gelforge.flow.tables import CalibrateTable, PriorTable
-from gelforge.mechanics.contact.laws.frictionless import Frictionless
-from gelforge.mechanics.contact.laws.no_slip import NoSlip
+from gelforge.mechanics.contact.law import Frictionless, NoSlip
 
 TARE = ("tare_x", "tare_y", "tare_z")
 NAMES = ("c10", "offset", "compliance", "shear_compliance", "mu", *TARE, "noise", "scatter", "discretisation")

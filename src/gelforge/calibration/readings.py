@@ -10,8 +10,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.layout import Layout
 from gelforge.geometry.gel import USUAL_GEL
-from gelforge.mechanics.contact.laws.coulomb import Coulomb
-from gelforge.mechanics.contact.laws.no_slip import NoSlip
+from gelforge.mechanics.contact.law import Coulomb, NoSlip
 from gelforge.records.frames import NEAR_MM, presses_of
 from gelforge.records.log import read_log
 from gelforge.records.press import FORCE, POSE, LoggedPress, Press, parse

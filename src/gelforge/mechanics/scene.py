@@ -6,17 +6,14 @@ import numpy as np
 
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.solids import Indenter
-from gelforge.mechanics.contact.law import ContactLaw, contact_law
-from gelforge.mechanics.contact.laws.coulomb import Coulomb
-from gelforge.mechanics.contact.laws.frictionless import Frictionless
-from gelforge.mechanics.contact.laws.no_slip import NoSlip
+from gelforge.mechanics.contact.law import ContactLaw, Coulomb, Frictionless, NoSlip, contact_law
 from gelforge.mechanics.material import Material
 from gelforge.records.press import Press
 
 
 @dataclass(frozen=True)
 class Interface:
-    """Contact law between gel and indenter: its name (`contact.law.laws`), and the coefficient of one that has one."""
+    """Contact law between gel and indenter: its name (`contact.law.LAWS`), and the coefficient of one that has one."""
 
     law: str = NoSlip.name
     mu: float = 0.0

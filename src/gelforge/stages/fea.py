@@ -33,7 +33,7 @@ from gelforge.records.solvetable import Solved, corrupt, write_solves
 from gelforge.records.status import Status
 from gelforge.sweeps import verification
 
-VERSION = 16
+VERSION = 17
 
 
 def scene_of(press: PosedPress, bodies: dict, sensors: dict, params: StageParameters) -> Scene:

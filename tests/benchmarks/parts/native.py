@@ -19,7 +19,7 @@ from gelforge.geometry.triangles import cropped
 from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat
 from gelforge.mechanics.ccx.deck import material_lines, mesh_lines
 from gelforge.mechanics.ccx.program import OVERDUE, run_ccx
-from gelforge.mechanics.elements.element import elements
+from gelforge.mechanics.elements.element import ELEMENTS
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.tetmesh import FACES, Sizes, base_tets, bisected, from_flat, orient
 from gelforge.mechanics.path.loadpath import first_touch
@@ -140,7 +140,7 @@ def solve_native(scene: Scene, mesh: GelMesh, folder: Path | str, timeout_s: flo
         return CcxResult(status_of(error), zero, zero.copy(), evidence | {"reason": f"{error}; {job.reason()}"}, mesh)
     # Stock CalculiX prints no contact force per node; what the elements bear at the top is what contact exerts.
     inner, material = zero.copy(), scene.material
-    solid = elements()[mesh.kind].on(mesh.nodes, mesh.cells)
+    solid = ELEMENTS[mesh.kind].on(mesh.nodes, mesh.cells)
     solid.internal_forces(displacement, material.shear_modulus, material.bulk_modulus, inner)
     forces = zero.copy()
     forces[top] = inner[top]

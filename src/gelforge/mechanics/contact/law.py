@@ -1,15 +1,11 @@
-"""What holds sideways between gel and indenter: the base of all contact laws, and the laws by name."""
+"""What holds sideways between gel and indenter: the contact laws, and the laws by name."""
 
-import pkgutil
 from dataclasses import dataclass
-from functools import cache
-from importlib import import_module
 from typing import ClassVar
 
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.mechanics.contact import laws as package
 
 
 @dataclass(frozen=True)
@@ -45,20 +41,41 @@ class Holding(ContactLaw):
     name, sticks, slips = "holding", True, True
 
 
-@cache
-def laws() -> dict[str, type[ContactLaw]]:
-    """The contact laws by name: one of each module in `contact/laws`."""
-    found: dict[str, type[ContactLaw]] = {}
-    for _, name, _ in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
-        classes = (each for each in vars(import_module(name)).values() if isinstance(each, type))
-        found |= {law.name: law for law in classes if issubclass(law, ContactLaw) and law.__module__ == name}
-    return found
+class Coulomb(ContactLaw):
+    """Dry friction: points stick until the tangential traction reaches the coefficient of friction times the pressure."""
+
+    name, sticks, slips, has_coefficient = "coulomb", True, True, True
+
+    def slip_limit(self, depth: np.ndarray, stiffness: float) -> tuple[np.ndarray, np.ndarray]:
+        """The coefficient times the pressure."""
+        slope = self.coefficient * stiffness
+        return slope * depth, np.full_like(depth, slope)
+
+
+class Frictionless(ContactLaw):
+    """Points slide freely: the indenter only presses."""
+
+    name, sticks, slips = "frictionless", False, True
+
+    def slip_limit(self, depth: np.ndarray, stiffness: float) -> tuple[np.ndarray, np.ndarray]:
+        """Zero."""
+        none = np.zeros_like(depth * stiffness)
+        return none, none
+
+
+class NoSlip(ContactLaw):
+    """Each point of the gel sticks where it first touched until it is pulled off: the assumption of FEATS' paper."""
+
+    name, sticks, slips = "no_slip", True, False
+
+
+LAWS: dict[str, type[ContactLaw]] = {law.name: law for law in (Coulomb, Frictionless, NoSlip)}
 
 
 def contact_law(name: str, coefficient: float = 0.0) -> ContactLaw:
     """The law of that name; an unknown one raises BadInput."""
-    if name not in laws():
-        *others, last = laws()
+    if name not in LAWS:
+        *others, last = LAWS
         raise BadInput(f"interface law {name!r} is unknown; choose {', '.join(others)} or {last}")
-    law = laws()[name]
+    law = LAWS[name]
     return law(coefficient) if law.has_coefficient else law()

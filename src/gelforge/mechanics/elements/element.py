@@ -1,16 +1,14 @@
-"""What an element is: nodes, integration points, and the kernels of its formulation; and the elements by kind of mesh."""
+"""Finite elements, by the kind of mesh that they serve: nodes, integration points, and the kernels of their formulation."""
 
-import pkgutil
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
-from importlib import import_module
 
 import numpy as np
+from numba import njit
 
-from gelforge.mechanics import elements as package
-from gelforge.mechanics.elements.kernels import Kernels, batched
+from gelforge.mechanics.elements.kernels import Kernels, batched, displacement, mean_dilatation
 from gelforge.mechanics.mesh.stepped import Cells
+from gelforge.mechanics.mesh.tetmesh import GAUSS, gradients
 
 # From nodes (n, 3) mm and cells to gradients (e, points, k, 3) of the shape functions and weights (e, points) mm^3.
 Reference = Callable[[np.ndarray, Cells], tuple[np.ndarray, np.ndarray]]
@@ -85,9 +83,68 @@ def isoparametric(local: np.ndarray, parts: float) -> Reference:
     return reference
 
 
-@cache
-def elements() -> dict[str, FiniteElement]:
-    """The kinds of elements by the kind of mesh they serve: the ELEMENT of each module of this folder that has one."""
-    names = [name for _, name, _ in pkgutil.iter_modules(package.__path__, f"{package.__name__}.")]
-    found = [getattr(import_module(name), "ELEMENT", None) for name in names]
-    return {element.kind: element for element in found if element}
+CORNERS = np.array(
+    [[-1, -1, -1], [1, -1, -1], [1, 1, -1], [-1, 1, -1], [-1, -1, 1], [1, -1, 1], [1, 1, 1], [-1, 1, 1]], float
+)
+
+
+def local_gradients() -> np.ndarray:
+    """Derivatives (8 points, 8 nodes, 3) of a hexahedron's shape functions by the coordinates on [-1, 1]^3."""
+    points = CORNERS / np.sqrt(3.0)
+    local = np.empty((8, 8, 3))
+    for axis in range(3):
+        first, second = [i for i in range(3) if i != axis]
+        local[:, :, axis] = (
+            CORNERS[None, :, axis]
+            * (1 + points[:, None, first] * CORNERS[None, :, first])
+            * (1 + points[:, None, second] * CORNERS[None, :, second])
+            / 8.0
+        )
+    return local
+
+
+def hexahedral(nodes: np.ndarray, cells: Cells) -> tuple[np.ndarray, np.ndarray]:
+    """Gradients (e, 8, 8, 3) and weights (e, 8) of hexahedra on nodes (n, 3) mm; an inverted one raises ValueError."""
+    corners = np.ascontiguousarray(cells.corners, np.int32)
+    slopes, weights = _reference(np.ascontiguousarray(nodes, np.float64), corners, local_gradients())
+    if weights.min() <= 0.0:
+        raise ValueError(f"{int((weights.min(axis=1) <= 0).sum())} hexahedra are inverted")
+    lower = slopes[cells.standing, :, :4]
+    slopes[cells.standing, :, :4] = np.einsum("sba,sgbi->sgai", cells.shares, lower)
+    return slopes, weights
+
+
+@njit(cache=True, nogil=True)
+def _reference(nodes: np.ndarray, elements: np.ndarray, local: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Gradients (e, 8, 8, 3) of the shape functions and weights (e, 8): the Jacobian's determinant."""
+    count = len(elements)
+    slopes, weights = np.empty((count, 8, 8, 3)), np.empty((count, 8))
+    jacobian, inverse = np.empty((3, 3)), np.empty((3, 3))
+    for e in range(count):
+        for g in range(8):
+            jacobian[:] = 0.0
+            for a in range(8):
+                for i in range(3):
+                    for k in range(3):
+                        jacobian[i, k] += nodes[elements[e, a], i] * local[g, a, k]
+            for i in range(3):
+                for k in range(3):
+                    p, q, r, s = (k + 1) % 3, (k + 2) % 3, (i + 1) % 3, (i + 2) % 3
+                    inverse[i, k] = jacobian[p, r] * jacobian[q, s] - jacobian[p, s] * jacobian[q, r]
+            volume = jacobian[0, 0] * inverse[0, 0] + jacobian[0, 1] * inverse[1, 0] + jacobian[0, 2] * inverse[2, 0]
+            weights[e, g] = volume
+            for a in range(8):
+                for i in range(3):
+                    total = 0.0
+                    for k in range(3):
+                        total += local[g, a, k] * inverse[k, i]
+                    slopes[e, g, a, i] = total / volume if volume != 0.0 else 0.0
+    return slopes, weights
+
+
+ELEMENTS = {element.kind: element for element in (
+    # eight-node hexahedron with mean dilatation (Q1P0), for a nearly incompressible solid: 2 x 2 x 2 points
+    FiniteElement("hex8", 8, mean_dilatation(8, points=8, width=32), hexahedral),
+    # ten-node tetrahedron as CalculiX' C3D10: displacement only, four integration points
+    FiniteElement("tet10", 10, displacement(10, points=4, width=16), isoparametric(gradients(GAUSS), parts=24.0)),
+)}  # fmt: skip

@@ -1,7 +1,7 @@
 """Equilibrium of one scene on one mesh while the indenter stands: Newton's method with a factorisation kept as long as it serves."""
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from gelforge.mechanics.contact.penalty import (
     penalty_tractions,
     positions,
 )
-from gelforge.mechanics.elements.element import elements
+from gelforge.mechanics.elements.element import ELEMENTS
 from gelforge.mechanics.linear.factorisation import symmetric_solver
 from gelforge.mechanics.linear.gmres import gmres, length_of
 from gelforge.mechanics.linear.pattern import block_places, build_pattern, symmetric_product
@@ -49,6 +49,22 @@ NOISY, NOISY_INTERPOLATED = 5e-3, 1e-3
 CYCLING = 1e-3
 # Matrix products that a solve may take with an old factorisation (one costs as much as a dozen) and with its own.
 STALE, FRESH = 12, 60
+
+
+@dataclass(frozen=True)
+class Aim:
+    """What Newton's method is to reach, and how.
+
+    tolerance: residual over the contact force. still: indenter and contact are as they were in the last equilibrium. enough:
+    residual that is taken where no number of steps meets the tolerance. parts: of a step that are tried in turn. held: no
+    sticking point slips in any step.
+    """
+
+    tolerance: float
+    still: bool = False
+    enough: float = 0.0
+    parts: Sequence[float] = PARTS
+    held: bool = False
 
 
 class System:
@@ -83,7 +99,7 @@ class Equilibrium:
         self.penalty = Penalty(settings.stiffness, settings.friction_stiffness, self.law)
         self.holding = replace(self.penalty, law=Holding())
         self.moduli = scene.material.shear_modulus, scene.material.bulk_modulus
-        self.elements = elements()[mesh.kind].on(mesh.nodes, mesh.cells)
+        self.elements = ELEMENTS[mesh.kind].on(mesh.nodes, mesh.cells)
         self.state = contact_points(mesh, settings.gauss, np.flatnonzero(reachable(scene, mesh.nodes[mesh.faces])))
         self.nodes = np.ascontiguousarray(mesh.faces[self.state.face])
         self.u, self.candidates = np.zeros_like(mesh.nodes), np.empty(0, np.int64)
@@ -93,9 +109,9 @@ class Equilibrium:
         self.noisy, self.crawls = NOISY, False
 
     @property
-    def enough(self) -> float:
-        """Residual that is taken within a path, where no number of steps meets its tolerance."""
-        return CYCLING if self.law.frictional else 0.0
+    def within_path(self) -> Aim:
+        """What is asked for between the ends of a path."""
+        return Aim(self.settings.tolerance, enough=CYCLING if self.law.frictional else 0.0)
 
     def points(self, u: np.ndarray) -> np.ndarray:
         """Deformed places (m, 3) mm of the contact's points."""
@@ -106,36 +122,25 @@ class Equilibrium:
         failed = NoEquilibrium()
         for guess in guesses:
             try:
-                return self.newton(guess, pose, self.settings.tolerance, enough=self.enough)
+                return self.newton(guess, pose, self.within_path)
             except NoEquilibrium as error:
                 failed = error
         raise failed
 
-    def newton(
-        self,
-        u: np.ndarray,
-        pose: Pose,
-        tolerance: float,
-        still: bool = False,
-        enough: float = 0.0,
-        parts: Sequence[float] = PARTS,
-        held: bool = False,
-    ) -> tuple[np.ndarray, int]:
-        """Newton steps from u until the residual is below tolerance times the contact force: u (n, 3) and their number.
+    def newton(self, u: np.ndarray, pose: Pose, aim: Aim) -> tuple[np.ndarray, int]:
+        """Newton steps from u until the residual is what is aimed for: u (n, 3) and their number; raises NoEquilibrium.
 
-        With friction the first step holds every sticking point (but where indenter and contact are as they were, `still`):
-        points that slip from a poor guess drag others along, and Newton loses its way. enough: residual that is taken
-        where no number of steps meets the tolerance. parts: of a step that are tried in turn. held: no sticking point slips in any
-        step. Raises NoEquilibrium.
+        With friction the first step holds every sticking point: points that slip from a poor guess drag others along, and
+        Newton loses its way.
         """
         if self.iterations > self.settings.most_in_all:
             raise NoEquilibrium(f"the path took more than {self.settings.most_in_all:g} Newton iterations")
-        penalties = [self.holding, self.penalty] if self.law.frictional and not still else [self.penalty]
-        penalties = [self.holding] if held else penalties
+        penalties = [self.holding, self.penalty] if self.law.frictional and not aim.still else [self.penalty]
+        penalties = [self.holding] if aim.held else penalties
         state = self._out_of_balance(u, pose, penalties[0])
         best: tuple[float, np.ndarray, Any] = np.inf, u, None
         for iteration in range(self.settings.max_iterations + 1):
-            if len(penalties) == 1 and self.residual <= tolerance:
+            if len(penalties) == 1 and self.residual <= aim.tolerance:
                 self.tractions = state[1]
                 return u, iteration
             if len(penalties) == 1 and self.residual < best[0]:
@@ -144,8 +149,8 @@ class Equilibrium:
                 step = self._direction(u, pose, penalties[0], *state)
                 penalties = penalties[-1:]
                 before = self.residual if iteration >= WARY else np.inf
-                u, state = self._step(u, step, pose, penalties[0], before, parts)
-        if best[0] > enough:
+                u, state = self._step(u, step, pose, penalties[0], before, aim.parts)
+        if best[0] > aim.enough:
             raise NoEquilibrium
         self.residual, u, self.tractions = best
         return u, self.settings.max_iterations
@@ -242,19 +247,11 @@ class Equilibrium:
 
         return apply
 
-    def solve_here(
-        self,
-        pose: Pose,
-        tolerance: float,
-        still: bool = False,
-        enough: float = 0.0,
-        parts: Sequence[float] = PARTS,
-        held: bool = False,
-    ) -> None:
-        """Equilibrium with the indenter at a pose. still: nothing in the contact changed since the last one."""
+    def solve_here(self, pose: Pose, aim: Aim) -> None:
+        """Equilibrium with the indenter at a pose."""
         gap = gaps(self.scene, self.points(self.u), pose)
         self.candidates = np.flatnonzero((self.state.status != STICK) & (gap < self.settings.size))
-        self.u, _ = self.newton(self.u, pose, tolerance, still, enough, parts, held)
+        self.u, _ = self.newton(self.u, pose, aim)
 
     def contact_forces(self) -> np.ndarray:
         """Nodal contact forces on the gel (n, 3) of the last equilibrium, N."""

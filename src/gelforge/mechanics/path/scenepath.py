@@ -9,7 +9,7 @@ import numpy as np
 from gelforge.errors import SolveFailed
 from gelforge.mechanics.contact.penalty import FREE, STICK, TOUCHING
 from gelforge.mechanics.mesh.gelmesh import GelMesh
-from gelforge.mechanics.path.equilibrium import NOISY_INTERPOLATED, PARTS, SHORT, Equilibrium, System
+from gelforge.mechanics.path.equilibrium import NOISY_INTERPOLATED, PARTS, SHORT, Aim, Equilibrium, System
 from gelforge.mechanics.path.loadpath import gaps, path_pose
 from gelforge.mechanics.path.pathsettings import PathSettings
 from gelforge.mechanics.path.transfer import LoadPath, carried, touches
@@ -139,7 +139,7 @@ class ScenePath(Equilibrium):
                 self.stick(touched, places, pose)
                 self._iterate_arrival(places, pose)
             else:
-                self.solve_here(pose, self.settings.rough)
+                self.solve_here(pose, Aim(self.settings.rough))
         except (NoEquilibrium, SolveFailed) as error:
             return self._diverged(error)
         return self._end()
@@ -154,7 +154,7 @@ class ScenePath(Equilibrium):
         for _ in range(self.settings.settle_rounds):
             self.rounds += 1
             self.state.go(1.0)
-            self.solve_here(pose, self.settings.rough)
+            self.solve_here(pose, Aim(self.settings.rough))
             new = self.touching() & ~stuck
             stuck |= new
             released = self.release(pose)
@@ -339,7 +339,7 @@ class ScenePath(Equilibrium):
             kept = self.state.snapshot()
             try:
                 self.state.go(share / left)
-                self.solve_here(pose, self.settings.tolerance, enough=self.enough)
+                self.solve_here(pose, self.within_path)
                 left -= share
             except NoEquilibrium:
                 self.state.restore(kept)
@@ -357,14 +357,14 @@ class ScenePath(Equilibrium):
         for parts in (PARTS, SHORT):
             for tolerance, still in ((final, True), (max(final, ACCEPTED), False)):
                 try:
-                    return self.solve_here(pose, tolerance, still, parts=parts)
+                    return self.solve_here(pose, Aim(tolerance, still, parts=parts))
                 except NoEquilibrium:
                     continue
         if not self.law.frictional:
             raise NoEquilibrium
         self._slide(pose)
         self.state.go(1.0)
-        return self.solve_here(pose, max(final, ACCEPTED), held=True)
+        return self.solve_here(pose, Aim(max(final, ACCEPTED), held=True))
 
     # -- evidence
 

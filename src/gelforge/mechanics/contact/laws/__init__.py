@@ -1,1 +1,0 @@
-"""The contact laws, one a file; `contact.law.laws` finds them."""
