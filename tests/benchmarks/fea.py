@@ -32,7 +32,7 @@ from gelforge.records.status import VALID
 from gelforge.stages import pareto as branch
 from gelforge.sweeps.deviation import errors
 from gelforge.sweeps.isolate import Clock, isolated, peak_mib
-from gelforge.sweeps.keptreferences import KEYS
+from gelforge.sweeps.keptreferences import elements_doubled
 from gelforge.sweeps.methods import LARGE_REFERENCE, REFERENCE, Method, method_of, prepare
 from gelforge.sweeps.scenes import NamedScene, parse_scene, read_tables
 from gelforge.sweeps.trial import (
@@ -379,9 +379,7 @@ def main(args: Namespace) -> None:
             run_deck(args.reference, args.work, depth)
     if "scenes" in parts:
         figures += scene_figures(solve_scenes(bench, scenes), kept_decks(args.work))
-        figures += reference_figures(
-            {name: kept["elements_doubled"] for name, kept in read_json(args.references / KEYS).items()}
-        )
+        figures += reference_figures(elements_doubled(args.references))
     if "native" in parts:
         figures += solve_native(bench, scenes)
     if "envelope" in parts:

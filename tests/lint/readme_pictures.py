@@ -190,6 +190,7 @@ METHODS = {"draft": "#4292c6", "label": "#084594", "fine": "#9ecae1", "ccx": "#d
 def exact(args: Namespace) -> None:
     """Processor time of presses whose force is known against their error, each method: a dot a press, a ring at the medians."""
     from gelforge.reporting.canvas import canvas_with_axes, to_png
+    from gelforge.reporting.charts import plain_ticks
 
     figure, axes = canvas_with_axes(1, 2, 12, 5.4)
     presses = [row for row in read_json(args.data[0])["presses"] if row["total"] is not None]
@@ -204,15 +205,11 @@ def exact(args: Namespace) -> None:
             axis.plot(x, y, ".", color=colour, ms=5, alpha=0.55)
             label = f"{method}, {len(own)} presses" if kind == "total" else None
             axis.plot([np.median(x)], [np.median(y)], "o", color=colour, ms=11, mec="black", mew=1.2, label=label)
-        axis.set(
-            xscale="log",
-            yscale="log",
-            xlabel="processor seconds of a press, one thread",
-            ylabel=f"error of {what}, %",
-        )
+        plain_ticks(axis)
+        axis.set(xlabel="processor seconds of a press, one thread", ylabel=f"error of {what}, %")
         axis.grid(alpha=0.25, which="both")
-    figure.legend(loc="outside lower center", ncols=len(METHODS), fontsize=8)
-    figure.suptitle("Axisymmetric presses of known force: a dot for each press, a ring at the medians", fontsize=10)
+    figure.legend(loc="outside lower center", ncols=len(METHODS) // 2, fontsize=11)
+    figure.suptitle("Axisymmetric presses of known force: a dot for each press, a ring at the medians", fontsize=12)
     publish_picture(args.out, to_png(figure), args.data)
 
 

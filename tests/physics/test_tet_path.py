@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.ndimage import label
 
 from gelforge.errors import SolveFailed
+from gelforge.geometry.gel import GELS
 from gelforge.geometry.indenters import build
-from gelforge.mechanics.hexsettings import HexSettings, Nested
+from gelforge.mechanics.hexsettings import HexSettings, Nested, quality
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.path import equilibrium
 from gelforge.mechanics.path.equilibrium import System
@@ -17,7 +19,7 @@ from gelforge.mechanics.path.loadpath import first_touch
 from gelforge.mechanics.path.pathsettings import PathSettings
 from gelforge.mechanics.path.scenepath import ScenePath
 from gelforge.mechanics.scene import Interface, Scene
-from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver
+from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver, mesh_of
 from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.records.press import Press
 from gelforge.records.status import Status
@@ -177,3 +179,21 @@ def test_a_path_ends_after_the_newton_iterations_that_it_may_take(mesh):
     path, status = followed(scene(), replace(TIGHT, most_in_all=5), System(mesh), mesh)
     assert status is Status.DIVERGED and "more than 5 Newton iterations" in path.reason
     assert path.iterations <= 5 + TIGHT.max_iterations
+
+
+@pytest.mark.parametrize(
+    ("body", "depth", "contacts", "holes"),
+    [
+        ({"kind": "sphere", "diameter": 15, "height": 10}, 1.0, 1, 0),
+        ({"kind": "pyramid", "size": [10, 10], "slope_deg": 30, "fillet": 1, "height": 7}, 1.2, 1, 0),
+        ({"kind": "cylinder", "diameter": 10, "fillet": 0.7, "height": 10, "hole": 7}, 0.3, 1, 1),
+        ({"kind": "triple_triangle", "side": 12, "wall": 1, "first_corner_deg": -90, "fillet": 0.7, "height": 10}, 0.5, 1, 1),
+    ],
+    ids=lambda value: value["kind"] if isinstance(value, dict) else None,
+)  # fmt: skip
+def test_what_a_press_touches_has_the_bodys_holes_and_no_others(body, depth, contacts, holes):
+    scene = Scene(GELS["gelsight_mini"], Material(), build("body", body), Press(0, 0, 0, 0, 0, -depth))
+    path = HexSolver(quality("label")).coarse_path([scene])[0].path
+    mask = mesh_of(scene, path, 0.5, 1.6).contact.mask
+    assert label(mask)[1] == contacts
+    assert label(np.pad(~mask, 1, constant_values=True))[1] - 1 == holes

@@ -32,11 +32,11 @@ def scene(name, table):
 
 def test_a_scene_is_solved_once_resumed_and_drawn(bench, tmp_path, capfd):
     ball = scene("ball", {"indenter": {"kind": "sphere", "diameter": 15, "height": 10}})
-    first = pareto.solve_scene(bench, ball, METHODS, [])
+    first = pareto.solve_scene(bench, ball, METHODS)
     assert capfd.readouterr().out.count("ball hex") == len(METHODS)
     (bench.records / "ball" / "hex-1.4-2.json").unlink()
     (bench.records / "ball" / "hex-1-4.json").write_text('{"key": "trunc')
-    again = pareto.solve_scene(bench, ball, METHODS, [])
+    again = pareto.solve_scene(bench, ball, METHODS)
     out = capfd.readouterr().out
     assert out.count("ball hex") == 2 and "hex-2-1" not in out
     # the same solve on the same machine: sums in another order at most
@@ -59,7 +59,7 @@ def test_a_scene_is_solved_once_resumed_and_drawn(bench, tmp_path, capfd):
 def test_a_scene_that_cannot_be_solved_is_listed_with_its_reason(bench, tmp_path):
     far = scene("far", {"indenter": {"kind": "sphere", "diameter": 2, "height": 10}, "x0": 9.0, "depth": 0.1})
     ball = scene("ball", {"indenter": {"kind": "sphere", "diameter": 15, "height": 10}})
-    solved = [pareto.solve_scene(bench, s, METHODS[:2], []) for s in (far, ball)]
+    solved = [pareto.solve_scene(bench, s, METHODS[:2]) for s in (far, ball)]
     found = pareto.publish_chart(tmp_path / "chart.json", solved)
     row = found["rows"][0]
     assert row["scenes"] == 2 and row["failed"] == 1 and not row["frontier_total"]

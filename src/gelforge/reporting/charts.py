@@ -40,7 +40,7 @@ def _frontier(axis, rows, kind):
                   label="frontier of the worst scene")  # fmt: skip
 
 
-def _plain_ticks(axis):
+def plain_ticks(axis):
     """1, 2, 5, 10 as such, with room for the names of points."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
@@ -63,7 +63,7 @@ def pareto_chart(rows: list[dict], scenes: list[dict]) -> bytes:
         for row in usable:
             _spot(axis, row, kind, slowest)
         _frontier(axis, usable, kind)
-        _plain_ticks(axis)
+        plain_ticks(axis)
         axis.set(xlabel="processor seconds per press, one thread (median over scenes)", ylabel=f"{label}, %")
         axis.grid(alpha=0.25, which="both")
     solvers = dict.fromkeys(row["solver"] for row in usable)
@@ -94,7 +94,7 @@ def stability_map(table: list[dict]) -> bytes:
     rows = list(dict.fromkeys(line["row"] for line in table))
     columns = 2
     height = -(-len(rows) // columns)
-    figure, axes = canvas_with_axes(height, columns, 15, 3.6 * height)
+    figure, axes = canvas_with_axes(height, columns, 11, 3.2 * height)
     shared = _shared(table)
     for axis, row in zip(axes.ravel(), rows, strict=False):
         lines = [line for line in table if line["row"] == row]
@@ -141,14 +141,14 @@ def _grid(axis, row, lines, shared):
         text = line["status"].lower().replace("_", " ") if line["verdict"] == "failed" else ""
         if line["verdict"] in ("good", "drifts") and line["error"] is not None:
             text = f"{100 * line['error']:.1f}"
-        axis.text(x, y, text, ha="center", va="center", fontsize=7)
+        axis.text(x, y, text.replace(" ", "\n"), ha="center", va="center", fontsize=10)
     for level in {line["level"] for line in lines if _case(line) in shared}:
         corner = levels.index(level) - 0.5, -0.5
         axis.add_patch(Rectangle(corner, 1, len(groups), fill=False, edgecolor="black", lw=2, clip_on=False))
     axis.set(xlim=(-0.5, len(levels) - 0.5), ylim=(len(groups) - 0.5, -0.5), xticks=range(len(levels)),
              yticks=range(len(groups)), title=PANELS[row])  # fmt: skip
     axis.set_xticklabels([str(level) for level in levels])
-    axis.set_yticklabels([" ".join(group) for group in groups], fontsize=8)
+    axis.set_yticklabels([" ".join(group) for group in groups], fontsize=10)
 
 
 def _scatter(axis, lines):

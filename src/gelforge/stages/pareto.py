@@ -18,9 +18,9 @@ from gelforge.flow.params import StageParameters, read_parameters
 from gelforge.flow.tables import METHODS
 from gelforge.labelling.sensor import load_sensors
 from gelforge.sweeps.deviation import errors, frontier
-from gelforge.sweeps.methods import DOUBLED, REFERENCE, Method, every_method
+from gelforge.sweeps.methods import DOUBLED, LARGE_REFERENCE, REFERENCE, Method, every_method
 from gelforge.sweeps.scenes import NamedScene, parse_scene, read_tables
-from gelforge.sweeps.trial import ChartBench, load_bench, measure
+from gelforge.sweeps.trial import ChartBench, given_check, load_bench, measure
 
 VERSION = 5
 GOAL_TOTAL, GOAL_CELLS = 0.02, 0.08  # what a label setting should meet over all scenes
@@ -30,21 +30,22 @@ COLUMNS = ("method", "solver", "size_mm", "load_steps", "scenes", "failed", "cpu
            "frontier_total", "frontier_cells")  # fmt: skip
 
 
-def solve_scene(bench: ChartBench, scene: NamedScene, methods: list[Method], checks: list[Method]) -> dict:
-    """Every method on one scene, the last of `methods` being the reference; records by method with their errors.
+def solve_scene(bench: ChartBench, scene: NamedScene, methods: list[Method]) -> dict:
+    """Every method on one scene, the last being the reference; records by method with their errors.
 
-    checks: other solves of the reference.
+    The large reference is checked by another solve, or by what is kept of that beside a reference that is kept.
     """
-    reference = methods[-1].name
-    methods = [*methods, *checks]
+    reference, check = methods[-1].name, given_check(bench, scene)
+    if methods[-1] == LARGE_REFERENCE and check is None:
+        methods = [*methods, Method(DOUBLED, REFERENCE, doubled=True)]
     records = {m.name: measure(bench, scene, m) for m in tqdm(methods, scene.name)}
     compared: dict[str, dict] = {}
     for method in methods:
         record = records[method.name] | {"method": asdict(method)}
         compared[method.name] = record | {"errors": errors(record, records[reference])}
     found: dict = {"scene": scene.name, "table": scene.table, "reference": reference, "methods": compared}
-    if DOUBLED in records:
-        found["reference_check"] = compared[DOUBLED]["errors"]
+    if reference == REFERENCE:
+        found["reference_check"] = compared[DOUBLED]["errors"] if DOUBLED in compared else check
     return found
 
 
@@ -175,7 +176,7 @@ def solve(args: Namespace) -> None:
     need_ccx()
     found = asked(args)
     methods = every_method(found.params.pareto)
-    write_json(args.out, solve_scene(found.bench, found.scene, methods, [Method(DOUBLED, REFERENCE, doubled=True)]))
+    write_json(args.out, solve_scene(found.bench, found.scene, methods))
 
 
 def chart_of(paths: list[Path], out: Path) -> None:

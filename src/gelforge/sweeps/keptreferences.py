@@ -69,7 +69,8 @@ def keep_references(charted: Iterable[dict], folder: Path, nu: float) -> None:
             images = images_of(parse_scene(scene["scene"], scene["table"], nu).scene)
             record = record | averaged(record, images)
         write_csv(path, COLUMNS, reference_rows(record))
-        moved = errors(scene["methods"].get(DOUBLED, {}), record)
+        check = scene["methods"].get(DOUBLED)
+        moved = errors(check, record) if check else scene.get("reference_check")
         keys[scene["scene"]] = {"key": record["key"], "sha256": digest_of(path), "elements_doubled": moved}
     for path in folder.glob("*.csv"):
         if path.stem not in keys:

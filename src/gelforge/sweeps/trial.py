@@ -19,7 +19,7 @@ from gelforge.labelling.sensor import Sensor
 from gelforge.mechanics.hexsettings import quality
 from gelforge.mechanics.solve import GUIDE, settings_of
 from gelforge.sweeps.isolate import CRASHED, REFUSED, TIMED_OUT, Clock, isolated, peak_mib
-from gelforge.sweeps.keptreferences import kept_reference, reference_key
+from gelforge.sweeps.keptreferences import elements_doubled, kept_reference, reference_key
 from gelforge.sweeps.methods import LARGE_REFERENCE, REFERENCE, Method, hex_settings, prepare, warm_up
 from gelforge.sweeps.scenes import NamedScene
 
@@ -147,6 +147,13 @@ def given_reference(bench: ChartBench, scene: NamedScene) -> dict | None:
     if bench.references is None:
         return None
     return kept_reference(bench.references, scene.name, bench.key(scene, LARGE_REFERENCE), GRID.shape)
+
+
+def given_check(bench: ChartBench, scene: NamedScene) -> dict | None:
+    """How far a solve on elements and load steps of twice the size is from a reference that was solved elsewhere."""
+    if bench.references is None or given_reference(bench, scene) is None:
+        return None
+    return elements_doubled(bench.references).get(scene.name)
 
 
 def solve_method(bench: ChartBench, scene: NamedScene, method: Method, work: Path) -> dict:

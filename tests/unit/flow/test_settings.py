@@ -143,7 +143,7 @@ MEANINGLESS = (
     ("[params.dataset]\nvalidation = 0.6\ntest = 0.5", "validation = 0.6 and test = 0.5"),
     ("[params.labels]\nchannels = ['traction']", "channels = .*\"force\" first"),
     ("[params.meshes]\ngel = 'dome'", "meshes: unknown"),
-    ("[params.pareto]\nhex_layers = [3]", "hex_sizes_mm has 5 sizes and hex_layers 1"),
+    ("[params.pareto]\nhex_layers = [3]", "hex_sizes_mm has 2 sizes and hex_layers 1"),
     ("[params.stability.sizes]\nhx = [1.0]", "hx: unknown name; hex is meant"),
     ("[params.stability]\nlayers = {}\nsizes = {hex = [2.0, 1.0, 0.7, 0.5]}", "layers has no \"2.0\""),
     ("[params.calibrate]\nfriction_nodes = [0.6, 0.15]", "friction_nodes = .* rising"),

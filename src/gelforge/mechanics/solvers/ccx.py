@@ -39,7 +39,7 @@ LONGEST = (
     3.2  # of edges at the edge of contact, in sides of these hexahedra, which are smaller under a narrow contact
 )
 # Widths of a coarse hexahedron within which what lies between its points of contact touches, too; and pixels of gaps that are closed.
-PORES, CLOSED = 0.02, 2
+PORES, CLOSED = 0.02, 1
 NEAR_MM = 0.5  # from the indenter: points that may come to touch within a load step
 # Residual at which the end of a path on hexahedra shows what pulls and what presses on tetrahedra: nine scenes end within
 # 0.07 % of what 1e-3 gives, in three quarters of the time; at 0.2 they end up to 1.2 % off.
