@@ -23,12 +23,12 @@ demo: $(if $(IS_FROZEN),report)  ## the whole flow on the demo dataset: labels, 
 	$(call frozen_then,report)
 	@echo "report: $D/90_report/index.html"
 
-# Seconds against error of every solver, mesh density and load-step count, on the scenes of workflow/scenes.toml: hours; a scene that
+# Seconds against error of every solver, mesh density and load-step count, on the scenes of workflow/scenes.toml: an hour; a scene that
 # is cut short resumes at its next method. References are kept in data/; one whose scene or settings changed is solved anew.
 KEPT_REFERENCES := $(wildcard data/fea_challenge/keys.json)
 PARETO_FILES := $(PARETO_SCENES:%=$D/pareto/scenes/%.json)
 
-pareto: $D/pareto/pareto.json  ## speed against accuracy of the mechanics: chart, CSV, JSON (hours; resumes)
+pareto: $D/pareto/pareto.json  ## speed against accuracy of the mechanics: chart, CSV, JSON (an hour; resumes)
 
 $(PARETO_FILES): $D/pareto/scenes/%.json: $P/pareto.json $P/scenes/%.json $P/sensors.json $P/gels.json $(KEPT_REFERENCES)
 	$(foretold)
@@ -48,7 +48,7 @@ fea-references: $(PARETO_FILES)  ## make the references of fea-challenge again f
 STABILITY_ROWS := depth shear place tilt ridge nu friction size steps random
 STABILITY_FILES := $(STABILITY_ROWS:%=$D/stability/rows/%.json)
 
-stability: $D/stability/map.json  ## where the mechanics converge, fail or lose accuracy: map, CSV (hours; resumes)
+stability: $D/stability/map.json  ## where the mechanics converge, fail or lose accuracy: map, CSV (an hour or two; resumes)
 
 $(STABILITY_FILES): $D/stability/rows/%.json: $P/stability.json $P/gels.json
 	$(foretold)

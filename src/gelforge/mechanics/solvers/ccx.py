@@ -36,7 +36,7 @@ from gelforge.records.status import Status
 AROUND = quality("label")  # whose small hexahedra show where the contact may be
 PIXELS = 64  # across the longer side of that place
 LONGEST = (
-    3.2  # of edges at the edge of contact, in sides of these hexahedra, which are smaller under a narrow contact
+    1.5  # of edges at the edge of contact, in sides of these hexahedra, which are smaller under a narrow contact
 )
 # Widths of a coarse hexahedron within which what lies between its points of contact touches, too; and pixels of gaps that are closed.
 PORES, CLOSED = 0.02, 1
