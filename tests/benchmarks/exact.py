@@ -197,7 +197,7 @@ def figures_of(name: str, rows: list[dict]) -> list[Figure]:
 def auto_figures(table: list[dict], tolerance: float) -> list[Figure]:
     """What `auto` makes of presses that its methods solved: how many are within a tolerance (%), and its time over label's."""
     presses: dict[str, dict[str, dict]] = {}
-    for row in (row for row in table if row["stated"]):
+    for row in (row for row in table if row.get("stated")):
         presses.setdefault(row["press"], {})[row["method"]] = row
     presses = {name: rows for name, rows in presses.items() if rows.keys() >= set(TAKEN)}
     if not presses:

@@ -22,6 +22,8 @@ BETWEEN = 2  # load steps at least between two frames of a press that are asked 
 EASY = 7  # Newton iterations up to which a shortened step may grow again
 SMALLEST_PART = 0.1  # of pending contact changes carried out in one solve
 REST = 0.3  # of a load step: a shorter rest of the leg is taken along with it
+# Of a slide, mm: points that first touch in a load step have no friction until it ends, and this much of travel gives them all of it.
+DRAGGED_MM = 0.01
 BEYOND = 1.001  # of its traction is what a slipping point's multiplier wants, or rounding decides which points stick
 ACCEPTED = 1e-7  # residual over contact force that keeps base reactions within 1e-6
 
@@ -106,7 +108,8 @@ class ScenePath(Equilibrium):
                 step = (end - self.t) / count
                 for stop in (*(t for t in sorted(stops) if self.t < t < end), end):
                     longest = min(step, (stop - self.t) / BETWEEN) if stops else step
-                    self.control.follow(self.t, stop, longest, self._advance)
+                    for aim in self._towards(stop):
+                        self.control.follow(self.t, aim, longest, self._advance)
                     if at_stop and stop in stops and stop < self.scene.press.end:
                         ended = self._branch()
                         at_stop(ended, ended._end())
@@ -180,6 +183,12 @@ class ScenePath(Equilibrium):
         if self.scene.press.end > 1.0 or start >= 1.0:
             legs.append((2.0, self.settings.shear_steps))
         return legs
+
+    def _towards(self, stop: float) -> list[float]:
+        """Path parameters on the way to a stop: of a slide first where only DRAGGED_MM of it is left."""
+        left = DRAGGED_MM / max(np.hypot(self.scene.press.dx, self.scene.press.dy), DRAGGED_MM)
+        short = self.law.frictional and stop - left > max(self.t, 1.0)
+        return [stop - left, stop] if short else [stop]
 
     def _advance(self, t: float, part: float) -> int:
         """One load step to t with `part` of the pending contact changes; raises NoEquilibrium, changing nothing."""
