@@ -49,7 +49,7 @@ def test_it_is_for_any_sensor_that_brings_its_no_contact_image(root):
     model = load_model(SHIPPED)
     assert model.needs_nocontact and len(model.metadata["sensors"]) > 8
     require_sensor(model, {"any name"})
-    with pytest.raises(BadInput, match="give it with --nocontact PICTURE or --profile"):
+    with pytest.raises(BadInput, match="give it with --nocontact NOCONTACT or --profile"):
         Predictor(model)
 
 
