@@ -22,6 +22,7 @@ from gelforge.calibration.parameters import FrictionPrior, Model, Prior, make_mo
 from gelforge.calibration.posterior import ERROR, SIDEWAYS_ERROR, SIDEWAYS_ERROR_OF_NORMAL, Posterior, tare_of
 from gelforge.calibration.readings import bisection_order, choose_presses, slides
 from gelforge.calibration.sampling import TAIL, Rules, independent_draws, sample
+from gelforge.flow.files import read_json
 from gelforge.flow.schema import Place, parse
 from gelforge.flow.tables import PRIOR_KEYS, PriorTable
 from gelforge.mechanics.material import REFERENCE_C10
@@ -48,10 +49,12 @@ def test_table_follows_the_curve_between_its_points():
 
 
 def test_compliance_is_inverted_exactly():
-    """Effective depth plus what the frame gives way is the commanded depth plus the offset."""
+    """Effective depth plus what the frame gives way is the commanded depth plus the offset; the force is that of this depth."""
     values = true_values(compliance=0.02)
     forces, slopes, depth = law_emulator().forces([1.5], values)
     assert depth[0, 0] == pytest.approx(1.5 + 0.03 - 0.02 * abs(forces[0, 0, 2]), abs=1e-12)
+    stiff = law_emulator().forces(depth[0], true_values(compliance=0.0, offset=0.0))[0]
+    np.testing.assert_allclose(forces, stiff, rtol=1e-12)
     ahead = law_emulator().forces([1.5 + 1e-5], values)[0]
     assert slopes[0, 0, 2] == pytest.approx((ahead - forces)[0, 0, 2] / 1e-5, rel=1e-6)
 
@@ -205,6 +208,14 @@ def test_the_components_of_a_press_share_its_errors():
             shape += np.diag([1.0, 1.0, 0.0]) * (SIDEWAYS_ERROR_OF_NORMAL * f[2]) ** 2
             law = stats.multivariate_t((f + tare_of(values)[w])[used], shape[np.ix_(used, used)], df=4.0)
             assert found[w, p] == pytest.approx(law.logpdf(observed[p, used]), rel=1e-9)
+
+
+def test_the_likelihood_has_the_errors_that_emulated_forces_were_measured_to_have(root):
+    """Not less than measured, and at most half more (make benchmark-calibration)."""
+    figures = read_json(root / "results/benchmarks/calibration.json")["figures"]
+    measured = {figure["name"]: figure["value"] / 100 for figure in figures}
+    for name, error in (("normal forces, error from press to press", ERROR), ("sideways forces, the same", SIDEWAYS_ERROR)):
+        assert measured[f"emulated {name}"] <= error <= 1.5 * measured[f"emulated {name}"]
 
 
 @pytest.mark.slow

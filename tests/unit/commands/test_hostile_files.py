@@ -12,6 +12,8 @@ import pytest
 from gelforge.commands import look, predict, sample
 from gelforge.commands.projection import read_picture
 from gelforge.errors import BadInput
+from gelforge.flow.files import write_csv, write_json
+from gelforge.flow.layout import Layout
 from gelforge.formats.featsfile import read_npy
 from gelforge.formats.mcap_messages import messages
 from gelforge.reading.faults import LIMITS
@@ -37,11 +39,19 @@ def test_a_table_that_lost_all_its_bytes_is_not_one_without_rows(tmp_path):
 
 
 def test_a_sample_id_that_may_name_no_file_never_does(tmp_path, monkeypatch):
+    """Of a log that has a row of that name, which stage 10 rejects."""
     monkeypatch.chdir(tmp_path)
-    for name in ("..", "../../../x", "a/b", "$(touch f)", "", "-rf", "a" * 101, "a\x1b[2Jb\n\u202ec"):
+    of = Layout(tmp_path / "results/demo")
+    write_json(of.calibration(), {})
+    write_json(of.parameters("poses"), {})
+    names = ("..", "../../../x", "a/b", "$(touch f)", "", "-rf", "a" * 101, "a\x1b[2Jb\n\u202ec")
+    for path in (of.shard_table, of.shard("0000")):
+        write_csv(path, ["sample_id", "shard", "row"], [{"sample_id": name, "shard": 0, "row": 2} for name in names])
+    there = sorted(tmp_path.rglob("*"))
+    for name in names:
         refused("", sample.main, ["results/demo", f"--id={name}"])
         refused("", look.main, ["--data", "data/demo", "--results", "results/demo", f"--id={name}"])
-    assert not list(tmp_path.iterdir())
+    assert sorted(tmp_path.rglob("*")) == there
 
 
 @pytest.fixture

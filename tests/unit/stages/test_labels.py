@@ -84,7 +84,7 @@ def test_stored_resolutions_nest(made):
     assert np.abs(summed - coarse).max() < 1e-6 * np.abs(coarse).max()  # what float32 of a cell can hold
 
 
-def test_only_shards_whose_forces_changed_are_labelled_again(made):
+def test_only_shards_whose_forces_or_sensors_changed_are_labelled_again(made):
     folder = label(made, "6x8")
     stamps = {path.name: path.stat().st_mtime_ns for path in folder.glob("0*.npz")}
     first, second = (made["results"] / f"40_forces/000{k}.npz" for k in (0, 1))
@@ -93,11 +93,15 @@ def test_only_shards_whose_forces_changed_are_labelled_again(made):
     with np.load(second, allow_pickle=False) as held:
         other = {name: held[name] for name in held}
     np.savez(second, **(other | {"force": 2.0 * other["force"]}))
+    poses = made["results"] / "10_poses/0002.csv"
+    seen = poses.read_text()
+    rewrite(poses, "mini_c", "mini_a")
     summary = json.loads((label(made, "6x8") / "labels.json").read_text())
     again = {path.name for path in folder.glob("0*.npz") if path.stat().st_mtime_ns != stamps[path.name]}
-    assert again == {"0001.npz"}
+    assert again == {"0001.npz", "0002.npz"}
     assert summary["samples"] == 24 and summary["failed"] == 1 and summary["resolution"] == "6x8"
     second.write_bytes(kept)
+    poses.write_text(seen)
     label(made, "6x8")
 
 

@@ -76,7 +76,7 @@ def test_frontier_beats_every_other_point(points):
     assert best
     for p in points:
         assert any(q[0] <= p[0] and q[1] <= p[1] for q in best)
-    assert frontier([(1, 3), (2, 2), (3, 2.5), (4, 1)]) == [True, True, False, True]
+    assert frontier([(1, 3), (1, 4), (2, 2), (3, 2), (4, 1)]) == [True, False, True, False, True]
 
 
 def test_a_method_that_failed_on_a_scene_takes_no_other_off_the_frontier():

@@ -56,9 +56,13 @@ def test_values_lie_in_their_ranges(drawn):
 def test_markers_are_found_where_the_sensor_has_them(drawn):
     """What the camera shows is what the sensor's table says: a unit can be calibrated from its no-contact image."""
     appearances, sensors = drawn
+    most_deg = max(np.abs(read_ranges(RIG / "units.toml").grid_turn_deg))
     for name, appearance in appearances.items():
         sensor = sensors[name]
         check_projection(sensor.projection, name)
+        apex, beside = (sensor.project(np.array([[0.0, y]]))[0] for y in (0.0, -0.01))  # along a row of markers
+        turn_deg = np.rad2deg(np.arctan2(*(beside - apex)[::-1]))
+        assert abs(turn_deg - sensor.markers["rotation_deg"]) < most_deg + 0.01, name
         unworn = replace(appearance, drift=replace(appearance.drift, worn=0.0))
         picture = Renderer(unworn, sensor.projection, Gel()).image(rng=np.random.default_rng(1))
         found = markers_in(picture).grid(sensor.markers["rows"], sensor.markers["cols"], name)
