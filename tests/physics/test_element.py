@@ -69,6 +69,15 @@ def first_piola(f, material):
     return isochoric + material.bulk_modulus * (j - 1) * j * inverse
 
 
+@pytest.mark.parametrize("nu", [0.3, 0.475, 0.49])
+def test_a_bar_that_is_drawn_a_little_narrows_by_poissons_ratio(nu):
+    """Its sides are free of stress, and Young's modulus is 2 G (1 + nu)."""
+    material, strain = Material(nu), 1e-6
+    stress = first_piola(np.diag(1.0 + strain * np.array([1.0, -nu, -nu])), material)
+    young = 2.0 * material.shear_modulus * (1.0 + nu)
+    np.testing.assert_allclose(stress, np.diag([young * strain, 0.0, 0.0]), atol=1e-4 * young * strain)
+
+
 def solve_inner(element, nodes, cells, u, fixed, material):
     """Newton on the nodes that are not fixed; returns u and the residual norms."""
     free = np.setdiff1d(np.arange(len(nodes)), fixed)

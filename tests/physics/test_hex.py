@@ -8,6 +8,7 @@ import pytest
 from gelforge.flow.files import read_json
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build, load_catalogue
+from gelforge.geometry.touch import first_touch
 from gelforge.mechanics.contact.law import LAWS
 from gelforge.mechanics.contact.penalty import FREE, STICK
 from gelforge.mechanics.hexsettings import HexSettings, quality
@@ -291,6 +292,9 @@ def test_no_contact_is_known_from_geometry(solver):
     result = solver.solve(scene)
     assert result.status is Status.NO_CONTACT and not result.forces.any()
     assert result.evidence["newton_iterations"] == 0
+    # beside the apex the gel slopes; how far a press goes sideways afterwards changes nothing of its touch
+    straight, aside = (first_touch(Gel(), body, Press(4.0, 0, 0.4, dx, 0, -1.0)) for dx in (0.0, 2.0))
+    assert straight == aside and 0.5 < straight < 0.9
 
 
 @pytest.mark.parametrize("depth", [4.0, 4.5])

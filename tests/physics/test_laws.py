@@ -20,6 +20,7 @@ from gelforge.sweeps.scenes import parse_scene, read_tables
 from tests.support.exact_scenes import KEPT
 from tests.support.flat_pad import FlatPad
 from tests.support.known_scenes import scene_of
+from tests.support.surface_values import base_reactions
 
 PAD = FlatPad(name="pad", width=16.0, length=16.0, corner_radius=0.0, height=4.0)
 BALL = build("ball", {"kind": "sphere", "diameter": 8, "height": 10})
@@ -76,20 +77,12 @@ def test_a_turned_press_takes_the_turned_force(draft):
         assert np.linalg.norm(found.total - right) < allowed
 
 
-def base_reactions(result: HexResult, material: Material) -> np.ndarray:
-    """What the base bears (b, 3) N, from the displacement alone: the elements' own forces at the nodes that are held."""
-    mesh = result.solved_mesh
-    inner = np.zeros_like(mesh.nodes)
-    solid = ELEMENTS[mesh.kind].on(mesh.nodes, mesh.cells)
-    solid.internal_forces(result.displacement, material.shear_modulus, material.bulk_modulus, inner)
-    return inner[mesh.base]
-
-
 @pytest.mark.parametrize("shear", [(0.0, 0.0), (0.1, 0.05)])
 def test_base_and_contact_balance_in_force_and_moment(shear):
     scene = press(BLOCK, shear=shear)
     result = HexSolver(COARSE).solve(scene)
-    mesh, held = result.solved_mesh, base_reactions(result, scene.material)
+    mesh = result.solved_mesh
+    held = base_reactions(mesh, result.displacement, scene.material)
     at = mesh.nodes + result.displacement
     size = force(result)
     assert np.linalg.norm(result.total + held.sum(axis=0)) < BALANCE * size
@@ -101,7 +94,8 @@ def test_a_state_out_of_balance_is_none_and_says_how_far_off_it_is():
     scene = press()
     loose = HexSolver(replace(COARSE, tolerance=3e-2, final_tolerance=3e-2, rough=3e-2)).solve(scene)
     assert loose.status is Status.UNBALANCED
-    mismatch = np.linalg.norm(loose.total + base_reactions(loose, scene.material).sum(axis=0))
+    held = base_reactions(loose.solved_mesh, loose.displacement, scene.material)
+    mismatch = np.linalg.norm(loose.total + held.sum(axis=0))
     assert loose.evidence["base_mismatch"] == pytest.approx(mismatch / np.linalg.norm(loose.total), rel=1e-6)
     assert loose.evidence["base_mismatch"] > BALANCE
 

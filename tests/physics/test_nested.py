@@ -11,7 +11,7 @@ from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build, load_catalogue
 from gelforge.geometry.touch import width_of
 from gelforge.mechanics.elements.element import ELEMENTS
-from gelforge.mechanics.extrapolate import Convergence
+from gelforge.mechanics.extrapolate import MOST, Coarse, Convergence, Edge
 from gelforge.mechanics.hexsettings import QUALITIES, HexSettings, Nested
 from gelforge.mechanics.linear.factorisation import symmetric_solver
 from gelforge.mechanics.material import Material
@@ -173,6 +173,13 @@ def test_extrapolation_brings_wide_hexahedra_closer_to_small_ones():
     np.testing.assert_allclose(force, better.total, rtol=1e-9, atol=1e-12)
     pressed = better.contact.weights @ better.contact.traction
     np.testing.assert_allclose(pressed, better.total, rtol=1e-6, atol=1e-6)
+
+
+def test_a_correction_is_the_share_of_what_the_sizes_differ_by_and_never_more_than_a_limit():
+    edge = Edge(singular=0.0, near=0.1, bend=0.0, area=9.0, size=0.5, height=4.0)
+    for coarse, right in ((1.1, 0.1 / 3), (1.0, 0.0), (0.9, -0.1 / 3), (3.0, MOST), (0.1, -MOST)):
+        found = Convergence(smooth=1 / 3).correction(edge, Coarse(2.0 * coarse, 9.0), 2.0)
+        assert found == pytest.approx(right, abs=1e-12) and abs(found) <= 0.15
 
 
 def test_friction_follows_the_whole_path_on_the_fine_hexahedra():

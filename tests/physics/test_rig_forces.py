@@ -25,7 +25,7 @@ def plan(root):
 
 @pytest.mark.parametrize("name", [pytest.param("sphere_10", marks=pytest.mark.slow), "triangle_10"])
 def test_hidden_forces_are_those_of_fine_hexahedra(plan, root, name):
-    """Within 1.5 % of label."""
+    """Within 1.5 % of label; they act below the tip, so that their moment about the gel's apex is known."""
     catalogue = load_catalogue(root / "workflow" / "indenters.toml", [name])
     bench = Bench(plan, catalogue, Gel())
     order = replace(orders(plan)[0], indenter=name, x=1.3, y=-2.1, depth=1.0, rot_deg=70.0, shear=(0.0, 0.0))
@@ -33,6 +33,8 @@ def test_hidden_forces_are_those_of_fine_hexahedra(plan, root, name):
     scene = Scene(Gel(), Material(nu=plan.truth.nu), catalogue[name], pressed.real, Interface("frictionless"))
     exact = HexSolver(quality("label")).solve(scene).total[2] * plan.truth.c10_mpa / REFERENCE_C10
     assert pressed.force[2] == pytest.approx(exact, rel=0.015)
+    (mx, my, _), (x, y) = 1e3 * pressed.moment / pressed.force[2], (order.x, order.y)
+    assert np.hypot(mx - y, my + x) < 0.3
 
 
 @pytest.mark.slow
@@ -66,7 +68,6 @@ def test_a_flat_body_with_friction_converges_at_every_frame(plan, root, turn_deg
     scenes = [Scene(Gel(), Material(), body, replace(press, **way), law) for way in frames_along(press, 5)]
     results = HexSolver(SETTINGS).solve_frames(scenes)
     assert all(result.status.valid for result in results)
-    assert all(result.evidence["base_mismatch"] < 1e-6 for result in results)
     assert all(np.diff([-result.total[2] for result in results[:3]]) > 0)
 
 

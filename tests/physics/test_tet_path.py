@@ -158,7 +158,6 @@ def test_the_guided_and_the_whole_path_agree_in_calculix(mesh, ccx, tmp_path):
     assert guided.status is whole.status is Status.OK
     assert apart(guided.total, whole.total) < 0.02
     assert guided.evidence["kinematics_iterations"] < whole.evidence["kinematics_iterations"]
-    assert guided.evidence["base_mismatch"] < 1e-6
     assert guided.evidence["load_steps"] == len(coarse_path.times) - 1  # those of the path that led there
 
 

@@ -1,7 +1,9 @@
-"""Values at points of a gel's surface, from those at the nodes."""
+"""Values at points of a gel's surface, from those at the nodes, and forces at its base, from the displacement."""
 
 import numpy as np
 
+from gelforge.mechanics.elements.element import ELEMENTS
+from gelforge.mechanics.material import Material
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.hexmesh import surface_lines
 
@@ -23,3 +25,11 @@ def interpolate_surface(mesh: GelMesh, values: np.ndarray, xy: np.ndarray) -> np
     low = (1 - s) * values[corner] + s * values[corner + 1]
     high = (1 - s) * values[corner + nx + 1] + s * values[corner + nx + 2]
     return (1 - t) * low + t * high
+
+
+def base_reactions(mesh: GelMesh, displacement: np.ndarray, material: Material) -> np.ndarray:
+    """What the base bears (b, 3) N, from the displacement (n, 3) mm alone: the elements' own forces at the nodes that are held."""
+    inner = np.zeros_like(mesh.nodes)
+    solid = ELEMENTS[mesh.kind].on(mesh.nodes, mesh.cells)
+    solid.internal_forces(displacement, material.shear_modulus, material.bulk_modulus, inner)
+    return inner[mesh.base]

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv, read_toml, write_csv, write_json, write_text
+from gelforge.flow.files import read_csv, read_json, read_toml, write_csv, write_json, write_text
 from gelforge.flow.layout import Layout
 from gelforge.geometry.gel import GELS, Gel
 from gelforge.geometry.indenters import build
@@ -21,11 +21,11 @@ from tests.support.parameters import parameters, write_stage
 SENSOR = "gelsight_mini"
 BALL = {"kind": "sphere", "diameter": 15, "height": 10}
 COLUMNS = ("sample_id", "sensor_id", "indenter", "x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg")
-# Two that share their hexahedra, one elsewhere, one above the gel, one through the gel.
+# Two that share their hexahedra, one elsewhere, which a second sensor saw, too, one above the gel, one through the gel.
 PRESSES = {
-    "one": ("ball", 0, 0, 0, 0.1, 0, -0.6, 0), "same": ("ball", 0, 0, 0, 0.1, 0.01, -0.6, 0),
-    "aside": ("ball", 3, -4, -0.2, 0, 0, -0.5, 0), "above": ("ball", 0, 0, 2, 0, 0, -0.5, 0),
-    "through": ("ball", 0, 0, 0, 0, 0, -4.5, 0),
+    "one": (SENSOR, "ball", 0, 0, 0, 0.1, 0, -0.6, 0), "same": (SENSOR, "ball", 0, 0, 0, 0.1, 0.01, -0.6, 0),
+    "aside": (SENSOR, "ball", 3, -4, -0.2, 0, 0, -0.5, 0), "seen": ("mini_a", "ball", 3, -4, -0.2, 0, 0, -0.5, 0),
+    "above": (SENSOR, "ball", 0, 0, 2, 0, 0, -0.5, 0), "through": (SENSOR, "ball", 0, 0, 0, 0, 0, -4.5, 0),
 }  # fmt: skip
 
 
@@ -33,7 +33,7 @@ PRESSES = {
 def made(tmp_path_factory):
     """A shard solved at quality demo, with its forces and labels."""
     of = Layout(tmp_path_factory.mktemp("hex") / "results/lab")
-    rows = [dict(zip(COLUMNS, (name, SENSOR, *press), strict=True)) for name, press in PRESSES.items()]
+    rows = [dict(zip(COLUMNS, (name, *press), strict=True)) for name, press in PRESSES.items()]
     write_csv(of.poses("0000"), COLUMNS, rows)
     write_text(of.shard("0000"), "")
     write_stage(of.params, "fea", fea={"method": "draft"})
@@ -51,9 +51,21 @@ def test_every_press_names_its_bricks(made):
     rows = {row["sample_id"]: row for row in read_csv(made / "30_fea" / "0000.csv")}
     statuses = {name: row["status"] for name, row in rows.items()}
     assert statuses.pop("through") == "OUT_OF_RANGE" and "below the gel's base" in rows["through"]["reason"]
-    assert statuses == {"one": "OK", "same": "OK", "aside": "OK", "above": "NO_CONTACT"}
+    assert statuses == {"one": "OK", "same": "OK", "aside": "OK", "seen": "OK", "above": "NO_CONTACT"}
     assert rows["one"]["mesh"] == rows["same"]["mesh"] != rows["aside"]["mesh"]
     assert all(len(load_mesh(row["mesh"]).nodes) > 100 for row in rows.values())
+
+
+def test_a_press_that_two_sensors_saw_is_solved_once(made):
+    """Each has its record and its arrays, which a second run finds whole."""
+    folder = made / "30_fea/0000"
+    aside, seen = (read_json(folder / f"{name}.json") for name in ("aside", "seen"))
+    assert seen == aside | {"sample_id": "seen", "files": ["seen.npz"], "sha256": {"seen.npz": aside["sha256"]["aside.npz"]}}
+    assert (folder / "seen.npz").read_bytes() == (folder / "aside.npz").read_bytes()
+    files = sorted(folder.glob("*.*"))
+    before = [path.stat().st_mtime_ns for path in files]
+    assert fea.main([str(made), "0000"]) == 0
+    assert [path.stat().st_mtime_ns for path in files] == before
 
 
 def test_force_is_kept_from_solve_to_label(made):

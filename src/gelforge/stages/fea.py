@@ -99,14 +99,14 @@ def publish_solve(sample_id: str, result: Result, key: str, folder: Path) -> dic
     return record
 
 
-def borrow(record: dict, sample_id: str, key: str, folder: Path) -> dict:
+def borrow(record: dict, sample_id: str, folder: Path) -> dict:
     """Publish the solve of a sample for another one that is the same press, seen by another sensor."""
     files = [name.replace(record["sample_id"], sample_id, 1) for name in record["files"]]
     for source, name in zip(record["files"], files, strict=True):
         with publish(folder / name) as part:
             shutil.copyfile(folder / source, part)
     digests = {name: record["sha256"][source] for source, name in zip(record["files"], files, strict=True)}
-    found = {**record, "key": key, "sample_id": sample_id, "files": files, "sha256": digests}
+    found = {**record, "sample_id": sample_id, "files": files, "sha256": digests}
     write_json(folder / f"{sample_id}.json", found)
     return found
 
@@ -128,7 +128,7 @@ def run_shard(
     for stale in folder.glob(".work-*"):
         shutil.rmtree(stale, ignore_errors=True)
     records: dict[str, dict] = {}
-    known: dict[tuple, dict] = {}
+    known: dict[str, dict] = {}
     with tempfile.TemporaryDirectory(prefix=".work-", dir=folder) as work:
         solvers = Solvers(work, params.fea)
         for frames in tqdm(presses_of(presses), f"fea {folder.name}"):
@@ -152,21 +152,19 @@ def run_press(frames: list[PosedPress], keys: list[str], scenes: list[Scene], so
               folder: Path) -> list[dict]:  # fmt: skip
     """Records of the frames of one press: those finished before, borrowed ones, and the rest from one solve.
 
-    known: record of each scene met in this shard, which grows: several sensors may have seen a press.
+    known: record by key of each solve met in this shard, which grows: several sensors may have seen a press.
     """
-    path = tuple(scene.press for scene in scenes)
-    same = [(scene.gel.name, press.indenter, scene.press, path) for press, scene in zip(frames, scenes, strict=True)]
     limit = solvers.settings.timeout_s
     records = [finished(folder, press.sample_id, key, limit) for press, key in zip(frames, keys, strict=True)]
     for at, press in enumerate(frames):
-        if records[at] is None and same[at] in known:
-            records[at] = borrow(known[same[at]], press.sample_id, keys[at], folder)
+        if records[at] is None and keys[at] in known:
+            records[at] = borrow(known[keys[at]], press.sample_id, folder)
     if None in records:
         # all frames again: what a frame is solved from must not depend on which others were there before
         for at, result in enumerate(solvers.solve_frames(scenes, solvers.settings.method)):
             records[at] = records[at] or publish_solve(frames[at].sample_id, result, keys[at], folder)
     found = [record for record in records if record is not None]
-    known |= dict(zip(same, found, strict=True))
+    known |= dict(zip(keys, found, strict=True))
     return found
 
 

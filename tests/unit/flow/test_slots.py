@@ -12,7 +12,7 @@ from tests.support.sandbox import clean_environment
 from tests.support.waiting import HANG
 
 # Each task is marked by a file while it runs, as is the other job of make, and looks how many there are. It ends once as many
-# run beside each other as there are slots (`full` is left behind), so that more would be seen.
+# run beside each other as there are slots, or all tasks have begun, and a moment later, so that more would be seen.
 TASKS = """
 import sys, time
 from pathlib import Path
@@ -23,10 +23,10 @@ def running():
 def task(k):
     mark = Path(f"running/{k}")
     mark.touch()
-    until = time.monotonic() + 600
-    while not Path("full").exists() and time.monotonic() < until:
-        if running() >= slots:
-            Path("full").touch()
+    Path(f"begun/{k}").touch()
+    until = time.monotonic() + 120
+    while running() < slots and len(list(Path("begun").iterdir())) < 6:
+        assert time.monotonic() < until, "a slot stays empty"
         time.sleep(0.02)
     time.sleep(0.1)
     Path(f"seen/{k}").write_text(str(running()))
@@ -47,7 +47,7 @@ other:
 
 @pytest.mark.parametrize(("slots", "goal"), [(3, "both"), (2, "tasks")])
 def test_processes_and_other_jobs_together_take_all_slots_and_no_more(tmp_path, slots, goal):
-    for name in ("running", "seen"):
+    for name in ("begun", "running", "seen"):
         (tmp_path / name).mkdir()
     (tmp_path / "tasks.py").write_text(TASKS)
     (tmp_path / "Makefile").write_text(MAKEFILE)
@@ -58,7 +58,7 @@ def test_processes_and_other_jobs_together_take_all_slots_and_no_more(tmp_path, 
     assert done.returncode == 0, done.stdout
     assert "jobserver" not in done.stdout  # make has got all its slots back
     seen = [int(path.read_text()) for path in (tmp_path / "seen").iterdir()]
-    assert len(seen) == 6 and max(seen) <= slots and (tmp_path / "full").exists()
+    assert len(seen) == 6 and max(seen) == slots
 
 
 BOTH = multiprocessing.Barrier(2)

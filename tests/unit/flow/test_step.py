@@ -18,6 +18,7 @@ from gelforge.flow.layout import Layout, mirror
 from gelforge.flow.runs import changes, last_runs
 from tests.support.limited import limited
 from tests.support.no_locks import without_locks
+from tests.support.sandbox import clean_environment
 from tests.support.waiting import HANG, heed_interrupts, wait_until
 
 FOR_EVER = f"exec sleep {2 * HANG:g}"  # what is waited for to be ended must not end by itself meanwhile
@@ -339,6 +340,21 @@ def test_of_any_number_of_inputs_each_stands_in_the_record(tmp_path):
     for _ in range(2):
         assert wrapped(target, *command, reads=[f"@{tmp_path}/list"])[0] == 0
     assert count.read_text() == "ran\nran\n"
+
+
+def test_a_rule_names_any_number_of_inputs(tmp_path, root):
+    """To the wrapper, whose command line takes so many."""
+    (tmp_path / "Makefile").write_text(
+        f"PY := echo\nEXECUTOR := local\nJOBS := 1\nD := .\ninclude {root}/rules/run.mk\nREADS := $(addprefix in/,$(shell seq $(COUNT)))\n"
+        "all: $(READS)\n\t$(call step,words)\n$(READS):\n\t@:\n"
+    )
+    (tmp_path / "00_plan").mkdir()
+    for count in (499, 500, 3000):
+        said = subprocess.run(["make", "-C", tmp_path, f"COUNT={count}"], env=clean_environment(), capture_output=True, text=True)
+        words = said.stdout.split(" -- ")[0].split("gelforge.flow.step all ")[1].split()
+        if words[0].startswith("@"):
+            words = (tmp_path / words[0][1:]).read_text().split()
+        assert words == [f"in/{k + 1}" for k in range(count)], count
 
 
 def test_an_interrupt_while_another_make_is_waited_for_is_no_traceback(tmp_path):

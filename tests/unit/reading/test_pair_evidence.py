@@ -122,6 +122,14 @@ def test_a_gel_that_pulls_on_what_touches_it_is_reported(demo_nocontact, presses
         assert ("the gel seems to pull" in judged.reason) == pulls and judged.flag >= pulls
 
 
+def test_a_factor_multiplies_a_reading_and_that_of_images_that_change_places_alike(demo_nocontact, presses, shipped):
+    name, image, _ = max(presses, key=lambda press: press[2])
+    readers = [Predictor(shipped, demo_nocontact[name], Gain(gain, gain, gain, 9)) for gain in (1.0, 2.0)]
+    for read in (lambda reader: reader.predict(image).total[2], lambda reader: reader.exchanged(image)):
+        once, twice = map(read, readers)
+        assert abs(once) > 0.1 and twice == pytest.approx(2.0 * once, rel=1e-5)
+
+
 def test_a_no_contact_image_that_is_dark_blurred_or_grey_is_named(demo_nocontact, shipped):
     def fault(picture):
         return Predictor(shipped, picture).fault
