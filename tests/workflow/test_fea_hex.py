@@ -60,7 +60,11 @@ def test_a_press_that_two_sensors_saw_is_solved_once(made):
     """Each has its record and its arrays, which a second run finds whole."""
     folder = made / "30_fea/0000"
     aside, seen = (read_json(folder / f"{name}.json") for name in ("aside", "seen"))
-    assert seen == aside | {"sample_id": "seen", "files": ["seen.npz"], "sha256": {"seen.npz": aside["sha256"]["aside.npz"]}}
+    assert seen == aside | {
+        "sample_id": "seen",
+        "files": ["seen.npz"],
+        "sha256": {"seen.npz": aside["sha256"]["aside.npz"]},
+    }
     assert (folder / "seen.npz").read_bytes() == (folder / "aside.npz").read_bytes()
     files = sorted(folder.glob("*.*"))
     before = [path.stat().st_mtime_ns for path in files]

@@ -146,6 +146,17 @@ def test_a_lost_label_file_is_made_again(labelled):
     assert "flow.step" not in make(labelled, "-n", "labels", "DATASET=tiny").stdout
 
 
+def test_what_a_stage_reads_alone_makes_it_due(labelled):
+    """Changed where nothing between was made of it: another sensor's name in a pose table, another gel of a sensor."""
+    of = "results/tiny/"
+    for changed, kept, due in (
+        ("10_poses/0000.csv", "30_fea/0000.csv", "labels"),
+        ("00_plan/shards/0000.json", "10_poses/0000.csv", "fea"),
+    ):
+        said = make(labelled, "-n", "-W", of + changed, "-o", of + kept, "labels", "DATASET=tiny").stdout
+        assert f"gelforge.stages.{due} " in said, said
+
+
 def test_all_targets_can_be_made_anew(labelled):
     """`make -B`: files that people give are none of them."""
     done = make(labelled, "-n", "-B", "labels", "DATASET=tiny", timeout=HANG)

@@ -214,7 +214,10 @@ def test_the_likelihood_has_the_errors_that_emulated_forces_were_measured_to_hav
     """Not less than measured, and at most half more (make benchmark-calibration)."""
     figures = read_json(root / "results/benchmarks/calibration.json")["figures"]
     measured = {figure["name"]: figure["value"] / 100 for figure in figures}
-    for name, error in (("normal forces, error from press to press", ERROR), ("sideways forces, the same", SIDEWAYS_ERROR)):
+    for name, error in (
+        ("normal forces, error from press to press", ERROR),
+        ("sideways forces, the same", SIDEWAYS_ERROR),
+    ):
         assert measured[f"emulated {name}"] <= error <= 1.5 * measured[f"emulated {name}"]
 
 

@@ -350,7 +350,9 @@ def test_a_rule_names_any_number_of_inputs(tmp_path, root):
     )
     (tmp_path / "00_plan").mkdir()
     for count in (499, 500, 3000):
-        said = subprocess.run(["make", "-C", tmp_path, f"COUNT={count}"], env=clean_environment(), capture_output=True, text=True)
+        said = subprocess.run(
+            ["make", "-C", tmp_path, f"COUNT={count}"], env=clean_environment(), capture_output=True, text=True
+        )
         words = said.stdout.split(" -- ")[0].split("gelforge.flow.step all ")[1].split()
         if words[0].startswith("@"):
             words = (tmp_path / words[0][1:]).read_text().split()
