@@ -88,7 +88,9 @@ def test_less_friction_holds_less_sideways():
     }
     sideways = [press.total[0] for press in drag.values()]
     assert abs(sideways[0]) < -0.01 * drag[0].total[2]  # the dome falls away
-    assert 0.0 < sideways[1] <= -0.3 * drag[0.3].total[2] * 1.001 < sideways[2]
+    # a ball ploughs: at its front the normal leans against the travel, so that the forces' ratio is a little above friction
+    assert abs(sideways[0]) < sideways[1] < sideways[2]
+    assert sideways[1] == pytest.approx(-0.3 * drag[0.3].total[2], rel=0.1)
 
 
 def test_presses_and_readings_are_drawn(press, root, tmp_path):

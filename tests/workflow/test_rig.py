@@ -57,7 +57,7 @@ def test_log_and_images_are_what_the_importer_expects(two):
         assert image.shape == (240, 320, 3)
         assert sample.fz_n < 0 > sample.dz_mm
     assert (two / "dataset.toml").is_file()
-    assert {path.stem for path in (two / "nocontact").iterdir()} == {"mini_a", "mini_e"}
+    assert {path.stem for path in (two / "nocontact").iterdir()} == {"mini_a", "mini_b", "mini_e"}
 
 
 def test_one_press_seen_by_two_sensors_is_carried_out_once(tmp_path):
@@ -179,6 +179,25 @@ def test_a_broken_surface_is_named(two, tmp_path):
         run(plan_of(tmp_path, 2), two.parent, ROOT / "workflow")
     surface.write_bytes(kept)
     lost.write_bytes(image)
+
+
+def test_a_film_rests_presses_to_the_end_of_a_path_and_releases(two, tmp_path):
+    """On the way up the gel is as on the way down; a film that is there is kept, and a plan may ask for one at any time."""
+    plan = plan_of(tmp_path, 2)
+    plan.write_text(plan.read_text() + '\n[film]\nsensor = "mini_a"\npresses = [0]\nframes = 2\n')
+    log = (two / "log.csv").read_bytes()
+    film = run(plan, two.parent, ROOT / "workflow") / rig.FILM
+    capture = cv2.VideoCapture(str(film))
+    images = np.array([image for _, image in iter(capture.read, (False, None))], float)
+    assert len(images) == rig.RATE + 3 + rig.RATE // 5 and capture.get(cv2.CAP_PROP_FPS) == rig.RATE
+    rest, pressed = (cv2.imread(str(two / name)) for name in ("nocontact/mini_a.png", "images/demo-000000.png"))
+    nearer = [np.abs(image - rest).mean() < np.abs(image - pressed).mean() for image in images]
+    assert nearer == [True] * rig.RATE + [nearer[rig.RATE], False, nearer[rig.RATE]] + [True] * (rig.RATE // 5)
+    down, deepest, up = images[rig.RATE : rig.RATE + 3]
+    assert np.abs(down - up).mean() < 0.5 * np.abs(deepest - rest).mean()
+    before = film.stat().st_mtime_ns
+    run(plan, two.parent, ROOT / "workflow")
+    assert film.stat().st_mtime_ns == before and (two / "log.csv").read_bytes() == log
 
 
 def test_another_plan_does_not_mix_in(two, tmp_path):

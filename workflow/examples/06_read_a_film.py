@@ -11,7 +11,7 @@ import cv2
 
 import gelforge
 
-FILM = Path(__file__).parents[2] / "data" / "demo" / "film.mp4"
+FILM = Path(__file__).parents[2] / "data" / "demo" / "film.avi"
 
 
 def frames(film):

@@ -12,7 +12,7 @@ import cv2
 
 import gelforge
 
-FILM, GRIP_N = Path(__file__).parents[2] / "data" / "demo" / "film.mp4", 3.0
+FILM, GRIP_N = Path(__file__).parents[2] / "data" / "demo" / "film.avi", 3.0
 
 
 def watch(camera, came):

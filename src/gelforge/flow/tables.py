@@ -32,7 +32,6 @@ Name = Annotated[str, Rule(re.compile(NAME).fullmatch, NAMED)]
 Names = tuple[Name, ...]
 Line = Annotated[str, Rule(str.isprintable, "text of one line")]
 Law = Literal["no_slip", "coulomb", "frictionless"]
-LAWS = get_args(Law)
 Method = Literal["draft", "label", "fine", "ccx", "auto"]
 METHODS = get_args(Method)
 IN_PROCESS = ("draft", "label", "fine")  # qualities of hexahedra: they need neither CalculiX nor tetrahedral meshes

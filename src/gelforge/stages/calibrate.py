@@ -2,6 +2,7 @@
 
 import sys
 from argparse import Namespace
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -69,21 +70,20 @@ def calibrate(readings: Readings, emulator: Emulator, params: CalibrateTable, la
         )  # fmt: skip
 
     posterior = Posterior(emulator, model_of(readings, params, law), readings.depth, served(readings), params.tail)
-    done = Calibration(readings, posterior, sample(posterior, sampling_rules(params), say))
-    refuse_beyond(done.posterior, done.chain, params.reach_mm)
-    return done
+    return Calibration(readings, posterior, sample(posterior, sampling_rules(params), say))
 
 
-def refuse_beyond(posterior: Posterior, chain: Chain, reach: float) -> None:
-    """Refuse a posterior that presses more than `reach` mm deeper than commanded, which is about how deep was solved."""
+def refuse_beyond(posterior: Posterior, chain: Chain, reach: float, seen: Sequence[str] = ()) -> None:
+    """Refuse a posterior that presses more than `reach` mm deeper than commanded, which is about how deep was solved.
+
+    seen: what the readings say of sensor and log, which is then the likelier cause.
+    """
     values = posterior.model.values(chain.flat(1000))
     depth = posterior.emulator.forces(posterior.depth, values)[2]
     beyond = float((depth > np.maximum(posterior.emulator.top, posterior.depth + reach)).mean())
     if beyond > 0.02:
-        raise BadInput(
-            f"{100 * beyond:.0f} % of the posterior presses deeper than the emulator's solves go; raise [calibrate] "
-            "reach_mm or narrow the prior of the touch offset"
-        )
+        cause = " ".join(seen) or "raise [calibrate] reach_mm or narrow the prior of the touch offset"
+        raise BadInput(f"{100 * beyond:.0f} % of the posterior presses deeper than the emulator's solves go; {cause}")
 
 
 def summarise(done: Calibration, params: CalibrateTable, seen: list[str]) -> dict:
@@ -265,10 +265,11 @@ def main(args: Namespace) -> None:
     catalogue = build_all(known, of.workflow / about.catalogue, named, of.workflow, of.surfaces)
     readings, emulator, spent = emulate(readings, catalogue, params, law, nu, work / "solves", args.jobs)
     done = calibrate(readings, emulator, params, law)
-    draw_plots(done, work)
     own = about.params.get("material", {}).get("c10")
-    usual = own if isinstance(own, int | float) else REFERENCE_C10
-    result = summarise(done, params, evidence_of(done, logged, usual))
+    seen = evidence_of(done, logged, own if isinstance(own, int | float) else REFERENCE_C10)
+    refuse_beyond(done.posterior, done.chain, params.reach_mm, seen)
+    draw_plots(done, work)
+    result = summarise(done, params, seen)
     result["solves_spent"] = spent
     result["presses_logged"] = len(logged)
     write_json(args.out, result)

@@ -97,8 +97,13 @@ def test_posterior_deeper_than_the_solves_is_named():
     middle = posterior.model.draw(np.random.default_rng(0), 1000).mean(axis=0)
     middle[posterior.model.names.index("offset")] = 2.0
     figures = Figures(50, 0, 1.0, 50.0, 0.5, 1.0, "offset")
-    with pytest.raises(BadInput, match=r"25 % of the posterior presses deeper .* raise \[calibrate\] reach_mm"):
-        refuse_beyond(posterior, Chain(np.tile(middle, (10, 8, 1)), figures), 0.1)
+    chain = Chain(np.tile(middle, (10, 8, 1)), figures)
+    for seen, said in (
+        ([], r"raise \[calibrate\] reach_mm"),
+        (["Readings are in grams-force."], "Readings are in grams-force"),
+    ):
+        with pytest.raises(BadInput, match=f"25 % of the posterior presses deeper .*; {said}"):
+            refuse_beyond(posterior, chain, 0.1, seen)
 
 
 def test_a_single_reading_is_refused():

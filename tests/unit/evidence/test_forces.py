@@ -245,10 +245,7 @@ def test_a_calibration_of_a_clean_session_says_nothing(seed):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("trouble", TROUBLES)
-def test_a_calibration_names_the_trouble_and_nothing_else(trouble, request):
-    if trouble == "grams-force":
-        why = "forces a hundred times too large are refused with a hint at reach_mm, before their unit is named"
-        request.applymarker(pytest.mark.xfail(strict=True, reason=why))
+def test_a_calibration_names_the_trouble_and_nothing_else(trouble):
     session, emulator = law_session(3)
     change, said = TROUBLES[trouble]
     (line,) = fitted(with_force(session, change(session.force)), emulator)

@@ -224,7 +224,7 @@ NOCONTACT = {
     "another unit's": (lambda log: with_nocontact(log, mini_a=log.nocontact["mini_e"]), "two sensors"),
     "exchanged": (lambda log: with_nocontact(log, mini_a=log.nocontact["mini_e"], mini_e=log.nocontact["mini_a"]), "two sensors"),
     "pressed by a sphere": (lambda log: with_nocontact(log, mini_a=log.images[0]), "something touched the gel"),
-    "pressed by a triangle": (lambda log: with_nocontact(log, mini_a=log.images[5]), "something touched the gel"),
+    "pressed by a triangle": (lambda log: with_nocontact(log, mini_a=log.images[16]), "something touched the gel"),
     "pressed under strong light": (lambda log: with_nocontact(log, mini_e=log.images[3]), "touch the gel"),
     "monochrome": (lambda log: with_nocontact(log, mini_a=grey(log.nocontact["mini_a"])), "mini_a: the no-contact image is monochrome"),
     "dark": (lambda log: with_nocontact(log, mini_a=log.nocontact["mini_a"] // 40), "shows no gel"),
@@ -249,7 +249,7 @@ ROWS = {
     "one of noise": (lambda log: with_images(log, {5: np.random.default_rng(1).integers(0, 255, log.images[5].shape).astype(np.uint8)}),
                      "row 7: the image shows nothing"),
     "in the order BGR": (lambda log: replace(log, images=[np.ascontiguousarray(image[..., ::-1]) for image in log.images]),
-                         "mini_e: 9 of 9 images have one fault, the image is with red and blue exchanged"),
+                         "mini_e: 6 of 6 images have one fault, the image is with red and blue exchanged"),
     "shifted from the middle on": (lambda log: replace(
         log, images=log.images[:30] + log.images[31:] + log.images[-1:]), "on suit the pose of the next row"),
     "shifted back from the middle on": (lambda log: replace(
@@ -270,7 +270,7 @@ SHAPES = {
     "cuboid too large": (lambda log: resized(log, "cuboid_10", 1.2), "imprints of cuboid_10 are 0.8"),
     "projection moved along both axes": (lambda log: projected(log, shift=(14.0, -16.0)), "moved by 1."),
     "origin beside the apex": (lambda log: replace(
-        log, rows=[row | {"x0_mm": str(float(row["x0_mm"]) + 5.0)} for row in log.rows]), "mini_e: the contacts lie moved by 4."),
+        log, rows=[row | {"x0_mm": str(float(row["x0_mm"]) + 5.0)} for row in log.rows]), "mini_a: the contacts lie moved by 4."),
     "rot_deg in radians": (lambda log: with_turn(log, np.radians), "as if rot_deg were in radians"),
     "rot_deg of the other sign": (lambda log: with_turn(log, np.negative), "as if rot_deg were of the other sign"),
     "rot_deg off by a right angle": (lambda log: with_turn(log, lambda turn: turn - 90.0), "as if rot_deg were off by 90 degrees"),
@@ -284,12 +284,12 @@ SHAPES = {
 IMPRINTS = {
     "none in any image": (lambda log: faint(log, range(len(log.images)), 0.0), "images show no imprint"),
     "none in most": (lambda log: faint(log, range(len(log.images) - 10), 0.0), "images show no imprint"),
-    "none in three": (lambda log: faint(log, (2, 6, 20), 0.0), "row 8 (demo-000006): its image shows"),
-    "a twentieth in two": (lambda log: faint(log, (6, 20), 0.05), "row 22 (demo-000020): its image shows"),
-    "a third in two": (lambda log: faint(log, (6, 20), 0.33), "row 8 (demo-000006): its image shows"),
+    "none in three": (lambda log: faint(log, (2, 18, 24), 0.0), "row 20 (demo-000018): its image shows"),
+    "a twentieth in two": (lambda log: faint(log, (18, 24), 0.05), "row 26 (demo-000024): its image shows"),
+    "a third in two": (lambda log: faint(log, (18, 24), 0.33), "row 20 (demo-000018): its image shows"),
     "two exchanged beside a moved projection": (lambda log: projected(exchanged(log, 10, 16), shift=(20.0, 0.0)), "row 12 (demo-000010)"),
     "none in three beside a moved projection": (
-        lambda log: projected(faint(log, (2, 6, 20), 0.0), shift=(14.0, -16.0)), "row 8 (demo-000006): its image shows"),
+        lambda log: projected(faint(log, (2, 18, 24), 0.0), shift=(14.0, -16.0)), "row 20 (demo-000018): its image shows"),
     "two exchanged beside a projection too large": (lambda log: projected(exchanged(log, 10, 16), scale=1.2), "row 12 (demo-000010)"),
 }  # fmt: skip
 

@@ -145,7 +145,7 @@ def weighed(root, tmp_path):
     """
     rows = []
     with (root / "data/demo/log.csv").open() as stream:
-        for row in list(csv.DictReader(stream))[:6]:
+        for row in list(csv.DictReader(stream))[:8]:
             if row["sensor_id"] == "mini_a" and row["indenter"] != "bar_5" and float(row["fz_n"]) < -2.0:
                 (tmp_path / row["sample_id"]).with_suffix(".png").write_bytes(
                     (root / "data/demo" / row["image"]).read_bytes()

@@ -50,7 +50,7 @@ def test_bad_plan_is_refused_by_name_before_anything_is_written(tmp_path):
         ("y_mm = [-4.0, 4.0]", "y_mm = [4.0, -4.0]", "the lower one first"),
         (depth, "depth_mm = [0.3, 4.5]", "the gel is 4.0 mm thick"),
         (depth, "depth_mm = [0.3, nan]", "depth_mm = .*nan.*give a list of 2, each a number from 1e-09"),
-        ("weight = 5\n", "weight = 0\n", "weight = 0: give a number from 1e-09"),
+        ("weight = 4\n", "weight = 0\n", "weight = 0: give a number from 1e-09"),
         (frames, "presses = 0", "presses = 0: give a whole number from 1"),
         (frames, 'presses = "many"', "presses = 'many': give a whole number"),
         (frames, f"presses = {streams.EVERY_PRESS + 1}", "presses"),  # the number that stands for all
@@ -63,6 +63,8 @@ def test_bad_plan_is_refused_by_name_before_anything_is_written(tmp_path):
         (turn, "rot_deg = [-1e308, 1e308]", "each a number from -3600 to 3600 degrees"),
         ("nu = 0.475", "nu = 0.5", r"\[truth\] nu = 0.5: give a number"),
         ("c10_mpa = 0.0853", "c10_mpa = 85.3", r"\[truth\] c10_mpa = 85.3: give a number from 0.002 to 5 MPa"),
+        ("presses = [0, 7, 29]", "presses = [0, 48]", "the plan has presses 0 to 47"),
+        ('[film]\nsensor = "mini_a"', '[film]\nsensor = "mini_z"', "unknown sensor mini_z"),
         ("[params.train]\nepochs", "[params.train]\nepoks", r"\[params.train\] epoks: unknown key; epochs is meant"),
     ):
         plan = changed(tmp_path, DEMO, (old, new))
@@ -242,11 +244,12 @@ def test_the_bench_and_the_calibration_read_the_stl_file_that_the_stages_read(tm
 
 def test_orders_stay_in_their_ranges_and_share_out():
     plan = read_plan(DEMO)
-    made = orders(plan)
-    for order in made:
-        assert abs(order.x) <= 2.5
-        assert 0.3 <= order.depth <= 1.5
-        assert np.hypot(*order.shear) <= 0.4 * order.depth + 1e-12
+    made, kinds = orders(plan), kind_of(plan, plan.presses)[0]
+    for order, kind in zip(made, (plan.kinds[k] for k in kinds), strict=True):
+        aside = np.hypot(*order.shear) / order.depth
+        for value, (low, high) in ((order.x, kind.x_mm), (order.depth, kind.depth_mm), (aside, kind.shear)):
+            assert low - 1e-12 <= value <= high + 1e-12
+        assert order.indenter in kind.indenters and order.sensor in kind.sensors
     assert len({order.sample_id for order in made}) == plan.presses
     assert {order.indenter for order in made} == set(plan.indenters)
 
