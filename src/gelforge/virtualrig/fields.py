@@ -46,8 +46,8 @@ class Field:
 def unloaded(gel: Gel) -> Field:
     """The field of a gel that nothing touches."""
     x, y = _grid(gel)
-    still = np.zeros((len(y), len(x), 3), np.float32)
-    return Field(still, x[0], y[0], still[..., :2])
+    shape = len(y), len(x)
+    return Field(np.zeros((*shape, 3), np.float32), x[0], y[0], np.zeros((*shape, 2), np.float32))
 
 
 @dataclass(frozen=True)

@@ -223,7 +223,7 @@ def test_a_displaced_map_is_found_to_a_tenth_of_a_place():
 NOCONTACT = {
     "another unit's": (lambda log: with_nocontact(log, mini_a=log.nocontact["mini_e"]), "two sensors"),
     "exchanged": (lambda log: with_nocontact(log, mini_a=log.nocontact["mini_e"], mini_e=log.nocontact["mini_a"]), "two sensors"),
-    "pressed by a sphere": (lambda log: with_nocontact(log, mini_a=log.images[0]), "something touched the gel"),
+    "pressed by a sphere": (lambda log: with_nocontact(log, mini_a=log.images[0]), "to touch the gel in the no-contact image"),
     "pressed by a triangle": (lambda log: with_nocontact(log, mini_a=log.images[16]), "something touched the gel"),
     "pressed under strong light": (lambda log: with_nocontact(log, mini_e=log.images[3]), "touch the gel"),
     "monochrome": (lambda log: with_nocontact(log, mini_a=grey(log.nocontact["mini_a"])), "mini_a: the no-contact image is monochrome"),
