@@ -276,7 +276,7 @@ SHAPES = {
     "rot_deg off by a right angle": (lambda log: with_turn(log, lambda turn: turn - 90.0), "as if rot_deg were off by 90 degrees"),
     "rot_deg off by 30 degrees": (lambda log: with_turn(log, lambda turn: turn - 30.0), "as if rot_deg were off by 30 degrees"),
     "sphere upside down": (lambda log: replace(log, bodies=log.bodies | {name: build(
-        name, {"kind": "cylinder", "diameter": 15, "height": 10, "fillet": 0.3}) for name in ("sphere_10", "sphere_15")}), "imprints of sphere_15 are 0.6"),
+        name, {"kind": "cylinder", "diameter": 15, "height": 10, "fillet": 0.3}) for name in ("sphere_10", "sphere_15")}), "images of sphere_15 show the shape of sphere_20"),
     "triangle called cylinder": (lambda log: renamed(log, "triangle_10", "cylinder_8"), "of cylinder_8 show the shape of triangle_10"),
 }  # fmt: skip
 
