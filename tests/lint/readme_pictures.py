@@ -3,6 +3,7 @@
 import os
 from argparse import Namespace
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -143,7 +144,9 @@ def image_of(body, solved, sensor, rig: Path) -> np.ndarray:
 
     depth, at, shear = PRESSED
     press, gel = Press(*at, 0.0, *shear, -depth, 0.0), Gel()
-    camera = Renderer(read_appearances(rig)[SENSOR], sensor.projection, gel)
+    # markers that move with the gel, because this solve does not keep what the way down alone moved
+    appearance = replace(read_appearances(rig)[SENSOR], normal_motion=1.0)
+    camera = Renderer(appearance, sensor.projection, gel)
     field = field_of(gel, surface_of(solved.mesh, solved.displacement, press))
     return camera.image(field, Pressed(body_of(body, 0.03, 0.65, 45.0), press), np.random.default_rng(1))
 
