@@ -193,8 +193,10 @@ def test_a_film_rests_presses_to_the_end_of_a_path_and_releases(two, tmp_path):
     rest, pressed = (cv2.imread(str(two / name)) for name in ("nocontact/mini_a.png", "images/demo-000000.png"))
     nearer = [np.abs(image - rest).mean() < np.abs(image - pressed).mean() for image in images]
     assert nearer == [True] * rig.RATE + [nearer[rig.RATE], False, nearer[rig.RATE]] + [True] * (rig.RATE // 5)
-    down, deepest, up = images[rig.RATE : rig.RATE + 3]
-    assert np.abs(down - up).mean() < 0.5 * np.abs(deepest - rest).mean()
+    down, deepest, up = (
+        cv2.blur(image - rest, (15, 15)) for image in images[rig.RATE : rig.RATE + 3]
+    )  # without noise
+    assert np.abs(down - up).mean() < 0.5 * np.abs(deepest).mean()
     before = film.stat().st_mtime_ns
     run(plan, two.parent, ROOT / "workflow")
     assert film.stat().st_mtime_ns == before and (two / "log.csv").read_bytes() == log
