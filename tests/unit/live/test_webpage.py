@@ -81,7 +81,7 @@ def test_flags_edges_and_colours_are_those_of_the_reading(chromium):
         ):
             show(chromium, server, each)
             assert [chromium.find_element("id", name).text for name in ("flag", "edge")] == [flag, edge]
-            for name, full in (("normal", normal), ("short", FULL_COLOUR_N[1]), ("long", FULL_COLOUR_N[0])):
+            for name, full in (("normal", normal), ("short", FULL_COLOUR_N[0]), ("long", FULL_COLOUR_N[1])):
                 assert f"± {full:.3f} N a cell" in chromium.find_element("id", f"cap-{name}").text
 
 

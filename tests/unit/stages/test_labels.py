@@ -28,7 +28,7 @@ def made(tmp_path_factory, root):
     return write_pressed(tmp_path_factory.mktemp("made"), failed=(5,), sensors=("mini_a", "mini_c"))
 
 
-def test_labels_hold_the_forces_in_feats_order(made):
+def test_labels_hold_the_forces_of_their_nodes(made):
     folder = label(made, "24x32")
     for shard in ("0000", "0001", "0002"):
         found = read_labels(folder / f"{shard}.npz")

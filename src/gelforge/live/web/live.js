@@ -1,7 +1,7 @@
 "use strict";
 const el = (id) => document.getElementById(id);
 const fixed = (v, digits = 2) => (Number.isFinite(v) ? v.toFixed(digits) : "–");
-const MAPS = [["normal", 2, "z, normal"], ["short", 0, "x, along the short side"], ["long", 1, "y, along the long side"]];
+const MAPS = [["short", 0, "x, along the short side"], ["long", 1, "y, along the long side"], ["normal", 2, "z, normal"]];
 const TOTALS = [["fz_n", 2, "#1f6f8b"], ["fx_n", 0, "#d1603d"], ["fy_n", 1, "#5b8c3a"]], FLAGGED = "#dde1e6";
 let history = [], drawing = false, latest = null;
 async function unpack(packed) {
