@@ -108,7 +108,7 @@ def nocontact_fault(nocontact: NoContact, limits: Limits, coloured: bool = True)
     if pale(nocontact.markers) > MOST_PALE:
         return "the markers of the no-contact image are pale: they are worn, or printed otherwise than those that the network learnt from"
     most = limits.get("largest_touch", 1.0)
-    touched = touch_fault(nocontact.picture, nocontact.markers.printed, nocontact.frame.shown, most)
+    touched = touch_fault(nocontact.picture, nocontact.markers, nocontact.frame.shown, most)
     return touched or (BLUE_FIRST if nocontact.frame.blue_first else "")
 
 
@@ -264,7 +264,7 @@ def pair_limits(found: Sequence[PairSigns]) -> dict[str, float]:
 
 def nocontact_limits(sensors: Sequence[NoContact]) -> dict[str, float]:
     """What the no-contact images of the sensors that a network learnt from stay within."""
-    touch = [touch_of(one.picture, one.markers.printed, one.frame.shown) for one in sensors]
+    touch = [touch_of(one.picture, one.markers, one.frame.shown) for one in sensors]
     return {
         "largest_touch": max(1.0, TOUCH_MARGIN * max(touch)),
         "least_sharp": min(sharpness(one.picture) for one in sensors) - SHARP_MARGIN,

@@ -10,7 +10,7 @@ from functools import lru_cache
 import numpy as np
 
 from gelforge.reading.light import ALL
-from gelforge.reading.markers import Markers, dark_spots
+from gelforge.reading.markers import MarkerTracker, dark_spots
 
 # Signs of touch, both of which must be beyond. Of 108 clean no-contact images of drawn units 3 % are, of 4 real ones at rest none, of the
 # starts of 40 real films one, which shows a stain; of 245 presses of 0.5 N and more, drawn on 22 units and real, none is not.
@@ -43,10 +43,11 @@ def terms(rows: int, cols: int) -> np.ndarray:
     return np.stack([u**i * v**j for i, j in powers], axis=-1).reshape(rows * cols, -1)
 
 
-def touch_signs(nocontact: np.ndarray, markers: Markers, shown: tuple[slice, slice] = ALL) -> TouchSigns:
+def touch_signs(nocontact: np.ndarray, markers: MarkerTracker, shown: tuple[slice, slice] = ALL) -> TouchSigns:
     """Signs of touch in a no-contact image (h, w, 3) uint8 with its markers; shown: rows and columns of it that show something.
 
-    The fit is robust, by Tukey's biweight, so that it follows the light around an object and not the object.
+    The fit is robust, by Tukey's biweight, so that it follows the light around an object and not the object. Places where the
+    lattice of markers lacks one are left out as markers are: what is left of a worn marker is no object.
     """
     import cv2
 
@@ -54,7 +55,7 @@ def touch_signs(nocontact: np.ndarray, markers: Markers, shown: tuple[slice, sli
     if seen.shape[1] < LEAST_WIDTH:  # too coarse to show more than noise between its markers
         return TouchSigns(0.0, 0.0)
     gel = np.ones(nocontact.shape[:2], np.uint8)
-    for u, v in markers.points.astype(int).tolist():
+    for u, v in np.rint(np.concatenate([markers.points, markers.empty])).astype(int).tolist():
         cv2.circle(gel, (u, v), int(0.9 * markers.diameter) + 3, 0, -1)
     scale = nocontact.shape[1] / WIDTH
     size = round(seen.shape[1] / scale), round(seen.shape[0] / scale)
@@ -88,13 +89,13 @@ def touch_signs(nocontact: np.ndarray, markers: Markers, shown: tuple[slice, sli
     return TouchSigns(float(np.percentile(apart, 97.0)), float(most / max(middle, LEAST_HUE)))
 
 
-def touch_of(nocontact: np.ndarray, markers: Markers, shown: tuple[slice, slice] = ALL) -> float:
+def touch_of(nocontact: np.ndarray, markers: MarkerTracker, shown: tuple[slice, slice] = ALL) -> float:
     """How much a no-contact image looks as if something touched the gel; beyond 1 something does."""
     signs = touch_signs(nocontact, markers, shown)
     return min(signs.uneven / UNEVEN, signs.coloured / COLOURED)
 
 
-def touch_fault(nocontact: np.ndarray, markers: Markers, shown: tuple[slice, slice], most: float) -> str:
+def touch_fault(nocontact: np.ndarray, markers: MarkerTracker, shown: tuple[slice, slice], most: float) -> str:
     """The sign that something touches a sensor in its no-contact image, beyond `most` of `touch_of`; empty where nothing does."""
     if touch_of(nocontact, markers, shown) <= most:
         return ""

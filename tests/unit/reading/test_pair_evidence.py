@@ -24,6 +24,7 @@ from gelforge.reading.pair import Preprocessor
 from gelforge.reading.predictor import Predictor, load_for_use
 from gelforge.reading.profile import Gain
 from gelforge.reading.untouched import touch_of
+from gelforge.reading.wear import painted_over
 from gelforge.records.image import read_image
 from gelforge.records.log import read_presses
 from tests.support.pictures import moved
@@ -49,7 +50,15 @@ def preprocessor(picture):
 
 
 def touch(picture):
-    return touch_of(picture, markers_in(picture))
+    return touch_of(picture, MarkerTracker(picture, markers_in(picture)))
+
+
+def stained(picture, points, diameter):
+    """A picture with round stains of other colour at some points (n, 2) px."""
+    there = np.zeros(picture.shape[:2])
+    for u, v in np.rint(points).astype(int).tolist():
+        cv2.circle(there, (u, v), round(0.75 * diameter), 1.0, -1)
+    return np.clip(picture * (1.0 + there[..., None] * (0.15, 0.0, -0.15)), 0, 255).astype(np.uint8)
 
 
 def diagnostics(image, picture):
@@ -148,6 +157,18 @@ def test_a_no_contact_image_that_shows_a_press_is_named(demo_nocontact, presses)
     for unit in demo_nocontact:
         named = [touch(image) > 1.0 for name, image, force in presses if name == unit and force > 0.5]
         assert sum(named) >= 0.9 * len(named) > 5, unit
+
+
+def test_what_is_left_of_worn_markers_is_no_touch(demo_nocontact):
+    """Stains that are a seventh off in colour where eight markers were; between markers they are a touch."""
+    for picture in demo_nocontact.values():
+        markers = markers_in(picture)
+        for seed in range(3):
+            lost = np.random.default_rng(seed).permutation(len(markers.points))[:8]
+            points = markers.points[lost] - 0.5
+            gone = painted_over(picture, points, markers.diameter)
+            assert touch(stained(gone, points, markers.diameter)) < 1.0
+            assert touch(stained(gone, points + markers.pitch / 2, markers.diameter)) > 1.0
 
 
 def test_a_drag_farther_than_the_network_learnt_is_flagged(demo_nocontact, shipped):
