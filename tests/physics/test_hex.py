@@ -216,6 +216,11 @@ def test_friction_with_a_large_coefficient_is_no_slip():
     held, rough = solve_hex(dragged("no_slip", far=0.3), WHOLE), solve_hex(dragged("coulomb", 5.0, far=0.3), WHOLE)
     # friction's penalty is a tenth of the penalty; multipliers leave 1 % of what they give way
     assert np.allclose(rough.total, held.total, rtol=0.01, atol=0.01)
+    state, pose = rough.contact, path_pose(dragged("coulomb", 5.0, far=0.3), 2.0)
+    drift, sideways = (pose.to_gel(state.stick_point) - state.position)[:, :2], state.traction[:, :2]
+    soft = COARSE.penalty * Material().shear_modulus / WHOLE.size / 10.0
+    assert (state.status == STICK).all()
+    assert np.linalg.norm(drift, axis=1).sum() < 0.02 * np.linalg.norm(sideways, axis=1).sum() / soft
 
 
 @pytest.mark.parametrize(

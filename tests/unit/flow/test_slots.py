@@ -32,8 +32,10 @@ def task(k):
     Path(f"seen/{k}").write_text(str(running()))
     mark.unlink()
     return k
-assert list(in_slots(task, [(k,) for k in range(6)], 4)) == list(range(6))
-Path("done").touch()
+try:
+    assert list(in_slots(task, [(k,) for k in range(6)], 4)) == list(range(6))
+finally:
+    Path("done").touch()
 """
 MAKEFILE = """
 SHELL := bash
