@@ -1,7 +1,7 @@
 """Core hours, disk and time of `make report` before it starts, at once: nothing is solved.
 
 What a row takes in a stage comes from the records of this machine: of this dataset where it was begun, else of the other dataset
-with the same method that has most rows. Where no record serves, MEASURED does, of one core of a desktop computer. Rows that stage 10
+with the same method and contact law that has most rows. Where no record serves, MEASURED does, of one core of a desktop computer. Rows that stage 10
 will reject count as well. For a log without images the estimate ends at labels and calibration.
 """
 
@@ -31,8 +31,9 @@ from gelforge.stages.train import resolve
 from gelforge.sweeps.cases import FACTORS
 
 # Processor seconds of a press straight down, by method, and of one that is dragged over one that is not.
-MEASURED = {"draft": 0.6, "label": 1.4, "fine": 27.0, "ccx": 5.7, "auto": 2.0}
+MEASURED = {"draft": 0.6, "label": 1.4, "fine": 27.0, "ccx": 8.7, "auto": 2.0}
 DRAGGED = 1.5
+SLIPPING = 5.0  # of one under a law that lets contact slip over one that sticks
 # The same of a row in the other stages, and of the start of a process; of a calibration and of a page.
 EACH = {
     layout.POSES: 7e-3,
@@ -42,7 +43,7 @@ EACH = {
     layout.EVALUATE: 5e-3,
     layout.REPORT: 0.02,
 }
-START, CALIBRATE_ONCE = 3.0, 25.0
+START, CALIBRATE_ONCE = 3.0, 70.0
 OF_FILE = {layout.PARETO: 450.0, layout.STABILITY: 600.0}  # processor seconds of a scene, of a row of the map
 BYTES = {layout.POSES: 2e4, layout.FEA: 2e5, layout.FORCES: 5e4}  # of a row
 OF_SHARDS = (layout.POSES, layout.FEA, layout.FORCES)
@@ -79,6 +80,12 @@ def method_of(of: Layout) -> str:
     return str(read_json(path)["fea"]["method"]) if path.exists() else ""
 
 
+def law_of(of: Layout) -> str:
+    """The contact law under which the presses of a dataset are solved, empty where it was not planned yet."""
+    path = of.parameters("fea")
+    return str(read_json(path)["interface"]["law"]) if path.exists() else ""
+
+
 def recorded(of: Layout) -> tuple[float, float, float]:
     """What stage 30 took of a dataset's shards that are made: processor seconds, what presses they are worth, and rows."""
     cpu = worth = count = 0.0
@@ -92,15 +99,15 @@ def recorded(of: Layout) -> tuple[float, float, float]:
 
 def press_seconds(of: Layout) -> tuple[float, str]:
     """Processor seconds of a straight press of a dataset, and where they are known from."""
-    method, found = method_of(of), []
+    method, law, found = method_of(of), law_of(of), []
     for root in (of.root, *(path for path in sorted(of.root.parent.iterdir()) if path != of.root)):
         other = Layout(root)
-        if (root / layout.PLAN).is_dir() and method_of(other) == method:
+        if (root / layout.PLAN).is_dir() and (method_of(other), law_of(other)) == (method, law):
             cpu, worth, count = recorded(other)
             if worth:
                 found.append((root == of.root, count, cpu / worth, f"records of {root.name}"))
     if not found:
-        return MEASURED[method], "table"
+        return MEASURED[method] * (1.0 if law == "no_slip" else SLIPPING), "table"
     return max(found)[2:]
 
 

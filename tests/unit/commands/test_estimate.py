@@ -11,6 +11,7 @@ from gelforge.commands import estimate
 from gelforge.commands.estimate import (
     DRAGGED,
     MEASURED,
+    SLIPPING,
     START,
     ahead,
     estimated,
@@ -37,12 +38,13 @@ def rows_of(count, **cells):
     return [RawRow(k + 2, GOOD | cells | {"sample_id": f"s{k}"}) for k in range(count)]
 
 
-def lay(folder, rows, method="draft", images=True):
+def lay(folder, rows, method="draft", images=True, law="no_slip"):
     """A plan of one shard whose report shows a calibration."""
     of = Layout(folder)
     write_text(of.shard("0000"), shard_text(rows))
     write_json(of.params / "sensors.json", {})
-    write_json(of.params / "fea.json", {"version": 1, "fea": plain(parameters().fea) | {"method": method}})
+    fea = {"fea": plain(parameters().fea) | {"method": method}, "interface": {"law": law, "mu": 0.5}}
+    write_json(of.params / "fea.json", {"version": 1} | fea)
     write_json(
         of.params / "report.json", {"version": 1, "report": plain(parameters().report) | {"branches": ["calibrate"]}}
     )
@@ -72,6 +74,9 @@ def test_seconds_of_a_press_are_those_of_this_machine_with_the_same_method(tmp_p
     dragged = lay(tmp_path / "results/older", rows_of(10, dx_mm="0.4"), method)
     solved(dragged, 60.0)
     solved(lay(tmp_path / "results/another", rows_of(20), "other"), 900.0)
+    slips = lay(tmp_path / "results/slips", rows_of(30), method, law="coulomb")
+    assert press_seconds(slips) == (MEASURED[method] * SLIPPING, "table")
+    solved(slips, 900.0)
     assert press_seconds(of) == (pytest.approx(6.0 / DRAGGED), "records of older")
     solved(of, 8.0)
     assert press_seconds(of) == (2.0, "records of mine")
