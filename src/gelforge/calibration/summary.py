@@ -95,7 +95,8 @@ def left_out(chain: Chain, posterior: Posterior) -> tuple[np.ndarray, float]:
 
     coordinates = chain.flat(DRAWS)
     forces, _ = posterior.predict(coordinates)
-    weights, shape = array_stats.psislw(-posterior.by_press(coordinates).T, axis=-1)
+    # psislw takes the likelihood of what is left out and turns its sign itself
+    weights, shape = array_stats.psislw(posterior.by_press(coordinates).T, axis=-1)
     return np.einsum("nw,wnc->nc", np.exp(weights), forces), float(np.max(shape))
 
 

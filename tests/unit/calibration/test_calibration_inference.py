@@ -222,9 +222,6 @@ def test_the_likelihood_has_the_errors_that_emulated_forces_were_measured_to_hav
 
 
 @pytest.mark.slow
-@pytest.mark.xfail(
-    strict=True, reason="left out, the odd press is predicted 2 % nearer than with it; the cause is not known"
-)
 def test_a_press_is_predicted_without_itself():
     """A press that is off is off by more where it is left out, and nothing else changes by much."""
     posterior = law_posterior(np.random.default_rng(3), DEPTH, noise=0.002)
