@@ -7,7 +7,7 @@ import numpy as np
 
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.indenters import CATALOGUE, load_catalogue
-from gelforge.mechanics.contact.law import ContactLaw, laws
+from gelforge.mechanics.contact.law import LAWS, ContactLaw
 from gelforge.mechanics.hexsettings import quality
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.scene import Interface, Scene
@@ -28,7 +28,7 @@ class Orowan(ContactLaw):
         return np.minimum(limit, STRENGTH), np.where(limit < STRENGTH, slope, 0.0)
 
 
-laws()[Orowan.name] = Orowan
+LAWS[Orowan.name] = Orowan
 
 sphere = load_catalogue(CATALOGUE, ["sphere_10"])["sphere_10"]
 totals = {}

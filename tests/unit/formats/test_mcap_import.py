@@ -308,7 +308,7 @@ def test_forces_of_another_unit_or_axis_are_named_by_what_the_shipped_network_re
     for factor, said in (
         (1.0, ""),
         (1 / 4.448, "pounds-force"),
-        (40.0, "not in newtons"),
+        (20.0, "not in newtons"),
         ("axes", "fx_n follows the normal force"),
     ):
         images, forces = [], []
