@@ -41,7 +41,6 @@ from tests.support.sandbox import link_project, make
 DATA = Path("data/demo")
 WRAPPER = "ccx"  # of CalculiX, in a project that has one of its own
 SPHERES = "feats_sphere15"
-QUICK = '\n[params.fea]\nmethod = "draft"\n'  # as near to the demo's forces as its calibration is
 ORDINARY = "lies outside the image"  # as the labels note of every log with a press near the edge
 SAID = re.compile(r"^(?:  \| )?((?:error|note|rejected): .*)", re.MULTILINE)
 FRAMES = 12  # of a film
@@ -276,8 +275,6 @@ def labelled(root: Path, folder: Path) -> tuple[Path, list[str]]:
     project = link_project(root, folder / "base")
     shutil.copytree(root / DATA, project / DATA)
     (project / DATA / "calibration.toml").unlink(missing_ok=True)
-    table = project / DATA / "dataset.toml"
-    write_text(table, table.read_text(encoding="utf-8") + QUICK)
     return project, said_of(project)
 
 
