@@ -74,16 +74,13 @@ def weights(rows: list[RawRow]) -> float:
     )
 
 
-def method_of(of: Layout) -> str:
-    """How the presses of a dataset are solved, empty where it was not planned yet."""
+def solved_by(of: Layout) -> tuple[str, str]:
+    """Method and contact law by which the presses of a dataset are solved, empty where it was not planned yet."""
     path = of.parameters("fea")
-    return str(read_json(path)["fea"]["method"]) if path.exists() else ""
-
-
-def law_of(of: Layout) -> str:
-    """The contact law under which the presses of a dataset are solved, empty where it was not planned yet."""
-    path = of.parameters("fea")
-    return str(read_json(path)["interface"]["law"]) if path.exists() else ""
+    if not path.exists():
+        return "", ""
+    planned = read_json(path)
+    return str(planned["fea"]["method"]), str(planned["interface"]["law"])
 
 
 def recorded(of: Layout) -> tuple[float, float, float]:
@@ -99,10 +96,10 @@ def recorded(of: Layout) -> tuple[float, float, float]:
 
 def press_seconds(of: Layout) -> tuple[float, str]:
     """Processor seconds of a straight press of a dataset, and where they are known from."""
-    method, law, found = method_of(of), law_of(of), []
+    (method, law), found = solved_by(of), []
     for root in (of.root, *(path for path in sorted(of.root.parent.iterdir()) if path != of.root)):
         other = Layout(root)
-        if (root / layout.PLAN).is_dir() and (method_of(other), law_of(other)) == (method, law):
+        if (root / layout.PLAN).is_dir() and solved_by(other) == (method, law):
             cpu, worth, count = recorded(other)
             if worth:
                 found.append((root == of.root, count, cpu / worth, f"records of {root.name}"))
@@ -172,7 +169,7 @@ def ahead(of: Layout, target: Path, cores: int) -> str:
         rows = [row for shard in shards for row in read_shard(of.shard(shard))]
         each, source = press_seconds(of)
         cpu, spread = each * weights(rows) + START * len(shards), len(shards)
-        what = f"{len(rows)} rows by {method_of(of)}"
+        what = f"{len(rows)} rows by {solved_by(of)[0]}"
     elif stage == layout.CALIBRATE:
         cpu, what = CALIBRATE_ONCE, "solves and a chain"
     elif stage == layout.TRAIN:
@@ -219,7 +216,7 @@ def main(args: Namespace) -> None:
     print(f"{'all':14s} {cpu / 3600:10.3f} {size(disk):>9s}")
     cores = f"{args.cores} cores" if args.cores > 1 else "1 core"
     print(
-        f"{len(rows)} rows by {method_of(of)}: about {duration(sum(cost.cpu / cost.cores for cost in costs))} on {cores}"
+        f"{len(rows)} rows by {solved_by(of)[0]}: about {duration(sum(cost.cpu / cost.cores for cost in costs))} on {cores}"
     )
 
 

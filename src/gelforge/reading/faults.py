@@ -312,7 +312,7 @@ def wear_fault(seen: Prepared) -> str:
         return f"{seen.vanished} markers are in the image or in the no-contact image alone: take a new one, or change the gel"
     if seen.nocontact is None or seen.change is None:
         return ""
-    fainter = faded(seen.nocontact.markers, seen.nocontact.darkness, seen.tracks, seen.darkness)
+    fainter = faded(seen.nocontact.markers, seen.nocontact.printed, seen.tracks, seen.darkness)
     if fainter <= MOST_FADED:
         return ""
     return f"{fainter:.0%} of its markers are fainter than in the no-contact image: take a new one, focus the camera, or change the gel"

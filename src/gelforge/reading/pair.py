@@ -20,7 +20,7 @@ from gelforge.errors import BadInput
 from gelforge.reading.frame import ImageFrame, Learnt, image_frame
 from gelforge.reading.light import Light, Reference
 from gelforge.reading.markers import MarkerTracker, Tracks, grey_of, markers_in, rim_shift, shifted_back
-from gelforge.reading.wear import appeared, darkness_of, painted_over, places_in, usual_darkness, vanished
+from gelforge.reading.wear import appeared, darkness_of, painted_over, places_in, printed_in, vanished
 from gelforge.records.networkkind import kind_of
 
 INPUTS = ("image", "nocontact")  # what the inputs of a graph may be named
@@ -90,10 +90,10 @@ class NoContact:
         tracks, markers = found.tracks, self.markers
         if not tracks.unlike.any() and not len(markers.empty):
             return found
-        gone = vanished(markers, self.darkness, tracks, found.darkness)
+        gone = vanished(markers, self.printed, tracks, found.darkness)
         more = np.zeros((0, 2))
         if len(markers.empty):
-            more = appeared(markers, self.darkness, self.usual_darkness, tracks, found.darkness)
+            more = appeared(markers, self.darkness, self.printed, tracks, found.darkness)
         if not gone.any() and not len(more):
             return found
         worn = self.without(gone) if gone.any() else self
@@ -109,9 +109,9 @@ class NoContact:
         return darkness_of(grey_of(list(np.moveaxis(self.picture, 2, 0))))
 
     @cached_property
-    def usual_darkness(self) -> float:
-        """Usual darkness of its markers."""
-        return usual_darkness(self.markers, self.darkness)
+    def printed(self) -> np.ndarray:
+        """Darkness of each of its markers, (n,)."""
+        return printed_in(self.markers, self.darkness)
 
     def without(self, gone: np.ndarray) -> "NoContact":
         """The same with some of its markers, (n,) bool, painted over. Kept for the next image, as wear stays."""
@@ -120,7 +120,7 @@ class NoContact:
             while len(self._worn) >= MOST_WORN:
                 self._worn.pop(next(iter(self._worn)))
             worn = copy(self)
-            for name in ("darkness", "usual_darkness"):
+            for name in ("darkness", "printed"):
                 worn.__dict__.pop(name, None)
             worn.picture = painted_over(self.picture, self.markers.points[gone], self.markers.diameter)
             worn.markers = MarkerTracker(worn.picture, self.markers.printed.only(~gone))

@@ -36,20 +36,24 @@ def places_in(tracks: Tracks, markers: MarkerTracker) -> np.ndarray:
     return markers.points + np.where(tracks.found[:, None], tracks.motion, usual)
 
 
-def vanished(markers: MarkerTracker, before: np.ndarray, tracks: Tracks, now: np.ndarray) -> np.ndarray:
-    """Which markers (n,) bool of a no-contact image are gone in another one. before, now: `darkness_of` both images."""
-    printed = _darkest(before, markers.points, SEEN_WITHIN[0])
+def printed_in(markers: MarkerTracker, before: np.ndarray) -> np.ndarray:
+    """Largest darkness at each marker of a no-contact image, (n,) int. before: its `darkness_of`."""
+    return _darkest(before, markers.points, SEEN_WITHIN[0])
+
+
+def vanished(markers: MarkerTracker, printed: np.ndarray, tracks: Tracks, now: np.ndarray) -> np.ndarray:
+    """Which markers (n,) bool of a no-contact image are gone in another one. printed: its `printed_in`; now: the other's `darkness_of`."""
     left = _darkest(now, places_in(tracks, markers), SEEN_WITHIN[1])
     # those that look as they did are there
     return np.asarray(tracks.unlike & (printed >= PRINTED) & (left >= 0) & (left < LEFT * printed))
 
 
-def faded(markers: MarkerTracker, before: np.ndarray, tracks: Tracks, now: np.ndarray) -> float:
-    """Fraction of the markers of a no-contact image that are fainter in another one. before, now: `darkness_of` both images."""
+def faded(markers: MarkerTracker, printed: np.ndarray, tracks: Tracks, now: np.ndarray) -> float:
+    """Fraction of the markers of a no-contact image that are fainter in another one; arguments as of `vanished`."""
     if not len(markers.points):
         return 0.0
     left = _darkest(now, places_in(tracks, markers), SEEN_WITHIN[1])
-    return float(((left >= 0) & (left < FADED * _darkest(before, markers.points, SEEN_WITHIN[0]))).mean())
+    return float(((left >= 0) & (left < FADED * printed)).mean())
 
 
 def pale(markers: MarkerTracker) -> float:
@@ -64,18 +68,12 @@ def pale(markers: MarkerTracker) -> float:
     return float((_darkest(taken, markers.points, SEEN_WITHIN[0]) < 255 * INKED).mean())
 
 
-def usual_darkness(markers: MarkerTracker, before: np.ndarray) -> float:
-    """Median of the largest darkness at each marker of a no-contact image. before: its `darkness_of`."""
-    return float(np.median(_darkest(before, markers.points, SEEN_WITHIN[0])))
-
-
 def appeared(
-    markers: MarkerTracker, before: np.ndarray, printed: float, tracks: Tracks, now: np.ndarray
+    markers: MarkerTracker, before: np.ndarray, printed: np.ndarray, tracks: Tracks, now: np.ndarray
 ) -> np.ndarray:
     """Where another image shows markers at places of the lattice that are empty in the no-contact image, (k, 2) px.
 
-    before, now: `darkness_of` both images. printed: the `usual_darkness` of the no-contact image. Such a marker was hidden or
-    worn in the no-contact image.
+    before, now: `darkness_of` both images. printed: `printed_in` the no-contact image. Such a marker was hidden or worn in it.
     """
     places, followed = markers.empty, np.flatnonzero(tracks.found)
     if not len(places) or not len(followed):
@@ -85,7 +83,7 @@ def appeared(
     there = places + np.median(tracks.motion[near], axis=1)
     seen = _darkest(now, there, SEEN_WITHIN[1])
     bare = _darkest(before, places, SEEN_WITHIN[0]) < LEFT * seen
-    return np.asarray(there[(seen >= max(PRINTED, APPEARED * printed)) & bare])
+    return np.asarray(there[(seen >= max(PRINTED, APPEARED * np.median(printed))) & bare])
 
 
 def _darkest(dark: np.ndarray, points: np.ndarray, reach: int) -> np.ndarray:

@@ -35,9 +35,8 @@ from gelforge.records.status import Status
 
 AROUND = quality("label")  # whose small hexahedra show where the contact may be
 PIXELS = 64  # across the longer side of that place
-LONGEST = (
-    1.5  # of edges at the edge of contact, in sides of these hexahedra, which are smaller under a narrow contact
-)
+# Of edges at the edge of contact, in sides of these hexahedra, which are smaller under a narrow contact.
+LONGEST = 1.5
 # Widths of a coarse hexahedron within which what lies between its points of contact touches, too; and pixels of gaps that are closed.
 PORES, CLOSED = 0.02, 1
 NEAR_MM = 0.5  # from the indenter: points that may come to touch within a load step
