@@ -26,7 +26,7 @@ LEAST = 4  # faults of each room
 SECONDS = 300  # that a test may take: a fault may make it wait for ever
 # Pytest's exit status: some test failed. Others say that nothing was judged, such as a file that cannot be imported.
 PASSED, FAILED = 0, 1
-CAUGHT, SURVIVES = "caught", "SURVIVES"
+CAUGHT, TIMED_OUT, SURVIVES = "caught", "timed out", "SURVIVES"
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,9 @@ def outcome(fault: Fault, project: Path, moment: int) -> str:
     name = failed[0].partition(" ")[2].partition(" - ")[0]
     # a test that fails anyway has noticed nothing
     sound = tested(project, (name,), project.parent / "compiled").returncode == PASSED
-    return CAUGHT if sound else f"not judged: {name} fails without the fault, too"
+    if not sound:
+        return f"not judged: {name} fails without the fault, too"
+    return TIMED_OUT if "from pytest-timeout" in done.stdout else CAUGHT
 
 
 @command(
@@ -158,10 +160,12 @@ def main(args: Namespace) -> int:
                 write_json(args.kept, kept)
             print(f"{kept[key].partition(': ')[0]:10}  {fault.file}: {fault.name}", flush=True)
     outcomes = {fault.name: kept[fault.key()] for fault in faults}
-    print(*(f"{name}: {said}" for name, said in outcomes.items() if said not in (CAUGHT, SURVIVES)), sep="\n")
-    caught = sum(said == CAUGHT for said in outcomes.values())
-    note = f"{caught} of {len(faults)}; survivors: {', '.join(n for n, said in outcomes.items() if said != CAUGHT) or 'none'}"
-    fraction = 100.0 * caught / max(len(faults), 1)
+    print(*(f"{name}: {said}" for name, said in outcomes.items() if said.startswith("not judged")), sep="\n")
+    noticed = sum(said in (CAUGHT, TIMED_OUT) for said in outcomes.values())
+    waits = [name for name, said in outcomes.items() if said == TIMED_OUT]
+    survivors = [name for name, said in outcomes.items() if said not in (CAUGHT, TIMED_OUT)]
+    note = f"{noticed} of {len(faults)}, {len(waits)} of them because a test waits for ever; survivors: {survivors or 'none'}"
+    fraction = 100.0 * noticed / max(len(faults), 1)
     publish_figures(
         None if args.only else args.out, [Figure("planted faults caught", fraction, ">=", 95.0, "%", note)]
     )
