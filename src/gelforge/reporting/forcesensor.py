@@ -32,7 +32,10 @@ class Spreads:
 
 @dataclass(frozen=True)
 class Compared:
-    """Normal force of one press by its label and by the force sensor, N, and variances of their difference, N^2."""
+    """Normal force of one press by its label and by the force sensor, N, and variances of their difference, N^2.
+
+    label: with what fell outside the image, which the force sensor feels, too.
+    """
 
     name: str
     indenter: str
@@ -95,6 +98,7 @@ def compare_forces(rows: Sequence[Mapping[str, Any]], of: Spreads, used: Collect
         label, sensor = row.get("label_fz"), row.get("measured_fz")
         if label is None or sensor is None or not np.isfinite([label, sensor]).all() or not label or not sensor:
             continue
+        label += row["outside_fz"]
         depth = max(-(row["z0_mm"] + row["dz_mm"]), 0.05)
         bench = of.noise**2 + (STEEPEST * sensor / depth * of.touch) ** 2
         low, high = sorted((label * of.low, label * of.high))
@@ -116,8 +120,8 @@ def force_sentences(presses: Sequence[Compared]) -> list[str]:
     if held:
         low, middle, high = np.quantile([p.ratio for p in held], [0.05, 0.5, 0.95])
         said.append(
-            f"Normal force of the label over the force sensor's, {len(held)} presses above {LEAST_N:g} N that the calibration"
-            f" did not use: median {middle:.3f}, 5 to 95 % {low:.3f} to {high:.3f}."
+            f"Normal force of the label, with what lies outside the image, over the force sensor's, {len(held)} presses above"
+            f" {LEAST_N:g} N that the calibration did not use: median {middle:.3f}, 5 to 95 % {low:.3f} to {high:.3f}."
         )
     odd = [p for p in presses if abs(p.deviations) > NAMED]
     for p in sorted(odd, key=lambda p: -abs(p.deviations)):

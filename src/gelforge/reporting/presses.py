@@ -74,11 +74,13 @@ def _press(
     row |= {name: getattr(press, name) for name in (*POSE, "stl")}
     # Forces of the label, or of the solve where the press has no picture and so no place in the dataset.
     known = sample.total if sample else solve.total if solve and solve.status.valid else np.full(3, np.nan)
+    outside = np.nan_to_num(sample.outside) if sample else np.zeros(3)
+    row["outside_fz"] = outside[2]
     for at, axis in enumerate(CHANNELS):
         row[f"measured_{axis}"], row[f"label_{axis}"] = press.force[at], known[at]
         row[f"network_{axis}"] = np.nan if total is None else total[at]
     if solve:  # stated at the reference C10, and in proportion to it
-        stiffer = np.linalg.norm(known) / max(float(np.linalg.norm(solve.total)), np.finfo(float).tiny)
+        stiffer = np.linalg.norm(known + outside) / max(float(np.linalg.norm(solve.total)), np.finfo(float).tiny)
         row["error_n"] = solve.number("error_n") * stiffer
     return row
 

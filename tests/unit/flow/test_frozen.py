@@ -81,7 +81,7 @@ def test_a_file_that_is_none_is_refused_in_a_sentence(root, tmp_path):
 
 
 def rows(sensor, label):
-    return [{"id": f"s{i}", "indenter": "ball", "z0_mm": 0.0, "dz_mm": -1.0, "measured_fz": s, "label_fz": v}
+    return [{"id": f"s{i}", "indenter": "ball", "z0_mm": 0.0, "dz_mm": -1.0, "measured_fz": s, "label_fz": v, "outside_fz": 0.0}
             for i, (s, v) in enumerate(zip(sensor, label, strict=True))]  # fmt: skip
 
 
@@ -110,6 +110,14 @@ def test_each_press_has_the_interval_of_c10_and_fractions_that_are_one():
         assert press.high - press.low == pytest.approx(abs(press.label) * (0.0871 - 0.0835) / 0.0853)
         assert sum(float(text.rstrip("%")) for text in press.fractions()) == pytest.approx(100.0, abs=1.1)
     assert "1 presses above 2 N that the calibration did not use: median 1.025" in force_sentences(presses)[0]
+
+
+def test_what_lies_outside_the_image_is_no_difference():
+    """A force sensor feels the whole press, a label holds what the image shows of it."""
+    whole, cut = rows([-35.04], [-34.9]), rows([-35.04], [-30.61])
+    cut[0]["outside_fz"] = -4.29
+    [one], [other] = (compare_forces(table, of_calibration(), set()) for table in (whole, cut))
+    assert other.deviations == pytest.approx(one.deviations) and len(force_sentences([other])) == 1
 
 
 def test_rows_without_a_label_or_a_reading_are_left_out():
