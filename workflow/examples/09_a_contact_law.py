@@ -1,6 +1,6 @@
 """Add a contact law: Coulomb's friction up to the shear strength of the gel's skin, beside the laws that come with gelforge.
 
-CONTRIBUTING.md says how `[interface] law` of workflow/params.toml chooses it.
+CONTRIBUTING.md says how `[interface] law` of workflow/params.toml chooses it. Each of the three presses takes half a minute or so.
 """
 
 import numpy as np

@@ -28,7 +28,7 @@ from gelforge.records.networkkind import kind_of
 from gelforge.records.press import RawRow, parse
 from gelforge.records.samplefile import read_samples
 from gelforge.stages.train import resolve
-from gelforge.sweeps.cases import FACTORS
+from gelforge.sweeps.cases import ROWS
 
 # Processor seconds of a press straight down, by method, and of one that is dragged over one that is not.
 MEASURED = {"draft": 0.6, "label": 1.4, "fine": 27.0, "ccx": 8.7, "auto": 2.0}
@@ -177,7 +177,7 @@ def ahead(of: Layout, target: Path, cores: int) -> str:
         cpu, spread, what = training(of, name, target.stem, images).cpu, 1, f"{images} images"
     else:
         scenes = [of.chart_scene(path.stem) for path in listed(of.params / "scenes", "*.json")]
-        files = scenes if stage == layout.PARETO else [of.stability_row(row) for row in (*FACTORS, "random")]
+        files = scenes if stage == layout.PARETO else [of.stability_row(row) for row in ROWS]
         asked = layout.written(str(of.parameters(stage)))
         spread = sum(layout.written(str(path)) < asked for path in files)
         cpu, what = OF_FILE[stage] * spread, f"{spread} of {len(files)} files"

@@ -19,7 +19,7 @@ from gelforge.flow.layout import Layout, beside
 from gelforge.flow.params import StageParameters, read_parameters
 from gelforge.mechanics.ccx.program import need_ccx
 from gelforge.records.status import VALID
-from gelforge.sweeps.cases import FACTORS, FINEST, SERIES, Case, factor_of, row_cases
+from gelforge.sweeps.cases import FINEST, ROWS, SERIES, Case, factor_of, row_cases
 from gelforge.sweeps.deviation import total_error
 from gelforge.sweeps.methods import Method, hex_settings, method_of, prepare
 from gelforge.sweeps.trial import ccx_settings, kept, solve_isolated
@@ -28,7 +28,6 @@ VERSION = 5
 NOT_RUN = "NOT_RUN"
 # How a case at label setting is solved, by its solver.
 LABEL = {"hex": method_of("label"), "ccx": method_of("ccx"), FINEST: method_of("fine")}
-ROWS = (*FACTORS, "random")
 COLUMNS = ("row", "level", "solver", "kind", "shape", "depth", "shear", "place", "nu", "friction", "size", "steps", "status",
            "verdict", "error", "against", "fx_n", "fy_n", "fz_n", "cpu_seconds", "reason")  # fmt: skip
 

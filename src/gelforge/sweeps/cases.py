@@ -23,7 +23,8 @@ BODIES = {
 TILTED, RIDGE = "tilted", "ridge"  # bodies of a row of their own, whose `shape` is varied
 # Where the axis stands, mm; at the rim part of every body hangs over the gel's edge.
 PLACES = {"centre": (0.0, 0.0), "off-centre": (3.0, 5.0), "rim": (8.5, 0.0)}
-FACTORS = ("depth", "shear", "place", "tilt", "ridge", "nu", "friction", "size", "steps")
+# Of the map, as in STABILITY_ROWS of rules/branches.mk: one for each factor, and one of combinations.
+ROWS = ("depth", "shear", "place", "tilt", "ridge", "nu", "friction", "size", "steps", "random")
 SHAPED = {"tilt": TILTED, "ridge": RIDGE}  # rows that vary a body
 SERIES = ("size", "steps")  # rows of elements and load steps, beside which label setting is no value
 FINEST = "fine"  # hexahedra of that quality

@@ -1,6 +1,6 @@
 "use strict";
 const el = (id) => document.getElementById(id);
-const fixed = (v, digits = 2) => (Number.isFinite(v) ? v.toFixed(digits) : "–");
+const fixed = (v, digits = 2) => (Number.isFinite(v) ? (+v.toFixed(digits) + 0).toFixed(digits) : "–");  // + 0: no "-0.00"
 const MAPS = [["short", 0, "x, along the short side"], ["long", 1, "y, along the long side"], ["normal", 2, "z, normal"]];
 const TOTALS = [["fz_n", 2, "#1f6f8b"], ["fx_n", 0, "#d1603d"], ["fy_n", 1, "#5b8c3a"]], FLAGGED = "#dde1e6";
 let history = [], drawing = false, latest = null;
