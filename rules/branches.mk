@@ -34,7 +34,7 @@ $(PARETO_FILES): $D/pareto/scenes/%.json: $P/pareto.json $P/scenes/%.json $P/sen
 	$(foretold)
 	$(call step,gelforge.stages.pareto scene $D $*)
 
-$D/pareto/pareto.json: $(PARETO_FILES) $P/pareto.json
+$D/pareto/pareto.json: $(PARETO_FILES) $P/pareto.json $P/scenes.json
 	$(call step,gelforge.stages.pareto chart $D)
 
 # It refuses references whose keys are of other methods or of another version of the chart.

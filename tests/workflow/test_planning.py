@@ -3,6 +3,7 @@
 import os
 import re
 import shutil
+import tomllib
 from types import SimpleNamespace
 
 import numpy as np
@@ -67,11 +68,24 @@ def test_a_shape_that_changes_under_its_name_is_another_shape(tmp_path):
     assert used({"a": 1, "b": 2}, {"b", "c"}) == {"b": 2}
 
 
-def shown(project, *words) -> str:
-    """What `make -n poses` would run."""
-    done = make(project, "-n", "poses", "DATASET=tiny", *words, timeout=HANG)
+def shown(project, *words, target="poses") -> str:
+    """What `make -n` would run for a target."""
+    done = make(project, "-n", target, "DATASET=tiny", *words, timeout=HANG)
     assert done.returncode == 0, done.stdout
     return done.stdout
+
+
+def test_a_scene_that_is_retired_leaves_the_chart(labelled):
+    """The chart is drawn anew, and no scene is solved for that."""
+    scenes, folder = labelled / "workflow/scenes.toml", labelled / "results/tiny/pareto"
+    text = scenes.read_text(encoding="utf-8")
+    last = text.rindex("\n[")
+    for name in [*tomllib.loads(text), "../pareto"]:
+        write_text(folder / f"scenes/{name}.json", "{}")
+    assert "stages.pareto" not in shown(labelled, target="pareto")
+    write_text(scenes, text[:last])
+    said = shown(labelled, target="pareto")
+    assert "stages.pareto chart" in said and "stages.pareto scene" not in said
 
 
 def test_each_change_that_dates_do_not_tell_is_planned_once(labelled, log):

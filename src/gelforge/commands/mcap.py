@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.evidence.forces import FEWEST, misplaced, unit
+from gelforge.evidence.forces import FEWEST, drift, misplaced, unit
 from gelforge.flow.cli import command, option
 from gelforge.formats.mcap_import import Topics, import_recordings
 from gelforge.labelling.sensor import find_sensor, load_sensors
@@ -50,30 +50,33 @@ def imported(log: Path) -> list[PressRecord]:
 
 
 def doubts_of_forces(data: Path, rows: Sequence[PressRecord], sensor: str) -> list[str]:
-    """What forces beside images say of their unit and axes, by what the shipped network reads of some images that it does not flag.
+    """What forces beside images say of their unit and axes, and of a drift, by what the shipped network reads of some images.
 
-    It errs by a factor of two at most, units differ by four and more.
+    It errs by a factor of two at most, units differ by four and more. Images that it flags say nothing.
     """
     nocontact = data / "nocontact" / f"{sensor}.png"
-    if not nocontact.is_file():
+    known = [row for row in rows if row.fz_n is not None]
+    if not nocontact.is_file() or not known:
         return []
-    strongest = sorted(
-        (row for row in rows if row.fz_n is not None),
-        key=lambda row: -float(np.linalg.norm(np.nan_to_num(row.force))),
-    )
-    asked = [
-        strongest[at]
-        for at in np.unique(np.linspace(0, len(strongest) // 2, ASKED).astype(int))
-        if at < len(strongest)
-    ]
     read = Reader(nocontact=read_image(nocontact))
-    found = [(row.force, read(read_image(data / row.image))) for row in asked]
-    force = np.array([force for force, seen in found if not seen.flag and seen.total[2] < -PRESSED_N]).reshape(-1, 3)
-    seen = np.array([-seen.total[2] for _, seen in found if not seen.flag and seen.total[2] < -PRESSED_N])
-    if len(seen) < FEWEST:
-        return []
-    where = "the recorded force, beside what the shipped network reads of the images"
-    return [said for said in (misplaced(force, seen), unit(-force[:, 2], seen, where)) if said]
+
+    def readings(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Recorded force (n, 3) and the normal force (n,) that is read, NaN where it is flagged, of the known rows `at`."""
+        seen = [read(read_image(data / known[k].image)) for k in at]
+        force = np.array([known[k].force for k in at], float)
+        return force, np.array([np.nan if one.flag else -one.total[2] for one in seen])
+
+    by_force = np.argsort([-float(np.linalg.norm(np.nan_to_num(row.force))) for row in known], kind="stable")
+    force, seen = readings(by_force[np.unique(np.linspace(0, (len(known) - 1) // 2, ASKED).astype(int))])
+    pressed = seen > PRESSED_N
+    said = []
+    if pressed.sum() >= FEWEST:
+        where = "the recorded force, beside what the shipped network reads of the images"
+        said = [misplaced(force[pressed], seen[pressed]), unit(-force[pressed, 2], seen[pressed], where)]
+    through = np.unique(np.linspace(0, len(known) - 1, 2 * ASKED).astype(int))
+    force, seen = readings(through)
+    rest = np.abs(seen) < PRESSED_N
+    return [one for one in (*said, drift(force[rest], through[rest])) if one]
 
 
 if __name__ == "__main__":

@@ -299,10 +299,10 @@ def fitted(terms: np.ndarray, values: np.ndarray, weight: np.ndarray) -> tuple[n
     return found, errors, left
 
 
-def drift_text(axis: str, per_press: float, presses: float) -> str:
+def drift_text(axis: str, per_row: float, rows: float) -> str:
     return (
-        f"The force sensor drifts: what it reads along {axis} beyond the prediction changes by {per_press:+.3f} N a press,"
-        f" {per_press * presses:+.2f} N from the first press to the last; tare it more often."
+        f"The force sensor drifts: what it reads along {axis} beyond the prediction changes by {per_row:+.3f} N a row,"
+        f" {per_row * rows:+.2f} N from the first row to the last; tare it more often."
     )
 
 

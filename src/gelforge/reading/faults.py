@@ -50,6 +50,10 @@ LEAST_LEVEL, LEAST_CONTRAST = 40.0, 30  # grey levels of a no-contact image
 SHARP_MARGIN = (
     0.45  # of the logarithm of sharpness, below the least sharp no-contact image that a network learnt beside
 )
+# Of an image beside its no-contact image: logarithm of sharpness, and fraction of white pixels beyond. Of 130 images of real sensors the
+# least sharp has -0.42, and none has white pixels; all have -1.0 and less once they are blurred by a pixel of 320.
+LEAST_SHARPNESS, WHITE, MOST_WHITE = -0.7, 254, 0.1
+MOST_BRIGHTER = 1.8  # times: with more or less light than that markers look otherwise
 MOST_CROWDED = 1.35  # markers of an image over those of its no-contact image: real films have 1.14 at most, one cropped by a seventh 1.8
 GREY = 1.5  # levels by which the colours of a picture differ in the mean where it has none
 # Of all markers: with so many half worn, in the image alone or in both, forces are within 10 %.
@@ -421,7 +425,30 @@ def log_image_fault(seen: Prepared) -> str:
     assert seen.nocontact is not None
     if is_blank(seen.image):
         return "the image shows nothing of this sensor: it is dark, covered or of one colour"
-    return grey_fault(seen.image, not is_grey(seen.nocontact.picture)) or pattern_fault(seen)
+    return (
+        grey_fault(seen.image, not is_grey(seen.nocontact.picture))
+        or camera_fault(seen.image, seen.nocontact.picture)
+        or pattern_fault(seen)
+    )
+
+
+def camera_fault(image: np.ndarray, nocontact: np.ndarray) -> str:
+    """What a camera did to an image (h, w, 3) uint8 and not to its no-contact image: out of focus, overexposed, in other light; empty for nothing.
+
+    A reader flags such images by their markers.
+    """
+    if sharpness(image) - sharpness(nocontact) < LEAST_SHARPNESS:
+        return "the image is blurred beside its no-contact image: focus the camera, and log images when it is still"
+    if _white(image) - _white(nocontact) > MOST_WHITE:
+        return f"the image is overexposed, more than {MOST_WHITE:.0%} of its pixels are white: shorten the exposure"
+    if not 1.0 / MOST_BRIGHTER < image.mean() / max(nocontact.mean(), 1.0) < MOST_BRIGHTER:
+        return "it has about twice the light of its no-contact image, or half of it: take a no-contact image in the light of the presses"
+    return ""
+
+
+def _white(image: np.ndarray) -> float:
+    """Fraction of pixels of which a colour is as bright as it can be."""
+    return float((image.max(axis=2) >= WHITE).mean())
 
 
 def shear_fault(seen: Prepared) -> str:

@@ -19,7 +19,7 @@ from gelforge.flow.tables import METHODS
 from gelforge.labelling.sensor import load_sensors
 from gelforge.sweeps.deviation import errors, frontier
 from gelforge.sweeps.methods import DOUBLED, LARGE_REFERENCE, REFERENCE, Method, every_method
-from gelforge.sweeps.scenes import NamedScene, parse_scene, read_tables
+from gelforge.sweeps.scenes import NamedScene, parse_scene
 from gelforge.sweeps.trial import ChartBench, given_check, load_bench, measure
 
 VERSION = 5
@@ -190,11 +190,9 @@ def chart_of(paths: list[Path], out: Path) -> None:
 
 @stage(Layout.chart)
 def draw(args: Namespace) -> None:
-    """Draw all scenes of workflow/scenes.toml."""
+    """Draw all planned scenes: one that was retired is no part of the chart, whatever lies in its folder."""
     of = args.of
-    # a scene that was retired is no part of the chart, whatever lies in its folder
-    paths = [of.chart_scene(name) for name in read_tables(of.workflow)]
-    chart_of(paths, args.out)
+    chart_of([of.chart_scene(name) for name in read_json(of.parameters("scenes"))], args.out)
 
 
 main = group(scene=solve, chart=draw)

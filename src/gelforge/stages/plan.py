@@ -235,6 +235,7 @@ def write_parameters(params: Params, workflow: Path, out: Path, tables: dict[str
         write_if_changed(out / "params" / "models" / f"{name}.json", canonical({name: table}))
     for name, table in scenes.items():
         write_if_changed(out / "params" / "scenes" / f"{name}.json", canonical(table))
+    write_if_changed(out / "params" / "scenes.json", canonical([*scenes]))
 
 
 def used(catalogue: dict, names: set[str]) -> dict:

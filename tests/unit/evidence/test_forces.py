@@ -123,7 +123,7 @@ def test_a_drift_is_one_along_the_log_and_no_chance():
     rows = np.sort(rng.choice(48, 16, replace=False))
     alone = np.stack([np.full(16, np.nan), np.full(16, np.nan), 0.1 * rng.standard_normal(16)], axis=1)
     assert drift(alone, rows) is None
-    assert "+0.050 N a press" in drift(alone * [1, 1, 0] + 0.05 * rows[:, None], rows)
+    assert "+0.050 N a row" in drift(alone * [1, 1, 0] + 0.05 * rows[:, None], rows)
     assert drift(alone + 0.002 * rows[:, None], rows) is None  # a tenth of a newton in all
 
 

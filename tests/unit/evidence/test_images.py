@@ -5,6 +5,7 @@ import functools
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import cv2
 import numpy as np
 import pytest
 
@@ -294,8 +295,28 @@ IMPRINTS = {
 }  # fmt: skip
 
 
+def defocused(image: np.ndarray) -> np.ndarray:
+    return cv2.GaussianBlur(image, (0, 0), 1.5)
+
+
+def overexposed(image: np.ndarray) -> np.ndarray:
+    return np.clip(2.0 * image.astype(float), 0.0, 255.0).astype(np.uint8)
+
+
+CAMERA = {
+    "one out of focus": (lambda log: with_images(log, {7: defocused(log.images[7])}), "row 9: the image is blurred"),
+    "all out of focus": (lambda log: replace(log, images=[*map(defocused, log.images)]), "images have one fault, the image is blurred"),
+    "one overexposed": (lambda log: with_images(log, {7: overexposed(log.images[7])}), "row 9: the image is overexposed"),
+    "all overexposed": (lambda log: replace(log, images=[*map(overexposed, log.images)]), "the image is overexposed"),
+    "no-contact images at half the light": (lambda log: replace(
+        log, nocontact={name: one // 2 for name, one in log.nocontact.items()}), "have one fault, it has about twice the light"),
+}  # fmt: skip
+
+
 @pytest.mark.parametrize(
-    "troubles", [NOCONTACT, AXES, ROWS, SHAPES, IMPRINTS], ids=["nocontact", "axes", "rows", "shapes", "imprints"]
+    "troubles",
+    [NOCONTACT, AXES, ROWS, SHAPES, IMPRINTS, CAMERA],
+    ids=["nocontact", "axes", "rows", "shapes", "imprints", "camera"],
 )
 def test_a_trouble_is_named(demo, troubles):
     missed = {}

@@ -305,17 +305,24 @@ def test_forces_of_another_unit_or_axis_are_named_by_what_the_shipped_network_re
     pressed = [
         (read_image(root / "data/demo" / row["image"]), [float(row[f"f{axis}_n"]) for axis in "xyz"]) for row in rows
     ]
+    between = [one for press in pressed for one in (press, (rest, [0.0, 0.0, 0.0]))]
     for factor, said in (
         (1.0, ""),
         (1 / 4.448, "pounds-force"),
         (20.0, "not in newtons"),
         ("axes", "fx_n follows the normal force"),
+        ("drift", "The force sensor drifts"),
     ):
         images, forces = [], []
-        for k, (image, force) in enumerate([(rest, (0.0, 0.0, 0.0)), *pressed]):
+        for k, (image, force) in enumerate([(rest, (0.0, 0.0, 0.0)), *(between if factor == "drift" else pressed)]):
             time = START + 100 * MS * k
             images.append((time, {"header": ros.header(time, "gel"), **png(image)}))
-            x, y, z = force[::-1] if factor == "axes" else (factor * value if k else 0.0 for value in force)
+            if factor == "axes":
+                x, y, z = force[::-1]
+            elif factor == "drift":
+                x, y, z = force[0], force[1], force[2] + 0.05 * k
+            else:
+                x, y, z = (factor * value for value in force)
             forces.append((time, wrench(time, max(z, -499.0), x=x, y=y)))
         path = write(tmp_path / f"{factor}.mcap", images, forces)
         write_text(tmp_path / "topics.toml", f'image = "{IMAGE}"\nwrench = "{WRENCH}"\n')
@@ -323,7 +330,7 @@ def test_forces_of_another_unit_or_axis_are_named_by_what_the_shipped_network_re
             ["--from", str(path), "--topics", str(tmp_path / "topics.toml"), "--data", str(tmp_path / f"lab{factor}")]
         )
         told = capsys.readouterr().out
-        assert (said in told) if said else "newtons" not in told, told
+        assert (said in told) if said else "newtons" not in told and "drifts" not in told, told
 
 
 REFUSED_FORCES = {
