@@ -64,6 +64,18 @@ def test_the_indenter_is_drawn_where_it_enters_the_gel(made):
     assert np.hypot(*lines.T).min() > 2.3 and np.hypot(*lines.T).max() < 3.1
 
 
+def test_the_lowest_part_of_the_indenter_is_marked(made):
+    """Wherever the rest of a body lies, here a wing beside a ball that is moved: a shape beside its axis is seen at once."""
+    seen = seen_of(made)
+    vertices, faces = seen.indenter
+    below = np.array([seen.press.x0_mm + seen.press.dx_mm, seen.press.y0_mm + seen.press.dy_mm])
+    for aside in ([0.0, 0.0], [1.5, -2.0]):
+        winged = np.vstack([vertices + [*aside, 0.0], [[9.0, 9.0, 0.0]]])
+        (mark,) = look.draw(replace(seen, indenter=(winged, faces))).axes[0].lines
+        assert np.hypot(*(seen.sensor.unproject(mark.get_xydata())[0] - below - aside)) < 0.1
+    assert "lowest" in look.draw(seen).axes[0].get_title()
+
+
 def test_second_order_tetrahedra_keep_their_order(tmp_path):
     import pyvista as pv
 
