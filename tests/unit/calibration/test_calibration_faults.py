@@ -6,7 +6,8 @@ from typing import get_args
 import numpy as np
 import pytest
 
-from gelforge.calibration.parameters import make_model, prior_of
+from gelforge.calibration import summary
+from gelforge.calibration.parameters import CHECK, label_of, make_model, prior_of
 from gelforge.calibration.readings import check_enough, check_readings, read_readings
 from gelforge.calibration.sampling import Chain, Figures, NotConverged, Rules, complaint, sample, start_points
 from gelforge.calibration.solves import refuse_no_contact
@@ -104,6 +105,25 @@ def test_posterior_deeper_than_the_solves_is_named():
     ):
         with pytest.raises(BadInput, match=f"25 % of the posterior presses deeper .*; {said}"):
             refuse_beyond(posterior, chain, 0.1, seen)
+
+
+def test_a_parameter_outside_of_its_prior_is_said_with_what_to_check():
+    """Of a chain that converged, too: each parameter in turn, and nothing of draws from the priors."""
+    model = make_model(PARAMS, "coulomb", ("ball", "cube"))
+    usual, figures = model.draw(np.random.default_rng(0), 2000), Figures(10, 0, 1.0, 10.0, 0.5, 1.0, "offset")
+
+    def said(draws):
+        chain = Chain(draws[:, None], figures)
+        told = summary.sentences(summary.parameter_table(chain, model), summary.correlations(chain, model), model)
+        return [line for line in told if "outside of what its prior expects" in line]
+
+    assert said(usual) == []
+    for at, (name, prior) in enumerate(model.free.items()):
+        key = "indenter" if name.startswith("scale of ") else name
+        beyond = usual.copy()
+        beyond[:, at] = prior.quantile(1.0 - 1e-3 * np.random.default_rng(1).random(len(usual)))
+        told = [f"The {label_of(name)} is" in line and CHECK[key] in line for line in said(beyond)]
+        assert told == ([True] if key in CHECK else [])
 
 
 def test_a_single_reading_is_refused():
