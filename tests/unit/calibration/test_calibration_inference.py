@@ -20,9 +20,10 @@ from gelforge.calibration.emulator import (
 from gelforge.calibration.kernel import sideways_left
 from gelforge.calibration.parameters import FrictionPrior, Model, Prior, make_model, prior_of
 from gelforge.calibration.posterior import ERROR, SIDEWAYS_ERROR, SIDEWAYS_ERROR_OF_NORMAL, Posterior, tare_of
-from gelforge.calibration.readings import bisection_order, choose_presses, slides
-from gelforge.calibration.sampling import TAIL, Rules, independent_draws, sample
+from gelforge.calibration.readings import bisection_order, choose_presses, read_readings, slides
+from gelforge.calibration.sampling import TAIL, Chain, Figures, Rules, independent_draws, sample
 from gelforge.flow.files import read_json
+from gelforge.flow.params import read_dataset_file
 from gelforge.flow.schema import Place, parse
 from gelforge.flow.tables import PRIOR_KEYS, PriorTable
 from gelforge.mechanics.material import REFERENCE_C10
@@ -235,6 +236,28 @@ def test_a_press_is_predicted_without_itself():
     np.testing.assert_allclose(left[:6], given[:6], atol=0.02)
 
 
+def test_a_press_that_is_left_out_is_predicted_as_if_none_of_its_axes_had_been_read():
+    """Of one free parameter the posterior is known without sampling. Each axis of a press that is a third too strong says so."""
+    readings, emulator = law_session(1, presses=3)
+    observed = readings.force * np.array([1.0, 1.0, 1.3])[:, None]
+    model = make_model(PARAMS, "coulomb", np.unique(readings.indenters).tolist())
+    truth = true_values(noise=0.3, scatter=0.05)
+    held = {name: float(truth[name][0]) for name in model.free if name in truth}
+    model = replace(model, free={"c10": model.free["c10"]}, fixed=model.fixed | held)
+
+    def known(observed):
+        posterior = Posterior(emulator, model, readings.depth, observed, 4.0)
+        z = np.linspace(-4.0, 4.0, 4001)
+        logged = posterior(z[:, None])
+        below = np.cumsum(np.exp(logged - logged.max()))
+        draws = np.interp((np.arange(2000) + 0.5) / 2000, below / below[-1], z)
+        return Chain(draws[:, None, None], Figures(2000, 0, 1.0, 2000.0, 0.5, 1.0, "c10")), posterior
+
+    without, _ = summary.left_out(*known(observed))
+    unread, _ = summary.predictions(*known(np.where([[False], [False], [True]], np.nan, observed)))
+    np.testing.assert_allclose(without[2], unread[2], rtol=1e-3)
+
+
 @pytest.mark.slow
 def test_a_chain_is_the_same_again():
     posterior = law_posterior(np.random.default_rng(3), DEPTH, law="no_slip")
@@ -277,3 +300,13 @@ def test_chosen_presses_span_indenters_and_depths_and_slide_where_that_tells():
     assert sum(slides(readings.take(choose_presses(readings, 12, "coulomb")))) == 3
     assert sum(slides(readings.take(choose_presses(readings, 18, "coulomb")))) == 4
     assert not any(slides(readings.take(choose_presses(readings, 99, "no_slip"))))
+
+
+def test_the_demo_has_presses_that_slide_and_a_calibration_of_it_chooses_some(root):
+    """Without them its friction would be known no better than before: those that hardly slip fit any."""
+    demo = root / "data/demo"
+    assert read_dataset_file(demo / "dataset.toml").params["interface"]["law"] == "coulomb"
+    readings = read_readings(demo / "log.csv")
+    far = readings.travel > 2 * readings.depth
+    assert far.sum() == 6 and (slides(readings) == far).all()
+    assert far[choose_presses(readings, PARAMS.max_presses, "coulomb")].sum() == PARAMS.max_presses // 4
