@@ -82,8 +82,8 @@ def law_posterior(rng, depth, stiffness=None, law="coulomb", noise=0.03, **truth
     return Posterior(emulator, make_model(PARAMS, law, sideways=False), depth, observed, 4.0)
 
 
-def law_session(seed=0, presses=24) -> tuple[Readings, Emulator]:
-    """A session of presses with shear in all directions, each read once, and its emulator.
+def law_session(seed=0, presses=24, noise=0.03, **truth) -> tuple[Readings, Emulator]:
+    """A session of presses with shear in all directions, each read once with normal noise, and its emulator.
 
     Sideways over normal force is mu tanh(1.5 travel / (mu depth)): proportional when travel and mu are scaled, as under
     Coulomb's law.
@@ -107,8 +107,8 @@ def law_session(seed=0, presses=24) -> tuple[Readings, Emulator]:
     pose = np.zeros((presses, 7))
     pose[:, 3], pose[:, 4], pose[:, 5] = travel * np.cos(way), travel * np.sin(way), -depth
     pose[:, 6] = rng.uniform(0, 360, presses)
-    values = {**true_values(), "indenter": np.zeros((1, 3))}
-    force = emulator.forces(depth, values)[0][0] + 0.03 * rng.standard_normal((presses, 3))
+    values = {**true_values(**truth), "indenter": np.zeros((1, 3))}
+    force = emulator.forces(depth, values)[0][0] + noise * rng.standard_normal((presses, 3))
     ids = np.array([f"p{k:03d}" for k in range(presses)])
     rows, gels = np.arange(2, presses + 2), np.array([USUAL_GEL] * presses)
     return Readings("log.csv", rows, ids, names, pose, force, gels), emulator

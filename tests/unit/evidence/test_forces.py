@@ -6,10 +6,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gelforge.calibration.posterior import Posterior
+from gelforge.calibration.sampling import Chain, Figures
 from gelforge.evidence.forces import Fitted, LogForces, drift, mean_forces, of_log, of_readings, sideways
 from gelforge.evidence.labels import of_labels
-from gelforge.stages.calibrate import calibrate, evidence_of
-from tests.support.calibration_law import PARAMS, law_session
+from gelforge.stages.calibrate import Calibration, calibrate, evidence_of, model_of, served, usual_forces
+from tests.support.calibration_law import PARAMS, law_session, true_values
 from tests.support.parameters import with_values
 
 USUAL = 0.0725  # MPa
@@ -147,6 +149,50 @@ def test_a_cause_hides_what_follows_from_it():
     assert ["sign of x" in line for line in of_log(log_of(turned), tare)] == [True]
     weighed = with_force(session, session.force / 9.80665)
     assert ["kilograms" in line for line in of_log(log_of(weighed), tare)] == [True]
+
+
+def test_a_friction_that_is_held_says_the_same_of_unit_and_rows():
+    """Of `priors.mu free = false`: usual forces are those at the value at which it is held."""
+    session, emulator = law_session(3)
+    held = replace(PARAMS.priors.mu, free=False, fixed=0.7)
+    model = model_of(session, replace(PARAMS, priors=replace(PARAMS.priors, mu=held)), "coulomb")
+    chain = Chain(model.draw(np.random.default_rng(0), 200)[:, None], Figures(200, 0, 1.0, 200.0, 0.5, 1.0, "c10"))
+    for name in ("pounds-force", "next row"):
+        change, said = TROUBLES[name]
+        readings = with_force(session, change(session.force))
+        posterior = Posterior(emulator, model, readings.depth, served(readings), 4.0)
+        np.testing.assert_allclose(usual_forces(posterior, USUAL), on_rigid_bench(emulator, session.depth), rtol=1e-9)
+        (line,) = evidence_of(Calibration(readings, posterior, chain), readings, USUAL)
+        assert re.search(said, line)
+
+
+def on_rigid_bench(emulator, depth):
+    """Forces (n, 3) N of presses on a usual gel, where touch is exact and nothing else yields."""
+    exact = {**true_values(c10=USUAL, offset=0.0, compliance=0.0), "indenter": np.zeros((1, 3))}
+    return emulator.forces(depth, exact)[0][0]
+
+
+def beside_labels(seed, presses, deeper=0.0, **bench):
+    """A log that says `deeper` mm more than was pressed, its labels on a bench that does not yield, and its indenters."""
+    session, emulator = law_session(seed, presses, **bench)
+    depth = session.depth + deeper
+    return replace(log_of(session), depth=depth), on_rigid_bench(emulator, depth), session.indenters
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_frame_that_yields_as_usual_is_not_taken_for_a_thicker_gel(seed):
+    """By 0.02 mm/N, with readings that scatter by 0.2 N and indenters that differ by 3 %."""
+    log, label, names = beside_labels(seed, 48, compliance=0.02, noise=0.2)
+    own = np.exp(0.03 * np.random.default_rng(seed).standard_normal(3))
+    label *= own[np.unique(names, return_inverse=True)[1], None]
+    assert of_labels(log, label, names) == []
+
+
+@pytest.mark.parametrize("deeper, said", [(0.3, r"0\.[23]\d mm less deep"), (-0.3, r"0\.[23]\d mm deeper")])
+def test_a_touch_that_was_missed_is_named_and_not_another_gel(deeper, said):
+    for seed in range(3):
+        (line,) = of_labels(*beside_labels(seed, 30, deeper))
+        assert re.search(said, line)
 
 
 def labelled(seed):
