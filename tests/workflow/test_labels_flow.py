@@ -139,6 +139,16 @@ def test_a_dataset_follows_labels_that_are_imported(folder):
     assert built(run(folder, "dataset", "RES=4x4")) == target and not built(run(folder, "dataset", "RES=4x4"))
 
 
+def test_a_dataset_of_imported_labels_follows_its_presses(folder):
+    """Rows with their indenters and forces, pictures, files beside the log and bodies, as the plan has them; no path of stage 10."""
+    words, plan = ("DATASET=back", "dataset", "RES=4x4"), "results/back/00_plan/"
+    assert make(folder, *words).returncode == 0
+    presses = ("shards/0000.csv", "shards/0000.pictures.json", "beside/rows.json", "params/indenters.json")
+    for changed in (*presses, "shards/0000.json"):
+        said = make(folder, "-n", "-W", plan + changed, *words).stdout
+        assert ("gelforge.stages.dataset " in said) == (changed in presses), said
+
+
 def test_resolutions_made_side_by_side_share_their_pictures(labelled):
     names = ("4x4", "6x8")
     run(labelled, "dataset", f"RES={' '.join(names)}", "-j2")
