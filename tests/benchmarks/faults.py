@@ -23,10 +23,10 @@ from tests.support.sandbox import clean_environment
 
 LIST = Path(__file__).with_suffix(".toml")
 LEAST = 4  # faults of each room
-SECONDS = 300  # that a test may take: a fault may make it wait for ever
+SECONDS = 600  # that a test may take: a fault may make it wait for ever
 # Pytest's exit status: some test failed. Others say that nothing was judged, such as a file that cannot be imported.
 PASSED, FAILED = 0, 1
-CAUGHT, TIMED_OUT, SURVIVES = "caught", "timed out", "SURVIVES"
+CAUGHT, TIMED_OUT, SURVIVES, UNJUDGED = "caught", "timed out", "SURVIVES", "not judged"
 
 
 @dataclass(frozen=True)
@@ -126,12 +126,12 @@ def outcome(fault: Fault, project: Path, moment: int) -> str:
         return SURVIVES
     failed = [line for line in done.stdout.splitlines() if line.startswith(("FAILED ", "ERROR "))]
     if done.returncode != FAILED or not failed:
-        return f"not judged: {done.stdout[-1000:]}"
+        return f"{UNJUDGED}: {done.stdout[-1000:]}"
     name = failed[0].partition(" ")[2].partition(" - ")[0]
     # a test that fails anyway has noticed nothing
     sound = tested(project, (name,), project.parent / "compiled").returncode == PASSED
     if not sound:
-        return f"not judged: {name} fails without the fault, too"
+        return f"{UNJUDGED}: {name} fails without the fault, too"
     return TIMED_OUT if "from pytest-timeout" in done.stdout else CAUGHT
 
 
@@ -149,7 +149,7 @@ def main(args: Namespace) -> int:
         print(*(f"{args.list.name}: {said}" for said in wrong), sep="\n")
         return 1
     faults = [fault for fault in every if args.only in fault.name or args.only in fault.file]
-    kept = record_of(args.kept) or {}
+    kept = {key: said for key, said in (record_of(args.kept) or {}).items() if not said.startswith(UNJUDGED)}
     with tempfile.TemporaryDirectory(prefix="gelforge-faults-") as folder:
         project = copied(Path(folder) / "project")
         for at, fault in enumerate(faults):
@@ -160,7 +160,7 @@ def main(args: Namespace) -> int:
                 write_json(args.kept, kept)
             print(f"{kept[key].partition(': ')[0]:10}  {fault.file}: {fault.name}", flush=True)
     outcomes = {fault.name: kept[fault.key()] for fault in faults}
-    print(*(f"{name}: {said}" for name, said in outcomes.items() if said.startswith("not judged")), sep="\n")
+    print(*(f"{name}: {said}" for name, said in outcomes.items() if said.startswith(UNJUDGED)), sep="\n")
     noticed = sum(said in (CAUGHT, TIMED_OUT) for said in outcomes.values())
     waits = [name for name, said in outcomes.items() if said == TIMED_OUT]
     survivors = [name for name, said in outcomes.items() if said not in (CAUGHT, TIMED_OUT)]

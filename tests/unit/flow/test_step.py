@@ -1,6 +1,7 @@
 """The wrapper publishes whole files, keeps logs, and leaves nothing behind when killed."""
 
 import errno
+import fcntl
 import json
 import os
 import re
@@ -13,7 +14,7 @@ from importlib.metadata import version
 
 import pytest
 
-from gelforge.flow.files import write_text
+from gelforge.flow.files import alone, write_text
 from gelforge.flow.layout import Layout, mirror
 from gelforge.flow.runs import changes, last_runs
 from tests.support.limited import limited
@@ -115,6 +116,20 @@ def test_two_wrappers_of_one_target_work_once(tmp_path):
     go.touch()
     assert first.wait(HANG) == 0 and second.wait(HANG) == 0
     assert count.read_text() == "ran\n" and target.read_text() == "made\n"
+
+
+def test_a_file_that_is_being_made_is_nobody_else_s(tmp_path):
+    path = tmp_path / "folder" / "part.bin"
+    with lock_of(path) as lock, alone(path), pytest.raises(BlockingIOError):
+        fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+    with lock_of(path) as lock:
+        fcntl.flock(lock, fcntl.LOCK_SH | fcntl.LOCK_NB)
+
+
+def lock_of(path):
+    """The open lock of a file that processes make together."""
+    path.parent.mkdir(exist_ok=True)
+    return path.with_name(f".{path.name}.lock").open("a")
 
 
 def test_what_was_made_of_an_input_that_changed_meanwhile_is_due_again(tmp_path):
