@@ -228,7 +228,7 @@ def drifting(force: np.ndarray, _rot_deg: np.ndarray) -> np.ndarray:
 # What is changed, and what of the sentence names the cause.
 TROUBLES: dict[str, tuple[Change, str]] = {
     "no-contact image of another unit": (of_nocontact(lambda data: read_image(data / "nocontact/mini_e.png")), "two sensors"),
-    "no-contact image with a press": (of_nocontact(lambda data: read_image(data / "images/demo-000000.png")), "touche[ds] the gel"),
+    "no-contact image with a press": (of_nocontact(lambda data: read_image(data / "images/demo-000000.png")), "touch(?:e[ds])? the gel"),
     "monochrome no-contact image": (of_nocontact(lambda data: grey(read_image(data / "nocontact/mini_a.png"))), "is monochrome"),
     "mirrored images": (of_pictures(lambda images: [np.ascontiguousarray(one[:, ::-1]) for one in images]), "mirrored left to right"),
     "images of the next row": (of_pictures(lambda images: images[1:] + images[:1]), "shifted by one row"),
