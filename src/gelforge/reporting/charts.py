@@ -105,7 +105,7 @@ def stability_map(table: list[dict]) -> bytes:
     for axis in axes.ravel()[len(rows) :]:
         axis.set_axis_off()
     figure.suptitle("Error of total force, %, at label setting against the finest hexahedra; for size and steps against the "
-                    "finest of the same engine", fontsize=11)  # fmt: skip
+                    "finest of the same solver", fontsize=11)  # fmt: skip
     named = {"drifts": "drifts: error above [stability] drift"}
     handles = [Patch(color=colour, label=named.get(verdict, verdict)) for verdict, colour in VERDICTS.items()]
     frame = Patch(facecolor="white", edgecolor="black", label="the press around which one factor is varied")
@@ -129,7 +129,7 @@ def _shared(table):
 
 
 def _grid(axis, row, lines, shared):
-    """Cells of levels by solver and kind; numbers are the error in per cent, words how a solve failed."""
+    """Cells of levels by solver and kind; numbers are the error in per cent, words how a solve failed or what others stand beside."""
     from matplotlib.patches import Rectangle
 
     levels = list(dict.fromkeys(line["level"] for line in lines))
@@ -138,10 +138,12 @@ def _grid(axis, row, lines, shared):
     for line in lines:
         x, y = levels.index(line["level"]), groups.index((line["solver"], line["kind"]))
         axis.add_patch(Rectangle((x - 0.5, y - 0.5), 1, 1, facecolor=VERDICTS[line["verdict"]], edgecolor="white"))
-        text = line["status"].lower().replace("_", " ") if line["verdict"] == "failed" else ""
-        if line["verdict"] in ("good", "drifts") and line["error"] is not None:
-            text = f"{100 * line['error']:.1f}"
-        axis.text(x, y, text.replace(" ", "\n"), ha="center", va="center", fontsize=10)
+        if line["verdict"] == "failed":
+            axis.text(x, y, line["status"].lower().replace("_", " "), ha="center", va="center", fontsize=8)
+        elif line["solver"] == "fine":
+            axis.text(x, y, "finest", ha="center", va="center", fontsize=8, color="0.35")
+        elif line["error"] is not None:
+            axis.text(x, y, f"{100 * line['error']:.1f}", ha="center", va="center", fontsize=10)
     for level in {line["level"] for line in lines if _case(line) in shared}:
         corner = levels.index(level) - 0.5, -0.5
         axis.add_patch(Rectangle(corner, 1, len(groups), fill=False, edgecolor="black", lw=2, clip_on=False))
