@@ -250,7 +250,7 @@ TROUBLES: dict[str, tuple[Change, str]] = {
     "no imprint in any image": (faint(None, 0.0), "images show no imprint"),
     "no imprint in three images": (faint((2, 6, 20), 0.0), r"its image shows \d+% of the imprint"),
     "a third of the imprint in two images": (faint((6, 20), 0.33), r"its image shows \d+% of the imprint"),
-    "two images of a third unit": (of_third_unit, "markers at the rim|two sensors"),
+    "two images of a third unit": (of_third_unit, "markers at the rim|two sensors|of another unit"),
     "two images exchanged, projection moved": (both(of_pictures(exchanged), with_projection(0.0, 1.0, 20.0)), r"row 12 \(.*image of another row"),
     "a body from STL that lies on its side": (from_stl(lambda xyz: (xyz * [1.0, 1.0, 2.0])[:, [1, 2, 0]]), "it lies"),
     "a body from STL beside its axis": (from_stl(lambda xyz: xyz + [4.0, 4.0, 0.0]), "beside the axis"),

@@ -438,7 +438,7 @@ def camera_fault(image: np.ndarray, nocontact: np.ndarray) -> str:
     A reader flags such images by their markers.
     """
     if sharpness(image) - sharpness(nocontact) < LEAST_SHARPNESS:
-        return "the image is blurred beside its no-contact image: focus the camera, and log images when it is still"
+        return "the image is blurred beside its no-contact image, or of another unit: focus the camera, and log images when it is still"
     if _white(image) - _white(nocontact) > MOST_WHITE:
         return f"the image is overexposed, more than {MOST_WHITE:.0%} of its pixels are white: shorten the exposure"
     if not 1.0 / MOST_BRIGHTER < image.mean() / max(nocontact.mean(), 1.0) < MOST_BRIGHTER:
