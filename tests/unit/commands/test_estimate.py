@@ -75,7 +75,7 @@ def test_seconds_of_a_press_are_those_of_this_machine_with_the_same_method(tmp_p
     solved(dragged, 60.0)
     solved(lay(tmp_path / "results/another", rows_of(20), "other"), 900.0)
     slips = lay(tmp_path / "results/slips", rows_of(30), method, law="coulomb")
-    assert press_seconds(slips) == (MEASURED[method] * SLIPPING, "table")
+    assert press_seconds(slips) == (MEASURED[method] * SLIPPING[method], "table")
     solved(slips, 900.0)
     assert press_seconds(of) == (pytest.approx(6.0 / DRAGGED), "records of older")
     solved(of, 8.0)
