@@ -177,8 +177,10 @@ def ahead(of: Layout, target: Path, cores: int) -> str:
         images = len(read_samples(of.dataset(name) / "samples.csv"))
         cpu, spread, what = training(of, name, target.stem, images).cpu, 1, f"{images} images"
     else:
-        scenes = [of.chart_scene(name) for name in read_json(of.parameters("scenes"))]
-        files = scenes if stage == layout.PARETO else [of.stability_row(row) for row in ROWS]
+        if stage == layout.PARETO:
+            files = [of.chart_scene(name) for name in read_json(of.parameters("scenes"))]
+        else:
+            files = [of.stability_row(row) for row in ROWS]
         asked = layout.written(str(of.parameters(stage)))
         spread = sum(layout.written(str(path)) < asked for path in files)
         cpu, what = OF_FILE[stage] * spread, f"{spread} of {len(files)} files"
