@@ -442,7 +442,7 @@ def camera_fault(image: np.ndarray, nocontact: np.ndarray) -> str:
     if _white(image) - _white(nocontact) > MOST_WHITE:
         return f"the image is overexposed, more than {MOST_WHITE:.0%} of its pixels are white: shorten the exposure"
     if not 1.0 / MOST_BRIGHTER < image.mean() / max(nocontact.mean(), 1.0) < MOST_BRIGHTER:
-        return "it has about twice the light of its no-contact image, or half of it: take a no-contact image in the light of the presses"
+        return "the image has about twice the light of its no-contact image, or half of it: take a no-contact image in the light of the presses"
     return ""
 
 

@@ -309,7 +309,7 @@ CAMERA = {
     "one overexposed": (lambda log: with_images(log, {7: overexposed(log.images[7])}), "row 9: the image is overexposed"),
     "all overexposed": (lambda log: replace(log, images=[*map(overexposed, log.images)]), "the image is overexposed"),
     "no-contact images at half the light": (lambda log: replace(
-        log, nocontact={name: one // 2 for name, one in log.nocontact.items()}), "have one fault, it has about twice the light"),
+        log, nocontact={name: one // 2 for name, one in log.nocontact.items()}), "have one fault, the image has about twice the light"),
 }  # fmt: skip
 
 
