@@ -72,7 +72,7 @@ def _aside(low: np.ndarray, high: np.ndarray) -> list[str]:
         return []
     return [
         f"its middle stands {np.hypot(*middle):.3g} mm beside the axis on which it is pressed (x {middle[0]:.3g}, y {middle[1]:.3g}):"
-        " if a corner is its origin, move its middle there in the program that exported it"
+        " if it lies, turn it upright; if a corner is its origin, move its middle there in the program that exported it"
     ]
 
 
