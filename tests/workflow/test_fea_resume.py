@@ -28,7 +28,7 @@ from tests.support.waiting import HANG, wait_until
 GEL = GELS["gelsight_mini"]
 HEADER = "sample_id,sensor_id,gel_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg\n"
 ROWS = [f"s{i},cam,g,ball,{i},0,0,0,0,-0.4,0\n" for i in range(3)]
-FEA = {"method": "ccx", "edge_mm": 2.6, "inside_mm": 2.6, "press_steps": 2, "shear_steps": 1, "rounds": 4}
+FEA = {"method": "ccx", "edge_mm": 0.5, "inside_mm": 2.6, "press_steps": 2, "shear_steps": 1, "rounds": 4}
 
 
 @pytest.fixture

@@ -29,7 +29,7 @@ def folder(root, tmp_path):
 
 
 def solve(folder, verify: float) -> list[Verified]:
-    table = {"method": "auto", "tolerance": 0.05, "edge_mm": 2.6, "inside_mm": 2.6, "verify": verify}
+    table = {"method": "auto", "tolerance": 0.05, "edge_mm": 0.5, "inside_mm": 2.6, "verify": verify}
     write_stage(folder / "00_plan/params", "fea", fea=table)
     assert fea.main([str(folder), "0000"]) == 0
     return verification.read_verified([folder / "30_fea" / "0000"])
