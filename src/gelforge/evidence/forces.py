@@ -244,11 +244,11 @@ def drift(residual: np.ndarray, rows: np.ndarray) -> str | None:
         if used.sum() < FEWEST:
             continue
         at, away = rows[used] - rows[used].mean(), of[used] - of[used].mean()
-        per_press = float(at @ away / (at @ at))
-        left = away - per_press * at
+        per_row = float(at @ away / (at @ at))
+        left = away - per_row * at
         error = float(np.sqrt(left @ left / (len(at) - 2) / (at @ at)))
-        if abs(per_press) > SURE * error and abs(per_press) * np.ptp(at) > 2 * LEAST_N:
-            return drift_text(axis, per_press, np.ptp(at))
+        if abs(per_row) > SURE * error and abs(per_row) * np.ptp(at) > 2 * LEAST_N:
+            return drift_text(axis, per_row, np.ptp(at))
     return None
 
 
