@@ -16,7 +16,7 @@ from gelforge.records.image import read_image
 from gelforge.records.log import read_log
 from gelforge.records.press import PressRecord, parse
 
-ASKED = 24  # images that the shipped network reads
+ASKED = 24  # strong presses whose images the shipped network reads; of all rows twice as many
 PRESSED_N = 0.5  # that it must read of an image
 
 
@@ -58,25 +58,20 @@ def doubts_of_forces(data: Path, rows: Sequence[PressRecord], sensor: str) -> li
     known = [row for row in rows if row.fz_n is not None]
     if not nocontact.is_file() or not known:
         return []
-    read = Reader(nocontact=read_image(nocontact))
-
-    def readings(at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Recorded force (n, 3) and the normal force (n,) that is read, NaN where it is flagged, of the known rows `at`."""
-        seen = [read(read_image(data / known[k].image)) for k in at]
-        force = np.array([known[k].force for k in at], float)
-        return force, np.array([np.nan if one.flag else -one.total[2] for one in seen])
-
     by_force = np.argsort([-float(np.linalg.norm(np.nan_to_num(row.force))) for row in known], kind="stable")
-    force, seen = readings(by_force[np.unique(np.linspace(0, (len(known) - 1) // 2, ASKED).astype(int))])
-    pressed = seen > PRESSED_N
-    said = []
+    strong = by_force[np.unique(np.linspace(0, (len(known) - 1) // 2, ASKED).astype(int))]
+    through = np.unique(np.linspace(0, len(known) - 1, 2 * ASKED).astype(int))
+    asked, read = np.union1d(strong, through), Reader(nocontact=read_image(nocontact))
+    force = np.array([known[at].force for at in asked], float)
+    seen = [read(read_image(data / known[at].image)) for at in asked]
+    normal = np.array([np.nan if one.flag else -one.total[2] for one in seen])
+    pressed = np.isin(asked, strong) & (normal > PRESSED_N)
+    rest = np.isin(asked, through) & (np.abs(normal) < PRESSED_N)
+    said = [drift(force[rest], asked[rest])]
     if pressed.sum() >= FEWEST:
         where = "the recorded force, beside what the shipped network reads of the images"
-        said = [misplaced(force[pressed], seen[pressed]), unit(-force[pressed, 2], seen[pressed], where)]
-    through = np.unique(np.linspace(0, len(known) - 1, 2 * ASKED).astype(int))
-    force, seen = readings(through)
-    rest = np.abs(seen) < PRESSED_N
-    return [one for one in (*said, drift(force[rest], through[rest])) if one]
+        said += [misplaced(force[pressed], normal[pressed]), unit(-force[pressed, 2], normal[pressed], where)]
+    return [one for one in said if one]
 
 
 if __name__ == "__main__":
