@@ -29,7 +29,7 @@ from gelforge.calibration.readings import Readings, choose_presses, read_reading
 from gelforge.calibration.sampling import sample
 from gelforge.calibration.solves import SolveCache, build_emulator, make_plan, refine, solve_all
 from gelforge.calibration.summary import describe
-from gelforge.errors import SolveFailed
+from gelforge.errors import GelforgeError, SolveFailed
 from gelforge.flow import params as config
 from gelforge.flow.cli import command, option
 from gelforge.flow.files import read_json, write_json, write_text
@@ -42,6 +42,7 @@ from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.stages import calibrate as stage
 from gelforge.stages.fea import VERSION as SOLVER_VERSION
 from tests.support.figures import Figure, publish_figures, table
+from tests.support.sandbox import make
 
 NU = 0.475
 # Synthetic chains are shorter than those of the stage: a few hundred independent draws place the ends of an interval to a tenth
@@ -244,6 +245,9 @@ def timed_run(args: list[str]) -> tuple[float, float]:
 def run_stage(dataset: str, folder: Path, jobs: int) -> tuple[dict, list[Figure]]:
     """Calibrate a dataset as make would, solves included; return the summary and what it cost. All stays in `folder`."""
     made, of = Layout(Path("results") / dataset), Layout(folder / "results" / dataset)
+    planned = make(Path(), f"DATASET={dataset}", f"{made.root}/00_plan/plan.mk")
+    if planned.returncode:
+        raise GelforgeError(planned.stdout)
     shutil.rmtree(of.folder(CALIBRATE) / "solves", ignore_errors=True)
     for name in ("data", "workflow"):
         if not (of.base / name).exists():
