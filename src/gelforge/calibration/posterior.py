@@ -12,8 +12,8 @@ from gelforge.calibration.parameters import TARE, Model
 # friction and depth (make benchmark-calibration): all components by a fraction of themselves; sideways forces by one more
 # and, where a press hardly moves sideways, by one of the normal force. Without it a thousandth of a firm press' force
 # would decide on friction.
-ERROR = 0.01
-SIDEWAYS_ERROR, SIDEWAYS_ERROR_OF_NORMAL = 0.04, 0.002
+ERROR = 0.013
+SIDEWAYS_ERROR, SIDEWAYS_ERROR_OF_NORMAL = 0.02, 0.002
 ERRORS = np.array([ERROR, SIDEWAYS_ERROR, SIDEWAYS_ERROR_OF_NORMAL])
 
 
