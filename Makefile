@@ -6,7 +6,7 @@ SHELL := bash
 .SHELLFLAGS := -euo pipefail -c
 .DEFAULT_GOAL := help
 
-# The environment, the dataset's plan, and how a recipe runs; then the stages, the branches, and what people ask for.
+# The environment, the dataset's plan, and how recipes run; then stages, branches, tools and tests.
 include rules/setup.mk
 include rules/plan.mk
 include rules/run.mk
@@ -15,7 +15,7 @@ include rules/branches.mk
 include rules/tools.mk
 include rules/test.mk
 
-# What `make help` lists is no file.
+# Targets that `make help` lists are not files.
 .PHONY: $(shell sed -nE 's/^([a-z][a-zA-Z0-9_-]*):.*  ## .*/\1/p' Makefile rules/*.mk)
 
 help:  ## this list

@@ -1,16 +1,16 @@
-# Sourced: leave_what_is_linked FILE ends the script where FILE is there and its folder is a link: such an environment
-# belongs to another checkout, and what it says holds for this machine here, too.
+# Sourced: leave_what_is_linked FILE ends the script if FILE exists and its folder is a link: the environment then
+# belongs to another checkout on this machine, and what FILE says is valid here, too.
 leave_what_is_linked() {
     if [ -L "$(dirname "$1")" ] && [ -s "$1" ]; then exit 0; fi
 }
 
-# Sourced: apt_install PACKAGE…, as root or with passwordless sudo, else an error that says what to do.
+# Sourced: apt_install PACKAGE…, as root or with passwordless sudo; otherwise an error that says what to do.
 apt_install() {
     local sudo=""
     if [ "$(id -u)" != 0 ]; then
         sudo="sudo -n"
         if ! command -v sudo >/dev/null || ! sudo -n true 2>/dev/null; then
-            echo "error: system packages needed, and no right to install them: apt-get install $*" >&2
+            echo "error: system packages are missing, and only root or sudo without a password can install them; run: apt-get install $*" >&2
             return 2
         fi
     fi

@@ -14,7 +14,7 @@ action=${1:?action} folder=$(realpath -m "${2:?folder}") only=${3:-}
 host=$(hostname -s)
 export SLURM_CONF=$folder/slurm.conf
 
-# Below the ports that the system gives to whoever asks for any: a daemon that is started again finds its own still free.
+# Below the range of ephemeral ports, so that a restarted daemon finds its port still free.
 free_port() {
     python3 - <<'PYTHON'
 import random, socket
@@ -30,7 +30,7 @@ PYTHON
 }
 
 write_conf() {
-    # Tasks of the tests are short: Slurm's defaults would add a second to each (the first two lines).
+    # The first two lines: Slurm's defaults would add a second to each of the tests' short tasks.
     cat >"$SLURM_CONF" <<CONF
 SchedulerParameters=batch_sched_delay=0,sched_interval=1,bf_interval=1
 Epilog=/bin/true
@@ -71,7 +71,7 @@ PartitionName=main Nodes=$host Default=YES MaxTime=INFINITE State=UP
 CONF
 }
 
-launch() {  # launch NAME COMMAND…: a daemon in a session of its own, its process id recorded
+launch() {  # launch NAME COMMAND…: start a daemon in its own session and record its process id
     local name=$1; shift
     setsid "$@" </dev/null >>"$folder/log/$name.out" 2>&1 &
     echo $! >"$folder/pids/$name"
@@ -107,7 +107,7 @@ end() {  # end NAME SIGNAL: one daemon by its recorded process id, and wait unti
     local file=$folder/pids/$1 pid
     [ -f "$file" ] || return 0
     pid=$(cat "$file")
-    # A process id may have gone to another program since: end it only if it still is ours.
+    # The process id may belong to another program by now: end it only if it is still ours.
     if alive "$pid" && grep -qa "$1" "/proc/$pid/cmdline"; then
         kill "-$2" "$pid"
         for _ in $(seq 600); do alive "$pid" || break; sleep 0.1; done
@@ -118,7 +118,7 @@ end() {  # end NAME SIGNAL: one daemon by its recorded process id, and wait unti
 
 lose() {
     end slurmd KILL
-    # Every task is a child of a slurmstepd of this cluster, which its spool folder names.
+    # Every task is a child of a slurmstepd of this cluster, which its SLURM_CONF identifies.
     for proc in /proc/[0-9]*; do
         if grep -qa '^slurmstepd: \[' "$proc/cmdline" 2>/dev/null && grep -qa "SLURM_CONF=$SLURM_CONF" "$proc/environ" 2>/dev/null
         then

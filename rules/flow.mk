@@ -1,6 +1,6 @@
-# The stages. A rule names every file that its stage reads, for what it names stands in the record of its target.
+# The stages. A rule names every file that its stage reads, because the record of its target holds their digests.
 
-# 10: checks each row of the log, puts each indenter's surface where the CNC did.
+# 10: checks each row of the log, places each indenter's surface as the CNC did.
 POSES := $(SHARDS:%=$D/10_poses/%.csv)
 
 poses: $(POSES)  ## check the log, place every indenter's surface as the CNC did
@@ -8,11 +8,11 @@ poses: $(POSES)  ## check the log, place every indenter's surface as the CNC did
 $(POSES): $D/10_poses/%.csv: $(SHARD)/%.csv $(SHARD)/%.json $(SHARD)/%.pictures.json $P/poses.json
 	$(call step,gelforge.stages.poses $D $*)
 
-# What a shard says of its presses: paths by stage 10, bodies and sensors, pictures.
+# Files of a shard: paths (by stage 10), bodies and sensors, images.
 USED := $(SHARDS:%=$(SHARD)/%.json)
 PICTURES := $(SHARDS:%=$(SHARD)/%.pictures.json)
 
-# 15: whether the images of the log, taken together, show what its rows describe. Nothing is solved before.
+# 15: checks that the images of the whole log show what its rows describe, before anything is solved.
 IMAGES_JUDGED := $(if $(IMPORTED),,$(if $(IMAGES),$D/15_images/images.json))
 
 images: $(IMAGES_JUDGED)  ## compare the images of the log with its poses and no-contact images
@@ -20,7 +20,7 @@ images: $(IMAGES_JUDGED)  ## compare the images of the log with its poses and no
 $D/15_images/images.json: $(POSES) $(USED) $(PICTURES) $(BESIDE)/nocontact.json $P/images.json $P/gels.json
 	$(HANDS_SLOTS)$(call step,gelforge.stages.images $D)
 
-# 30: finite elements; a solve that was made of the same is not made again.
+# 30: finite elements; a solve with unchanged inputs is not repeated.
 FEA := $(SHARDS:%=$D/30_fea/%.csv)
 
 fea: $(FEA) $(solved)  ## solve every accepted sample by finite elements
@@ -29,7 +29,8 @@ $(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $(SHARD)/%.json $P/fea.json $P/gels.j
 	$(foretold)
 	$(call solve,gelforge.stages.fea $D $*)
 
-# 40: CALIBRATED is the posterior where [material] c10 = "calibrated": its median scales the forces, no solve is repeated.
+# 40: CALIBRATED is the posterior if [material] c10 = "calibrated": its median scales the forces, no solve is
+# repeated.
 FORCES := $(SHARDS:%=$D/40_forces/%.npz)
 
 forces: $(FORCES)  ## nodal contact forces of the solves, scaled to the material
@@ -45,7 +46,8 @@ labels: $(LABELS)  ## force per grid cell: make labels RES="12x16 24x32 48x64"
 $(LABELS): $D/50_labels/%/labels.json: $(FORCES) $(POSES) $D/00_plan/shards.csv $P/labels.json $P/sensors.json $P/gels.json
 	$(call step,gelforge.stages.labels $D $*)
 
-# 60: arrays ready to train on, one folder per resolution. Imported labels (data/DATASET/labels) need no stage before.
+# 60: arrays ready for training, one folder per resolution. Imported labels (data/DATASET/labels) need no earlier
+# stage.
 DATASETS := $(RES:%=$D/60_dataset/%/dataset.json)
 LABEL_SOURCE := $(if $(IMPORTED),$(BESIDE)/%.json $(SHARDS:%=$(SHARD)/%.csv),$D/50_labels/%/labels.json $(POSES) $(IMAGES_JUDGED))
 
@@ -57,10 +59,11 @@ $(DATASETS): $D/60_dataset/%/dataset.json: $(LABEL_SOURCE) $(PICTURES) $(BESIDE)
 
 # 70: a model is a table of workflow/models.toml; RES names the grid.
 SHIPPED := src/gelforge/reading/weights/default
-# Those that fine-tune the shipped network (TUNED) are for one dataset, and write its grid: they are made by name alone.
+# Models that fine-tune the shipped network (TUNED) are for one dataset and have the grid of that network: made by
+# name only.
 LEARNABLE := $(filter-out $(TUNED),$(MODELS))
 TRAINED := $(MODELS:%=$D/70_train/$(RES1)/%.onnx)
-# Other datasets that are learnt from as well ([train] also). They are made by themselves.
+# Other datasets to train on as well ([train] also). Each is made by its own run of make.
 LEARNT_WITH := $(foreach name,$(LEARN_ALSO),results/$(name)/60_dataset/$(if $(wildcard data/$(name)/labels/1x1.npz),1x1,$(RES1))/dataset.json)
 
 train: $D/70_train/$(RES1)/$(LEARNT).onnx  ## train one network, write it as ONNX: make train MODEL=pair_16 RES=24x32
@@ -71,7 +74,7 @@ $(TRAINED): $D/70_train/$(RES1)/%.onnx: $D/60_dataset/$(RES1)/dataset.json $P/mo
 
 $(TUNED:%=$D/70_train/$(RES1)/%.onnx): $(SHIPPED).safetensors
 
-# 80: how wrong a network is, and its model card; the shipped network, too, on a dataset that it did not learn from.
+# 80: errors of a network, and its model card; also of the shipped network, on a dataset that it was not trained on.
 EVALUATED := $(MODELS:%=$D/80_evaluate/$(RES1)/%.json)
 READ := $D/80_evaluate/$(RES1)/shipped.json
 CARDS := $(EVALUATED:.json=.card.md) $(READ:.json=.card.md)
@@ -88,8 +91,8 @@ $(EVALUATED:.json=.card.md): $D/80_evaluate/$(RES1)/%.card.md: $D/70_train/$(RES
 $(CARDS): $D/80_evaluate/$(RES1)/%.card.md: $D/80_evaluate/$(RES1)/%.json $P/card.json
 	$(call step,gelforge.stages.card $D $(RES1) $*)
 
-# 90: of a dataset with imported labels, whose log may know no pose, nothing was solved. The page prints the parameters of every
-# stage; the choice of network and branches is a file, so that another one is newer.
+# 90: a dataset with imported labels has no solves, and its log may have no poses. The page prints the parameters of
+# every stage. The choice of network and branches is a file, so that a changed choice is newer than the report.
 REPORT := $D/90_report/index.html
 SOLVED := $(if $(IMPORTED),,$(POSES) $(FEA) $(FORCES) $D/50_labels/$(RES1)/labels.json $(IMAGES_JUDGED))
 

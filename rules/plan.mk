@@ -1,4 +1,4 @@
-# Stage 00: what make must know before it reads the rules of the stages: the shards, and lists of names.
+# Stage 00: shards and lists of names, which make must know before it reads the rules of the stages.
 D := results/$(DATASET)
 P := $D/00_plan/params
 SHARD := $D/00_plan/shards
@@ -8,25 +8,25 @@ DATA := data/$(DATASET)
 IMPORTED := $(wildcard $(DATA)/labels)
 PLANNED := $D/00_plan/plan.mk
 
-# The network that the report shows, the one that `make train` makes, and what the report shows of branches.
+# The network that the report shows, the one that `make train` makes, and results of branches that the report shows.
 MODEL := $(call answered,MODEL)
 LEARNT := $(call answered,LEARNT)
 SHOWN := $(addprefix $D/,$(call answered,SHOWN))
 
-# What labels are made with, once a calibration was frozen: a small file that only `make freeze` changes.
+# The frozen calibration that labels use, if there is one: a small file that only `make freeze` changes.
 IS_FROZEN := $(wildcard $(DATA)/calibration.toml)
 
-# The plan's lists, empty where none is read.
+# The plan's lists, empty if no plan is read.
 LISTS := SHARDS BRANCHES PARETO_SCENES MODELS TUNED CALIBRATED LEARN_ALSO IMAGES
 $(foreach v,$(LISTS),$(eval $v :=))
 
-# refuse.py removes a plan whose files have another content now; make makes what it includes, and starts again.
+# refuse.py removes an outdated plan; make then makes this included file again and restarts itself.
 include $(if $(filter plan,$(ANSWER)),$(PLANNED))
 
 $(PLANNED): | $(SETUP) $(CCX_FOUND)
 	@$(PY) -m gelforge.stages.plan $D --ccx $(CCX_FOUND)
 
-# Status makes nothing: without the shards' targets make starts in half the time.
+# Status makes nothing: without targets for the shards make starts in half the time.
 ifeq ($(MAKECMDGOALS),status)
 SHARDS :=
 endif

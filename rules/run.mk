@@ -1,27 +1,30 @@
-# How the recipe of an artifact runs: $(call step,MODULE WORDS) writes $@.part, and the wrapper publishes it (flow/step.py). Where
-# command and contents of all prerequisites are those of its record, it only dates it anew.
+# How the recipe of an artifact runs: $(call step,MODULE WORDS) writes $@.part, and the wrapper renames it
+# (flow/step.py). If the command and the contents of all prerequisites match the record, the wrapper only touches the
+# target.
 
-# Jobs default to the cores of the machine; -jN on the command line wins. A make below this one shares its slots.
+# Jobs default to the cores of the machine; -jN on the command line takes precedence. A make below this one shares its
+# slots.
 HAS_SLOTS ?=
 ifeq ($(HAS_SLOTS)$(filter -j%,$(MAKEFLAGS)),)
 MAKEFLAGS += -j$(JOBS)
 endif
-# Jobs of a program that runs several at a time by itself. Known when a recipe is expanded, not before.
+# Job slots for a program that runs several jobs itself. Only known when a recipe is expanded.
 SLOTS = $(or $(patsubst -j%,%,$(filter -j%,$(MAKEFLAGS))),$(JOBS))
 export GELFORGE_JOBS = $(SLOTS)
-# What of -n, -q and -t make was given, under which nothing is done.
+# Those of -n, -q and -t that make was given: it then runs nothing.
 ONLY_SHOWN = $(strip $(foreach f,n q t,$(findstring $f,$(firstword -$(MAKEFLAGS)))))
-# Before the recipe of such a program: it then takes slots that are free (flow/jobs.py).
+# Prefix of the recipe of such a program: it then takes free slots (flow/jobs.py).
 HANDS_SLOTS = $(if $(ONLY_SHOWN),,+)
 
-# Every prerequisite is an input; more of them than a shell takes as one command (128 KiB) go by a list.
+# Every prerequisite is an input; if they exceed what a shell takes as one command (128 KiB), they are passed as a
+# list file.
 LIST = $D/00_plan/$(subst /,-,$@).inputs
 INPUTS = $(if $(word 500,$^),@$(LIST)$(file >$(LIST),$^),$^)
 wrapped = $(PY) -m gelforge.flow.step $@ $(INPUTS) -- $(PY) -m $(strip $1) --part
 step = @$(wrapped)
 
-# The first line of a long stage's recipe, expanded when make is about to begin it: once in a run it says how long all of that stage
-# may take. How many cores a cluster gives is not known here.
+# The first line of a long stage's recipe, expanded when make is about to run it: once per run it prints how long the
+# whole stage may take. Not on a cluster, whose number of cores is not known here.
 BELOW = $(@:$D/%=%)
 STAGE_OF = $(firstword $(subst /, ,$(BELOW)))
 foretold = $(if $(ONLY_SHOWN)$(filter-out local,$(EXECUTOR))$(filter $(STAGE_OF),$(FORETOLD)),,$(eval FORETOLD += $(STAGE_OF))@$(PY) \
@@ -33,14 +36,15 @@ solve = $(step)
 train = $(step)
 solved :=
 else
-# EXECUTOR=slurm: the shards of stage 30 are one job array, a training is a job, and all else runs where make runs. A recipe of stage
-# 30 notes its command, and takes its outdated target away, so that make sees it change; `solved` waits until what was noted has run.
+# EXECUTOR=slurm: the shards of stage 30 are one job array, a training is a job, and everything else runs where make
+# runs. A recipe of stage 30 only notes its command and moves its outdated target away, so that make sees it change;
+# `solved` runs the noted commands and waits for them.
 SLURM_PROFILE ?= workflow/slurm.toml
 NOTES = $D/.slurm/$(GELFORGE_RUN)
 note = $(shell mkdir -p $D/.slurm)$(file >>$(NOTES)$1,$@	$2)if [ -e $@ ]; then mv $@ $@.old; fi
 slurm = $(PY) -m gelforge.flow.slurm $(NOTES)$1 --profile '$(SLURM_PROFILE)'
 train = @$(if $(ONLY_SHOWN),$(wrapped),$(call note,-$(@F),$(wrapped)); exec $(call slurm,-$(@F)))
-# A file that is asked for by its name is a job of its own.
+# A file that is requested by its name is a separate job.
 BY_NAME := $(filter $D/%,$(MAKECMDGOALS))
 solve = $(if $(BY_NAME),$(train),@$(if $(ONLY_SHOWN),$(wrapped),$(call note,,$(wrapped))))
 solved := $(if $(BY_NAME),,solved)

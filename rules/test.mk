@@ -1,10 +1,11 @@
-# Tests, and benchmarks of what was promised.
+# Tests, and benchmarks against goals.
 TESTS ?= tests
 MARKED ?=
-# A process of tests that dies is not started again: the others would wait for it for ever.
+# A test process that dies is not restarted, because the others would wait for it forever.
 PYTEST = $(PY_HERE) -m pytest -n $(SLOTS) --dist worksteal --max-worker-restart=0 --durations=20
 
-# A browser for tests of pages, Slurm for a cluster of one node: one install at a time, else they fight for the lock.
+# A browser for tests of pages, Slurm for a cluster of one node; installed one after the other, because apt has one
+# lock.
 CHROMIUM_FOUND := .venv/chromium.found
 SLURM_FOUND := .venv/slurm.found
 
@@ -14,7 +15,7 @@ $(CHROMIUM_FOUND) $(SLURM_FOUND): .venv/%.found: envs/%.sh | $(SETUP) $(CCX_FOUN
 
 test test-all benchmark-face benchmark-slurm: $(CHROMIUM_FOUND) $(SLURM_FOUND)
 
-# LeRobot's package wants other versions than ours; minutes of downloads, so tests take it where it is.
+# LeRobot's package needs other versions than ours. Downloads take minutes, so tests use it only if it is installed.
 LEROBOT_READY := .venv-lerobot/ready
 
 lerobot-env: $(LEROBOT_READY)  ## an environment with LeRobot, in which tests open an export by its own factory
@@ -28,7 +29,7 @@ test: $(SETUP) $(CCX_FOUND)  ## the tests of every change, in minutes: all but t
 test-all: $(SETUP) $(CCX_FOUND)  ## all tests, in half an hour; MARKED=slow: those that `make test` leaves out
 	@$(PYTEST) $(if $(MARKED),-m '$(MARKED)') $(TESTS)
 
-lint: $(SETUP)  ## check style, names, types and imports of the code, and that generated files are those of today
+lint: $(SETUP)  ## check style, names, types and imports of the code, and that generated files are up to date
 	@$(PY) -m ruff check
 	@$(PY) -m ruff format --check
 	@$(PY) -m mypy

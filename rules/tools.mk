@@ -1,4 +1,5 @@
-# What people ask of a dataset, of recordings, of the virtual rig. Text that a person gives stands in quotes; refuse.py lets none in.
+# Tools for a dataset, for recordings and for the virtual rig. Text from the command line is quoted; refuse.py refuses
+# quotes in it.
 status: | $(SETUP)  ## samples done, failed with reasons and pending, per stage
 	@$(PY) -m gelforge.commands.status $D
 
@@ -8,16 +9,16 @@ sample: | $(SETUP)  ## run one sample through all stages and show its log: make 
 provenance: | $(SETUP)  ## every file, parameter and cost behind one label: make provenance ID=…
 	@$(PY) -m gelforge.commands.provenance $D --id '$(value ID)' --resolution $(RES1)
 
-deck: | $(SETUP)  ## CalculiX' deck of one sample, made again from its solve: make deck ID=…
+deck: | $(SETUP)  ## CalculiX' deck of one sample, written again from its solve: make deck ID=…
 	@$(PY) -m gelforge.commands.deck $D --id '$(value ID)'
 
 look: | $(SETUP)  ## pictures of one sample, its gel (.vtu) and its indenter (.stl): make look ID=… RES="24x32 48x64"
 	@$(PY) -m gelforge.commands.look --data $(DATA) --results $D --sensors $P/sensors.json --id '$(value ID)' --resolution $(RES)
 
-estimate: | $(SETUP)  ## core hours, disk and time of make report, or of what a log without images has, before it starts
+estimate: | $(SETUP)  ## core hours, disk and time of make report (labels and calibrate for a log without images) before it starts
 	@$(PY) -m gelforge.commands.estimate $D --resolution $(RES1) --model $(MODEL) --cores $(SLOTS)
 
-# Of a stage its folder, logs and metrics.
+# Removes the folder, logs and metrics of a stage.
 clean-%:
 	rm -rf $(foreach of,$D $D/logs $D/metrics,$(wildcard $(of)/[0-9][0-9]_$*) $(of)/$*)
 
@@ -31,17 +32,17 @@ clean-STAGE:  ## remove a stage's artifacts, logs and metrics (clean-fea, clean-
 clean-all:  ## remove all results of this dataset
 	rm -rf $D
 
-# -- from and to others
+# -- import and export
 
-export: $D/60_dataset/$(RES1)/dataset.json  ## write it for others: FORMAT=mcap, lerobot or hdf5
+export: $D/60_dataset/$(RES1)/dataset.json  ## export the dataset: FORMAT=mcap, lerobot or hdf5
 	@$(PY) -m gelforge.commands.export --data $(DATA) --dataset $(<D) --sensors $P/sensors.json --format '$(value FORMAT)'
 
-mcap-import: $(SETUP)  ## recordings become pictures with total force: make mcap-import FROM=folder TOPICS=topics.toml
+mcap-import: $(SETUP)  ## import recordings as images with total force: make mcap-import FROM=folder TOPICS=topics.toml
 	@$(PY) -m gelforge.commands.mcap --from '$(value FROM)' --topics '$(value TOPICS)' --data $(DATA)
 
 EXPORTED := $(RES:%=$D/feats/%/normalization_gelforge.npy)
 
-feats-fetch: $(SETUP)  ## import FEATS' published dataset to data/feats, all or SPLIT="train val", of a copy FROM=folder
+feats-fetch: $(SETUP)  ## import FEATS' published dataset to data/feats, all of it or SPLIT="train val", from the hub or a copy FROM=folder
 	@$(PY) -m gelforge.commands.feats fetch --from '$(value FROM)' --split '$(value SPLIT)' --downloads downloads/feats --data $(DATA)
 
 feats-import: SENSOR ?= feats_mini
@@ -59,20 +60,21 @@ projection: $(SETUP)  ## fit a sensor: make projection SENSOR=name POINTS=points
 	@$(PY) -m gelforge.commands.projection --sensor '$(value SENSOR)' --like '$(value LIKE)' \
 	    $(if $(value POINTS),--points '$(value POINTS)') $(if $(value IMAGE),--image '$(value IMAGE)')
 
-# -- the virtual bench writes data/DATASET as a plan says, resumes where it stopped, and appends when a plan grows. Pictures that were
-# removed, for example to give sensors another appearance, are drawn again from kept surfaces.
+# -- the virtual rig writes data/DATASET by a plan, resumes where it stopped, and appends presses when a plan grows.
+# Images that were removed, for example to give sensors another appearance, are drawn again from kept surfaces.
 PLAN ?= workflow/rig/demo.toml
 
 rig: $(SETUP)  ## simulate the presses of a plan, write them to data/: make rig PLAN=workflow/rig/train.toml
 	@$(PY) -m gelforge.stages.rig --plan '$(PLAN)' --data data --jobs $(SLOTS)
 
-# The folder of real pictures, where it is not that of GELFORGE_REFERENCE (tests/support/figures.py).
+# The folder of real images, if it is not GELFORGE_REFERENCE (tests/support/figures.py).
 AT_REFERENCE = $(if $(value REFERENCE),--reference '$(value REFERENCE)')
 
 rig-check: $(SETUP)  ## run benchmark-rig; images of the rig beside real ones: results/rig-check/index.html
 	@$(PY_HERE) -m tests.benchmarks.rig $(AT_REFERENCE) --page results/rig-check/index.html
 
-# Pictures of the README and the guide. `make lint` fails where press.png or real.png is older than what it shows.
+# Pictures of the README and the guide. `make lint` fails if the data of press.png or real.png changed after it was
+# drawn.
 README_PICTURES := $(addprefix results/readme/,press.png real.png exact.png)
 
 readme-pictures: $(README_PICTURES)  ## draw the pictures of README and guide: a press, real images beside force maps, charts

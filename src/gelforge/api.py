@@ -1,4 +1,4 @@
-"""What gelforge offers to a Python program: solve a press and label it; `reading.reader` reads images."""
+"""Python interface of gelforge: solve a press and label it; `reading.reader` reads images."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -20,7 +20,7 @@ from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.scene import Interface, Scene
 from gelforge.records.press import Press
 
-PARAMETERS = Path(__file__).parent / "flow"  # where an installed package has params.toml
+PARAMETERS = Path(__file__).parent / "flow"  # folder of params.toml in an installed package
 P = ParamSpec("P")
 R = TypeVar("R")
 
@@ -34,9 +34,9 @@ class SolvedPress:
         mesh: its n nodes (n, 3) mm in the gel frame, undeformed, and its elements.
         forces: contact force on the gel at the nodes, (n, 3) N along gel x, y, z; pressing is negative.
         displacement: of the nodes, (n, 3) mm.
-        error_n: by how much the size of the total force may be off, N; nine of ten presses are within it.
-        evidence: what the solver says of the solve, such as its load steps.
-        indenter, method: names of the body and of how it was solved.
+        error_n: 90 % bound on the error of the total force's magnitude, N; NaN if unknown.
+        evidence: diagnostics of the solver, such as its load steps.
+        indenter, method: names of the body and of the method that solved it.
     """
 
     gel: str
@@ -65,7 +65,7 @@ class SolvedPress:
 
         Args:
             resolution: rows x columns of the grid, as text.
-            sensor: as of `label`.
+            sensor: as in `label`.
 
         Returns:
             A matplotlib Figure: one panel for each component, N per cell; `figure.savefig(path)` writes it.
@@ -74,7 +74,7 @@ class SolvedPress:
 
 
 def _needs_extra(run: Callable[P, R]) -> Callable[P, R]:
-    """A function that says which extra brings a package that it did not find."""
+    """Decorator: a ModuleNotFoundError of the function names the extra that installs the package."""
 
     @wraps(run)
     def with_extra(*args: P.args, **kwargs: P.kwargs) -> R:
@@ -113,24 +113,24 @@ def solve(
     """Press an indenter into a gel, down and then sideways, by finite elements in process.
 
     Args:
-        indenter: a name of workflow/indenters.toml, such as "sphere_10", a table as in that file, lengths in mm, or a body.
-        depth: mm from 0 on that its tip goes below the gel's apex, positive into the gel.
-        at: x, y in mm of the gel frame where the tip goes down.
-        shear: x, y in mm that it moves sideways at that depth.
-        rot_deg: degrees by which it is turned about z.
-        gel: name of a gel; NAME-3.6mm is one of that thickness.
+        indenter: a name of workflow/indenters.toml, such as "sphere_10", a table as in that file (mm), or a body.
+        depth: of the tip below the gel's apex, mm, 0 or positive.
+        at: x, y of the tip in the gel frame before shear, mm.
+        shear: x, y of the sideways motion at that depth, mm.
+        rot_deg: rotation of the indenter about z, degrees.
+        gel: name of a gel; NAME-3.6mm is the same gel with that thickness at its apex.
         c10: stiffness of the neo-Hookean gel, MPa.
         nu: its Poisson's ratio, from 0 to below 0.5.
-        friction: Coulomb's coefficient between indenter and gel, from 0; None: points that touch stick.
-        method: "draft", "label" or "fine": hexahedra, fast to slow; "ccx": CalculiX, which must be on PATH; "auto": the first of
-            draft, label, ccx that states an error within 4 %.
-        gels: file of gels of your own, such as workflow/gels.toml; `gel` may then name one of them.
+        friction: Coulomb friction coefficient between indenter and gel, 0 or more; None: points that touch stick.
+        method: "draft", "label" or "fine": hexahedra, fast to slow; "ccx": CalculiX, which must be installed; "auto":
+            the first of draft, label, ccx that states an error within 4 %, else the one that states the least.
+        gels: file with your own gels, such as workflow/gels.toml; `gel` may then name one of them.
 
     Returns:
         The state at the end of the path: a mesh, and forces in N and displacements in mm of its nodes.
 
     Raises:
-        BadInput: an argument that has no meaning; the message names it.
+        BadInput: an argument is invalid; the message names it.
         GelforgeError: the press has no solution; the message says why.
     """
     from gelforge.flow.tables import METHODS, SOFTEST, STIFFEST
@@ -143,13 +143,13 @@ def solve(
         raise BadInput(f"gelforge.solve: method = {method!r}: choose {', '.join(METHODS)}")
     if friction is not None and not (_finite(friction) and friction >= 0.0):
         raise BadInput(
-            f"gelforge.solve: friction = {friction!r}: give a coefficient from 0 on, or None where points stick"
+            f"gelforge.solve: friction = {friction!r}: give a coefficient of 0 or more, or None for points that stick"
         )
     pairs = np.shape(at) == np.shape(shear) == (2,)
     if not (pairs and _finite(depth, *at, *shear, rot_deg) and depth >= 0.0):
         raise BadInput(
-            f"gelforge.solve: depth = {depth!r}, at = {at!r}, shear = {shear!r}, rot_deg = {rot_deg!r}: give finite numbers, two "
-            "of them, along gel x and y, for at and for shear, and a depth in mm from 0 on, positive into the gel"
+            f"gelforge.solve: depth = {depth!r}, at = {at!r}, shear = {shear!r}, rot_deg = {rot_deg!r}: give finite numbers: "
+            "two each for at and shear, along gel x and y, and a depth of 0 mm or more, positive into the gel"
         )
     from gelforge.flow.params import load_params
     from gelforge.mechanics.mesh.names import load_mesh
@@ -164,7 +164,7 @@ def solve(
         if not (result.status.valid and result.evidence.get("mesh")):
             raise GelforgeError(f"the press was not solved: {result.evidence.get('reason') or result.status.value}")
         mesh = load_mesh(result.evidence["mesh"])
-    stiffer = c10 / REFERENCE_C10  # exactly so: the solid's stress is proportional to C10
+    stiffer = c10 / REFERENCE_C10  # exact, because stress is proportional to C10
     forces, error_n = stiffer * result.forces, stiffer * result.error_n
     return SolvedPress(
         gel, mesh, forces, result.displacement, error_n, result.evidence, body.name, result.evidence["method"]
@@ -172,14 +172,14 @@ def solve(
 
 
 def _body(indenter: Indenter | dict[str, Any] | str) -> Any:
-    """The body that an argument names, describes or is."""
+    """The body of an argument: a name, a table or a body."""
     from gelforge.geometry.indenters import CATALOGUE, build, read_catalogue
 
     if isinstance(indenter, str):
         tables = read_catalogue(CATALOGUE)
         if indenter not in tables:
             raise BadInput(
-                f"gelforge.solve: indenter = {indenter!r}: no name of workflow/indenters.toml{nearest(indenter, tables)}"
+                f"gelforge.solve: indenter = {indenter!r}: not in workflow/indenters.toml{nearest(indenter, tables)}"
             )
         return build(indenter, tables[indenter], "workflow/indenters.toml")
     if isinstance(indenter, dict):
@@ -203,14 +203,14 @@ def label(solved: SolvedPress, resolution: str = "24x32", sensor: Sensor | None 
     Args:
         solved: what `solve` returned.
         resolution: rows x columns of the grid, as text.
-        sensor: how gel and image meet; None: a GelSight Mini as its maker's driver shows it.
+        sensor: projection from gel to image; None: a GelSight Mini with the image of its maker's driver.
 
     Returns:
         Force on the gel per cell, (3, rows, cols) N, along gel x, y and z (pressing is
-        negative). What acts outside the image is left out.
+        negative). Forces outside the image are left out.
 
     Raises:
-        BadInput: a resolution that is none, or a sensor in whose image no part of the gel lies.
+        BadInput: an invalid resolution, or a sensor whose image shows no part of the gel.
     """
     from gelforge.labelling.operator import assemble
 
@@ -221,6 +221,6 @@ def label(solved: SolvedPress, resolution: str = "24x32", sensor: Sensor | None 
 
 
 def gelsight_mini() -> Sensor:
-    """A GelSight Mini as its maker's driver shows it: 15.77 px/mm, image 320 x 240 (workflow/sensors.toml)."""
+    """A GelSight Mini with the image of its maker's driver: 15.77 px/mm, 320 x 240 (workflow/sensors.toml)."""
     projection = np.array([[0.0, -15.77, 160.0], [-15.77, 0.0, 120.0], [0.0, 0.0, 1.0]])
     return Sensor("gelsight_mini", (320, 240), projection)

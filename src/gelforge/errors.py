@@ -1,11 +1,11 @@
-"""The errors that a user of gelforge is meant to read, and how text of others is shown in them."""
+"""Exceptions whose messages are for users, and safe display of foreign text in them."""
 
 from collections.abc import Iterable
 from difflib import get_close_matches
 
 
 def printable(text: object) -> str:
-    r"""Text with every character that a terminal would obey, or not show, written as its escape: a newline as \n.
+    r"""Text with every non-printable character, such as a terminal's control codes, escaped: a newline as \n.
 
     Names and cells come from files of others: shown raw, a sample_id could clear the screen or forge a line.
     """
@@ -13,23 +13,23 @@ def printable(text: object) -> str:
 
 
 def nearest(name: str, known: Iterable[str]) -> str:
-    """The end of a sentence that refuses a name: the known one nearest to it, and all of them."""
+    """End of a message that refuses a name: the closest known name, if any, and all known names."""
     known = sorted(known)
     close = get_close_matches(name, known, 1)
-    return f"; {f'{close[0]} is meant? ' if close else ''}known here: {', '.join(known)}"
+    return f"; {f'did you mean {close[0]}? Known' if close else 'known'}: {', '.join(known)}"
 
 
 def unwritable(error: OSError) -> str:
-    """What a disk or a folder that takes nothing says, and what to do; a full disk does not always name the file."""
+    """Message for a failed write, with a hint; the error of a full disk does not always name the file."""
     where = f"{error.filename}: " if error.filename else ""
     return f"{where}{error.strerror}; free space or permissions"
 
 
 class GelforgeError(Exception):
-    """What was given cannot be used.
+    """The input cannot be used.
 
-    The message names what was given, what was seen, and what to do; it is shown as `printable`. `main`
-    functions print it and exit with 2; nothing else catches it.
+    The message names the input, what is wrong with it, and what to do; it is shown as `printable`. Commands
+    print it and exit with code 2.
     """
 
     def __str__(self) -> str:
@@ -37,7 +37,7 @@ class GelforgeError(Exception):
 
 
 class BadInput(GelforgeError):
-    """A file, a row, or a parameter that a user wrote is unusable."""
+    """A file, a row, or a parameter from the user is unusable."""
 
 
 class SolveFailed(GelforgeError):

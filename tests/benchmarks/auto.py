@@ -1,8 +1,8 @@
-"""Fidelity "auto" with verified presses beside `ccx` alone, on random presses of workflow/rig/paper.toml.
+"""Method "auto" with verified presses against `ccx` alone, on random presses of workflow/rig/paper.toml.
 
-All presses are solved by "auto", a fraction of them, chosen by a hash of their names, by CalculiX too: those of [fea] verify
-count as the cost of "auto", all of them say what `ccx` alone costs and how far both differ. One process, processor time.
-Records are kept below --work, so a run that was stopped goes on.
+All presses are solved by "auto", and a fraction of them, chosen by a hash of their names, also by CalculiX. The
+latter give the cost of `ccx` alone and the differences between both; those that [fea] verify selects count as cost of
+"auto". Times are processor times of one process. Records are kept below --work, so that a stopped run resumes.
 """
 
 import tempfile
@@ -50,7 +50,7 @@ class Ordered:
 
 
 def mix(plan_file: Path, workflow: Path, count: int) -> list[Ordered]:
-    """The first presses of a plan, each to its end, all on the usual gel."""
+    """The first presses of a plan, each at its final frame, all on the usual gel."""
     plan = replace(read_plan(plan_file), presses=count, frames=1)
     bodies, gel = load_catalogue(workflow / plan.catalogue), load_gel(plan.gel)
     bench, found, seen = Bench(plan, bodies, gel), [], set()
@@ -67,7 +67,7 @@ def mix(plan_file: Path, workflow: Path, count: int) -> list[Ordered]:
 
 
 class Side:
-    """Presses solved by one method, each kept in a file of a folder."""
+    """Presses solved by one method, each stored as a file in a folder."""
 
     def __init__(self, method: str, solvers: Solvers, sensor: Sensor, folder: Path) -> None:
         self.method, self.solvers, self.sensor, self.folder = method, solvers, sensor, folder
@@ -94,7 +94,7 @@ class Side:
 
 
 def compared(name: str, auto: dict, ccx: dict) -> verification.Verified:
-    """How far the two records of a press differ, as a dataset's own record says it."""
+    """Difference between the two records of a press, as stage 30 records it for a dataset."""
     press = ("", name, auto["method"])
     if "cells" not in auto or ccx.get("method") != "ccx":
         return verification.compare(press, [], ccx["reason"] or "no result of both", None)
@@ -124,7 +124,7 @@ def figures_of(autos: dict[str, dict], ccxs: dict[str, dict], fea: FeaTable) -> 
 
 
 def settings(params: Params) -> list:
-    """What the records depend on beside the press."""
+    """What the records depend on apart from the press."""
     return [VERSION, plain(params.fea)]
 
 

@@ -1,8 +1,8 @@
-"""What calibration promises: four real points, truth recovered, the demo's hidden C10, the emulator's error, and time.
+"""Calibration: four real points, recovery of synthetic truths, the demo's hidden C10, the emulator's error, and time.
 
-Parts `points`, `demo`, `emulator` and `coverage` are kept beside the figures and made again only where code, parameters or data
-changed: `--only PART` makes one of them, without it all are made and the figures written. The synthetic calibrations
-of `coverage` are kept as they come, so a stopped run goes on.
+Parts `points`, `demo`, `emulator` and `coverage` are stored beside the figures and made again only if code,
+parameters or data changed: `--only PART` makes one of them; without it all are made and the figures are written. The
+synthetic calibrations of `coverage` are stored one by one, so that a stopped run resumes.
 """
 
 import hashlib
@@ -45,17 +45,17 @@ from tests.support.figures import Figure, publish_figures, table
 from tests.support.sandbox import make
 
 NU = 0.475
-# Synthetic chains are shorter than those of the stage: a few hundred independent draws place the ends of an interval to a tenth
-# of a standard deviation, by chance alone.
+# Synthetic chains are shorter than those of the stage: with a few hundred independent draws, the sampling error of an
+# interval's ends is a tenth of a standard deviation.
 TAUS, RHAT = 20, 1.1
 PARTS = ("points", "demo", "emulator", "coverage")
 RIG_MUS = (0.4, 0.9)
 LAW = "coulomb"
-# Friction coefficients of the solves that the emulator is compared with, between its own, and the frame's compliance, mm/N,
-# because of which forces are emulated less deep than commanded.
+# Friction coefficients, between the emulator's own, of the solves that it is compared with, and compliance of the
+# frame, mm/N, which makes the emulated depths smaller than the commanded ones.
 HELD_MUS, HELD_COMPLIANCE = (0.35, 0.7), 0.006
-# Indenter, place, turn, sideways travel, depths: round and flat, straight, and each once with shear, as a first session at a
-# new bench would have it.
+# Indenter, place, turn, sideways travel, depths: round and flat, straight, and each once with shear, as in a first
+# session at a new bench.
 DESIGN = (
     ("sphere_15", (0.0, 0.0), 0.0, (0.0, 0.0), (0.4, 0.7, 1.0, 1.3, 1.6, 1.9)),
     ("cuboid_10", (1.0, 1.5), 20.0, (0.0, 0.0), (0.3, 0.5, 0.7, 0.9, 1.1)),
@@ -66,7 +66,7 @@ DESIGN = (
 
 
 def design() -> Readings:
-    """The presses of a synthetic session, forces still unknown."""
+    """The presses of a synthetic session, with forces nan."""
     rows = [(name, [*at, 0.0, *slide, -d, turn]) for name, at, turn, slide, depths in DESIGN for d in depths]
     n = len(rows)
     names, poses = np.array([name for name, _ in rows]), np.array([pose for _, pose in rows])
@@ -76,10 +76,11 @@ def design() -> Readings:
 
 
 def rig_meshes() -> list[tuple[HexSettings, str]]:
-    """Hexahedra of the benches that the truths are read at, each with the quality that corrects its forces: finer than the emulator's.
+    """Meshes of the synthetic benches, finer than the emulator's, each with the quality that corrects its forces.
 
-    A mesh's error is the same in every reading taken with it. The posterior allows for the percent by which accurate
-    meshes differ, so truths must come from several of them: from one alone, intervals hold them too often or too seldom.
+    A mesh's error is the same in all readings made with it. The posterior allows for the percent by which accurate
+    meshes differ, so truths must come from several meshes: with one alone, the coverage of intervals is too high or
+    too low.
     """
     middle = HexSettings(size=0.6, layers=5, press_steps=10, shear_steps=3)
     return [(middle, "label"), (replace(middle, size=0.5), "fine")]
@@ -88,7 +89,7 @@ def rig_meshes() -> list[tuple[HexSettings, str]]:
 def rig_emulator(
     readings: Readings, catalogue, params: CalibrateTable, mesh: HexSettings, better: str, folder: Path, jobs: int
 ) -> Emulator:
-    """The rig's forces on one mesh, corrected by that of quality `better`, at other friction coefficients than the stage's."""
+    """The rig's forces on `mesh`, corrected by quality `better`, at other friction coefficients than the stage's."""
     cache = SolveCache(folder, catalogue, mesh, SOLVER_VERSION)
     plan = make_plan(readings, params.reach_mm, LAW, RIG_MUS, NU)
     failed = solve_all(plan, cache, jobs)
@@ -99,21 +100,21 @@ def rig_emulator(
 
 
 def draw_truths(model, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Coordinates (count, free) over the priors, Latin hypercube: every parameter's range is covered evenly.
+    """Coordinates (count, free) over the priors, by Latin hypercube sampling, which covers every parameter evenly.
 
-    The factor that stands for the emulator's mesh is not drawn: the meshes really differ. An indenter's own factor
-    is: it stands for its print too, which no mesh has.
+    The factor for the emulator's mesh error is not drawn, because the meshes really differ. An indenter's own factor
+    is drawn, because it also stands for errors of the printed shape, which no mesh has.
     """
     columns = []
     for name in model.free:
         u = (rng.permutation(count) + rng.random(count)) / count
-        # a touch that was missed altogether is named, not measured
+        # without the tails of the offset's prior: a touch that was missed altogether is reported, not calibrated
         columns.append(np.full(count, 0.5) if name == "discretisation" else 0.1 + 0.8 * u if name == "offset" else u)
     return model.coordinates(np.stack(columns, axis=1))
 
 
 def read_forces(rig: Emulator, readings: Readings, model, truth, rng) -> np.ndarray:
-    """One reading of every press (n, 3) N: each touches with its own scatter, the load cell adds noise."""
+    """One reading of every press (n, 3) N, with scatter of the touch depth and noise of the load cell."""
     values = model.values(truth)
     depth = readings.depth + values["scatter"][0] * rng.standard_normal(len(readings))
     forces = rig.forces(depth, values)[0][0] + tare_of(values)
@@ -121,7 +122,7 @@ def read_forces(rig: Emulator, readings: Readings, model, truth, rng) -> np.ndar
 
 
 def recover(task) -> dict:
-    """One synthetic calibration: C10 and friction; task: (posterior, rules, the truth's coordinates)."""
+    """C10 and friction of one synthetic calibration. task: (posterior, rules, the truth's coordinates)."""
     posterior, rules, truth = task
     true, found = (posterior.model.values(at) for at in (truth, sample(posterior, rules).flat()))
     return {name: {"truth": float(true[name][0]), **describe(found[name])} for name in ("c10", "mu")}
@@ -151,7 +152,7 @@ def synthetic_tasks(params: CalibrateTable, folder: Path, jobs: int, count: int)
 
 
 def coverage(params: CalibrateTable, folder: Path, jobs: int, count: int, key: str) -> list[dict]:
-    """Synthetic calibrations of truths drawn from the priors; those kept under `key` are not made again."""
+    """Synthetic calibrations of truths drawn from the priors; those stored under `key` are not made again."""
     tasks = synthetic_tasks(params, folder, jobs, count)
     runs = kept(folder / "runs.json", key, [])
     with ProcessPoolExecutor(jobs) as pool:
@@ -163,7 +164,7 @@ def coverage(params: CalibrateTable, folder: Path, jobs: int, count: int, key: s
 
 
 def coverage_figures(runs: list[dict]) -> list[Figure]:
-    """How often the intervals of C10 and of the friction coefficient hold the truth, between bounds."""
+    """Coverage of the intervals of C10 and of the friction coefficient, with lower and upper goals."""
     figures = []
     for name, label in (("c10", "C10"), ("mu", "friction")):
         found = [run[name] for run in runs]
@@ -183,7 +184,7 @@ def coverage_figures(runs: list[dict]) -> list[Figure]:
 def held_out(params: CalibrateTable, folder: Path, jobs: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Emulated and solved forces, each (n, 3) N, of the demo's presses at HELD_MUS, and each one's indenter, (n,) str.
 
-    Solved by hexahedra of quality `label`, of other friction and less deep than what the emulator was made from.
+    The solves are by hexahedra of quality `label`, with other friction and smaller depth than those of the emulator.
     """
     readings = read_readings("data/demo/log.csv")
     readings = readings.take(choose_presses(readings, params.max_presses, LAW))
@@ -204,9 +205,9 @@ def held_out(params: CalibrateTable, folder: Path, jobs: int) -> tuple[np.ndarra
 
 
 def emulator_figures(params: CalibrateTable, folder: Path, jobs: int) -> list[Figure]:
-    """By how much emulated forces err from press to press, as the likelihood's scale has it.
+    """Error of emulated forces from press to press, as the scale that the likelihood uses.
 
-    What an indenter's presses have in common is a parameter of its own, and no error here.
+    The mean error of an indenter's presses is excluded, because the posterior has a parameter for it.
     """
     emulated, solved, indenters = held_out(params, folder, jobs)
     off = np.log(solved[:, 2] / emulated[:, 2])
@@ -231,7 +232,7 @@ def emulator_figures(params: CalibrateTable, folder: Path, jobs: int) -> list[Fi
 
 
 def timed_run(args: list[str]) -> tuple[float, float]:
-    """Run the stage as a process of its own; seconds of wall and of processor time, its workers' included."""
+    """Run the stage as a separate process; seconds of wall and of processor time, including its workers."""
     before, start = resource.getrusage(resource.RUSAGE_CHILDREN), time.perf_counter()
     command = [sys.executable, "-m", "gelforge.stages.calibrate", *args]
     asked = subprocess.run(command, check=False, capture_output=True, text=True)
@@ -243,7 +244,7 @@ def timed_run(args: list[str]) -> tuple[float, float]:
 
 
 def run_stage(dataset: str, folder: Path, jobs: int) -> tuple[dict, list[Figure]]:
-    """Calibrate a dataset as make would, solves included; return the summary and what it cost. All stays in `folder`."""
+    """Calibrate a dataset as make would, with its solves; return summary and cost. All files go to `folder`."""
     made, of = Layout(Path("results") / dataset), Layout(folder / "results" / dataset)
     planned = make(Path(), f"DATASET={dataset}", f"{made.root}/00_plan/plan.mk")
     if planned.returncode:
@@ -308,7 +309,7 @@ def demo_figures(folder: Path, jobs: int) -> list[Figure]:
 
 
 def part_key(part: str, count: int) -> str:
-    """Name of everything that the figures of a part depend on: code, parameters, data."""
+    """Digest of everything that the figures of a part depend on: code, parameters, data."""
     here = Path(stage.__file__).parent.parent
     files = (Path(__file__), here / "stages" / "calibrate.py", *sorted(here.glob("calibration/*.py")))
     code = [file.read_text() for file in files]
@@ -324,13 +325,13 @@ def part_key(part: str, count: int) -> str:
 
 
 def kept(path: Path, key: str, default):
-    """What lies at `path` where it was kept under this key."""
+    """Content of the file `path` if it was stored under this key, else `default`."""
     found = read_json(path) if path.exists() else None
     return found["content"] if isinstance(found, dict) and found.get("key") == key else default
 
 
 def figures_of(part: str, folder: Path, jobs: int, count: int) -> list[Figure]:
-    """Figures of a part, kept or made."""
+    """Figures of a part, stored or newly made."""
     key = part_key(part, count)
     made = kept(folder / f"{part}.json", key, None)
     if made is not None:

@@ -1,4 +1,4 @@
-"""How long make needs to find what 15 000 samples over five stages need: nothing, or what one edited row asks for."""
+"""Time that make needs to find what is outdated of 15 000 samples over five stages: nothing, or one edited row."""
 
 import os
 import resource
@@ -45,7 +45,7 @@ FEA_COLUMNS = ["sample_id", "status", "reason", "method", "mesh", "file"]
 
 
 def write_manifest(project: Path, root: Path, samples: int = SAMPLES) -> None:
-    """A raw log of so many rows, and an empty picture of each: make looks at their times."""
+    """Write a raw log of `samples` rows, and an empty image for each, because make looks at their times."""
     data = project / "data" / "synthetic"
     numbers = dict.fromkeys((c for c in LOG_COLUMNS if c.endswith(("_mm", "_deg", "_n", "_nm"))), "0.5")
     rows = [
@@ -68,7 +68,7 @@ def write_manifest(project: Path, root: Path, samples: int = SAMPLES) -> None:
 
 
 def timed_make(project: Path, *goals: str) -> float:
-    """Run make in the synthetic project; return its processor seconds, which other load hardly changes."""
+    """Run make in the synthetic project; return its processor time, s, which other load hardly changes."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = make(project, "DATASET=synthetic", *goals)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -79,7 +79,7 @@ def timed_make(project: Path, *goals: str) -> float:
 
 
 def replanned(project: Path, depth: str) -> float:
-    """Edit the last row of the log and let make plan it; processor seconds of `make -n`."""
+    """Edit the last row of the log and plan it; return the processor seconds of `make -n`."""
     log = project / "data" / "synthetic" / "log.csv"
     rows = read_csv(log)
     rows[-1]["x0_mm"] = depth
@@ -88,7 +88,7 @@ def replanned(project: Path, depth: str) -> float:
 
 
 def fill(project: Path) -> int:
-    """Give every shard the files that status reads, and the labels that make looks for; return the number of shards."""
+    """Write each shard's files that status reads and the labels that make checks; return the number of shards."""
     results = project / "results" / "synthetic"
     node, force, still = np.zeros(1, np.int32), np.array([[0.0, 0.0, -1.0]]), np.zeros((1, 3), np.float32)
     shards = sorted((results / "00_plan" / "shards").glob("*.csv"))
@@ -117,7 +117,7 @@ def fill(project: Path) -> int:
 
 
 def record_of(project: Path, target: Path, samples: int, *inputs: Path) -> dict:
-    """A record of a target as its step leaves one."""
+    """A record of a target as `step` would write it."""
     cost = {"started": 0.0, "seconds": 9.0, "cpu_seconds": 9.0, "peak_mib": 120.0, "bytes": 9, "exit_code": 0}
     states = states_of(inputs, {})
     about = {
@@ -130,7 +130,7 @@ def record_of(project: Path, target: Path, samples: int, *inputs: Path) -> dict:
 
 
 def counted(project: Path) -> float:
-    """Processor seconds in which a finished target says how far the run is, of a run of all shards of stage 30."""
+    """Processor seconds in which a finished target of stage 30 reports progress, in a run of all shards."""
     of = Layout(project / "results" / "synthetic")
     os.environ["GELFORGE_RUN"] = "benchmark"
     names = of.names()
@@ -142,7 +142,7 @@ def counted(project: Path) -> float:
 
 
 def measure(root: Path, samples: int) -> list[Figure]:
-    """Build the manifest, mark it made, and time make and status with nothing to do."""
+    """Write the log, mark all targets as made, and time make and status with nothing to do."""
     with tempfile.TemporaryDirectory() as folder:
         project = link_project(root, Path(folder) / "project")
         write_manifest(project, root, samples)

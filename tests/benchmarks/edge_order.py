@@ -1,7 +1,8 @@
-"""The numbers of `mechanics.extrapolate.Convergence`, fitted to presses of known force and shown on bodies left out of the fit.
+"""Fit of `mechanics.extrapolate.Convergence` to presses of known force, tested on bodies left out of the fit.
 
-Presses are those of data/fea_challenge/exact.json; the 16 scenes of workflow/scenes.toml stand beside them and are never fitted to.
-What a press on two sizes of hexahedra says is kept below --work; a minute and a half of one thread for "draft", three for "label".
+Presses are those of data/fea_challenge/exact.json; the 16 scenes of workflow/scenes.toml are only tested, never
+fitted. Solves of a press on two sizes of hexahedra are kept below --work; they take 1.5 min of one thread for
+"draft", 3 min for "label".
 """
 
 import hashlib
@@ -25,17 +26,17 @@ from tests.benchmarks.exact import SHALLOW, digest, scene_of
 from tests.support.exact_scenes import KEPT
 from tests.support.figures import ROOT, Figure, publish_figures
 
-# Of Convergence: what each quality is fitted by; the others are 0. And the power of errors that the fit makes least: a high one
-# looks at the worst.
+# Parameters of Convergence that are fitted for each quality (the others are 0), and the power of the errors whose sum
+# the fit minimises: a high power weights the worst.
 FITTED = {"label": ("smooth", "small", "corner"), "draft": ("smooth", "edge", "width", "height")}
 POWER = {"label": 5, "draft": 4}
-# Worst, median and rms from 0.1 mm on, worst below, worst of bodies left out; median and worst of the scenes; in %.
+# In %: worst, median and rms error from 0.1 mm on, worst below, worst of bodies left out, median and worst of scenes.
 GOALS = {"label": (1.5, 0.35, 0.55, 1.5, 2.0, 0.3, 1.5), "draft": (2.5, 0.6, None, None, None, None, None)}
 
 
 @dataclass(frozen=True)
 class Pressed:
-    """One press: its true force and that on fine hexahedra, N, what both sizes say of it, its depth in mm and its body."""
+    """One press: true force and force on fine hexahedra, N, depth in mm, body, and the data of its correction."""
 
     name: str
     body: str
@@ -51,12 +52,12 @@ class Pressed:
         return 100.0 * (corrected / self.true - 1.0)
 
     def stated(self, numbers: Convergence) -> float:
-        """The error that it states, in %."""
+        """The error bound that the correction states, in %."""
         return 100.0 * numbers.error(self.coarse, self.force)
 
 
 def cases() -> list[tuple[str, str, float, float, Scene]]:
-    """Name, body, depth (mm), true force (N) and scene of every press of known force, and of the chart's scenes (body "")."""
+    """Name, body, depth (mm), true force (N) and scene of all presses of known force and chart scenes (body "")."""
     found = [
         (one["name"], f"{one['kind']}-{one['sizes_mm']}", one["depth_mm"], one["force_n"], scene_of(one))
         for path in read_json(KEPT)["paths"]
@@ -70,7 +71,7 @@ def cases() -> list[tuple[str, str, float, float, Scene]]:
 
 
 def solved(which: str, work: Path) -> list[Pressed]:
-    """All presses on both sizes of hexahedra, uncorrected; kept while mechanics and geometry are the same."""
+    """All presses on both sizes of hexahedra, uncorrected; stored for the same code of mechanics and geometry."""
     code = hashlib.sha256((digest() + repr(bare(which))).encode()).hexdigest()[:16]
     path = work / f"{which}-{code}.json"
     kept = read_json(path) if path.exists() else {}
@@ -86,13 +87,13 @@ def solved(which: str, work: Path) -> list[Pressed]:
 
 
 def bare(which: str) -> HexSettings:
-    """A quality whose forces are left as they are: all numbers of its correction are 0."""
+    """A quality without correction of its forces: all numbers of the correction are 0."""
     settings = quality(which)
     return replace(settings, nested=replace(settings.nested, convergence=Convergence(smooth=0.0)))
 
 
 def said(solver: HexSolver, scene: Scene) -> dict:
-    """Force on fine hexahedra, N, and what a press on both sizes says."""
+    """Force on fine hexahedra, N, and the data that the correction uses."""
     coarse, result = solver.coarse_path([scene])[0], solver.solve(scene)
     size = result.mesh_name.box.size
     edge = edge_of(result.contact, scene.indenter, path_pose(scene, scene.press.end), size, scene.gel.height)
@@ -101,7 +102,7 @@ def said(solver: HexSolver, scene: Scene) -> dict:
 
 
 def fit(which: str, presses: list[Pressed]) -> Convergence:
-    """The numbers that make the errors of presses least, to two decimals."""
+    """The numbers that minimise the errors of the presses, to two decimals."""
     usual, names = quality(which).nested.convergence, FITTED[which]
     base = replace(usual, **dict.fromkeys(("smooth", "small", "edge", "corner", "width", "height"), 0.0))
 
@@ -118,7 +119,7 @@ def fit(which: str, presses: list[Pressed]) -> Convergence:
 
 
 def figures_of(which: str, presses: list[Pressed]) -> list[Figure]:
-    """Errors by the numbers in use, and of bodies that a fit of their own left out."""
+    """Errors with the numbers in use, and cross-validated errors: of each body with a fit that leaves it out."""
     numbers = quality(which).nested.convergence
     exact = [press for press in presses if press.body]
     off = np.array([press.off(numbers) for press in exact])

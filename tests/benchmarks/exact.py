@@ -1,8 +1,8 @@
 """All methods against axisymmetric presses whose forces are known to about 0.1 % (data/fea_challenge/exact.json).
 
-`python -m tests.support.exact_scenes` solved them. Each press is solved here by each method on a flat pad of 40 x 40 mm; what
-was solved is kept below --work for the same code of mechanics and geometry, so that a run that was interrupted goes on.
-Errors are those of the total force, and the amounts of the errors of rings of 0.5 mm summed over the force.
+`python -m tests.support.exact_scenes` solved them. Here each method solves each press on a flat pad of 40 x 40 mm.
+Solves are kept below --work for the same code of mechanics and geometry, so that an interrupted run resumes. Errors
+are those of the total force, and the sum of the absolute errors of rings of 0.5 mm over the force.
 """
 
 import hashlib
@@ -35,8 +35,8 @@ from tests.support.exact_scenes import KEPT
 from tests.support.figures import ROOT, Figure, publish_figures
 from tests.support.known_scenes import SIDES, pad, scene_of
 
-NATIVE = ("sphere-15-nu0.475-pad4-no_slip-0.4mm", "punch-10-1-nu0.475-pad4-no_slip-0.3mm")  # minutes each
-# Of the bodies that differ most, for the references of the scenes: minutes each.
+NATIVE = ("sphere-15-nu0.475-pad4-no_slip-0.4mm", "punch-10-1-nu0.475-pad4-no_slip-0.3mm")  # take minutes each
+# Presses of bodies that differ most, solved as the references of the scenes are; they take minutes each.
 REFERENCED = (
     "sphere-15-nu0.475-pad4-no_slip-1mm", "sphere-60-nu0.475-pad4-no_slip-0.3mm", "punch-6-0.1-nu0.475-pad4-no_slip-0.3mm",
     "punch-10-1-nu0.475-pad4-no_slip-0.3mm", "cone-30-0.5-nu0.475-pad4-no_slip-0.5mm",
@@ -49,16 +49,17 @@ GOALS = {
     "ccx": (3.0, 0.7, 2.0, 4.0), "label": (1.5, 0.35, 1.5, 4.0), "draft": (2.5, 0.6, None, None),
     "reference": (0.3, None, None, None),
 }  # fmt: skip
-TOLERANCES = (1.0, 2.0, 4.0)  # % that `auto` is asked for
-COSTED, COST = 4.0, 0.6  # at which its time over label's has a goal
-# Of force, by which rings may move where the exact solution's elements are halved, and what may pull in it, to count as known.
+TOLERANCES = (1.0, 2.0, 4.0)  # %, tolerances of `auto`
+COSTED, COST = 4.0, 0.6  # tolerance in %, and goal of the time of `auto` over that of `label` at it
+# Ring forces of a press count as known if halving elements moves them by less than the first, and if less than the
+# second pulls, as fractions of its force.
 RINGS_KNOWN, PULLING = 0.02, 1e-3
-NATIVE_MM = 0.45  # tetrahedra of CalculiX' own contact
-SPLIT = 5  # each side of a piece of a face is cut so often where its force is shared out among rings
+NATIVE_MM = 0.45  # size of tetrahedra for CalculiX' own contact
+SPLIT = 5  # subdivisions per side of a face part when its force is distributed over rings
 
 
 def pads(presses: list[dict], file: Path) -> Path:
-    """Write the catalogue of the pads that are pressed: meshes are made by names of gels."""
+    """Write the catalogue of the pads, because meshes are made from names of gels."""
     lines = []
     for thickness in sorted({press["thickness_mm"] for press in presses}):
         sides = SIDES | {"thickness": thickness}
@@ -88,13 +89,13 @@ def ring_forces(mesh: GelMesh, forces: np.ndarray, width: float) -> np.ndarray:
 
 @dataclass(frozen=True)
 class Bench:
-    """Where methods solve: parameters of the flow, folder of what is kept."""
+    """Parameters of the flow, and the folder of stored solves, for all methods."""
 
     params: Params
     work: Path
 
     def method(self, name: str, press: dict) -> Callable[[], tuple[Result, GelMesh]]:
-        """The solve of a press by a method's name, with the mesh of its forces."""
+        """A function that solves a press by a named method and returns the result and its mesh."""
         scene = scene_of(press)
         if name in IN_PROCESS:
             solver = HexSolver(quality(name))
@@ -119,7 +120,7 @@ class Bench:
 
 
 def digest() -> str:
-    """Digest of the code that forces depend on."""
+    """Digest of the code and parameters that forces depend on."""
     folders = (ROOT / "src/gelforge/mechanics", ROOT / "src/gelforge/geometry")
     files = sorted(path for folder in folders for path in folder.rglob("*.py"))
     return hashlib.sha256(
@@ -128,7 +129,7 @@ def digest() -> str:
 
 
 def record_of(bench: Bench, press: dict, name: str, code: str) -> dict:
-    """What a method makes of a press: status, total force N, forces in rings N, processor seconds; kept."""
+    """Result of a method for a press, stored or new: status, total force N, forces in rings N, processor seconds."""
     path = bench.work / name / f"{press['name']}.json"
     key = [code, press["force_n"]]
     if path.exists() and (kept := read_json(path))["key"] == key:
@@ -139,14 +140,14 @@ def record_of(bench: Bench, press: dict, name: str, code: str) -> dict:
     found = {"key": key, "status": result.status.name, "seconds": clock.cpu_seconds, "force": 0.0, "rings": []}
     if result.status.valid:
         rings = ring_forces(mesh, result.forces, axisymmetric.RING)
-        stated = result.evidence.get("error_n")  # of a reference and of CalculiX' own contact there is none
+        stated = result.evidence.get("error_n")  # None for a reference and for CalculiX' own contact
         found |= {"force": -float(result.total[2]), "rings": np.round(rings, 6).tolist(), "stated_n": stated}
     write_json(path, found)
     return found
 
 
 def errors_of(record: dict, press: dict) -> dict:
-    """Errors in %: of the total force (signed), the one stated of it, and of rings; None where there is none."""
+    """Errors in %: of the total force (signed), the error that it states, and of rings; None if not known."""
     if not record["force"]:
         return {"total": None, "stated": None, "rings": None}
     known = press["elements_halved"]["rings"] < RINGS_KNOWN and press["pulling"] < PULLING
@@ -195,7 +196,7 @@ def figures_of(name: str, rows: list[dict]) -> list[Figure]:
 
 
 def auto_figures(table: list[dict], tolerance: float) -> list[Figure]:
-    """What `auto` makes of presses that its methods solved: how many are within a tolerance (%), and its time over label's."""
+    """`auto` on presses that its methods solved: how many are within a tolerance (%), and its time over label's."""
     presses: dict[str, dict[str, dict]] = {}
     for row in (row for row in table if row.get("stated")):
         presses.setdefault(row["press"], {})[row["method"]] = row

@@ -1,4 +1,4 @@
-"""What people see and plug in, at 15 000 presses: the page in a browser, exports, and questions to the flow."""
+"""User-facing parts at 15 000 presses: the page in a browser, exports, and questions to the flow."""
 
 import json
 import os
@@ -35,7 +35,7 @@ REPORT = Path("results/demo/90_report/index.html")
 
 
 def time_page(folder: Path, presses: int) -> list[Figure]:
-    """Open the page of all presses at both widths, choose presses all over it, sort and filter."""
+    """Open the page of all presses at both widths, choose presses throughout, sort and filter."""
     page, opened, took, sorting, errors = write_page(folder, presses), [], [], [], 0
     for width in WIDTHS:
         with browser(width) as driver:
@@ -65,13 +65,14 @@ def time_page(folder: Path, presses: int) -> list[Figure]:
 
 
 def many(folder: Path, count: int, pictures: int = 48) -> Samples:
-    """A dataset of so many samples that share a few dozen pictures of a sensor's size."""
+    """A dataset of `count` samples that share `pictures` images of a sensor's size."""
     samples = lay(folder, pictures, (24, 32), (320, 240))
     rows = read_csv(samples.dataset / "samples.csv")
+    # two frames per press, as in `lay`
     rows = [
         {**rows[k % pictures], "sample_id": f"s{k}", "group": str(k // 2), "press_id": f"p{k // 2}"}
         for k in range(count)
-    ]  # two frames a press, as `lay` has them
+    ]
     write_csv(samples.dataset / "samples.csv", list(rows[0]), rows)
     begin = datetime(2026, 4, 8, 12, 25, tzinfo=UTC)
     times = [(begin + timedelta(seconds=k // 2 + 0.125 * (k % 2))).isoformat() for k in range(count)]
@@ -82,7 +83,7 @@ def many(folder: Path, count: int, pictures: int = 48) -> Samples:
 
 
 def time_exports(folder: Path, presses: int) -> list[Figure]:
-    """Write every format."""
+    """Time of an export in every format."""
     samples, found = many(folder / "large", presses), []
     for form in FORMATS:
         started, spent = time.perf_counter(), time.process_time()
@@ -96,7 +97,7 @@ def time_exports(folder: Path, presses: int) -> list[Figure]:
 
 
 def time_provenance(folder: Path, presses: int) -> list[Figure]:
-    """The command itself, start of Python included."""
+    """Time of the command, including the start of Python."""
     results = folder / "results" / "d"
     lay_flow(results, presses)
     words = [
@@ -121,7 +122,7 @@ def time_provenance(folder: Path, presses: int) -> list[Figure]:
 
 
 def time_wheel(folder: Path, presses: int) -> list[Figure]:
-    """Build the wheel, whatever the presses, install it with what it depends on into an environment of nothing else, read a picture there."""
+    """Build the wheel, install it with its dependencies into a clean environment, and predict an image there."""
     made, python = folder / "wheels", folder / "clean" / "bin" / "python"
     copied = folder / "sources"
     shutil.copytree("src", copied / "src", ignore=shutil.ignore_patterns("__pycache__", "*.egg-info"))
@@ -150,7 +151,7 @@ def time_wheel(folder: Path, presses: int) -> list[Figure]:
 
 
 def run_of_demo(results: Path) -> list[Figure]:
-    """What the last make demo took, from its records, and what an estimate says of it."""
+    """Cost of the last make demo, from its records, and of an estimate of it."""
     records = [read_json(path) for path in (results / "metrics").rglob("*.json")]
     seconds = max(r["started"] + r["seconds"] for r in records) - min(r["started"] for r in records)
     took = {"cpu": sum(r["cpu_seconds"] for r in records), "disk": bytes_of(results), "wall": seconds}
@@ -174,14 +175,14 @@ def run_of_demo(results: Path) -> list[Figure]:
 
 
 def time_demo(folder: Path, presses: int) -> list[Figure]:
-    """What the demo took that was made here, whatever the presses."""
+    """Cost of the demo that was made here, which does not depend on `presses`."""
     if not REPORT.exists():
         raise BadInput(f"{REPORT}: absent; make demo, from nothing, then make benchmark-face")
     return [*run_of_demo(Path("results/demo")), demo_again()]
 
 
 def demo_again() -> Figure:
-    """How long make needs to find that the demo needs nothing; BadInput where it needs something."""
+    """Time that make needs to find that the demo is up to date; BadInput if it is not."""
     if make(Path.cwd(), "-q", "demo").returncode:
         raise BadInput("the demo is not as its files ask for; make demo, from nothing, then make benchmark-face")
     seconds = []

@@ -1,8 +1,8 @@
 """Whether the tests notice single faults that are planted in the code: `make benchmark-faults`.
 
-faults.toml lists them: a file, a text that stands in it once, the text that takes its place, and the tests that must then
-fail. Each is planted alone in a copy of the project. Method: mutation testing (DeMillo, Lipton, Sayward, "Hints on test data
-selection", Computer 1978), with faults chosen by hand.
+faults.toml lists them: a file, a text that occurs in it once, its replacement, and the tests that must then fail.
+Each is planted alone in a copy of the project. Method: mutation testing (DeMillo, Lipton, Sayward, "Hints on test
+data selection", Computer 1978), with faults chosen by hand.
 """
 
 import os
@@ -22,16 +22,16 @@ from tests.support.figures import PUBLISHED_DATA, ROOT, Figure, publish_figures
 from tests.support.sandbox import clean_environment
 
 LIST = Path(__file__).with_suffix(".toml")
-LEAST = 4  # faults of each room
-SECONDS = 600  # that a test may take: a fault may make it wait for ever
-# Pytest's exit status: some test failed. Others say that nothing was judged, such as a file that cannot be imported.
+LEAST = 4  # faults per package
+SECONDS = 600  # limit of a test, because a fault may make it wait for ever
+# Pytest's exit status. Others mean that nothing was judged, for example because a file cannot be imported.
 PASSED, FAILED = 0, 1
 CAUGHT, TIMED_OUT, SURVIVES, UNJUDGED = "caught", "timed out", "SURVIVES", "not judged"
 
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault to plant: in `file`, of the project's folder, `new` takes the place of `old`; `tests` are pytest's arguments."""
+    """One fault to plant: in the project's `file`, `new` replaces `old`; `tests` are pytest's arguments."""
 
     name: str
     file: str
@@ -41,12 +41,12 @@ class Fault:
 
     @property
     def room(self) -> str:
-        """The package of gelforge that the file is in, or the folder at the top."""
+        """The package of gelforge that holds the file, or the top folder."""
         parts = Path(self.file).parts
         return parts[2] if len(parts) > 3 else parts[0]
 
     def key(self, root: Path = ROOT) -> str:
-        """Digest of what the outcome depends on first: the fault, the file that it is planted in, and the files of its tests."""
+        """Digest of what the outcome depends on most: the fault, the file it is planted in, and its tests' files."""
         files = sorted({self.file, *(test.partition("::")[0] for test in self.tests)})
         texts = [(root / file).read_text(encoding="utf-8") for file in files]
         return digest_of_value([self.name, self.old, self.new, self.tests, texts])
@@ -59,7 +59,7 @@ def listed(path: Path) -> list[Fault]:
 
 
 def misfits(faults: list[Fault], root: Path = ROOT) -> Iterator[str]:
-    """What is wrong with the list: faults that do not fit their file, tests that are missing, rooms with too few."""
+    """Errors in the list: faults that do not fit their file, tests that are missing, packages with too few faults."""
     for fault in faults:
         path = root / fault.file
         count = path.read_text(encoding="utf-8").count(fault.old) if path.is_file() else 0
@@ -78,7 +78,7 @@ def misfits(faults: list[Fault], root: Path = ROOT) -> Iterator[str]:
 
 
 def copied(folder: Path) -> Path:
-    """A copy of all tracked files as they are now, with a link to the environment."""
+    """A copy of all tracked files in their current state, with a link to the environment."""
     said = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
     for name in filter(None, said.split("\0")):
         if (ROOT / name).is_file():
@@ -89,7 +89,7 @@ def copied(folder: Path) -> Path:
 
 
 def tested(project: Path, tests: tuple[str, ...], compiled: Path) -> subprocess.CompletedProcess:
-    """Run these tests until the first one fails. compiled: where numba keeps what it compiles."""
+    """Run tests until the first failure. compiled: folder for numba's compiled code."""
     environment = {
         **clean_environment(), "PYTHONPATH": str(project / "src"), "NUMBA_CACHE_DIR": str(compiled),
         "GELFORGE_REFERENCE": str(PUBLISHED_DATA.resolve()),
@@ -106,10 +106,10 @@ def tested(project: Path, tests: tuple[str, ...], compiled: Path) -> subprocess.
 
 
 def outcome(fault: Fault, project: Path, moment: int) -> str:
-    """Plant a fault in a copy, run its tests, take it out again: whether it is noticed, or what kept it from being judged.
+    """Plant a fault in a copy, run its tests, remove it: whether it is noticed, or why it could not be judged.
 
-    moment: a time of its own for the file, by which Python sees that what it compiled is outdated. Numba does not see where
-    what it compiled calls what changed, so it compiles all anew.
+    moment: a unique time stamp for the file, by which Python sees that its compiled code is outdated. Numba does not
+    see that compiled code calls a changed function, so all is compiled anew.
     """
     path = project / fault.file
     whole, times = path.read_bytes(), path.stat()
@@ -128,7 +128,7 @@ def outcome(fault: Fault, project: Path, moment: int) -> str:
     if done.returncode != FAILED or not failed:
         return f"{UNJUDGED}: {done.stdout[-1000:]}"
     name = failed[0].partition(" ")[2].partition(" - ")[0]
-    # a test that fails anyway has noticed nothing
+    # a test that also fails without the fault has noticed nothing
     sound = tested(project, (name,), project.parent / "compiled").returncode == PASSED
     if not sound:
         return f"{UNJUDGED}: {name} fails without the fault, too"
@@ -143,7 +143,7 @@ def outcome(fault: Fault, project: Path, moment: int) -> str:
            help="outcomes of earlier runs, which count while a fault, its file and its tests are the same"),
 )  # fmt: skip
 def main(args: Namespace) -> int:
-    """Plant every fault alone and print which survive."""
+    """Plant every fault alone, and print those that survive."""
     every = listed(args.list)
     if wrong := list(misfits(every)):
         print(*(f"{args.list.name}: {said}" for said in wrong), sep="\n")

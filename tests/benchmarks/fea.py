@@ -1,8 +1,8 @@
-"""What the fea stage promises: speed and error against FEATS' deck, errors over all scenes, validity, balance.
+"""Stage 30: speed and error against FEATS' deck, errors over all scenes, validity, force balance.
 
-Everything costly is kept below --work and resumed, so that it may run in the background for hours, or part by part: first
-`--only deck`, whose times `--only scenes` compares with. Seconds are processor seconds
-of one thread, so that other work on the machine does not enter the ratios.
+All costly results are kept below --work, so that a stopped run resumes and parts can run one by one: first
+`--only deck`, with whose times `--only scenes` compares. Times are processor times of one thread, so that other work
+on the machine does not affect the ratios.
 """
 
 import hashlib
@@ -47,27 +47,19 @@ from tests.benchmarks.parts import fea_cost as cost
 from tests.benchmarks.parts.native import prepared
 from tests.support.figures import PUBLISHED_DATA, Figure, publish_figures
 
-# Depth of FEATS' deck: scene, and times faster that `ccx` and `hex` at label setting are to be.
+# By depth of FEATS' deck: scene, and required speed-up of `ccx` and `label` over the deck.
 SPEED = {1.0: ("sphere_1mm", 15.0, 100.0), 2.0: ("sphere_2mm", 30.0, 100.0)}
-# Of total force and cells: % of error that half of the scenes may have, and the worst one.
+# Largest median and worst errors over the scenes in %, of total force and of cells.
 GOALS = {"ccx": ((None, None), (3.8, 7.0)), "label": ((0.3, 1.5), (4.5, 8.0)), "draft": ((None, None), (None, None))}
 METHODS = (*map(method_of, GOALS), LARGE_REFERENCE)
-NATIVE, NATIVE_MM, NATIVE_S = (
-    "FEATS' contact",
-    1.4,
-    600.0,
-)  # its name here, tetrahedra, and processor seconds that it may take
+# CalculiX' own contact: its name here, size of tetrahedra, and limit of processor time.
+NATIVE, NATIVE_MM, NATIVE_S = "FEATS' contact", 1.4, 600.0
 ENVELOPE = 200
-FRAMED = (
-    "sphere_1mm",
-    "cuboid_round",
-    "cuboid_shear",
-    "pyramid",
-    "punch",
-    "cylinder",
-)  # of round, flat, sharp, sheared
+# Round, flat, sharp and sheared scenes.
+FRAMED = ("sphere_1mm", "cuboid_round", "cuboid_shear", "pyramid", "punch", "cylinder")
 Goals = tuple[float | None, float | None]
-HALVED = {"total": 0.3, "cells": 1.5}  # % that halving elements and load steps may move a reference
+# %, largest difference from a reference of a solve with elements and load steps of twice the size
+DOUBLED_GOALS = {"total": 0.3, "cells": 1.5}
 PARTS = ("deck", "scenes", "native", "envelope", "cost")
 
 
@@ -75,7 +67,7 @@ PARTS = ("deck", "scenes", "native", "envelope", "cost")
 
 
 def deck_folder(reference: Path, folder: Path, depth: float) -> str:
-    """Lay FEATS' deck out in `folder` for one depth (mm); returns the job's name."""
+    """Write FEATS' deck into `folder` for one depth (mm); return the job's name."""
     source = reference / "feats" / "deck"
     if not (source / "sim.inp").exists():
         raise BadInput(f"{source}: FEATS' deck is not there; set GELFORGE_REFERENCE to the reference data's folder")
@@ -110,7 +102,7 @@ def _deck(reference: Path, folder: Path, depth: float, limit_s: float) -> dict:
 
 
 def run_deck(reference: Path, work: Path, depth: float, limit_s: float = 36000.0) -> dict:
-    """Seconds and force of FEATS' deck at one depth, kept."""
+    """Seconds and force of FEATS' deck at one depth, stored or new."""
     path, key = work / f"deck-{depth:g}.json", hashlib.sha256(f"1 {depth}".encode()).hexdigest()
     record = kept(path, key, limit_s)
     if record is None:
@@ -126,7 +118,7 @@ def run_deck(reference: Path, work: Path, depth: float, limit_s: float = 36000.0
 
 
 def kept_decks(folder: Path) -> dict[float, dict]:
-    """Records of FEATS' deck that were made before, by depth."""
+    """Stored records of FEATS' deck, by depth."""
     records = [read_json(path) for path in folder.glob("deck-*.json")]
     return {record["depth"]: record for record in records}
 
@@ -161,12 +153,18 @@ def scene_figures(found: dict, decks: dict) -> list[Figure]:
 def error_figures(
     of: str, records: list[dict], total: Goals = (None, None), cells: Goals = (None, None)
 ) -> list[Figure]:
-    """Median and worst errors of a method over the scenes, in %, with its median time; a scene without a result counts as infinite."""
-    seconds = float(np.median([record.get("cpu_seconds", np.inf) for record in records]))
-    found = [Figure(f"{of}, median processor time", seconds, "", 0.0, "s")]
+    """Number of scenes that a method fails on; its median time, and median and worst errors, %, over the others."""
+    solved = [record for record in records if record["errors"]]
+    failed = ", ".join(record.get("scene", "") for record in records if not record["errors"])
+    compare = "" if of == NATIVE else "<="
+    found = [Figure(f"{of}, without a result", len(records) - len(solved), compare, 0.0, "scenes", failed)]
+    if not solved:
+        return found
+    seconds = float(np.median([record["cpu_seconds"] for record in solved]))
+    found.append(Figure(f"{of}, median processor time", seconds, "", 0.0, "s"))
     for kind, label, goals in (("total", "total force", total), ("cells", "cells", cells)):
-        errors_of = [100 * record["errors"][kind] if record["errors"] else np.inf for record in records]
-        worst = records[int(np.argmax(errors_of))].get("scene", "")
+        errors_of = [100 * record["errors"][kind] for record in solved]
+        worst = solved[int(np.argmax(errors_of))].get("scene", "")
         for what, value, goal, note in (
             ("median", float(np.median(errors_of)), goals[0], ""), ("worst", max(errors_of), goals[1], worst),
         ):  # fmt: skip
@@ -176,7 +174,7 @@ def error_figures(
 
 
 def stated_figures(found: dict) -> list[Figure]:
-    """Of each method, how many scenes are within the errors that they state."""
+    """For each method, the fraction of its solved scenes whose error is within the one that it states."""
     figures = []
     for method in GOALS:
         solved = [
@@ -197,11 +195,11 @@ def solve_native(bench: ChartBench, scenes: dict[str, NamedScene]) -> list[Figur
         records.append(
             record | {"errors": errors(record, measure(bench, scene, LARGE_REFERENCE)), "scene": scene.name}
         )
-    return error_figures(NATIVE, [record for record in records if record["errors"]])
+    return error_figures(NATIVE, records)
 
 
 def native_record(bench: ChartBench, scene: NamedScene) -> dict:
-    """The record of a scene solved by CalculiX' own contact, kept."""
+    """The record of a scene solved by CalculiX' own contact, stored or new."""
     path, key = bench.records / scene.name / "native.json", digest_of_value([scene.table, NATIVE_MM, 1])
     record = kept(path, key, NATIVE_S)
     if record is None:
@@ -212,7 +210,7 @@ def native_record(bench: ChartBench, scene: NamedScene) -> dict:
 
 
 def _faster(what: str, deck: dict, record: dict, goal: float) -> Figure:
-    """How many times less processor time a record took than FEATS' deck."""
+    """Processor time of FEATS' deck over that of a record."""
     note = (f"{deck['cpu_seconds']:.0f} s and {abs(deck['fz']):.3f} N against {record['cpu_seconds']:.1f} s and"
             f" {-record['total'][2]:.3f} N")  # fmt: skip
     return Figure(what, deck["cpu_seconds"] / record["cpu_seconds"], ">=", goal, "times faster", note)
@@ -230,7 +228,7 @@ def _symmetry(found: dict) -> Figure:
 
 
 def _balance(found: dict) -> Figure:
-    """Worst base reaction against contact sum of every valid result that was solved here."""
+    """Largest difference between base reaction and sum of contact forces over all valid results solved here."""
     gaps = {f"{name}, {method}": record["evidence"]["base_mismatch"] for name, records in found.items()
             for method, record in records.items() if record["status"] == "OK" and "evidence" in record}  # fmt: skip
     worst = max(gaps, key=gaps.get)
@@ -238,7 +236,7 @@ def _balance(found: dict) -> Figure:
 
 
 def _engines(found: dict) -> Figure:
-    """Worst difference between CalculiX and the in-process solver on one mesh, of every press that both solved here."""
+    """Largest difference between CalculiX and the in-process solver on one mesh, over presses solved here by both."""
     differences = {f"{name}, {method}": record["evidence"]["engine_difference"] for name, records in found.items()
              for method, record in records.items() if "engine_difference" in record.get("evidence", {})}  # fmt: skip
     worst = max(differences, key=lambda name: differences[name], default="none was solved here")
@@ -256,7 +254,7 @@ def _engines(found: dict) -> Figure:
 
 
 def envelope_scene(number: int, catalogue: dict, gel: Gel) -> Scene:
-    """Random scene `number` of the paper's envelope: the same whatever else is solved."""
+    """Random scene `number` of the paper's envelope, which does not depend on other scenes."""
     rng = np.random.default_rng([8, number])
     bodies = [body for body in catalogue.values() if not body.spare]
     body = bodies[rng.integers(len(bodies))]
@@ -268,7 +266,7 @@ def envelope_scene(number: int, catalogue: dict, gel: Gel) -> Scene:
 
 
 def solve_envelope(bench: ChartBench, catalogue: dict, folder: Path, count: int, method: Method) -> list[dict]:
-    """Records of the envelope's scenes with one engine at label setting, kept one by one."""
+    """Records of the envelope's scenes by one method, stored one by one."""
     gel, limit = load_gel(USUAL_GEL), bench.params.pareto.limit_s
     key = hashlib.sha256(canonical(envelope_settings(bench.params, method)).encode()).hexdigest()
     records = []
@@ -288,14 +286,14 @@ def solve_envelope(bench: ChartBench, catalogue: dict, folder: Path, count: int,
 
 
 def envelope_settings(params: StageParameters, method: Method) -> list:
-    """What the records of an engine depend on."""
+    """What the records of a method depend on."""
     if method.solver == "hex":
         return [params.version, asdict(quality(method.name))]
     return [params.version, *ccx_settings(params)]
 
 
 def envelope_figures(found: dict[str, list[dict]]) -> list[Figure]:
-    """Share of valid results and of failures with a reason, engine by engine, and how the two agree."""
+    """Fraction of valid results and of failures with a reason, by method, and differences between both methods."""
     figures = [figure for engine, records in found.items() for figure in _valid_figures(engine, records)]
     both = [(h, c) for h, c in zip(found["label"], found["ccx"], strict=True)
             if h["status"] == c["status"] == "OK" and c["evidence"].get("method") == "ccx"]  # fmt: skip
@@ -330,11 +328,11 @@ def _valid_figures(engine: str, records: list[dict]) -> list[Figure]:
     ]  # fmt: skip
 
 
-# -- what labels cost
+# -- cost of labels
 
 
 def cost_figures(scenes: dict[str, Scene], sensor: Sensor) -> list[Figure]:
-    """Moments of one press, growth with unknowns and throughput, in process."""
+    """Cost in process of the frames of one press, growth with the number of unknowns, and throughput."""
     framed = {name: scene for name, scene in scenes.items() if name in FRAMED}
     return [
         *cost.frame_figures(framed, sensor),
@@ -395,9 +393,12 @@ def main(args: Namespace) -> None:
 
 
 def reference_figures(checks: dict) -> list[Figure]:
-    """By how much halving element size and load step moves the references, as it is kept beside them: worst scene and median."""
+    """Differences of solves with elements and load steps of twice the size from the references: worst and median.
+
+    checks: the stored differences by scene. The figures keep the name "halved", the key of stored results.
+    """
     figures = []
-    for kind, goal in HALVED.items():
+    for kind, goal in DOUBLED_GOALS.items():
         moved = {name: 100 * check[kind] if check else np.inf for name, check in checks.items()}
         note = "; ".join(f"{name} {value:.2f}" for name, value in moved.items())
         figures.append(Figure(f"references, halved: {kind}, worst", max(moved.values()), "<=", goal, "%", note))

@@ -1,4 +1,4 @@
-"""Indenters and gel against the published solids, and how fast their distances are."""
+"""Indenters and gel against the published solids, and speed of their distance functions."""
 
 import time
 from argparse import Namespace

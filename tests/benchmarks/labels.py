@@ -1,4 +1,4 @@
-"""Labels: time against shapely, a whole dataset, and line-up with the image."""
+"""Labels: time against shapely and for a whole dataset, and alignment with the image."""
 
 import resource
 import subprocess
@@ -33,11 +33,11 @@ SAMPLES, SHARD = 15_000, 8
 LARGEST_BUMP = 5.0  # mm, radius
 REFERENCE_PITCH = np.array([32.9, 31.4])
 DEPTH = -2.284  # mm, of the cuboid in the reference image
-PLATEAU = 0.5  # of the median pressure under the cuboid: where its outline is drawn
+PLATEAU = 0.5  # fraction of the median pressure under the cuboid that defines its outline
 
 
 def bumps(mesh, rng, count, reach) -> list[np.ndarray]:
-    """Nodal forces (n, 3) of round presses of 2 mm radius to the largest, centres up to `reach` (2,) mm off the apex."""
+    """Nodal forces (n, 3) of round presses of 2 mm to LARGEST_BUMP radius, up to `reach` (2,) mm off the apex."""
     found = []
     for _ in range(count):
         x, y, radius = (
@@ -56,7 +56,7 @@ def dome_load(mesh, x, y, radius) -> np.ndarray:
 
 
 def csr(forces) -> tuple:
-    """ptr, node, force of dense nodal forces, as in a forces shard."""
+    """Dense nodal forces as ptr, node, force, as in a shard's file of forces."""
     nodes = [np.flatnonzero(f.any(axis=1)) for f in forces]
     ptr = np.concatenate([[0], np.cumsum([len(n) for n in nodes])])
     return (
@@ -69,7 +69,7 @@ def csr(forces) -> tuple:
 def shapely_label(mesh, sensor, grid: Grid, nodal, boxes_first: bool) -> np.ndarray:
     """One label by intersecting polygons one at a time, as FEATS' label_generation.py does.
 
-    Every cell is intersected with every contact face; with `boxes_first` only where bounding boxes meet.
+    Every cell is intersected with every contact face; with `boxes_first` only if their bounding boxes meet.
     """
     from shapely.geometry import Polygon, box
 
@@ -94,7 +94,7 @@ def shapely_label(mesh, sensor, grid: Grid, nodal, boxes_first: bool) -> np.ndar
 
 
 def best_seconds(work, repeats: int = 5) -> float:
-    """Shortest processor time of `work()`, which other load on the machine does not lengthen."""
+    """Shortest processor time of `work()`, s, because other load on the machine does not lengthen it."""
     times = []
     for _ in range(repeats):
         start = time.process_time()
@@ -137,7 +137,7 @@ def speed(sensors, rng) -> list[Figure]:
 
 
 def write_shards(folder: Path, rng, samples: int) -> None:
-    """Forces and poses of so many presses on tetrahedra of 0.5 mm."""
+    """Write forces and poses of `samples` presses on tetrahedra of 0.5 mm."""
     even = TetMeshName("gelsight_mini", 0.5, 0.5, Contact.of(np.ones((1, 1), bool), 26.0, (-13.0, -13.0)))
     mesh = even.mesh()
     surface = mesh.surface_nodes.astype(np.int32)
@@ -160,7 +160,7 @@ def write_shards(folder: Path, rng, samples: int) -> None:
 
 
 def whole_dataset(rng, samples: int) -> list[Figure]:
-    """Stage 50 as make runs it, on so many samples at a resolution that has no operator yet; one thread."""
+    """Time of stage 50 as make runs it, on `samples` samples, without operators from an earlier run; one thread."""
     with tempfile.TemporaryDirectory(dir="results") as name:
         folder = Path(name)
         write_shards(folder, rng, samples)
@@ -187,7 +187,7 @@ def whole_dataset(rng, samples: int) -> list[Figure]:
 
 
 def cuboid_outline(sensors, reference: Path) -> list[Figure]:
-    """Outline of a computed cuboid label against the four corners that FEATS marked: as FEATS places forces, and as pictures do."""
+    """Outline of a computed cuboid label against four corners that FEATS marked, by FEATS' and by our projection."""
     from gelforge.geometry.gel import Gel
     from gelforge.geometry.indenters import load_catalogue
     from gelforge.mechanics.hexsettings import HexSettings
@@ -201,7 +201,8 @@ def cuboid_outline(sensors, reference: Path) -> list[Figure]:
     points, pixels = read_points(reference / "feats/point_correspondences.csv")
     surface = np.isin(np.arange(len(result.forces)), result.mesh.surface_nodes)
     forces = csr([result.forces * surface[:, None]])
-    # FEATS marked its corners at 14 px/mm; in gel mm they are the cuboid's own, which other sensors show elsewhere.
+    # FEATS marked the corners at 14 px/mm; in gel mm they are those of the cuboid, which other sensors show
+    # elsewhere.
     places = {"feats_mini": pixels, "gelsight_mini": sensors["gelsight_mini"].project(points)}
     figures = []
     for name, corners in places.items():
@@ -218,7 +219,7 @@ def cuboid_outline(sensors, reference: Path) -> list[Figure]:
 
 
 def outline_px(pressure, image) -> np.ndarray:
-    """Left, top, right and bottom edge in px of the cells that bear over PLATEAU of the loaded ones' median."""
+    """Left, top, right and bottom edge in px of the cells above PLATEAU times the loaded cells' median pressure."""
     loaded = pressure > PLATEAU * np.median(pressure[pressure > 0.05 * pressure.max()])
     rows, cols = np.flatnonzero(loaded.any(axis=1)), np.flatnonzero(loaded.any(axis=0))
     du, dv = image[0] / pressure.shape[1], image[1] / pressure.shape[0]

@@ -1,7 +1,7 @@
 """Results on other processors: every scene of the chart under the code paths of MKL and numba, and with two threads.
 
-A processor chooses among code paths that differ in the last bits. Each case runs in a process of its own; what it gave is
-kept beside the JSON and taken from there while scenes and solver stay the same.
+Libraries choose a code path by the processor, and these differ in the last bits. Each case runs in its own process;
+its result is kept beside the JSON and used again while scenes and solver stay the same.
 """
 
 import hashlib
@@ -45,7 +45,7 @@ ONE_THREAD = {"MKL_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"}
 
 
 def solver_of(way: str, params: config.Params, work: Path) -> Callable[[Scene], tuple[Result, GelMesh]]:
-    """A function that solves a scene in one of WAYS and gives the mesh of the result."""
+    """A function that solves a scene by one of WAYS and returns the result and its mesh."""
     if way != "ccx":
         hexahedra = HexSolver(quality(way))
 
@@ -64,7 +64,7 @@ def solver_of(way: str, params: config.Params, work: Path) -> Callable[[Scene], 
 
 
 def solve_scenes(way: str, names: list[str] | None, workflow: Path) -> dict[str, dict]:
-    """Status, total force (3,) and cells (3, 24, 32) in N of scenes solved in this process in one of WAYS."""
+    """Status, total force (3,) and cells (3, 24, 32) in N of scenes solved in this process by one of WAYS."""
     params = config.load_params(workflow)
     sensor = load_sensors(workflow / "sensors.toml")[params.pareto.sensor]
     tables = read_tables(workflow)
@@ -87,15 +87,17 @@ def digest_of_all(workflow: Path) -> str:
 
 
 def environment(case: str, folder: Path) -> dict[str, str]:
-    """Environment of a process whose libraries take the code path of a case; numba's code for another processor is
-    kept separately, in the folder."""
+    """Environment of a process whose libraries take the code path of a case.
+
+    Numba's code for another processor is kept separately, in `folder`.
+    """
     free = {k: v for k, v in os.environ.items() if k != "MKL_CBWR"}
     caches = {"NUMBA_CACHE_DIR": str((folder / "numba" / case).resolve())} if "NUMBA_CPU_NAME" in CASES[case] else {}
     return {**free, **ONE_THREAD, **CASES[case], **caches}
 
 
 def on_machine(case: str, way: str, names: list[str] | None, folder: Path, workflow: Path) -> dict[str, dict]:
-    """`solve_scenes` in a process whose libraries take the code path of a case; kept in the folder."""
+    """`solve_scenes` in a process whose libraries take the code path of a case; the result is stored in `folder`."""
     content = json.dumps([digest_of_all(workflow), case, way, names])
     kept = folder / f"{way}-{case.replace(' ', '-')}-{hashlib.sha256(content.encode()).hexdigest()[:16]}.json"
     if not kept.exists():
@@ -115,7 +117,7 @@ def difference(results: list[dict]) -> tuple[float, float]:
 
 
 def compare(way: str, folder: Path, workflow: Path, names: list[str] | None = None) -> dict[str, tuple[float, float]]:
-    """Differences between the machines by scene, in one of WAYS; infinite where they end in another status."""
+    """Differences between the cases by scene, for one of WAYS; infinite if their statuses differ."""
     machines = [on_machine(case, way, names, folder, workflow) for case in CASES]
     found = {}
     for name in machines[0]:
@@ -126,7 +128,7 @@ def compare(way: str, folder: Path, workflow: Path, names: list[str] | None = No
 
 
 def figures_of(way: str, differences: dict[str, tuple[float, float]]) -> list[Figure]:
-    """The worst scene's differences in one of WAYS."""
+    """The worst scene's differences for one of WAYS."""
     figures = []
     for place, (what, goal) in enumerate((("total force", TOTAL), ("cells", CELLS))):
         worst = max(differences, key=lambda name, place=place: differences[name][place])

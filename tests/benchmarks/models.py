@@ -1,6 +1,6 @@
-"""What was promised of the networks, measured.
+"""Latency of networks, and memory and waiting for data in training.
 
-Latency, memory and waiting need no trained network and are measured on made-up presses.
+None of this needs a trained network; training is measured on synthetic presses.
 """
 
 import subprocess
@@ -29,13 +29,13 @@ if TYPE_CHECKING:
 
 IMAGE, GRID = (240, 320), (24, 32)
 BASELINE, LIGHT = "unet", "pair_24_mirrored"
-SHIPS = "tuned"  # as the shipped network is built, which is deeper than LIGHT
+SHIPS = "tuned"  # has the architecture of the shipped network, which is deeper than LIGHT
 PARTS = ("speed", "training")
-PROBED = 24  # presses of the made-up dataset: three batches an epoch
+PROBED = 24  # training presses of the synthetic dataset: three batches per epoch
 
 
 def write_made_up(folder: Path) -> Path:
-    """A dataset of noise in the form of stage 60: enough for time and memory, nothing to learn."""
+    """Write a dataset of noise in the form of stage 60, which suffices for time and memory."""
     rng = np.random.default_rng(0)
     folder.mkdir(parents=True)
     count = PROBED + 8
@@ -57,7 +57,7 @@ def load_workflow() -> tuple[dict, TrainTable]:
 
 
 def speed_figures(models: dict, seconds: float) -> list[Figure]:
-    """How much faster the net that ships is than the U-net, with one and two threads."""
+    """Speed-up of the shipped network over the U-net, with one and two threads."""
     from gelforge.learning.fitting import time_predictors
 
     image = np.random.default_rng(0).integers(0, 256, (*IMAGE, 3), np.uint8)
@@ -84,10 +84,10 @@ def speed_figures(models: dict, seconds: float) -> list[Figure]:
 
 
 def chain_figure(seconds: float) -> Figure:
-    """All that `predict` does with a picture over its graph alone, on the demo's pairs, one thread.
+    """Time of `predict` over that of its graph alone, on the demo's pairs, one thread.
 
-    Both take turns, and the time of each is that which the fastest tenth of its runs stays below: longer runs are
-    interrupted more often by other programs, which would count as theirs.
+    Both take turns, and each time is the 10 % quantile of its runs: longer runs are interrupted more often by other
+    programs, which would count as their own time.
     """
     import cv2
 
@@ -108,7 +108,7 @@ def chain_figure(seconds: float) -> Figure:
 
 
 def demo_pairs() -> list[tuple["Predictor", np.ndarray]]:
-    """The predictor that ships and the picture (h, w, 3) uint8 of every press of the demo."""
+    """The shipped predictor and the image (h, w, 3) uint8 of every press of the demo."""
     from gelforge.reading.predictor import Predictor, load_for_use
 
     model, folder = load_for_use(None), Path("data/demo")
@@ -121,14 +121,14 @@ def demo_pairs() -> list[tuple["Predictor", np.ndarray]]:
 
 
 def seconds_of(work: Callable[..., object], *given: object) -> float:
-    """How long a call takes."""
+    """Wall time of a call, s."""
     started = time.perf_counter()
     work(*given)
     return time.perf_counter() - started
 
 
 def untrained(model: dict, threads: int) -> "Predictor":
-    """A network with fresh weights and unit scales, for timing."""
+    """A network with random weights and unit scales, for timing."""
     from gelforge.learning.export import export
     from gelforge.learning.nets import build
     from gelforge.reading.model import model_of
@@ -141,7 +141,7 @@ def untrained(model: dict, threads: int) -> "Predictor":
 
 
 def train_apart(dataset: Path, name: str, settings: TrainTable, folder: Path):
-    """Train in a process of its own, so that its peak memory is its own; return the model."""
+    """Train in a separate process, so that its peak memory is its own; return the model."""
     from gelforge.reading.model import load_model
 
     of = Layout(folder / "results/timed")
@@ -156,7 +156,7 @@ def train_apart(dataset: Path, name: str, settings: TrainTable, folder: Path):
 
 
 def training_figures(settings: TrainTable, folder: Path, dataset: Path) -> list[Figure]:
-    """Peak memory and waiting for data, for the U-net and the light net; the export itself compares graph and network."""
+    """Peak memory and waiting for data, for the U-net and the light network; export compares graph and network."""
     figures = []
     for name, epochs in ((BASELINE, 1), (LIGHT, 6)):
         trained = train_apart(dataset, name, replace(settings, epochs=epochs), folder)

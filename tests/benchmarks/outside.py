@@ -1,7 +1,8 @@
-"""An independent finite element library, GetFEM, on scenes of the open benchmark, edges and shear among them, beside the references.
+"""GetFEM, an independent finite element library, against the references on scenes of the open benchmark.
 
-It is a program of Debian's own Python (python3-getfem, python3-scipy). Every scene is solved once for the same program,
-scene and cells, so a run that was interrupted goes on. Without the package it says so and measures nothing.
+The scenes include edges and shear. The program runs in Debian's own Python (python3-getfem, python3-scipy); without
+these packages it says so and measures nothing. Every scene is solved once for the same program, scene and gel, so
+that an interrupted run resumes.
 """
 
 import hashlib
@@ -18,12 +19,12 @@ from tests.support.debian_python import PROGRAM, PYTHON, has_getfem
 from tests.support.figures import Figure, publish_figures
 
 GOALS = ("sphere_1mm", "cuboid_round", "cylinder", "pyramid", "cuboid_shear", "sloping_cuboid", "triple_triangle")
-SHARP = ("cuboid_sharp", "punch")  # no goal: their references still move where elements are halved
-TOTAL, CELLS = 0.5, 3.0  # % of total force: the total, and the sum over 2 x 2 cells
+SHARP = ("cuboid_sharp", "punch")  # without a goal: their references are not converged in element size
+TOTAL, CELLS = 0.5, 3.0  # largest errors in % of total force: of the total, and summed over blocks of 2 x 2 cells
 
 
 def submission(folder: Path, scenes: tuple[str, ...], work: Path) -> Path:
-    """Folder of the outside engine's forces, named by all that they depend on; folder: the open benchmark's."""
+    """Folder of GetFEM's forces, named by a digest of all that they depend on. folder: the open benchmark's."""
     digest = hashlib.sha256(PROGRAM.read_bytes())
     for name in ("gel.stl", *(f"scenes/{scene}/scene.json" for scene in GOALS + SHARP)):
         digest.update((folder / name).read_bytes())
@@ -39,14 +40,14 @@ def submission(folder: Path, scenes: tuple[str, ...], work: Path) -> Path:
 
 
 def scored(folder: Path, out: Path) -> dict:
-    """What the benchmark's own script says of a submission."""
+    """Scores of a submission by the benchmark's own script."""
     path = out / "score.json"
     subprocess.run([sys.executable, "-I", str(folder / "score.py"), str(out), "--out", str(path)], check=True)
     return json.loads(path.read_text(encoding="utf-8"))
 
 
 def figures_of(scores: dict) -> list[Figure]:
-    """Errors of the scenes that have goals; the table of the benchmark's own script has the sharp ones, too."""
+    """Errors of the scenes that have goals; the scores of the benchmark's script include the sharp ones, too."""
     found = []
     for name, errors in scores["scenes"].items():
         if name in SHARP:

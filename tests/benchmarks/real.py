@@ -1,9 +1,10 @@
-"""What the shipped network reads in pictures of real sensors that it never saw, where something of the truth is known.
+"""The shipped network on images of real, unseen sensors for which part of the truth is known.
 
-No force was measured beside these pictures. What is known: a ball of known diameter is a force sensor
-(`tests/benchmarks/parts/balls.py`); a released gel bears nothing; a sideways force moves the markers its way; FEATS published its
-own maps of 51 presses; a cuboid leaves a square and a tube a ring, whose sizes are known. The same images are spoilt on purpose
-(`tests/benchmarks/parts/spoilt.py`), and balls are drawn whose markers move less than finite elements say.
+No force was measured with these images. Known are: the force under a ball of known diameter
+(`tests/benchmarks/parts/balls.py`); zero force on a released gel; the direction of a tangential force, by the
+markers' motion; FEATS' published maps of 51 presses; the sizes of the square under a cuboid and of the ring under a
+tube. The same images are also corrupted on purpose (`tests/benchmarks/parts/spoilt.py`), and balls are rendered whose
+markers move less than by finite elements.
 """
 
 import itertools
@@ -35,30 +36,29 @@ from tests.support.feats_film import feats_maps
 from tests.support.figures import PUBLISHED_DATA, Figure, publish_figures
 
 NAMED = np.s_[:5, :10]  # cells of a map that the panels' names cover
-SEEN = np.ones((24, 32), bool)  # and those that they do not
+SEEN = np.ones((24, 32), bool)  # cells that they do not cover
 SEEN[NAMED] = SEEN[:3, :11] = False
-# Where pictures show the gel, and where FEATS' maps place it, px at 320 x 240 (gelsight_mini and feats_mini of
-# workflow/sensors.toml).
+# Scale of the images and of FEATS' maps at 320 x 240 (gelsight_mini and feats_mini of workflow/sensors.toml).
 PX_PER_MM, FEATS_PX_PER_MM = float(np.hypot(*gelsight_mini().projection[0, :2])), 14.0
-# Cells of the square that the picture of the pressed cuboid shows, with one to spare on each side.
+# Cells of the square in the image of the pressed cuboid, with a margin of one cell on each side.
 SQUARE = np.s_[4:20, 8:23]
-# Diameter of the ring that a tube of 10 and 7 mm presses in the rig's labels, whose edges are round (140 presses; within 0.05 mm).
+# Diameter of the ring under a tube of 10 and 7 mm with rounded edges, in the rig's labels (140 presses; +- 0.05 mm).
 TUBE_MM = 8.6
 TUBES = (9, 31, 45, 49)  # frames of FEATS' film in which the whole ring of that tube presses
 FOOT = 0.35  # fraction of a map's largest force from which a cell counts as pressed
-NEWTONS = 0.30, 0.17  # a cell at the end of FEATS' colour scale: its code knows both
-SIDEWAYS_NEWTONS = 0.07  # the same of its sideways maps, beside the first
+NEWTONS = 0.30, 0.17  # N per cell at the end of FEATS' colour scale: both values are in its code
+SIDEWAYS_NEWTONS = 0.07  # the same for its tangential maps, which goes with the first value
 PARTS = ("films", "maps", "balls", "drawn", "cuboid")
-LEAST_TOTAL = 0.05  # N that is taken to be read at least where a logarithm is taken
-# Folders of the reference data, and a kind of file in each.
+LEAST_TOTAL = 0.05  # N, lower bound of predicted totals before a logarithm
+# Folders of the reference data, and files that each must hold.
 HELD = {"gripper_videos": "*.avi", "feats/images": "*.gif", BALLS: "background.png"}
 
 
-# -- FEATS' film of its own maps
+# -- FEATS' film of its force maps
 
 
 def laid(cells: np.ndarray, fraction: float, right: float = 0.0, down: float = 0.0) -> np.ndarray:
-    """A map (rows, cols) made smaller by `fraction` about its middle and moved by so many cells."""
+    """A map (rows, cols) scaled by `fraction` about its centre and shifted by `right` and `down` cells."""
     size = cells.shape[::-1]
     shift = (1.0 - fraction) * (np.array(size) - 1) / 2 + (right, down)
     matrix = np.array([[fraction, 0.0, shift[0]], [0.0, fraction, shift[1]]])
@@ -66,12 +66,12 @@ def laid(cells: np.ndarray, fraction: float, right: float = 0.0, down: float = 0
 
 
 def likeness(maps: list[tuple[np.ndarray, np.ndarray]], *how: float) -> float:
-    """Median correlation of FEATS' normal maps with maps of their pictures that are `laid` so, names left out."""
+    """Median correlation of FEATS' normal maps with predicted ones after `laid(…, *how)`, without covered cells."""
     return float(np.median([np.corrcoef(laid(own, *how)[SEEN], normal[SEEN])[0, 1] for own, normal in maps]))
 
 
 def gif_figures(own: list[np.ndarray], of_feats: list[np.ndarray]) -> list[Figure]:
-    """Normal maps (24, 32) N that are predicted, larger where pressed more, against FEATS' own, each scaled to itself."""
+    """Predicted normal maps (24, 32) N, larger for more pressure, against FEATS' own, by correlation."""
     both, own_mm = list(zip(own, of_feats, strict=True)), FEATS_PX_PER_MM / PX_PER_MM
     ways = itertools.product(np.arange(0.8, 1.01, 0.02), *[np.arange(-2.0, 2.01, 0.25)] * 2)
     best, how = max((likeness(both, *how), how) for how in ways)
@@ -86,7 +86,7 @@ def gif_figures(own: list[np.ndarray], of_feats: list[np.ndarray]) -> list[Figur
 
 
 def newton_figures(own: list[np.ndarray], of_feats: np.ndarray, normal: list[np.ndarray]) -> list[Figure]:
-    """Total normal force against FEATS' maps in newtons; of_feats: (n,) sums of theirs, whose pressing runs from 0 to 1 of one scale.
+    """Total normal force against FEATS' maps in newtons. of_feats: (n,) sums of its maps, with one scale from 0 to 1.
 
     normal: FEATS' maps (24, 32), whose cells above `FOOT` of the largest are the area of contact.
     """
@@ -109,11 +109,11 @@ def newton_figures(own: list[np.ndarray], of_feats: np.ndarray, normal: list[np.
 def interval_figures(
     evidence: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]],
 ) -> tuple[list[Figure], dict[str, float]]:
-    """How often intervals hold on real sensors, and by what fraction of a force they must grow, without and with a profile.
+    """Coverage of 90 % intervals on real sensors, and the fraction of force by which they must widen.
 
-    evidence: what is read, the force that is known and half the width that the network itself knows, (n,) N each, by kind. Without a
-    profile the width that one kind needs is tested on the others. With one, its factor comes from ten presses, and they are
-    tested on the rest of their kind by the width that the others need.
+    evidence: by kind, the predicted and the known force and half the width of the network's own interval, (n,) N
+    each. Without a profile, each kind is tested with the width that the other kinds need. With a profile, its factor
+    comes from ten presses, and the rest of the kind is tested with the width that the other kinds need.
     """
     unprofiled, profiled, rest = {}, {}, {}
     for kind, (read, force, half) in evidence.items():
@@ -153,9 +153,9 @@ def interval_figures(
 
 
 def aside_figures(kind: str, read: Sequence[ForceReading], known: np.ndarray | None = None) -> list[Figure]:
-    """Sideways forces that are read: the largest error, and how many of their intervals hold.
+    """Predicted tangential forces: the largest error, and the coverage of their intervals.
 
-    known: what they are, (n, 2) N along gel x and y; None for presses straight down, of which they are zero.
+    known: true ones, (n, 2) N along gel x and y; None for presses straight down, where they are zero.
     """
     aside = np.array([one.total[:2] for one in read])
     error = np.abs(aside if known is None else aside - known)
@@ -174,7 +174,7 @@ def aside_figures(kind: str, read: Sequence[ForceReading], known: np.ndarray | N
 def evidence_of(
     model: ForceModel, read: Sequence[ForceReading], forces: np.ndarray, seen: np.ndarray | slice = np.s_[:]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Normal force that is predicted, the one that is known, and half the width that the network itself knows, (n,) N each.
+    """Predicted normal force, known one, and half the width of the network's own interval, (n,) N each.
 
     seen: cells that count.
     """
@@ -187,7 +187,7 @@ def evidence_of(
 def feats_figures(
     reference: Path, model: ForceModel, nocontact: np.ndarray
 ) -> tuple[list[Figure], tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Figures of FEATS' presses, and what they show of intervals."""
+    """Figures of FEATS' presses, and their `evidence_of` intervals."""
     folder, predictor = reference / "feats/images", Predictor(model, nocontact)
     presses = feats_maps(folder / "demo.gif", nocontact)
     read = [predictor.predict(image) for image, _ in presses]
@@ -208,7 +208,7 @@ def feats_figures(
 def real_ball_figures(
     folder: Path, model: ForceModel
 ) -> tuple[list[Figure], tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Figures of the presses of a ball, and what they show of intervals."""
+    """Figures of the presses of a ball, and their `evidence_of` intervals."""
     background = read_image(folder / BACKGROUND)
     presses = read_presses(folder, PX_PER_MM)
     predictor = Predictor(model, background)
@@ -223,14 +223,14 @@ def real_ball_figures(
 
 
 def ranks_alike(maps: list[tuple[np.ndarray, np.ndarray]]) -> float:
-    """Spearman's rank correlation of the sums of pairs of maps, names left out."""
+    """Spearman's rank correlation of the sums of pairs of maps, without covered cells."""
     from scipy.stats import spearmanr
 
     return float(spearmanr([[own[SEEN].sum(), normal[SEEN].sum()] for own, normal in maps]).statistic)
 
 
 def ring_diameter(pressed: np.ndarray) -> float:
-    """Diameter in cells of the circle about which a map (rows, cols) presses, by least squares (Kasa 1976)."""
+    """Diameter in cells of the circle fitted to pressed cells of a map (rows, cols), by least squares (Kasa 1976)."""
     weight = np.sqrt(np.where(pressed > FOOT * pressed.max(), pressed, 0.0)).ravel()
     v, u = np.indices(pressed.shape).reshape(2, -1).astype(float)
     sides = np.stack([u, v, np.ones_like(u)], axis=1) * weight[:, None]
@@ -239,9 +239,9 @@ def ring_diameter(pressed: np.ndarray) -> float:
 
 
 def tube_figures(own: list[np.ndarray]) -> list[Figure]:
-    """How wide the rings are read that a tube of known size presses: whether pictures are of the scale that is said.
+    """Predicted diameter of the rings under a tube of known size, which checks the scale of the images.
 
-    own: normal map (24, 32) N of each of FEATS' presses.
+    own: predicted normal map (24, 32) N of each of FEATS' presses.
     """
     widths = []
     for tube in TUBES:
@@ -254,7 +254,7 @@ def tube_figures(own: list[np.ndarray]) -> list[Figure]:
 
 
 def cuboid_figures(reference: Path, model: ForceModel, nocontact: np.ndarray) -> list[Figure]:
-    """A 10 mm cuboid pressed straight: sideways force beside the normal one, and how much is read where it presses."""
+    """A 10 mm cuboid pressed straight: tangential over normal force, and the fraction predicted inside its square."""
     image = read_image(reference / "feats/images/cuboid_10-2-284.png")[..., :3]
     cells = Predictor(model, nocontact).predict(image).cells
     normal, sideways = -cells[2].sum(), float(np.hypot(*cells[:2].sum((1, 2))))
@@ -266,7 +266,7 @@ def cuboid_figures(reference: Path, model: ForceModel, nocontact: np.ndarray) ->
 
 
 def need_pictures(reference: Path) -> None:
-    """BadInput where a folder does not hold the real pictures."""
+    """BadInput if a folder does not hold the real images."""
     missing = [f"{name}/{kind}" for name, kind in HELD.items() if not any((reference / name).glob(kind))]
     if missing:
         raise BadInput(

@@ -1,4 +1,4 @@
-"""What was promised of the virtual rig: speed, likeness to real pictures, agreement with mechanics."""
+"""The virtual rig: speed, similarity to real images, agreement with mechanics."""
 
 import time
 from argparse import Namespace
@@ -27,20 +27,20 @@ from tests.support import likeness as measure
 from tests.support.figures import PUBLISHED_DATA, Figure, publish_figures
 
 REFERENCE_UNIT = "mini_a"
-# The real cuboid's log is not published: its depth is; the sideways path is read off its markers (3 px in u).
+# Of the real cuboid's press only the depth is published; the sideways path comes from its markers (3 px in u).
 CUBOID = Order(0, "cuboid", "", REFERENCE_UNIT, "cuboid_10", 0.0, 0.0, 2.284, (0.0, -0.25), 0.0, 1e9)
 PARTS = ("presses", "likeness", "cuboid")
-MOVED_PX = 2.0  # misprints of real markers are 1 px; a marker that stands off the grid by more than this was moved
+MOVED_PX = 2.0  # a marker farther from the grid than this has moved; printing errors of real markers are 1 px
 
 
 @dataclass
 class Rig:
-    """One bench with its cameras, and the press that the real cuboid picture shows."""
+    """One bench with its cameras, and the press of the real cuboid image."""
 
     plan: Plan
     bench: Bench
     units: tuple[dict, dict]  # appearances and sensors by name
-    cameras: dict[str, Renderer] = field(default_factory=dict)  # those that were asked for
+    cameras: dict[str, Renderer] = field(default_factory=dict)  # made so far
 
     @classmethod
     def of(cls, plan_path, workflow: Path) -> "Rig":
@@ -57,11 +57,11 @@ class Rig:
 
     @cached_property
     def cuboid(self) -> Pressing:
-        """The press of the real cuboid picture."""
+        """The press of the real cuboid image."""
         return self.bench.press(CUBOID)[-1]
 
     def view(self, pressing: Pressing):
-        """Displacement field and body of a press, as cameras want them."""
+        """Displacement field and body of a press, as cameras take them."""
         result = pressing.result
         surface = surface_of(result.mesh, result.displacement, pressing.real)
         return field_of(self.bench.gel, surface), Pressed(self.bench.body(pressing.order.indenter), pressing.real)
@@ -73,7 +73,7 @@ class Rig:
 
 
 def pressed(rig: Rig, count: int = 24) -> tuple[list[Pressing], list[float]]:
-    """Presses spread over the whole plan, processor seconds of simulating and rendering each."""
+    """Presses spread over the whole plan, and the processor seconds that each took to simulate and render."""
     some = [order for order in orders(rig.plan) if order.unit == 0][7 :: max(1, rig.plan.presses // count)][:count]
     rig.picture(rig.bench.press(some[0])[-1])  # compiles what numba compiles
     pressings, seconds = [], []
@@ -88,7 +88,7 @@ def pressed(rig: Rig, count: int = 24) -> tuple[list[Pressing], list[float]]:
 
 
 def speed(rig: Rig, pressings: list[Pressing], seconds: list[float]) -> list[Figure]:
-    """How long presses take, and pictures a second."""
+    """Time of a press, and images per second."""
     worst = pressings[int(np.argmax(seconds))]
     note = f"processor time on one core, {len(seconds)} presses of {rig.plan.dataset}.toml, "
     slowest = f"{worst.order.indenter}, {-worst.real.dz:.2f} mm, {-worst.force[2]:.0f} N"
@@ -142,11 +142,11 @@ def real_cuboid(reference: Path) -> np.ndarray:
 
 
 def cuboid(rig: Rig, reference: Path) -> list[Figure]:
-    """The pressed cuboid against the real picture of one."""
+    """The pressed cuboid against the real image of one."""
     pressing = rig.cuboid
     camera = rig.camera(REFERENCE_UNIT)
-    # FEATS marked these corners at 14 px/mm; in gel mm they are the cuboid's own, which this camera shows elsewhere, and
-    # larger by what half of a flank is nearer to it.
+    # FEATS marked these corners at 14 px/mm; in gel mm they are those of the cuboid. This camera shows them
+    # elsewhere, and larger, because the middle of a flank is nearer to it.
     marked, _ = read_points(reference / "feats" / "point_correspondences.csv")
     corners = camera.seen(marked, np.array([[0.0, 0.0, pressing.real.dz / 2]]))
     expected = np.array([corners[:, 0].min(), corners[:, 0].max(), corners[:, 1].min(), corners[:, 1].max()])
@@ -173,18 +173,18 @@ def cuboid(rig: Rig, reference: Path) -> list[Figure]:
 
 
 def dot_motions(real_before, before, real_after, after) -> tuple[np.ndarray, np.ndarray]:
-    """How far each marker (63, 2) px moved in the real picture and in ours, less the mean motion of all.
+    """Motion (63, 2) px of each marker in the real image and in ours, minus the mean motion of all.
 
-    The unit of the real cuboid was not photographed without contact, so another unit of the same print stands in.
-    Gels are mounted a few px apart in their holders, which the mean takes away; a print that is a little larger would
-    be read as motion.
+    The real cuboid's sensor has no no-contact image, so that of another sensor with the same marker grid replaces it.
+    The mean removes the offset between both gels in their holders, a few px; a slightly larger grid would look like
+    motion.
     """
     start, end, our_start, our_end = (_all_markers(image) for image in (real_before, real_after, before, after))
     return tuple(motion - motion.mean(axis=0) for motion in (end - start, our_end - our_start))
 
 
 def without_even_part(motion: np.ndarray) -> np.ndarray:
-    """Motion (63, 2) of the markers less the affine map of the grid that fits it best."""
+    """Motion (63, 2) of the markers minus its best affine fit over the grid."""
     row, col = np.divmod(np.arange(len(motion)), 9)
     design = np.column_stack([np.ones(len(motion)), col, row])
     return motion - design @ np.linalg.lstsq(design, motion, rcond=None)[0]
@@ -196,7 +196,7 @@ def cosines(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 
 
 def _all_markers(image: np.ndarray) -> np.ndarray:
-    """Place (63, 2) px of every marker, row by row."""
+    """Position (63, 2) px of every marker, row by row."""
     grid = markers_in(image).grid(7, 9)
     if grid.count != 63:
         raise BadInput(f"{grid.count} of 63 markers found in a picture of the pressed cuboid; look at make rig-check")
@@ -204,9 +204,10 @@ def _all_markers(image: np.ndarray) -> np.ndarray:
 
 
 def tracking(rig: Rig, pressings: list[Pressing]) -> list[Figure]:
-    """Markers followed between a no-contact and a pressed picture against nodal displacements.
+    """Markers tracked from a no-contact to a pressed image, against nodal displacements.
 
-    The lights show no slopes here: a flank across a marker pulls its dark-weighted centre, though the marker is in place.
+    Here the illumination does not depend on slopes, because a slope across a marker shifts its darkness-weighted
+    centre.
     """
     lights = {name: rig.camera(name) for name in {pressing.order.sensor for pressing in pressings}}
     plain = {
@@ -223,7 +224,7 @@ def tracking(rig: Rig, pressings: list[Pressing]) -> list[Figure]:
 
 
 def tracking_errors(rig: Rig, cameras: dict[str, Renderer], pressings: list[Pressing]) -> tuple[np.ndarray, float]:
-    """Distance (n,) px of each marker tracked in a pair of pictures from where nodes put it, and the largest motion."""
+    """Distance (n,) px of tracked markers from their positions by nodal displacements, and the largest motion."""
     errors, moved = [], 0.0
     for pressing in pressings:
         camera, index = cameras[pressing.order.sensor], pressing.order.index
@@ -247,7 +248,7 @@ def tracking_errors(rig: Rig, cameras: dict[str, Renderer], pressings: list[Pres
     option("--reference", type=Path, default=PUBLISHED_DATA),
 )
 def main(given: Namespace) -> None:
-    """Measure all of it and write the figures, and if asked for the page that shows pictures beside real ones."""
+    """Measure the parts and write the figures and, if asked, the page that shows rendered images beside real ones."""
     if not given.reference.is_dir():
         raise BadInput(f"{given.reference}: no reference data there; set GELFORGE_REFERENCE to it")
     cv2.setNumThreads(1)

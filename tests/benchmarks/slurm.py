@@ -1,4 +1,4 @@
-"""EXECUTOR=slurm against a real one-machine cluster: cost of a task, same forces as locally."""
+"""EXECUTOR=slurm on a real one-machine cluster: cost of a task, and the same forces as locally."""
 
 import os
 import shutil
@@ -21,7 +21,7 @@ SHARDS = 1500
 
 
 def bare_seconds(folder: Path, count: int) -> float:
-    """Seconds that the work of `count` shards takes by itself, two at a time."""
+    """Seconds that the work of `count` shards takes without make, two at a time."""
     names = "\n".join(str(k) for k in range(count))
     command = [
         "xargs",
@@ -43,13 +43,13 @@ def bare_seconds(folder: Path, count: int) -> float:
 
 
 def overhead(folder: Path, lab: Cluster, count: int) -> list[Figure]:
-    """What a task costs beyond its work."""
+    """Time of a task beyond its work."""
     lay_project(folder)
     shards = [str(k) for k in range(count)]
     some = shards[: -(-count // 5)]
     bare = bare_seconds(folder, len(some)) / len(some)
     of_some = (f"SHARDS={' '.join(some)}", "EXECUTOR=local", "DATASET=local")
-    make(folder, lab, "poses", *of_some)  # of which no array is made
+    make(folder, lab, "poses", *of_some)  # a stage that is never a job array
     started = time.monotonic()
     make(folder, lab, "fea", *of_some)
     local = (time.monotonic() - started) / len(some)
@@ -72,11 +72,11 @@ def overhead(folder: Path, lab: Cluster, count: int) -> list[Figure]:
 
 
 def demo_forces(folder: Path) -> list[Figure]:
-    """The demo's forces through Slurm against those of the project's own local run."""
+    """The demo's forces through Slurm against those of a local run of the project."""
     subprocess.run(["make", "forces"], cwd=ROOT, env=clean_environment(), check=True)
     project = link_project(ROOT, folder)
     shutil.copytree(ROOT / "data" / "demo", project / "data" / "demo")
-    # The same meshes: what is compared are poses, solves and forces.
+    # Without the results of the compared stages: poses, solves, forces and what follows.
     solved = shutil.ignore_patterns(".slurm", "10_poses", "30_fea", "[4-9]0_*", "calibrate", "pareto*", "stability")
     shutil.copytree(ROOT / "results" / "demo", project / "results" / "demo", ignore=solved)
     with cluster(memory_mb=20000) as lab:

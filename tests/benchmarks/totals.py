@@ -1,7 +1,8 @@
-"""Whether total forces alone teach a network a sensor whose force maps it never saw: `make benchmark-totals`.
+"""Whether total forces alone adapt a network to a sensor whose force maps it never saw: `make benchmark-totals`.
 
-Two made-up sensors (tests/support/synthetic_presses.py): the second one shades less and its markers move farther. Networks learn from maps
-of the first one alone, with totals of the second one, and with its maps; all are judged on presses of the second one that none saw.
+There are two synthetic sensors (tests/support/synthetic_presses.py); the second one shades less, and its markers move
+farther. Networks are trained on maps of the first one alone, also on totals of the second one, or also on its maps.
+All are tested on unseen presses of the second one.
 """
 
 from argparse import Namespace
@@ -20,14 +21,14 @@ from tests.support.parameters import with_values
 from tests.support.synthetic_presses import SETTINGS, write_dataset
 
 IMAGE, GRID = (48, 64), (6, 8)
-OTHER = {"shade": 0.5, "travel": 1.6}  # of the second sensor, as factors
+OTHER = {"shade": 0.5, "travel": 1.6}  # factors of the second sensor
 MODEL = {"kind": "grid", "width": 12, "blocks": 2}
 PRESSES = 320
 LEARNING = {"epochs": 40, "learning_rate": 4e-3, "total_weight": 1.0, "total_huber": 0.1}
 
 
 def of_totals(data: Data) -> Data:
-    """The same presses, of which only the total force is known."""
+    """The same presses with only their total forces as labels."""
     return replace(data, labels=data.labels[:].sum((2, 3), keepdims=True), maps=np.zeros(len(data.table), bool))
 
 

@@ -1,7 +1,7 @@
-"""Twenty-eight troubles of a lab, each put alone into a copy of the demo: does the flow name its cause before anything learns from it?
+"""Twenty-eight faults of a lab, each put alone into a copy of the demo: does the flow name its cause before training?
 
-The copy is labelled once. Each trouble then changes images, force readings or tables, and make runs to stage 60. What is said of the
-demo as it is, of FEATS' spheres and of real films is a false alarm.
+The copy is labelled once. Each fault then changes images, force readings or tables, and make runs up to stage 60. Any
+message about the unchanged demo, FEATS' spheres or real films is a false alarm.
 """
 
 import re
@@ -39,19 +39,19 @@ from tests.support.films import frames_of
 from tests.support.sandbox import link_project, make
 
 DATA = Path("data/demo")
-WRAPPER = "ccx"  # of CalculiX, in a project that has one of its own
+WRAPPER = "ccx"  # file of a project that replaces CalculiX
 SPHERES = "feats_sphere15"
-ORDINARY = "lies outside the image"  # as the labels note of every log with a press near the edge
+ORDINARY = "lies outside the image"  # no alarm: stage 50 notes it for every log with a press near the edge
 SAID = re.compile(r"^(?:  \| )?((?:error|note|rejected): .*)", re.MULTILINE)
-FRAMES = 12  # of a film
-# Films in which something is held from the first frame on, a thread and a ribbed box: what is said of them is right.
+FRAMES = 12  # per film
+# Films with contact from the first frame on, a thread and a ribbed box: messages about them are right.
 HELD = ("ball_white_thread", "tin_box_5_camera_0")
 
 Change = Callable[[Path], None]
 
 
 def of_pictures(change: Callable[[list[np.ndarray]], Iterable[np.ndarray]]) -> Change:
-    """A trouble of the images: all of them, in the order of the log, as they are to be."""
+    """A fault of the images: `change` takes all images in the order of the log and returns the new ones."""
 
     def act(project: Path) -> None:
         paths = [project / DATA / row["image"] for row in read_csv(project / DATA / "log.csv")]
@@ -62,12 +62,12 @@ def of_pictures(change: Callable[[list[np.ndarray]], Iterable[np.ndarray]]) -> C
 
 
 def of_nocontact(change: Callable[[Path], np.ndarray]) -> Change:
-    """A trouble of the no-contact image of mini_a, from the dataset's folder."""
+    """A fault of the no-contact image of mini_a: `change` makes it from the dataset's folder."""
     return lambda project: write_png(project / DATA / "nocontact/mini_a.png", change(project / DATA))
 
 
 def of_rows(change: Callable[[list[dict[str, str]]], None]) -> Change:
-    """A trouble of the log's rows, which are changed in place."""
+    """A fault of the log's rows, which `change` edits in place."""
 
     def act(project: Path) -> None:
         rows = read_csv(project / DATA / "log.csv")
@@ -78,7 +78,7 @@ def of_rows(change: Callable[[list[dict[str, str]]], None]) -> Change:
 
 
 def of_forces(change: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Change:
-    """A trouble of the force readings (n, 3) N; rot_deg (n,) of the rows is given beside them."""
+    """A fault of the force readings (n, 3) N: `change` takes them and the rows' rot_deg (n,)."""
 
     def act(rows: list[dict[str, str]]) -> None:
         names = ("fx_n", "fy_n", "fz_n")
@@ -90,7 +90,7 @@ def of_forces(change: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> Change:
 
 
 def of_table(name: str, change: Callable[[str], str]) -> Change:
-    """A trouble of a table of the project, as text."""
+    """A fault of a table of the project: `change` edits its text."""
 
     def act(project: Path) -> None:
         text = (project / name).read_text(encoding="utf-8")
@@ -103,7 +103,7 @@ def of_table(name: str, change: Callable[[str], str]) -> Change:
 
 
 def with_projection(degrees: float, scale: float, moved: float = 0.0) -> Change:
-    """Another projection of all sensors, turned and scaled about the image's middle, and moved by px along u."""
+    """All sensors' projections turned and scaled about the image's centre, and shifted by `moved` px along u."""
 
     def act(text: str) -> str:
         tables = read_toml(Path("workflow/sensors.toml"))
@@ -135,7 +135,7 @@ def black(images: list[np.ndarray]) -> list[np.ndarray]:
 
 
 def faint(rows: Iterable[int] | None, strength: float) -> Change:
-    """Some images, or all, with a fraction of their change against the no-contact image."""
+    """Some images, or all (None), with their difference from the no-contact image scaled by `strength`."""
 
     def act(project: Path) -> None:
         log = read_csv(project / DATA / "log.csv")
@@ -148,7 +148,7 @@ def faint(rows: Iterable[int] | None, strength: float) -> Change:
 
 
 def of_third_unit(project: Path) -> None:
-    """Two images as another unit shows the same presses."""
+    """Two images replaced by those of the same presses by another unit."""
     looks, sensors = draw_units(DrawnUnits("units.toml", 1, 0), USUAL_GEL, project / "workflow/rig", seed=3)
     ((name, look),) = looks.items()
     gel, bodies, log = (
@@ -177,7 +177,7 @@ def both(*changes: Change) -> Change:
 
 
 def from_stl(place: Callable[[np.ndarray], np.ndarray]) -> Change:
-    """A cylinder of the catalogue as an STL file whose vertices (n, 3) mm were placed by someone."""
+    """A cylinder of the catalogue as an STL file whose vertices (n, 3) mm are moved by `place`."""
 
     def act(project: Path) -> None:
         catalogue = project / "workflow/indenters.toml"
@@ -192,7 +192,7 @@ def from_stl(place: Callable[[np.ndarray], np.ndarray]) -> Change:
     return act
 
 
-# CalculiX whose forces, at the top and at the base, are 5 % too large: in balance, and wrong.
+# A CalculiX whose forces at the top and at the base are both 5 % too large: balanced, but wrong.
 WRONG_CCX = """#!/bin/sh
 {program} "$1" || exit
 awk '/^ *forces/ {{ forces = 1 }} /^ *displacements/ {{ forces = 0 }}
@@ -202,7 +202,7 @@ mv "$1.new" "$1.dat"
 
 
 def wrong_ccx(project: Path) -> None:
-    """Two presses by a CalculiX that computes otherwise."""
+    """Two presses solved by the wrong CalculiX."""
     write_text(project / WRAPPER, WRONG_CCX.format(program=need_ccx()))
     (project / WRAPPER).chmod(0o755)
     rows = read_csv(project / DATA / "log.csv")
@@ -226,9 +226,9 @@ def drifting(force: np.ndarray, _rot_deg: np.ndarray) -> np.ndarray:
     return force - 0.25 * np.arange(len(force))[:, None] * [0.0, 0.0, 1.0]
 
 
-# What is changed, and what of the sentence names the cause.
+# By name of the fault: the change, and a pattern of the sentence that names its cause.
 TROUBLES: dict[str, tuple[Change, str]] = {
-    "no-contact image of another unit": (of_nocontact(lambda data: read_image(data / "nocontact/mini_e.png")), "two sensors"),
+    "no-contact image of another unit": (of_nocontact(lambda data: read_image(data / "nocontact/mini_e.png")), "different sensors"),
     "no-contact image with a press": (of_nocontact(lambda data: read_image(data / "images/demo-000000.png")), "touch(?:e[ds])? the gel"),
     "monochrome no-contact image": (of_nocontact(lambda data: grey(read_image(data / "nocontact/mini_a.png"))), "is monochrome"),
     "mirrored images": (of_pictures(lambda images: [np.ascontiguousarray(one[:, ::-1]) for one in images]), "mirrored left to right"),
@@ -251,7 +251,7 @@ TROUBLES: dict[str, tuple[Change, str]] = {
     "no imprint in any image": (faint(None, 0.0), "images show no imprint"),
     "no imprint in three images": (faint((2, 6, 20), 0.0), r"its image shows \d+% of the imprint"),
     "a third of the imprint in two images": (faint((6, 20), 0.33), r"its image shows \d+% of the imprint"),
-    "two images of a third unit": (of_third_unit, "markers at the rim|two sensors|of another unit"),
+    "two images of a third unit": (of_third_unit, "markers at the rim|different sensors|of another unit"),
     "two images exchanged, projection moved": (both(of_pictures(exchanged), with_projection(0.0, 1.0, 20.0)), r"row 12 \(.*image of another row"),
     "a body from STL that lies on its side": (from_stl(lambda xyz: (xyz * [1.0, 1.0, 2.0])[:, [1, 2, 0]]), "it lies"),
     "a body from STL beside its axis": (from_stl(lambda xyz: xyz + [4.0, 4.0, 0.0]), "beside the axis"),
@@ -262,7 +262,7 @@ TROUBLES: dict[str, tuple[Change, str]] = {
 
 
 def said_of(project: Path, goal: str = "dataset", dataset: str = "demo") -> list[str]:
-    """What make says of a dataset up to a goal, one sentence each."""
+    """Messages of make about a dataset up to a goal, one sentence each."""
     own = {"CCX": str(project / WRAPPER)} if (project / WRAPPER).exists() else {}
     done = make(project, goal, f"DATASET={dataset}", environment=own)
     said = [one for one in SAID.findall(done.stdout) if ORDINARY not in one]
@@ -272,7 +272,7 @@ def said_of(project: Path, goal: str = "dataset", dataset: str = "demo") -> list
 
 
 def labelled(root: Path, folder: Path) -> tuple[Path, list[str]]:
-    """A copy of the project with the demo labelled in it, and what was said of it."""
+    """A copy of the project with the labelled demo, and make's messages about it."""
     project = link_project(root, folder / "base")
     shutil.copytree(root / DATA, project / DATA)
     (project / DATA / "calibration.toml").unlink(missing_ok=True)
@@ -280,7 +280,7 @@ def labelled(root: Path, folder: Path) -> tuple[Path, list[str]]:
 
 
 def try_all(base: Path, folder: Path, names: Iterable[str]) -> list[dict]:
-    """Each trouble in a copy of its own: whether its cause is named, and what is said."""
+    """Each fault in its own copy: whether its cause is named, and make's messages."""
     found = []
     for name in names:
         change, cause = TROUBLES[name]
@@ -298,7 +298,7 @@ def try_all(base: Path, folder: Path, names: Iterable[str]) -> list[dict]:
 
 
 def alarms_of_films(reference: Path) -> tuple[int, list[str]]:
-    """Number of real films, and what is said of them: of their no-contact images, and of frames that are alike in a log."""
+    """Number of real films, and messages about their no-contact images and about equal frames in a log."""
     films = sorted(path for path in reference.glob("*_videos/*.avi") if not path.name.startswith(HELD))
     said = []
     for path in films:

@@ -1,8 +1,8 @@
-"""What a network reads on units of the rig that it never saw: forces, faults of a pair, drift, few readings of a scale.
+"""A network on unseen units of the rig: forces, faults of an image pair, drift, calibration by few force readings.
 
 Presses are solved here, with another seed than any plan's, and seen by the units that train.toml keeps from training.
-The true force of a press is that of `hex` at label quality on the path that it really took, because the rig's own hexahedra
-are twice as wide: on edged shapes they are up to a tenth too stiff, and 3 % in the mean.
+The true force of a press is that of `hex` at label quality on its real path, because the rig's own hexahedra are
+twice as wide and too stiff: by up to a tenth on shapes with edges, by 3 % in the mean.
 """
 
 from argparse import Namespace
@@ -39,18 +39,18 @@ from tests.support.figures import Figure, publish_figures
 from tests.support.pictures import moved
 
 RANGE = {"fy": 10.0, "fx": 10.0, "fz": 40.0}  # N, of the FEATS paper
-SOFTER_HARDER = 0.15  # fraction by which gels of one kind differ in stiffness
-READ_NOISE = 0.03  # N, of a force sensor
-COUNTS = (0, 1, 2, 5, 10, 20)  # readings of a force sensor
+SOFTER_HARDER = 0.15  # largest relative difference in stiffness between gels of one kind
+READ_NOISE = 0.03  # N, noise of a force sensor
+COUNTS = (0, 1, 2, 5, 10, 20)  # numbers of force readings for a calibration
 PRESSES = 28
-DRAWS = 40  # of which readings are made, on each unit
-WRONG = 0.15  # of the range: a reading with a larger error must be flagged
-HOUR = 360  # frames: one between each two presses
+DRAWS = 40  # random draws of the readings per unit
+WRONG = 0.15  # fraction of the range; a prediction with a larger error must be flagged
+HOUR = 360  # no-contact frames in an hour, one between every two presses
 
 
 @dataclass(frozen=True)
 class Seen:
-    """One press seen by one unit: picture, true total (3,) N in the labels' channels, and what the rig's hexahedra gave."""
+    """One press seen by one unit: image, true total (3,) N in the labels' channels, total of the rig's hexahedra."""
 
     unit: str
     image: np.ndarray
@@ -60,7 +60,7 @@ class Seen:
 
 @dataclass(frozen=True)
 class Units:
-    """The plan's dataset, cameras of its unseen units, their no-contact images, and what each saw."""
+    """The plan's dataset, cameras of its unseen units, their no-contact images, and their views of presses."""
 
     dataset: str
     cameras: dict[str, Renderer]
@@ -69,7 +69,7 @@ class Units:
 
 
 def press_units(plan_path: Path, count: int, most: int | None) -> Units:
-    """Press `count` times; the unseen units of the plan, `most` of them, see every press."""
+    """Press `count` times; the plan's unseen units, at most `most` of them, see every press."""
     plan = read_plan(plan_path)
     appearances, sensors = units_of(plan, plan_path.parents[1])
     names = plan.held_out_sensors[:most]
@@ -88,7 +88,7 @@ def press_units(plan_path: Path, count: int, most: int | None) -> Units:
 
 
 def see(bench: Bench, order: Order, cameras: dict[str, Renderer], sensors: dict[str, Sensor]) -> list[Seen]:
-    """What each unit sees of one press, and the force in what it shows; none where the press has no equilibrium."""
+    """Each unit's view of one press, with the force inside its image; empty if the press has no equilibrium."""
     truth, gel = bench.plan.truth, load_gel(order.gel)
     pressing = bench.press(order)[-1]
     scene = Scene(gel, Material(truth.nu), bench.indenters[order.indenter], pressing.real, Interface())
@@ -103,7 +103,7 @@ def see(bench: Bench, order: Order, cameras: dict[str, Renderer], sensors: dict[
     for k, (name, camera) in enumerate(cameras.items()):
         noise = generator(bench.plan, order.index, streams.camera(98 + k, 0))  # far from the plan's own cameras
         image = camera.image(field, body, noise)
-        # what falls outside the picture is no part of what it shows
+        # force outside the image does not count
         cells, outside = cells_of(solved.mesh, solved.forces, sensors[name])
         total, rig_total = stiffness * cells.sum(axis=(1, 2)), pressing.force - stiffness * outside
         found.append(Seen(name, image, total, rig_total))
@@ -111,12 +111,12 @@ def see(bench: Bench, order: Order, cameras: dict[str, Renderer], sensors: dict[
 
 
 def totals(predictor: Predictor, image: np.ndarray) -> np.ndarray:
-    """Total force (3,) N that is predicted from a picture."""
+    """Predicted total force (3,) N of an image."""
     return predictor.predict(image).total
 
 
 def error_figures(units: Units, read: np.ndarray) -> list[Figure]:
-    """Mean error of total force on units that training did not see."""
+    """Mean error of total force on unseen units."""
     true = np.array([seen.total for seen in units.seen])
     mae = np.abs(read - true).mean(axis=0)
     rig = np.abs(read - np.array([seen.rig_total for seen in units.seen])).mean(axis=0)
@@ -130,11 +130,11 @@ def error_figures(units: Units, read: np.ndarray) -> list[Figure]:
 
 
 def interval_figure(units: Units, model: ForceModel, read: np.ndarray) -> list[Figure]:
-    """Share of totals that their intervals hold, on units that these were not set on."""
+    """Coverage of the intervals of total force, on units that did not set these intervals."""
     known = model.metadata.get("intervals", {})
     if "total" not in known:
         return []
-    # units of two datasets may share their names
+    # units of two datasets may have the same names
     set_on = known["sensors"] if known["data"] == units.dataset else []
     others = np.array([seen.unit not in set_on for seen in units.seen])
     if not others.any():
@@ -147,21 +147,21 @@ def interval_figure(units: Units, model: ForceModel, read: np.ndarray) -> list[F
                    "%", f"{note}; {others.sum()} images of other units than the intervals were set on")]  # fmt: skip
 
 
-# -- what a pair may suffer
+# -- disturbances of an image pair
 
 
 def scaled(image: np.ndarray, factor: float) -> np.ndarray:
-    """All levels times a factor."""
+    """An image with all grey levels multiplied by a factor."""
     return np.clip(np.rint(image * factor), 0, 255).astype(np.uint8)
 
 
-def redder(image: np.ndarray) -> np.ndarray:
-    """Red two levels down."""
+def less_red(image: np.ndarray) -> np.ndarray:
+    """An image with red lowered by two levels."""
     return np.clip(image.astype(int) - [2, 0, 0], 0, 255).astype(np.uint8)
 
 
 SUFFERED: dict[str, Callable[[np.ndarray], np.ndarray]] = {
-    "red -2 levels": redder,
+    "red -2 levels": less_red,
     "all x 0.90": lambda image: scaled(image, 0.9),
     "a zoom of 4 thousandths": partial(moved, zoom=1.004),
     "a shift of 0.5 px": partial(moved, shift=(0.4, 0.3)),
@@ -169,7 +169,7 @@ SUFFERED: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 
 
 def sensitivity_figures(units: Units, readers: dict[str, Predictor], read: np.ndarray) -> list[Figure]:
-    """What changes of light and place read as: on no-contact images, and of the force on pressed ones."""
+    """Effect of changes of light and place: predicted force on no-contact images, change of force on pressed ones."""
     figures = []
     for what, suffer in SUFFERED.items():
         rest = [np.abs(totals(readers[name], suffer(picture))).max() for name, picture in units.nocontact.items()]
@@ -182,7 +182,7 @@ def sensitivity_figures(units: Units, readers: dict[str, Predictor], read: np.nd
 
 
 def change_figure(name: str, units: Units, read: np.ndarray, after: np.ndarray) -> Figure:
-    """How far totals (n, 3) N of pressed pictures are read otherwise after something happened to them."""
+    """Relative change of predicted totals (n, 3) N of pressed images by a disturbance."""
     full = np.abs(np.array([seen.total[2] for seen in units.seen])) > 2.0
     off = 100 * np.abs(after - read)[full].max(axis=1) / np.abs(read[full, 2])
     note = f"median {np.median(off):.1f}, nine of ten below {np.percentile(off, 90):.1f}"
@@ -193,7 +193,7 @@ def change_figure(name: str, units: Units, read: np.ndarray, after: np.ndarray) 
 
 
 def drift_figure(units: Units, readers: dict[str, Predictor]) -> Figure:
-    """The largest reading of nine of ten no-contact frames over an hour in which each colour's light wanders."""
+    """Force on no-contact frames, as 90 % quantile over an hour in which each colour's light drifts."""
     worst = {}
     for k, (name, camera) in enumerate(units.cameras.items()):
         rng, found = np.random.default_rng([9, k]), []
@@ -211,13 +211,13 @@ def drift_figure(units: Units, readers: dict[str, Predictor]) -> Figure:
                   f"{name}; median {np.median(list(worst.values())):.2f}")  # fmt: skip
 
 
-# -- readings of a scale
+# -- calibration by force readings
 
 
 def readings_left(units: Units, read: np.ndarray) -> list[dict]:
-    """The error of a gel's factor, and of forces, that readings of a force sensor leave; how often intervals hold it.
+    """Errors of a gel's factor and of forces after calibration by force readings, and coverage of the factor.
 
-    A row for each of COUNTS: means, and what four of five draws lie between.
+    One row for each of COUNTS: means, and 10 % and 90 % quantiles over the draws.
     """
     rng = np.random.default_rng(3)
     true, normal = -np.array([seen.total[2] for seen in units.seen]), -read[:, 2]
@@ -249,7 +249,7 @@ def readings_left(units: Units, read: np.ndarray) -> list[dict]:
 
 
 def gain_figures(left: list[dict]) -> list[Figure]:
-    """What five readings leave, and how often intervals hold the factor; nothing of too few presses."""
+    """Errors after five readings, and coverage of the factor's intervals; empty if there are too few presses."""
     five = next((row for row in left if row["readings"] == 5), None)
     if five is None:
         print(f"readings of a scale: no unit has more than five presses of over 1 N; give more, such as {PRESSES}")
@@ -268,7 +268,7 @@ def gain_figures(left: list[dict]) -> list[Figure]:
 def faulty_pairs(
     units: Units, readers: dict[str, Predictor]
 ) -> Iterator[tuple[str, Predictor, np.ndarray, np.ndarray]]:
-    """Name of a fault, predictor with its no-contact image, image, and true total (3,) N: each press once with each fault."""
+    """Name of a fault, predictor with its no-contact image, image, true total (3,) N, for each press and fault."""
     names = list(readers)
     for k, seen in enumerate(tqdm(units.seen, "presses with faults")):
         rest = readers[seen.unit]
@@ -288,7 +288,7 @@ def faulty_pairs(
 
 
 def flag_figures(units: Units, readers: dict[str, Predictor]) -> list[Figure]:
-    """How many pairs that are read wrong are flagged, fault by fault, and how many good ones are."""
+    """Fraction of wrongly predicted pairs that are flagged, by fault, and fraction of good pairs that are flagged."""
     found: dict[str, list[tuple[float, bool]]] = {}
     for fault, reader, image, true in faulty_pairs(units, readers):
         read = reader.predict(np.ascontiguousarray(image))

@@ -15,7 +15,7 @@ SIGN = {"<=": "at most ", ">=": "at least ", "==": ""}
 # Tables of chosen figures: what stands between { and } is taken from the JSON.
 CHOSEN = {
     "accuracy of labels": """
-| `method` | seconds a press | 16 presses, total force: median, worst | force per cell: median, worst | 58 presses of known force, from 0.1 mm on: median, worst |
+| `method` | seconds a press | 16 presses, total force: median, worst | force per cell: median, worst | 58 presses of known force, at least 0.1 mm deep: median, worst |
 | --- | --- | --- | --- | --- |
 | `ccx` (CalculiX), the default | {fea: ccx, 16 scenes, median processor time|.2g} | {fea: ccx, 16 scenes, total force, median|.2g} %, {fea: ccx, 16 scenes, total force, worst|.2g} % | {fea: ccx, 16 scenes, cells, median|.2g} %, {fea: ccx, 16 scenes, cells, worst|.2g} % | {exact: ccx, total, median|.2g} %, {exact: ccx, total, worst|.2g} % |
 | `label` (hexahedra in process) | {fea: label, 16 scenes, median processor time|.2g} | {fea: label, 16 scenes, total force, median|.2g} %, {fea: label, 16 scenes, total force, worst|.2g} % | {fea: label, 16 scenes, cells, median|.2g} %, {fea: label, 16 scenes, cells, worst|.2g} % | {exact: label, total, median|.2g} %, {exact: label, total, worst|.2g} % |

@@ -234,7 +234,7 @@ def test_press_that_never_touches_is_refused(catalogue, tmp_path):
 def test_unknown_indenter_is_named(tmp_path, catalogue):
     readings = presses((0, 0, 0, 0, 0, -0.5, 0))
     readings.indenters[0] = "spoon"
-    with pytest.raises(BadInput, match="'spoon' is not in the catalogue; known here: sphere_15"):
+    with pytest.raises(BadInput, match="'spoon' is not in the catalogue; known: sphere_15"):
         solve_all(make_plan(readings, 0.15, LAW, [MU], NU), SolveCache(tmp_path, catalogue, SETTINGS, SOLVER))
 
 

@@ -1,9 +1,9 @@
-"""Normal forces of axisymmetric presses, solved by scikit-fem alone: the yardstick of every method that labels are made by.
+"""Normal forces of axisymmetric presses, solved by scikit-fem alone: the reference for all methods that make labels.
 
-A layer bonded at its base, neo-Hookean at finite strain, W = C10 (I1bar - 3) + K/2 (J - 1)^2, and a rigid body of revolution
-that is pressed straight down. Quadrilaterals of second order, small where the edge of contact passes. Contact acts at Gauss
-points of the surface by a penalty so stiff that it gives way by less than a micrometre. Without slip a point is held where
-it first touched: the point of its way through a load step at which its gap closes. Nothing here is shared with gelforge.
+A rigid body of revolution is pressed straight down into a layer bonded at its base, neo-Hookean at finite strain,
+W = C10 (I1bar - 3) + K/2 (J - 1)^2. Elements are second-order quadrilaterals, small where the edge of contact passes.
+Contact acts at Gauss points of the surface by a penalty that lets them penetrate by less than a micrometre. Without
+slip a point sticks where it first touched, where its gap closes within a load step. No code is shared with gelforge.
 """
 
 from collections.abc import Callable
@@ -15,9 +15,9 @@ from pypardiso import PyPardisoSolver
 from skfem import Basis, ElementQuad2, ElementVector, FacetBasis, MeshQuad
 
 PENALTY = 2e5  # MPa/mm over the shear modulus
-DEEPEST = 1e-4  # mm that a point in equilibrium lies inside the body
+DEEPEST = 1e-4  # mm, largest penetration of a point in equilibrium
 RING = 0.5  # mm, width of the rings whose forces are reported
-# The components of F that are not zero: rows and columns of rr, rz, zr, zz, and of the hoop.
+# Rows and columns of the non-zero components of F: rr, rz, zr, zz, and the hoop component.
 ROW, COLUMN = np.array([0, 0, 1, 1, 2]), np.array([0, 1, 0, 1, 2])
 
 
@@ -27,13 +27,13 @@ class Unsolved(Exception):
 
 @dataclass(frozen=True)
 class Body:
-    """All places within `radius` of a chain of lines `core` (k, 2), r and z in mm, turned about the axis; tip at z = 0."""
+    """All points within `radius` of a polyline `core` (k, 2), r and z in mm, turned about the axis; tip at z = 0."""
 
     core: tuple[tuple[float, float], ...]
     radius: float
 
     def distance(self, places: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Signed distance (n,) of places (n, 2), negative inside, the outward normal (n, 2), and the curvature (n,) 1/mm there."""
+        """Signed distance (n,) of places (n, 2), mm, negative inside, outward normal (n, 2), curvature (n,), 1/mm."""
         best, away, round_ = np.full(len(places), np.inf), np.zeros_like(places), np.zeros(len(places), bool)
         ends = np.array(self.core)
         for a, b in zip(ends, ends[1:] if len(ends) > 1 else ends, strict=False):
@@ -59,7 +59,7 @@ def punch(diameter: float, fillet: float) -> Body:
 
 
 def tube(diameter: float, hole: float, fillet: float) -> Body:
-    """A flat-ended tube whose edges are rounded; one that is as wide as twice its fillet ends in half a ring."""
+    """A flat-ended tube whose edges are rounded; if its wall is twice the fillet, it ends in half a torus."""
     inner, outer = hole / 2 + fillet, diameter / 2 - fillet
     return Body(((inner, 20.0), (inner, fillet), (outer, fillet), (outer, 20.0)), fillet)
 
@@ -105,7 +105,7 @@ class Layer:
 
 
 def graded(ends: list[float], size: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
-    """Mesh lines through all of `ends` (sorted), their distance about `size` (mm) of their place."""
+    """Mesh lines through all of `ends` (sorted), with spacing close to `size` (mm), a function of position."""
     lines = [np.array(ends[:1])]
     for low, high in zip(ends, ends[1:], strict=False):
         at = np.linspace(low, high, 2001)
@@ -117,10 +117,10 @@ def graded(ends: list[float], size: Callable[[np.ndarray], np.ndarray]) -> np.nd
 
 @dataclass(frozen=True)
 class Fineness:
-    """How finely a press is solved: sizes of elements within `edge`, the radii between which the edge of contact moves, mm.
+    """Element sizes and load steps of a press. edge: radii in mm between which the edge of contact moves.
 
-    Sizes grow by `growth` times the distance from there, to `coarse`. steps: load steps to the deepest depth, which are
-    shortest at first: the i-th ends at (i / steps)^2 of it.
+    Element size, mm, is `fine` between them and grows by `growth` times the distance, up to `coarse`. steps: load
+    steps to the deepest depth, shortest at first: the i-th ends at (i / steps)^2 of it.
     """
 
     edge: tuple[float, float]
@@ -130,11 +130,11 @@ class Fineness:
     steps: int = 12
 
     def halved(self) -> "Fineness":
-        """The same with elements of half the size."""
+        """The same with elements of half the size and as many load steps."""
         return Fineness(self.edge, self.fine / 2, self.coarse / 2, self.growth, self.steps)
 
     def mesh(self, layer: Layer) -> MeshQuad:
-        """Quadrilaterals whose lines go through the ends of all rings under contact."""
+        """Quadrilaterals whose lines pass through the limits of all rings under contact."""
         low, high = self.edge
 
         def size(off: np.ndarray, most: float) -> np.ndarray:
@@ -150,9 +150,9 @@ class Fineness:
 
 @dataclass(frozen=True)
 class Pressed:
-    """A press at one depth: total force N, forces N in rings of RING mm from the axis (of the undeformed gel), contact radius mm.
+    """A press at one depth: total force N, force N per ring of RING mm of the undeformed gel, contact radius mm.
 
-    pulling: by how much points that stick pull, over the force. base: relative difference of the base's reaction.
+    pulling: tensile force of stick points over total force. base: relative difference of the base's reaction.
     """
 
     depth: float
@@ -164,7 +164,7 @@ class Pressed:
 
 
 class Press:
-    """One body on one layer along its path: u (dofs,) and where the points of the surface are held (nan: nowhere), (m, 2)."""
+    """One body on one layer along its path: u (dofs,), and stick points `held` of the surface (m, 2), nan if free."""
 
     def __init__(self, body: Body, layer: Layer, fineness: Fineness, stick: bool):
         self.body, self.layer, self.fineness, self.stick = body, layer, fineness, stick
@@ -187,13 +187,13 @@ class Press:
 
     @staticmethod
     def _rows(basis: Basis, rows: Callable) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Weights (e, q) of points with 2 pi r, the values (e, q, k, a) of `rows` there for each dof of an element, and dofs (e, a)."""
+        """Weights (e, q) of integration points with 2 pi r, values (e, q, k, a) of `rows` by dof, and dofs (e, a)."""
         r = basis.global_coordinates()[0]
         values = np.array([np.broadcast_arrays(*rows(basis.basis[a][0], r)) for a in range(basis.Nbfun)])
         return 2.0 * np.pi * basis.dx * r, np.ascontiguousarray(values.transpose(2, 3, 1, 0)), basis.element_dofs.T
 
     def deformation(self, u: np.ndarray) -> np.ndarray:
-        """F (5, n) at the points of the solid; n runs over elements, then over their points."""
+        """F (5, n) at the integration points of the solid, element by element."""
         f = np.einsum("eqka,ea->keq", self.solid, u[self.solid_dofs], optimize=True).reshape(5, -1)
         return f + np.array([1.0, 0.0, 0.0, 1.0, 1.0])[:, None]
 
@@ -212,7 +212,7 @@ class Press:
         inside, holds = gap < 0.0, ~np.isnan(self.held[:, 0])
         traction = np.where(inside[:, None], -k * gap[:, None] * normal, 0.0)
         across = normal[:, :, None] * normal[:, None, :]
-        # deep inside, where Newton's method is far from equilibrium, the curvature's whole share would lead astray
+        # far from equilibrium points lie deep inside, where the full curvature term would mislead Newton's method
         along = (np.maximum(gap, -DEEPEST) * curvature)[:, None, None] * (np.eye(2) - across)
         stiffness = np.where(inside[:, None, None], k * (across + along), 0.0)
         traction[holds] = k * (self.held[holds] - [0.0, depth] - x[holds])
@@ -220,7 +220,7 @@ class Press:
         return traction, stiffness
 
     def residual(self, u: np.ndarray, depth: float) -> tuple[np.ndarray, sp.csr_matrix]:
-        """Force out of balance (dofs,) N and its derivative."""
+        """Residual force (dofs,) N and its derivative."""
         stress, stiff = self.layer.stress(self.deformation(u))
         traction, hard = self.tractions(u, depth)
         parts = (
@@ -241,7 +241,7 @@ class Press:
     def equilibrium(self, u: np.ndarray, depth: float, small: float = 1e-9) -> np.ndarray:
         """Newton's method from u (dofs,) until a step is below `small` times the depth; raises Unsolved.
 
-        Without friction points come and go on stiff penalties for ever; the way there is on softer ones.
+        Without friction, points would touch and release for ever on a stiff penalty, so it is raised in four stages.
         """
         if self.stick:
             return self.newton(u, depth, small)
@@ -251,7 +251,7 @@ class Press:
         return self.newton(u, depth, small)
 
     def newton(self, u: np.ndarray, depth: float, small: float, most: int = 15) -> np.ndarray:
-        """`equilibrium` at the present stiffness of penalties."""
+        """`equilibrium` at the current penalty stiffness."""
         u, free = u.copy(), self.free
         for _ in range(most):
             out, tangent = self.residual(u, depth)
@@ -271,14 +271,14 @@ class Press:
         raise Unsolved(f"no equilibrium at a depth of {depth:.4g} mm")
 
     def advance(self, depth: float, before: tuple[np.ndarray, float] | None) -> None:
-        """One load step. before: u and depth of the step before the last, from which the motion is guessed."""
+        """One load step. before: u and depth one step earlier, from which the motion is extrapolated."""
         start, gap = self.places(self.u), self.gap(self.places(self.u), self.depth)[0]
         ahead = self.u
         if before is not None:
             ahead = self.u + (depth - self.depth) / (self.depth - before[1]) * (self.u - before[0])
         closing = gap - self.gap(self.places(ahead), depth)[0]
         share = np.where(closing > 0.0, np.maximum(gap, 0.0) / np.maximum(closing, 1e-300), 1.0)
-        # rough where what touches for the first time still moves to where it is held
+        # a rough tolerance with stick, because points that touch first still move to their stick points
         small = 1e-4 if self.stick else 1e-9
         try:
             u = self.equilibrium(ahead, depth, small)
@@ -289,7 +289,7 @@ class Press:
         self.u, self.depth = u, depth
 
     def hold(self, u: np.ndarray, depth: float, start: np.ndarray, share: np.ndarray) -> np.ndarray:
-        """Hold each point that presses at the `share` (m, 1) of its way from `start` (m, 2) to u until none is left to be held."""
+        """Let new contact points stick at `share` (m, 1) of their way from `start` (m, 2) to u, until none is new."""
         kept, small, up = self.held.copy(), 1e-4, np.array([0.0, 1.0])
         while True:
             end = self.places(u)
@@ -322,7 +322,7 @@ class Press:
         return found
 
     def _reach(self, depth: float, before: tuple[np.ndarray, float] | None, cuts: int = 5) -> None:
-        """`advance`, in halves where it fails."""
+        """`advance`, in half load steps if it fails."""
         try:
             self.advance(depth, before)
         except Unsolved:
@@ -333,7 +333,7 @@ class Press:
             self._reach(depth, last, cuts - 1)
 
     def pressed(self) -> Pressed:
-        """What is reported of the present state."""
+        """Forces and checks of the current state."""
         traction, _ = self.tractions(self.u, self.depth)
         push = -traction[:, 1] * self.area.ravel()
         force, touched = float(push.sum()), np.abs(traction).max(axis=1) > 0.0

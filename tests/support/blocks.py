@@ -1,4 +1,4 @@
-"""Gel meshes of tetrahedra that are as symmetric as the gel, and boxes of triangles."""
+"""Symmetric tetrahedral gel meshes, and boxes of triangles."""
 
 import numpy as np
 
@@ -12,13 +12,14 @@ FACES = np.array(
     [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
      [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
 )  # fmt: skip
-MIRRORED = np.array([0, 2, 1, 3, 4, 6, 5, 7])  # corners with x and y exchanged: walls cut along their other diagonals
+# Corners with x and y exchanged: faces split along their other diagonals.
+MIRRORED = np.array([0, 2, 1, 3, 4, 6, 5, 7])
 
 
 def symmetric_block(gel: Gel, size: float, layers: int) -> GelMesh:
     """Second-order tetrahedra of a gel without rounded corners: cells of about `size`, symmetric about x = 0 and y = 0.
 
-    For laws that a lopsided mesh would blur; layers grow thinner towards the top.
+    For tests that an asymmetric mesh would blur; layers become thinner towards the top.
     """
     x, y = (np.linspace(0, extent / 2, max(1, round(extent / 2 / size)) + 1) for extent in (gel.width, gel.length))
     z = -gel.height + gel.height * np.sin(np.linspace(0, np.pi / 2, layers + 1))

@@ -49,12 +49,12 @@ def resize(driver, width: int, height: int = 900) -> None:
 
 
 def console_errors(driver) -> list[str]:
-    """What the page's console said since it was last asked, errors only."""
+    """Errors on the page's console since the last call."""
     return [entry["message"] for entry in driver.get_log("browser") if entry["level"] == "SEVERE"]
 
 
 def wait_for(driver, script: str, seconds: float = HANG):
-    """What a script returns as soon as that is something; AssertionError if it stays nothing."""
+    """Result of a script as soon as it is truthy; AssertionError if it does not become so in time."""
     until = time.monotonic() + seconds
     while time.monotonic() < until:
         found = driver.execute_script(script)

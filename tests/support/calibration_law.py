@@ -85,8 +85,8 @@ def law_posterior(rng, depth, stiffness=None, law="coulomb", noise=0.03, **truth
 def law_session(seed=0, presses=24, noise=0.03, **truth) -> tuple[Readings, Emulator]:
     """A session of presses with shear in all directions, each read once with normal noise, and its emulator.
 
-    Sideways over normal force is mu tanh(1.5 travel / (mu depth)): proportional when travel and mu are scaled, as under
-    Coulomb's law.
+    Tangential over normal force is mu tanh(1.5 travel / (mu depth)), which scales with mu and travel together, as
+    under Coulomb's law.
     """
     rng = np.random.default_rng(seed)
     depth, travel, way = (

@@ -24,7 +24,7 @@ NEEDS_SLURM = [
     ),
 ]
 
-# The flow's own macros over a module that does what the file faults/NAME says, and nothing else.
+# The flow's own macros around a trivial module that runs the code in the file faults/NAME.
 MAKEFILE = """
 MAKEFLAGS += -rR --warn-undefined-variables
 .SUFFIXES:
@@ -75,7 +75,7 @@ with open(f"runs/{name}", "a") as stream:
 """
 
 
-# Stops a cluster once the process that it is for has ended, however that was.
+# Stops a cluster when the process that uses it has ended, however it ended.
 GUARD = 'while kill -0 "$1" 2>/dev/null; do sleep 1; done; "$2" stop "$3"; rm -rf "$3"'
 
 
@@ -96,7 +96,7 @@ class Cluster:
 
     @property
     def environment(self) -> dict[str, str]:
-        """What programs need to reach this cluster."""
+        """Environment in which programs reach this cluster."""
         return {**clean_environment(), "SLURM_CONF": str(self.folder / "slurm.conf")}
 
     def ask(self, *command: str) -> str:
@@ -127,7 +127,7 @@ def cluster(cpus: int = 2, memory_mb: int = 4000, extra: str = ""):
 
 
 def lay_project(folder: Path, **settings) -> Path:
-    """Lay a small project with the flow's rules for Slurm over trivial work. settings: of [default] of its profile."""
+    """Write a small project with the flow's rules for Slurm and trivial work. settings: [default] of its profile."""
     for name in ("runs", "faults", "workflow"):
         (folder / name).mkdir(parents=True)
     for name in ("rules", "src", ".venv", "workflow/slurm.toml"):

@@ -9,7 +9,7 @@ def resized(image, width, height):
 
 
 def raw(image, aside=0):
-    """3280 x 2464 as the sensor's camera gives them: more than the driver shows, here of smooth light, about or beside the middle."""
+    """A frame of 3280 x 2464 px as of the sensor's camera: the image, `aside` px off centre, with smooth margins."""
     height, width = 1757, 2343
     canvas = cv2.copyMakeBorder(
         resized(image, width, height), 353, 354, 468 + aside, 469 - aside, cv2.BORDER_REPLICATE

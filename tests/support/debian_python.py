@@ -1,4 +1,4 @@
-"""Debian's own Python with GetFEM, an outside engine, and the program that it runs (python3-getfem, python3-scipy)."""
+"""Debian's own Python with GetFEM, an independent solver, and its program (python3-getfem, python3-scipy)."""
 
 import subprocess
 from pathlib import Path
@@ -8,6 +8,6 @@ PROGRAM = Path(__file__).with_name("outside_getfem.py")
 
 
 def has_getfem() -> bool:
-    """Whether Debian's own Python has GetFEM and what the program needs beside it."""
+    """Whether Debian's own Python has GetFEM and SciPy, which the program needs."""
     asked = [PYTHON, "-c", "import getfem, scipy"]
     return Path(PYTHON).exists() and subprocess.run(asked, capture_output=True, check=False).returncode == 0

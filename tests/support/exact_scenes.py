@@ -1,8 +1,9 @@
-"""The axisymmetric presses whose forces are known, and how they are solved: `python -m tests.support.exact_scenes`.
+"""Axisymmetric presses with known forces, and the program that solves them: `python -m tests.support.exact_scenes`.
 
-A flat pad of 40 x 40 mm, C10 0.0725 MPa, bonded at its base. Every press is solved three times: as below, with elements of
-half the size, and with twice the load steps; the forces kept are those on elements of half the size, and how far the other
-two differ stands beside them. A press that is kept for the same numbers is not solved again.
+A flat pad of 40 x 40 mm, C10 0.0725 MPa, bonded at its base. Every press is solved three times: as defined below,
+with elements of half the size, and with twice the load steps. The stored forces are those with elements of half the
+size; the differences of both refined solves from the first are stored beside them. Presses that are stored for the
+same numbers are not solved again.
 """
 
 import dataclasses
@@ -24,7 +25,7 @@ BODIES = {"sphere": sphere, "punch": punch, "tube": tube, "cone": cone}
 
 @dataclass(frozen=True)
 class Series:
-    """One body pressed to several depths. shape: kind and arguments of BODIES. edge: radii (mm) between which contact ends."""
+    """One body pressed to several depths. shape: kind and arguments in BODIES. edge: radii where contact ends, mm."""
 
     shape: tuple
     depths: tuple[float, ...]
@@ -36,14 +37,14 @@ class Series:
 
     @property
     def name(self) -> str:
-        """A name of its own for each press."""
+        """A unique name, to which a press adds its depth."""
         kind, *sizes = self.shape
         parts = [kind, *(f"{size:g}" for size in sizes), f"nu{self.nu:g}", f"pad{self.thickness:g}"]
         return "-".join([*parts, "no_slip" if self.stick else "frictionless"])
 
     @property
     def body(self) -> Body:
-        """The body in the half-plane."""
+        """The body in the (r, z) half-plane."""
         return BODIES[self.shape[0]](*self.shape[1:])
 
 
@@ -61,7 +62,7 @@ def _sphere(diameter: float, most: float, *depths: float, **other) -> Series:
     return Series(("sphere", diameter), depths, (0.0, most), max(0.05, most / 25), **other)
 
 
-# The deepest depths are a third of the gel, or where a small fillet folds the gel at its edge so sharply that elements invert.
+# The largest depth is a third of the gel's thickness, or less if elements invert in the sharp fold at a small fillet.
 SERIES = (
     _sphere(15, 4.0, 0.05, 0.2, 0.4, 1.0, 1.333),
     _punch(10, 0.3, 0.05, 0.1, 0.3, 0.5),
@@ -92,7 +93,7 @@ SERIES = (
 
 
 def solved(path: Series) -> list[dict]:
-    """The presses of one series with their evidence."""
+    """The presses of one series, with the differences between their three solves."""
     layer, plain = Layer(path.thickness, path.nu), Fineness(path.edge, path.fine)
     ways = (plain, plain.halved(), dataclasses.replace(plain, steps=24))
     found = [press(path.body, layer, list(path.depths), way, path.stick) for way in ways]
@@ -118,12 +119,12 @@ def _record(path: Series, coarse: Pressed, fine: Pressed, slow: Pressed) -> dict
 
 
 def key(path: Series) -> dict:
-    """What the presses of a path depend on."""
+    """The numbers on which the presses of a series depend."""
     return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(path).items()}
 
 
 def body_of(path: Series) -> dict:
-    """The body in numbers: all places within a radius of a chain of lines of (r, z), its tip at z = 0."""
+    """The body in numbers: all points within a radius of a polyline of (r, z), its tip at z = 0."""
     core = [[float(f"{value:.6g}") for value in point] for point in path.body.core]
     return {"core_mm": core, "radius_mm": path.body.radius}
 
@@ -133,7 +134,7 @@ def body_of(path: Series) -> dict:
     option("--processes", type=int, default=1),
 )
 def main(args: Namespace) -> None:
-    """Solve what is not kept."""
+    """Solve the series that are not stored yet."""
     os.environ.setdefault("OMP_NUM_THREADS", "1")
     kept = {group["path"]["name"]: group for group in read_json(args.out)["paths"]} if args.out.exists() else {}
     left = [path for path in SERIES if kept.get(path.name, {}).get("path") != key(path) | {"name": path.name}]

@@ -1,4 +1,4 @@
-"""A made-up dataset of any size, as the report's page is given it: real packing, plain numbers inside."""
+"""An invented dataset of any size for the report's page: real packing, simple numbers."""
 
 import numpy as np
 
@@ -20,7 +20,7 @@ GELS = {"mini_a": "gelsight_mini", "mini_b": "gelsight_mini-2.6mm"}
 
 
 def tables(count: int):
-    """Rows of the stages' tables for so many presses; every tenth solve failed, one row of the log was rejected."""
+    """Rows of the stages' tables for `count` presses; every tenth solve failed, one row of the log was rejected."""
     rng = np.random.default_rng(3)
     poses, solved, samples, totals = [], {}, {}, {}
     for k in range(count):
@@ -48,7 +48,7 @@ def tables(count: int):
 
 
 def press(k: int, shown: bool = True) -> dict:
-    """What the page draws of a press: a bump whose place shows its number."""
+    """What the page draws of press `k`: a bump whose row depends on k."""
     rows, cols = np.mgrid[: GRID[0], : GRID[1]]
     bump = np.exp(-((rows - 4 - k % 16) ** 2 + (cols - 16) ** 2) / 12.0)
     label = np.stack([0.01 * bump, 0.02 * bump, -0.2 * bump])
@@ -61,7 +61,7 @@ def press(k: int, shown: bool = True) -> dict:
 
 
 def write_page(folder, count: int, limit: float = 12e6):
-    """Write the page of so many presses to a folder, and its parts beside it where they are large; return its path."""
+    """Write the page of `count` presses to a folder, and its parts beside it if they are large; return its path."""
     rows = press_rows(*tables(count))
     explorer = Explorer(folder, "24x32", rows, {}, load_gel(USUAL_GEL))
     made = [press(k) for k in range(16)]

@@ -1,4 +1,4 @@
-"""A small dataset of stage 60 with real picture files, and every export read back by its format's own library."""
+"""A small dataset of stage 60 with image files, and readers of every export by the library of its format."""
 
 import json
 
@@ -14,7 +14,7 @@ SENSORS = {name: {"gel": "gelsight_mini", "image": [32, 24], "projection": [[1, 
 
 
 def lay(folder, count: int, grid=GRID, image=(32, 24)):
-    """A dataset of so many samples, two frames a press, of two sensors; returns it opened."""
+    """Write a dataset of `count` samples, two frames per press, of two sensors; return it opened."""
     rng = np.random.default_rng(5)
     data, dataset = folder / "data" / "lab", folder / "results" / "lab" / "60_dataset" / "6x8"
     (data / "images").mkdir(parents=True)
@@ -42,7 +42,7 @@ def lay(folder, count: int, grid=GRID, image=(32, 24)):
 
 
 def read_mcap(path):
-    """{sample_id: (row, picture, label, total)}, and the facts, with mcap's reader and its ROS 2 decoder."""
+    """{sample_id: (row, image, label, total)}, and the metadata, with mcap's reader and its ROS 2 decoder."""
     from mcap_ros2.reader import read_ros2_messages
 
     found, facts, place = {}, None, {"along_x": 0, "along_y": 1, "normal": 2}

@@ -1,4 +1,4 @@
-"""FEATS' film of its own maps: picture and normal map of each of its presses."""
+"""FEATS' film of its force maps: image and normal map of each press in it."""
 
 from collections.abc import Iterator
 from pathlib import Path
@@ -9,9 +9,9 @@ import numpy as np
 from gelforge.reading.light import match_light
 from tests.support.films import frames_of
 
-PANEL = 200  # px of width of each of the four panels of FEATS' film: x, y, normal map, picture
-CUT = 1  # px of height that it lacks at its top: cells of its maps are 6.25 px along both axes, the first row's 5.6 px high
-NAME = np.s_[:32, :82]  # px of a picture that its name covers
+PANEL = 200  # px, width of each of the four panels of FEATS' film: x, y and normal map, image
+CUT = 1  # px missing at the film's top: cells of its maps are 6.25 px high and wide, the first row's only 5.6 px high
+NAME = np.s_[:32, :82]  # px of an image that the printed name covers
 
 
 def map_of(panel: np.ndarray, colours: np.ndarray) -> np.ndarray:
@@ -21,7 +21,7 @@ def map_of(panel: np.ndarray, colours: np.ndarray) -> np.ndarray:
 
 
 def film_panels(path: Path) -> Iterator[tuple[np.ndarray, np.ndarray]]:
-    """Picture, its name covered by what surrounds it, and normal map (24, 32), larger where pressed more, of each press."""
+    """Image, with its name inpainted, and normal map (24, 32), larger for more pressure, of each press."""
     import matplotlib as mpl
 
     covered = np.zeros((240, 320), np.uint8)
@@ -37,12 +37,12 @@ def film_panels(path: Path) -> Iterator[tuple[np.ndarray, np.ndarray]]:
 
 
 def feats_maps(path: Path, nocontact: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-    """Picture and normal map of each press as `film_panels` gives them, the name covered by the gel of the no-contact image."""
+    """Image and normal map of each press from `film_panels`, the name replaced by the gel of the no-contact image."""
     return [(_named_over(picture, nocontact), normal) for picture, normal in film_panels(path)]
 
 
 def _named_over(picture: np.ndarray, behind: np.ndarray) -> np.ndarray:
-    """A picture (h, w, 3) whose name is covered by the same place of another one in its light."""
+    """An image (h, w, 3) whose name is replaced by the same region of another image, matched in illumination."""
     light = match_light(picture, behind)
     whole = picture.copy()
     whole[NAME] = np.clip(np.rint(behind[NAME] * light.gain + light.offset), 0, 255)

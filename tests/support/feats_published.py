@@ -1,4 +1,4 @@
-"""A dataset in FEATS' published layout: folders of splits, of .npy files that hold a pickled dict each."""
+"""A dataset in FEATS' published layout: a folder per split, with one .npy file, a pickled dict, per sample."""
 
 from pathlib import Path
 
@@ -13,9 +13,10 @@ FRACTIONS = (0.8, 0.05, 0.05, 0.05, 0.05)  # of the published splits
 
 
 def publish(folder: Path, count: int, grid: tuple[int, int] = (24, 32)) -> dict[str, int]:
-    """Write so many samples; how many each split has. Pictures are the demo's, moved and relit, forces a lump each.
+    """Write about `count` samples; return how many each split has.
 
-    The first one of each sensor is without contact.
+    Images are the demo's with random shift and brightness, labels a single bump of force. The first sample of the
+    training split and that of the unseen sensor are without contact.
     """
     rng = np.random.default_rng(5)
     pictures = [cv2.imread(str(path)) for path in sorted(DEMO.glob("*.png"))]

@@ -1,4 +1,4 @@
-"""Figures beside their goals, as a file and as a table."""
+"""Measured figures with their goals, as a file and as a table."""
 
 import ast
 import hashlib
@@ -15,14 +15,14 @@ from gelforge.flow.files import read_json, write_json
 
 ROOT = Path(__file__).resolve().parents[2]
 
-# Folder of the published measurements, pictures, films and geometry that some benchmarks read.
+# Folder of the published measurements, images, films and geometry that some benchmarks read.
 PUBLISHED_DATA = Path(os.environ.get("GELFORGE_REFERENCE", "../shared/reference"))
 COMPARE = {"": lambda _value, _goal: True, "<=": operator.le, ">=": operator.ge, "==": operator.eq}
 
 
 @dataclass(frozen=True)
 class Figure:
-    """One measured number; `compare` is "<=", ">=" or "==" and `goal` what was asked for; "" of a note without a goal."""
+    """One measured number. compare: "<=", ">=", "==", or "" if there is no goal. goal: the required value."""
 
     name: str
     value: float
@@ -37,20 +37,20 @@ class Figure:
 
 
 def machine() -> str:
-    """What the figures were measured on: cores and model of the processor."""
+    """The machine of the measurement: cores and model of the processor."""
     lines = Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines()
     model = next((line.split(": ", 1)[1] for line in lines if line.startswith("model name")), platform.machine())
     return f"{os.cpu_count()} cores, {model}"
 
 
 def commit() -> str:
-    """The commit the working tree stands on, with `+` where it differs."""
+    """The commit of the working tree, with `+` if the tree differs from it."""
     asked = subprocess.run(["git", "describe", "--always", "--dirty=+"], capture_output=True, text=True)
     return asked.stdout.strip() or "unknown"
 
 
 def table(figures: list[Figure]) -> str:
-    """The figures as aligned text, missed ones marked."""
+    """The figures as aligned text; those that miss their goal are marked."""
     rows = [
         (
             " " if f.met else "MISSED",
@@ -70,7 +70,7 @@ def table(figures: list[Figure]) -> str:
 
 
 def sources(module: Path) -> list[Path]:
-    """Files of gelforge and tests that a module imports, wherever in it, and those that these import; itself among them."""
+    """Files of gelforge and tests that a module imports, directly or indirectly, and the module itself."""
     found, left = {module}, [module]
     while left:
         path = left.pop()
@@ -90,7 +90,7 @@ def sources(module: Path) -> list[Path]:
 
 
 def digest_of_sources(name: str) -> str:
-    """Digest of what benchmark `name` imports of this repository, and of the parameters; empty for another name."""
+    """Digest of the files of this repository that benchmark `name` imports, and of the parameters; else empty."""
     module = ROOT / "tests" / "benchmarks" / f"{name}.py"
     if not module.exists():
         return ""
@@ -99,10 +99,10 @@ def digest_of_sources(name: str) -> str:
 
 
 def publish_figures(path, figures: list[Figure], model: str = "", **tables: Any) -> None:
-    """Write the figures to `path` (NAME.json) and print them as a table; model: digest of the network that they are of.
+    """Write the figures to `path` (NAME.json) and print them as a table. model: digest of the measured network.
 
-    Figures of other parts that were measured before stay, each with the date, commit, machine and sources that it is of;
-    those of another network go. tables: what is written beside them.
+    Earlier figures of other names stay, each with its own date, commit, machine and sources; those of another network
+    are removed. tables: further entries of the file.
     """
     print(table(figures), flush=True)
     if path is None:

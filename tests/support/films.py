@@ -1,4 +1,4 @@
-"""Films: as OpenCV writes them, and of variable frame rate, written byte by byte: Matroska and MP4."""
+"""Films: with a constant frame rate by OpenCV, and with a variable one, as Matroska and MP4, byte by byte."""
 
 import struct
 from pathlib import Path
@@ -10,13 +10,13 @@ from gelforge.records.film import frames, open_source
 
 
 def frames_of(path: Path) -> list[np.ndarray]:
-    """All frames (h, w, 3) uint8 RGB of a film, whatever number it announces; BadInput where it holds none."""
+    """All frames (h, w, 3) uint8 RGB of a film, whatever number it announces; BadInput if it has none."""
     with open_source(path, None) as (source, _announced):
         return [np.ascontiguousarray(frame[..., ::-1]) for frame in frames(source, 0, str(path), None)]
 
 
 def write_film(path: Path, images, rate: float = 25.0) -> Path:
-    """Images (h, w, 3) uint8 BGR as a film of an even rate: motion JPEG in .avi, MPEG-4 in .mp4."""
+    """Images (h, w, 3) uint8 BGR as a film of constant frame rate: motion JPEG in .avi, MPEG-4 in .mp4."""
     writer, kind = None, "mp4v" if Path(path).suffix == ".mp4" else "MJPG"
     for image in images:
         if writer is None:
@@ -27,7 +27,7 @@ def write_film(path: Path, images, rate: float = 25.0) -> Path:
 
 
 def write_matroska(path: Path, images, times_ms, quality: int = 95, duration_ms: float | None = None) -> Path:
-    """Images (h, w, 3) uint8 BGR as motion JPEG in Matroska (RFC 9559), each shown at its own time, a cluster a frame."""
+    """Images (h, w, 3) uint8 BGR as motion JPEG in Matroska (RFC 9559), each with its time, one cluster per frame."""
     images = list(images)
     height, width = images[0].shape[:2]
     last = times_ms[-1] + np.median(np.diff(times_ms))
@@ -60,7 +60,7 @@ def element(name: int, body: bytes) -> bytes:
 
 
 def write_mp4(path: Path, images, steps_ms) -> Path:
-    """Images as MPEG-4 in MP4, each shown for so many milliseconds, in all as long as OpenCV's own time table, 0.1 s each."""
+    """Images as MPEG-4 in MP4, each shown for one of `steps_ms`, whose mean must be OpenCV's 100 ms per frame."""
     content = write_film(path, images, 10.0).read_bytes()
     at = content.index(b"mdhd") + 4
     (scale,) = struct.unpack(">I", content[at + 12 : at + 16])
@@ -71,7 +71,7 @@ def write_mp4(path: Path, images, steps_ms) -> Path:
 
 
 def with_box(content: bytes, names: tuple[bytes, ...], body: bytes) -> bytes:
-    """MP4's nested boxes with another body in the innermost of these; moov must follow what it points at."""
+    """MP4's nested boxes with a new body in the innermost of `names`; moov must follow the data it points to."""
     at, found = 0, b""
     while at < len(content):
         size, name = struct.unpack(">I4s", content[at : at + 8])

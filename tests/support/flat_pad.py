@@ -1,4 +1,4 @@
-"""A gel whose top is a plane, and a path that no log has."""
+"""A gel with a plane top, and a path that no log can describe."""
 
 from dataclasses import dataclass
 
@@ -10,7 +10,7 @@ from gelforge.records.press import Press
 
 @dataclass(frozen=True)
 class FlatPad(Gel):
-    """A pad whose top is a plane."""
+    """A pad with a plane top."""
 
     def top(self, x, y):
         return np.zeros(np.broadcast(x, y).shape)

@@ -1,4 +1,4 @@
-"""A client of Foxglove's websocket protocol (foxglove.sdk.v1): subscribes to every channel and decodes what comes."""
+"""A client of Foxglove's websocket protocol (foxglove.sdk.v1): it subscribes to all channels and decodes messages."""
 
 import json
 import struct
@@ -12,7 +12,7 @@ MESSAGE = 0x01  # opcode of a binary frame: u8, u32 subscription, u64 time in ns
 
 
 class FoxgloveClient:
-    """channels: {topic: advertised channel} as the server said them."""
+    """channels: {topic: channel} as the server advertised them."""
 
     def __init__(self, url: str, timeout: float):
         self.socket = websocket.create_connection(url, subprotocols=["foxglove.sdk.v1"], timeout=timeout)
@@ -21,7 +21,7 @@ class FoxgloveClient:
         self.decoders: dict[int, tuple] = {}
 
     def messages(self) -> Iterator[tuple[str, int, object]]:
-        """(topic, time in ns, decoded message) until the server goes away."""
+        """(topic, time in ns, decoded message) until the server closes the connection."""
         while True:
             try:
                 code, content = self.socket.recv_data()
@@ -37,7 +37,7 @@ class FoxgloveClient:
                 yield topic, time, decode(content[13:])
 
     def hear(self, said: dict) -> None:
-        """Subscribe to what is advertised, keep statuses."""
+        """Subscribe to advertised channels, and keep status messages."""
         if said["op"] == "status":
             self.status.append(said["message"])
         for channel in said.get("channels", []) if said["op"] == "advertise" else []:
@@ -49,5 +49,5 @@ class FoxgloveClient:
             self.socket.send(json.dumps({"op": "subscribe", "subscriptions": expected}))
 
     def close(self) -> None:
-        """Leave."""
+        """Close the connection."""
         self.socket.close()

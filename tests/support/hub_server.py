@@ -1,6 +1,6 @@
-"""A server that speaks the Hugging Face hub's protocol for one dataset, for its own library as the client (HF_ENDPOINT).
+"""A server of the Hugging Face hub's protocol for one dataset; the hub's own library is its client (HF_ENDPOINT).
 
-Large files lie behind a redirect, as the hub's do, and listings come in pages.
+As at the hub, large files are behind a redirect, and listings are paged.
 """
 
 import hashlib
@@ -13,13 +13,13 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 from urllib.parse import parse_qs, urlsplit
 
-PAGE = 40  # files of a listing
+PAGE = 40  # files per page of a listing
 
 
 class HubServer(ThreadingHTTPServer):
     """Serves the files below a folder as the dataset `name`.
 
-    loaded: how often each file's content was sent whole. pace_s: what each takes at least.
+    loaded: how often each file's content was sent completely. pace_s: least time for each, s.
     """
 
     daemon_threads = True
@@ -36,7 +36,7 @@ class HubServer(ThreadingHTTPServer):
 
     @property
     def cdn(self) -> str:
-        """Where content lies: another host than the hub's, by its name."""
+        """URL of the content, under another host name than the hub's."""
         return f"http://localhost:{self.server_address[1]}"
 
     def files(self) -> dict[str, Path]:
@@ -51,12 +51,12 @@ class HubServer(ThreadingHTTPServer):
         return self.digests[key]
 
     def commit(self) -> str:
-        """The commit of what the folder holds now."""
+        """The commit of the folder's current content."""
         every = "".join(f"{name} {self.digest(path)}" for name, path in self.files().items())
         return hashlib.sha1(every.encode()).hexdigest()
 
     def handle_error(self, request, client_address) -> None:
-        """A client that was killed is no error."""
+        """Ignore the error of a client that was killed."""
 
 
 class Handler(BaseHTTPRequestHandler):
@@ -93,7 +93,7 @@ class Handler(BaseHTTPRequestHandler):
         self.answer(entries, {"Link": link} if more else {})
 
     def answer(self, value, headers: dict | None = None) -> None:
-        """JSON."""
+        """Send JSON."""
         content = json.dumps(value).encode()
         self.send_response(200)
         for name, said in {
@@ -106,7 +106,7 @@ class Handler(BaseHTTPRequestHandler):
         self.wfile.write(content)
 
     def file(self, name: str, commit: str) -> None:
-        """Where the content of a file lies."""
+        """Redirect to the content of a file."""
         path = self.server.folder / name
         self.send_response(302)
         for header, said in {"Location": f"{self.server.cdn}/cdn/{name}", "X-Repo-Commit": commit, "Content-Length": 0,
@@ -127,12 +127,12 @@ class Handler(BaseHTTPRequestHandler):
         self.server.loaded[name] += 1
 
     def log_message(self, *_) -> None:
-        """No request is logged."""
+        """Log no request."""
 
 
 @contextmanager
 def hub(folder: Path, name: str = "erikhelmut/FEATS"):
-    """The server, running."""
+    """A running server, stopped at the end."""
     server = HubServer(folder, name)
     threading.Thread(target=server.serve_forever, daemon=True).start()
     try:

@@ -1,4 +1,4 @@
-"""The axisymmetric presses of known force as scenes that gelforge solves."""
+"""The axisymmetric presses with known forces as scenes that gelforge solves."""
 
 import numpy as np
 
@@ -15,7 +15,7 @@ SIDES = {"width": 40.0, "length": 40.0, "corner_radius": 1.0}  # mm, of a pad
 
 
 class Revolved(Body):
-    """A body of revolution by the profile of `axisymmetric.Body`, for shapes that the catalogue lacks."""
+    """A body of revolution with the profile of an `axisymmetric.Body`, for shapes that the catalogue lacks."""
 
     def __init__(self, name: str, body: axisymmetric.Body, reach: float, height: float):
         super().__init__(name, height)
@@ -38,7 +38,7 @@ class Revolved(Body):
 
 
 def indenter(kind: str, sizes: list[float]) -> Indenter:
-    """The body as the catalogue has it, or turned from its profile."""
+    """The body from the catalogue, or revolved from its profile."""
     if kind == "sphere":
         return build(kind, {"kind": "sphere", "diameter": sizes[0], "height": max(10.0, sizes[0] / 2)})
     if kind == "cone":
@@ -53,7 +53,7 @@ def pad(thickness: float) -> Gel:
 
 
 def scene_of(press: dict) -> Scene:
-    """The press as every method is asked for it; its place is beside the lines along which a mesh might be aligned."""
+    """The press as a scene for every method."""
     way = Press(0.0, 0.0, 0.0, 0.0, 0.0, -press["depth_mm"])
     law = Interface(press["interface"])
     return Scene(

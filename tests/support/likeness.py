@@ -1,4 +1,4 @@
-"""What can be measured in a picture of a gel with markers, real or rendered."""
+"""Measurements in an image of a gel with markers, real or rendered."""
 
 from dataclasses import dataclass
 
@@ -13,10 +13,10 @@ from tests.support.surface_values import interpolate_surface
 
 @dataclass(frozen=True)
 class NoContact:
-    """Facts of a picture without contact: its markers, mean colours (3,), background (240, 320, 3) and noise (3,).
+    """Measurements of a no-contact image: its markers, mean colours (3,), background (240, 320, 3) and noise (3,).
 
-    background: smoothed over 4 px, to be read on `free` (240, 320) only. noise: standard deviation of what
-    a smoothing over 3 px takes away, grey levels.
+    background: smoothed over 4 px, valid on `free` (240, 320) only. noise: standard deviation of the difference from
+    the image smoothed over 3 px, grey levels.
     """
 
     grid: MarkerGrid
@@ -27,7 +27,7 @@ class NoContact:
 
 
 def no_contact(image: np.ndarray, rows: int, cols: int) -> NoContact:
-    """Measure a picture without contact, RGB (240, 320, 3) uint8."""
+    """Measure a no-contact image, RGB (240, 320, 3) uint8."""
     grid = markers_in(image).grid(rows, cols)
     free = marker_free(grid.points, 1.2 * grid.diameter)
     picture = image.astype(np.float32)
@@ -37,15 +37,15 @@ def no_contact(image: np.ndarray, rows: int, cols: int) -> NoContact:
 
 
 def background_correlation(a: NoContact, b: NoContact) -> np.ndarray:
-    """Correlation of two smoothed backgrounds over the pixels free of markers in both, (3,)."""
+    """Correlation per channel (3,) of two smoothed backgrounds over the pixels free of markers in both."""
     free = a.free & b.free
     return np.array([np.corrcoef(a.background[free][:, c], b.background[free][:, c])[0, 1] for c in range(3)])
 
 
 def steepest(height: np.ndarray, centre, half_width: int = 20) -> np.ndarray:
-    """Where left, right, above and below `centre` (u, v) the surface is steepest, (4,) px from the image's corner.
+    """Where the surface is steepest left, right, above and below `centre` (u, v), (4,) px from the image's corner.
 
-    Median over strips of 2 `half_width` px through the centre, to a tenth of a px by a parabola.
+    The slope is the median over strips of 2 `half_width` px through the centre; a parabola gives its peak to 0.1 px.
     """
     smooth = cv2.GaussianBlur(height, (0, 0), 1.0)
     u, v = (int(c) for c in centre)
@@ -67,9 +67,9 @@ def _peak(profile: np.ndarray) -> float:
 def tracked_markers(
     before: np.ndarray, after: np.ndarray, expected: np.ndarray, start: np.ndarray, reach: float = 8.0
 ):
-    """Displacement of markers between two pictures by their dark-weighted centres, and which could be followed.
+    """Displacement of markers between two images by their darkness-weighted centres, and which could be followed.
 
-    start, expected: (n, 2) px, where the markers stand in `before` and roughly in `after`. Returns (n, 2) and (n,) bool.
+    start, expected: (n, 2) px, marker positions in `before` and roughly in `after`. Returns (n, 2) px and (n,) bool.
     """
     first, second = markers_in(before).points, markers_in(after).points
     i, near_first = _nearest(first, start)
@@ -89,9 +89,9 @@ def gel_points(camera, pixels: np.ndarray) -> np.ndarray:
 
 
 def markers_by_mechanics(camera, result) -> np.ndarray:
-    """Where the camera must see the centre of each printed marker, from nodal displacements alone, (n, 2) px.
+    """Expected image position of each printed marker's centre, from nodal displacements alone, (n, 2) px.
 
-    The mean over the marker's area, because a marker's centre in a picture is that of its area.
+    It is the mean over the marker's area, because a marker's centre in an image is that of its area.
     """
     radius, angle = np.array([0.2, 0.5, 0.7, 0.87, 0.96]), np.linspace(0, 2 * np.pi, 12, endpoint=False)
     ring = (

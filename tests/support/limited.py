@@ -1,4 +1,4 @@
-"""Little room for files: a disk of a few KiB, and Python run where none may grow larger, as if the disk ended there."""
+"""Little disk space: a disk of 64 KiB, and Python run with a limit on the size of files, as if the disk were full."""
 
 import os
 import subprocess
@@ -12,7 +12,7 @@ import pytest
 
 @contextmanager
 def small_disk(folder: Path) -> Iterator[Path]:
-    """A disk of 64 KiB at a folder; where none can be mounted, the test is skipped."""
+    """A disk of 64 KiB at a folder; if it cannot be mounted, the test is skipped."""
     folder.mkdir(exist_ok=True)
     mount = ["mount", "-t", "tmpfs", "-o", "size=64k", "none", folder]
     if os.geteuid() != 0 or subprocess.run(mount, capture_output=True, check=False).returncode:
@@ -24,12 +24,12 @@ def small_disk(folder: Path) -> Iterator[Path]:
 
 
 def limited(kib: int, *words) -> subprocess.CompletedProcess:
-    """Run `python -m WORDS` so."""
+    """Run `python -m WORDS` with files of at most `kib` KiB."""
     return limited_python(kib, "-m", *words)
 
 
 def limited_python(kib: int, *words) -> subprocess.CompletedProcess:
-    """Run `python WORDS` so; Python keeps no compiled files meanwhile, which the limit would cut off."""
+    """Run `python WORDS` with files of at most `kib` KiB; without compiled files, which the limit would truncate."""
     command = [sys.executable, "-B", *map(str, words)]
     shell = ["bash", "-c", f'ulimit -f {kib}; exec "$@"', "limited"]
     return subprocess.run([*shell, *command], capture_output=True, text=True, check=False)

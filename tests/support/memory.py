@@ -1,7 +1,7 @@
-"""How much memory a program took, reported by itself."""
+"""A program's report of its own peak memory."""
 
-# Lines of a program that define peak_kib(). Not getrusage: what that gives for a new program begins with the peak of the
-# process that started it, which may hide all of its own.
+# Lines of a program that define peak_kib(). Not by getrusage, whose value for a new program starts at the peak of the
+# process that started it and may hide the program's own.
 PEAK_KIB = (
     "def peak_kib():\n"
     "    return int(next(line for line in open('/proc/self/status') if line.startswith('VmHWM')).split()[1])\n"

@@ -1,4 +1,4 @@
-"""Programs run as on a file system without locks: the kernel answers each flock as such a file system does."""
+"""Run programs as on a file system without locks: the kernel answers each flock as such a file system does."""
 
 import ctypes
 import os
@@ -15,7 +15,7 @@ ERROR, ALLOW = 0x00050000, 0x7FFF0000
 
 
 def without_locks(number: int, *words) -> subprocess.CompletedProcess:
-    """Run a program so, flock failing with errno `number`; where the kernel cannot be asked for it, the test is skipped."""
+    """Run a program whose flock fails with errno `number`; skip the test if the kernel does not support this."""
     if os.uname().machine not in FLOCK:
         pytest.skip(f"number of flock on {os.uname().machine} is not known")
     command = [sys.executable, "-m", "tests.support.no_locks", str(number), *map(str, words)]
@@ -26,7 +26,7 @@ def without_locks(number: int, *words) -> subprocess.CompletedProcess:
 
 
 def main(number: int, words: list[str]) -> None:
-    """Let the kernel refuse flock, then become the program."""
+    """Let the kernel refuse flock, then execute the program."""
     lines = [
         (LOAD, 0, 0, 0),
         (EQUAL, 0, 1, FLOCK[os.uname().machine]),

@@ -1,10 +1,11 @@
 """Scenes of the open benchmark, solved by GetFEM: python3 outside_getfem.py CHALLENGE OUT [SCENE …].
 
 CHALLENGE: the folder that `make fea-challenge` writes. OUT: a submission for its score.py. Runs in Debian's own Python
-with python3-getfem and python3-scipy, without gelforge. Hexahedra of 20 nodes, contact by multipliers that are linear on their
-faces and GetFEM's own augmented Lagrangian friction operator, with a friction coefficient of 10 as stick; the body is its
-signed distance. A point sticks to the place of the body where its motion, extrapolated from the last load step, closes
-the gap: plain incremental stick counts motion before touch, and the force then depends on the number of load steps.
+with python3-getfem and python3-scipy, without gelforge. Hexahedra have 20 nodes. Contact uses multipliers that are
+linear on their faces and GetFEM's augmented Lagrangian friction operator, with a friction coefficient of 10 as stick;
+the body is given by its signed distance. A point sticks to the body where its motion, extrapolated from the last load
+step, closes the gap: plain incremental stick also counts motion before touch, so that the force depends on the number
+of load steps.
 """
 
 import csv
@@ -18,8 +19,8 @@ import getfem as gf
 import numpy as np
 from scipy.interpolate import LinearNDInterpolator
 
-# mm of the hexahedra at the sides of the footprint and inside of it; scenes with planes of symmetry are solved on a half or a
-# quarter of the gel
+# Size in mm of the hexahedra at the sides of the footprint and inside it; scenes with planes of symmetry are solved
+# on a half or a quarter of the gel.
 EDGES_MM = {
     "sphere_1mm": (0.45, 0.45),
     "cuboid_round": (0.55, 0.55),
@@ -31,36 +32,36 @@ EDGES_MM = {
     "cuboid_sharp": (0.5, 0.5),
     "punch": (0.25, 0.25),
 }
-# mm beside the footprint's sides that have the small hexahedra, and how they grow from there
+# Width in mm of the strip of small hexahedra along the footprint's sides, and growth of size per distance from it.
 RIM, RIM_GROWTH = 0.6, 0.4
-GROWTH, LARGEST = 1.6, 3.5  # how they grow away from the body, and the largest, mm
-LAYERS = (1.4, 1.0, 0.7, 0.5, 0.4)  # from the base to the top, of the height
+GROWTH, LARGEST = 1.6, 3.5  # factor from one hexahedron to the next away from the body, and largest size, mm
+LAYERS = (1.4, 1.0, 0.7, 0.5, 0.4)  # relative heights of the layers from the base to the top
 MARGIN = 0.7  # mm of small hexahedra beside the footprint
 STEP = 0.125  # mm of travel in a load step
 FRICTION, AUGMENTATION = 10.0, 5.0  # -, N/mm^3
 RESIDUAL = 1e-5  # largest nodal residual, N
-PENALTY = 1e5  # N/mm^3 that hold the planes of symmetry
-SUBCELLS = 8  # of a face along each side, at whose middles forces are written
+PENALTY = 1e5  # N/mm^3, of the condition on planes of symmetry
+SUBCELLS = 8  # per side of a face; forces are written at their centres
 DEFORMED = "(Id(3)+Grad_u)"
 
 
-# -- signed distance of bodies, mm, tip at the origin; the arguments are the table of scene.json and coordinates
+# -- signed distance to bodies, mm, tip at the origin; the arguments are the table of scene.json and coordinates
 
 
 def planar(side, z, fillet):
-    """Distance of a drawn figure with a rounded lower edge, from the distance `side` of the figure in the plane."""
+    """Distance to an extruded figure with a rounded lower edge, from the distance `side` in the plane."""
     a, b = side + fillet, fillet - z
     return np.hypot(np.maximum(a, 0), np.maximum(b, 0)) + np.minimum(np.maximum(a, b), 0) - fillet
 
 
 def rectangle(size, fillet, x, y):
-    """Distance of a rectangle with rounded corners in the plane."""
+    """Distance to a rectangle with rounded corners in the plane."""
     qx, qy = abs(x) - size[0] / 2 + fillet, abs(y) - size[1] / 2 + fillet
     return np.hypot(np.maximum(qx, 0), np.maximum(qy, 0)) + np.minimum(np.maximum(qx, qy), 0) - fillet
 
 
 def polygon(corners, x, y):
-    """Distance of a convex polygon, corners (k, 2) counter-clockwise."""
+    """Distance to a convex polygon, corners (k, 2) counter-clockwise."""
     points = np.stack([x, y], axis=-1)
     along = np.roll(corners, -1, axis=0) - corners
     far = points[..., None, :] - corners
@@ -92,7 +93,7 @@ def cylinder(of, x, y, z):
 
 
 def triple_triangle(of, x, y, z):
-    """A triangle with rounded corners, pierced by a sharp one upside down that leaves its three corners."""
+    """A triangle with rounded corners, cut by an inverted sharp triangle that leaves its three corners."""
     inradius, turn = of["side"] / np.sqrt(12), of["first_corner_deg"]
     outer = polygon(triangle(inradius - of["fillet"], turn), x, y) - of["fillet"]
     inner = (inradius - of["wall"]) / 2  # the hole's corners are `wall` away from the sides of the triangle
@@ -115,11 +116,11 @@ def pyramid(of, x, y, z):
 
 
 def sloping_cuboid(of, x, y, z):
-    """A block whose lower face falls towards -y, all edges but the upper ones rounded."""
+    """A block whose lower face slopes down towards -y, with all edges rounded except the upper ones."""
     if of["deepest_deg"] != -90:
         raise ValueError("a block whose lower face falls towards -y is all there is")
     fillet, slope, half = of["fillet"], np.tan(np.deg2rad(of["slope_deg"])), of["size"][1] / 2 - of["fillet"]
-    # the core that is rounded: its lowest corner lies `fillet` above the tip
+    # the core to be rounded, whose lowest corner lies `fillet` above the tip
     corners = [(-half, fillet), (half, fillet + 2 * slope * half), (half, of["height"]), (-half, of["height"])]
     across, beside = polygon(np.array(corners), y, z), abs(x) - of["size"][0] / 2 + fillet
     apart = np.hypot(np.maximum(across, 0), np.maximum(beside, 0))
@@ -154,7 +155,7 @@ class RigidBody:
         return (found + found.transpose(0, 2, 1)) / 2
 
     def mirrored(self, legs: np.ndarray, axis: int) -> bool:
-        """Whether body and path are their own image in the plane across an axis."""
+        """Whether body and path are symmetric about the plane normal to an axis."""
         points = np.random.default_rng(1).uniform(-8, 8, (2000, 3)) + self.at
         image = points * np.where(np.arange(3) == axis, -1, 1)
         still = self.at[axis] == 0 and not np.any(legs[:, axis])
@@ -196,7 +197,7 @@ def lines(fine: np.ndarray, low: float, high: float, edge: float) -> np.ndarray:
 
 
 def footprint(body: RigidBody, legs: np.ndarray, top) -> np.ndarray:
-    """Lowest and highest x and y (2, 2) mm of the gel's top that the body meets at the ends of its legs."""
+    """Lowest and highest x and y (2, 2) mm of the gel's top where the body meets it at the ends of its legs."""
     x, y = np.meshgrid(np.arange(-10, 10.01, 0.1), np.arange(-12, 12.01, 0.1))
     points = np.stack([x, y, top(x, y)], axis=-1).reshape(-1, 3)
     met = np.concatenate([points[body.distance(points - leg) < 0, :2] for leg in np.cumsum(legs, axis=0)])
@@ -204,11 +205,10 @@ def footprint(body: RigidBody, legs: np.ndarray, top) -> np.ndarray:
 
 
 def gel_mesh(gel: dict, top, near: np.ndarray, halved: list[bool], edge: float, inside: float):
-    """Mesh of the gel, or of its half or quarter, with its lines along x and y; near: the fine part (2, 2) mm.
+    """Mesh of the gel, or of its half or quarter, and its lines along x and y. near: the fine part (2, 2) mm.
 
-    edge, inside: mm of the hexahedra at the footprint's sides and within them.
-
-    Corners of the outline are left square. Regions: 1 top near the body, 2 base, 3 and 4 the planes of symmetry.
+    edge, inside: size of the hexahedra at the footprint's sides and within them, mm. Corners of the outline are left
+    square. Regions: 1 top near the body, 2 base, 3 and 4 the planes of symmetry.
     """
     ends, sides = np.array([gel["width"], gel["length"]]) / 2, []
     for k in (0, 1):
@@ -234,7 +234,7 @@ def gel_mesh(gel: dict, top, near: np.ndarray, halved: list[bool], edge: float, 
 
 
 class PressedGel:
-    """The gel, the body, and the load steps of one scene; folder: the open benchmark's; edges: as `gel_mesh`."""
+    """The gel, the body, and the load steps of one scene. folder: the open benchmark's. edges: (edge, inside), mm."""
 
     def __init__(self, folder: Path, name: str, edges: tuple[float, float]):
         challenge = json.loads((folder / "challenge.json").read_text())
@@ -265,7 +265,7 @@ class PressedGel:
     def add_terms(self, volume, contact) -> None:
         """Energy of the gel, contact, base, and planes of symmetry.
 
-        The body enters by its distance, normal and curvature where the points are, so that Newton's steps are exact.
+        The body enters by distance, normal and curvature at the current points, so that Newton's steps are exact.
         """
         energy = f"c10*(pow(Det{DEFORMED},-2/3)*Norm_sqr{DEFORMED}-3)+(1/d1)*sqr(Det{DEFORMED}-1)"
         self.model.add_nonlinear_term(volume, energy)
@@ -280,11 +280,11 @@ class PressedGel:
                 self.model.add_linear_term(volume, f"{PENALTY}*u({k + 1})*Test_u({k + 1})", 3 + k)
 
     def places(self) -> np.ndarray:
-        """Where the integration points of the contact are, (n, 3) mm."""
+        """Current places of the integration points of the contact, (n, 3) mm."""
         return self.model.interpolation("X+u", self.vector, 1).reshape(-1, 3)
 
     def equilibrium(self, most: int = 25) -> bool:
-        """Newton's iterations with the body where it is; False where they do not end."""
+        """Newton's iterations with the body at rest; False if they do not converge."""
         for iteration in range(most):
             places = self.places()
             self.model.set_variable("place0", places.ravel())
@@ -303,10 +303,10 @@ class PressedGel:
         return False
 
     def follow(self) -> None:
-        """Move the body along its legs, by half a step where Newton's iterations do not end.
+        """Move the body along its legs, and halve a load step if Newton's iterations do not converge.
 
-        Places are those in the body's frame. Points that were pressed keep the place that they stick to; all others get
-        the one where they would meet the body.
+        Places are in the body's frame. Points in contact keep their stick points; all others get the one where they
+        would meet the body.
         """
         before = self.places() - self.body.at
         anchor, held = before.copy(), np.zeros(len(before), bool)
@@ -334,11 +334,11 @@ class PressedGel:
                 before, held = now, self.pressed()
 
     def pressed(self) -> np.ndarray:
-        """Which points (n,) are pressed against the body."""
+        """Which points (n,) are in contact with the body."""
         return self.model.interpolation("r*gap0-t.normal0", self.scalar, 1).ravel() < 0
 
     def touch(self, places: np.ndarray, moved: np.ndarray) -> np.ndarray:
-        """The part (n,) of a motion in the body's frame after which each point's gap is closed, at most all of it."""
+        """Fraction (n,) of a motion in the body's frame at which each point's gap closes, at most 1."""
         low, high = np.zeros(len(places)), np.ones(len(places))
         for _ in range(20):
             middle = (low + high) / 2
@@ -359,7 +359,7 @@ class PressedGel:
         return traction, height
 
     def forces(self) -> np.ndarray:
-        """Rows (n, 5) of x, y mm and force N at many points of the undeformed surface, mirrored where a part was solved."""
+        """Rows (n, 5) of x, y mm and force N at points of the undeformed surface, mirrored at planes of symmetry."""
         (x, y), (traction, height) = self.sides, self.nodal_tractions()
         inner = (np.arange(SUBCELLS) + 0.5) / SUBCELLS
         s, t = (v.ravel() for v in np.meshgrid(inner, inner, indexing="ij"))
@@ -385,7 +385,7 @@ class PressedGel:
 
 
 def main() -> None:
-    """Write a submission of the scenes named, or of all; one that is there already stays."""
+    """Write a submission of the named scenes, or of all; scenes that exist already are kept."""
     folder, out, names = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3:] or EDGES_MM
     out.mkdir(parents=True, exist_ok=True)
     gf.util_trace_level(0)

@@ -1,4 +1,4 @@
-"""Parameters for tests: those of workflow/params.toml, with values laid over them."""
+"""Parameters for tests: those of workflow/params.toml, with some values changed."""
 
 from pathlib import Path
 from typing import Any
@@ -11,7 +11,7 @@ WORKFLOW = Path(__file__).resolve().parents[2] / "workflow"
 
 
 def place_workflow(folder: Path) -> Path:
-    """Give a folder, in which the data and results of a test lie, the project's workflow and references; return it."""
+    """Link the project's workflow and references into a folder that holds a test's data and results; return it."""
     (folder / "data").mkdir(parents=True, exist_ok=True)
     (folder / "workflow").symlink_to(WORKFLOW)
     (folder / "data/fea_challenge").symlink_to(WORKFLOW.parent / "data/fea_challenge")
@@ -29,12 +29,12 @@ def with_values(table: ParameterTable, **values: Any) -> Any:
 
 
 def stage_of(stage: str, **tables: dict[str, Any]) -> Any:
-    """What a stage reads, with some values changed."""
+    """Parameters of a stage, with some values changed."""
     return parameters_of(parameters(**tables), stage, 1)
 
 
 def write_stage(folder: Path, stage: str, **tables: dict[str, Any]) -> Path:
-    """Write what a stage reads to FOLDER/STAGE.json; return the path."""
+    """Write the parameters of a stage to FOLDER/STAGE.json; return the path."""
     path = Path(folder) / f"{stage}.json"
     write_json(path, plain(stage_of(stage, **tables)))
     return path

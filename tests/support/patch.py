@@ -86,7 +86,7 @@ def _square_points(corners):
 
 
 def exact_cells(mesh: GelMesh, traction, sensor: Sensor, grid: Grid) -> np.ndarray:
-    """Exact force (rows, cols) of a linear traction(x, y) on each cell: clipped area times mid traction."""
+    """Exact force (rows, cols) of a linear traction(x, y) on each cell: clipped area times traction at centroid."""
     flat = mesh.nodes[mesh.faces[:, : CORNERS[mesh.kind]], :2]
     slope = face_loads(mesh).sum(axis=1) / polygon_area(flat)
     back, total = np.linalg.inv(sensor.projection), np.zeros(grid.cells)

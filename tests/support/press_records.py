@@ -11,16 +11,16 @@ PLAIN = {
 
 
 def press_record(row: int = 2, **cells) -> LoggedPress:
-    """A press of 1 mm at the apex, but for what is given."""
+    """A press of 1 mm at the apex, with the given cells changed."""
     return LoggedPress(row=row, **{**PLAIN, **cells})
 
 
 def log_line(columns=COLUMNS, **cells) -> str:
-    """A line of a log with that press."""
+    """A line of a log with the press of `press_record`."""
     return ",".join("" if (value := {**PLAIN, **cells}.get(name)) is None else str(value) for name in columns)
 
 
 def write_lines(path: Path, *lines: str, columns=COLUMNS) -> Path:
-    """Write a log of these lines below its header."""
+    """Write a log with a header and these lines."""
     path.write_text("\n".join([",".join(columns), *lines]) + "\n", encoding="utf-8")
     return path

@@ -1,4 +1,4 @@
-"""A small dataset as stages 00 to 40 leave it: a real gel mesh, forces of known tractions, images, poses."""
+"""A small dataset as stages 00 to 40 write it: a real gel mesh, forces of known tractions, images, poses."""
 
 from pathlib import Path
 
@@ -22,7 +22,7 @@ CATALOGUE = {"sphere_10": {"kind": "sphere"}, "cuboid_7": {"kind": "cuboid"}, "t
 
 
 def mesh_name(size: float = 1.2) -> HexMeshName:
-    """The name of hexahedra that are even all over."""
+    """The name of a mesh of uniform hexahedra."""
     return HexMeshName("gelsight_mini", FineBox(-10.0, 10.0, -12.0, 12.0, size), 2, 3.0, 1.5, 2.0)
 
 
@@ -30,7 +30,7 @@ HEXAHEDRA = mesh_name().name
 
 
 def make_mesh(size: float = 1.2):
-    """A gel of hexahedra, even all over."""
+    """A gel of uniform hexahedra."""
     return mesh_name(size).mesh()
 
 
@@ -105,7 +105,7 @@ def write_pressed(
 
 
 def place_sensors(of: Layout, file: Path) -> None:
-    """Write the sensors of a file where stages read them, if they are others than there."""
+    """Write the sensors of a file where stages read them, if they differ from those there."""
     tables = read_json(file) if file.suffix == ".json" else read_toml(file)
     write_if_changed(of.parameters("sensors"), canonical(tables))
 
@@ -126,7 +126,7 @@ def collect(made: dict, resolution: str, *flags: str, **settings) -> Path:
 
     of = Layout(made["results"])
     place_sensors(of, ROOT / "workflow/sensors.toml")
-    noise = {"judge_images": False}  # which its images are
+    noise = {"judge_images": False}  # the images are noise
     write_stage(of.params, "dataset", dataset=plain(SETTINGS) | settings, poses=noise)
     write_json(of.images(), {"left_out": {}})
     dataset.main([str(of.root), resolution, *flags])

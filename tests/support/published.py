@@ -1,4 +1,4 @@
-"""Comparison of indenters and gel with published STEP solids; needs the development dependency gmsh."""
+"""Comparison of indenters and gel with published STEP solids; needs gmsh."""
 
 from concurrent.futures import ProcessPoolExecutor
 from functools import cache
@@ -9,9 +9,9 @@ import numpy as np
 
 from gelforge.geometry.indenters import read_catalogue
 
-# FEATS' set-up files turn these by 180 degrees about z for its 0 degrees (indenterRotZ).
+# FEATS' set-up files turn these by 180 degrees about z at 0 degrees (indenterRotZ).
 HALF_TURN = ("triangle_10", "triangle_15", "triangle_20")
-# Shapes of the catalogue that are our own, beside the random solids.
+# Shapes of the catalogue that FEATS did not publish, beside the random solids.
 OWN = {
     "wire_2",
     "blade_14",
@@ -25,20 +25,20 @@ OWN = {
     "rod_30",
     "rod_60",
 }
-CONTACT_MM = 3.0  # above the tip: presses go 2 mm deep
+CONTACT_MM = 3.0  # compared height above the tip: presses are up to 2 mm deep
 
 
 def published_names(catalogue: Path) -> set[str]:
-    """Names of a catalogue's indenters that are meant to be published ones."""
+    """Names of a catalogue's indenters that represent published ones."""
     return {name for name, table in read_catalogue(catalogue).items() if table.get("kind") != "random_solid"} - OWN
 
 
 def read_step(path, size_mm: float, per_turn: int = 32) -> dict:
     """Volume (mm^3), centre of mass (3,), surface points (n, 3) and triangles (f, 3) of a STEP file, in mm.
 
-    The points lie on the exact surfaces, at most `size_mm` apart, on a circle at least `per_turn`.
-    gmsh runs in a process of its own: it takes away what the process that loads it does on signals, SIGPIPE among
-    them, and a web server of a later test then dies without a word when a browser closes its connection.
+    The points lie on the exact surfaces, at most `size_mm` apart, at least `per_turn` per circle. gmsh runs in its
+    own process because it replaces the signal handlers, SIGPIPE's among them, of the process that loads it: a web
+    server of a later test would then die silently when a browser closes its connection.
     """
     return _gmsh().submit(_mesh_of_step, path, size_mm, per_turn).result()
 
@@ -78,10 +78,10 @@ def _mesh_of_step(path, size_mm: float, per_turn: int) -> dict:
 
 
 def compare_indenter(body, path, sizes_mm=(3.0, 1.0, 0.4), good_mm: float = 0.05) -> dict:
-    """How far an indenter is from a STEP solid that points up.
+    """Difference between an indenter and a STEP solid that points up.
 
-    The solid is turned half a turn about x (those of HALF_TURN about z, too), set on its tip and shifted in x and y
-    so that the centres of mass agree.
+    The solid is turned by 180 degrees about x (those of HALF_TURN also about z), set on its tip, and shifted in x
+    and y so that the centres of mass agree.
     Returns volume_error (relative), surface_mm (largest distance between the surfaces, either way, within CONTACT_MM
     of the tip) and shift_mm (the shift in x and y). A coarse triangulation of the solid can only make the distance
     look larger, so finer ones are tried until it is below `good_mm`.
@@ -121,7 +121,7 @@ def compare_gel_top(gel, path, size_mm: float = 1.5) -> float:
 
 
 def step_file(folder, name: str) -> Path:
-    """Where the published solid of a catalogue indenter lies below the reference folder."""
+    """Path of the published solid of a catalogue indenter in the reference folder."""
     return Path(folder) / "feats" / "indenters" / f"{name}.step"
 
 

@@ -1,4 +1,4 @@
-"""Readings of frames as `gelforge live` makes them, of forces that are known."""
+"""Readings of frames as `gelforge live` makes them, with known forces."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ GREY = np.full((6, 8, 3), 90, np.uint8)
 
 
 def reading(number: int, flag: bool = False, image: np.ndarray = GREY, **changes) -> Reading:
-    """Frame of that number, a hundredth of a second each: `number` N of normal force in one cell of (4, 5)."""
+    """Reading of frame `number` at 100 frames per second: `number` N of normal force in one cell of (4, 5)."""
     forces = np.zeros((3, 4, 5), np.float32)
     forces[:, 1, 1] = 0.0, 0.0, -number
     said = {

@@ -1,10 +1,10 @@
-"""A flow on disk with the records that the wrapper leaves, of which nothing was run."""
+"""A flow on disk that was never run, with the records that the wrapper would have written."""
 
 from gelforge.flow.files import write_csv, write_json
 
 
 def lay(results, count, size=100):
-    """A flow of so many presses in shards, with the records that the wrapper leaves."""
+    """Write a flow of `count` presses in shards of `size`, with the wrapper's records."""
     names = [f"{k:04d}" for k in range(-(-count // size))]
     rows = [{"sample_id": f"s{k:05d}", "shard": k // size} for k in range(count)]
     write_csv(results / "00_plan/shards.csv", ["sample_id", "shard"], rows)

@@ -1,4 +1,7 @@
-"""Recordings of robots: images and wrenches in MCAP (ROS 2, Foxglove's protobuf, JSON) and in bags, each written by its own library."""
+"""Recordings of robots: images and wrenches in MCAP (ROS 2, Foxglove's protobuf, JSON) and in bags.
+
+Each is written by the library of its format.
+"""
 
 import base64
 from fractions import Fraction
@@ -26,12 +29,12 @@ LIGHTS = np.linspace([40, 160, 90], [210, 60, 140], 320).astype(np.uint8)
 
 
 def coloured(shade=0):
-    """A smooth image, (240, 320, 3): chroma of half resolution and Bayer patterns lose nothing of it."""
+    """An image (240, 320, 3) so smooth that chroma subsampling and Bayer patterns do not change it."""
     return np.ascontiguousarray(np.tile(LIGHTS, (240, 1, 1))) + np.uint8(shade)
 
 
 def raw(image, encoding="rgb8", channels=3, step=None, height=240, width=320):
-    """sensor_msgs/Image without its header, of pixels as they lie in memory."""
+    """sensor_msgs/Image without its header, with pixels as in memory."""
     return {"height": height, "width": width, "encoding": encoding, "is_bigendian": 0, "step": step or channels * width,
             "data": image.tobytes()}  # fmt: skip
 
@@ -46,7 +49,7 @@ def wrench(stamp, force, **other):
 
 
 def write(path, images, wrenches, bare=False):
-    """A recording of (log time, message) each; bare: wrenches without a header."""
+    """Write a recording of images and wrenches, (log time, message) each; bare: wrenches without a header."""
     from mcap_ros2.writer import Writer
 
     with path.open("wb") as stream:
@@ -73,7 +76,7 @@ def write(path, images, wrenches, bare=False):
 
 
 def ramp(count=300, delay=MS, clock=0):
-    """Wrenches each 10 ms of a force that grows: from it the time that an image was paired with can be read."""
+    """Wrenches every 10 ms with a growing force, which gives the time at which a wrench was paired with an image."""
     return [
         (START + k * 10 * MS + delay, wrench(START + k * 10 * MS + clock, -NEWTONS_A_SECOND * k / 100))
         for k in range(count)
@@ -81,7 +84,7 @@ def ramp(count=300, delay=MS, clock=0):
 
 
 def filmed(times, delay, clock=0):
-    """Images of these times in ms, each logged `delay` (k) ms after its stamp."""
+    """Images stamped at `times` in ms, each logged `delay(k)` ms after its stamp."""
     return [
         (
             START + int((t + delay(k)) * MS),
@@ -132,7 +135,7 @@ def encoded(images):
 
 
 def write_foxglove(path, images, forces, form):
-    """Images (time, array) as protobuf, or in JSON, and wrenches (time, (3,) N) in JSON of a schema of their own."""
+    """Write images (time, array) as protobuf or JSON, and wrenches (time, (3,) N) as JSON of a custom schema."""
     import foxglove
     from foxglove.channels import CompressedImageChannel, CompressedVideoChannel
 
@@ -162,7 +165,7 @@ def write_foxglove(path, images, forces, form):
 
 
 def write_bag(path, images, forces):
-    """The same as a bag of ROS 1, or of ROS 2 where the name has no ending."""
+    """The same as a bag of ROS 1 if the name ends in .bag, else of ROS 2."""
     from rosbags.rosbag1 import Writer as One
     from rosbags.rosbag2 import Writer as Two
     from rosbags.typesys import Stores, get_typestore

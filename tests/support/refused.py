@@ -1,4 +1,4 @@
-"""How what cannot be used is refused: gelforge.errors.BadInput, in one printable sentence."""
+"""Checks that unusable input is refused by gelforge.errors.BadInput, in one printable sentence."""
 
 import re
 from collections.abc import Callable
@@ -9,7 +9,7 @@ from gelforge.errors import BadInput
 
 
 def refused(said: str, call: Callable, *args, **words) -> str:
-    """The sentence in which a call refuses; `said`, a regular expression, is what it must name."""
+    """The sentence of the BadInput that a call raises, which must match the regular expression `said`."""
     with pytest.raises(BadInput) as error:
         call(*args, **words)
     sentence = str(error.value)

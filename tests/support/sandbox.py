@@ -1,4 +1,4 @@
-"""A project folder of its own, for benchmarks and tests that run make for real, and small datasets in it."""
+"""A separate project folder for benchmarks and tests that run make for real, and small datasets in it."""
 
 import os
 import shutil
@@ -10,13 +10,13 @@ from types import MappingProxyType
 from gelforge.flow.files import read_csv, write_csv, write_text
 
 ROOT = Path(__file__).resolve().parents[2]  # the project
-# What an outer make leaves in the environment of what it runs.
+# Variables that an outer make sets in the environment of its commands.
 OF_MAKE = ("MAKEFLAGS", "MAKELEVEL", "MFLAGS", "GNUMAKEFLAGS", "MAKE_TERMERR", "MAKE_TERMOUT")
 LINKED = ("Makefile", "rules", "src", "envs", ".venv", "pyproject.toml")
 
 
 def link_project(root: Path, folder: Path) -> Path:
-    """Lay a project in `folder`: linked code, its own workflow/, and empty data/ and results/."""
+    """Make a project in `folder`: linked code, its own copy of workflow/, and an empty data/."""
     folder.mkdir(parents=True, exist_ok=True)
     for name in LINKED:
         (folder / name).symlink_to(root / name)
@@ -26,14 +26,14 @@ def link_project(root: Path, folder: Path) -> Path:
 
 
 def clean_environment() -> dict[str, str]:
-    """The environment without what an outer make put there."""
+    """The environment without the variables of an outer make."""
     return {key: value for key, value in os.environ.items() if key not in OF_MAKE}
 
 
 def make(
     project: Path, *arguments: str, environment: Mapping[str, str] = MappingProxyType({}), **options
 ) -> subprocess.CompletedProcess:
-    """Run make in a sandbox; standard output and error are in the answer's `stdout`. environment: beside what is set."""
+    """Run make in a sandbox; `stdout` of the result holds standard output and error. environment: added variables."""
     return subprocess.run(
         ["make", *arguments],
         cwd=project,
@@ -45,7 +45,7 @@ def make(
     )
 
 
-# Coarse and in-process: the flow is on trial here, not the mechanics.
+# Coarse and in process, because the flow is tested here, not the mechanics.
 FAST = """
 [params.plan]
 shard_size = 2

@@ -1,4 +1,4 @@
-"""Small networks of every family, trained on a made-up dataset: what evaluation and use are tried on."""
+"""Small networks of every family, trained on a synthetic dataset, for tests of evaluation and use."""
 
 from gelforge.learning.data import open_data
 from gelforge.learning.recipe import save_trained
@@ -17,22 +17,22 @@ EVALUATE = with_values(parameters().evaluate, force_edges=[0.0, 5.0, 20.0], boot
 
 
 def learnt(folder):
-    """SMALL, trained by LEARNING on a dataset's folder until it reads its pictures."""
+    """SMALL, trained with LEARNING on a dataset's folder until it predicts its forces."""
     return train(open_data(folder), "small", SMALL, with_values(SETTINGS, **LEARNING))
 
 
 def small_dataset(folder):
-    """48 presses of all splits (learning.data.Data), their pictures of IMAGE and labels of GRID."""
+    """48 presses of all splits (learning.data.Data), with images of size IMAGE and labels of size GRID."""
     return open_data(write_dataset(folder / "6x8", 48, IMAGE, GRID))
 
 
 def small_models(data) -> dict:
-    """The networks of MODELS, two epochs each."""
+    """The networks of MODELS, trained for two epochs each."""
     return {name: train(data, name, model, with_values(SETTINGS, epochs=2)) for name, model in MODELS.items()}
 
 
 def small_files(models: dict, folder) -> dict:
-    """The files of networks, by their names."""
+    """Save networks; return their files by name."""
     for name, trained in models.items():
         save_trained(folder / f"{name}.onnx", trained)
     return {name: folder / f"{name}.onnx" for name in models}

@@ -1,4 +1,4 @@
-"""Values at points of a gel's surface, from those at the nodes, and forces at its base, from the displacement."""
+"""Values at points of a gel's surface from nodal values, and forces at its base from the displacement."""
 
 import numpy as np
 
@@ -11,8 +11,8 @@ from gelforge.mechanics.mesh.hexmesh import surface_lines
 def interpolate_surface(mesh: GelMesh, values: np.ndarray, xy: np.ndarray) -> np.ndarray:
     """Nodal values (n, k) of a structured hexahedral mesh at reference points (m, 2) of its top surface, (m, k).
 
-    Bilinear on the cells; points off the surface take the nearest cell's edge. The mesh may come
-    from GelMesh.load: its lines are read off the nodes.
+    Bilinear on the cells; points off the surface take the value at the nearest edge. The mesh may come from
+    GelMesh.load, because its lines are derived from the nodes.
     """
     xs, ys, first = surface_lines(mesh)
     nx = len(xs) - 1
@@ -28,7 +28,7 @@ def interpolate_surface(mesh: GelMesh, values: np.ndarray, xy: np.ndarray) -> np
 
 
 def base_reactions(mesh: GelMesh, displacement: np.ndarray, material: Material) -> np.ndarray:
-    """What the base bears (b, 3) N, from the displacement (n, 3) mm alone: the elements' own forces at the nodes that are held."""
+    """Internal forces (b, 3) N of the elements at the nodes of the base, from the displacement (n, 3) mm alone."""
     inner = np.zeros_like(mesh.nodes)
     solid = ELEMENTS[mesh.kind].on(mesh.nodes, mesh.cells)
     solid.internal_forces(displacement, material.shear_modulus, material.bulk_modulus, inner)

@@ -1,4 +1,4 @@
-"""Small datasets of stage 60 whose images follow from their labels by a made-up but learnable law."""
+"""Small datasets of stage 60 whose images follow from their labels by an invented law that a network can learn."""
 
 from dataclasses import fields
 from pathlib import Path
@@ -14,9 +14,9 @@ SPLITS = ("train", "val", "test", "test_unseen_indenter", "test_unseen_sensor")
 
 
 def draw_press(rng, image, grid, strength: float = 1.0, shade: float = 1.0, travel: float = 1.0):
-    """One image (h, w, 3) uint8 and its label (3, rows, cols): a bump that shades the picture and moves its markers.
+    """One image (h, w, 3) uint8 and its label (3, rows, cols): a bump that shades the image and moves its markers.
 
-    strength: factor on its force; 0 shows no contact. shade, travel: of the sensor, factors on light and markers.
+    strength: factor on the force; 0: no contact. shade, travel: of the sensor, factors on shading and marker motion.
     """
     height, width = image
     place = rng.uniform(0.3, 0.7, 2)
@@ -43,7 +43,7 @@ def draw_press(rng, image, grid, strength: float = 1.0, shade: float = 1.0, trav
 
 
 def write_dataset(folder, n=48, image=(240, 320), grid=(24, 32), seed=0, **sensor) -> Path:
-    """Write a dataset of `n` presses with all five splits as stage 60 does; return its folder. sensor: as for `draw_press`."""
+    """Write a dataset of `n` presses with all five splits as stage 60; return its folder. sensor: of `draw_press`."""
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
     rng = np.random.default_rng(seed)

@@ -120,4 +120,4 @@ def test_the_guide_is_a_site_whose_links_hold(root, tmp_path):
     assert done.returncode == 0, done.stderr[-3000:]
     for page in ("api", "limits"):
         assert "gel" in (tmp_path / f"site/{page}.html").read_text(encoding="utf-8")
-    assert "goes below the gel's apex" in (tmp_path / "site/api.html").read_text(encoding="utf-8")
+    assert "of the tip below the gel's apex" in (tmp_path / "site/api.html").read_text(encoding="utf-8")

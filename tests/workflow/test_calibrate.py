@@ -117,5 +117,5 @@ def test_a_wrong_log_leaves_no_summary_and_solves_nothing(root, tmp_path):
         with pytest.raises(BadInput, match=said):
             calibrate.main([str(of.root)])
         assert not of.calibration().exists()
-    with pytest.raises(BadInput, match=r"\[calibrate.solver\] sizes: unknown key; size is meant"):
+    with pytest.raises(BadInput, match=r"\[calibrate.solver\] sizes: unknown key; did you mean size"):
         parameters(calibrate={"solver": {"sizes": 1.0}})

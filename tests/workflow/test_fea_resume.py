@@ -89,7 +89,9 @@ def test_killed_run_resumes_and_corruption_is_found(folder, held_at_the_second):
     (out / "s1.npz").write_bytes(whole[: len(whole) // 2])
     (out / "s2.npz").unlink()
     table = folder / "30_fea" / "0000.csv"
-    with pytest.raises(BadInput, match=r"s1\.npz and 1 more: missing, or not as it was written.* run make again"):
+    with pytest.raises(
+        BadInput, match=r"s1\.npz and 1 more: missing or changed since it was written.* run make again"
+    ):
         forces.main(arguments(folder))
     assert not table.exists()
     assert fea.main(arguments(folder)) == 0
@@ -130,7 +132,7 @@ def test_what_another_method_solved_says_so_in_table_and_report(folder, ccx, cap
     assert row["reason"].startswith("solved by label, because ccx: UNBALANCED") and row["reason"] in run.stdout
     solved = {solve.sample_id: solve for solve in read_solves(folder / "30_fea" / "0000.csv")}
     shown = failures_section(folder, solved).items
-    assert "Labels by another method than was asked for" in str(shown) and "UNBALANCED" in str(shown)
+    assert "Labels by another method than requested" in str(shown) and "UNBALANCED" in str(shown)
 
 
 def test_a_press_that_calculix_does_not_finish_says_who_solved_it(folder, ccx):
@@ -208,7 +210,7 @@ def test_decks_run_by_stock_calculix_give_the_forces_of_stage_40(folder, ccx, tm
     # what a deck is made of again is gone: the press is solved again
     (folder / "30_fea/0000/s2.npz").unlink()
     with pytest.raises(
-        BadInput, match=r"s2\.npz: missing, or not as it was written; remove .*0000\.csv and run make"
+        BadInput, match=r"s2\.npz: missing or changed since it was written; remove .*0000\.csv and run make"
     ):
         deck.main([str(folder), "--id", "s2"])
     assert fea.main(arguments(folder)) == 0

@@ -99,7 +99,10 @@ def test_a_truncated_artifact_is_refused_and_made_again_alone(labelled):
     content = whole.read_bytes()
     whole.write_bytes(content[: len(content) // 2])
     done = make(labelled, "DATASET=tiny", "labels")
-    assert done.returncode and "0000.npz: is not as it was made; remove it (rm results/tiny/40_f" in done.stdout
+    assert (
+        done.returncode
+        and "0000.npz: missing or changed since it was made; remove it (rm results/tiny/40_f" in done.stdout
+    )
     whole.unlink()
     assert build(labelled, "labels") == ["40_forces/0000.npz"]  # of the same content: labels are those of today
     assert whole.read_bytes() == content

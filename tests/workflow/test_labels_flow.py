@@ -193,7 +193,7 @@ def test_a_corrupt_shard_is_refused_and_made_again_once_it_is_removed(labelled):
         (folder / "0000.npz").write_bytes(corrupt)
         os.utime(folder / "0000.npz", ns=(state.st_atime_ns, state.st_mtime_ns))
         done = make(labelled, "DATASET=made", "dataset", "RES=6x8")
-        found = re.search(r"0000\.npz: is not as it was made; remove it \(rm (.*?)\)", done.stdout)
+        found = re.search(r"0000\.npz: missing or changed since it was made; remove it \(rm (.*?)\)", done.stdout)
         assert done.returncode and found, done.stdout
         for name in found[1].split():
             (labelled / name).unlink()

@@ -16,7 +16,7 @@ def say(project, *words):
 def test_look_finds_what_sample_made_and_a_calibration_scales_it(project):
     first = read_csv(project / "data/tiny/log.csv")[0]["sample_id"]
     assert "has no label at 24x32 yet" in make(project, "DATASET=tiny", "look", f"ID={first}").stdout
-    assert "everything of" in say(project, "sample", f"ID={first}")
+    assert f"all files of {first} are in" in say(project, "sample", f"ID={first}")
     say(project, "look", f"ID={first}")
     scaled_by_the_calibrated_material(project, first)
     made = {path.name for path in (project / "results/tiny/look").iterdir()}

@@ -153,7 +153,7 @@ def test_a_lost_picture_is_drawn_again_from_the_kept_surface(two, tmp_path, caps
     image = lost.read_bytes()
     lost.unlink()
     run(plan_of(tmp_path, 2), two.parent, ROOT / "workflow")
-    assert "0 new, 1 only drawn again" in capsys.readouterr().out
+    assert "0 new, 1 with images drawn again" in capsys.readouterr().out
     assert lost.read_bytes() == image
     assert (two / "log.csv").read_bytes() == log
 
@@ -226,7 +226,7 @@ def test_parameters_of_a_plan_that_were_changed_since_are_reported(two, tmp_path
     shutil.copytree(two, tmp_path / "data" / two.name)
     capsys.readouterr()
     run(plan_of(tmp_path, 2), tmp_path / "data", ROOT / "workflow")
-    assert "dataset.toml is not what the plan would write and stays as it is" in capsys.readouterr().out
+    assert "dataset.toml differs from what the plan would write and is kept" in capsys.readouterr().out
     assert "largest_outside_share" in (tmp_path / "data" / two.name / "dataset.toml").read_text()
 
 
@@ -259,7 +259,7 @@ def test_a_sensor_that_looks_otherwise_needs_its_pictures_drawn_anew(two, tmp_pa
     shutil.rmtree(two / "images")
     shutil.rmtree(two / "nocontact")
     run(plan_of(tmp_path, 2), two.parent, workshop)
-    assert "only drawn again" in capsys.readouterr().out
+    assert "with images drawn again" in capsys.readouterr().out
 
 
 def test_a_bench_none_of_whose_presses_succeeded_goes_on(two, tmp_path):

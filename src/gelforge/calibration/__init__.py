@@ -1,1 +1,1 @@
-"""Bayesian calibration: what force readings say about the gel, the rig and the interface."""
+"""Bayesian calibration of the gel, the rig and the interface from force readings."""

@@ -1,8 +1,8 @@
 """Force against depth and friction, from a handful of finite element solves.
 
 Force is proportional to C10 at fixed D1*C10 when the indenter is rigid and its path prescribed, so
-C10 needs no solve. What is tabulated is the force at REFERENCE_C10 on a fine grid of depth and
-friction; a table is interpolated linearly, which makes the rig's compliance an exact inversion.
+C10 needs no solve. The force at REFERENCE_C10 is tabulated on a fine grid of depth and friction and
+interpolated linearly, so that the rig's compliance can be inverted exactly.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ HALF_MU = 0.5  # the friction coefficient in the middle of the axis
 
 
 def friction_axis(mu) -> np.ndarray:
-    """Map a friction coefficient in [0, inf] to the axis along which forces change evenly, [0, 1]: mu / (mu + HALF_MU)."""
+    """Map a friction coefficient in [0, inf] to mu / (mu + HALF_MU) in [0, 1], along which forces change evenly."""
     mu = np.asarray(mu, float)
     return np.where(np.isinf(mu), 1.0, mu / (np.where(np.isinf(mu), 1.0, mu) + HALF_MU))
 
@@ -45,7 +45,7 @@ class Emulator:
     """Tables for n presses.
 
     table: (n, FRICTIONS, DEPTHS, 3) N at REFERENCE_C10. top: (n,) mm, deepest tabulated depth.
-    group: (n,) index of each press's indenter. travel: (n,) mm that a press moves sideways.
+    group: (n,) index of each press's indenter. travel: (n,) mm, sideways.
     """
 
     table: np.ndarray
@@ -58,7 +58,7 @@ class Emulator:
 
         depth: (n,) commanded depth, mm. values: arrays (w,) by name (parameters.NAMES). The
         effective depth is commanded + offset - compliance * |normal force|, solved exactly; slopes
-        are with respect to the commanded depth. Beyond the table the last slope goes on. A frame that yields sideways
+        are with respect to the commanded depth. Beyond the table the last slope is extrapolated. Sideways, the frame
         takes shear_compliance * |sideways force| of the travel.
         """
         from gelforge.calibration.kernel import Walkers, evaluate
@@ -78,7 +78,7 @@ def curve_table(curve: Curve, top: float) -> np.ndarray:
     """Force (DEPTHS, 3) on the uniform grid from 0 to `top` of one curve.
 
     The normal force is a monotone cubic in the square root of depth, in which both a sphere's d^1.5
-    and a punch's d are gentle; shear is interpolated as its ratio to the normal force.
+    and a punch's d are smooth; shear is interpolated as its ratio to the normal force.
     """
     grid = np.linspace(0.0, top, DEPTHS)
     touching = np.abs(curve.force[:, 2]) > 0
@@ -98,7 +98,7 @@ def curve_table(curve: Curve, top: float) -> np.ndarray:
 def stuck_share(mu, ratio: float) -> np.ndarray:
     """Sideways over normal force at friction coefficients `mu`, as a fraction of its `ratio` without slip.
 
-    Of a ball on a half-space (Cattaneo 1938, Mindlin 1949): mu / ratio while all slides, 1 where nothing does.
+    For a ball on a half-space (Cattaneo 1938, Mindlin 1949): mu / ratio in full slip, 1 without slip.
     """
     s = np.asarray(mu, float) / ratio
     slipping = 1.0 - (1.0 - 2.0 / (3.0 * np.maximum(s, 2.0 / 3.0))) ** 1.5
@@ -108,11 +108,12 @@ def stuck_share(mu, ratio: float) -> np.ndarray:
 def sheared_table(alone: np.ndarray, top: float, nodes, ends) -> np.ndarray:
     """Forces (FRICTIONS, DEPTHS, 3) after shear, from those of the press alone and a solve with shear at each node.
 
-    alone: (FRICTIONS, DEPTHS, 3), from the friction `nodes` (m,), rising, the last of them without slip. ends: (m, 3) N after
-    shear at the depth `top`.
-    A contact that obeys Coulomb's law is the same when travel and mu are scaled alike (Cattaneo 1938, Mindlin 1949). So
-    between nodes what shear adds to sideways over normal force is linear in `stuck_share`, and at another depth it is what
-    it adds at the top at another mu: without slip it goes as 1 / depth, of a sphere and of a punch.
+    alone: (FRICTIONS, DEPTHS, 3) N, before shear. nodes: (m,) friction coefficients, rising, the last without slip.
+    ends: (m, 3) N, after shear at the depth `top`. A press that does not touch there raises BadInput.
+    A contact under Coulomb's law stays similar if travel and mu are scaled alike (Cattaneo 1938, Mindlin 1949). So
+    what shear adds to the ratio of sideways to normal force is linear in `stuck_share` between nodes, and at another
+    depth it follows from that at `top` for another mu; without slip it is proportional to 1 / depth, for a sphere and
+    for a punch.
     """
     grid = np.linspace(0.0, top, DEPTHS)
     normal = np.interp(friction_axis(nodes), np.linspace(0.0, 1.0, FRICTIONS), alone[:, -1, 2])
@@ -134,10 +135,10 @@ def sheared_table(alone: np.ndarray, top: float, nodes, ends) -> np.ndarray:
 
 
 def sticking(table: np.ndarray) -> np.ndarray:
-    """How much of a contact sticks, (FRICTIONS, DEPTHS), 0 to 1, from its forces (FRICTIONS, DEPTHS, 3).
+    """Degree of sticking, 0 (full slip) to 1 (no slip), (FRICTIONS, DEPTHS), from forces (FRICTIONS, DEPTHS, 3).
 
-    d ln force / d ln travel of the sideways force, which under Coulomb's law is 1 less that over friction: the force is
-    proportional when travel and friction are scaled alike (Cattaneo 1938, Mindlin 1949).
+    It is d ln F / d ln travel of the sideways force F. Under Coulomb's law that is 1 - d ln F / d ln mu, because F
+    scales with travel and mu if these are scaled alike (Cattaneo 1938, Mindlin 1949).
     """
     aside = np.log(np.maximum(np.hypot(table[1:-1, :, 0], table[1:-1, :, 1]), 1e-12))
     over_mu = np.gradient(aside, np.log(_frictions()[1:-1]), axis=0)
@@ -145,15 +146,15 @@ def sticking(table: np.ndarray) -> np.ndarray:
     return np.concatenate([ends, np.clip(1.0 - over_mu, 0.0, 1.0), ends + 1.0])
 
 
-# Normal force over friction is 1 - exp(-(mu / STICKS)^POWER) of the way from none to no slip: of a ball, a block, a bar and a
-# cylinder within 1 % from 0.5 to no slip, 2 % at 0.2, where it is solved at 0.25.
+# The normal force lies at the fraction 1 - exp(-(mu / STICKS)^POWER) between its values without friction and without
+# slip: for a ball, a block, a bar and a cylinder within 1 % from mu = 0.5 up, within 2 % at 0.2, if solved at 0.25.
 STICKS, POWER = 0.27, 1.25
 
 
 def friction_table(nodes, tables) -> np.ndarray:
-    """Tables (FRICTIONS, DEPTHS, 3) on the uniform friction axis from those (m, DEPTHS, 3) at the friction `nodes` (m,), rising.
+    """Tables (FRICTIONS, DEPTHS, 3) on the uniform friction axis from `tables` (m, DEPTHS, 3) at rising `nodes` (m,).
 
-    One node gives a constant; below the first the line to the last goes on.
+    One node gives a constant. Below the first node the line through first and last is extrapolated.
     """
     tables = np.asarray(tables, float)
     if len(tables) == 1:

@@ -5,11 +5,11 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-LEAST_WAY = 1e-6  # fraction of the travel that is left at least
+LEAST_WAY = 1e-6  # least fraction of the travel that is left
 
 
 class Walkers(NamedTuple):
-    """Values of w walkers: scale (w, n) of each press's forces, friction (w,) in steps of its axis, others (w,) in their own units."""
+    """Values of w walkers: scale (w, n) of forces, friction (w,) in grid steps, others (w,) in mm and mm/N."""
 
     scale: np.ndarray
     offset: np.ndarray
@@ -19,7 +19,10 @@ class Walkers(NamedTuple):
 
 
 class Found(NamedTuple):
-    """What is found of n presses: forces (n, 3), slopes (n, 3), depths (n,), and the place in the grid: low (n,), -1 off the gel, t (n,)."""
+    """Results of n presses: forces (n, 3), slopes (n, 3), depths (n,), and their place in the grid of depths.
+
+    low: (n,) grid interval, -1 off the gel. t: (n,) fraction within it.
+    """
 
     forces: np.ndarray
     slopes: np.ndarray
@@ -30,27 +33,27 @@ class Found(NamedTuple):
 
 @njit(cache=True, fastmath=False)
 def sideways_left(yielded, exponent):
-    """Share of a sideways force that is left where the frame yields.
+    """Fraction of a sideways force that is left when the frame yields.
 
-    yielded: part of the travel that the frame would take under the whole force. exponent: d ln force / d ln travel.
-    The travel x that remains, as a fraction, meets x + yielded * x**exponent = 1; the force is x**exponent.
+    yielded: fraction of the travel that the frame would take under full force. exponent: d ln force / d ln travel.
+    The fraction x of the travel that is left solves x + yielded * x**exponent = 1; the force is x**exponent.
     """
     x = 1.0 / (1.0 + yielded)
     for _ in range(4):
         x -= (x + yielded * x**exponent - 1.0) / (1.0 + yielded * exponent * x ** (exponent - 1.0))
-        x = max(x, LEAST_WAY)  # concave: a step may go beyond the root, and beyond 0
+        x = max(x, LEAST_WAY)  # concave: a step may overshoot the root, and 0
     return x**exponent
 
 
-# What follows goes over all presses of one walker: with helpers called for each press it takes a third longer.
-# at: (m, fm), the friction coefficients between which a walker lies, and how far.
+# The following functions loop over all presses of one walker: helpers called for each press take a third longer.
+# at: (m, fm), the friction interval in which a walker lies, and the fraction within it.
 
 
 @njit(cache=True, fastmath=False)
 def _press(table, top, at, target, scale, compliance, found):
-    """Fill in what is found of each press before the frame yields sideways.
+    """Fill in `found` of each press, for a frame that is rigid sideways.
 
-    target: (n,) mm, the commanded depth with its offset. scale: (n,).
+    target: (n,) mm, commanded depth plus offset. scale: (n,).
     """
     m, fm = at
     grid = table.shape[2]
@@ -84,7 +87,7 @@ def _press(table, top, at, target, scale, compliance, found):
 
 @njit(cache=True, fastmath=False)
 def _yield_sideways(table, travel, at, over_log_mu, scale, compliance, found):
-    """Lessen the sideways parts of forces and slopes by what the frame takes of the travel (n,) mm."""
+    """Reduce sideways forces and slopes, because the yielding frame takes a part of the travel (n,) mm."""
     m = at[0]
     forces, slopes = found.forces, found.slopes
     for p in range(travel.size):
@@ -112,8 +115,8 @@ def evaluate(table, top, depth, travel, of):
     With the force linear between grid depths d_j, the commanded depth that ends at d_j is
     d_j - offset + compliance |f_j|, which increases with j: one bisection finds the interval and
     the answer in it is exact. Sideways, the force at another travel follows from the force at another friction
-    coefficient: under Coulomb's law it is proportional when both are scaled (Cattaneo 1938, Mindlin 1949), so its
-    exponent over travel is 1 less that over friction.
+    coefficient: under Coulomb's law it scales with both if these are scaled alike (Cattaneo 1938, Mindlin 1949), so
+    its exponent in travel is 1 minus that in friction.
     """
     walkers, presses = of.offset.size, depth.size
     forces = np.zeros((walkers, presses, 3))
@@ -136,12 +139,12 @@ def evaluate(table, top, depth, travel, of):
 
 @njit(cache=True, fastmath=False)
 def log_likelihood(residual, serves, forces, slopes, noise, scatter, errors, tail, constant):
-    """Log-likelihood (w, n) of the readings of n presses, each press one draw of Student's t.
+    """Log-likelihood (w, n) of the readings of n presses, each press one draw of a multivariate Student's t.
 
-    residual: (w, n, 3) N. serves: (n, 3), whether a component does. forces, slopes: (w, n, 3). noise, scatter: (w,).
-    errors: of emulated forces: of all components, of sideways ones alike, of sideways ones by the normal force.
-    constant: (4,), of the density by the number of components.
-    What a press' components share are an error of touch, along the slope of the force, and the errors of the emulator.
+    residual: (w, n, 3) N. serves: (n, 3), which components are used. forces, slopes: (w, n, 3). noise, scatter: (w,).
+    errors: relative errors of emulated forces: of all components, of both sideways ones, and of each sideways one by
+    the normal force. tail: degrees of freedom. constant: (4,), of the log-density, by the number of components.
+    The components of a press share the touch error, along the slope of the force, and the first two of `errors`.
     """
     walkers, presses = residual.shape[:2]
     found = np.zeros((walkers, presses))

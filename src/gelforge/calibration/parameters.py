@@ -27,7 +27,7 @@ LABELS = {
     "scatter": "touch scatter (mm)",
     "discretisation": "ln of scale, all forces",
 }
-FRICTION = {Frictionless.name: 0.0, NoSlip.name: np.inf}  # that a law implies; Coulomb's is a parameter
+FRICTION = {Frictionless.name: 0.0, NoSlip.name: np.inf}  # coefficient that a law implies; Coulomb's is a parameter
 # Distributions of scipy.stats by kind of prior, from the numbers of its table.
 KINDS = {
     "normal": lambda n: stats.norm(n["mean"], n["spread"]),
@@ -35,7 +35,7 @@ KINDS = {
     "halfnormal": lambda n: stats.halfnorm(scale=n["spread"]),
     "cauchy": lambda n: stats.cauchy(n["mean"], n["spread"]),
 }
-# What to look at where a parameter is outside of what is usual.
+# What to check if a parameter is outside its usual range.
 CHECK = {
     "c10": "check the gel's thickness, the sizes of the indenters and the unit of the forces",
     "offset": "check how touch was found and z0_mm of the log",
@@ -45,15 +45,16 @@ CHECK = {
     "discretisation": "check the unit of the forces",
     "indenter": "check this indenter's size and rot_deg",
 }
-# Probability of a prior, outside of which on either side a median is no usual one; of a cauchy prior that is five spreads.
+# A median in a tail of its prior, on either side, with less than this probability is unusual: for a cauchy prior,
+# more than five spreads away.
 BEYOND = {"cauchy": 0.063}
 BEYOND_OTHERS = 0.005
-POINTS = 6401  # at which a prior is tabulated over its coordinate, so that values in between are good to 1e-6
+POINTS = 6401  # of a prior's table over its coordinate; interpolated values are accurate to 1e-6
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Prior of one parameter: a distribution of scipy.stats, of one of KINDS.
+    """Prior of one parameter: a distribution of scipy.stats whose kind is in KINDS.
 
     Walkers move in the coordinate z in which the prior is a standard normal distribution: F(value) = Phi(z).
     """
@@ -80,8 +81,8 @@ class Prior:
 class FrictionPrior(Prior):
     """Prior of a friction coefficient, whose walkers move on the emulator's friction axis, in (0, 1).
 
-    Along it forces are nearly straight, and with them the ridge on which C10 and friction trade. In any other
-    coordinate the ridge is bent, and walkers cannot follow.
+    Forces are nearly linear in it, and so is the ridge of the posterior along which C10 and friction trade off. In
+    any other coordinate the ridge is curved, and walkers cannot follow it.
     """
 
     RANGE: ClassVar[tuple[float, float]] = (1e-4, 1.0 - 1e-4)
@@ -107,8 +108,8 @@ def prior_of(table: PriorTable, kind: type[Prior] = Prior) -> Prior:
 class Model:
     """An interface law, and which parameters are free.
 
-    free: {name: Prior} in the order of NAMES, then "scale of INDENTER" where several indenters
-    serve. fixed: {name: value} of all others. indenters: names in the order of Emulator.group.
+    free: {name: Prior} in the order of NAMES, then "scale of INDENTER" if several indenters
+    are used. fixed: {name: value} of all others. indenters: names in the order of Emulator.group.
     """
 
     law: str
@@ -155,7 +156,7 @@ class Model:
         return self.coordinates(rng.random((size, len(self.free))))
 
     def beyond_priors(self, medians: dict[str, float]) -> list[str]:
-        """A sentence on each parameter whose median is none that its prior expects, with what to check."""
+        """A sentence on each parameter whose median is unusual under its prior (BEYOND), with what to check."""
         said = []
         for name, value in medians.items():
             prior = self.free[name]
@@ -183,8 +184,8 @@ def make_model(params: CalibrateTable, law: str, indenters=(), sideways: bool = 
     """Model of `law` from the table [calibrate].
 
     A parameter is free unless its prior says `free = false`; then it stays at `fixed`. Several
-    indenters get a scale each, with the prior `indenter`. sideways: whether readings of sideways forces serve; without
-    any, the parameters that only they determine have no effect.
+    indenters get a scale each, with the prior `indenter`. sideways: whether sideways forces are used; if not, the
+    parameters that only they determine (SIDEWAYS) are fixed at 0.
     """
     free, fixed = {}, {}
     for name in NAMES:

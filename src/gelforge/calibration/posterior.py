@@ -8,10 +8,9 @@ from scipy.special import gammaln
 from gelforge.calibration.emulator import Emulator
 from gelforge.calibration.parameters import TARE, Model
 
-# By how much emulated forces err from press to press, measured by solves of the demo's presses on fine hexahedra at other
-# friction and depth (make benchmark-calibration): all components by a fraction of themselves; sideways forces by one more
-# and, where a press hardly moves sideways, by one of the normal force. Without it a thousandth of a firm press' force
-# would decide on friction.
+# Relative errors of emulated forces from press to press, measured by solves of the demo's presses on fine hexahedra
+# at other friction and depth (make benchmark-calibration): of all components, of sideways forces in addition, and of
+# the normal force for presses that hardly move sideways. Without them 0.1 % of a large force would decide friction.
 ERROR = 0.013
 SIDEWAYS_ERROR, SIDEWAYS_ERROR_OF_NORMAL = 0.02, 0.002
 ERRORS = np.array([ERROR, SIDEWAYS_ERROR, SIDEWAYS_ERROR_OF_NORMAL])
@@ -21,7 +20,7 @@ ERRORS = np.array([ERROR, SIDEWAYS_ERROR, SIDEWAYS_ERROR_OF_NORMAL])
 class Posterior:
     """Readings, emulator and model.
 
-    depth: (n,) commanded, mm. observed: (n, 3) N on the gel, nan where a component does not serve.
+    depth: (n,) commanded, mm. observed: (n, 3) N on the gel, nan where a component is not used.
     tail: degrees of freedom of Student's t, the robust likelihood (Lange, Little, Taylor 1989).
     """
 
@@ -34,9 +33,9 @@ class Posterior:
     def predict(self, coordinates) -> tuple[np.ndarray, np.ndarray]:
         """Noise-free readings and scale of each one's likelihood, each (w, n, 3) N.
 
-        A reading is the force on the gel and the sensor's constant force. The scale holds the sensor's noise and, in
-        quadrature, what the scatter of touch from press to press makes of the slope of force over depth, and what the
-        emulator errs by.
+        A reading is the force on the gel plus the sensor's constant force. The scale adds in quadrature the sensor's
+        noise, the scatter of touch from press to press times the slope of force over depth, and the emulator's
+        errors.
         """
         values = self.model.values(coordinates)
         forces, slopes, _ = self.emulator.forces(self.depth, values)
@@ -52,7 +51,7 @@ class Posterior:
         return np.sqrt(variance)
 
     def by_press(self, coordinates) -> np.ndarray:
-        """Log-likelihood of every press, (w, n): a multivariate t, because its components share its errors."""
+        """Log-likelihood of every press, (w, n): a multivariate t, because its components share errors."""
         from gelforge.calibration.kernel import log_likelihood
 
         values = self.model.values(coordinates)
@@ -64,7 +63,7 @@ class Posterior:
         )  # fmt: skip
 
     def __call__(self, coordinates) -> np.ndarray:
-        """Log-probability (w,) at coordinates (w, free); -inf outside the priors, and where a force is no number."""
+        """Log-probability (w,) at coordinates (w, free); -inf outside the priors, and where a force is NaN."""
         coordinates = np.atleast_2d(coordinates)
         total = self.model.log_prior(coordinates)
         inside = np.isfinite(total)

@@ -15,7 +15,7 @@ from gelforge.records.frames import NEAR_MM, presses_of
 from gelforge.records.log import read_log
 from gelforge.records.press import FORCE, POSE, LoggedPress, Press, parse
 
-SLIDES = 1.0  # travel over depth from which on a contact slides as a whole at any usual friction
+SLIDES = 1.0  # travel over depth above which a contact slides as a whole at any usual friction
 
 
 @dataclass(frozen=True)
@@ -55,7 +55,7 @@ class Readings:
 
     @property
     def travel(self) -> np.ndarray:
-        """Commanded way sideways, (n,) mm."""
+        """Commanded sideways travel, (n,) mm."""
         return np.hypot(self.pose[:, 3], self.pose[:, 4])
 
     def press(self, i: int, depth: float) -> Press:
@@ -74,13 +74,13 @@ NEEDED = ("indenter", *POSE, *FORCE)
 
 
 def read_readings(log, known_bad: Collection[int] = (), gels: Mapping[str, str] = MappingProxyType({})) -> Readings:
-    """Read every press of a raw log that has a normal force; rows without one do not serve.
+    """Read every press of a raw log that has a normal force; rows without one are skipped.
 
-    A press that several sensors saw, in rows that are otherwise equal, is one reading, and so are the frames of a
-    press, of which the last serves.
-    known_bad: lines of the log that stage 10 rejected. gels: name of the gel by sensor, "" for rows that name no sensor;
-    USUAL_GEL for all others. Sideways forces may be empty. A log in which no row has a force, or a value that is no number,
-    raises BadInput.
+    Rows of several sensors that saw one press and are otherwise equal make one reading. Of the frames of a press only
+    the last is used.
+    known_bad: lines of the log that stage 10 rejected. gels: name of the gel by sensor, "" for rows that name no
+    sensor; USUAL_GEL for all others. Sideways forces may be empty. A log in which no row has a force, or a value that
+    is no number, raises BadInput.
     """
     rows = read_log(log)
     missing = [column for column in ("indenter", *POSE, "fz_n") if column not in rows[0].cells]
@@ -100,7 +100,7 @@ def read_readings(log, known_bad: Collection[int] = (), gels: Mapping[str, str] 
         same = tuple(raw.cells.get(c) for c in ("time_utc", "indenter", *POSE, *FORCE))
         if seen_by.setdefault(same, press.sensor_id) == press.sensor_id:
             presses.append(press)
-    # frames of one press share its error of touch: more than one would count that error as if it averaged out
+    # frames of one press share its touch error: with more than one it would be treated as independent
     presses = [frames[-1] for frames in presses_of(presses)]
     if not presses:
         rejected = [raw.row for raw in rows if raw.row in known_bad and raw.cells["fz_n"]]
@@ -118,7 +118,7 @@ def read_readings(log, known_bad: Collection[int] = (), gels: Mapping[str, str] 
 
 
 def path_of(press: LoggedPress) -> list[float]:
-    """A press's pose and path in the order of POSE; what an axis moved by less than its own error was no way sideways."""
+    """A press's pose and path in the order of POSE; sideways travel within the error of the axes (NEAR_MM) is 0."""
     sideways = np.hypot(press.dx_mm, press.dy_mm) > NEAR_MM
     return [float(getattr(press, column)) if sideways or column not in ("dx_mm", "dy_mm") else 0.0 for column in POSE]
 
@@ -160,40 +160,40 @@ def check_sign(readings: Readings) -> None:
     large = np.abs(fz) > 0.1 * np.abs(fz).max()
     pulling = np.flatnonzero(large & (fz > 0))
     if len(pulling) > 0.5 * large.sum():
-        # a constant force leaves the order: the deeper a press, the less a pull is logged
+        # a constant force keeps the order: deeper presses still log less pull
         if (readings.depth - readings.depth.mean()) @ fz < 0.0:
             raise BadInput(
-                f"{readings.source}: fz_n is positive in {len(pulling)} of {large.sum()} readings of size, but falls with depth, for"
+                f"{readings.source}: fz_n is positive in {len(pulling)} of the {large.sum()} large readings, but falls with depth, for"
                 f" example {readings.name(pulling[:1])} with {fz[pulling[0]]:g} N; the force sensor reads a constant force along z"
                 " without contact: tare it and log again, or subtract that force from the force columns"
             )
         raise BadInput(
-            f"{readings.source}: fz_n is positive in {len(pulling)} of {large.sum()} readings of size, for example "
+            f"{readings.source}: fz_n is positive in {len(pulling)} of the {large.sum()} large readings, for example "
             f"{readings.name(pulling[:1])} with {fz[pulling[0]]:g} N; a press pushes the gel along -z, so fz_n "
             "must be negative: the log uses the opposite sign convention, multiply its force columns by -1"
         )
 
 
 def check_enough(count: int) -> None:
-    """Refuse a single reading."""
+    """Raise BadInput for fewer than two readings."""
     if count < 2:
         raise BadInput(
-            "one force reading cannot show how well a model predicts a reading that it was not given; log two presses or more"
+            "one force reading is not enough: predictions are checked on readings that are left out; log two presses or more"
         )
 
 
 def slides(readings: Readings) -> np.ndarray:
-    """Whether a press moves so far sideways that its contact slides as a whole, (n,) bool: sideways over normal force is then friction."""
+    """Whether a press moves so far that its whole contact slides, (n,) bool; the ratio of its forces is then mu."""
     return readings.travel > SLIDES * readings.depth
 
 
 def choose_presses(readings: Readings, most: int, law: str) -> np.ndarray:
     """Indices of at most `most` presses, spread over indenters and, within each, over depth.
 
-    Round robin over the indenters with most presses, half as many as presses at most, since
-    an indenter pressed to one depth only adds little; each gives its presses in bisection order of
-    depth, so that any number taken spans the range. Under Coulomb's law a quarter are presses that slide, where there are
-    any, because only those show friction; without slip they do not serve, because the law does not hold for them.
+    Round robin over the indenters with most presses, at most half as many as `most`, because an indenter pressed to
+    only one depth adds little. Each gives its presses in bisection order of depth, so that any number of them spans
+    the range. Under Coulomb's law at least a quarter are presses that slide, as far as there are any, because only
+    those determine friction. Without slip these are left out, because the law does not hold for them.
     """
     sliding = slides(readings)
     firm, loose = np.flatnonzero(~sliding), np.flatnonzero(sliding)

@@ -1,4 +1,4 @@
-"""Ensemble sampling that is lengthened until it is long enough, and judged."""
+"""Ensemble sampling that goes on until the chain meets convergence criteria."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -12,14 +12,14 @@ from gelforge.errors import BadInput, GelforgeError
 if TYPE_CHECKING:
     import emcee
 
-LEARN = 300  # steps of a first part, to whose second half the moves of the next part are fitted; none is kept
-LEARNT = 4  # such parts
-CHUNK = 600  # steps between checks, at least; half of the chain once that is more
-STARTS = 200  # draws from the priors for each walker, of which the most probable ones are where walkers start
+LEARN = 300  # steps of a warm-up run, later discarded; the next run's proposal is fitted to its second half
+LEARNT = 4  # number of warm-up runs
+CHUNK = 600  # least steps between checks; half of the chain once that is more
+STARTS = 200  # draws from the priors per walker; walkers start at the most probable ones
 TAIL = 5.0  # degrees of freedom of the fitted proposal, whose tails are heavier than the posterior's
-INDEPENDENT = 0.5  # fraction of the later steps that take it
-# Vehtari, Gelman, Simpson, Carpenter, Bürkner (2021, Bayesian Analysis 16:667) advise 1.01 for four long chains. Of dozens of
-# walkers each has fewer draws, whose chance alone leaves as much.
+INDEPENDENT = 0.5  # fraction of steps that use it, after the first warm-up run
+# Vehtari, Gelman, Simpson, Carpenter, Bürkner (2021, Bayesian Analysis 16:667) advise 1.01 for four long chains.
+# With dozens of walkers each has fewer draws, and chance alone leaves as much.
 LARGEST_RHAT = 1.02
 
 
@@ -29,7 +29,7 @@ class NotConverged(GelforgeError):
 
 @dataclass(frozen=True)
 class Rules:
-    """When a chain is long enough: autocorrelation times kept after the burn-in, and R-hat. max_steps: bound on its length."""
+    """Convergence criteria: autocorrelation times kept after burn-in, and R-hat. max_steps: bound on the chain."""
 
     taus: float
     max_steps: int
@@ -39,11 +39,11 @@ class Rules:
 
 @dataclass(frozen=True)
 class Figures:
-    """What a chain is judged by; tau and rhat are the worst over the parameters.
+    """Diagnostics of a chain; tau and rhat are the worst over the parameters.
 
-    tau: autocorrelation time by emcee, steps. taus: how many of these are kept. rhat: R-hat with each walker as a chain;
-    it sees walkers that never visit each other's region, which the autocorrelation time does not. worst: the parameter
-    with that R-hat.
+    tau: autocorrelation time by emcee, steps. taus: how many of these are kept. rhat: R-hat with each walker as a
+    chain; unlike the autocorrelation time it detects walkers that never visit each other's region. worst: the
+    parameter with that R-hat.
     """
 
     steps: int
@@ -60,7 +60,7 @@ class Figures:
 
 @dataclass(frozen=True)
 class Chain:
-    """coordinates: (steps, walkers, free) of the whole chain; the first figures.burn steps do not count."""
+    """coordinates: (steps, walkers, free) of the whole chain; the first figures.burn steps are burn-in."""
 
     coordinates: np.ndarray
     figures: Figures
@@ -72,11 +72,12 @@ class Chain:
 
 
 def sample(posterior: Posterior, rules: Rules, say: Callable[[Figures], None] | None = None) -> Chain:
-    """Sample until the rules are met; raise NotConverged with the figures where they cannot be. say(figures) reports.
+    """Sample until the rules are met; raise NotConverged with the figures if max_steps do not suffice.
 
-    At first walkers move by each other's differences. Later half of the steps are independent draws of Student's t fitted
-    to the first part, after which a walker has forgotten where it was. That part is fixed, so this is plain
-    Metropolis-Hastings (Tierney 1994, Annals of Statistics 22:1701, section 2.3.3).
+    At first walkers move by differences of the ensemble. Later, half of the steps are independent draws of Student's
+    t fitted to the warm-up, so that a walker forgets its position. The fit is fixed, so this is plain
+    Metropolis-Hastings (Tierney 1994, Annals of Statistics 22:1701, section 2.3.3). say: called with the figures at
+    every check.
     """
     import emcee
     from emcee import moves
@@ -160,7 +161,7 @@ def judge(sampler: "emcee.EnsembleSampler", names: tuple[str, ...]) -> Figures:
 
 
 def complaint(figures: Figures, rules: Rules, beyond: list[str]) -> str:
-    """The sentence of a chain that did not converge: figures, where the walkers differ, hint. beyond: Model.beyond_priors."""
+    """Message for a chain that did not converge: figures, where walkers differ, hint. beyond: Model.beyond_priors."""
     text = (
         f"The chain did not converge in {figures.steps} steps: {figures.taus:.0f} autocorrelation times after the"
         f" burn-in (at least {rules.taus:g}), acceptance {figures.acceptance:.2f}, R-hat {figures.rhat:.3f} (below"
@@ -170,7 +171,7 @@ def complaint(figures: Figures, rules: Rules, beyond: list[str]) -> str:
         return text + " ".join(beyond)
     if figures.taus >= rules.taus:
         return text + (
-            f"Walkers differ in {figures.worst}, as in two modes: hold it at a measured value (free = false), narrow its prior,"
+            f"Walkers disagree on {figures.worst}, as if it had two modes: fix it at a measured value (free = false), narrow its prior,"
             " or add readings that separate the two"
         )
-    return text + "Raise [calibrate] max_steps, or hold a parameter that the data do not see (free = false)"
+    return text + "Raise [calibrate] max_steps, or fix a parameter that the data do not determine (free = false)"

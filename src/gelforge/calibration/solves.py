@@ -1,8 +1,8 @@
-"""Finite element solves behind the emulator: each one cached as a file, found again by what it solved.
+"""Finite element solves behind the emulator, each cached in a file named by a digest of its inputs.
 
 One solve follows the whole path in load steps, and each converged step is a point of the curve of
-force against depth. So a press needs one solve per friction coefficient on coarse hexahedra, and one at the limit of its law
-on fine ones, which corrects them.
+force against depth. So a press needs one solve per friction coefficient on coarse hexahedra, and one on fine
+hexahedra, at the largest coefficient of its law, which corrects them.
 """
 
 from dataclasses import dataclass, replace
@@ -46,8 +46,8 @@ class SolveJob:
 class SolvePlan:
     """What the emulator of n presses needs.
 
-    top: (n,) deepest depth, mm. leader: (n,) the press whose curve gives each one's, itself where it shares none.
-    nodes: of each press, the friction coefficients that it is solved at, rising. nu: Poisson's ratio.
+    top: (n,) deepest depth, mm. leader: (n,) index of the press whose curve each one uses, its own if not shared.
+    nodes: for each press, the friction coefficients of its solves, rising. nu: Poisson's ratio.
     """
 
     readings: Readings
@@ -58,7 +58,7 @@ class SolvePlan:
 
     def job(self, i: int, press: Press, mu: float) -> SolveJob:
         """The solve of a path of press i."""
-        # without friction it does not matter by which way a pose was reached
+        # without friction the force does not depend on the path to a pose
         path = press if mu > 0.0 else press.straight_there
         return SolveJob(path, str(self.readings.indenters[i]), mu, self.nu, str(self.readings.gels[i]))
 
@@ -68,7 +68,7 @@ class SolvePlan:
         return [self.job(i, self.readings.press(lead, float(self.top[lead])), mu) for mu in self.nodes[i]]
 
     def compared(self, i: int) -> SolveJob:
-        """What is solved on fine hexahedra of press i: as commanded, at the last of its nodes; of one that slides the way down."""
+        """Fine solve of press i at its last node: as commanded, or straight down to its end pose if it slides."""
         press = self.readings.press(i, float(self.readings.depth[i]))
         return self.job(i, press.straight_there if self.slides[i] else press, self.nodes[i][-1])
 
@@ -81,17 +81,18 @@ class SolvePlan:
 def make_plan(readings: Readings, reach: float, law: str, friction_nodes, nu: float) -> SolvePlan:
     """Plan for readings; straight presses of one indenter at one place share one curve to the deepest.
 
-    reach: how far beyond the commanded depth the emulator goes, mm. friction_nodes: of Coulomb's law, rising, solved beside no
-    slip; the first alone for presses that do not slide.
+    reach: how far beyond the commanded depth the emulator goes, mm. friction_nodes: coefficients, rising, that
+    Coulomb's law needs besides no slip; presses that do not slide use the first alone.
     """
-    # how far a press that slides ploughs depends on its depth, which is therefore solved nearer to
+    # ploughing depends on depth, so a press that slides is solved closer to its commanded depth
     sliding = slides(readings) & (law not in FRICTION)
     top = np.round(readings.depth + np.where(sliding, reach / 3, reach), 4)
     leader = np.arange(len(readings))
     groups: dict[tuple, int] = {}
     for i in np.argsort(-top, kind="stable"):
         if not readings.sheared[i]:
-            # CNC tolerance is a quarter micrometre; 5 um sideways move no force that a sensor sees.
+            # Rounding z0 to 0.1 um is finer than the play of a CNC (0.25 um in the virtual rig's plans); 5 um sideways
+            # change the force by less than a sensor resolves.
             place = *np.round(readings.pose[i, [0, 1, 6]], 2), round(readings.pose[i, 2], 4)
             key = (readings.indenters[i], readings.gels[i], *place)
             leader[i] = groups.setdefault(key, int(i))
@@ -107,18 +108,18 @@ def scene_of(job: SolveJob, indenter) -> Scene:
 
 
 def path_curve(result, press: Press, touch: float) -> dict:
-    """Converged load steps of a result: depth and force before shear, from the first touch on, and the force at the end.
+    """Converged load steps of a result: depth and force before shear, from first touch on, and the force at the end.
 
     touch: path parameter of the first touch, below 0 where the path starts inside the gel.
-    Within the path, points that touch in a step have no friction until its end, so steps lie a
-    steady 0.5 to 1.5 % below settled states; a straight press shows by how much, at its end.
+    Points that come into contact during a step have no friction until its end, so forces of steps are a
+    steady 0.5 to 1.5 % below converged ones; those of a straight press are scaled to its converged end.
     """
     steps = np.array(result.evidence["path"], float).reshape(-1, 4)
     down = steps[steps[:, 0] <= 1.0 + 1e-9]
     end = result.total if result.status.valid else steps[-1, 1:]
     if not (press.dx or press.dy):
         down[:, 1:] *= end[2] / down[-1, 3]
-    # a press that meets the gel only on its way sideways has no curve of the way down
+    # a press that touches the gel only while it moves sideways has no curve of force against depth
     met = [touch] if len(down) else []
     return {
         "depth": (-press.dz * np.array([*met, *down[:, 0]])).tolist(),
@@ -130,16 +131,16 @@ def path_curve(result, press: Press, touch: float) -> dict:
 
 
 def touch_of(scene: Scene) -> float:
-    """Path parameter where a press that touched first met the gel."""
+    """Path parameter of the first touch of a press that is known to touch."""
     found = first_touch(scene)
     assert found is not None, "a press without contact has no curve"
     return found
 
 
 def usable(result, scene: Scene) -> bool:
-    """Whether a result is valid, or only its last tolerance was missed at the end of the path.
+    """Whether a result is valid, or missed only the final tolerance, at the end of the path.
 
-    A state that no gel can take, or hexahedra too coarse to meet the indenter, reach the end as well and are none.
+    Other failures may also reach the end, such as OUT_OF_RANGE and TOO_COARSE, but are not usable.
     """
     path = result.evidence.get("path") or [[0.0]]
     ended = path[-1][0] >= scene.press.end - 1e-9
@@ -148,15 +149,15 @@ def usable(result, scene: Scene) -> bool:
 
 @cache
 def solver(settings: HexSettings) -> HexSolver:
-    """The solver of this process, whose meshes serve all friction coefficients of a press."""
+    """The solver of this process, so that all friction coefficients of a press share its meshes."""
     return HexSolver(settings)
 
 
 def solve_job(job: SolveJob, indenter, settings: HexSettings) -> dict:
-    """Solve one job, with finer load steps where the first try fails; raise SolveFailed where both do.
+    """Solve one job, with finer load steps if the first try fails; raise SolveFailed if both fail.
 
-    A solve that walked its whole path and only then could not meet the final tolerance serves with
-    its last load step, which is in equilibrium to the tolerance of the path: 1e-4 of the force.
+    A solve that completed its path but missed the final tolerance is used with its last load step,
+    which is in equilibrium to the tolerance of the path: 1e-4 of the force.
     """
     scene = scene_of(job, indenter)
     result = solver(settings).solve(scene)
@@ -180,10 +181,10 @@ def _solve_task(path, job, indenter, settings):
 
 
 class SolveCache:
-    """Folder of solves; `failed` gets {path: reason}.
+    """Folder of cached solves; `failed` collects {path: reason}.
 
-    What cannot be solved is kept as well: with the same settings and solver it would fail again.
-    version: of the solver, stage fea's, which is raised when its answers change; solves of an older one are void.
+    Failures are cached as well, because they would fail again with the same settings and solver.
+    version: the solver's, as in stage fea, raised when its results change; solves of an older one are not used.
     """
 
     def __init__(self, folder, catalogue: dict, settings: HexSettings, version: int):
@@ -213,7 +214,7 @@ class SolveCache:
             if self._read(path) is None
         ]
         self._made |= {task[0] for task in tasks}
-        # the first one alone: it compiles what the processes of the others would each compile
+        # the first one runs alone: it compiles kernels that the processes of the others would each compile
         done = chain(in_slots(_solve_task, tasks[:1], 1), in_slots(_solve_task, tasks[1:], workers))
         for _ in tqdm(done, "calibration solves", len(tasks)):
             pass
@@ -238,7 +239,7 @@ class SolveCache:
 
     @property
     def spent(self) -> dict:
-        """Solves that a result rests on: total, per interface law and, of the total, `new` in this process.
+        """Number of solves that a result uses: total, per interface law, and `new`, those made by this process.
 
         `in_vain`: made by this process for presses that are left out.
         """
@@ -257,7 +258,7 @@ def solve_all(plan: SolvePlan, cache: SolveCache, workers: int = 1) -> dict[int,
 
 
 def build_emulator(plan: SolvePlan, cache: SolveCache) -> em.Emulator:
-    """Emulator of the planned presses, all of whose solves are there."""
+    """Emulator of the planned presses, whose solves must be in the cache; BadInput for a press without contact."""
     table = np.array([press_table(plan, cache, i) for i in range(len(plan.top))])
     refuse_no_contact(plan.readings, table)
     group = np.unique(plan.readings.indenters, return_inverse=True)[1]
@@ -276,13 +277,14 @@ def press_table(plan: SolvePlan, cache: SolveCache, i: int) -> np.ndarray:
 def refine(
     emulator: em.Emulator, plan: SolvePlan, coarse: SolveCache, fine: SolveCache, workers: int = 1
 ) -> em.Emulator:
-    """Emulator whose forces are those of finer hexahedra, by one fine solve of each press as it was commanded.
+    """Emulator whose forces are scaled to finer hexahedra, by one fine solve of each press (`SolvePlan.compared`).
 
-    What hexahedra add to a force depends on the shape and place of the contact, and hardly on friction: under a block and balls
-    by 1 to 2 % less at mu = 0.2 than without slip, by 0.3 % at 0.5. So it is found where the law ends, where only the
-    end of the path is solved on fine hexahedra, which takes a quarter of the time that Coulomb's law does. Sideways force has a
-    ratio of its own while the contact sticks; where all of it slides it is friction times the normal force, and follows that,
-    whose ratio is found on the way down.
+    The error of coarse hexahedra depends on the shape and place of the contact and hardly on friction: under a block
+    and balls it is smaller than without slip by 1 to 2 % of the force at mu = 0.2, by 0.3 % at 0.5. So it is measured
+    at the last node of the law, where fine hexahedra solve only the end of the path, in a quarter of the time that
+    Coulomb's law takes. The sideways force has its own ratio of fine to coarse while the contact sticks. In full slip
+    it is friction times the normal force and takes the normal ratio, which for a press that slides is that of the
+    straight press. A fine solve that fails raises SolveFailed.
     """
     jobs = [plan.compared(i) for i in range(len(plan.top))]
     fine.fill(jobs, workers)
@@ -299,7 +301,7 @@ def refine(
         end = np.array(fine.get(job)["end"])
         if before[2] < 0 and end[2] < 0:
             normal, aside = end[2] / before[2], np.hypot(*before[:2])
-            # of a small sideways force the ratio is noise, and of one that slides it is the normal force's
+            # the ratio of a small sideways force is noise, and that of a sliding one is the normal force's
             own = np.hypot(*end[:2]) / aside / normal if aside > -0.01 * before[2] and not plan.slides[i] else 1.0
             table[i] *= normal
             table[i, ..., :2] *= own ** em.sticking(table[i])[..., None]

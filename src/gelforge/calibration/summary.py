@@ -1,4 +1,4 @@
-"""What a posterior says, in numbers and in sentences a person can act on."""
+"""Summary of a posterior in numbers and in sentences that a person can act on."""
 
 import numpy as np
 from scipy.stats import norm
@@ -37,7 +37,7 @@ def parameter_table(chain: Chain, model: Model) -> dict[str, dict]:
 
 
 def bench(parameters: dict, fixed: dict) -> dict[str, float]:
-    """What the bench does to a path: medians of its parameters, or what they were held at; mm and mm/N."""
+    """Parameters of the bench that change a path: medians, or their fixed values; mm and mm/N."""
     return {
         name: float(parameters[name]["median"] if name in parameters else fixed[name])
         for name in ("offset", "compliance", "shear_compliance")
@@ -51,9 +51,9 @@ def correlations(chain, model) -> dict:
 
 
 def predictions(chain, posterior) -> tuple[np.ndarray, np.ndarray]:
-    """Posterior predictive mean (n, 3) of a press repeated, and the scale (n, 3) of a reading about it, N.
+    """Posterior predictive mean (n, 3) of a repeated press, and the scale (n, 3) of a reading about it, N.
 
-    A press repeated touches anew: its error of touch is another one, and the mean knows nothing of it.
+    A repeated press has another touch error, so the mean does not include that of the logged one.
     """
     forces, scale = posterior.predict(chain.flat(DRAWS))
     spread = np.sqrt(forces.var(axis=0) + (scale**2).mean(axis=0))
@@ -61,7 +61,7 @@ def predictions(chain, posterior) -> tuple[np.ndarray, np.ndarray]:
 
 
 def predictive_error(mean, observed) -> dict:
-    """Mean absolute error of the predictive mean, N, per component that serves."""
+    """Mean absolute error of the predictive mean, N, per component that is used."""
     error = {}
     for column, name in enumerate(("fx", "fy", "fz")):
         used = np.isfinite(observed[:, column])
@@ -71,7 +71,7 @@ def predictive_error(mean, observed) -> dict:
 
 
 def find_outliers(readings, mean, scale, observed, threshold: float) -> list[dict]:
-    """Readings further than `threshold` scales from the predictive mean; they still serve, with a low weight."""
+    """Readings further than `threshold` scales from the predictive mean; they stay in the fit, with a low weight."""
     rows = []
     for i, column in zip(*np.nonzero(np.isfinite(observed)), strict=True):
         z = (observed[i, column] - mean[i, column]) / scale[i, column]
@@ -95,7 +95,7 @@ def left_out(chain: Chain, posterior: Posterior) -> tuple[np.ndarray, float]:
 
     coordinates = chain.flat(DRAWS)
     forces, _ = posterior.predict(coordinates)
-    # psislw takes the likelihood of what is left out and turns its sign itself
+    # psislw takes the log-likelihood of the left-out press and changes its sign itself
     weights, shape = array_stats.psislw(posterior.by_press(coordinates).T, axis=-1)
     return np.einsum("nw,wnc->nc", np.exp(weights), forces), float(np.max(shape))
 
@@ -116,7 +116,7 @@ def sentences(parameters: dict, correlation: dict, model: Model) -> list[str]:
 
 
 def predictive_sentence(error: dict, shape: float) -> str:
-    """How far the normal force of a press is off that the fit was not given."""
+    """Sentence on the error of the normal force of a press that is left out of the fit."""
     rough = "" if shape <= RELIABLE else " Single presses decide on much of the result, so this is rough."
     return f"A press that is left out is predicted with an error of {error['fz']:.3f} N of normal force on average.{rough}"
 
@@ -130,15 +130,15 @@ def _trades(correlation: dict) -> list[str]:
     for name, r in strong:
         hint = "press other indenters" if name.startswith("scale of ") else "measure that one separately"
         what = label_of(name).split(" (")[0]
-        said.append(f"C10 trades against the {what} (correlation {r:+.2f}): {hint} to narrow C10.")
+        said.append(f"C10 trades off against the {what} (correlation {r:+.2f}): {hint} to narrow C10.")
     return said
 
 
 def _unseen(parameters: dict) -> list[str]:
-    # Data never see the emulator's scale, which is there to widen C10; and a tare that stays as its prior is good news.
+    # Data cannot determine the emulator's scale, which only widens C10; a tare that stays as its prior is good news.
     expected = ("discretisation", *TARE)
     blind = [n for n in NAMES if n in parameters and n not in expected and parameters[n]["width_over_prior"] > 0.8]
     if not blind:
         return []
     names = ", ".join(label_of(n).split(" (")[0] for n in blind)
-    return [f"About {names} the data say almost nothing: the posterior is the prior."]
+    return [f"The data say almost nothing about {names}: the posterior is the prior."]

@@ -1,4 +1,4 @@
-"""Gauge log, path log and images of a bench, each with its own clock, as a dataset with a log."""
+"""Combine gauge log, path log and images of a bench, each with its own clock, into a dataset."""
 
 import argparse
 import sys
@@ -13,7 +13,6 @@ from gelforge.commands.mcap import doubts_of_forces
 from gelforge.errors import BadInput
 from gelforge.flow.cli import command, option, positive
 from gelforge.flow.files import read_toml
-from gelforge.formats.align import MOST_SCATTER_S
 from gelforge.formats.benchfiles import Images, read_gauge, read_path
 from gelforge.formats.benchlog import Aligned, Setup, align, nocontact_of, write_dataset
 from gelforge.geometry.gel import load_gel
@@ -26,22 +25,22 @@ from gelforge.stages.poses import geometric_faults
 
 
 def place(text: str) -> tuple[float, float, float]:
-    """Three numbers with commas between them."""
+    """Three numbers X,Y,Z, as the `type` of an option."""
     try:
         x, y, z = map(float, text.split(","))
     except ValueError:
-        raise argparse.ArgumentTypeError(f"{text!r} is no place X,Y,Z in mm") from None
+        raise argparse.ArgumentTypeError(f"{text!r} is not a position X,Y,Z in mm") from None
     return x, y, z
 
 
 def newtons(text: str) -> float:
-    """A force above 0."""
+    """A force above 0 N, as the `type` of an option."""
     try:
         value = float(text)
     except ValueError:
         value = 0.0
     if not 0.0 < value < np.inf:
-        raise argparse.ArgumentTypeError(f"{text!r} is no force above 0, in N")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a force above 0 N")
     return value
 
 
@@ -51,7 +50,7 @@ def newtons(text: str) -> float:
         "--path",
         type=Path,
         required=True,
-        help="CSV of a time and x_UNIT, y_UNIT, z_UNIT, or GRBL's reports behind their times",
+        help="CSV of a time and x_UNIT, y_UNIT, z_UNIT, or GRBL's reports, each after its time in s",
     ),
     option("--images", type=Path, required=True, help="a film, or a folder of images with times.csv (image, time_s)"),
     option("--data", type=Path, required=True, help="the dataset's folder, data/NAME, which must not exist"),
@@ -60,8 +59,8 @@ def newtons(text: str) -> float:
     option("--gel-id", default="gel", help="your name of the piece of gel"),
     option("--origin", type=place, default=(0.0, 0.0, 0.0), metavar="X,Y,Z", help="the gel's apex on the path, mm"),
     option("--sign", type=int, choices=(1, -1), default=1, help="-1: the gauge counts pressing as positive"),
-    option("--touch", type=newtons, default=0.1, help="N from which on the gel is pressed"),
-    option("--every", type=positive, default=1, help="of so many images of a press one is taken"),
+    option("--touch", type=newtons, default=0.1, help="least force that counts as contact, N"),
+    option("--every", type=positive, default=1, help="take every n-th state of a press"),
     option("--sensors", type=Path, default=Path("workflow/sensors.toml")),
     option("--indenters", type=Path, default=Path("workflow/indenters.toml")),
     option("--params", type=Path, default=Path("workflow/params.toml")),
@@ -87,7 +86,10 @@ def main(args: Namespace) -> None:
 
 
 def framing(sensor: Sensor, nocontact: np.ndarray, where: str) -> Callable[[np.ndarray], np.ndarray]:
-    """What brings images to the sensor's size: those of another shape by the markers of the no-contact image, as `predict` does."""
+    """A function that brings images to the sensor's size.
+
+    Images of another aspect ratio are framed by the markers of the no-contact image, as in `predict`.
+    """
     width, height = sensor.image
     if not same_shape(nocontact.shape, (height, width)):
         frame, _ = image_frame(nocontact, (height, width))
@@ -98,7 +100,7 @@ def framing(sensor: Sensor, nocontact: np.ndarray, where: str) -> Callable[[np.n
 
 
 def leave_out(found: Aligned, body, gel, params) -> list[str]:
-    """Leave out rows that stage 10 would reject; a sentence for each reason. BadInput where none is left."""
+    """Remove rows that stage 10 would reject; return a sentence for each reason. BadInput where none is left."""
     lines = {row.sample_id: at for at, row in found.rows.items()}
     good, wrong = [], []
     for number, row in enumerate(found.rows.values(), 2):
@@ -122,7 +124,7 @@ def leave_out(found: Aligned, body, gel, params) -> list[str]:
 
 
 def draw(found: Aligned, path: Path) -> None:
-    """Force, depth and change of the images over the gauge's time, the log's rows on them, and what each press says of the clocks."""
+    """Plot force, depth, image change and the log's rows over time, and the residuals of the presses' offsets."""
     from gelforge.reporting.canvas import canvas_with_axes, save_png
 
     figure, ((top,), (below,)) = canvas_with_axes(2, 1, 11.0, 6.4)
@@ -144,22 +146,25 @@ def draw(found: Aligned, path: Path) -> None:
         markersize=4,
         label="rows of the log",
     )
-    top.set(title="The three recordings by the gauge's clock: where they press they rise and fall together")
-    top.set(ylabel="share of its largest value")
-    most = furthest = 1e3 * MOST_SCATTER_S
+    top.set(title="The three recordings on the gauge's clock: they rise and fall together in each press")
+    top.set(ylabel="fraction of its maximum")
+    limits, furthest = [], 0.0
     for (name, clock), mark in zip(found.clocks.items(), ("o", "x"), strict=True):
         times, offsets = clock.presses.T
         line = clock.offset_s + clock.drift / (1.0 + clock.drift) * (times - clock.middle_s - clock.offset_s)
         off = 1e3 * (offsets - line)
-        furthest = max(furthest, np.abs(off).max())
-        below.plot(times - start, off, mark, label=f"{name}, drift {clock.drift * 1e6:+.0f} ppm")
-    for height in (-most, 0.0, most):
-        below.axhline(height, color="0.7", linewidth=0.8, linestyle="-" if height == 0.0 else "--")
+        limit = 1e3 * clock.limit_s
+        limits.append(f"{name} {limit:.1f} ms")
+        furthest = max(furthest, np.abs(off).max(), limit)
+        (marks,) = below.plot(times - start, off, mark, label=f"{name}, drift {clock.drift * 1e6:+.0f} ppm")
+        for height in (-limit, limit):
+            below.axhline(height, color=marks.get_color(), linewidth=0.8, linestyle="--")
+    below.axhline(0.0, color="0.7", linewidth=0.8)
     below.set(
-        title=f"Where each press lies off its clock's line; clocks whose presses scatter by {most:.0f} ms (dashed) are refused"
+        title=f"Deviation of each press from its clock's line; dashed: largest scatter that is accepted ({', '.join(limits)})"
     )
     below.set(
-        xlabel="time by the gauge's clock, s",
+        xlabel="time on the gauge's clock, s",
         ylabel="ms",
         xlim=top.get_xlim(),
         ylim=(-1.4 * furthest, 1.4 * furthest),

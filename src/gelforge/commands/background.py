@@ -1,4 +1,4 @@
-"""The background of a no-contact image, in the form of workflow/rig/sensors.toml."""
+"""Fit the background of a no-contact image, and print it as workflow/rig/sensors.toml has it."""
 
 from argparse import Namespace
 

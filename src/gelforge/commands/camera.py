@@ -16,17 +16,17 @@ from gelforge.flow.cli import command, from_zero, option
 from gelforge.reading.frame import same_shape
 from gelforge.records.film import asked_for, open_source
 
-# Of a GelSight Mini (3280 x 2464, its halves and quarters) and of USB cameras in general.
+# Image sizes of a GelSight Mini (3280 x 2464, a half and a quarter of it) and of common USB cameras.
 SIZES = ((320, 240), (640, 480), (800, 600), (820, 616), (1280, 720), (1640, 1232), (1920, 1080), (3280, 2464))
-LEAST = (320, 240)  # px that networks read
-FAST = 20.0  # frames a second that are enough for a press by hand
-TIMED = 10  # frames that measure the rate of a mode
+LEAST = (320, 240)  # px, the size that networks read
+FAST = 20.0  # frames a second, enough for pressing by hand
+TIMED = 10  # frames over which the rate of a mode is measured
 
 
 def camera_number(text: str) -> int:
-    """A camera's number, as the `type` of an option: itself, or of a device file such as /dev/video2 or a link to it.
+    """A camera's number, as the `type` of an option: a number, a device file such as /dev/video2, or a link to one.
 
-    Numbers change with the order in which cameras are plugged in; links in /dev/v4l/by-id/ do not.
+    Numbers depend on the order in which cameras are plugged in; links in /dev/v4l/by-id/ do not.
     """
     device = re.fullmatch(r"video(\d+)", Path(text).resolve().name) if "/" in text else None
     return from_zero(device[1] if device else text)
@@ -36,12 +36,12 @@ def camera_mode(text: str) -> tuple[int, int]:
     """A size such as 640x480 as (width, height)."""
     found = re.fullmatch(r"([1-9][0-9]{1,4})x([1-9][0-9]{1,4})", text)
     if not found:
-        raise argparse.ArgumentTypeError(f"{text!r} is no size; give width and height such as 640x480")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a size; give width and height such as 640x480")
     return int(found[1]), int(found[2])
 
 
 def modes_of(source: Any) -> dict[tuple[int, int], float]:
-    """Frames a second by (width, height) that an open camera gives, 0 where it gives no frame."""
+    """Modes (width, height) of an open camera and their frames a second, 0 for a mode without frames."""
     found: dict[tuple[int, int], float] = {}
     for size in SIZES:
         mode = asked_for(source, size)
@@ -59,7 +59,7 @@ def _rate(source: Any) -> float:
 
 
 def best_mode(modes: dict[tuple[int, int], float]) -> tuple[int, int] | None:
-    """The smallest mode that is large and fast enough, of 4 to 3 where there is one; the fastest else; none of none."""
+    """The smallest mode of LEAST px and FAST frames a second or more, 4:3 if possible; else the fastest, or None."""
     usable = {mode: rate for mode, rate in modes.items() if rate > 0 and mode[0] >= LEAST[0] and mode[1] >= LEAST[1]}
     fast = [mode for mode, rate in usable.items() if rate >= FAST]
     if fast:
@@ -68,7 +68,7 @@ def best_mode(modes: dict[tuple[int, int], float]) -> tuple[int, int] | None:
 
 
 def cameras() -> list[int]:
-    """Numbers of the video devices there are."""
+    """Numbers of the existing video devices."""
     names = (path.name.removeprefix("video") for path in Path("/dev").glob("video*"))
     return sorted(int(name) for name in names if name.isdigit())
 
@@ -78,7 +78,7 @@ def main(args: Namespace) -> None:
     there = cameras()
     if args.number is None:
         if not there:
-            raise BadInput("no camera is there (/dev/video*); plug it in, or look whether its cable carries data")
+            raise BadInput("no camera found (/dev/video*); plug it in, or check that its cable carries data")
         print(f"cameras: {', '.join(map(str, there))}; `gelforge camera NUMBER` lists the modes of one")
         return
     with open_source(None, args.number) as (source, _):

@@ -1,4 +1,4 @@
-"""The deck of one sample, made again from what is kept of its solve, as a folder in which stock CalculiX runs it."""
+"""Rebuild the deck of one sample from its stored solve, in a folder where stock CalculiX can run it."""
 
 import shutil
 from argparse import Namespace
@@ -27,7 +27,7 @@ Its nodal forces on the gel are the last table "forces" of set NTOP in {name}.da
 
 
 def solve_of(results: Path, sample_id: str) -> tuple[dict, Path, Path]:
-    """Record of a sample's solve, its folder and its shard's forces: of its shard, or of `make sample`."""
+    """Record of a sample's solve, the folder of solves, and the file of forces: of its shard, or of `make sample`."""
     of = Layout(results)
     shard = of.shard_of(sample_id)
     refuse_rejected(results, shard, sample_id)
@@ -38,13 +38,15 @@ def solve_of(results: Path, sample_id: str) -> tuple[dict, Path, Path]:
 
 
 def of_labels(forces: Path) -> str:
-    """How the forces of labels differ from those of the deck: the third line of the README."""
+    """How label forces differ from those of the deck, for the README."""
     if not forces.exists():
-        return "Labels hold these forces times C10 over that of the deck; none were made of this press yet."
+        return (
+            "Labels hold these forces times the ratio of their C10 to that of the deck; this press has no label yet."
+        )
     with ForceFile(forces) as found:
         ratio, c10, known = found.c10 / REFERENCE_C10, found.c10, "calibrated" if found.intervals else "as given"
     if ratio == 1.0:
-        return "Labels are made of these forces as they are, because their C10 is that of the deck."
+        return "Labels hold these forces unchanged, because their C10 is that of the deck."
     return f"Labels hold these forces times {ratio:.6g}, because their C10 is {c10:.6g} MPa ({known}): forces are proportional to it."
 
 
@@ -59,12 +61,12 @@ def hand_out(results: Path, sample_id: str, out: Path) -> None:
         )
     if lost := corrupt(folder, record):
         again = f"remove {folder}.csv and run {Layout(results).command('fea')}, which solves the press again"
-        raise BadInput(f"{lost[0]}: missing, or not as it was written; {again}")
+        raise BadInput(f"{lost[0]}: missing or changed since it was written; {again}")
     with np.load(folder / record["files"][0], allow_pickle=False) as kept:
         mesh, start = load_mesh(record["mesh"]), kept["start"]
         if len(start) != len(mesh.nodes):
             raise BadInput(
-                f"{record['mesh']}: is of {len(mesh.nodes)} nodes, {sample_id} was solved on {len(start)}: the gel changed since;"
+                f"{record['mesh']}: has {len(mesh.nodes)} nodes, but {sample_id} was solved on {len(start)}: the gel changed since;"
                 f" run {Layout(results).command('fea')}"
             )
         text = press_deck(mesh, kept["prescribed"], start, **record["deck"])

@@ -1,8 +1,9 @@
-"""Core hours, disk and time of `make report` before it starts, at once: nothing is solved.
+"""Estimate core hours, disk and time of `make report` before it starts; nothing is solved.
 
-What a row takes in a stage comes from the records of this machine: of this dataset where it was begun, else of the other dataset
-with the same method and contact law that has most rows. Where no record serves, MEASURED does, of one core of a desktop computer. Rows that stage 10
-will reject count as well. For a log without images the estimate ends at labels and calibration.
+The cost of a solve comes from records of this machine: of this dataset, if it has any, else of the dataset with the
+same method and contact law that has the most rows. Without any, it comes from MEASURED, measured on one core of a
+desktop computer. Rows that stage 10 will reject are counted as well. For a log without images the estimate ends at
+labels and calibration.
 """
 
 import math
@@ -30,12 +31,12 @@ from gelforge.records.samplefile import read_samples
 from gelforge.stages.train import resolve
 from gelforge.sweeps.cases import ROWS
 
-# Processor seconds of a press straight down, by method, and of one that is dragged over one that is not.
+# Processor seconds of a press straight down, by method, and the ratio of a sheared press to a straight one.
 MEASURED = {"draft": 0.6, "label": 1.4, "fine": 27.0, "ccx": 8.7, "auto": 2.0}
 DRAGGED = 1.5
-# Of a press under Coulomb's law over one without slip: hexahedra are followed on their way on both sizes.
+# Ratio of a press under Coulomb's law to one without slip: with hexahedra, both element sizes follow the load path.
 SLIPPING = {"draft": 8.0, "label": 8.0, "fine": 8.0, "ccx": 2.0, "auto": 8.0}
-# The same of a row in the other stages, and of the start of a process; of a calibration and of a page.
+# Processor seconds of a row in the other stages; of the start of a process, and of a calibration.
 EACH = {
     layout.POSES: 7e-3,
     layout.FORCES: 1e-3,
@@ -45,14 +46,14 @@ EACH = {
     layout.REPORT: 0.02,
 }
 START, CALIBRATE_ONCE = 3.0, 70.0
-OF_FILE = {layout.PARETO: 450.0, layout.STABILITY: 600.0}  # processor seconds of a scene, of a row of the map
+OF_FILE = {layout.PARETO: 130.0, layout.STABILITY: 700.0}  # processor seconds of a scene, and of a row of the map
 BYTES = {layout.POSES: 2e4, layout.FEA: 2e5, layout.FORCES: 5e4}  # of a row
 OF_SHARDS = (layout.POSES, layout.FEA, layout.FORCES)
 
 
 @dataclass(frozen=True)
 class Cost:
-    """What a stage takes of all rows: processor seconds, bytes, and on how many cores it runs; source: where that is known from."""
+    """Cost of a stage for all rows: processor seconds, bytes, and cores used; source: of the estimate."""
 
     stage: str
     cpu: float
@@ -62,13 +63,13 @@ class Cost:
 
 
 def planned_rows(of: Layout) -> list[RawRow]:
-    """Rows of all planned shards that can be presses."""
+    """Rows of all planned shards whose basic columns can be parsed."""
     rows = [row for name in of.names() for row in read_shard(of.shard(name))]
     return [row for row in rows if parse(row, "", ("sample_id", "indenter", "dz_mm"))[0] is not None]
 
 
 def weights(rows: list[RawRow]) -> float:
-    """How many straight presses rows are worth; cells that cannot be read count as no drag."""
+    """Cost of rows in units of a straight press; rows whose shear cannot be parsed count as straight."""
     presses = (parse(row, "", ("dx_mm", "dy_mm"))[0] for row in rows)
     return sum(
         DRAGGED if press is not None and math.hypot(press.dx_mm, press.dy_mm) > 0.0 else 1.0 for press in presses
@@ -76,7 +77,7 @@ def weights(rows: list[RawRow]) -> float:
 
 
 def solved_by(of: Layout) -> tuple[str, str]:
-    """Method and contact law by which the presses of a dataset are solved, empty where it was not planned yet."""
+    """Method and contact law of a dataset; empty where it was not planned yet."""
     path = of.parameters("fea")
     if not path.exists():
         return "", ""
@@ -85,7 +86,7 @@ def solved_by(of: Layout) -> tuple[str, str]:
 
 
 def recorded(of: Layout) -> tuple[float, float, float]:
-    """What stage 30 took of a dataset's shards that are made: processor seconds, what presses they are worth, and rows."""
+    """Recorded cost of a dataset's solved shards: processor seconds, rows in straight presses, and number of rows."""
     cpu = worth = count = 0.0
     for name in of.names():
         record = layout.metrics_of(of.fea(name))
@@ -96,7 +97,7 @@ def recorded(of: Layout) -> tuple[float, float, float]:
 
 
 def press_seconds(of: Layout) -> tuple[float, str]:
-    """Processor seconds of a straight press of a dataset, and where they are known from."""
+    """Processor seconds of a straight press of a dataset, and the source of this number."""
     (method, law), found = solved_by(of), []
     for root in (of.root, *(path for path in sorted(of.root.parent.iterdir()) if path != of.root)):
         other = Layout(root)
@@ -110,14 +111,14 @@ def press_seconds(of: Layout) -> tuple[float, str]:
 
 
 def image_bytes(results: Layout, rows: list[RawRow]) -> int:
-    """Bytes of an image of the largest sensor that rows name, as it lies in the dataset; 0 where they name none."""
+    """Bytes of an uncompressed image of the largest sensor that rows name; 0 where they name none."""
     sensors = load_sensors(results.params / "sensors.json")
     named = {row.cells.get("sensor_id") for row in rows}
     return max((3 * int(np.prod(one.image)) for name, one in sensors.items() if name in named), default=0)
 
 
 def training(results: Layout, resolution: str, model: str, images: int) -> Cost:
-    """What a network takes to learn from so many images, and from those of [train] also; BadInput for one that there is not."""
+    """Cost of training on `images` images and those of [train] also; BadInput for an unknown model."""
     tables = {path.stem: read_json(path)[path.stem] for path in listed(results.params / "models", "*.json")}
     of_train = read_parameters(results.params / "train.json").train
     table, settings = resolve(tables, model, of_train)
@@ -128,7 +129,7 @@ def training(results: Layout, resolution: str, model: str, images: int) -> Cost:
 
 
 def estimated(of: Layout, resolution: str, model: str, rows: list[RawRow], cores: int = 1) -> list[Cost]:
-    """What every stage of a dataset takes of all its rows."""
+    """Cost of every stage for all rows of a dataset."""
     shards, count, grid = len(of.names()), len(rows), Grid.parse(resolution)
     cells = 4.0 * 3 * grid.rows * grid.cols
     each, source = press_seconds(of)
@@ -162,7 +163,7 @@ def estimated(of: Layout, resolution: str, model: str, rows: list[RawRow], cores
 
 
 def ahead(of: Layout, target: Path, cores: int) -> str:
-    """What a long stage, whose first step of this run makes `target` (below the dataset's folder), may take; empty where it is short."""
+    """One line on the cost of the long stage of `target`, a path below results/DATASET; empty if all is current."""
     stage, name = target.parts[0], target.parts[1]
     cpu, source, spread = START, "table", cores
     if stage == layout.FEA:
@@ -186,11 +187,11 @@ def ahead(of: Layout, target: Path, cores: int) -> str:
         cpu, what = OF_FILE[stage] * spread, f"{spread} of {len(files)} files"
     if not spread:
         return ""
-    return f"{of.root / stage} begins: {what}, about {duration(cpu / min(cores, spread))} where all is new ({source})"
+    return f"{of.root / stage} begins: {what}, about {duration(cpu / min(cores, spread))} if nothing is reused ({source})"
 
 
 def size(count: float) -> str:
-    """Bytes as people say them, three digits of them: the next unit begins where these would be 1000."""
+    """Bytes as text with a unit and three digits; values that would round to 1000 take the next unit."""
     power = next((p for p in range(5) if float(f"{count / 1000**p:.3g}") < 1000), 5)
     return f"{count / 1000**power:.3g} {('B', 'kB', 'MB', 'GB', 'TB', 'PB')[power]}"
 
@@ -200,7 +201,7 @@ def size(count: float) -> str:
     option("--resolution", default="24x32"),
     option("--model", default=SHIPPED, help="network of the run; `shipped` is not trained"),
     option("--cores", type=positive, default=os.cpu_count(), help="cores that the run may use"),
-    option("--ahead", type=Path, default=None, help="one line on the stage of this target, which is about to begin"),
+    option("--ahead", type=Path, default=None, help="print one line on the cost of this target's stage"),
 )
 def main(args: Namespace) -> None:
     of = Layout(args.results)

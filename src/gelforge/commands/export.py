@@ -1,7 +1,8 @@
-"""A dataset of images and labels in a format of other programs.
+"""Export a dataset of images and labels in a format of other programs.
 
-mcap: ROS 2 messages, which Foxglove and Rerun open. lerobot: LeRobot's layout, version 3. hdf5: one file. FEATS' own layout is `make feats-export`. `make setup` installs the packages for
-these formats; without make, `pip install '.[exports]'` in this folder does.
+mcap: ROS 2 messages, which Foxglove and Rerun open. lerobot: LeRobot's layout, version 3. hdf5: one file.
+`make feats-export` writes FEATS' layout. `make setup` installs the packages for these formats; without make, run
+`pip install '.[exports]'` in this folder.
 """
 
 import importlib
@@ -16,20 +17,20 @@ from gelforge.flow.files import bytes_of
 from gelforge.flow.layout import EXPORT, Layout
 from gelforge.formats.export.samples import Samples
 
-# The module of gelforge.formats.export that writes each.
+# Module of gelforge.formats.export for each format.
 FORMATS = {
     "mcap": "mcap_file",
     "lerobot": "lerobot",
     "hdf5": "hdf5",
 }
-SUFFIXES = {"mcap": ".mcap", "hdf5": ".h5"}  # of those that are one file
+SUFFIXES = {"mcap": ".mcap", "hdf5": ".h5"}  # of single-file formats
 
-MARK = ".gelforge-export"  # a file in every folder that an export wrote: another export may take its place
+MARK = ".gelforge-export"  # marks folders written by an export, which another export may replace
 
 
 @contextmanager
 def whole_or_absent(path: Path):
-    """Yield a temporary place beside `path`, which takes its place if the block succeeds; else nothing is left."""
+    """Yield a temporary path beside `path`; move it to `path` if the block succeeds, else remove it."""
     part = path.with_name(f".{path.name}.part{path.suffix}")
     remove(part)
     try:
@@ -65,7 +66,7 @@ def export(samples: Samples, form: str, path: Path) -> None:
         writer.write(part, samples)
         if part.is_dir():
             (part / MARK).touch()
-        # Not every library says that the disk was full.
+        # Some libraries do not report a full disk.
         if bytes_of(part) < least:
             raise BadInput(
                 f"{path}: only {bytes_of(part)} of more than {least} bytes were written; free space and export again"
@@ -73,7 +74,7 @@ def export(samples: Samples, form: str, path: Path) -> None:
 
 
 def refuse_foreign(path: Path) -> None:
-    """BadInput where the place of an export is a folder with other things in it: they would be gone."""
+    """BadInput where the target is a non-empty folder that no export wrote, because it would be deleted."""
     if path.is_dir() and any(path.iterdir()) and not (path / MARK).exists():
         raise BadInput(
             f"{path}: a folder that no export wrote, which would be replaced; name a place that is not there yet"
@@ -81,7 +82,7 @@ def refuse_foreign(path: Path) -> None:
 
 
 def refuse_full_disk(path: Path, needed: int) -> None:
-    """BadInput where the disk that will hold `path` has less than the bytes needed."""
+    """BadInput where the disk of `path` has less than `needed` bytes free."""
     home = next(parent for parent in path.absolute().parents if parent.exists())
     free = shutil.disk_usage(home).free
     if free < needed:

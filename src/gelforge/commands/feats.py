@@ -21,7 +21,7 @@ def bring_in(args: Namespace) -> None:
     """FEATS' .npy files to data/DATASET."""
     if not args.source or not Path(args.source).is_dir():
         raise BadInput(f"FROM={args.source}: not a folder; say make feats-import FROM=folder DATASET=name")
-    # a dataset that is about to be made has no sensors.toml of its own
+    # a new dataset has no sensors.toml of its own
     sensor = find_sensor(load_sensors(args.sensors), args.sensor, "SENSOR", str(args.sensors))
     found = import_folder(Path(args.source), args.data, sensor)
     print(f"{args.data}: {found['presses']} presses from {found['files']} files; labels: {found['labels'] or 'none'}")

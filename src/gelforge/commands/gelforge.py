@@ -28,12 +28,12 @@ HOMES = {"rig": "gelforge.stages.rig"}
 
 
 def usage(argv) -> int:
-    """Print the version, or what commands there are; return 0 for whom asked for either, else 2."""
+    """Print the version or the list of commands; return 0 if that was requested, else 2."""
     if argv and argv[0] == "--version":
         print(f"gelforge {__version__}")
         return 0
     asked = bool(argv) and argv[0] in ("-h", "--help")
-    wrong = [f"error: {argv[0]!r} is no command of gelforge; choose one of these"] if argv and not asked else []
+    wrong = [f"error: {argv[0]!r} is not a command of gelforge; choose one of these"] if argv and not asked else []
     listed = [f"  gelforge {name:11s} {what}" for name, what in COMMANDS.items()]
     lines = [*wrong, "usage: gelforge COMMAND …", *listed, "Everything else is a make target: make help."]
     print("\n".join(lines), file=sys.stdout if asked else sys.stderr)

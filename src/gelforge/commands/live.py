@@ -1,8 +1,8 @@
 """Forces of a film or a running camera, frame by frame: `gelforge live --video FILE | --camera N`.
 
---web serves a page to this machine, --foxglove messages of ROS 2 to Foxglove. --record writes the same messages as MCAP, --csv
-a table. Any of these outputs go together. Where one of them fails, viewers show it and go on.
-Unless a no-contact image is given, a network that needs one takes the mean of the first frames at rest; frames before these
+--web serves a page to this machine, --foxglove sends ROS 2 messages to Foxglove, --record writes the same messages as
+MCAP, and --csv writes a table. Outputs can be combined. If a file fails, viewers show the error and continue. A
+network that needs a no-contact image takes the mean of the first frames at rest, unless one is given; earlier frames
 are skipped.
 """
 
@@ -31,7 +31,7 @@ from gelforge.records.regular import refuse_to_replace
 
 
 class Outputs:
-    """Where readings go: files, and servers with viewers. fault: what went wrong first, None where nothing did."""
+    """Destinations of readings: files, and servers with viewers. fault: the first error, or None."""
 
     def __init__(self, args: Namespace, name: str, stack: ExitStack):
         messages = RosMessages(args.sensor or (args.profile.stem if args.profile else "gelforge"))
@@ -61,7 +61,7 @@ class Outputs:
         stack.callback(file.drop)
 
     def send(self, found: Iterable[Reading]) -> int:
-        """Send readings everywhere until they end; return how many they were."""
+        """Send readings to all outputs until they end or no output is left; return how many were sent."""
         count = 0
         try:
             for reading in found:
@@ -71,27 +71,27 @@ class Outputs:
                     server.send(reading)
                 count += 1
                 if not self.files and not self.servers:
-                    break  # nobody is left who would take another one
+                    break  # no output is left
         except BadInput as error:
             self.fault = self.fault or error
         return count
 
     def end(self, said: str) -> None:
-        """End files, which then are whole, and tell viewers how it ended."""
+        """Complete the files, and show viewers `said` or the first error."""
         for file in [*self.files]:
             if kept := self._guard(file, file.end):
                 report(kept)
         self.announce(str(self.fault or said), self.fault is not None)
 
     def announce(self, sentence: str, fault: bool) -> None:
-        """Say a sentence to all viewers and on the terminal."""
+        """Show a sentence to all viewers, and on the terminal where there are servers."""
         for server in self.servers:
             server.announce(sentence, fault)
         if self.servers:
             report(sentence)
 
     def _guard(self, file, act: Callable, *what) -> str | None:
-        """Do something with a file; one that fails gets nothing more, and viewers show it."""
+        """Call `act` on a file; if it fails, drop the file and show viewers the error."""
         try:
             return act(*what)
         except BadInput as error:
@@ -102,13 +102,13 @@ class Outputs:
 
 
 def report(sentence: str) -> None:
-    """Say something on the terminal; standard output is for the table."""
+    """Print on standard error, because standard output is for the table."""
     print(sentence, file=sys.stderr, flush=True)
 
 
 @contextmanager
 def stopping() -> Iterator[threading.Event]:
-    """An event that Ctrl-C and a request to end set, so that what was read until then is kept."""
+    """Yield an event that SIGINT and SIGTERM set, so that earlier readings are kept."""
     over = threading.Event()
     before = {number: signal.signal(number, lambda *_: over.set()) for number in (signal.SIGINT, signal.SIGTERM)}
     try:
@@ -127,7 +127,7 @@ def until(over: threading.Event, items: Iterable) -> Iterator:
 
 
 def refuse_unusable(args: Namespace) -> None:
-    """BadInput where nothing is to be read or made, or what is made would take the place of what is read."""
+    """BadInput where input or output is missing, or an output would overwrite an input."""
     from gelforge.reading.profile import files_of
 
     if (args.video is None) == (args.camera is None):
@@ -141,7 +141,7 @@ def refuse_unusable(args: Namespace) -> None:
 
 
 def need_frames(asked: int | None) -> None:
-    """BadInput where fewer frames are asked for than it takes to find the no-contact image."""
+    """BadInput where fewer frames are requested than the search for a no-contact image needs."""
     if asked is not None and asked < FEWEST:
         raise BadInput(
             f"--frames {asked}: the no-contact image is found among the first frames, {FEWEST} at least; ask for more, or"
@@ -150,10 +150,10 @@ def need_frames(asked: int | None) -> None:
 
 
 def predictor_of(args: Namespace, model, picture: np.ndarray | None, seen, name: str) -> tuple:
-    """The model beside the sensor's no-contact image (reading.predictor), and the frames to read (records.film.Frame).
+    """A predictor (reading.predictor) with the no-contact image, and the frames to read (records.film.Frame).
 
-    picture: what was given for it, (h, w, 3) RGB; where nothing was, the profile's serves; where there is none either and the
-    network needs one, it is found in the frames.
+    picture: the given no-contact image (h, w, 3) RGB, or None. Then it is the profile's; without a profile, and if
+    the network needs one, it is found in the frames. BadInput where a found one is unusable.
     """
     import cv2
 
@@ -165,14 +165,14 @@ def predictor_of(args: Namespace, model, picture: np.ndarray | None, seen, name:
         need_frames(args.frames)
         picture, seen = find_nocontact(seen, name)
         first = next(seen)
-        report(f"{name}: frames before the no-contact image are not read: {first.number}")
+        report(f"{name}: frames skipped before the no-contact image: {first.number}")
         seen = itertools.chain([first], seen)
         picture = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
     picture, gain = with_profile(args.profile, picture, model.metadata)
     predictor = Predictor(model, picture, gain, args.device, args.threads)
     if found and predictor.fault:
         raise BadInput(
-            f"{name}: {predictor.fault}. Let it begin while nothing touches the sensor, or give that image with --nocontact"
+            f"{name}: {predictor.fault}. Start it while nothing touches the sensor, or give a no-contact image with --nocontact"
         )
     if predictor.text:
         report(f"{name}: {predictor.text}")
@@ -188,9 +188,9 @@ def show(
     over: threading.Event,
     start: StartInDoubt | None = None,
 ) -> None:
-    """Send what is read of frames to all outputs until they end or `over` is set, and serve viewers until it is.
+    """Send readings of frames to all outputs until frames end or `over` is set, and serve viewers until it is set.
 
-    BadInput at the end where a file was lost, or frames ended before they should.
+    Raises BadInput at the end if an output failed, or a camera stopped early.
     """
     with ExitStack() as stack:
         outputs = Outputs(args, name, stack)
@@ -199,11 +199,11 @@ def show(
         asked = over.is_set() or (args.frames is not None and film.taken >= args.frames)
         if film.camera and not asked and not outputs.fault:
             outputs.fault = BadInput(
-                f"{name}: stopped after {film.taken} frames; see that it is plugged in, and start again"
+                f"{name}: stopped after {film.taken} frames; check that it is plugged in, and start again"
             )
         outputs.end(f"{name}: ended after {count} frames")
         if outputs.servers:
-            over.wait()  # viewers keep what they have
+            over.wait()  # viewers keep the last frame
         if outputs.fault:
             raise outputs.fault
 

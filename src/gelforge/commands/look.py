@@ -1,4 +1,4 @@
-"""Pictures of one sample and files for ParaView: the press, the indenter, the deformation of the gel, the label."""
+"""Draw one sample, and write files for ParaView: the press, the indenter, the deformation of the gel, the label."""
 
 from argparse import Namespace
 from dataclasses import dataclass
@@ -32,9 +32,9 @@ INK = "#12181f"
 
 @dataclass(frozen=True)
 class Pictured:
-    """One sample with its label (3, rows, cols), what fell outside (3,), its image (h, w, 3) or None, its sensor.
+    """One sample with its label (3, rows, cols), force outside the image (3,), image (h, w, 3) or None, and sensor.
 
-    indenter: what of its surface the gel can meet, at the end of the path, in the gel frame, mm.
+    indenter: the part of its surface that the gel can touch, at the end of the path, in the gel frame, mm.
     """
 
     press: PosedPress
@@ -47,13 +47,13 @@ class Pictured:
 
 
 def shard_paths(results: Path, sample_id: str, resolution: str) -> dict[str, Path]:
-    """Files of the shard that holds a sample; those of `make sample` where the shard has no label yet."""
+    """Files of a sample's shard, or of `make sample` where the shard has no label of it; BadInput where none has."""
     of = Layout(results)
     shard = of.shard_of(sample_id)
     if imported := imported_labels(results, resolution):
         raise BadInput(
-            f"the label of {sample_id} came with the dataset, in {imported}: a press that was not solved here has no gel to look"
-            f" at; {of.command('report')} shows what a network reads of its picture"
+            f"the label of {sample_id} came with the dataset, in {imported}: a press that was not solved here has no deformed gel to"
+            f" look at; {of.command('report')} shows a network's prediction from its image"
         )
     refuse_rejected(results, shard, sample_id)
     for own, name in ((of, shard), (of.sample(sample_id), shard_name(0))):
@@ -62,7 +62,7 @@ def shard_paths(results: Path, sample_id: str, resolution: str) -> dict[str, Pat
             "forces": own.forces(name),
             "labels": own.labels(resolution, name),
         }
-        # a row that was added since fills up a shard whose label is an older one's
+        # the shard's labels may be older than a row that was added to the log
         if (
             paths["labels"].exists()
             and paths["forces"].exists()
@@ -99,7 +99,7 @@ def load(data: Path, paths: dict, sample_id: str, sensors: dict, resolution: str
 
 
 def export_vtu(path, paths: dict, sample_id: str) -> None:
-    """Write the gel of a sample with displacement and nodal force; inner nodes are filled in."""
+    """Write the gel of a sample with displacement, interpolated at inner nodes, and nodal force."""
     from gelforge.formats.vtu import fill_inside, write_vtu
 
     with ForceFile(paths["forces"]) as forces:
@@ -115,26 +115,26 @@ def export_vtu(path, paths: dict, sample_id: str) -> None:
 
 
 def outline(look: Pictured) -> np.ndarray:
-    """Where the indenter, at the end of its path, cuts the unloaded gel's surface: lines (n, 2, 2) px from u, v to u, v."""
+    """Intersection of the indenter at the end of its path with the unloaded gel's surface: lines (n, 2, 2) px."""
     vertices, faces = look.indenter
     above = vertices[:, 2] - load_gel(look.sensor.gel).top(vertices[:, 0], vertices[:, 1])
     start, end = vertices[faces], vertices[np.roll(faces, -1, axis=1)]
     high, low = above[faces], above[np.roll(faces, -1, axis=1)]
-    cut = (high > 0.0) != (low > 0.0)  # of each triangle none of its edges, or two
+    cut = (high > 0.0) != (low > 0.0)  # none or two edges of each triangle
     part = (high[cut] / (high[cut] - low[cut]))[:, None]
     points = start[cut] + part * (end[cut] - start[cut])
     return look.sensor.project(points[:, :2]).reshape(-1, 2, 2)
 
 
 def lowest(look: Pictured) -> np.ndarray:
-    """Middle (2,) mm of what of the indenter lies lowest, in the gel frame."""
+    """Centre (2,) mm of the indenter's lowest TIP_MM, in the gel frame."""
     vertices, _ = look.indenter
     low = vertices[vertices[:, 2] < vertices[:, 2].min() + TIP_MM, :2]
     return (low.min(axis=0) + low.max(axis=0)) / 2.0
 
 
 def draw(look: Pictured) -> Any:
-    """Matplotlib figure: the image with pressure and the indenter's outline, and the three components over the image in grey."""
+    """Matplotlib figure: the image with pressure and indenter outline, and the force components over a grey image."""
     from matplotlib.collections import LineCollection
 
     from gelforge.reporting.canvas import canvas_with_axes
@@ -158,7 +158,9 @@ def draw(look: Pictured) -> Any:
         first.contour(u, v, pressure, levels=levels, colors=INK if look.image is None else "white", linewidths=0.9)
     first.add_collection(LineCollection([*outline(look)], colors="#3fd0ff", linewidths=1.2))
     first.plot(*look.sensor.project(lowest(look)[None])[0], "+", color="#3fd0ff", markersize=11, markeredgewidth=1.6)
-    first.set_title("indenter (blue, + its lowest part), pressure (lines at 5, 35, 65 % of its peak)", fontsize=10)
+    first.set_title(
+        "indenter (blue, + at its lowest part), pressure (contours at 5, 35, 65 % of its peak)", fontsize=10
+    )
     for channel, axis in enumerate(others):
         if look.image is not None:
             axis.imshow(look.image.mean(axis=2), cmap="gray", vmin=-120, vmax=255, extent=extent)

@@ -16,8 +16,8 @@ from gelforge.records.image import read_image
 from gelforge.records.log import read_log
 from gelforge.records.press import PressRecord, parse
 
-ASKED = 24  # strong presses whose images the shipped network reads; of all rows twice as many
-PRESSED_N = 0.5  # that it must read of an image
+ASKED = 24  # strong presses whose images the shipped network reads, and twice as many of all rows
+PRESSED_N = 0.5  # predicted compression above which an image shows a press
 
 
 @command(
@@ -50,9 +50,9 @@ def imported(log: Path) -> list[PressRecord]:
 
 
 def doubts_of_forces(data: Path, rows: Sequence[PressRecord], sensor: str) -> list[str]:
-    """What forces beside images say of their unit and axes, and of a drift, by what the shipped network reads of some images.
+    """Doubts about unit, axes and drift of recorded forces, from predictions of the shipped network on some images.
 
-    It errs by a factor of two at most, units differ by four and more. Images that it flags say nothing.
+    The network errs by a factor of two at most, while units differ by four and more. Flagged images are ignored.
     """
     nocontact = data / "nocontact" / f"{sensor}.png"
     known = [row for row in rows if row.fz_n is not None]
@@ -69,7 +69,7 @@ def doubts_of_forces(data: Path, rows: Sequence[PressRecord], sensor: str) -> li
     rest = np.isin(asked, through) & (np.abs(normal) < PRESSED_N)
     said = [drift(force[rest], asked[rest])]
     if pressed.sum() >= FEWEST:
-        where = "the recorded force, beside what the shipped network reads of the images"
+        where = "the recorded force, which was compared with the shipped network's predictions"
         said += [misplaced(force[pressed], normal[pressed]), unit(-force[pressed, 2], normal[pressed], where)]
     return [one for one in said if one]
 

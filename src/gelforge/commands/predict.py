@@ -1,9 +1,9 @@
 """Force maps and totals from images: `gelforge predict IMAGE…`.
 
-Every image gives a picture and a map as .npy, float32 (3, rows, cols) in N per cell; all images give one totals.csv. After
-Ctrl-C this table has the rows of the images that were done.
+Every image gives a picture and a map as .npy, float32 (3, rows, cols) in N per cell; all images share one totals.csv.
+After Ctrl-C it has the rows of the images read so far.
 Columns fx_n, fy_n, fz_n are the force along gel x (short side), y (long side) and z (pressing is negative).
-..._half_width_n: half of the 90 % prediction interval, for sensors that training never saw with gels as stiff as in training.
+..._half_width_n: half of the 90 % prediction interval, for unseen sensors with gels as stiff as in training.
 A network that reads pairs needs an image of the sensor while nothing touches it: --nocontact FILE or --profile FILE.
 Images are predicted independently, so an image gives the same forces here, in `gelforge live` and in Python. An image is
 flagged if the gel moved in its holder since the no-contact image was taken: take a new no-contact image then.
@@ -28,7 +28,7 @@ from gelforge.records.image import read_image
 from gelforge.records.regular import FOLDER, file_fault, refuse_to_replace
 from gelforge.records.table import GrowingTable
 
-FILMS = (".avi", ".mp4", ".mkv", ".mov", ".webm")  # names that no picture has
+FILMS = (".avi", ".mp4", ".mkv", ".mov", ".webm")  # refused with a hint to `gelforge live`
 COLUMNS = [
     "image",
     "map",
@@ -40,7 +40,7 @@ COLUMNS = [
 
 
 def totals_row(image: str, name: str, found: ForceReading) -> dict:
-    """One row of totals.csv; name: of the map."""
+    """One row of totals.csv; name: of the map's file, without suffix."""
     return {
         "image": image,
         "map": f"{name}.npy",
@@ -65,7 +65,7 @@ def output_names(paths) -> list[str]:
 
 
 def need_folder(out: Path) -> None:
-    """Make the folder of the outputs; one that cannot be written into raises BadInput before anything is read."""
+    """Make the folder of the outputs; BadInput where it is not writable."""
     try:
         out.mkdir(parents=True, exist_ok=True)
         with tempfile.TemporaryFile(dir=out):
@@ -79,9 +79,9 @@ def predict_files(
 ) -> Iterator[dict]:
     """Predict image files and write their maps below `out`, one after another; yield each one's row of totals.csv.
 
-    Every image is read before anything is written, and again when its turn comes: there may be more than memory holds.
-    totals.csv grows with each image: whoever stops keeps the rows of what was read.
-    read: other files that were read, whose place nothing that is written may take.
+    All images are checked before anything is written, and read again one by one, because memory may not hold them
+    all. totals.csv grows with each image, so an interrupted run keeps its rows. read: other inputs, which no output
+    may overwrite. Raises BadInput where one would, or where an image cannot be read.
     """
     from gelforge.reporting.forcemaps import write_maps
 
@@ -91,7 +91,7 @@ def predict_files(
     for path in paths:
         read_image(path)
     need_folder(out)
-    table = GrowingTable(out / "totals.csv", COLUMNS)  # in place of that of an earlier call, however this one ends
+    table = GrowingTable(out / "totals.csv", COLUMNS)  # replaces that of an earlier call, even if this one fails
     try:
         for path, name in zip(paths, names, strict=True):
             image = read_image(path)
@@ -110,7 +110,7 @@ def predict_files(
 
 
 def line_of(row: dict) -> str:
-    """One row of totals.csv as a line for a person."""
+    """One row of totals.csv as a line for the terminal."""
     warning = f"  FLAGGED: {row['reason']}" if row["flagged"] else ""
     if row["edge_peak"] and goes_beyond(float(row["edge_peak"])):
         warning += "  CROPPED: the image shows only a part of the contact, so the total is too low"

@@ -18,16 +18,16 @@ from gelforge.records.regular import refuse_to_replace
 from gelforge.records.table import filled_rows
 
 POINT_COLUMNS = ["x_mm", "y_mm", "u_px", "v_px"]
-EXACT = 4  # points that a projection meets whatever they are: its eight numbers
-LEAST_SPAN = 1.0  # mm of the gel that points must span
-SQUARE = 0.02  # fraction by which the scales along both axes of a gel may differ without a doubt
-ZOOM = 3  # of the picture, so that lines stay thin beside the pixels
+EXACT = 4  # points that determine the eight parameters of a projection exactly
+LEAST_SPAN = 1.0  # least extent of the points on the gel, mm
+SQUARE = 0.02  # relative difference of the scales along gel x and y above which a doubt is printed
+ZOOM = 3  # enlargement of the drawn image, so that lines are thinner than pixels
 COLOURS = {"gel": (255, 255, 255), "points": (0, 255, 255), "markers": (0, 220, 0), "missing": (0, 0, 255)}  # BGR
 
 
 @dataclass(frozen=True)
 class FittedProjection:
-    """What was fitted for a sensor; markers and correspondences are None where they were not given."""
+    """The fit for a sensor: gel points (n, 2) mm and pixels (n, 2); markers is None where they were not used."""
 
     sensor: str
     image: tuple[int, int]
@@ -73,7 +73,7 @@ def read_picture(path, size: tuple[int, int]) -> np.ndarray:
 
 
 def grid_pixels(markers: dict, index: np.ndarray) -> np.ndarray:
-    """Pixels (n, 2) of markers (row, col) (n, 2) of an even grid as a sensor's `markers` describes it."""
+    """Pixels (n, 2) of the markers at (row, col) (n, 2) of the regular grid that a sensor's `markers` describes."""
     angle = np.deg2rad(markers.get("rotation_deg", 0.0))
     turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
     middle = np.array([markers["cols"] - 1, markers["rows"] - 1]) / 2
@@ -83,8 +83,9 @@ def grid_pixels(markers: dict, index: np.ndarray) -> np.ndarray:
 def fit_projection(name: str, like: Sensor, points=None, image=None, where: str = "") -> FittedProjection:
     """Fit the projection of the sensor `name`.
 
-    points: (gel points, pixels), or None: then the markers of `image` (h, w, 3) RGB are taken to be where
-    `like`, a sensor of the same print, has them on its gel. With both, the points give the projection.
+    points: (gel points (n, 2) mm, pixels (n, 2)). Without them, the markers in `image` (h, w, 3) RGB are assumed to
+    lie where `like`, a sensor with the same marker grid, has them on its gel. With both, the points give the
+    projection. Raises BadInput where neither determines it.
     """
     markers = None
     if image is not None:
@@ -97,12 +98,12 @@ def fit_projection(name: str, like: Sensor, points=None, image=None, where: str 
         markers = markers_in(image).grid(like.markers["rows"], like.markers["cols"], where)
         span = np.ptp(markers.index, axis=0) + 1
         if tuple(span) != (markers.rows, markers.cols):
-            # rows or columns of markers lie outside of the picture, and it is unknown on which side
+            # some rows or columns lie outside the image, on an unknown side
             if points is None:
                 raise BadInput(
-                    f"{where}: its markers span {span[0]} x {span[1]} of the {markers.rows} x {markers.cols} of sensor "
-                    f"{like.name}, so it is unknown which of them they are: give POINTS=points.csv, or name as LIKE a sensor "
-                    "whose pictures show as many"
+                    f"{where}: its markers span {span[0]} x {span[1]} of the {markers.rows} x {markers.cols} markers of sensor "
+                    f"{like.name}, so it is unknown which ones are visible: give POINTS=points.csv, or set LIKE to a sensor "
+                    "whose images show as many"
                 )
             markers = None
     if points is None:
@@ -118,13 +119,13 @@ def fit_projection(name: str, like: Sensor, points=None, image=None, where: str 
 
 
 def check_marks(on_gel: np.ndarray, pixels: np.ndarray, image: tuple[int, int], where: str) -> None:
-    """Raise BadInput for marked pixels (n, 2) beyond an image (width, height), and for gel points (n, 2) that are not in mm."""
+    """BadInput for pixels (n, 2) outside an image (width, height), and for gel points (n, 2) that cannot be in mm."""
     beyond = np.flatnonzero((pixels < 0.0).any(axis=1) | (pixels > image).any(axis=1))
     if len(beyond):
         u, v = pixels[beyond[0]]
         raise BadInput(
-            f"{where}: point {beyond[0] + 1}, ({u:g}, {v:g}), lies outside of a picture of {image[0]} x {image[1]} pixels; mark"
-            " points in a picture of that size"
+            f"{where}: point {beyond[0] + 1}, ({u:g}, {v:g}), lies outside an image of {image[0]} x {image[1]} pixels; mark"
+            " points in an image of that size"
         )
     span = np.ptp(on_gel, axis=0)
     if span.max() < LEAST_SPAN:
@@ -134,7 +135,7 @@ def check_marks(on_gel: np.ndarray, pixels: np.ndarray, image: tuple[int, int], 
 
 
 def describe(found: FittedProjection) -> dict:
-    """The projection as plain numbers."""
+    """The fit as a dict of plain numbers, for the JSON file."""
     worst = int(found.fit.residual.argmax())
     about = {
         "sensor": found.sensor,
@@ -183,7 +184,7 @@ def toml_table(about: dict) -> str:
 
 
 def draw(found: FittedProjection, image) -> np.ndarray:
-    """Picture (BGR) of the fit: the gel's 5 mm lines, the points used, the markers found and those missing."""
+    """Picture (BGR) of the fit: 5 mm grid lines of the gel, points used, markers found, markers missing."""
     import cv2
 
     width, height = found.image
@@ -213,7 +214,7 @@ def draw(found: FittedProjection, image) -> np.ndarray:
 
 
 def _expected(grid: MarkerGrid) -> np.ndarray:
-    """Where the missing markers would be on an even grid, (m, 2) px."""
+    """Pixels (m, 2) of the missing markers on a regular grid."""
     even = {
         "rows": grid.rows,
         "cols": grid.cols,
@@ -227,13 +228,13 @@ def _expected(grid: MarkerGrid) -> np.ndarray:
 def report(about: dict, old: Sensor | None, like: str | None) -> None:
     """Print residual, markers, the change from sensors.toml, and the table to paste.
 
-    like: the sensor that the markers were taken to be printed as; None where points were given.
+    like: name of the sensor whose marker grid was assumed; None where points were given.
     """
     residual = about["residual_px"]
     if like is not None:
-        print(f"markers are taken to be printed as on {like}")
+        print(f"the marker grid is assumed to be that of {like}")
     elif about["points"] == EXACT:
-        print(f"{EXACT} points fix a projection, which meets them exactly: mark two more to see how far they err")
+        print(f"{EXACT} points determine the projection exactly: mark two more to see their error")
     print(
         f"projection of {about['sensor']} from {about['points']} points: residual {residual['rms']:.3f} px rms,"
         f" {residual['largest']:.3f} px at most (at x, y = {residual['at_mm']} mm)"
@@ -242,7 +243,7 @@ def report(about: dict, old: Sensor | None, like: str | None) -> None:
     print(f"scale at the apex: {along_x:.2f} px/mm along gel x, {along_y:.2f} along gel y")
     if max(along_x / along_y, along_y / along_x) > 1.0 + SQUARE:
         print(
-            f"doubt: these differ by {abs(along_x / along_y - 1.0):.1%}, though pixels are square: check the millimetres and the pixels of the"
+            f"doubt: the scales differ by {abs(along_x / along_y - 1.0):.1%}, but pixels are square: check the mm and px of the"
             " points along both axes"
         )
     if "markers" in about:
@@ -250,17 +251,15 @@ def report(about: dict, old: Sensor | None, like: str | None) -> None:
         print(
             f"markers: {markers['count']} of {markers['rows'] * markers['cols']}, pitch {markers['pitch_px'][0]:.2f} x"
             f" {markers['pitch_px'][1]:.2f} px, turned {markers['rotation_deg']:.2f} degrees about {markers['centre_px']},"
-            f" {markers['uneven_px']:.2f} px rms off an even grid"
+            f" {markers['uneven_px']:.2f} px rms deviation from a regular grid"
         )
-        # rows of markers run along gel y: their pitch along u is of gel y
+        # u runs along gel y, so the first pitch is divided by the scale of gel y
         apart = np.array(markers["pitch_px"]) / about["px_per_mm"][::-1]
-        print(
-            f"markers then stand {apart[0]:.2f} x {apart[1]:.2f} mm apart; on every GelSight Mini seen so far it was 2.0"
-        )
+        print(f"this gives a marker spacing of {apart[0]:.2f} x {apart[1]:.2f} mm; known GelSight Minis have 2.0")
     if old is not None:
         half = np.array([[-9.5, -11], [9.5, -11], [9.5, 11], [-9.5, 11]])
         moved = np.hypot(*(transform(np.array(about["projection"]), half) - old.project(half)).T).max()
-        print(f"against workflow/sensors.toml, corners of the view move by up to {moved:.2f} px")
+        print(f"compared with workflow/sensors.toml, the corners of the view move by up to {moved:.2f} px")
     print("for workflow/sensors.toml, or data/DATASET/sensors.toml:\n" + toml_table(about))
 
 
@@ -284,7 +283,7 @@ def main(args: Namespace) -> None:
     out = args.out or Path("results/projection") / f"{args.sensor}.json"
     refuse_to_replace(f"--out {out}", [out, out.with_suffix(".png")], [args.points, args.image, args.sensors])
     if out.suffix == ".png":
-        raise BadInput(f"--out {out}: is the name of its picture; give a name that ends in .json")
+        raise BadInput(f"--out {out}: its picture would have this name; give one that ends in .json")
     sensors = load_sensors(args.sensors)
     like = find_sensor(sensors, args.like, "LIKE", str(args.sensors))
     points = read_points(args.points) if args.points else None

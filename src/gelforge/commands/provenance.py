@@ -22,14 +22,14 @@ from gelforge.flow.runs import (
 
 
 def provenance(results: Path, sample_id: str, resolution: str) -> dict:
-    """All that is known of a label: its sample's solve, and the steps that led to it, first one first; or why there is none."""
+    """The provenance of a label: its sample's solve and the steps in order of execution; or why there is none."""
     of = Layout(results)
     shard = of.shard_of(sample_id)
     imported = imported_labels(results, resolution)
     rejected = [] if imported else rejections_of(results, shard, sample_id)
-    if imported:  # no pose, solve or force of this project stands behind it
+    if imported:  # this project made no pose, solve or force for it
         steps = []
-    elif rejected:  # what was made of its shard since was not made of it
+    elif rejected:  # later stages of its shard do not contain it
         steps = list(steps_to(results, str(of.poses(shard)), shard))
     else:
         steps = steps_of_label(results, shard, resolution)
@@ -64,12 +64,12 @@ def lines(found: dict, results: Path) -> list[str]:
         if Path(step.target).is_relative_to(Layout(results).folder(FEA)) and found["solve"]:
             text += solve_lines(found["solve"], step.target)
     if not found["steps"]:
-        text.append("nothing was made of it yet")
+        text.append("no stage has run for it yet")
     return text
 
 
 def solve_lines(solve: dict, target: str) -> list[str]:
-    """The sample's own solve."""
+    """Lines on the sample's own solve."""
     evidence = solve.get("evidence", {})
     cost = f"{evidence.get('seconds', 0.0):.1f} s"
     cost += f", {evidence['peak_mib']:.0f} MiB" if evidence.get("peak_mib") else ""

@@ -14,13 +14,13 @@ from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses, read_shard, shard_text
 from gelforge.records.press import RawRow, check_id
 
-ONLY = shard_name(0)  # the shard of a folder with one
+ONLY = shard_name(0)  # the only shard of the sample's folder
 
 
 def find_rows(results: Path, sample_id: str) -> list[RawRow]:
-    """The raw rows in the planned shards that a sample is solved from: its own, or all of its press where that was filmed.
+    """The raw rows that a sample is solved from: its own, or all frames of its press if that was filmed.
 
-    Frames lie on one path and one mesh: one of them alone would get other forces than the dataset has of it.
+    Frames share one load path and one mesh, so a single frame would get other forces than in the dataset.
     """
     of = Layout(results)
     rows = read_shard(of.shard(of.shard_of(sample_id)))
@@ -31,7 +31,7 @@ def find_rows(results: Path, sample_id: str) -> list[RawRow]:
 
 
 def prepared(work: Layout, rows: list[RawRow]) -> Layout:
-    """A folder below a dataset's results, with rows as its only shard and a copy of the dataset's stage parameters."""
+    """Fill the folder `work` with rows as its only shard, and with a copy of the dataset's stage parameters."""
     write_text(work.shard(ONLY), shard_text(rows))
     shutil.rmtree(work.params, ignore_errors=True)
     shutil.copytree(Layout(work.dataset_root).params, work.params)
@@ -39,7 +39,7 @@ def prepared(work: Layout, rows: list[RawRow]) -> Layout:
 
 
 def steps(work: Layout, resolution: str) -> list[tuple[str, list[str], Path]]:
-    """Stages that take the only shard of a folder to labels: module, words of its command line, and what it writes."""
+    """Stages from the only shard of a folder to its labels: module, arguments and output of each."""
     of_shard = {"poses": work.poses, "fea": work.fea, "forces": work.forces}
     root = str(work.root)
     found = [(name, [root, ONLY], target(ONLY)) for name, target in of_shard.items()]
@@ -47,7 +47,7 @@ def steps(work: Layout, resolution: str) -> list[tuple[str, list[str], Path]]:
 
 
 def require_stiffness(of: Layout) -> None:
-    """Raise BadInput before a sample is solved where its forces wait for a posterior that was not made yet."""
+    """Raise BadInput, before the solve, if the forces need a calibration posterior that does not exist yet."""
     from gelforge.stages.forces import material_c10
 
     if not of.calibration().exists():
@@ -76,7 +76,7 @@ def main(args: Namespace) -> int:
             raise BadInput(f"sample {args.id} was rejected, see above; correct its row of {of.log}")
         if target.suffix == ".csv":
             print(target.read_text(encoding="utf-8"))
-    print(f"everything of {args.id} lies in {work.root}")
+    print(f"all files of {args.id} are in {work.root}")
     return 0
 
 

@@ -1,13 +1,14 @@
 """A profile of your own sensor, with a kitchen scale: `gelforge sensor --name MINE --camera 0 --weigh`.
 
---weigh takes the no-contact image, then a live page shows the force: hold a press still, type the scale's grams, Enter, five times
-or more. It keeps images and forces in the folder MINE-readings and writes the profile. With --video a film stops at each held press.
-The same from images at hand: `gelforge sensor --name MINE --nocontact IMAGE --readings readings.csv`.
-readings.csv has one row per weighed press: `image`, the path of its image relative to the table's folder, and `force_n`, the
-pressing force in newtons (a kitchen scale's grams over 102). Without readings the profile holds the no-contact image alone.
-In place of --nocontact, --camera NUMBER or --video FILE give the no-contact image: the mean of the first frames at rest, as
-in `gelforge live`. `gelforge predict` and `gelforge live` take the profile with --profile. An image that shows only a part of
-the contact is not used, because only a part of the force is predicted from it.
+--weigh takes the no-contact image, then a live page shows the force: hold a press still, type the scale's grams and
+Enter, five times or more. It writes images and forces to the folder MINE-readings, then the profile. With --video,
+the film stops at each held press.
+To use existing images: `gelforge sensor --name MINE --nocontact IMAGE --readings readings.csv`. readings.csv has one
+row per weighed press: `image`, the path of its image relative to the table's folder, and `force_n`, the pressing
+force in newtons (a kitchen scale's grams divided by 102). Without readings the profile holds only the no-contact
+image. In place of --nocontact, --camera NUMBER or --video FILE give the no-contact image: the mean of the first
+frames at rest, as in `gelforge live`. `gelforge predict` and `gelforge live` take the profile with --profile. An
+image that shows only a part of the contact is not used, because only a part of the force is predicted from it.
 """
 
 import hashlib
@@ -48,27 +49,27 @@ ASKED = "give the columns image and force_n, a row for each press"
 
 
 def gain_of(readings: Path, predictor: Predictor) -> Gain:
-    """The factor that a table of readings gives; BadInput names the row that cannot be used."""
+    """Fit the force factor to a table of readings; BadInput names the row that cannot be used."""
     rows = filled_rows(readings, ("image", "force_n"), "readings", ASKED)
     pictures = _pictures(readings, rows)
     measured = np.array([_force(name, row["force_n"]) for name, (_, row) in zip(pictures, rows, strict=True)])
     read, whole = _normals(predictor, pictures)
     if not whole.any():
         raise BadInput(
-            f"{readings}: in none of {len(whole)} pictures is all of the contact seen; press a smaller body, or nearer to the middle"
+            f"{readings}: none of {len(whole)} images shows the whole contact; press a smaller body, or nearer to the middle"
         )
     names, measured, read = list(compress(pictures, whole)), measured[whole], read[whole]
     check_readings(names, measured, read)
     for name, fault in odd_readings(names, measured, read).items():
-        print(f"{name}: {fault}; it counts, leave it out if it is wrong", file=sys.stderr)
+        print(f"{name}: {fault}; the reading is used, remove it if it is wrong", file=sys.stderr)
     for line in of_readings(measured, read):
         print(f"{readings}: {line}", file=sys.stderr)
     return fit_gain(measured, read)
 
 
 def _pictures(table: Path, rows: list[tuple[int, dict[str, str]]]) -> dict[str, np.ndarray]:
-    """The pictures that a table names, (h, w, 3) uint8, by what a row is called; BadInput names one that cannot be used."""
-    lines: dict[bytes, int] = {}  # by what a picture shows: a camera that froze writes it under several names
+    """Images (h, w, 3) uint8 of a table, by how messages name their row; BadInput names one that cannot be used."""
+    lines: dict[bytes, int] = {}  # line by hash of the image: a frozen camera writes one image under several names
     found = {}
     for number, row in rows:
         name, where = row["image"], f"{table} line {number}"
@@ -79,18 +80,18 @@ def _pictures(table: Path, rows: list[tuple[int, dict[str, str]]]) -> dict[str, 
         first = lines.setdefault(hashlib.blake2b(image.tobytes()).digest(), number)
         if first != number:
             raise BadInput(
-                f"{where}: {name} shows the picture of line {first} again; a picture counts once, give one of each press"
+                f"{where}: {name} shows the image of line {first} again; an image counts once, give one of each press"
             )
         found[f"{where}: {name}"] = image
     return found
 
 
 def _force(name: str, text: str) -> float:
-    """A measured force in N; BadInput for what is no number."""
+    """A measured force in N; BadInput where it is not a number."""
     value = parse_number(text)
     if value is None:
         raise BadInput(
-            f"{name}: force_n = {text[:100]!r} is no number; write newtons with a decimal point, such as 3.5"
+            f"{name}: force_n = {text[:100]!r} is not a number; write newtons with a decimal point, such as 3.5"
         )
     return value
 
@@ -98,7 +99,7 @@ def _force(name: str, text: str) -> float:
 def nocontact_picture(
     image: Path | None, video: Path | None, camera: int | None, mode: tuple[int, int] | None = None
 ) -> tuple[np.ndarray, str]:
-    """The no-contact image (h, w, 3) uint8 RGB of the sensor, and where it is from; exactly one source may be given."""
+    """The no-contact image (h, w, 3) uint8 RGB of the sensor, and its source; BadInput unless just one is given."""
     if sum(source is not None for source in (image, video, camera)) != 1:
         raise BadInput(
             "give one of --nocontact IMAGE, --video FILE and --camera NUMBER: the sensor while nothing touches it"
@@ -109,10 +110,10 @@ def nocontact_picture(
 
 
 def _normals(predictor: Predictor, pictures: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-    """Normal forces (n,) in N that are predicted from pictures by name, above 0 where something presses.
+    """Predict compression (n,) in N from images by name, and decide which of them (n,) bool show the whole contact.
 
-    And which pictures (n,) bool show all of the contact. The others are named on the terminal, and so are those that
-    `predict` would flag, which count, as some flags are wrong.
+    The others are named on the terminal. So are images that `predict` would flag; they still count, because some
+    flags are wrong.
     """
     read, whole = [], []
     for name, picture in pictures.items():
@@ -120,14 +121,14 @@ def _normals(predictor: Predictor, pictures: dict[str, np.ndarray]) -> tuple[np.
         read.append(-float(found.total[2]))
         whole.append(not goes_beyond(found.edge_peak))
         if found.flag:
-            print(f"{name}: FLAGGED: {found.reason}; leave it out if that is so", file=sys.stderr)
+            print(f"{name}: FLAGGED: {found.reason}; remove the image if that is true", file=sys.stderr)
         if not whole[-1]:
-            print(f"{name}: does not count, the contact is cropped by the image", file=sys.stderr)
+            print(f"{name}: is not used, because it does not show the whole contact", file=sys.stderr)
     return np.array(read), np.array(whole)
 
 
 def check_options(args: Namespace, out: Path) -> None:
-    """BadInput for options that do not go together, and for a picture that the profile's own would replace."""
+    """BadInput for options that exclude each other, and for an existing image that the profile's would overwrite."""
     if out.suffix != ".toml":
         raise BadInput(f"--out {out}: give a name that ends in .toml")
     beside = out.with_suffix(".png")
@@ -138,19 +139,19 @@ def check_options(args: Namespace, out: Path) -> None:
         and (args.nocontact is None or real_place(beside) != real_place(args.nocontact))
     ):
         raise BadInput(
-            f"{beside} is there already and would be replaced by the profile's picture; give another --name or --out"
+            f"{beside} exists already and would be replaced by the profile's picture; give another --name or --out"
         )
 
 
 def factor_replaced(out: Path, measures: bool) -> Gain:
-    """The factor of the profile that a new one takes the place of; as read where there is none.
+    """The factor of the profile that a new one replaces; an unmeasured factor where there is none.
 
-    measures: whether the new one has readings. Raises BadInput for a file that is no profile, and for a profile
-    whose factor was measured where the new one's is not: that was work, and nothing else holds it.
+    measures: whether the new one has readings. Raises BadInput for a file that is no profile, and where a measured
+    factor would be replaced by none, because nothing else holds it.
     """
     kept = gain_there(out)
     if kept is None:
-        raise BadInput(f"{out} is there already and is no sensor's profile; give another --name or --out")
+        raise BadInput(f"{out} exists already and is not a sensor's profile; give another --name or --out")
     if kept.readings and not measures:
         raise BadInput(
             f"{out}: is a profile whose factor, {kept.value:.2f}, comes from {kept.readings} readings and would be replaced"
@@ -160,7 +161,7 @@ def factor_replaced(out: Path, measures: bool) -> Gain:
 
 
 def weigh(args: Namespace, out: Path) -> tuple[np.ndarray, Gain, dict]:
-    """Weigh presses in front of a camera or in a film; the no-contact image (h, w, 3), the factor, and the model's metadata."""
+    """Weigh presses by camera or film; return the no-contact image (h, w, 3), the factor and the model's metadata."""
     import cv2
 
     from gelforge.live.webpage import PageServer
@@ -171,7 +172,7 @@ def weigh(args: Namespace, out: Path) -> tuple[np.ndarray, Gain, dict]:
     folder = out.with_name(f"{out.stem}-readings")
     if folder.exists():
         raise BadInput(
-            f"{folder} is there already, of an earlier weighing; remove it, or give another --name or --out"
+            f"{folder} exists already, from an earlier weighing; remove it, or give another --name or --out"
         )
     model, name = load_for_use(args.model), source_name(args.video, args.camera)
     with open_source(args.video, args.camera, args.mode) as (capture, announced):
@@ -196,7 +197,7 @@ def weigh(args: Namespace, out: Path) -> tuple[np.ndarray, Gain, dict]:
 
 
 def predictor_beside(model: ForceModel, picture: np.ndarray, source: str) -> Predictor:
-    """The model beside a no-contact image (h, w, 3); BadInput where the image cannot serve."""
+    """A predictor with a no-contact image (h, w, 3); BadInput where the image is unusable."""
     predictor = Predictor(model, reduced(picture))
     if predictor.text:
         print(f"{source}: {predictor.text}", file=sys.stderr)
@@ -236,7 +237,7 @@ def main(args: Namespace) -> None:
     instead = f", in place of {before.value:.2f} from {before.readings}" if before.readings else ""
     digits = interval_digits((gain.high - gain.low) / 2)
     factor, low, high = (f"{value:.{digits}f}" for value in (gain.value, gain.low, gain.high))
-    print(f"{out}: forces times {factor} ({low} to {high}), from {gain.readings} {what}{instead};"
+    print(f"{out}: force factor {factor} ({low} to {high}), from {gain.readings} {what}{instead};"
           f" markers {profile.pitch:.1f} px apart")  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""Samples of a dataset that are done, failed (with reasons) and pending, stage by stage, as the records of their targets say."""
+"""Samples of a dataset that are done, failed (with reasons) and pending, by stage, from the records of targets."""
 
 import time
 from argparse import Namespace
@@ -23,13 +23,13 @@ from gelforge.flow.runs import (
     still_asked,
 )
 
-# Only the standard library: status answers in a fraction of a second for 15 000 samples.
+# Only imports of the standard library, so that status of 15 000 samples takes a fraction of a second.
 
-ONE_BY_ONE = (layout.POSES, layout.FEA, layout.FORCES)  # stages that say what became of each sample
+ONE_BY_ONE = (layout.POSES, layout.FEA, layout.FORCES)  # stages that record the outcome of each sample
 
 
 def lines(results: Path, asked: list[LastRun]) -> list[str]:
-    """The table that `make status` prints. asked: last runs of targets that make knows today."""
+    """The table that `make status` prints. asked: last runs of targets that make still knows."""
     of = Layout(results)
     planned = (record_of(metrics_of(of.plan())) or {}).get("counts", {})
     total = int(planned.get("rows", 0))
@@ -47,7 +47,7 @@ def lines(results: Path, asked: list[LastRun]) -> list[str]:
         f"{'stage':20s} {'done':>7s} {'failed':>7s} {'pending':>7s}",
     ]
     for name, failed in sorted(lost.items()):
-        # what a stage before lost never comes to this one
+        # samples lost in an earlier stage never reach this one
         gone = sum(lost[before].total() for before in ONE_BY_ONE if before < name)
         pending = max(total - done[name] - failed.total() - gone, 0)
         text.append(f"{name:20s} {done[name]:7d} {failed.total():7d} {pending:7d}")
@@ -56,7 +56,7 @@ def lines(results: Path, asked: list[LastRun]) -> list[str]:
 
 
 def whole_lines(results: Path, broken: Collection[str]) -> list[str]:
-    """What there is of stages that work on all samples at once, and what makes it where there is nothing."""
+    """Results of the stages that work on all samples at once, or the command that makes them."""
     text = []
     for kind, pattern, target in (
         (layout.DATASET, "*/dataset.json", "dataset"),
@@ -75,18 +75,18 @@ def whole_lines(results: Path, broken: Collection[str]) -> list[str]:
 
 
 def outdated_lines(asked: list[LastRun]) -> list[str]:
-    """The first target that what it was made of changed since, and what that was; nothing where all is as it was made."""
+    """The first target whose inputs changed since it was made, and these inputs; empty where none changed."""
     for run in asked:
         if run.target and (why := causes(changes(run.target, run.record))):
             more = f" and {len(why) - 2} more" if len(why) > 2 else ""
             return [
-                f"outdated: {run.name} and what follows from it, because {', '.join(why[:2])}{more} changed since"
+                f"outdated: {run.name} and what follows from it, because {', '.join(why[:2])}{more} changed since it was made"
             ]
     return []
 
 
 def failed_lines(results: Path, asked: list[LastRun]) -> list[str]:
-    """Targets whose last run failed, by stage and by what the log says last; the log named is the first one's."""
+    """Targets whose last run failed, grouped by stage and last line of the log; the first one's log is named."""
     alike: dict[tuple[str, str], list[tuple[LastRun, Path]]] = {}
     for run in asked:
         if run.failed:
@@ -108,7 +108,7 @@ def cost_lines(results: Path, known: list[LastRun]) -> list[str]:
 
 
 def counter_lines(results: Path) -> list[str]:
-    """How far the last run came with its latest stage of shards."""
+    """Progress of the last run in its latest stage of shards."""
     path = Layout(results).counter
     stages_of = (record_of(path) or {}).get("stages")
     if not stages_of:

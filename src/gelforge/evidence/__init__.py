@@ -1,1 +1,1 @@
-"""What the inputs of a log say of each other: images against no-contact images and poses, before anything is solved or learnt."""
+"""Diagnostics of a log: images against no-contact images and poses, forces against predictions and labels."""

@@ -1,7 +1,7 @@
-"""What force readings say about the force sensor and the log, beside what they were logged for.
+"""Diagnostics of the force sensor and the log from force readings.
 
-Each function returns one sentence with its number, or None where there is nothing to say. Only numpy, because `gelforge
-sensor` uses them, too. Normal forces are compression here, in N and positive, in the order of the log.
+Each function returns one sentence with its number, or None where there is nothing to report. Only numpy, because
+`gelforge sensor` uses them, too. Normal forces are compression here, in N and positive, in the order of the log.
 """
 
 from collections.abc import Callable, Iterable
@@ -18,22 +18,20 @@ UNITS = {
     "millinewtons": 1e-3,
     "kilonewtons": 1e3,
 }
-SEVERAL = 3.0  # times what is usual: no gel of the kind is so soft or so hard
+SEVERAL = 3.0  # ratio to the usual force: no gel of the kind is so soft or so hard
 ALIKE = 1.5  # the factor within which a unit explains forces
 FEWEST = 6  # presses that a statement about their order or directions needs
-LEAST_N = 0.15  # of a constant force or a drift: smaller ones are usual, and change hardly anything
-SURE = 4.0  # standard errors from which on something is no chance
+LEAST_N = 0.15  # least constant force or drift: smaller ones are usual, and change hardly anything
+SURE = 4.0  # standard errors from which an effect is significant
 SURE_OF_FEW = 3.5  # the same for a dozen readings of a scale
-SPREAD = 0.1, 0.2  # of a predicted force: as a fraction, and in N
-NOT_FOLLOWED, FOLLOWED = (
-    0.5,
-    0.9,
-)  # correlations of normal force with the column that should hold it, and with the one that does
-ALONE = 1e-9  # of a term of a fit that the others must leave, or it cannot be told apart from them
+SPREAD = 0.1, 0.2  # scatter of readings about a predicted force: as a fraction, and in N
+# Correlations of normal force: largest with the column that should hold it, least with the one that does.
+NOT_FOLLOWED, FOLLOWED = 0.5, 0.9
+ALONE = 1e-9  # least fraction of a fit's term that the other terms leave unexplained, or it is collinear with them
 TAKEN_OVER = 0.6  # sideways over normal force where most contacts slip
-TURNED_DEG = 20.0  # by which sideways forces may be turned against the path, by curved gels and slopes of bodies
+TURNED_DEG = 20.0  # angle of sideways force to path that curved gels and sloping bodies explain
 FOLLOWS = 0.6  # fraction of the variance of sideways forces that a cause must explain to be named
-LEAST_SCATTER = 0.25  # of a weighted reading, squared
+LEAST_SCATTER = 0.25  # least variance of a weighted reading
 HINT = "tare the sensor without contact and log again, or subtract it from the force columns"
 
 
@@ -57,11 +55,11 @@ class LogForces:
 
 @dataclass(frozen=True)
 class Fitted:
-    """What a model says of n readings of a log.
+    """The fit of a model to n readings of a log.
 
-    rows: (n,) their positions in the log. usual: (n,) N, compression on a usual gel before anything is fitted. residual: (n, 3) N,
-    measured less predicted, nan where a component does not serve. constant: constant forces in N with their standard
-    errors, by axis. noise, largest_noise: N, fitted and the largest that its prior expects.
+    rows: (n,) their positions in the log. usual: (n,) N, compression on a usual gel before anything is fitted.
+    residual: (n, 3) N, measured less predicted, nan where a component is not used. constant: constant forces in N
+    with their standard errors, by axis. noise, largest_noise: N, fitted and the largest that its prior expects.
     """
 
     rows: np.ndarray
@@ -73,7 +71,7 @@ class Fitted:
 
 
 def first_said(causes: Iterable[Callable[[], str | None]]) -> list[str]:
-    """The sentence of the first cause that has one, alone; those after it are not looked at."""
+    """Only the sentence of the first cause that has one; later causes are not evaluated."""
     for cause in causes:
         if said := cause():
             return [said]
@@ -81,7 +79,7 @@ def first_said(causes: Iterable[Callable[[], str | None]]) -> list[str]:
 
 
 def of_log(log: LogForces, fitted: Fitted) -> list[str]:
-    """What the readings say of force sensor and log: a cause, without what follows from it."""
+    """Diagnose the force sensor and the log: one cause, without its consequences."""
     felt = fitted.usual > LEAST_N
     rows, usual = fitted.rows[felt], fitted.usual[felt]
     causes = (
@@ -97,7 +95,7 @@ def of_log(log: LogForces, fitted: Fitted) -> list[str]:
 
 
 def misplaced(force: np.ndarray, predicted: np.ndarray) -> str | None:
-    """Normal forces that stand in a column of sideways forces: axes of the sensor, or of the world, in place of the gel's.
+    """Normal forces in a column of sideways forces: the axes are those of the sensor or the world, not the gel's.
 
     force: (n, 3) N. predicted: (n,) N, compression.
     """
@@ -116,7 +114,7 @@ def misplaced(force: np.ndarray, predicted: np.ndarray) -> str | None:
 
 
 def unit(measured: np.ndarray, predicted: np.ndarray, where: str = "fz_n and dz_mm in the log") -> str | None:
-    """Forces (n,) several times as large or as small as predicted ones: by a constant force, else by a unit, which is named."""
+    """Forces (n,) several times larger or smaller than predicted: by a constant force, or else by a unit."""
     if not len(measured):
         return None
     ratio = float(np.median(np.abs(measured) / predicted))
@@ -128,7 +126,7 @@ def unit(measured: np.ndarray, predicted: np.ndarray, where: str = "fz_n and dz_
         slope = apart[0] / apart[1]
         beyond = float(np.median(measured - slope * predicted))
         if 1.0 / SEVERAL < slope < SEVERAL and abs(beyond) > float(np.median(predicted)):
-            return f"Forces are {beyond:+.1f} N beyond what is usual, in large presses as in small ones: {HINT}."
+            return f"Forces are offset by {beyond:+.1f} N from the usual ones, equally in large and small presses: {HINT}."
     name, of = min(UNITS.items(), key=lambda pair: abs(np.log(ratio * pair[1])))
     said = f"{ratio:.3g} times" if ratio > 1.0 else f"1/{1.0 / ratio:.3g} of"
     like = f", as where they are in {name} (1 is {of:g} N)" if abs(np.log(ratio * of)) < np.log(ALIKE) else ""
@@ -223,7 +221,7 @@ def _turned(what: str, explained: float, hint: str) -> str:
 
 
 def _explained(along: np.ndarray, seen: np.ndarray) -> tuple[float, float]:
-    """Fraction of complex `seen`, without its trend, that a turned and scaled `along` explains; its turn, degrees."""
+    """Fraction of complex `seen`, without trend, that a turned and scaled `along` explains; this turn, degrees."""
     along, seen = _level(along), _level(seen)
     common = np.vdot(along, seen)
     total = np.vdot(along, along).real * np.vdot(seen, seen).real
@@ -231,14 +229,14 @@ def _explained(along: np.ndarray, seen: np.ndarray) -> tuple[float, float]:
 
 
 def _level(values: np.ndarray) -> np.ndarray:
-    """Values (n,) without their mean and their trend along the log, as a constant force and a drift would make them."""
+    """Values (n,) without their mean and their trend along the log, which a constant force and a drift cause."""
     order = np.arange(len(values)) - (len(values) - 1) / 2
     values = values - values.mean()
     return values - order * (order @ values) / (order @ order)
 
 
 def drift(residual: np.ndarray, rows: np.ndarray) -> str | None:
-    """Residuals (n, 3) N, measured less predicted, that go with the order of the presses. rows: (n,) positions in the log."""
+    """Residuals (n, 3) N, measured less predicted, with a trend along the log. rows: (n,) positions in the log."""
     for axis, of in zip("zxy", residual.T[[2, 0, 1]], strict=True):
         used = np.isfinite(of)
         if used.sum() < FEWEST:
@@ -253,7 +251,10 @@ def drift(residual: np.ndarray, rows: np.ndarray) -> str | None:
 
 
 def mean_forces(straight: np.ndarray) -> dict[str, tuple[float, float]]:
-    """Mean sideways force beyond the prediction, with its standard error, by axis; straight: (n, 2) N of presses without shear."""
+    """Mean sideways force and its standard error, by axis.
+
+    straight: (n, 2) N, sideways force beyond the prediction in presses without shear.
+    """
     found = {}
     for axis, of in zip("xy", straight.T, strict=True):
         of = of[np.isfinite(of)]
@@ -263,7 +264,7 @@ def mean_forces(straight: np.ndarray) -> dict[str, tuple[float, float]]:
 
 
 def constant(forces: dict[str, tuple[float, float]], errors: float = SURE) -> str | None:
-    """A constant force in N by axis, with its standard error, where it is surely there: so many of them."""
+    """Constant forces that exceed `errors` of their standard errors; forces: N and standard error, by axis."""
     sure = {axis: value for axis, (value, error) in forces.items() if abs(value) > max(errors * error, LEAST_N)}
     if not sure:
         return None
@@ -284,7 +285,7 @@ def noise(found: float, largest: float) -> str | None:
 def fitted(terms: np.ndarray, values: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
     """Weighted least squares: coefficients (k,) of `terms` (n, k), their standard errors (k,), and the weighted sum of squares left.
 
-    The error of a term that the others make up is infinite.
+    The error of a term that is collinear with the others is infinite.
     """
     weighted = terms * weight[:, None]
     found, *_ = np.linalg.lstsq(weighted, values * weight, rcond=None)
@@ -307,7 +308,7 @@ def drift_text(axis: str, per_row: float, rows: float) -> str:
 
 
 def of_readings(measured: np.ndarray, predicted: np.ndarray) -> list[str]:
-    """What readings (n,) of a scale say that were compared with predicted forces (n,): unit, else a drift, else a constant force."""
+    """Diagnose readings (n,) N of a scale against predictions (n,) N: unit, else a drift, else a constant force."""
     wrong = unit(measured, predicted, "the readings")
     if wrong:
         return [wrong]
@@ -325,7 +326,7 @@ def of_readings(measured: np.ndarray, predicted: np.ndarray) -> list[str]:
     if abs(offset) > SURE_OF_FEW * errors[-1] and abs(offset) > 2 * LEAST_N:
         change = "falls" if offset > 0 else "rises"
         return [
-            f"Readings are {offset:+.1f} N beyond what is in proportion to the forces that the network reads, so that their ratio"
+            f"Readings have an offset of {offset:+.1f} N against the predicted forces, so that their ratio"
             f" {change} with force: tare the scale or sensor before each press."
         ]
     return []

@@ -1,7 +1,7 @@
-"""Whether the images of a log show what its rows describe: one judgement of each image, and one of all of them together.
+"""Whether the images of a log show what its rows describe, each by itself and all together.
 
-An image by itself is judged by `reading.faults`. All images of a sensor together are judged by their imprints (`evidence.imprints`): where
-they lie, how large they are, and whether they follow the poses of the rows.
+A single image is checked by `reading.faults`. All images of a sensor together are checked by their imprints
+(`evidence.imprints`): where they lie, how large they are, and whether they follow the poses of the rows.
 """
 
 import math
@@ -18,26 +18,29 @@ from gelforge.evidence.imprints import COLS, ROWS, Seen
 from gelforge.evidence.placement import BETTER, FEWEST, FITS, OFTEN, gains, moved_map, other_axes, projection
 from gelforge.reading.faults import likeness
 
-# Limits of the imprints. Of the rig's presses 0.79 to 0.97 are alike to what is expected (median 0.91), of real presses of a ball 0.9 to
-# 0.97; contacts lie within 0.2 mm of their poses in the median, and are 1.04 to 1.09 times as large as expected.
-# Of an imprint: beside the slope that its depth makes, and beside the usual one of its sensor.
+# Limits of the imprints. The likeness of measured and expected imprints is 0.79 to 0.97 in the rig's presses (median
+# 0.91), 0.9 to 0.97 in real presses of a ball. Contacts lie within 0.2 mm of their poses in the median; imprints are
+# 1.04 to 1.09 times as large as expected.
+#
+# Least strength of an imprint (change of colour over expected slope), and its least fraction of the sensor's median.
 LEAST_CHANGE, WEAK = 8.0, 0.45
-# Of the rim's markers in an image: how far they may have moved, as a fraction of their distance, and how many may look otherwise; more
-# where a quarter of a sensor's images have half as much. Of 48 presses of the rig none is beyond, of images of other units in light
-# that suits four of five.
+# Rim markers of an image: largest median motion, in pitches, and largest fraction lost or looking different; or twice
+# the sensor's 75 % quantile, if larger. Beyond them are none of 48 presses of the rig, and 80 % of other units' images
+# whose light fits.
 RIM_MOVED, RIM_LOST = 0.2, 0.3
 UNLIKE = 0.4  # median likeness up to which the images of a sensor show nothing of their rows
-MOVED_MM = 3.0  # beside its pose, from where on a single imprint is named
+MOVED_MM = 3.0  # distance from its pose beyond which a single imprint is reported
 SIZES = np.geomspace(0.7, 1.4, 15)
-# Of imprints over what is expected: usual one, and by which fraction that of an indenter and that of all may differ.
+# Size of measured over expected imprints: usual ratio, and largest deviation for an indenter and for all.
 USUAL_SIZE, OTHER_SIZE, OTHER_SCALE = 1.05, 0.1, 0.14
-FEWEST_ALIKE = 3  # images of one indenter that show another size or another shape
-# Likeness below the usual from which other indenters' shapes are tried, that such a shape gains over any size of its own, and reaches.
+FEWEST_ALIKE = 3  # least number of images of one indenter that show another size or another shape
+# Likeness: how far below the median other indenters' shapes are tried; how much such a shape must gain over the own
+# shape of any size; and what it must reach.
 DOUBTFUL, OTHER_SHAPE, THAT_SHAPE = 0.08, 0.08, 0.8
 LOOKED_AT = 12  # images of an indenter whose shape is compared with other indenters'
-GHOST = 0.5  # of the usual change, that most images show where their poses put nothing
+GHOST = 0.5  # least change common to most images where their poses put nothing, over an image's 99 % quantile
 
-# What rot_deg may be, by what is then to be done to it.
+# Possible errors of rot_deg, and the function that corrects each.
 TURNS: dict[str, Callable[[float], float]] = {
     "in radians": math.degrees,
     "of the other sign": lambda degrees: -degrees,
@@ -53,7 +56,7 @@ TURNS: dict[str, Callable[[float], float]] = {
 class Finding:
     """A sentence about images, and the rows of the log that it is about: all of a sensor or an indenter, or a single one.
 
-    wrong: whether no label of these rows can be right; else the sentence asks for a look.
+    wrong: whether no label of these rows can be right; else the sentence asks for a check.
     """
 
     text: str
@@ -65,7 +68,7 @@ class Finding:
 class Shapes:
     """The indenters that a log may have used: their names, and the map (30, 40) that a press is expected to give.
 
-    expected: with one of them. turned: with its own, its rot_deg replaced by what a function makes of it.
+    expected: with the named indenter. turned: with the press' own indenter, its rot_deg changed by a function.
     """
 
     names: Sequence[str]
@@ -73,7 +76,7 @@ class Shapes:
     turned: Callable[[Seen, Callable[[float], float]], np.ndarray]
 
     def moved(self, moves: np.ndarray) -> "Shapes":
-        """The same where all maps are moved, `moves` (2, 3) as of OpenCV."""
+        """The same with all maps moved by `moves`, OpenCV's affine matrix (2, 3)."""
         return Shapes(
             self.names,
             lambda one, name: moved_map(self.expected(one, name), moves),
@@ -125,7 +128,7 @@ def _fault_of_most(mine: Sequence[Seen]) -> list[Finding]:
     fault, count = counted.most_common(1)[0] if counted else ("", 0)
     if len(mine) < FEWEST or count <= len(mine) / 2:
         return []
-    text = f"{count} of {len(mine)} images have one fault, {fault}: check its no-contact image and the column `sensor_id`"
+    text = f"{count} of {len(mine)} images have the same fault, {fault}: check its no-contact image and the column `sensor_id`"
     return [Finding(text, tuple(one.row for one in mine if one.fault == fault), wrong=True)]
 
 
@@ -138,7 +141,7 @@ def _of_sensor(own: list[Seen], presses: Sequence[Seen], shapes: Shapes | None) 
     said, moves = projection(mine)
     if moves is None:
         return [*found, *_of_shown(mine, presses, shapes)]
-    # what is taken about their poses is known once all of them are moved alike
+    # correct the expected imprints by the common move: the other checks then find only what it leaves unexplained
     moved = {one.row: replace(one, expected=moved_map(one.expected, moves)) for one in own}
     shapes = shapes and shapes.moved(moves)
     presses = [moved.get(one.row, one) for one in presses]
@@ -147,8 +150,8 @@ def _of_sensor(own: list[Seen], presses: Sequence[Seen], shapes: Shapes | None) 
 
 
 def _frozen(mine: Sequence[Seen]) -> list[Finding]:
-    """Images that are those of the row before, though their poses differ."""
-    text = "its image is the very one of the row before, though their poses differ: the camera, or what recorded it, stood still"
+    """Images that repeat that of the row before, although their poses differ."""
+    text = "its image is identical to that of the previous row, although their poses differ: the camera or its recording was frozen"
     return [
         Finding(text, (one.row,), wrong=True)
         for before, one in pairwise(mine)
@@ -210,9 +213,9 @@ def _ghost(seen: Sequence[Seen]) -> str:
         return ""
     row, col = np.argwhere(enough)[common > GHOST].mean(axis=0)
     return (
-        f"most images change alike around {(col + 0.5) / COLS:.0%} of their width and {(row + 0.5) / ROWS:.0%} of their height, where no"
-        " pose puts a contact: something touched the gel in the no-contact image, it is of another unit, or an indenter has another shape,"
-        " as an STL that stands upside down"
+        f"most images share a change around {(col + 0.5) / COLS:.0%} of their width and {(row + 0.5) / ROWS:.0%} of their height, where no"
+        " pose puts a contact: something touched the gel in the no-contact image, that image is of another unit, or an indenter has another"
+        " shape, for example because its STL file is upside down"
     )
 
 
@@ -241,7 +244,7 @@ def _other_order(mine: list[Seen], presses: Sequence[Seen]) -> Finding | None:
 
 
 def _other_turn(mine: Sequence[Seen], shapes: Shapes) -> Finding | None:
-    """Images that show their indenters turned otherwise than rot_deg says, all in one way."""
+    """Images that show their indenters at another rotation than rot_deg, all by one error."""
     unlike = [one for one in mine if one.likeness < THAT_SHAPE]
     if len(unlike) < FEWEST_ALIKE:
         return None
@@ -263,7 +266,7 @@ def _other_turn(mine: Sequence[Seen], shapes: Shapes) -> Finding | None:
 
 
 def _unlike(mine: list[Seen]) -> str:
-    """Images that show nothing of what their rows describe, whatever the reason, each moved as it fits best."""
+    """Images that show nothing of what their rows describe, with the likeness where each is moved to fit best."""
     usual = float(np.median([one.likeness for one in mine]))
     if usual > UNLIKE:
         return ""
@@ -276,7 +279,7 @@ def _unlike(mine: list[Seen]) -> str:
 
 
 def _best_size(one: Seen) -> tuple[float, float]:
-    """Factor by which the expected imprint is to be scaled about the tip to be most like the measured one, and that likeness."""
+    """Scale about the tip at which the expected imprint is most like the measured one, and that likeness."""
     import cv2
 
     fits = []
@@ -346,20 +349,20 @@ def _other_shapes(mine: list[Seen], shapes: Shapes) -> list[Finding]:
 
 
 def _some(presses: Sequence[Seen]) -> list[Seen]:
-    """At most LOOKED_AT presses, evenly out of all."""
+    """At most LOOKED_AT presses, evenly spaced."""
     return [
         presses[at] for at in np.unique(np.linspace(0, len(presses) - 1, min(LOOKED_AT, len(presses))).astype(int))
     ]
 
 
 def row_list(rows: Iterable[int]) -> str:
-    """The first numbers of rows as text."""
+    """The first five row numbers as text."""
     rows = list(rows)
     return ", ".join(map(str, rows[:5])) + (" …" if len(rows) > 5 else "")
 
 
 def _single(mine: list[Seen]) -> list[Finding]:
-    """Rows whose contact lies elsewhere than their pose, or has another shape, where those of the others are right."""
+    """Single rows whose contact lies beside its pose or has another shape, while the other rows are right."""
     base = np.array([one.likeness for one in mine])
     usual = float(np.median(base)) if len(mine) >= FEWEST else 0.0
     if usual < FITS:
@@ -372,7 +375,9 @@ def _single(mine: list[Seen]) -> list[Finding]:
         away = float(np.hypot(*move)) * one.mm
         where = f"row {one.row} ({one.sample_id})"
         if fit > max(FITS, own + BETTER) and away > MOVED_MM:
-            text = f"{where}: the contact in its image lies {away:.1f} mm beside its pose: is it the image of another row?"
+            text = (
+                f"{where}: the contact in its image lies {away:.1f} mm from its pose: is it the image of another row?"
+            )
             found.append(Finding(text, (one.row,), wrong=True))
         elif own < usual - 2.0 * BETTER:
             text = (

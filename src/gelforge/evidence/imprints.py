@@ -23,17 +23,17 @@ from gelforge.records.press import Press
 ROWS, COLS = 30, 40
 HALF = (160, 120)  # width and height in px at which the change of colour is measured
 MARKER = 13  # px at that size: larger than a marker is wide
-INK = 0.15  # of the largest level, by which a marker is darker than what surrounds it
+INK = 0.15  # of the largest level, by which a marker is darker than its surroundings
 SMOOTH = 2.5  # px at that size: standard deviation of the average between markers
 STEEPEST = 0.5  # slope of the gel around an edge that is pressed into it
 SHOWN = 3.0  # levels of change that an imprint has at least
-# From this slope on a depth makes an imprint that every unit shows: the change (99 % of the map) over the slope that was expected is of 48
-# presses of two units of the rig 12 to 25 and 43 to 69, and 0.6 to 1.3 of its median for each.
+# Expected slope from which every unit shows an imprint. In 48 presses of two units of the rig, the 99 % quantile of
+# the change over that of the expected slope is 12 to 25 and 43 to 69, which is 0.6 to 1.3 times each unit's median.
 MADE = 0.2
 
 
 def imprint(seen: Prepared) -> np.ndarray:
-    """Change of colour (30, 40) of an image against its no-contact image, whose light was taken back."""
+    """Change of colour (30, 40) of an image against its no-contact image, after photometric normalisation."""
     import cv2
 
     assert seen.nocontact is not None
@@ -59,7 +59,7 @@ def _between_markers(half: np.ndarray) -> np.ndarray:
 
 
 class Window:
-    """What a sensor's image shows of its gel, at the places of the maps."""
+    """The part of a sensor's gel that its image shows, at the places of the maps."""
 
     def __init__(self, sensor: Sensor) -> None:
         self.sensor = sensor
@@ -76,7 +76,7 @@ class Window:
         return np.column_stack([*self._xy, gel.top(*self._xy)]), gel.inside(*self._xy)
 
     def place(self, press: Press) -> np.ndarray:
-        """Column and row (2,) of the maps at which the tip ends."""
+        """Column and row (2,) of the maps at which the tip is at the end of a press."""
         return np.asarray(self.sensor.project(np.array([press.x0 + press.dx, press.y0 + press.dy])) / self._px - 0.5)
 
     def expected(self, indenter: Indenter, press: Press) -> np.ndarray:
@@ -91,7 +91,7 @@ class Window:
 
 
 def _draped(depth: np.ndarray, steepest: float) -> np.ndarray:
-    """The lowest surface (30, 40) that is nowhere above `depth`, at most 0, and falls by at most `steepest` from one place to the next."""
+    """The highest surface (30, 40) nowhere above `depth` (at most 0) and falling by at most `steepest` per place."""
     import cv2
 
     straight = cv2.getStructuringElement(cv2.MORPH_CROSS, (3, 3))
@@ -104,7 +104,7 @@ def _draped(depth: np.ndarray, steepest: float) -> np.ndarray:
 def displaced(measured: np.ndarray, expected: np.ndarray) -> tuple[float, np.ndarray]:
     """Largest likeness of two maps (30, 40) when the expected one is moved, and by how much, (2,) columns and rows.
 
-    What leaves the image counts as flat. Fractions come from a parabola through the largest values.
+    The map is flat beyond the image. Fractions of a place come from a parabola through the largest values.
     """
     one, other = measured - measured.mean(), expected - expected.mean()
     size = float(np.sqrt((one**2).sum() * (other**2).sum()))
@@ -129,8 +129,9 @@ def _vertex(before: float, middle: float, after: float) -> float:
 class Seen:
     """What is kept of a press whose image is judged beside others: maps (30, 40) of its imprint.
 
-    fault: what is wrong with the image by itself (`reading.faults`). centre: (2,) columns and rows of the maps at which the tip ends. mm: size
-    of a place. rim: (2,) how far half of the rim's markers moved at least, as a fraction of their distance, and which fraction of them looks otherwise.
+    fault: what is wrong with the image by itself (`reading.faults`). centre: (2,) column and row of the maps at which
+    the tip ends. mm: size of a place. rim: (2,) median motion of the rim's markers, in pitches, and fraction of them
+    that is lost or looks different.
     """
 
     row: int
@@ -146,27 +147,27 @@ class Seen:
 
     @cached_property
     def strength(self) -> float:
-        """Change of colour over the slope that is expected, levels; NaN where the depth makes no imprint that every unit shows."""
+        """Change of colour over expected slope, levels; NaN for a press too shallow for an imprint on every unit."""
         slope = float(np.percentile(self.expected, 99))
         return float(np.percentile(self.measured, 99)) / slope if slope >= MADE and not self.fault else math.nan
 
     @property
     def telling(self) -> bool:
-        """Whether there is an imprint in an image without a fault, and one to expect."""
+        """Whether the image has no fault and shows an imprint, and one is expected."""
         return bool(not self.fault and np.ptp(self.measured) > SHOWN and np.ptp(self.expected) > 0.0)
 
     @cached_property
     def likeness(self) -> float:
-        """Likeness of what is measured and what is expected, from -1 to 1."""
+        """Likeness of the measured and the expected map, from -1 to 1."""
         return likeness(self.measured, self.expected)
 
     @cached_property
     def middle(self) -> np.ndarray:
-        """Columns and rows (2,) of the middle of what is expected: on a dome it lies nearer to the apex than where the tip ends."""
+        """Column and row (2,) of the expected map's centre: on a dome it is nearer to the apex than the tip is."""
         rows, cols = np.indices(self.expected.shape)
         return np.array([np.average(cols, weights=self.expected), np.average(rows, weights=self.expected)])
 
     @cached_property
     def displaced(self) -> tuple[float, np.ndarray]:
-        """That likeness where the expected map is moved as it fits best, and by how much, (2,) columns and rows."""
+        """Likeness with the expected map moved to fit best, and this move, (2,) columns and rows."""
         return displaced(self.measured, self.expected)

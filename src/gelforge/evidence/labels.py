@@ -1,7 +1,7 @@
-"""What force readings say of force sensor, bench, gel and indenters beside the labels of their presses.
+"""Diagnostics of force sensor, bench, gel and indenters from force readings and the labels of their presses.
 
-Labels may be made before any calibration: so stiffness of the gel, a frame that yields, touch that was missed and indenters that differ
-are fitted first, each by what is usual of it, and accused only beyond that.
+Labels may be made before any calibration. So the gel's stiffness, the frame's compliance, the offset of touch and the
+factors of indenters are fitted first, with priors of their usual sizes, and reported only beyond these.
 """
 
 from collections.abc import Callable, Sequence
@@ -27,32 +27,34 @@ from gelforge.evidence.forces import (
     unit,
 )
 
-ENOUGH = 12  # presses that a constant force or a drift beside labels needs
-MANY = 18  # presses from which on the errors of a constant force are themselves known
-OF_ONE = 3  # presses of one indenter that are compared with those of all others
-OTHER_FORCE = 1.15  # the factor by which their forces then differ at least
-OTHER_POWER = 0.05  # by which forces grow with another power of labels where the gel has another thickness
-SURE_OF_THICKNESS = 3.7  # standard errors of it, which are never taken to be smaller than those of a scatter of 5 %
+ENOUGH = 12  # presses that show a constant force or a drift against labels
+MANY = 18  # presses from which the standard errors of a constant force are reliable
+OF_ONE = 3  # least number of presses of one indenter that are compared with those of all others
+OTHER_FORCE = 1.15  # least factor by which their forces then differ
+OTHER_POWER = 0.05  # least change of the power of labels with which forces grow on a gel of another thickness
+SURE_OF_THICKNESS = 3.7  # standard errors from which it is significant; they assume a scatter of at least 5 %
 NEARLY = 1.5  # ratio of the sums of squares that two causes leave, within which both are named
 STUCK, DIFFERS = 3, 0.3  # presses that read the same, and the fraction by which their labels differ
-SPLITS = 25  # places of a log at which its gel may have been changed, tried at a time
-# Fraction of the normal force that a straight press does not give sideways; fraction of the presses that have it.
+SPLITS = 25  # presses tried per round as the one from which the gel is another
+# Sideways over normal force that a straight press does not reach; least fraction of presses that exceed it.
 DRAGGED, OFTEN = 0.12, 0.5
-LAGGING = 0.15  # of the force of the press before, that a reading may hold
-# Before a calibration: touch, mm; a frame that yields, mm/N; an indenter's forces, as a fraction.
+LAGGING = 0.15  # fraction of the previous press' force that a reading may hold
+# Usual sizes before a calibration: offset of touch, mm; compliance of the frame, mm/N; error of an indenter's forces,
+# as a fraction.
 TOUCH_MM, COMPLIANCE, OWN = 0.03, 0.01, 0.03
-USUAL_POWER, WIDE = 1.6, 0.5  # of depth, by which force grows; range of ln depth from which on labels show it
-LEAST_LEFT = 0.05  # of a depth, where the frame yields
-OFFSETS, STIFF_ENOUGH = (-0.6, 0.6), 0.1  # mm that touch may be missed by, mm/N that a frame yields at most
-# Standard errors of an indenter's factor; of two causes, by how much one must leave less to be the likelier.
+USUAL_POWER, WIDE = 1.6, 0.5  # power of depth with which force grows; range of ln depth from which labels show it
+LEAST_LEFT = 0.05  # least fraction of a depth that remains where the frame yields
+OFFSETS, STIFF_ENOUGH = (-0.6, 0.6), 0.1  # limits of the offset of touch, mm, and of the compliance, mm/N
+# Standard errors at which an indenter's factor is significant; ratio of sums of squares at which another cause is not
+# excluded.
 SURE_OF_INDENTER, NEARER = 4.0, 1.1
-MISSED_MM = 0.15  # of touch: five times what is usual
+MISSED_MM = 0.15  # least offset of touch that is reported: five times the usual one
 
-Fit = Callable[[], "_Bench"]  # of the bench, made once where a cause asks for it
+Fit = Callable[[], "_Bench"]  # the bench, fitted once when a cause asks for it
 
 
 def of_labels(log: LogForces, label: np.ndarray, indenters: Sequence[str], usual: float = 1.0) -> list[str]:
-    """What readings say beside the labels of their presses: a cause, without what follows from it.
+    """Diagnose readings against the labels of their presses: one cause, without its consequences.
 
     label: (m, 3) N on the gel. usual: factor that takes labels to a gel of usual stiffness. Labels may be made without a calibration:
     stiffness, compliance and depth of touch are fitted here, roughly.
@@ -82,13 +84,13 @@ def of_labels(log: LogForces, label: np.ndarray, indenters: Sequence[str], usual
 
 
 def _stuck(log: LogForces, label: np.ndarray) -> str | None:
-    """Presses of different forces that all read the same: a reading that was not renewed, or the end of the sensor's range."""
+    """Presses of different forces with one reading: it was not renewed, or is the end of the sensor's range."""
     normal = log.normal
-    usual = np.maximum(2 * LEAST_N, OTHER_FORCE - 1.0) * np.abs(label[1:, 2]).clip(1.0)
+    usual = np.maximum(2 * LEAST_N, (OTHER_FORCE - 1.0) * np.abs(label[1:, 2]))
     differs = np.abs(np.diff(label[:, 2])) > usual
     same = (np.nan_to_num(np.diff(log.force, axis=0)) == 0.0).all(axis=1) & differs
     if same.sum() >= STUCK:
-        return f"{same.sum()} presses read exactly the force of the press before, to which their labels differ: read the force sensor anew for each."
+        return f"{same.sum()} presses have exactly the reading of the previous press, although their labels differ: take a new reading for each press."
     largest = normal == normal.max()
     if largest.sum() >= STUCK and np.ptp(label[largest, 2]) > DIFFERS * normal.max():
         return (
@@ -103,7 +105,7 @@ def _without_path(log: LogForces, label: np.ndarray, felt: np.ndarray, bench: Fi
     aside = log.force[felt, :2]
     if len(felt) < FEWEST or log.path.any() or not np.isfinite(aside).all():
         return None
-    on_gel = bench().terms[:, 0] / -label[felt, 2]  # as much less as the normal force where the frame yields
+    on_gel = bench().terms[:, 0] / -label[felt, 2]  # reduced like the normal force where the frame yields
     beyond = aside - label[felt, :2] * on_gel[:, None]
     beyond = np.hypot(*(beyond - np.median(beyond, axis=0)).T)
     dragged = beyond > np.maximum(3 * LEAST_N, DRAGGED * log.normal[felt])
@@ -116,7 +118,7 @@ def _without_path(log: LogForces, label: np.ndarray, felt: np.ndarray, bench: Fi
 
 
 def _lagging(log: LogForces, label: np.ndarray, felt: np.ndarray, bench: Fit) -> str | None:
-    """Readings that hold a part of the press before, as behind a filter or of a sensor that creeps."""
+    """Readings that hold a part of the previous press' force, because of a filter or a sensor that creeps."""
     later = felt > 0
     before = -label[felt - 1, 2]
     felt = felt[later]
@@ -129,19 +131,19 @@ def _lagging(log: LogForces, label: np.ndarray, felt: np.ndarray, bench: Fit) ->
     if share < LAGGING or found[-1] < SURE * errors[-1]:
         return None
     return (
-        f"Readings hold {100 * share:.0f} % of the force of the press before: the force sensor or its filter had not settled; wait longer at each"
-        " press, or log what is not filtered."
+        f"Readings contain {100 * share:.0f} % of the previous press' force: the force sensor or its filter had not settled; wait longer at each"
+        " press, or log unfiltered readings."
     )
 
 
 def _changed(log: LogForces, label: np.ndarray, felt: np.ndarray, names: np.ndarray, bench: Fit) -> str | None:
-    """Forces that differ from their labels by another factor from some press on: another gel, or another setting of the sensor."""
+    """A factor between forces and labels that changes from some press on: another gel or setting of the sensor."""
     normal, measured, names, fit = -label[felt, 2], log.normal[felt], names[felt], bench()
     weight, order = _weight(normal), np.arange(len(felt))
     low, high, tried = FEWEST, len(felt) - FEWEST, {}
-    for _ in range(2):  # some, then those about the best of them
+    for _ in range(2):  # coarse, then fine around the best
         for at in np.unique(np.linspace(low, high, SPLITS).round().astype(int)) if low <= high else ():
-            if set(names[:at]) & set(names[at:]):  # else it is rather an indenter
+            if set(names[:at]) & set(names[at:]):  # else an indenter is the likelier cause
                 tried[at] = fit.fit(measured, weight, np.where(order < at, 0.0, normal))
         if not tried:
             return None
@@ -156,18 +158,19 @@ def _changed(log: LogForces, label: np.ndarray, felt: np.ndarray, names: np.ndar
     if 1.0 / OTHER_FORCE < ratio < OTHER_FORCE:
         return None
     return (
-        f"From press {felt[at] + 1} of those with readings on forces are {ratio:.2f} times as large beside their labels as before: was the gel or the"
-        " range of the force sensor changed? Give each gel a sensor_id and a gel_id of its own."
+        f"From press {felt[at] + 1} (counted among those with readings) on, the ratio of forces to labels is {ratio:.2f} times that of earlier"
+        " presses: was the gel or the range of the force sensor changed? Give each gel a sensor_id and a gel_id of its own."
     )
 
 
 @dataclass(frozen=True)
 class _Bench:
-    """Readings of n presses beside labels at the commanded depth, on a frame that yields and with touch that was missed.
+    """Linear model of the readings of n presses: labels at commanded depth, a compliant frame and an offset of touch.
 
-    terms: (n, k), by which readings change: with stiffness (the first column is the label on the gel as it is pressed), depth of
-    touch, compliance, and each indenter's own factor. prior: (k, k) and (k,), rows and values of what is known of their
-    coefficients. offset: mm deeper than logged. left: weighted sum of squares.
+    terms: (n, k), changes of readings with stiffness (the first column: the label at the depth that the gel is really
+    pressed), offset of touch, compliance, and each indenter's own factor. prior: (k - 1, k) and (k - 1,), rows and
+    values of the prior of the coefficients, without stiffness. offset: mm deeper than logged. left: weighted sum of
+    squares.
     """
 
     terms: np.ndarray
@@ -188,10 +191,10 @@ class _Bench:
 
 
 def _bench(log: LogForces, label: np.ndarray, felt: np.ndarray, names: np.ndarray, touch: float = TOUCH_MM) -> _Bench:
-    """Stiffness, depth of touch, compliance and indenters' factors that fit readings best, by Gauss and Newton.
+    """Fit stiffness, offset of touch, compliance and indenters' factors to readings, by Gauss-Newton.
 
-    label: (m, 3) N of all presses, of which `felt` (n,) serve. touch: mm that it is usually missed by. Force goes as a power of
-    depth, which the labels of an indenter show.
+    label: (m, 3) N of all presses, of which `felt` (n,) are used. touch: usual offset of touch, mm. Force is a power
+    of depth, which is fitted to the labels of each indenter.
     """
     normal, depth, read = -label[felt, 2], log.depth[felt], log.normal[felt]
     names, power = names[felt], np.full(len(felt), USUAL_POWER)
@@ -208,7 +211,7 @@ def _bench(log: LogForces, label: np.ndarray, felt: np.ndarray, names: np.ndarra
         left = np.maximum(1.0 + (offset - compliance * read) / depth, LEAST_LEFT)
         on_gel, slope = normal * left**power, power * normal * left ** (power - 1.0) / depth
         terms = np.column_stack([on_gel, slope, -slope * read, on_gel[:, None] * which])
-        # what is known: offset, compliance and factors, each by its usual size; readings scatter by half of SPREAD
+        # prior: usual sizes of offset, compliance and factors; readings scatter by half of SPREAD
         sizes = 2.0 * stiffness * np.array([touch, COMPLIANCE, *[OWN] * len(kinds)])
         rows = np.diag(1.0 / sizes)
         known = stiffness * np.array([-offset, COMPLIANCE - compliance, *[0.0] * len(kinds)]) / sizes
@@ -226,7 +229,7 @@ def _weight(normal: np.ndarray) -> np.ndarray:
 
 
 def _missed(log: LogForces, label: np.ndarray, felt: np.ndarray, names: np.ndarray, bench: Fit) -> str | None:
-    """Presses that go deeper, or less deep, than logged: touch that was missed, where a constant force explains it less well."""
+    """Presses deeper or less deep than logged: an offset of touch that explains more than a constant force does."""
     if len(felt) < ENOUGH:
         return None
     usual, free = bench(), _bench(log, label, felt, names, OFFSETS[1])
@@ -235,13 +238,13 @@ def _missed(log: LogForces, label: np.ndarray, felt: np.ndarray, names: np.ndarr
     if abs(free.offset) < MISSED_MM or usual.left - free.left < SURE**2 * scatter or free.left > by_constant:
         return None
     return (
-        f"Forces are those of presses {abs(free.offset):.2f} mm {'deeper' if free.offset > 0 else 'less deep'} than logged: check at which z0_mm and"
+        f"Forces match presses that are {abs(free.offset):.2f} mm {'deeper' if free.offset > 0 else 'less deep'} than logged: check at which z0_mm and"
         " dz_mm the tip touched the gel, or set [poses] touch_offset_mm."
     )
 
 
 def _moved(log: LogForces, label: np.ndarray, felt: np.ndarray, bench: Fit) -> str | None:
-    """A drift, else a constant force, beyond what labels and a force sensor that stands a little tilted explain."""
+    """A drift, else a constant force, beyond what labels and a slightly tilted force sensor explain."""
     if len(felt) < ENOUGH:
         return None
     order, ones = felt - felt.mean(), np.ones(len(felt))
@@ -253,10 +256,10 @@ def _moved(log: LogForces, label: np.ndarray, felt: np.ndarray, bench: Fit) -> s
         if used.sum() < ENOUGH:
             continue
         weight = _weight(np.abs(label[felt]).max(axis=1))[used]
-        if axis == "z":  # of a force along -z
+        if axis == "z":  # fitted as compression, along -z
             found, errors, _ = bench().fit(-values[used], weight, -ones, -order, used=used)
         else:
-            on_gel = bench().terms[:, 0]  # less than the label where the frame yields, and so is what it has sideways
+            on_gel = bench().terms[:, 0]  # below the label where the frame yields; sideways force falls alike
             own = own * on_gel / -label[felt, 2]
             found, errors, _ = fitted(np.column_stack([own, on_gel, ones, order])[used], values[used], weight)
         constants[axis], drifts[axis] = zip(found[-2:].tolist(), errors[-2:].tolist(), strict=True)
@@ -278,7 +281,7 @@ def _one_indenter(log: LogForces, felt: np.ndarray, names: np.ndarray, bench: Fi
         found, errors, left[name] = fit.fit(measured, weight, np.where(own, on_gel, 0.0))
         sure[name] = 1.0 + float(found[-1] / found[0]), abs(found[-1]) > SURE_OF_INDENTER * errors[-1]
     worst = min(left, key=lambda name: left[name], default="")
-    # rather the gel is of another thickness, or there is a constant force
+    # another thickness of the gel or a constant force may be the likelier cause
     for rather in (on_gel * np.log(on_gel), np.ones(len(felt))):
         if not worst or NEARER * fit.fit(measured, weight, rather)[2] < left[worst]:
             return None
@@ -286,16 +289,16 @@ def _one_indenter(log: LogForces, felt: np.ndarray, names: np.ndarray, bench: Fi
     if 1.0 / OTHER_FORCE < ratio < OTHER_FORCE or not certain:
         return None
     return (
-        f"Forces of {worst} are {ratio:.2f} times what its labels say beside those of the other indenters: check its shape, size and"
+        f"For {worst}, the ratio of forces to labels is {ratio:.2f} times that of the other indenters: check its shape, size and"
         " unit in the catalogue, and the column `indenter`."
     )
 
 
 def _other_thickness(log: LogForces, felt: np.ndarray, bench: Fit) -> str | None:
-    """Forces that grow otherwise with the size of a contact than stiffness, touch, a frame that yields and indenters make them grow.
+    """Forces whose growth with the size of a contact is not explained by stiffness, touch, compliance and indenters.
 
-    A layer resists the more, the wider a contact is beside its thickness: on a gel a fifth thinner than its labels say forces grow with
-    1.1 times the power, on one a third thicker with 0.9 times.
+    A layer is stiffer for contacts that are wide relative to its thickness: on a gel a fifth thinner than its labels
+    assume, forces grow with 1.1 times the power, on one a third thicker with 0.9 times.
     """
     if len(felt) < ENOUGH:
         return None
@@ -304,7 +307,7 @@ def _other_thickness(log: LogForces, felt: np.ndarray, bench: Fit) -> str | None
     weight = _weight(normal)
     found, errors, left = fit.fit(measured, weight, normal * np.log(normal))
     offset, error, by_offset = fit.fit(measured, weight, np.ones(len(felt)))
-    # a tare too small to be sure of beside touch and compliance, but likelier than another thickness
+    # a constant force that is not significant beside touch and compliance, but likelier than another thickness
     if NEARLY * by_offset < left:
         return constant({"z": (-float(offset[-1]), float(error[-1]))}, SURE_OF_THICKNESS)
     power = float(found[-1] / found[0])
@@ -316,7 +319,7 @@ def _other_thickness(log: LogForces, felt: np.ndarray, bench: Fit) -> str | None
     ratio = np.quantile(normal, [0.9, 0.1])
     by = float(np.exp(power * np.log(ratio[0] / ratio[1])))
     return (
-        f"Forces grow otherwise with the size of a contact than labels do, by {by:.2f} times from small to large presses beyond what stiffness,"
-        f" touch, a frame that yields and indenters explain: most likely the gel is {'thinner' if power > 0 else 'thicker'} than its table says;"
+        f"From small to large presses, forces grow {by:.2f} times as much as labels do, which stiffness, touch, a compliant frame and"
+        f" indenters do not explain: most likely the gel is {'thinner' if power > 0 else 'thicker'} than its table says;"
         f" check its thickness, and the column `gel_id`.{other}"
     )

@@ -23,13 +23,13 @@ def nocontact_path(data: Path, name: str) -> Path:
 
 
 def read_nocontact(data: Path, name: str, size: tuple[int, int]) -> np.ndarray | None:
-    """The no-contact image (h, w, 3) uint8 RGB of a sensor, None where there is none; BadInput for one of another size, (width, height)."""
+    """The no-contact image (h, w, 3) uint8 RGB of a sensor, or None; BadInput if its size (width, height) differs."""
     path = nocontact_path(data, name)
     return read_image(path, size, "restore it, or remove it") if path.exists() else None
 
 
 def rim_of(seen: Prepared) -> np.ndarray:
-    """How far half of the rim's markers moved at least, as a fraction of their distance, and which fraction of them looks otherwise, (2,)."""
+    """Median motion of the rim's markers, in pitches, and fraction of them that is lost or looks different, (2,)."""
     assert seen.nocontact is not None
     markers = seen.nocontact.markers
     signs = rim_signs(markers, seen.tracks)
@@ -39,8 +39,8 @@ def rim_of(seen: Prepared) -> np.ndarray:
 class LogImages:
     """Judges the images of presses against the no-contact images of their sensors, DATA/nocontact/SENSOR.png.
 
-    sensors: by name, at least those of the presses. A no-contact image that cannot be right raises BadInput when its sensor
-    is first met.
+    sensors: by name, at least those of the presses. A faulty no-contact image raises BadInput at the first press of
+    its sensor.
     """
 
     def __init__(self, data: Path, sensors: Mapping[str, Sensor]) -> None:
@@ -72,7 +72,7 @@ class LogImages:
         return log_image_fault(nocontact.lit(read_logged_image(self.data, press.image, window.sensor.image)))
 
     def see(self, press: PosedPress, body: Indenter) -> Seen | None:
-        """What is kept of the image of a press, beside what is wrong with it; None without an image or a no-contact image."""
+        """What is kept of the image of a press, with its fault; None without an image or a no-contact image."""
         known = self._of(press.sensor_id)
         if known is None or not press.image:
             return None

@@ -1,4 +1,4 @@
-"""Whether the contacts of a sensor lie where poses and projection put them, all together: along other axes, or moved, turned and scaled."""
+"""Compares all contacts of a sensor with poses and projection: other axes, or a common shift, turn and scale."""
 
 import math
 from collections.abc import Sequence
@@ -10,12 +10,12 @@ from gelforge.reading.faults import FLIPS, likeness
 
 # Of the rig's presses, contacts lie within 0.2 mm of their poses in the median.
 FEWEST = 6  # images of a sensor that are judged together
-BETTER = 0.15  # likeness that another explanation gains in the median
-OFTEN = 0.8  # fraction of images that it suits better
+BETTER = 0.15  # least median gain of likeness by another explanation
+OFTEN = 0.8  # least fraction of images that it suits better
 FITS = 0.5  # likeness from which an imprint is where it was expected
-TURNED_DEG, SCALED, OFFSET_MM = 3.0, 0.1, 0.7  # of a projection
-TOGETHER = 1.0  # place of the map, that most contacts lie within of where one move puts them
-SPREAD_MM = 2.0  # of the poses, from which on a turn and a scale are known
+TURNED_DEG, SCALED, OFFSET_MM = 3.0, 0.1, 0.7  # largest usual errors of a projection
+TOGETHER = 1.0  # places of the map: largest median distance of contacts from where a common move puts them
+SPREAD_MM = 2.0  # least spread of the poses that determines a rotation and a scale
 
 
 def gains(base: np.ndarray, other: np.ndarray) -> bool:
@@ -49,22 +49,22 @@ def other_axes(mine: list[Seen]) -> str:
     if not how:
         return ""
     return (
-        f"the contacts lie where the poses put them, but {how} (likeness {np.median(best):.2f}, as logged {np.median(base):.2f}):"
+        f"the contacts match the poses once these are {how} (likeness {np.median(best):.2f}, as logged {np.median(base):.2f}):"
         " check the projection, the axes and signs of x0_mm and y0_mm, and whether the camera mirrors"
     )
 
 
 def projection(mine: list[Seen]) -> tuple[str, np.ndarray | None]:
-    """What a similarity says that takes the expected places of contacts to those seen.
+    """Fit a similarity from the expected places of contacts to those seen; return a sentence about it.
 
-    And that similarity, (2, 3) as of OpenCV, where it moves all and most fit then.
+    Also return it as OpenCV's matrix (2, 3) where it includes a shift and most contacts fit then, else None.
     """
     good = [(one.middle, one.displaced[1]) for one in mine if one.displaced[0] > FITS]
     if len(good) < FEWEST:
         return "", None
     at, move, mm = np.array([at for at, _ in good]), np.array([move for _, move in good]), mine[0].mm
     at -= (COLS - 1) / 2, (ROWS - 1) / 2
-    for _ in range(3):  # without the places that fit worst: single wrong rows are named by themselves
+    for _ in range(3):  # without outliers: single wrong rows are reported by themselves
         turn, scale, offset, left = _similarity(at, move)
         near = left <= max(0.5, 3.0 * float(np.median(left)))
         if near.all() or near.sum() < FEWEST:
@@ -75,14 +75,14 @@ def projection(mine: list[Seen]) -> tuple[str, np.ndarray | None]:
         if abs(scale - 1.0) > SCALED:
             said.append(f"{scale:.2f} times as far from the image's middle")
         if abs(turn) > TURNED_DEG:
-            said.append(f"turned by {_best_turn(mine, turn, scale, offset):.1f} degrees about it")
+            said.append(f"turned by {_best_turn(mine, turn, scale, offset):.1f} degrees about the image's middle")
     moved = bool(np.hypot(*offset) * mm > OFFSET_MM)
     if moved:
         said.append(f"moved by {np.hypot(*offset) * mm:.1f} mm")
     if not said:
         return "", None
     text = (
-        f"the contacts lie {' and '.join(said)}, against where the poses and the projection put them: check `projection` in sensors.toml"
+        f"compared with the poses and the projection, the contacts are {' and '.join(said)}: check `projection` in sensors.toml"
         " (make projection), and the origin of x0_mm and y0_mm"
     )
     if not (moved and len(good) >= OFTEN * len(mine) and float(np.median(left)) < TOGETHER):
@@ -94,9 +94,10 @@ def projection(mine: list[Seen]) -> tuple[str, np.ndarray | None]:
 
 
 def _best_turn(mine: Sequence[Seen], turn: float, scale: float, offset: np.ndarray) -> float:
-    """The turn, degrees, about the middle of the image that suits whole maps best, near one found by their places alone.
+    """The rotation, degrees, about the image's middle that fits whole maps best, near the one fitted to places alone.
 
-    Places alone make it too small: a map that leaves the image, or is turned itself, is found where most of it overlaps.
+    Places alone make it too small: a map that leaves the image, or is rotated itself, is found where most of it
+    overlaps.
     """
     import cv2
 
@@ -111,7 +112,7 @@ def _best_turn(mine: Sequence[Seen], turn: float, scale: float, offset: np.ndarr
 
 
 def _similarity(at: np.ndarray, move: np.ndarray) -> tuple[float, float, np.ndarray, np.ndarray]:
-    """Turn in degrees, scale and offset (2,) of the similarity that moves places (n, 2) by `move` (n, 2), and what is left (n,)."""
+    """Turn in degrees, scale, offset (2,) and residuals (n,) of the similarity that moves places (n, 2) by `move`."""
     ones, zeros = np.ones(len(at)), np.zeros(len(at))
     along, across = at.T
     design = np.stack([np.column_stack([along, -across, ones, zeros]), np.column_stack([across, along, zeros, ones])])

@@ -1,4 +1,4 @@
-"""Whether settings of a dataset name what there is, and go with its log: sensors, indenters, one gel, pictures of one size."""
+"""Checks that a dataset's settings name existing sensors and indenters, one gel, one image size, and fit its log."""
 
 from collections.abc import Iterable, Mapping
 from difflib import get_close_matches
@@ -10,14 +10,14 @@ from gelforge.flow.params import DatasetFile, Params
 from gelforge.flow.tables import SHIPPED, SHIPPED_IMAGE
 from gelforge.records.press import SENSOR_TABLES
 
-# Names that a no-contact image may be given by.
+# Extensions of files that may be meant as no-contact images.
 PICTURES = {".png", ".jpg", ".jpeg", ".bmp", ".tif", ".tiff", ".webp"}
 
 
 def check_dataset(
     file: Path, of: DatasetFile, params: Params, logged: dict, sensors: dict, indenters: dict, models: dict
 ) -> None:
-    """Refuse settings that name a sensor, an indenter or a gel that there is not, or that is not the log's.
+    """Refuse settings that name a sensor, an indenter or a gel that does not exist, or that does not fit the log.
 
     file: dataset.toml. logged: tables of the sensors that rows name, among all `sensors`. models: of workflow/models.toml.
     """
@@ -37,7 +37,7 @@ def check_dataset(
 
 
 def check_names(setting: str, names: Iterable[str], known: Mapping[str, object]) -> None:
-    """Refuse a name that is none of those known: misspelt, it would do nothing."""
+    """Refuse an unknown name: a misspelt one would have no effect."""
     for name in names:
         if name not in known:
             raise BadInput(f"{setting}: {name!r} is unknown{nearest(name, known)}")
@@ -67,9 +67,9 @@ def check_nocontact(data: Path, logged: Iterable[str], known: Iterable[str]) -> 
 
 
 def check_gel(file: Path, of: DatasetFile, sensors: dict[str, dict]) -> None:
-    """Refuse a dataset whose gel is not one throughout: in its file, and on the sensors of its log.
+    """Refuse a dataset with several gels: in its file, and on the sensors of its log.
 
-    Sensors may state thicknesses of their own. sensors: tables of those that the log names. A gel that is none is left to
+    Sensors may state thicknesses of their own. sensors: tables of those that the log names. An invalid gel is left to
     stage 10, which rejects its rows.
     """
     from gelforge.geometry.gel import is_gel, load_gel, without_thickness
@@ -110,17 +110,17 @@ def picture_sizes(sensors: dict[str, dict]) -> dict[tuple[int, int], str]:
 
 
 def check_pictures(file: Path, params: Params, sensors: dict[str, dict], models: dict[str, dict]) -> None:
-    """Refuse pictures of several sizes, which no dataset holds, and of one that the report's network does not read.
+    """Refuse images of several sizes, which no dataset can hold, and of a size that the report's network cannot read.
 
-    Without this both would show when all presses are solved. sensors: tables of those that the log names. models: of
-    workflow/models.toml.
+    Without this check both would fail only after all presses are solved. sensors: tables of those that the log names.
+    models: of workflow/models.toml.
     """
     sizes = picture_sizes(sensors) if params.poses.images else {}
     seen = ", ".join(f"{name} {width} x {height}" for (width, height), name in sizes.items())
     if len(sizes) > 1:
         raise BadInput(
             f"{file}: sensors of the log take pictures of several sizes ({seen}): make one dataset for each size, or set"
-            " [params.poses] images = false, which goes as far as labels and calibrate"
+            " [params.poses] images = false, so that the flow ends at labels and calibrate"
         )
     model = params.report.model
     goes_on = model == SHIPPED or models.get(model, {}).get("start") == SHIPPED

@@ -1,6 +1,6 @@
-"""A module's command line: its words and options, its `main`, and how a process ends.
+"""A module's command line: its arguments and options, its `main`, and the exit of its process.
 
-A stage names the method of `Layout` that says where its result lies; that asks for the words of its command line:
+A stage names the method of `Layout` that gives the path of its result, whose parameters become the stage's arguments:
 
     @stage(Layout.fea)
     def main(args):  # python -m gelforge.stages.fea results/demo 0000
@@ -25,9 +25,9 @@ from typing import Any, NoReturn
 from gelforge.errors import GelforgeError, printable, unwritable
 from gelforge.flow.layout import Layout
 
-# Of a disk or a folder that takes nothing: no fault of the program.
+# Errors of a disk or a folder that cannot be written to; they are no fault of the program.
 UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT)
-# Packages that only an extra of pyproject.toml installs, by the name of their import.
+# Extra of pyproject.toml that installs a package, by the name under which it is imported.
 EXTRAS = {
     **dict.fromkeys(("scipy", "numba", "pydantic", "annotated_types"), "solve"),
     "matplotlib": "plot",
@@ -38,20 +38,20 @@ EXTRAS = {
     **dict.fromkeys(("foxglove", "mcap", "rosbags"), "live"),
     "huggingface_hub": "hub",
 }  # fmt: skip
-# Of a name that no file can have.
+# Errors of a name that no file can have.
 UNNAMEABLE = (errno.ENAMETOOLONG, errno.ELOOP)
 
 
 @dataclass(frozen=True)
 class Option:
-    """One argument of a command line: its names and what `argparse` gets of it."""
+    """One argument of a command line: names and keyword arguments of `argparse.add_argument`."""
 
     names: tuple[str, ...]
     about: dict[str, Any]
 
 
 def option(*names: str, **about: Any) -> Option:
-    """Return an argument as `argparse.add_argument` takes it; an option without a default must be given."""
+    """Return an argument from what `argparse.add_argument` takes; an option without a default is required."""
     if names[0].startswith("-") and not {"default", "action", "required"} & about.keys():
         about["required"] = True
     return Option(names, about)
@@ -69,7 +69,7 @@ class Command:
     options: tuple[Option, ...]
 
     def __call__(self, argv: Sequence[str] | None = None) -> int:
-        """Parse `argv` (the process's own where None) and run; return the exit code, raise what goes wrong."""
+        """Parse `argv` (by default the process's own) and run; return the exit code, and let exceptions pass."""
         home = inspect.getmodule(self.run)
         parser = argparse.ArgumentParser(
             prog=program(home), description=home.__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -85,12 +85,12 @@ class Command:
         parser.set_defaults(run=self.run)
 
     def exit(self, argv: Sequence[str] | None = None) -> NoReturn:
-        """Run and leave the process, with one line for what a user can mend."""
+        """Run and leave the process; an error that a user can correct is printed as one line."""
         exit_with(self, argv)
 
 
 def joined(argv: Sequence[str]) -> list[str]:
-    """Words of a command line with a list of numbers that begins with a minus behind its option, which argparse takes for one."""
+    """Join an option and a list of numbers that begins with a minus by "=": argparse takes that for an option."""
     words: list[str] = []
     for word in map(str, argv):
         if re.match(r"-[\d.]+,", word) and words and words[-1].startswith("--") and "=" not in words[-1]:
@@ -107,7 +107,7 @@ class Group(Command):
     members: dict[str, Command]
 
     def extend(self, parser: argparse.ArgumentParser) -> None:
-        """Add one sub-parser a member."""
+        """Add one sub-parser per member."""
         words = parser.add_subparsers(required=True, metavar="COMMAND")
         for word, member in self.members.items():
             about = inspect.getdoc(member.run)
@@ -130,12 +130,12 @@ def _whole(text: str, least: int, which: str) -> int:
     except ValueError:
         value = least - 1
     if value < least:
-        raise argparse.ArgumentTypeError(f"{text!r} is no whole number {which}")
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number {which}")
     return value
 
 
 JOBS = option(
-    "--jobs", type=positive, help="processes at a time; under make those of its slots",
+    "--jobs", type=positive, help="processes at a time; under make, within its job slots",
     default=int(os.environ.get("GELFORGE_JOBS") or os.environ.get("SLURM_CPUS_PER_TASK", "1")),
 )  # fmt: skip
 
@@ -148,9 +148,9 @@ def command(*options: Option) -> Callable[[Callable[[argparse.Namespace], int | 
 def stage(
     target: Callable[..., Path], *options: Option
 ) -> Callable[[Callable[[argparse.Namespace], int | None]], Command]:
-    """Give a function `main(args)` the command line of a stage: results/DATASET, what `target` asks for, and options.
+    """Give a function `main(args)` a stage's command line: results/DATASET, the parameters of `target`, and options.
 
-    target: a method of `Layout`. args.of is the Layout, args.out the file to write: the target, or TARGET.part under --part.
+    target: a method of `Layout`. args.of is the Layout, args.out the file to write: the target, or TARGET.part.
     """
     words = list(inspect.signature(target).parameters)[1:]
 
@@ -178,7 +178,7 @@ def group(**members: Command) -> Group:
 
 def program(home: Any) -> str:
     """Return how a person starts a module: `gelforge NAME` for a command, `python -m …` for a stage."""
-    if sys.argv[0].startswith("gelforge "):  # as the dispatcher of commands names what it starts
+    if sys.argv[0].startswith("gelforge "):  # set by the dispatcher of commands
         return sys.argv[0]
     name = home.__spec__.name if home.__spec__ else home.__name__
     folder, _, last = name.rpartition(".")
@@ -186,10 +186,10 @@ def program(home: Any) -> str:
 
 
 def exit_with(main: Callable[[Sequence[str] | None], int], argv: Sequence[str] | None = None) -> NoReturn:
-    """Run `main(argv)` and leave the process with its code; 2 and one line for what a user can mend."""
+    """Run `main(argv)` and exit with its code; an error that a user can correct gives code 2 and one line."""
     try:
         code = code_of(main, argv)
-        sys.stdout.flush()  # who reads may be gone already, as `head` is; at the process's end nobody could catch that
+        sys.stdout.flush()  # here, because a broken pipe, as of `head`, could not be caught at interpreter exit
     except BrokenPipeError:
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         code = 141
@@ -204,7 +204,7 @@ def exit_with(main: Callable[[Sequence[str] | None], int], argv: Sequence[str] |
 
 
 def missing_extra(error: ModuleNotFoundError) -> str | None:
-    """A sentence that names the extra which brings a package that was not found; None for a package of no extra."""
+    """A sentence that names the extra which installs the missing package; None if no extra does."""
     package = (error.name or "").partition(".")[0]
     if package not in EXTRAS:
         return None
@@ -213,10 +213,10 @@ def missing_extra(error: ModuleNotFoundError) -> str | None:
 
 
 def code_of(main: Callable[[Sequence[str] | None], int], argv: Sequence[str] | None) -> Any:
-    """Run `main(argv)`; return its exit code, or that of the way in which it stopped."""
+    """Run `main(argv)`; return its exit code, or the code that stands for the exception which ended it."""
     try:
         return main(argv)
-    except SystemExit as ended:  # argparse, behind its help and its usage
+    except SystemExit as ended:  # raised by argparse after its help and its usage
         return ended.code
     except GelforgeError as error:
         print(f"error: {error}", file=sys.stderr)

@@ -1,4 +1,4 @@
-"""Files that are either whole or absent; their digests and locks; what is found again by what it was made of."""
+"""Files that are either whole or absent, their digests and locks, and results kept under a key of their inputs."""
 
 import csv
 import errno
@@ -20,26 +20,27 @@ from typing import IO, Any, TypeVar
 from gelforge.errors import BadInput
 
 Value = TypeVar("Value")
-# What reading a file that is not there, corrupt or hostile can raise in json, zipfile, zlib and numpy.
+# Errors that json, zipfile, zlib and numpy can raise when they read a missing, corrupt or hostile file.
 DAMAGED = (
     OSError, ValueError, KeyError, TypeError, EOFError, RuntimeError, MemoryError, NotImplementedError, OverflowError,
     SyntaxError, tokenize.TokenError, zipfile.BadZipFile, zlib.error,
 )  # fmt: skip
-# What a file was when it was read: its digest, size in bytes and time stamp in ns. The latter two spare reading it again.
+# State of a file when it was read: digest, size in bytes and time stamp in ns. While size and time stamp stay, the
+# digest is not computed again.
 State = list
 
 
 def listed(folder: Path, pattern: str, below: bool = False) -> list[Path]:
-    """Paths of a folder whose names match a pattern, in order, none where there is no folder; below: of all folders in it.
+    """Sorted paths in a folder whose names match a pattern, none if there is no folder; below: in subfolders, too.
 
-    Files that `publish` is still writing, or that a killed writer left, are none of them.
+    Temporary files of `publish`, also those that a killed writer left, are left out.
     """
     found = folder.rglob(pattern) if below else folder.glob(pattern)
     return sorted(path for path in found if not path.name.startswith("."))
 
 
 def names_in(folder: Path | str, suffix: str) -> list[str]:
-    """Names of a folder's files with a suffix, in order, as `listed`: of thousands a Path each would take longer."""
+    """Sorted names of a folder's files with a suffix, as `listed`, but faster for thousands: it makes no Path."""
     try:
         found = os.listdir(folder)
     except (FileNotFoundError, NotADirectoryError):
@@ -48,7 +49,7 @@ def names_in(folder: Path | str, suffix: str) -> list[str]:
 
 
 def below(folder: Path | str, suffix: str) -> list[str]:
-    """Paths of the files with a suffix in all folders of a folder, in order, as `names_in`."""
+    """Sorted paths of files with a suffix in a folder and its subfolders, without temporary files, as `names_in`."""
     return sorted(f"{at}/{name}" for at, _, names in os.walk(folder) for name in names
                   if name.endswith(suffix) and not name.startswith("."))  # fmt: skip
 
@@ -60,9 +61,9 @@ def digest_of(path: Path) -> str:
 
 
 def state_of(path: str, known: State | None = None) -> State | None:
-    """What a file is now; None where there is none. known: what it was, whose digest holds where size and time do.
+    """State of a file; None if there is none. known: earlier state, returned if size and time stamp are the same.
 
-    Of a folder its names alone count.
+    A folder's digest covers only the names in it.
     """
     try:
         found = os.stat(path)
@@ -73,7 +74,7 @@ def state_of(path: str, known: State | None = None) -> State | None:
         elif stat.S_ISREG(found.st_mode):
             digest = digest_of(Path(path))
         else:
-            return None  # a pipe, say, from which reading would wait for ever
+            return None  # such as a pipe, from which reading would wait for ever
     except (OSError, ValueError):
         return None
     return [digest, found.st_size, found.st_mtime_ns]
@@ -85,7 +86,7 @@ def states_of(paths: Iterable[Path | str], known: Mapping[str, State | None]) ->
 
 
 def changed(known: Mapping[str, State | None], now: Mapping[str, State | None]) -> list[str]:
-    """Those files whose content is another one now, that came or that went."""
+    """Files whose content changed, and those that appeared or disappeared."""
     return [path for path, was in known.items() if (was and was[0]) != ((state := now[path]) and state[0])]
 
 
@@ -118,7 +119,7 @@ def write_if_changed(path: Path | str, text: str) -> bool:
     An unchanged file keeps its time stamp, so make sees no reason to rebuild what follows.
     """
     try:
-        with open(path, "rb") as stream:  # what lies there may be damaged, and no text at all
+        with open(path, "rb") as stream:  # as bytes: a damaged file may be no text at all
             if stream.read() == text.encode():
                 return False
     except FileNotFoundError:
@@ -128,7 +129,7 @@ def write_if_changed(path: Path | str, text: str) -> bool:
 
 
 def take(lock: IO[str], kind: int) -> None:
-    """Take a lock of an open file, as fcntl.flock does; BadInput where the file system has none."""
+    """Take a lock of an open file, as fcntl.flock does; BadInput if the file system has no locks."""
     try:
         fcntl.flock(lock, kind)
     except BlockingIOError:
@@ -136,12 +137,12 @@ def take(lock: IO[str], kind: int) -> None:
     except OSError as error:
         raise BadInput(
             f"{lock.name}: no file locks here ({error.strerror}), without which two makes would write one file; mount the"
-            " file system with them (Lustre: -o flock), or let results be a link to a folder on another one"
+            " file system with locks (Lustre: -o flock), or make results a link to a folder on another file system"
         ) from error
 
 
 def need_room(folder: Path, size: int) -> None:
-    """OSError where less than `size` bytes are free in a folder: beside programs that say nothing of it, or crash."""
+    """Raise OSError if a folder has less than `size` bytes free: some programs crash on a full disk, or hide it."""
     free = shutil.disk_usage(folder).free
     if free < size:
         raise OSError(errno.ENOSPC, f"the disk is full ({free} bytes left)", str(folder))
@@ -167,10 +168,10 @@ def read_toml(
     path: Path | str,
     hint: str = "check the name (workflow/guide/your-data.md and workflow/README.md say what must be there)",
 ) -> dict:
-    """Read a TOML file; one that is not there, cannot be read or is no TOML raises BadInput with file and place.
+    """Read a TOML file; a file that is missing, unreadable or not valid TOML raises BadInput with file and place.
 
     It may begin with a byte order mark, as Windows writes it.
-    hint: what to do where there is none of that name.
+    hint: what to do if the file is missing.
     """
     import tomllib  # every step imports this module, and few read TOML
 
@@ -188,7 +189,7 @@ def read_toml(
 
 
 def last_line(path: Path) -> str:
-    """The last line of a text file, such as a log that is being written, that is not blank; of a long one its end."""
+    """The last non-blank line of a text file, such as a growing log; only the file's last 1000 bytes are read."""
     with path.open("rb") as text:
         text.seek(max(0, path.stat().st_size - 1000))
         lines = text.read().decode("utf-8", errors="replace").split("\n")
@@ -198,7 +199,7 @@ def last_line(path: Path) -> str:
 def csv_text(columns: Collection[str], rows: Iterable[Mapping[str, Any]]) -> str:
     """Dict rows as CSV text; a missing cell is empty."""
     text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")  # DictWriter takes half as long again
+    writer = csv.writer(text, lineterminator="\n")  # DictWriter takes 1.5 times as long
     writer.writerow(columns)
     known = set(columns)
     for row in rows:
@@ -220,7 +221,7 @@ def read_csv(path: Path | str) -> list[dict]:
 
 
 def canonical(value: Any) -> str:
-    """One text per value: sorted keys, no comments, exact floats."""
+    """JSON text that is the same for equal values: sorted keys, no comments, exact floats."""
     return json.dumps(value, indent=1, sort_keys=True, ensure_ascii=False) + "\n"
 
 
@@ -231,7 +232,7 @@ def digest_of_value(value: Any) -> str:
 
 @contextmanager
 def alone(path: Path) -> Iterator[None]:
-    """Hold the lock of a file: of several processes that miss it one makes it, and the others wait."""
+    """Hold the lock of a file, so that one of several processes makes a missing file while the others wait."""
     path.parent.mkdir(parents=True, exist_ok=True)
     with path.with_name(f".{path.name}.lock").open("a") as lock:
         take(lock, fcntl.LOCK_EX)
@@ -241,7 +242,7 @@ def alone(path: Path) -> Iterator[None]:
 def kept(
     path: Path, read: Callable[[Path], Value], make: Callable[[], Value], write: Callable[[Path, Value], None]
 ) -> Value:
-    """What a file holds; where there is none that can be read, what `make` makes, which is then kept in it."""
+    """Read a file; if it is missing or corrupt, return what `make` returns and write that to the file."""
     with alone(path):
         try:
             return read(path)
@@ -253,7 +254,7 @@ def kept(
 
 
 def record_of(path: Path, key: str | None = None) -> dict[str, Any] | None:
-    """The table of a JSON file, one made under `key` where that is given; None where there is no such."""
+    """The table in a JSON file; None if it cannot be read, is no table, or has another "key" than a given `key`."""
     try:
         record = read_json(path)
     except DAMAGED:

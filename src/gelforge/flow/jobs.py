@@ -1,4 +1,4 @@
-"""Processes of one program: they end with the one that began them, and count against make's job slots (GNU make's manual, Job Slots)."""
+"""Child processes that end with their parent and count against make's job slots (GNU make's manual, Job Slots)."""
 
 import ctypes
 import os
@@ -23,22 +23,22 @@ def die_with_parent(number: signal.Signals = signal.SIGTERM) -> None:
 
 
 def adopt_orphans() -> None:
-    """Make processes that lose their parent below this one its children, so that it can wait for them and knows what they cost."""
+    """Make this process the parent of orphaned descendants, so that it can wait for them and count their cost."""
     ctypes.CDLL(None, use_errno=True).prctl(PR_SET_CHILD_SUBREAPER, 1)
 
 
 def end_with(maker: int) -> None:
-    """End this process when the one of that number, which made it, ends; now where that was faster."""
+    """End this process when its parent, process number `maker`, ends; at once if the parent has ended already."""
     die_with_parent()
     if os.getppid() != maker:
         os.kill(os.getpid(), signal.SIGTERM)
 
 
 def pool(workers: int, context: "BaseContext | None" = None) -> "ProcessPoolExecutor":
-    """A pool of processes, forked or spawned, that end with this one, however it ends.
+    """A pool of forked or spawned processes that end with this one, however it ends.
 
-    Those of a plain pool wait for work for ever when this process is killed, and hold open what it writes to: a make that
-    follows its output waits with them.
+    When this process is killed, those of a plain pool wait for work for ever and hold its output open, so that a make
+    which follows the output waits with them.
     """
     from concurrent.futures import ProcessPoolExecutor  # every step imports this module, and needs no pool
 
@@ -46,13 +46,13 @@ def pool(workers: int, context: "BaseContext | None" = None) -> "ProcessPoolExec
 
 
 AUTH = re.compile(r" ?--jobserver-(?:auth|fds)=(?:(\d+),(\d+)|fifo:(\S+))")
-LOOK_AGAIN_S = 0.5  # whether another job of make has left a slot
+LOOK_AGAIN_S = 0.5  # between two looks for a slot that another job of make has freed
 
 
 def inherited(makeflags: str) -> tuple[int, ...]:
-    """The two descriptors by which make hands on its slots, none where this process did not get them.
+    """The two file descriptors of make's jobserver; none if this process did not inherit them.
 
-    To be asked first of all: later other files may have their numbers.
+    Call it before other files are opened, which may take the same numbers.
     """
     found = AUTH.search(makeflags)
     numbers = (int(found[1]), int(found[2])) if found and found[1] else ()
@@ -63,7 +63,7 @@ def inherited(makeflags: str) -> tuple[int, ...]:
 
 
 def handed_on(environment: Mapping[str, str]) -> tuple[tuple[int, ...], dict[str, str]]:
-    """What a child needs to take slots of make: descriptors, and the environment, which names none that it does not get."""
+    """What a child needs to take slots of make: file descriptors, and an environment that names no others."""
     flags = environment.get("MAKEFLAGS", "")
     numbers, found = inherited(flags), AUTH.search(flags)
     lost = found is not None and not numbers and not found[3]
@@ -71,20 +71,20 @@ def handed_on(environment: Mapping[str, str]) -> tuple[tuple[int, ...], dict[str
 
 
 class Slots:
-    """Slots of make beside the one that this process is in; without a make there are as many as anybody asks for."""
+    """Job slots of make beside this process's own; without make their number is unlimited."""
 
     def __init__(self) -> None:
         flags = os.environ.get("MAKEFLAGS", "")
         found, numbers = AUTH.search(flags), inherited(flags)
         self.pipe: tuple[int, int] | None = None
         with suppress(OSError):
-            if found and (found[3] or numbers):  # opened anew: not to block must not be set for make itself
+            if found and (found[3] or numbers):  # opened anew, so that O_NONBLOCK is not set for make itself
                 way_in, way_out = (found[3], found[3]) if found[3] else (f"/proc/self/fd/{n}" for n in numbers)
                 self.pipe = (os.open(way_in, os.O_RDONLY | os.O_NONBLOCK), os.open(way_out, os.O_WRONLY))
         self.held: list[bytes] = []
 
     def take(self) -> bool:
-        """Take one if there is one."""
+        """Take a slot if one is free; return whether this process may start another job."""
         if self.pipe is None:
             return True
         with suppress(BlockingIOError):
@@ -94,13 +94,13 @@ class Slots:
         return False
 
     def give(self) -> None:
-        """Give one back."""
+        """Give a slot back."""
         if self.pipe is not None and self.held:
             os.write(self.pipe[1], self.held.pop())
 
 
 def in_slots(function: Callable[..., Any], tasks: list[tuple], jobs: int) -> Iterator[Any]:
-    """Results of function(*task), in the tasks' order, on `jobs` processes at most, each in a slot of make if it runs this."""
+    """Results of function(*task) in the tasks' order, from up to `jobs` processes, which take job slots of make."""
     if jobs <= 1 or len(tasks) <= 1:
         for task in tasks:
             yield function(*task)
@@ -113,7 +113,7 @@ def in_slots(function: Callable[..., Any], tasks: list[tuple], jobs: int) -> Ite
     with pool(jobs) as processes:
         try:
             while waiting or begun:
-                # the first one is in the slot of this process
+                # the first one uses the slot of this process
                 while waiting and len(running) < jobs and (not running or slots.take()):
                     begun.append(processes.submit(function, *waiting.popleft()))
                     running.add(begun[-1])

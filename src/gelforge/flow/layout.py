@@ -1,7 +1,7 @@
-"""Where everything of results/DATASET lies: every folder and every name of a file that more than one module knows.
+"""Layout of results/DATASET: every folder, and every file name that more than one module uses.
 
-make needs targets by name, so rules/*.mk spell them too; a test holds each folder there to be one of these. Only the
-standard library, because every step of a run asks for it.
+make needs targets by name, so rules/*.mk spell them too; a test checks that each folder there is one of these. The
+module imports only the standard library, because every step of a run imports it.
 """
 
 import csv
@@ -17,16 +17,16 @@ PLAN, POSES, IMAGES, FEA, FORCES = "00_plan", "10_poses", "15_images", "30_fea",
 LABELS, DATASET, TRAIN, EVALUATE, REPORT = "50_labels", "60_dataset", "70_train", "80_evaluate", "90_report"
 CALIBRATE, PARETO, PARETO_MODELS, STABILITY = "calibrate", "pareto", "pareto_models", "stability"
 LOGS, METRICS = "logs", "metrics"
-SURFACES = "surfaces"  # in 00_plan: what was measured of STL files, by their content
+SURFACES = "surfaces"  # in 00_plan: measured surfaces of STL files, by a digest of their content
 SAMPLES, ESTIMATE, EXPORT, FEATS, LOOK, DECK = "samples", "estimate", "export", "feats", "look", "deck"
 
 
 @dataclass(frozen=True)
 class Stage:
-    """A stage or branch: a module of gelforge.stages, by whose name it goes.
+    """A stage or branch, named after its module in gelforge.stages.
 
-    folder: of its results. reads: tables of the parameters, or one value of a table, TABLE.KEY, as its file of parameters holds them.
-    solves: whether it solves presses as stage 30 does, so that its results change with stage 30's.
+    folder: of its results. reads: parameter tables, or single values TABLE.KEY, that its parameter file holds.
+    solves: whether it solves presses as stage 30 does, so that its results change with stage 30's version.
     """
 
     folder: str
@@ -62,14 +62,14 @@ FOLDERS = (
     LOOK,
     DECK,
 )
-# Stages of one file a shard: their parameters, the folder of what a shard's file is made from, and its own suffix.
+# Stages that write one file per shard: name of their parameters, folder of their inputs, suffix of their outputs.
 OF_SHARDS = {
     POSES: ("poses", f"{PLAN}/shards", ".csv"),
     FEA: ("fea", POSES, ".csv"),
     FORCES: ("forces", FEA, ".npz"),
 }
 SHARD_DIGITS = 4
-LOGGED = "logged"  # column of the table of shards: 1 for a sample that the log has, 0 for one that it has lost
+LOGGED = "logged"  # column of the shard table: 1 for a sample of the log, 0 for one whose row is gone from the log
 
 
 def shard_name(number: int) -> str:
@@ -78,25 +78,25 @@ def shard_name(number: int) -> str:
 
 
 def planned_shards(folder: Path) -> list[str]:
-    """Names of the shards that are planned today, in order, from the folder 00_plan/shards."""
+    """Sorted names of the planned shards, from the folder 00_plan/shards."""
     return [name.removesuffix(".csv") for name in names_in(folder, ".csv")]
 
 
 def written(path: str) -> int:
-    """When a file was last written, ns since 1970; 0 where there is none."""
+    """When a file was last written, ns since 1970; 0 if it does not exist."""
     with suppress(OSError):
         return os.stat(path).st_mtime_ns
     return 0
 
 
 def mirror(target: Path, kind: str, suffix: str) -> Path:
-    """Where the log or the metrics of a target lie: results/DATASET/KIND/STAGE/stem.suffix."""
+    """Path of the log or the metrics of a target: results/DATASET/KIND/STAGE/stem.suffix."""
     root = dataset_folder(target) or target.parent
     return (root / kind / target.relative_to(root)).with_suffix(suffix)
 
 
 def dataset_folder(path: Path) -> Path | None:
-    """results/DATASET of a file, none where it lies elsewhere; other folders on its way may have that name, too."""
+    """results/DATASET of a file, None if it lies elsewhere; other folders of its path may be named `results`, too."""
     parts = path.parts
     found = [at for at, part in enumerate(parts[:-2]) if part == "results"]
     of_stage = [at for at in found if parts[at + 2] in FOLDERS]
@@ -104,15 +104,15 @@ def dataset_folder(path: Path) -> Path | None:
 
 
 def command_for(goal: str, path: Path | str) -> str:
-    """What a person types to make a goal of the dataset that a file is of: without its name make would take the default."""
+    """What a person types to make a goal for a file's dataset; without DATASET=… make would take the default one."""
     root = dataset_folder(Path(path))
     return f"make {goal}" if root is None else Layout(root).command(goal)
 
 
 def beside(out: Path, ending: str) -> Path:
-    """The file next to a stage's result that goes by its name with another ending ("": the folder of that name).
+    """The file next to a stage's result with the same stem and another ending ("": the folder of that name).
 
-    out: NAME.json, or NAME.json.part as rules name it while it is written.
+    out: NAME.json, or NAME.json.part, its name while it is written.
     """
     return out.with_name(Path(out.name.removesuffix(".part")).stem + ending)
 
@@ -143,7 +143,7 @@ class Layout:
 
     @property
     def dataset_root(self) -> Path:
-        """results/DATASET: of a sample or a pilot below it the folder of its dataset, or else this folder."""
+        """results/DATASET: for a sample or a pilot below it the folder of its dataset, else this folder."""
         return dataset_folder(self.root / PLAN) or self.root
 
     @property
@@ -153,12 +153,12 @@ class Layout:
 
     @property
     def workflow(self) -> Path:
-        """Folder of the project's tables; paths of STL files start here, and meshes made are kept in it."""
+        """Folder of the project's tables; paths of STL files are relative to it, and meshes are kept in it."""
         return self.base / "workflow"
 
     @property
     def data(self) -> Path:
-        """What came in: data/DATASET."""
+        """Folder of the dataset's inputs: data/DATASET."""
         return self.base / "data" / self.dataset_root.name
 
     @property
@@ -172,25 +172,25 @@ class Layout:
         return self.base / "data" / "fea_challenge"
 
     def plan(self) -> Path:
-        """Lists of words that make reads."""
+        """Lists of words, such as shards, that make reads."""
         return self.root / PLAN / "plan.mk"
 
     @property
     def params(self) -> Path:
-        """Folder of what each stage reads of the parameters, NAME.json."""
+        """Folder of each stage's parameters, NAME.json."""
         return self.root / PLAN / "params"
 
     def parameters(self, name: str) -> Path:
-        """Parameters of a stage, or the entries of a catalogue that the dataset uses (sensors, indenters, gels)."""
+        """Parameters of a stage, or the catalogue entries that the dataset uses (sensors, indenters, gels)."""
         return self.params / f"{name}.json"
 
     def choice(self, name: str) -> Path:
-        """What a result that follows a choice on the command line shows, a word a line."""
+        """What a result shows that depends on choices on the command line, one word per line."""
         return self.root / PLAN / "choices" / f"{name}.txt"
 
     @property
     def surfaces(self) -> Path:
-        """Folder of what was measured of STL files, by their content."""
+        """Folder of the measured surfaces of STL files, by a digest of their content."""
         return self.dataset_root / PLAN / SURFACES
 
     @property
@@ -200,7 +200,7 @@ class Layout:
 
     @property
     def shard_table(self) -> Path:
-        """Table of the shard of every sample."""
+        """Table that gives the shard of every sample."""
         return self.root / PLAN / "shards.csv"
 
     def shard(self, name: str) -> Path:
@@ -208,11 +208,11 @@ class Layout:
         return self.shards / f"{name}.csv"
 
     def used(self, name: str) -> Path:
-        """What a shard uses of the catalogues: its sensors, indenters and gels."""
+        """The catalogue entries that a shard uses: its sensors, indenters and gels."""
         return self.shards / f"{name}.json"
 
     def pictures(self, name: str) -> Path:
-        """Digests of a shard's pictures, and rows whose picture another press shows, too."""
+        """Digests of a shard's pictures, and its rows whose picture is also that of another press."""
         return self.shards / f"{name}.pictures.json"
 
     def beside(self, name: str) -> Path:
@@ -252,7 +252,7 @@ class Layout:
         return self.root / LABELS / resolution / f"{shard}.npz"
 
     def labelled(self, resolution: str) -> Path:
-        """What is written when all shards are labelled."""
+        """Summary that is written when all shards are labelled."""
         return self.root / LABELS / resolution / "labels.json"
 
     def dataset(self, resolution: str) -> Path:
@@ -260,7 +260,7 @@ class Layout:
         return self.root / DATASET / resolution
 
     def lesson(self, resolution: str) -> Path:
-        """What a network of another dataset learns from as well: `dataset`, of total forces where those are all that was imported."""
+        """Arrays that another dataset's network learns from, too: `dataset`, at 1x1 if total forces were imported."""
         only_totals = (self.data / "labels/1x1.npz").exists()
         return self.dataset("1x1" if only_totals else resolution)
 
@@ -269,11 +269,11 @@ class Layout:
         return self.dataset(resolution) / "dataset.json"
 
     def network(self, resolution: str, model: str) -> Path:
-        """A trained network; its weights and its curve lie beside it by the same stem."""
+        """A trained network; its weights and its learning curve lie beside it with the same stem."""
         return self.root / TRAIN / resolution / f"{model}.onnx"
 
     def evaluation(self, resolution: str, model: str) -> Path:
-        """Figures of a network; pictures, card and predictions lie beside it by the same stem."""
+        """Errors of a network; its plots, card and predictions lie beside it with the same stem."""
         return self.root / EVALUATE / resolution / f"{model}.json"
 
     def card(self, resolution: str, model: str) -> Path:
@@ -281,15 +281,15 @@ class Layout:
         return self.root / EVALUATE / resolution / f"{model}.card.md"
 
     def curve(self, resolution: str, model: str) -> Path:
-        """Picture of how a network learnt."""
+        """Plot of a network's learning curve."""
         return self.root / TRAIN / resolution / f"{model}.curve.png"
 
     def report(self) -> Path:
-        """The page for people."""
+        """The report page."""
         return self.root / REPORT / "index.html"
 
     def calibration(self) -> Path:
-        """Summary of the posterior, that of the dataset for its samples and pilots too."""
+        """Summary of the posterior; samples and pilots share that of their dataset."""
         return self.dataset_root / CALIBRATE / "summary.json"
 
     def chart_scene(self, name: str) -> Path:
@@ -323,7 +323,7 @@ class Layout:
 
     @property
     def counter(self) -> Path:
-        """How many targets of a stage the last run of make made."""
+        """Count of the targets of each stage that the last run of make made."""
         return self.logs / "counter.json"
 
     @property
@@ -332,11 +332,11 @@ class Layout:
         return self.root / METRICS
 
     def names(self) -> list[str]:
-        """Names of the shards that are planned today, in order."""
+        """Sorted names of the planned shards."""
         return planned_shards(self.shards)
 
     def outdated(self, stage: str) -> list[str]:
-        """Shards whose file of a stage, one of OF_SHARDS, is missing or older than its parameters or what it is made from."""
+        """Shards whose file of a stage (one of OF_SHARDS) is missing or older than its parameters or its input."""
         params, source, suffix = OF_SHARDS[stage]
         since = written(f"{self.parameters(params)}")
         return [
@@ -347,7 +347,7 @@ class Layout:
         ]
 
     def shard_of(self, sample_id: str) -> str:
-        """Name of the planned shard that holds a sample; BadInput where none does."""
+        """Name of the planned shard that holds a sample; BadInput if none does."""
         if not self.shard_table.exists():
             raise BadInput(f"{self.shard_table}: not there, so nothing was planned; run {self.command('poses')}")
         with self.shard_table.open(newline="", encoding="utf-8") as stream:
@@ -357,7 +357,7 @@ class Layout:
         return shard_name(int(found["shard"]))
 
     def not_logged(self, sample_id: str) -> BadInput:
-        """The error of a sample that no planned shard holds."""
+        """The error for a sample that no planned shard holds."""
         return BadInput(
             f"sample {sample_id!r} is not in the log of {self.root.name}; ID=… takes a sample_id of "
             f"data/{self.root.name}/log.csv; for another dataset add DATASET=…"

@@ -1,7 +1,7 @@
-"""Parameters: workflow/params.toml with a dataset's own values and its frozen calibration laid over it, and what each stage is given.
+"""Parameters: workflow/params.toml, overridden by a dataset's values and frozen calibration, and each stage's part.
 
-make makes a stage again when its file of parameters changes, and for no other change of workflow/params.toml. Keys of solves are digests
-of these files' content, so a value is written as it was given: 2 stays 2, and 2.0 stays 2.0.
+make runs a stage again when its own parameter file changes, and for no other change of workflow/params.toml. Keys of
+solves are digests of the content of these files, so a value is written as it was given: 2 stays 2, and 2.0 stays 2.0.
 """
 
 import hashlib
@@ -19,14 +19,14 @@ from gelforge.flow.layout import STAGES
 from gelforge.flow.schema import Place, altered, parse, plain, structured
 from gelforge.flow.tables import Params
 
-__all__ = ["Params", "altered", "plain", "read_toml"]  # beside what stands here
+__all__ = ["Params", "altered", "plain", "read_toml"]  # imported from here, too
 
 
 def load_params(workflow: Path | str, dataset_toml: Path | str | None = None) -> Params:
-    """Read workflow/params.toml with the [params.*] tables of a dataset and its frozen calibration laid over it.
+    """Read workflow/params.toml, overridden by the [params.*] tables of a dataset and its frozen calibration.
 
-    What has no meaning raises BadInput: a table or key that there is not, another kind of value, a number out of its
-    bounds or not finite, a word that is none of the choices, values that cannot go together.
+    BadInput is raised for an unknown table or key, a value of another type, a number out of its bounds or not finite,
+    a word that is none of the choices, and values that contradict each other.
     """
     given = with_frozen(read_dataset_file(dataset_toml).params, Path(dataset_toml)) if dataset_toml else {}
     params = overlaid(workflow, given, str(dataset_toml or ""))
@@ -36,7 +36,7 @@ def load_params(workflow: Path | str, dataset_toml: Path | str | None = None) ->
 
 
 def overlaid(workflow: Path | str, given: dict[str, Any], where: str) -> Params:
-    """Parameters with tables of `where` laid over them; the file that is at fault is the one that is named."""
+    """Parameters overridden by the tables `given` of the file `where`; an error names the file that caused it."""
     file = Path(workflow) / "params.toml"
     base = read_toml(file)
     params = parse(Params, base, Place(str(file)))
@@ -44,16 +44,16 @@ def overlaid(workflow: Path | str, given: dict[str, Any], where: str) -> Params:
 
 
 def laid_over(base: Any, over: Any) -> Any:
-    """A table with the values of another one in place of its own."""
+    """A table with its values overridden by those of another one, table by table."""
     if not isinstance(base, dict) or not isinstance(over, dict):
         return over
     return base | {key: laid_over(base.get(key), value) for key, value in over.items()}
 
 
 def read_sensor_tables(workflow: Path | str, data: Path | str) -> dict[str, Any]:
-    """Tables of workflow/sensors.toml, and those of data/DATASET/sensors.toml where a dataset brings sensors of its own.
+    """Tables of workflow/sensors.toml, and those of data/DATASET/sensors.toml if a dataset brings sensors of its own.
 
-    A sensor that both name raises BadInput: what is known of it stands in one place.
+    A sensor that both files define raises BadInput.
     """
     common = Path(workflow) / "sensors.toml"
     tables = read_toml(common)
@@ -61,9 +61,9 @@ def read_sensor_tables(workflow: Path | str, data: Path | str) -> dict[str, Any]
 
 
 def read_indenter_tables(workflow: Path | str, data: Path | str, catalogue: str) -> dict[str, Any]:
-    """Tables of the dataset's catalogue in workflow/, and of data/DATASET/indenters.toml where a dataset brings its own.
+    """Tables of the dataset's catalogue in workflow/, and of data/DATASET/indenters.toml if a dataset brings its own.
 
-    STL files are named from the file whose table names them; here all paths start at workflow/.
+    Each file gives the paths of STL files relative to itself; those returned are all relative to workflow/.
     """
     common, own = Path(workflow) / catalogue, Path(data) / "indenters.toml"
     hint = (
@@ -78,11 +78,11 @@ def read_indenter_tables(workflow: Path | str, data: Path | str, catalogue: str)
 
 
 def own_tables(own: Path, tables: dict[str, Any], common: Path) -> dict[str, Any]:
-    """Tables of a dataset's own file, none where there is none; a name that the common tables have, too, raises BadInput."""
+    """Tables of a dataset's own file, none if it does not exist; a name that `tables` has as well raises BadInput."""
     brought = read_toml(own) if own.exists() else {}
     twice = sorted(set(tables) & set(brought))
     if twice:
-        raise BadInput(f"{own}: {', '.join(twice)} stands in {common}, too; remove one of the two tables")
+        raise BadInput(f"{own}: {common} also defines {', '.join(twice)}; keep each table in one of the two files")
     return brought
 
 
@@ -90,8 +90,8 @@ def own_tables(own: Path, tables: dict[str, Any], common: Path) -> dict[str, Any
 class DatasetFile:
     """data/DATASET/dataset.toml.
 
-    sensor: of rows of the log that name none. gel: on which all presses were made; the sensors' own say the same, or its
-    thickness. catalogue: the indenters' file in workflow/. params: tables laid over those of workflow/params.toml.
+    sensor: of rows of the log that name none. gel: on which all presses were made; the sensors' tables say the same,
+    or its thickness. catalogue: the indenters' file in workflow/. params: tables that override workflow/params.toml.
     """
 
     sensor: str | None
@@ -104,7 +104,7 @@ DATASET_KINDS = {"sensor": str, "gel": str, "catalogue": str, "params": dict}
 
 
 def read_dataset_file(path: Path | str) -> DatasetFile:
-    """Read data/DATASET/dataset.toml; a key that nothing reads, or of another kind, raises BadInput."""
+    """Read data/DATASET/dataset.toml; an unknown key, or a value of another type, raises BadInput."""
     given = read_toml(path)
     for key, value in given.items():
         if key not in DATASET_KINDS:
@@ -121,7 +121,7 @@ def read_dataset_file(path: Path | str) -> DatasetFile:
 
 
 def stl_files(indenters: dict, folder: Path) -> dict[str, Path]:
-    """STL files that tables of indenters name, by the table's name, those too that are not there yet."""
+    """STL files that tables of indenters name, by the table's name, including files that do not exist yet."""
     named = {
         name: table.get("file")
         for name, table in indenters.items()
@@ -133,7 +133,7 @@ def stl_files(indenters: dict, folder: Path) -> dict[str, Path]:
 def with_content(indenters: dict, folder: Path) -> dict:
     """Tables of indenters with a digest of each STL file that they name.
 
-    A file that changes under its name is another shape: all that follows depends on what is in it.
+    All later stages depend on the digest, because a file that changes under the same name is another shape.
     """
     digests = {name: digest_of(path) for name, path in stl_files(indenters, folder).items() if path.is_file()}
     return {
@@ -141,11 +141,11 @@ def with_content(indenters: dict, folder: Path) -> dict:
     }
 
 
-# -- a calibration that was frozen: data/DATASET/calibration.toml overrides workflow/params.toml as a dataset's own tables do
+# -- frozen calibration: data/DATASET/calibration.toml overrides workflow/params.toml as a dataset's own tables do
 
 FROZEN = "calibration.toml"  # in data/DATASET/, beside dataset.toml
 KINDS = {"name": str, "law": str, "presses": list, "params": dict}
-# Digits behind the point of what is kept: less than any posterior tells, so that another processor freezes the same.
+# Decimals that are kept: fewer than any posterior resolves, so that another processor freezes the same values.
 DIGITS = {"c10": 4, "touch_offset_mm": 3, "compliance_mm_per_n": 4, "shear_compliance_mm_per_n": 4, "mu": 2}
 BENCH = {
     "touch_offset_mm": "offset",
@@ -156,7 +156,10 @@ BENCH = {
 
 @dataclass(frozen=True)
 class Frozen:
-    """A frozen calibration. law: of the contact. presses: sample_ids that it used. params: tables over those of params.toml."""
+    """A frozen calibration.
+
+    law: of the contact. presses: sample_ids that it used. params: tables that override those of params.toml.
+    """
 
     name: str
     law: str
@@ -165,7 +168,7 @@ class Frozen:
 
 
 def frozen_of(dataset: str, summary: Mapping[str, Any]) -> Frozen:
-    """What is kept of a calibration's summary.json."""
+    """The part of a calibration's summary.json that is frozen."""
     c10, bench = summary["c10"], summary["bench"]
     material = {"c10": round(c10["median"], DIGITS["c10"])} | {
         f"c10_{name}": [round(value, DIGITS["c10"]) for value in c10[name]] for name in ("interval68", "interval95")
@@ -184,8 +187,8 @@ def write_frozen(path: Path, found: Frozen) -> None:
     lines = [
         f"# What `make calibrate` found from the force readings of the log, rounded. Labels follow it; only `{command}` changes it.",
         f"name = {json.dumps(found.name)}",
-        f"law = {json.dumps(found.law)}  # of the contact, which labels share",
-        f"presses = {json.dumps(found.presses)}  # that it was found from",
+        f"law = {json.dumps(found.law)}  # contact law, the same as that of the labels",
+        f"presses = {json.dumps(found.presses)}  # presses of the calibration",
     ]
     for table, values in found.params.items():
         lines += ["", f"[params.{table}]", *(f"{key} = {value}" for key, value in values.items())]
@@ -193,7 +196,7 @@ def write_frozen(path: Path, found: Frozen) -> None:
 
 
 def read_frozen(path: Path) -> Frozen | None:
-    """The frozen calibration; None where there is none, and BadInput where the file is none."""
+    """The frozen calibration; None if the file is missing, BadInput if it is not a frozen calibration."""
     if not path.exists():
         return None
     hint = f"run make freeze DATASET={path.parent.name}, or remove it"
@@ -202,18 +205,18 @@ def read_frozen(path: Path) -> Frozen | None:
     except BadInput as error:
         raise BadInput(f"{error}; {hint}") from error
     if given.keys() != KINDS.keys() or not all(isinstance(given[key], kind) for key, kind in KINDS.items()):
-        raise BadInput(f"{path}: is no frozen calibration, which holds {', '.join(KINDS)}; {hint}")
+        raise BadInput(f"{path}: is not a frozen calibration, which has the keys {', '.join(KINDS)}; {hint}")
     tables = {"material": {"c10", "c10_interval68", "c10_interval95"}, "poses": set(BENCH), "interface": {"mu"}}
     for table, values in given["params"].items():
         if not isinstance(values, dict) or values.keys() - tables.get(table, set()):
             raise BadInput(
-                f"{path}: [params.{table}] holds what no calibration finds; set it in dataset.toml; {hint}"
+                f"{path}: [params.{table}] has a key that calibration does not set; set it in dataset.toml; {hint}"
             )
     return Frozen(given["name"], given["law"], tuple(str(name) for name in given["presses"]), given["params"])
 
 
 def with_frozen(given: dict[str, Any], dataset_toml: Path) -> dict[str, Any]:
-    """A dataset's own [params.*] with those of its frozen calibration; a value that both set raises BadInput."""
+    """A dataset's own [params.*] and those of its frozen calibration; a value that both set raises BadInput."""
     path = dataset_toml.parent / FROZEN
     found = read_frozen(path)
     if found is None:
@@ -221,12 +224,12 @@ def with_frozen(given: dict[str, Any], dataset_toml: Path) -> dict[str, Any]:
     twice = [f"[params.{table}] {key}" for table, values in found.params.items() for key in values
              if key in (given.get(table) or {})]  # fmt: skip
     if twice:
-        raise BadInput(f"{dataset_toml}: {twice[0]} is set by {path}, too; remove it here, or remove that file")
+        raise BadInput(f"{dataset_toml}: {twice[0]} is also set by {path}; remove it here, or remove that file")
     return given | {table: {**given.get(table, {}), **values} for table, values in found.params.items()}
 
 
 def check_law(law: str, dataset_toml: Path) -> None:
-    """Refuse a frozen calibration of another contact law than labels have: its C10 and bench belong to that law."""
+    """Refuse a frozen calibration of another contact law than the labels': its C10 and bench depend on the law."""
     path = dataset_toml.parent / FROZEN
     found = read_frozen(path)
     if found is not None and found.law != law:
@@ -236,11 +239,11 @@ def check_law(law: str, dataset_toml: Path) -> None:
         )
 
 
-# -- what each stage is given
+# -- the parameters of each stage
 
 
 class StageParameters(Params):
-    """What a stage is given: of all parameters those tables and keys that it reads (`flow.layout.STAGES`), and the version of its results."""
+    """Parameters of a stage: the tables and keys that it reads (`flow.layout.STAGES`), and its results' version."""
 
     version: int
 
@@ -248,7 +251,7 @@ class StageParameters(Params):
 def stage_version(folder: Path, name: str) -> int:
     """The version of a stage's results, read from its module's text so that nothing heavy is imported.
 
-    Where it solves presses, stage 30's is added: both only ever rise.
+    For a stage that solves presses, stage 30's version is added; the sum changes with either, as both only ever rise.
     """
     path = folder / f"{name}.py"
     found = re.search(r"^VERSION = (\d+)$", path.read_text(encoding="utf-8"), re.MULTILINE)
@@ -258,7 +261,7 @@ def stage_version(folder: Path, name: str) -> int:
 
 
 def written_for(params: Params, name: str, version: int) -> dict[str, Any]:
-    """What is written for a stage of the parameters, as JSON has it."""
+    """The parameters that are written for a stage, as JSON values."""
     every: dict[str, Any] = plain(params)
     found: dict[str, Any] = {"version": version}
     for words in STAGES[name].reads:
@@ -271,13 +274,13 @@ def written_for(params: Params, name: str, version: int) -> dict[str, Any]:
 
 
 def parameters_of(params: Params, name: str, version: int) -> StageParameters:
-    """What a stage is given of the parameters."""
+    """The parameters of a stage."""
     return structured(StageParameters, written_for(params, name, version))
 
 
 def read_parameters(path: Path) -> StageParameters:
-    """Read what the plan checked and wrote for a stage."""
+    """Read the parameters that the plan checked and wrote for a stage; BadInput if the file cannot be read."""
     try:
         return structured(StageParameters, read_json(path))
     except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
-        raise BadInput(f"{path}: cannot be read ({error}); run make again, the plan writes it anew") from error
+        raise BadInput(f"{path}: cannot be read ({error}); run make again, the plan writes it again") from error

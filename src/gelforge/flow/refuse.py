@@ -1,7 +1,7 @@
-"""What make is asked, judged before it reads its rules: text that becomes names and paths, goals that cannot be reached, a plan that is out of date.
+"""Checks before make reads its rules: texts that become names and paths, goals, and whether the plan is current.
 
-make calls it first of all, and takes from its answer what people chose: DATASET, RES, MODEL … It runs before anything is set up, too:
-only the standard library.
+make calls it first and takes the user's choices, DATASET, RES, MODEL …, from its answer. It also runs before anything
+is set up, so it imports only the standard library.
 """
 
 import json
@@ -16,7 +16,8 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import changed, names_in, record_of, states_of, write_if_changed, write_text
 from gelforge.flow.layout import STAGES, Layout, metrics_of
 
-# A pattern of each variable's text, and what to give. Any other is text of one line without what a shell or make reads meaning into.
+# Pattern of each variable's text, and what to give. Texts of other variables are one line without characters that a
+# shell or make interprets.
 NAME = (
     r"[A-Za-z0-9_][A-Za-z0-9_.-]*",
     "one name of letters, digits, _ - and . that starts with a letter, a digit or _",
@@ -29,14 +30,14 @@ RULES = {
     "RES": (rf" *{SIDE}x{SIDE}( +{SIDE}x{SIDE})* *", 'resolutions as ROWSxCOLUMNS, such as RES="12x16 24x32"'),
 }
 TEXT = (r"[^$'\"`\\\n]*", "text of one line without $, quotes, ` and \\")
-# What rules read of the environment, too; make takes all of it for variables.
+# Variables that the rules also take from the environment; make itself takes all of it.
 READ = (*RULES, "ID", "FROM", "TOPICS", "SPLIT", "PLAN", "POINTS", "IMAGE", "REFERENCE", "MARKED", "SLURM_PROFILE",
         "GELFORGE_REFERENCE", "OMP_NUM_THREADS", "MKL_NUM_THREADS", "OPENBLAS_NUM_THREADS")  # fmt: skip
 NEVER_EMPTY = ("DATASET", "MODEL", "JOBS", "RES")  # DATASET= would be the folder of all results, JOBS= no limit
 EXECUTORS = ("local", "slurm")
 FORMATS = ("mcap", "lerobot", "hdf5")
 
-# Goals that need no dataset, and those that show what was made of one, also where its log is gone.
+# Goals that need no dataset, and goals that show its results even if its log is gone.
 NO_DATASET = (
     "help", "setup", "lint", "format", "test", "test-*", "rig", "rig-*", "benchmark-*",
     "lock", "clean-*", "fea-challenge", "feats-fetch", "feats-import", "mcap-import", "projection", "real-check",
@@ -46,26 +47,17 @@ OF_RESULTS = ("status", "provenance")
 
 SHIPPED = "shipped"  # the network that ships; it is never trained here
 SHIPPED_RES = "24x32"
-MOST_RESTARTS = 3  # of one make, whose plan is then taken as it is: a log that is being written to changes for ever
+MOST_RESTARTS = 3  # of one make, whose plan is then taken as it is: a log that is being written keeps changing
 TRAINS = ("train", "ship")
 READS_IMAGES = ("dataset", "evaluate", "report", "demo", "export", "feats-export", "pareto-models", *TRAINS)
-WITH_WORD = (
-    "-C",
-    "--directory",
-    "-f",
-    "--file",
-    "-I",
-    "-o",
-    "-W",
-    "-l",
-    "-j",
-)  # options of make that may take the next word
+# Options of make that may take the next word.
+WITH_WORD = ("-C", "--directory", "-f", "--file", "-I", "-o", "-W", "-l", "-j")
 
 
 def given_to(words: Iterable[str], environment: dict[str, str]) -> dict[str, str]:
-    """What a person chose, by name: NAME=TEXT of make's command line, or of the environment; and GOALS.
+    """The user's choices by name: NAME=TEXT from make's command line or the environment, defaults, and GOALS.
 
-    BadInput for text that is none: nothing that comes after has to quote it.
+    BadInput for a text that its pattern does not allow, so that nothing afterwards has to quote it.
     """
     given = {name: environment[name] for name in READ if name in environment}
     goals, before = [], ""
@@ -93,7 +85,7 @@ def given_to(words: Iterable[str], environment: dict[str, str]) -> dict[str, str
 
 
 class Asked:
-    """What a make is asked, with the plan that there is of its dataset. given: text by name, as `given_to` gives it."""
+    """A request to make, with the current plan of its dataset. given: text by name, from `given_to`."""
 
     def __init__(self, given: dict[str, str]) -> None:
         self.given = given
@@ -112,7 +104,7 @@ class Asked:
 
     @property
     def model(self) -> str:
-        """The network by hand, or that of [params.report] where it has this resolution, or else the usual one."""
+        """The network of MODEL=, else that of [params.report] if it has this resolution, else the default one."""
         reported = self.lists["REPORT_MODEL"]
         if self.resolution != SHIPPED_RES:
             reported = [name for name in reported if name not in (SHIPPED, *self.lists["TUNED"])]
@@ -120,7 +112,7 @@ class Asked:
 
     @property
     def learner(self) -> str:
-        """The network that is trained where none is named."""
+        """The network that is trained if none is named."""
         return self.lists["LEARNER"][0]
 
     @property
@@ -136,7 +128,7 @@ class Asked:
 
     @property
     def shown(self) -> list[str]:
-        """Results of branches that the report shows, below results/DATASET: those of [report] branches, and what else was made."""
+        """Branches' results that the report shows, below results/DATASET: [report] branches, and others if made."""
         made = ("calibrate/summary.json", "pareto/pareto.json")
         return sorted({*self.lists["BRANCHES"], *(name for name in made if (self.of.root / name).exists())})
 
@@ -153,7 +145,7 @@ class Asked:
     # -- before there is a plan
 
     def refuse_goals(self) -> None:
-        """BadInput where goals do not go together, or lack what they are about."""
+        """BadInput if goals cannot be combined, or lack a choice that they need."""
         given = self.given
         if given["EXECUTOR"] not in EXECUTORS:
             raise BadInput(f"EXECUTOR={given['EXECUTOR']}: give {' or '.join(EXECUTORS)}")
@@ -163,7 +155,7 @@ class Asked:
             raise BadInput(f"no sample named; say make sample DATASET={self.dataset} ID=SAMPLE_ID")
         clean = [goal for goal in self.goals if goal.startswith("clean-")]
         other = [goal for goal in self.goals if goal not in clean]
-        if clean and other:  # make would do both at a time, and remove what it has just found up to date
+        if clean and other:  # make would run both in parallel, and remove what it has just found up to date
             raise BadInput(
                 f"clean together with another goal: say make {' '.join(clean)} first, then make {' '.join(other)}"
             )
@@ -172,7 +164,7 @@ class Asked:
             raise BadInput(f"{unknown[0]}: no such target; there are {' '.join(known)}")
 
     def needs_plan(self) -> bool:
-        """Whether a goal needs the plan of the dataset; BadInput where it does and there is no log to plan."""
+        """Whether a goal needs the plan of the dataset; BadInput if it does and there is no log to plan."""
         goals = [goal for goal in self.goals if not any(fnmatchcase(goal, known) for known in NO_DATASET)]
         log = self.data / "log.csv"
         if not log.exists() and self.of.root.is_dir():
@@ -187,14 +179,14 @@ class Asked:
     # -- with a plan
 
     def refuse(self) -> None:
-        """BadInput where a goal cannot be reached with what was chosen, before anything is made for it."""
+        """BadInput if a goal cannot be reached with the user's choices, before anything is made for it."""
         self.check_networks()
         self.check_ship()
         if self.asks(*READS_IMAGES):
             self.check_data()
 
     def check_networks(self) -> None:
-        """Refuse a network that there is not, that is not of this grid, or that is not trained here."""
+        """Refuse a network that does not exist, that has another grid, or that is not trained here."""
         model, known = self.given.get("MODEL"), self.networks
         if model and model not in (*known, SHIPPED):
             raise BadInput(
@@ -216,16 +208,15 @@ class Asked:
             )
 
     def check_ship(self) -> None:
-        """Refuse to ship a network that nobody named, or of another grid."""
+        """Refuse to ship if no network is named, or if it has another grid."""
         if not self.asks("ship"):
             return
         if not self.given.get("MODEL"):
-            raise BadInput(
-                "ship: takes the place of the shipped network; name the one that shall, make ship MODEL=… DATASET=…"
-            )
+            raise BadInput("ship: replaces the shipped network; name the new one: make ship MODEL=… DATASET=…")
         if self.resolution != SHIPPED_RES:
             raise BadInput(
-                f"ship RES={self.resolution}: the shipped network has a grid of {SHIPPED_RES}; train one of it, RES={SHIPPED_RES}"
+                f"ship RES={self.resolution}: the shipped network has a grid of {SHIPPED_RES}; train a network with that grid:"
+                f" RES={SHIPPED_RES}"
             )
 
     def check_data(self) -> None:
@@ -256,10 +247,10 @@ class Asked:
                     f"{table} is missing, and [train] also asks for it: make DATASET={name} RES={table.parent.name} dataset"
                 )
 
-    # -- what dates of files do not tell
+    # -- changes that make cannot see from file dates
 
     def note_choices(self) -> None:
-        """Write what the report and the chart of networks show, so that make sees by a date that it is another choice."""
+        """Write what the report and the chart of networks show: make sees a changed choice by the file's date."""
         chosen = {
             "report": [self.resolution, self.model, *self.shown],
             f"pareto_models-{self.resolution}": self.charted,
@@ -268,7 +259,7 @@ class Asked:
             write_if_changed(self.of.choice(name), "".join(f"{word}\n" for word in words))
 
     def date_gaps(self) -> None:
-        """Date a table of labels before all that it was made of where it names labels of a shard that are gone."""
+        """Date labels.json to 1970 if it names a shard's labels that are gone, so that make makes it again."""
         for resolution in self.resolutions:
             table = self.of.labelled(resolution)
             there = set(names_in(table.parent, ".npz"))
@@ -278,7 +269,7 @@ class Asked:
 
 
 def lists_of(plan: Path) -> dict[str, list[str]]:
-    """Lists of words that a plan names; none where there is no plan."""
+    """Lists of words that a plan defines; none if there is no plan."""
     try:
         lines = plan.read_text(encoding="utf-8").splitlines()
     except OSError:
@@ -287,7 +278,7 @@ def lists_of(plan: Path) -> dict[str, list[str]]:
 
 
 def is_planned(of: Layout) -> bool:
-    """Whether the plan is of what its files hold today."""
+    """Whether the plan was made from the current content of its input files."""
     record = metrics_of(of.plan())
     made = record_of(record) or {}
     known = made.get("inputs")
@@ -296,15 +287,15 @@ def is_planned(of: Layout) -> bool:
     now = states_of(known, known)
     if changed(known, now):
         return False
-    if now != known:  # touched files are read once
+    if now != known:  # files that were only touched are not read again
         write_text(record, json.dumps(made | {"inputs": now}) + "\n")
     return True
 
 
 def answer(given: dict[str, str]) -> Iterator[str]:
-    """What make reads of it: `plan` where it needs one, and variables, NAME=WORD each.
+    """Words that make reads: `plan` if it needs one, and variables as NAME=WORD.
 
-    BadInput where it cannot do what it is asked. A plan that is out of date is removed, so that make makes it anew.
+    BadInput if make cannot do what it is asked. An outdated plan is removed, so that make makes it again.
     """
     asked = Asked(given)
     asked.refuse_goals()
@@ -323,13 +314,13 @@ def answer(given: dict[str, str]) -> Iterator[str]:
 
 
 def handed_down(flags: str) -> list[str]:
-    """Words NAME=TEXT that a make gives a make below it, in MAKEFLAGS."""
+    """Words NAME=TEXT that make passes on to a make that it starts, from MAKEFLAGS."""
     words = re.split(r"(?<!\\) +", flags.partition("-- ")[2])
     return [word.replace("\\", "") for word in words if word]
 
 
 def command_line(pid: int) -> list[str]:
-    """The words of a process's command line, behind its name."""
+    """The words of a process's command line after its name."""
     return Path(f"/proc/{pid}/cmdline").read_bytes().decode(errors="surrogateescape").split("\0")[1:-1]
 
 

@@ -1,7 +1,7 @@
-"""What the records of all targets say: how far a run is, what failed, what changed since, what it cost, and where a label comes from.
+"""Answers from the records of all targets: progress, failures, changes since, costs, and the provenance of a label.
 
-A record, metrics/STAGE/NAME.json, is what the wrapper (`step`) writes of a target's last run. Only the standard library: an answer
-takes a fraction of a second for 15 000 samples.
+The wrapper (`step`) writes a record, metrics/STAGE/NAME.json, of each target's last run. This module imports only the
+standard library: an answer takes a fraction of a second for 15 000 samples.
 """
 
 import csv
@@ -20,9 +20,9 @@ from gelforge.errors import BadInput, printable
 from gelforge.flow.files import below, changed, last_line, read_csv, record_of, states_of, take
 from gelforge.flow.layout import OF_SHARDS, PLAN, Layout, dataset_folder, metrics_of
 
-PROGRAMS = ("gelforge", "numpy", "scipy", "numba", "torch")  # that numbers depend on
+PROGRAMS = ("gelforge", "numpy", "scipy", "numba", "torch")  # on which the results depend
 COST = ("seconds", "cpu_seconds", "peak_mib")
-ASKED: dict[str, type | tuple[type, ...]] = {  # of a record, and what it is
+ASKED: dict[str, type | tuple[type, ...]] = {  # keys of a record that are read, with their types
     "target": str,
     "exit_code": int,
     "interrupted": bool,
@@ -34,9 +34,9 @@ ASKED: dict[str, type | tuple[type, ...]] = {  # of a record, and what it is
 
 
 def count_finished(target: Path, started: float) -> str:
-    """How many targets of a stage of shards this run of make has made, of how many, and the time left; nothing of other stages.
+    """Progress in this run of make of a stage with one file per shard, as "  [3 of 8, 5 min left]"; "" for others.
 
-    One file of a dataset counts. The first of a stage looks how many shards are older than what they are made of.
+    One file of the dataset holds the count. A stage's first target counts the outdated shards, which are its total.
     """
     root, run = dataset_folder(target), os.environ.get("GELFORGE_RUN", "")
     if root is None or target.relative_to(root).parts[0] not in OF_SHARDS:
@@ -60,14 +60,14 @@ def count_finished(target: Path, started: float) -> str:
 
 
 def in_words(counter: Mapping[str, Any], now: float | None = None) -> str:
-    """How far a run has come, by its counter."""
+    """Progress of a run in words, from its counter."""
     left = counter["of"] - counter["done"]
     each = ((time.time() if now is None else now) - counter["since"]) / counter["done"]
     return f"{counter['done']} of {counter['of']}" + (f", {duration(left * each)} left" if left else "")
 
 
 def duration(seconds: float) -> str:
-    """A time as people say it."""
+    """A duration in words, in s, min or h."""
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"
@@ -82,22 +82,22 @@ class LastRun:
 
     @property
     def stage(self) -> str:
-        """The stage that the target is of."""
+        """The target's stage."""
         return self.name.split("/")[0]
 
     @property
     def failed(self) -> bool:
-        """Whether the run ended with an error; one that a person stopped did not."""
+        """Whether the run ended with an error; a run that a person stopped does not count as failed."""
         return bool(self.record.get("exit_code")) and not self.record.get("interrupted")
 
     @property
     def target(self) -> str:
-        """The file that it made, "" where the record does not tell."""
+        """The file that it made, "" if the record does not name it."""
         return self.record.get("target", "")
 
     @property
     def done(self) -> int:
-        """Samples that its command says are done."""
+        """Number of samples that its command reported as done."""
         return int(self.record.get("counts", {}).get("done", 0))
 
     @property
@@ -115,7 +115,7 @@ def last_runs(results: Path) -> list[LastRun]:
 
 
 def read_run(path: str) -> dict | None:
-    """What of a target's record is asked for of all of them together; without what it lacks or holds as something else."""
+    """The keys ASKED of a target's record, but those missing or of another type; None if it cannot be read."""
     try:
         with open(path, "rb") as stream:
             record = json.loads(stream.read())
@@ -127,18 +127,18 @@ def read_run(path: str) -> dict | None:
 
 
 def still_asked(results: Path, known: Iterable[LastRun]) -> list[LastRun]:
-    """Those that make knows today: none of shards that the log has lost."""
+    """Runs whose targets make still knows, without those of shards that are no longer planned."""
     shards = set(Layout(results).names())
     return [run for run in known if run.stage not in OF_SHARDS or run.name.split("/")[-1] in shards]
 
 
 def costs_of(known: list[LastRun]) -> dict[str, dict]:
-    """Records by the names of their targets, of those that say what the run cost and when it began."""
+    """Records by target name, of runs whose record holds the cost and the start."""
     return {run.name: run.record for run in known if {"started", *COST} <= run.record.keys()}
 
 
 def stages(results: Path, costs: Mapping[str, Mapping]) -> list[dict]:
-    """Stages in the order they ran: name, targets, seconds, cpu_seconds, peak_mib, and the stages they read."""
+    """Stages in the order they ran: name, targets, seconds, cpu_seconds, peak_mib, and the stages that each reads."""
     found: dict[str, dict] = {}
     for target, cost in sorted(costs.items(), key=lambda item: item[1].get("started", 0.0)):
         name = target.split("/")[0]
@@ -155,9 +155,9 @@ def stages(results: Path, costs: Mapping[str, Mapping]) -> list[dict]:
 
 
 def changes(target: str | Path, record: Mapping[str, Any] | None = None) -> list[str]:
-    """What a target was made of that has another content now; what is gone is no reason: make makes it anyway.
+    """Inputs of a target whose content has changed since; missing ones do not count, because make makes them anyway.
 
-    record: that of the target, where it is known.
+    record: that of the target, if it is known.
     """
     made = record_of(metrics_of(Path(target))) if record is None else record
     known = {
@@ -167,14 +167,14 @@ def changes(target: str | Path, record: Mapping[str, Any] | None = None) -> list
 
 
 def causes(paths: Iterable[str]) -> list[str]:
-    """What changed, in words, each once: what no target makes, or else what one does."""
+    """Changed inputs in words, each once: those that no target makes or, if there are none, the others."""
     inputs = list(dict.fromkeys(paths))
     given = [path for path in inputs if dataset_folder(Path(path)) is None or f"/{PLAN}/" in path]
     return list(dict.fromkeys(named(path) for path in given or inputs))
 
 
 def named(path: str) -> str:
-    """What a file that targets are made of holds, in words."""
+    """What an input file holds, in words."""
     name = Path(path).stem
     if f"/{PLAN}/params/" in path:
         return f"parameters of {name}"
@@ -184,14 +184,14 @@ def named(path: str) -> str:
 
 
 def last_words_of(results: Path, run: LastRun) -> tuple[str, Path]:
-    """The last thing that the log of a failed target says, and where it lies."""
+    """The last line of a failed target's log, and the path of the log."""
     log = Layout(results).logs / f"{run.name}.log"
     said = last_line(log) if log.exists() else ""
-    return said or f"ended with code {run.record['exit_code']} without a word", log
+    return said or f"ended with code {run.record['exit_code']} without a message", log
 
 
 def installed(programs: Iterable[str] = PROGRAMS) -> dict[str, str]:
-    """Version of each program, by its name at PyPI, that is installed; pip keeps it in the name of a folder beside it."""
+    """Version of each installed program, by its name at PyPI, read from the name of its folder *.dist-info."""
     wanted = {program.replace("-", "_"): program for program in programs}
     found: dict[str, str] = {}
     for place in sys.path:
@@ -206,12 +206,12 @@ def installed(programs: Iterable[str] = PROGRAMS) -> dict[str, str]:
     return found
 
 
-# -- where one sample's label comes from
+# -- provenance of one sample's label
 
 
 @dataclass(frozen=True)
 class Step:
-    """One target on the way to a label: its file, what it read, its cost, and what it was made with."""
+    """One target on the way to a label: its file, its inputs, its cost, and its parameters and program versions."""
 
     target: str
     inputs: list[str]
@@ -224,20 +224,20 @@ class Step:
 
 
 def belongs(path: str, results: Path, shards: Collection[str], shard: str) -> bool:
-    """Whether a prerequisite concerns the sample: files of other shards do not."""
+    """Whether an input concerns the samples of a shard: files of other shards do not, nor those outside `results`."""
     stem = Path(path).name.split(".")[0]
     return Path(path).is_relative_to(results) and (stem == shard or stem not in shards)
 
 
 def steps_of_label(results: Path, shard: str, resolution: str) -> list[Step]:
-    """The steps that led to a shard's labels, first one first, each once; a label that is not there yet has those before it."""
+    """The steps that led to a shard's labels, in order, each once; if labels are missing, the steps made so far."""
     of = Layout(results)
     paths = (of.poses(shard), of.fea(shard), of.forces(shard), of.labelled(resolution))
     return list({step.target: step for path in paths for step in steps_to(results, str(path), shard)}.values())
 
 
 def pose_of(results: Path, shard: str, sample_id: str) -> dict:
-    """The sample's row of the pose table, empty where there is none."""
+    """The sample's row of the pose table, empty if there is none."""
     table = Layout(results).poses(shard)
     if not table.exists():
         return {}
@@ -246,15 +246,15 @@ def pose_of(results: Path, shard: str, sample_id: str) -> dict:
 
 
 def imported_labels(results: Path, resolution: str) -> Path | None:
-    """The labels that a dataset came with at a resolution, in place of solves of its own; None where it came with none."""
+    """Path of a resolution's labels if they were imported in place of solves; None if the dataset solves its own."""
     folder = Path("data") / results.name / "labels"
     return folder / f"{resolution}.npz" if folder.is_dir() else None
 
 
 def rejections_of(results: Path, shard: str, sample_id: str) -> list[str]:
-    """Why stage 10 rejected a sample's row of the log, and what to do, one sentence a cell; none where it has a pose.
+    """Why stage 10 rejected a sample's row of the log, and what to do, one sentence per cell; none if it has a pose.
 
-    A row that gives a name a second time is rejected too, and its sample goes on with the first.
+    If two rows have the same sample_id, the second is rejected, and the sample keeps the pose of the first.
     """
     table = Layout(results).rejected(shard)
     if not table.exists() or pose_of(results, shard, sample_id):
@@ -270,7 +270,7 @@ def rejections_of(results: Path, shard: str, sample_id: str) -> list[str]:
 
 
 def refuse_rejected(results: Path, shard: str, sample_id: str) -> None:
-    """BadInput with the reasons for a sample whose row of the log stage 10 rejected."""
+    """BadInput with the reasons if stage 10 rejected a sample's row of the log."""
     if rejected := rejections_of(results, shard, sample_id):
         command = Layout(results).command("labels")
         raise BadInput(
@@ -279,7 +279,7 @@ def refuse_rejected(results: Path, shard: str, sample_id: str) -> None:
 
 
 def concerning(parameters: dict[str, dict], pose: dict) -> dict[str, dict]:
-    """Parameter files without the entries of the catalogues that are of other indenters and sensors."""
+    """Parameter files without the catalogue entries of other indenters and sensors."""
     of = {"indenters": pose.get("indenter"), "sensors": pose.get("sensor_id")}
     return {
         name: {of[name]: values[of[name]]} if of.get(name) in values else values

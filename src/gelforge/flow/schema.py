@@ -1,13 +1,13 @@
-"""What a table of parameters may hold, said by a class of it, and how a table of TOML is read by it with pydantic.
+"""Parameter tables as dataclasses, and how pydantic checks a TOML table against such a class.
 
-A field's type says what kind of value it takes, and which values have a meaning:
+A field's type says what kind of value it takes, and which values are allowed:
 
     class SolverTable(ParameterTable):
         steps: Annotated[int, Within(1, 1000)]
         size: Annotated[Number, Within(0.01, 10.0, "mm")]
         law: Literal["no_slip", "coulomb"]
 
-A field with a default may be left out. Parameters of the stages have none: theirs stand in workflow/params.toml alone.
+A field with a default may be left out. Stage parameters have none here: theirs stand in workflow/params.toml alone.
 Only `parse` imports pydantic: stages read what the plan has checked, and start faster without it.
 """
 
@@ -34,26 +34,26 @@ from annotated_types import Ge, GroupedMetadata, Le, MinLen, Predicate
 
 from gelforge.errors import BadInput, nearest
 
-Number = int | float  # not float alone: keys of solves tell 2 from 2.0, so a value is kept as it was given
+Number = int | float  # not float alone: keys of solves differ between 2 and 2.0, so a value is kept as it was given
 
 
 @dataclass(frozen=True)
 class Within(GroupedMetadata):
-    """Numbers from `low` to `high`, both allowed, with their unit."""
+    """Numbers from `low` to `high`, both included, with their unit."""
 
     low: float
     high: float
     unit: str = ""
 
     def __iter__(self) -> Iterator[Any]:
-        """What pydantic checks."""
+        """Yield the constraints that pydantic checks."""
         yield Ge(self.low)
         yield Le(self.high)
 
 
 @dataclass(frozen=True)
 class Rule(Predicate):
-    """Values for which `func` holds, and how that is said."""
+    """Values for which `func` is true. said: the rule in words."""
 
     said: str
 
@@ -65,18 +65,18 @@ def rises(numbers: tuple[float, ...]) -> bool:
 
 RISING = Rule(rises, "rising")
 N = TypeVar("N")
-# What values are drawn evenly between.
+# Limits between which values are drawn uniformly.
 Span = Annotated[tuple[N, N], Rule(lambda span: span[0] <= span[1], "the lower one first")]
 SOME = MinLen(1)  # of a list: not empty
-NAME = r"[A-Za-z0-9_][A-Za-z0-9_.-]*"  # that make and a shell take as it stands
+NAME = r"[A-Za-z0-9_][A-Za-z0-9_.-]*"  # without characters that make or a shell interprets
 
 
 @dataclass_transform(frozen_default=True)
 @dataclass(frozen=True)
 class ParameterTable:
-    """A table of parameters: a class that derives from it is a frozen dataclass whose fields are its keys.
+    """A parameter table: a class that derives from it becomes a frozen dataclass whose fields are the table's keys.
 
-    example: a file that has all of them.
+    example: a file that has all keys.
     """
 
     example: ClassVar[str] = "workflow/params.toml"
@@ -86,12 +86,12 @@ class ParameterTable:
         dataclass(frozen=True)(cls)
 
     def __post_init__(self) -> None:
-        """Refuse values that are sound one by one and cannot go together."""
+        """Refuse values that are allowed one by one but contradict each other; ValueError with `fault`'s text."""
         if fault := self.fault():
             raise ValueError(fault)
 
     def fault(self) -> str | None:
-        """What is wrong with values that are sound one by one, as a sentence about keys; None where nothing is."""
+        """What is wrong with the combination of values, as a sentence about keys; None if nothing is."""
         return None
 
 
@@ -116,18 +116,18 @@ class Place:
 
     @property
     def table(self) -> str:
-        """The same where it is a table."""
+        """This place in words if it is a table."""
         return f"{self.file}: [{'.'.join(self.keys)}]" if self.keys else self.file
 
 
 def is_table(kind: Any) -> bool:
-    """Whether a kind is a table."""
+    """Whether a kind is a parameter table."""
     return isinstance(kind, type) and issubclass(kind, ParameterTable)
 
 
 @lru_cache(None)
 def kinds_of(table: Any) -> dict[str, Any]:
-    """Kind of each key of a table, which is a dataclass, with its annotations."""
+    """Kind of each key of a table, with its annotations. table: a dataclass."""
     hints = get_type_hints(table, include_extras=True)
     return {field.name: hints[field.name] for field in fields(table)}
 
@@ -140,10 +140,10 @@ def _validate(kind: Any) -> Callable[[str], Any]:
 
 
 def parse(kind: type[T], given: Any, place: Place) -> T:
-    """Read a table; unknown, missing or meaningless keys raise BadInput, one sentence with place, value and hint."""
+    """Read a table; unknown or missing keys and wrong values raise BadInput, one sentence with place and hint."""
     from pydantic import ValidationError
 
-    # as JSON, because pydantic takes a list for a tuple there; what JSON has not, such as a date, is no value of any key
+    # as JSON, where pydantic takes a list for a tuple; types that JSON lacks, such as a date, are allowed for no key
     text = json.dumps(given, default=lambda _: float("nan"))
     table: Any = kind
     try:
@@ -155,7 +155,7 @@ def parse(kind: type[T], given: Any, place: Place) -> T:
 
 
 def _refusal(kind: Any, given: Any, place: Place, wrong: Any) -> str:
-    """What is wrong, in words: pydantic says where, the annotations there say what is allowed."""
+    """What is wrong, in words: pydantic gives the place, and the annotations of that place give what is allowed."""
     at: Any = kind
     for step in wrong["loc"]:
         inner = split(at)[0]
@@ -170,7 +170,7 @@ def _refusal(kind: Any, given: Any, place: Place, wrong: Any) -> str:
             if wrong["loc"][-1] == "[key]" and step == wrong["loc"][-2]:
                 return f"{place.table} {step}: unknown name{nearest(step, get_args(names))}"
         elif get_origin(inner) is tuple and isinstance(given, list) and is_table(get_args(inner)[0]):
-            # tables [[kind]] of TOML are a list `kinds`
+            # TOML tables [[kind]] are read into a list `kinds`
             at, given = get_args(inner)[0], given[step]
             place = Place(place.file, (*place.keys[:-1], f"{place.keys[-1].removesuffix('s')} {step + 1}"))
             continue
@@ -183,7 +183,7 @@ def _refusal(kind: Any, given: Any, place: Place, wrong: Any) -> str:
 
 
 def split(hint: Any) -> tuple[Any, tuple[Any, ...]]:
-    """A kind, without None where it may be left out, and its annotations."""
+    """A type without the None of an optional key, and its annotations."""
     if get_origin(hint) is Annotated:
         hint, *own = get_args(hint)
         kind, more = split(hint)
@@ -219,9 +219,9 @@ def allowed(hint: Any) -> str:
 
 
 def structured(kind: Any, given: Any) -> Any:
-    """A value as its kind has it, of what `plain` made of one that was checked: lists as tuples, tables as dataclasses.
+    """The inverse of `plain` for a value that was checked: lists become tuples, and tables dataclasses.
 
-    A table has those keys that are given: of others it has no attribute, but for those that may be left out.
+    A table may lack keys: it then has no attribute of that name, unless the key has a default.
     """
     kind = split(kind)[0]
     if is_table(kind):
@@ -238,7 +238,7 @@ def structured(kind: Any, given: Any) -> Any:
 
 
 def altered(table: T, **values: Any) -> T:
-    """A table, of which a stage may have been given a part, with other values of some keys."""
+    """A copy of a table, which may lack keys, with other values of some keys."""
     made = copy.copy(table)
     for name, value in values.items():
         object.__setattr__(made, name, value)
@@ -246,7 +246,7 @@ def altered(table: T, **values: Any) -> T:
 
 
 def plain(value: Any) -> Any:
-    """A table as TOML and JSON have it: dictionaries, lists, and no keys that were left out."""
+    """A table as values of TOML and JSON: dictionaries and lists, without keys that are None or missing."""
     if isinstance(value, ParameterTable):
         found = ((field.name, getattr(value, field.name, None)) for field in fields(value))
         return {name: plain(each) for name, each in found if each is not None}

@@ -1,8 +1,8 @@
-"""EXECUTOR=slurm: the tasks that make noted, shards of stage 30 or one training, run as a job array of `sbatch --wait`.
+"""EXECUTOR=slurm: run the tasks of make, shards of stage 30 or one training, as job arrays of `sbatch --wait`.
 
-make writes a line for each task, its target and its command, to a file, and gives it to this module. The job's name is
-unique, and jobs are cancelled by it: no number is read from what sbatch prints. Success is a result file for each task,
-because exit code 0 of sbatch is no proof: a purged or cancelled job has it as well.
+make writes one line per task, its target and its command, to a file for this module. The job name is unique, and jobs
+are cancelled by it, so no job number is parsed from what sbatch prints. Success means a result file for each task:
+exit code 0 of sbatch proves nothing, because a purged or cancelled job has it as well.
 """
 
 import math
@@ -32,18 +32,18 @@ from gelforge.flow.tables import Count, FromNone, Line, Whole
 PUBLISHED = Path("workflow/slurm.toml")
 STOP = {signal.SIGINT, signal.SIGTERM, signal.SIGHUP}
 LOOK_EVERY_S = 0.5
-SAID_EVERY_S = 25.0  # between two lines of how far it is
-GONE_AFTER = 60  # looks at the queue, half a second apart, until cancelled jobs have left it
-SHOWN, LISTED = 5, 50  # missing results that are shown with the end of their log, and by name
-# Not for Slurm's programs and jobs: limits of an allocation in which make runs, others' filters, make's job slots.
+SAID_EVERY_S = 25.0  # between two progress lines
+GONE_AFTER = 60  # largest number of looks at the queue, half a second apart, until cancelled jobs must have left it
+SHOWN, LISTED = 5, 50  # largest numbers of missing results shown with the end of their log, and listed by name
+# Withheld from Slurm's programs and jobs: limits of an allocation in which make runs, users' filters, make's slots.
 WITHHELD = ("SLURM_", "SQUEUE_", "SCANCEL_", "SBATCH_CLUSTERS", "MAKE", "MFLAGS", "GELFORGE_JOBS")
 PASSED = ("SLURM_CONF", "SLURM_CLUSTERS")
-KILLED = {  # the setting that helps, and what Slurm prints when it kills a task
+KILLED = {  # the setting to raise, and what Slurm prints when it kills a task at that limit
     "memory_mb": r"(?im)^slurmstepd\S*: .*(exceeded (job |step )?memory limit|oom.kill)",
     "time_minutes": r"(?m)^slurmstepd\S*: .*DUE TO TIME LIMIT",
 }
 
-# Slurm starts a task again after its node was lost; results that are there are not made twice.
+# Slurm starts a task again after its node was lost; existing results are not made twice.
 SCRIPT = """#!/bin/bash
 {setup}
 set -euo pipefail
@@ -74,13 +74,13 @@ class Profile(ParameterTable):
     visible_seconds: FromNone
 
     def fault(self) -> str | None:
-        """Jobs on a cluster that scancel and squeue do not look at could not be cancelled."""
+        """Refuse options that name another cluster: scancel and squeue would not find its jobs."""
         if any(each.startswith(("-M", "--cl")) for each in self.options):
             return "options: name another cluster by export SLURM_CLUSTERS=NAME, which scancel reads too"
         return None
 
     def sbatch_options(self) -> list[str]:
-        """What `sbatch` is asked for one task."""
+        """Options of `sbatch` for one task."""
         given = {"partition": self.partition, "account": self.account, "mem": self.memory_mb and f"{self.memory_mb}M"}
         chosen = [f"--{name}={value}" for name, value in given.items() if value]
         size = [f"--cpus-per-task={self.cores}", f"--time={self.time_minutes}"]
@@ -88,9 +88,9 @@ class Profile(ParameterTable):
 
 
 def read_profile(path: Path, stage: str) -> Profile:
-    """Return the profile of `stage`: 30_fea reads [default], then [fea]; BadInput names what is wrong and its file.
+    """Return the profile of `stage`: for 30_fea [default], overridden by [fea]; BadInput names fault and file.
 
-    A file of one's own has only what differs from PUBLISHED.
+    A user's own file holds only what differs from PUBLISHED.
     """
     values: dict[str, Any] = {}
     tables = {file: read_toml(file) for file in dict.fromkeys([PUBLISHED, path])}
@@ -108,7 +108,7 @@ def environment() -> dict[str, str]:
 
 
 def ask(*words: str) -> str:
-    """Run one of Slurm's programs and return what it prints; GelforgeError with its words where it fails."""
+    """Run one of Slurm's programs and return what it prints; GelforgeError with its message if it fails."""
     done = subprocess.run(words, env=environment(), capture_output=True, text=True, errors="replace", check=False)
     if done.returncode:
         said = done.stderr.strip() or done.stdout.strip() or f"exit code {done.returncode}"
@@ -117,7 +117,7 @@ def ask(*words: str) -> str:
 
 
 def longest_array(profile: Profile) -> int:
-    """Tasks that one job array may have: its highest index is MaxArraySize - 1, and max_array_tasks may be less."""
+    """Most tasks of one job array: its highest index is MaxArraySize - 1, and max_array_tasks may be less."""
     if profile.array_limit:
         return profile.array_limit
     said = ask("scontrol", "show", "config")
@@ -127,14 +127,14 @@ def longest_array(profile: Profile) -> int:
 
 @dataclass(frozen=True)
 class Task:
-    """One target, the file that Slurm and its command print to, and the sbatch that waits for it."""
+    """One target, the output file of its job, and the sbatch process that waits for it."""
 
     target: Path
     output: Path
     sbatch: subprocess.Popen
 
     def said(self) -> str:
-        """What was printed, empty where nothing ran."""
+        """Text of the output file, empty if nothing ran."""
         with suppress(FileNotFoundError):
             return self.output.read_text(encoding="utf-8", errors="replace")
         return ""
@@ -142,9 +142,9 @@ class Task:
 
 @dataclass
 class Work:
-    """The noted tasks of a stage, as job arrays of one unique name.
+    """The tasks of a stage, as job arrays with one unique name.
 
-    folder: of scripts, lists and outputs; its name, results/DATASET/.slurm/NAME, is the jobs'. file: the profile's.
+    folder: results/DATASET/.slurm/NAME, of scripts, lists and outputs; NAME is the jobs' name. file: of the profile.
     """
 
     stage: str
@@ -154,7 +154,7 @@ class Work:
     tasks: list[Task] = field(default_factory=list)
 
     def run(self, noted: dict[str, str]) -> int:
-        """Submit the commands of these targets and wait for their results; return the exit code of the recipe."""
+        """Submit the commands by target and wait for their results; return the exit code of the recipe."""
         left = None
         try:
             self.submit(noted)
@@ -182,19 +182,19 @@ class Work:
     def start(self, of: Path, count: int) -> subprocess.Popen:
         """Start an sbatch that waits for an array of `count` tasks, whose script lies in the folder `of`."""
         indices = f"1-{count}" + (f"%{self.profile.concurrent}" if self.profile.concurrent else "")
-        # After the profile's own options, because the last one of a kind wins.
+        # After the profile's options, because the last value of an option wins.
         ours = ["--wait", f"--job-name={self.folder.name}", f"--array={indices}", f"--chdir={os.getcwd()}"]
         ours += [f"--output={str(of.absolute()).replace('%', '%%')}/%a.out", "--open-mode=truncate", f"{of}/script"]
         with (of / "sbatch").open("w") as output:
-            # In a process group of its own: it may be a site's wrapper, which passes no signal on.
+            # In its own process group, which `end` kills: sbatch may be a site's wrapper that passes no signal on.
             streams: dict[str, Any] = {"stdin": subprocess.DEVNULL, "stdout": output, "stderr": subprocess.STDOUT}
             words = ["sbatch", *self.profile.sbatch_options(), *ours]
             return subprocess.Popen(words, env=environment(), **streams, start_new_session=True)
 
     def settle(self) -> list[Task] | None:
-        """Wait until every result is there, or none of the missing ones can come any more; return the tasks of these.
+        """Wait until all results exist, or the missing ones cannot come any more; return the tasks of those.
 
-        None where make was asked to stop; main blocks the signals of that, so that they are noticed here alone.
+        None if make was asked to stop; main blocks those signals, so that only this method receives them.
         """
         until, started = math.inf, time.monotonic()
         said = started
@@ -216,20 +216,20 @@ class Work:
                 return None
 
     def missing(self) -> list[Task]:
-        """Tasks without a result, by listing folders: that refreshes the caches of a network file system."""
+        """Tasks without a result, found by listing folders, which refreshes the caches of a network file system."""
         folders = {task.target.parent for task in self.tasks}
         there = {folder: set(os.listdir(folder)) if folder.is_dir() else set() for folder in folders}
         return [task for task in self.tasks if task.target.name not in there[task.target.parent]]
 
     def end(self) -> None:
-        """End every sbatch that still waits."""
+        """Kill every sbatch that still waits."""
         for sbatch in {task.sbatch for task in self.tasks}:
             with suppress(ProcessLookupError):
                 os.killpg(sbatch.pid, signal.SIGKILL)
             sbatch.wait()
 
     def cancel(self) -> None:
-        """Cancel the jobs by their name and see them leave the queue; GelforgeError where they do not."""
+        """Cancel the jobs by name and wait until they have left the queue; GelforgeError if they stay."""
         ours = (f"--name={self.folder.name}", f"--user={os.getuid()}")
         for _ in range(GONE_AFTER):
             ask("scancel", *ours)
@@ -240,7 +240,7 @@ class Work:
         raise GelforgeError(f"jobs stay in the queue; repeat: scancel {' '.join(ours)}")
 
     def cause(self, task: Task) -> str:
-        """Why a task whose sbatch has ended left no result; empty where the result may still be on its way."""
+        """Why a task whose sbatch has ended left no result; empty if the result may still appear."""
         said = task.said()
         for setting, killed in KILLED.items():
             if re.search(killed, said):
@@ -255,9 +255,9 @@ class Work:
         return "it did not run" if task.sbatch.returncode and not said else ""
 
     def report(self, left: list[Task]) -> int:
-        """Repeat the commands' notices, say what is missing and why; return the exit code.
+        """Repeat the commands' notices, print which results are missing and why; return the exit code.
 
-        What a failed task printed is kept beside its target's log, and its end is shown.
+        The output of a failed task is kept beside its target's log, and its last lines are shown.
         """
         missing = set(left)
         for task in self.tasks:
@@ -278,7 +278,10 @@ class Work:
 
 
 def put_back(target: Path, wrapped: str) -> bool:
-    """Whether the target that make took away is what its command would make: it is then dated anew, else removed."""
+    """Put back a target that make moved to TARGET.old if it is what its command would make, else remove it.
+
+    Returns whether it was put back; it then has a new date.
+    """
     old = Path(f"{target}.old")
     if not old.exists() or target.exists():
         old.unlink(missing_ok=True)
@@ -312,7 +315,7 @@ def main(args: Namespace) -> int:
     try:
         return Work(stage, folder, args.profile, read_profile(args.profile, stage)).run(noted)
     finally:
-        # Without its list a task that Slurm starts after all does nothing.
+        # Without the list of tasks, a job that Slurm starts in spite of this does nothing.
         shutil.rmtree(folder, ignore_errors=True)
 
 

@@ -1,8 +1,8 @@
-"""The wrapper of every recipe: a log, a record, and a target that is whole or absent.
+"""The wrapper of every recipe: it writes a log and a record, and leaves a target whole or absent.
 
-`python -m gelforge.flow.step TARGET INPUT… -- COMMAND…`: COMMAND writes TARGET.part; this renames it on success. Nothing runs where
-command and contents of all inputs are those of the target's record: the target is dated anew, because make goes by dates alone.
-An input @FILE stands for the paths that FILE lists.
+`python -m gelforge.flow.step TARGET INPUT… -- COMMAND…`: COMMAND writes TARGET.part, which is renamed on success. If
+the command and the contents of all inputs are those of the target's record, nothing runs, and the target gets a new
+date, because make compares only dates. An input @FILE stands for the paths that FILE lists.
 """
 
 import fcntl
@@ -26,18 +26,18 @@ from gelforge.flow.layout import log_of, metrics_of
 from gelforge.flow.runs import count_finished, installed
 
 TAIL_LINES = 20
-LEFT_BEHIND_S = 2.0  # that processes are waited for whose parent has ended
+LEFT_BEHIND_S = 2.0  # how long to wait for orphaned processes
 NOTICES = ("rejected: ", "failed: ", "note: ")  # lines of a log that a person must see although the step succeeded
 
 
 def record_at(target: Path) -> dict:
-    """The record of a target's last run; empty where there is none that can be read."""
+    """The record of a target's last run; empty if there is none that can be read."""
     record = record_of(metrics_of(target)) or {}
     return record if isinstance(record.get("inputs"), dict) else {}
 
 
 def fresh(target: Path, inputs: Sequence[str], command: list[str]) -> dict[str, State | None] | None:
-    """States of the inputs where a target is what its command would make of them; None where it is not, or may not be."""
+    """States of the inputs if a target is what its command would make of them; None if it is not, or may not be."""
     record = record_at(target)
     known = record.get("inputs", {})
     if record.get("exit_code") != 0 or record["command"] != command or known.keys() != set(inputs):
@@ -49,7 +49,7 @@ def fresh(target: Path, inputs: Sequence[str], command: list[str]) -> dict[str, 
 
 
 def is_redated(target: Path, inputs: Sequence[str], command: list[str], begun: int) -> bool:
-    """Date a target as of `begun`, ns, where it is what its command would make; return whether it is."""
+    """Set a target's date to `begun`, ns, if it is what its command would make; return whether it is."""
     states = fresh(target, inputs, command)
     if states is None:
         return False
@@ -59,7 +59,7 @@ def is_redated(target: Path, inputs: Sequence[str], command: list[str], begun: i
 
 
 def redated(target: Path, words: Iterable[str], command: list[str]) -> bool:
-    """As `build` begins: whether the target is what its command would make of these inputs, and is dated anew."""
+    """Whether a target is what its command would make of these inputs, as `build` checks; it then gets a new date."""
     with locked(target) as begun:
         return is_redated(target, list(dict.fromkeys(expanded(words))), command, begun)
 
@@ -71,14 +71,14 @@ def beside(path: Path) -> dict[Path, str]:
 
 
 def lost_beside(path: Path) -> Iterator[Path]:
-    """Files that a target names and that are gone."""
+    """Files that a target names and that are missing."""
     return (file for file in beside(path) if not file.is_file())
 
 
 def refuse_corrupt(path: Path, now: State | None) -> None:
-    """BadInput where an input, or a file beside it that it names, has not the content that it was published with.
+    """BadInput if the content of an input, or of a file that it names, changed after it was published.
 
-    A file without a record was made by hand; one whose record cannot be read is not known to be whole.
+    A file without a record was made by hand and passes; one whose record cannot be read is refused.
     """
     metrics = metrics_of(path)
     if not metrics.exists() or not path.is_file():
@@ -93,12 +93,12 @@ def refuse_corrupt(path: Path, now: State | None) -> None:
     if wrong:
         gone = " ".join(dict.fromkeys(map(str, (path, wrong))))
         raise BadInput(
-            f"{wrong}: is not as it was made; remove it (rm {gone}) and run make again, which makes it anew"
+            f"{wrong}: missing or changed since it was made; remove it (rm {gone}) and run make again, which makes it again"
         )
 
 
 def build(target: Path, inputs: list[str], command: list[str]) -> int:
-    """Make one target, or date it anew; return the exit code."""
+    """Make one target, or give it a new date; return the exit code."""
     with locked(target) as begun:
         # a second make that waited here finds the work of the first one done
         if is_redated(target, inputs, command, begun):
@@ -110,13 +110,13 @@ def build(target: Path, inputs: list[str], command: list[str]) -> int:
         try:
             return publish_part(target, part, states, command, begun)
         finally:
-            # a full disk may stop any of this; what is half written must not stay
+            # a full disk may stop any of this; half-written files must not stay
             shutil.rmtree(part, ignore_errors=True) if part.is_dir() else part.unlink(missing_ok=True)
 
 
 @contextmanager
 def locked(target: Path) -> Iterator[int]:
-    """Hold the lock of a target, which one step has at a time; yield the time by the file server's clock, ns."""
+    """Hold the lock of a target, so that one step at a time makes it; yield the file server's time, ns."""
     log_path = log_of(target)
     for folder in (target.parent, log_path.parent):
         folder.mkdir(parents=True, exist_ok=True)
@@ -124,20 +124,20 @@ def locked(target: Path) -> Iterator[int]:
         try:
             take(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            print(f"{target}: another make is at it; waiting", flush=True)
+            print(f"{target}: another make is making it; waiting", flush=True)
             take(lock, fcntl.LOCK_EX)
         os.utime(lock.fileno())
         yield os.fstat(lock.fileno()).st_mtime_ns
 
 
 def date(path: Path, states: Mapping[str, State | None], begun: int) -> None:
-    """Date a file as it was begun, ns, but no older than what it was made of, which may be dated ahead."""
+    """Set a file's date to `begun`, ns, or to that of its newest input if that lies later."""
     at = max([begun, *(state[2] for state in states.values() if state)])
     os.utime(path, ns=(at, at))
 
 
 def publish_part(target: Path, part: Path, states: dict[str, State | None], command: list[str], begun: int) -> int:
-    """Run the command, write its record, and give what it wrote its final name; return the exit code."""
+    """Run the command, write its record, and rename its output to the final name; return the exit code."""
     log_path = log_of(target)
     code, cost = run(command, log_path)
     if code == 0 and not part.exists():
@@ -162,7 +162,7 @@ def publish_part(target: Path, part: Path, states: dict[str, State | None], comm
 
 
 def run(command: list[str], log_path: Path) -> tuple[int, dict]:
-    """Run a target's command into its log; return its exit code and what it cost, with all processes that it began."""
+    """Run a target's command with output to its log; return its exit code and the cost of all its processes."""
     started = time.time()
     slots, environment = handed_on(os.environ)
     environment.setdefault("TQDM_MININTERVAL", "10")  # seconds between two lines of a log
@@ -189,7 +189,7 @@ def run(command: list[str], log_path: Path) -> tuple[int, dict]:
 
 
 def reap() -> None:
-    """Wait for processes that the command left to end, such as a server that it forked others from: they belong to its cost."""
+    """Wait for processes that the command left behind, such as a fork server: their cost belongs to the command."""
     until = time.monotonic() + LEFT_BEHIND_S
     with suppress(ChildProcessError):
         while time.monotonic() < until:
@@ -198,7 +198,7 @@ def reap() -> None:
 
 
 def pass_on_stops(child: subprocess.Popen) -> list[int]:
-    """From now on give a child the signals that tell this process to stop; return those that came, as they come."""
+    """From now on pass signals that tell this process to stop on to a child; return the list that collects them."""
     came: list[int] = []
 
     def stop(number: int, _frame: FrameType | None) -> None:
@@ -213,12 +213,12 @@ def pass_on_stops(child: subprocess.Popen) -> list[int]:
 
 
 def lines_of(log_path: Path) -> list[str]:
-    """Lines of a log; a bar that was drawn over itself is one a look."""
+    """Lines of a log; each update of a progress bar is a line."""
     return log_path.read_text(encoding="utf-8", errors="replace").splitlines()
 
 
 def counts_in(log_path: Path) -> dict:
-    """What a command counted: its last line, where that is a table of JSON."""
+    """Counts that a command printed: its last line, if that is a JSON table; else empty."""
     last = next((line for line in reversed(lines_of(log_path)) if line.strip()), "")
     try:
         found = json.loads(last)
@@ -228,13 +228,13 @@ def counts_in(log_path: Path) -> dict:
 
 
 def show_notices(log_path: Path) -> None:
-    """Repeat what the command rejected, could not solve or found odd, because a log is not read unless something fails."""
+    """Repeat the log's NOTICES on the terminal, because nobody reads the log of a step that succeeded."""
     if notices := [line for line in lines_of(log_path) if line.startswith(NOTICES)]:
         print("\n".join(notices), flush=True)
 
 
 def report_failure(target: Path, log_path: Path, code: int, interrupted: bool) -> None:
-    """Say where the log is and show its end; of what a person stopped there is nothing to look for."""
+    """Print where the log is, and its last lines; for a run that a person stopped, only that it was interrupted."""
     if interrupted:
         print(f"{target}: interrupted; the same make goes on with it", flush=True)
         return
@@ -246,7 +246,7 @@ def report_failure(target: Path, log_path: Path, code: int, interrupted: bool) -
 
 
 def expanded(words: Iterable[str]) -> Iterator[str]:
-    """Inputs, with those of lists in place of the lists."""
+    """Inputs, with each @FILE replaced by the paths that FILE lists."""
     for word in words:
         if word.startswith("@"):
             yield from Path(word[1:]).read_text(encoding="utf-8").split()

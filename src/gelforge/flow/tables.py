@@ -1,6 +1,6 @@
-"""The tables of workflow/params.toml, key by key: kinds, units and the values that have a meaning.
+"""The tables of workflow/params.toml, key by key: types, units and allowed values.
 
-What each value is for, and why it is what it is, stands beside it in workflow/params.toml; a test holds the two in step.
+The purpose of each value, and its reason, stands beside it in workflow/params.toml; a test keeps the two in step.
 """
 
 import re
@@ -11,7 +11,7 @@ from annotated_types import MinLen
 
 from gelforge.flow.schema import NAME, RISING, SOME, Number, ParameterTable, Rule, Within
 
-TINY = 1e-12  # for what must be above 0
+TINY = 1e-12  # lower bound of values that must be above 0
 Fraction = Annotated[Number, Within(0.0, 1.0)]
 Count = Annotated[int, Within(1, 1e6)]
 Whole = Annotated[int, Within(0, 1e6)]
@@ -23,7 +23,7 @@ Seconds = Annotated[Number, Within(TINY, 1e9, "s")]
 Finite = Annotated[Number, Within(-1e6, 1e6)]
 Positive = Annotated[Number, Within(TINY, 1e9)]
 Nu = Annotated[Number, Within(0.0, 0.4999)]
-# Of gels, the nominal one is 0.0725: kPa that are taken for MPa lie beyond, and would make all forces 1000 times as large.
+# Bounds of C10, 0.0725 for the nominal gel. They catch values in kPa, which would make forces 1000 times as large.
 SOFTEST, STIFFEST = 0.002, 5.0
 Stiffness = Annotated[Number, Within(SOFTEST, STIFFEST, "MPa")]
 Interval = tuple[Stiffness, Stiffness]
@@ -35,13 +35,16 @@ Law = Literal["no_slip", "coulomb", "frictionless"]
 Method = Literal["draft", "label", "fine", "ccx", "auto"]
 METHODS = get_args(Method)
 IN_PROCESS = ("draft", "label", "fine")  # qualities of hexahedra: they need neither CalculiX nor tetrahedral meshes
-TAKEN = ("draft", "label", "ccx")  # what "auto" tries for a press, until one states an error within its tolerance
+# Methods that "auto" tries in turn, until one states an error within [fea] tolerance.
+TAKEN = ("draft", "label", "ccx")
 FromNone = Annotated[Number, Within(0.0, 1e9)]
-# Of [fea]: says what is solved twice, and by which stated error "auto" chooses; neither changes a solve by a named method.
+# Keys of [fea] that decide which presses are solved twice, and by which stated error "auto" chooses a method; neither
+# changes a solve by a named method.
 CHOOSING = frozenset({"tolerance", "verify"})
-SHIPPED = "shipped"  # the network that predict and live use where none is named, as targets and parameters call it
-ENOUGH_PRESSES = 500  # from which on a network of a dataset's own is worth its training: it then errs by 1.4 N where guesses err by 9
-SHIPPED_IMAGE = (320, 240)  # width and height of the pictures that it reads
+SHIPPED = "shipped"  # name, in targets and parameters, of the network that predict and live use if none is named
+# Presses from which a dataset's own network is worth training: its error is then 1.4 N, that of a guess 9 N.
+ENOUGH_PRESSES = 500
+SHIPPED_IMAGE = (320, 240)  # width and height of the images that the shipped network reads
 
 
 class PlanTable(ParameterTable):
@@ -59,7 +62,7 @@ class ReportTable(ParameterTable):
 
 
 class AugmentTable(ParameterTable):
-    """[train.augment]: how training images vary."""
+    """[train.augment]: augmentation of training images."""
 
     probability: Fraction
     noise: Annotated[Number, Within(0.0, 1.0)]
@@ -82,7 +85,7 @@ class EpochsTable(ParameterTable):
 
 
 class TrainingTable(ParameterTable):
-    """What one network is trained with: [train] with its model's own values laid over it."""
+    """Training settings of one network: [train], overridden by its model's own values."""
 
     epochs: Count
     epoch_images: Whole
@@ -101,7 +104,7 @@ class TrainingTable(ParameterTable):
     augment: AugmentTable
 
     def fault(self) -> str | None:
-        """Weights that are averaged while statistics still move."""
+        """Weights are averaged while the statistics of batch normalisation still change."""
         if self.averaged_share > self.frozen_share:
             return (
                 f"averaged_share = {self.averaged_share} is above frozen_share = {self.frozen_share}: weights are averaged "
@@ -133,7 +136,7 @@ class LabelsTable(ParameterTable):
     largest_outside_share: Fraction
 
     def fault(self) -> str | None:
-        """Labels without forces, and a channel named twice."""
+        """The first channel is not "force", or a channel is named twice."""
         if self.channels[0] != "force" or len(set(self.channels)) < len(self.channels):
             return f'channels = {list(self.channels)}: name each once, and "force" first'
         return None
@@ -151,7 +154,7 @@ class DatasetTable(ParameterTable):
     seed: Seed
 
     def fault(self) -> str | None:
-        """Shares that leave nothing to train on."""
+        """Fractions leave no presses for training."""
         if self.validation + self.test >= 1.0:
             return f"validation = {self.validation} and test = {self.test}: give shares whose sum is below 1"
         return None
@@ -168,13 +171,13 @@ class CalibrateSolverTable(ParameterTable):
     final_tolerance: Annotated[Number, Within(TINY, 1.0)]
 
     def fault(self) -> str | None:
-        """Wide layers that are more than there are, or more than the ones above them."""
+        """A number of widened layers is above the one before it, or not below the number of all layers."""
         if list(self.widened) != sorted(self.widened, reverse=True) or any(w >= self.layers for w in self.widened):
-            return f"widened = {list(self.widened)}: give falling numbers below layers = {self.layers}"
+            return f"widened = {list(self.widened)}: give numbers below layers = {self.layers}, none above the one before it"
         return None
 
 
-# Keys that each kind of prior is given by.
+# Keys of each kind of prior.
 PRIOR_KEYS = {
     "normal": ("mean", "spread"),
     "lognormal": ("median", "spread"),
@@ -184,7 +187,7 @@ PRIOR_KEYS = {
 
 
 class PriorTable(ParameterTable):
-    """One table of [calibrate.priors]: the kind of a prior and its numbers, or the value a parameter is held at."""
+    """One table of [calibrate.priors]: the kind of a prior and its numbers, or the value at which it is fixed."""
 
     kind: Literal["normal", "lognormal", "halfnormal", "cauchy"]
     free: bool | None = None
@@ -196,12 +199,12 @@ class PriorTable(ParameterTable):
 
     @property
     def numbers(self) -> dict[str, float]:
-        """The numbers of its kind that are given, by key."""
+        """The given numbers of the prior's kind, by key."""
         given = {key: getattr(self, key) for key in PRIOR_KEYS[self.kind]}
         return {key: value for key, value in given.items() if value is not None}
 
     def fault(self) -> str | None:
-        """Numbers that are missing, that leave no width, or a logarithm of what is not positive."""
+        """A number is missing, the spread is not positive, or the median of a lognormal prior is not."""
         if self.free is False:
             return None
         keys, given = PRIOR_KEYS[self.kind], self.numbers
@@ -210,14 +213,14 @@ class PriorTable(ParameterTable):
             return f'{missing[0]} is missing: a prior of kind "{self.kind}" needs {" and ".join(keys)}'
         if given["spread"] <= 0.0:
             said = ", ".join(f"{key} = {value}" for key, value in given.items())
-            return f"{said}: has no width; raise `{keys[-1]}`"
+            return f"{said}: the prior has no width; raise `{keys[-1]}`"
         if self.kind.startswith("log") and given[keys[0]] <= 0.0:
             return f"{keys[0]} = {given[keys[0]]}: a logarithmic prior needs a positive one"
         return None
 
 
 class PriorsTable(ParameterTable):
-    """[calibrate.priors]: what is known before the readings."""
+    """[calibrate.priors]: the prior of each parameter."""
 
     c10: PriorTable
     offset: PriorTable
@@ -231,7 +234,7 @@ class PriorsTable(ParameterTable):
     indenter: PriorTable
 
     def fault(self) -> str | None:
-        """C10 held, or of no gel, or a parameter that is held and nothing says at what."""
+        """C10 is fixed or outside the range of gels, or another parameter is fixed without its value."""
         if self.c10.free is False:
             return "c10: free = false; it is what calibrate finds, so give it a narrow prior where it is known"
         for key in ("mean", "median"):
@@ -262,7 +265,7 @@ class CalibrateTable(ParameterTable):
 
 
 class PosesTable(ParameterTable):
-    """[poses]: from commanded paths to those of the tip against the gel."""
+    """[poses]: how the path of the tip follows from the commanded one, and which presses are rejected."""
 
     touch_offset_mm: Annotated[Number, Within(-10.0, 10.0, "mm")]
     compliance_mm_per_n: Annotated[Number, Within(0.0, 1.0, "mm/N")]
@@ -285,7 +288,7 @@ class MaterialTable(ParameterTable):
 
 
 class InterfaceTable(ParameterTable):
-    """[interface]: what holds sideways between indenter and gel."""
+    """[interface]: tangential contact law between indenter and gel."""
 
     law: Law
     mu: Annotated[Number, Within(0.0, 1e3)]
@@ -324,7 +327,7 @@ Layers = Annotated[tuple[Annotated[int, Within(1, 100)], ...], SOME]
 
 
 def uneven(sizes: tuple[float, ...], layers: tuple[int, ...]) -> str | None:
-    """What is wrong where not each size of hexahedra has its layers."""
+    """What is wrong if sizes and layers of hexahedra differ in number; None if they do not."""
     if len(sizes) != len(layers):
         return f"hex_sizes_mm has {len(sizes)} sizes and hex_layers {len(layers)}: give each size its layers"
     return None
@@ -342,7 +345,7 @@ class ParetoTable(ParameterTable):
     reference: ReferenceTable
 
     def fault(self) -> str | None:
-        """Sizes without layers."""
+        """Sizes and layers of hexahedra differ in number."""
         return uneven(self.hex_sizes_mm, self.hex_layers)
 
 
@@ -378,7 +381,7 @@ class StabilityTable(ParameterTable):
     levels: LevelsTable
 
     def fault(self) -> str | None:
-        """Engines without their sizes, sizes without layers, and random cases that pair sizes of unequal lists."""
+        """A solver lacks its sizes, sizes.hex is shorter than sizes.ccx, or a size of hexahedra lacks its layers."""
         for name in ("size", "sizes"):
             needed = ("hex", "ccx")
             lost = [engine for engine in needed if engine not in getattr(self, name)]

@@ -1,1 +1,1 @@
-"""Files in other people's layouts, read as data: nothing in them is called."""
+"""Read files of other projects' formats as data, without executing anything in them, and write such files."""

@@ -1,9 +1,10 @@
-"""Three recordings of a bench as one log: force gauge, path of the CNC and images, each on a clock of its own.
+"""Match the clocks of a bench's three recordings: force gauge, path of the CNC and images, each on its own clock.
 
-Every press bends the same force, depth and change of the image, so the clocks are matched by them: roughly by cross-correlation over
-the whole recording, whose best offsets are all tried, then press by press, where force is a smooth function of depth (and of the image's change) only if
-both are looked at for the same time. A line through the offsets of the presses is the clock's offset and drift; their scatter
-about it, and a tenth of a sampling interval, is the error that is told. Of one press the drift is not known. What the gauge reads while nothing presses is taken off first.
+Force, depth and image change rise and fall together in every press, so they align the clocks. Cross-correlation of
+whole recordings gives some rough offsets, all of which are tried. Each is refined press by press: force is a smooth
+function of depth (or of image change) only if both are taken at the same time. A line through the offsets of the
+presses gives the clock's offset and drift. The reported error combines their scatter about the line with a tenth of a
+sampling interval. One press alone gives no drift. The gauge's reading at rest is subtracted first.
 """
 
 import math
@@ -14,30 +15,29 @@ import numpy as np
 
 from gelforge.errors import BadInput
 
-LAPSE = 2.5  # of the usual interval: beyond, samples were dropped, and nothing is interpolated
+LAPSE = 2.5  # median intervals: across a longer gap samples were dropped, and nothing is interpolated
 COARSE_S = 0.02  # step of the cross-correlation
-REACH_S = 0.5  # around its best offset that the presses are looked at
-MOST_TRIED = 6  # offsets of the cross-correlation
-TOLERATED = 0.1  # of a force's variance within a press, that the other recording may leave unexplained
-RIVAL = 0.9  # of what the best offset explains: another one that reaches it may be the right one as well
-FEWEST = 12  # samples of a press that give its offset
-ROUNDED = 0.1  # of a sampling interval: what corners between samples cost (five simulated benches: 0.07)
-DEGREE = 3  # of force over depth within a press
-MOST_DRIFT = 1.5e-3  # 5.4 s an hour, beyond what two clocks do
-MOST_SCATTER_S = (
-    0.025  # of the offsets of single presses: positions that were sent ahead scatter by tenths of a second
-)
-MOST_MISSING = 0.4  # of the presses, that another recording does not show
-WINDOWS = 8  # of a gauge's recording, in each of which it reads one force most often
-BEFORE_S, AFTER_S = 0.1, 0.3  # around a press, in which the gel is not at rest yet
-PART_S = 2.0  # of a pause, over which what the gauge reads is one number
-ROUNDS = 3  # in which presses and what the gauge reads between them are found by turns
-NOISE = 4.0  # times the scatter at rest, below which nothing is a press
+REACH_S = 0.5  # each press is searched this far around a rough offset
+MOST_TRIED = 6  # peaks of the cross-correlation
+TOLERATED = 0.1  # fraction of a force's variance within a press that the other recording may leave unexplained
+RIVAL = 0.9  # another offset that explains this fraction of what the best one does may be the right one, too
+FEWEST = 12  # samples that a press needs to give an offset
+ROUNDED = 0.1  # sampling intervals: error of the offset by corners between samples (five simulated benches: 0.07)
+DEGREE = 3  # of the polynomial of force over depth within a press
+MOST_DRIFT = 1.5e-3  # 5.4 s an hour, more than two clocks ever drift
+# Scatter of the offsets of single presses; positions logged when they were commanded scatter by tenths of a second.
+MOST_SCATTER_S = 0.025
+MOST_MISSING = 0.4  # fraction of the presses that another recording may not show
+WINDOWS = 8  # parts of a gauge's recording; the mode of each estimates the reading at rest there
+BEFORE_S, AFTER_S = 0.1, 0.3  # margins around a press in which the gel is not at rest
+PART_S = 2.0  # parts of a pause; one median of each is the reading at rest
+ROUNDS = 3  # of finding presses and the reading at rest in turn
+NOISE = 4.0  # standard deviations at rest; no press is detected below
 
 
 @dataclass(frozen=True)
 class Recording:
-    """Values (n, k) at rising times (n,) s of its own clock; name: in messages."""
+    """Values (n, k) at strictly rising times (n,) s of its own clock; name: used in messages."""
 
     name: str
     times: np.ndarray
@@ -49,23 +49,23 @@ class Recording:
         back = np.flatnonzero(np.diff(self.times) <= 0)
         if len(back):
             raise BadInput(
-                f"{self.name}: time does not go on after sample {back[0] + 1} ({self.times[back[0]]:.6g} s, then"
-                f" {self.times[back[0] + 1]:.6g} s); sort it by time, and leave out what was written twice"
+                f"{self.name}: time does not increase after sample {back[0] + 1} ({self.times[back[0]]:.6g} s, then"
+                f" {self.times[back[0] + 1]:.6g} s); sort it by time and remove duplicates"
             )
 
     @property
     def interval(self) -> float:
-        """Usual time from sample to sample, s."""
+        """Median time from sample to sample, s."""
         return float(np.median(np.diff(self.times)))
 
     @property
     def lapses(self) -> np.ndarray:
-        """Times (m,) s that are too long between two samples."""
+        """Lengths (m,) s of the gaps where samples were dropped."""
         steps = np.diff(self.times)
         return np.asarray(steps[steps > LAPSE * self.interval])
 
     def at(self, times: np.ndarray) -> np.ndarray:
-        """Values (m, k) at other times of its clock, linear between two samples; NaN where samples were dropped and outside."""
+        """Values (m, k) at times (m,) of its clock, interpolated linearly; NaN in gaps and outside the recording."""
         after = np.clip(np.searchsorted(self.times, times), 1, len(self.times) - 1)
         known = (times >= self.times[0]) & (times <= self.times[-1])
         known &= self.times[after] - self.times[after - 1] <= LAPSE * self.interval
@@ -76,7 +76,10 @@ class Recording:
 
 @dataclass(frozen=True)
 class Levelled:
-    """A gauge's recording without what it reads at rest. level (n, k): what was taken off. touch: N from which on the gel is pressed."""
+    """A gauge's recording after subtraction of its reading at rest.
+
+    level (n, k): what was subtracted. touch: force from which on the gel is pressed, N.
+    """
 
     gauge: Recording
     level: np.ndarray
@@ -84,9 +87,9 @@ class Levelled:
 
 
 def without_level(gauge: Recording, touch: float) -> Levelled:
-    """Take off what a gauge reads between presses, whose first value is the force that presses, N; a line from pause to pause.
+    """Subtract the reading at rest, interpolated linearly between pauses. The gauge's first value is compression, N.
 
-    BadInput where forces are of the other sign, or where the gauge never rests.
+    BadInput where forces have the opposite sign, or where the gauge never rests.
     """
     force = gauge.values[:, 0]
     base = _usual(gauge.times, force)
@@ -94,7 +97,7 @@ def without_level(gauge: Recording, touch: float) -> Levelled:
     low, high = np.quantile(left, [0.003, 0.997])
     if -low > max(high, touch):
         raise BadInput(
-            f"{gauge.name}: its forces leave rest by {low:+.3g} N of pulling: give --sign -1 where the gauge counts pressing as positive,"
+            f"{gauge.name}: its forces pull by {-low:.3g} N relative to rest: give --sign -1 if the gauge counts pressing as positive,"
             " and let it rest between presses"
         )
     for _ in range(ROUNDS):
@@ -117,13 +120,13 @@ def without_level(gauge: Recording, touch: float) -> Levelled:
 
 
 def _parts(times: np.ndarray, pause: slice) -> list[np.ndarray]:
-    """Samples of a pause in parts of PART_S."""
+    """Indices of the samples of a pause, in parts of about PART_S."""
     samples = np.arange(pause.start, pause.stop)
     return np.array_split(samples, max(1, int((times[samples[-1]] - times[samples[0]]) / PART_S)))
 
 
 def _usual(times: np.ndarray, force: np.ndarray) -> np.ndarray:
-    """A line (n,) N through what a gauge reads most often: per window the middle of the shortest interval that holds half of it."""
+    """First estimate (n,) N of the reading at rest: a robust line through the half-sample modes of WINDOWS parts."""
     parts = [part for part in np.array_split(np.arange(len(force)), WINDOWS) if len(part) >= FEWEST]
     if len(parts) < 2:
         return np.full(len(force), float(np.median(force)))
@@ -153,7 +156,7 @@ def _mode(values: np.ndarray) -> float:
 
 
 def at_rest(gauge: Recording, pressed: np.ndarray) -> np.ndarray:
-    """Which samples (n,) lie well before and well after each press."""
+    """Which samples (n,) lie outside every press, with the margins BEFORE_S and AFTER_S."""
     rest = ~pressed
     for press in _runs(pressed):
         began, ended = gauge.times[press.start] - BEFORE_S, gauge.times[press.stop - 1] + AFTER_S
@@ -172,10 +175,11 @@ def _runs(where: np.ndarray) -> list[slice]:
 
 @dataclass(frozen=True)
 class MatchedClock:
-    """How a recording's clock goes beside the gauge's: gauge time = time + offset_s + drift (time - middle_s).
+    """A recording's clock relative to the gauge's: gauge time = time + offset_s + drift (time - middle_s).
 
-    error_s: of the offset: the scatter of the presses, and ROUNDED of the slower recording's interval. presses (k, 2): middle of
-    each press that it was found from on the gauge's clock, and its own offset, s. rival: whether another offset fits nearly as well.
+    error_s: standard error of the offset, from the scatter of the presses and ROUNDED of the slower recording's
+    interval. presses (k, 2): mean time of each used press on the gauge's clock, and its own offset, s. rival: whether
+    another offset fits nearly as well. limit_s: scatter of the presses' offsets above which the clock is refused.
     """
 
     offset_s: float
@@ -184,6 +188,7 @@ class MatchedClock:
     error_s: float
     presses: np.ndarray
     rival: bool
+    limit_s: float
 
     def to_gauge(self, times: np.ndarray) -> np.ndarray:
         """Times (n,) s of the recording on the gauge's clock."""
@@ -195,20 +200,21 @@ class MatchedClock:
 
 
 def presses_of(force: np.ndarray, touch: float) -> list[slice]:
-    """Samples of each press: where a force (n,) N is at least `touch`, in the order of time."""
+    """Presses in order of time: runs of at least FEWEST samples with a force (n,) of `touch` N or more."""
     return [run for run in _runs(force >= touch) if run.stop - run.start >= FEWEST]
 
 
 def match_clock(gauge: Recording, other: Recording, touch: float) -> MatchedClock:
-    """The clock of another recording, whose first value grows with the force that is the gauge's first value, N.
+    """Match the clock of another recording, whose first value grows with the gauge's first value, the force in N.
 
-    touch: N from which on something is pressed. Raises BadInput where no press is found, or none that both show.
+    touch: force from which on the gel is pressed, N. Raises BadInput where the gauge shows no press, where the other
+    recording shows too few of them, and where the offsets scatter or drift too much.
     """
     gauge, other = (Recording(one.name, one.times, one.values[:, :1]) for one in (gauge, other))
     presses = presses_of(gauge.values[:, 0], touch)
     if not presses:
         raise BadInput(
-            f"{gauge.name}: no press of {FEWEST} samples or more with {touch:g} N; the largest force is"
+            f"{gauge.name}: no press of at least {FEWEST} samples with {touch:g} N or more; the largest force is"
             f" {gauge.values[:, 0].max():.3g} N: check its unit and sign (--sign -1), or lower --touch"
         )
     tried = [
@@ -223,13 +229,13 @@ def match_clock(gauge: Recording, other: Recording, touch: float) -> MatchedCloc
     found = tried[int(np.argmax(explained))]
     if not found:
         raise BadInput(
-            f"{other.name}: shows none of the {len(presses)} presses of {gauge.name}; are they of one session?"
+            f"{other.name}: shows none of the {len(presses)} presses of {gauge.name}; are both of the same session?"
         )
     rival = sum(part >= RIVAL * max(explained) for part in explained) > 1
     if len(found) < (1.0 - MOST_MISSING) * len(presses):
         raise BadInput(
-            f"{other.name}: shows {len(found)} of the {len(presses)} presses of {gauge.name} at one offset of its clock: was the film"
-            " slower or faster than its frame rate says, or were positions logged when they were sent, not where the tip was?"
+            f"{other.name}: shows only {len(found)} of the {len(presses)} presses of {gauge.name} at one clock offset: is the film"
+            " slower or faster than its stated frame rate, or were commanded positions logged instead of measured ones?"
         )
     times, offsets, _ = np.array(found).T
     drift = _slope(times, offsets)
@@ -237,25 +243,27 @@ def match_clock(gauge: Recording, other: Recording, touch: float) -> MatchedCloc
     left = offsets - drift * (times - middle)
     offset = float(np.median(left))
     scatter = 1.4826 * float(np.median(np.abs(left - offset)))
-    if scatter > MOST_SCATTER_S + ROUNDED * max(gauge.interval, other.interval):
+    rounding = ROUNDED * max(gauge.interval, other.interval)
+    limit = MOST_SCATTER_S + rounding
+    if scatter > limit:
         raise BadInput(
-            f"{other.name}: the offset of its clock differs from press to press by {1e3 * scatter:.0f} ms: were positions logged when"
-            " they were sent, ahead of the tip, or were images stamped when they arrived? Log where the tip is (the controller's"
-            " reports), and when each image was taken"
+            f"{other.name}: the offset of its clock differs from press to press by {1e3 * scatter:.0f} ms: were commanded"
+            " positions logged, ahead of the tip, or were images stamped on arrival? Log measured positions (the controller's"
+            " reports), and the time at which each image was taken"
         )
     if abs(drift) > MOST_DRIFT:
         raise BadInput(
-            f"{other.name}: its clock gains {1e6 * drift:.0f} ppm on that of {gauge.name}, which no clock does; are its times in"
-            " the unit that the header names, and is a film's frame rate the true one?"
+            f"{other.name}: its clock gains {1e6 * drift:.0f} ppm on that of {gauge.name}, more than any clock drifts; are its times in"
+            " the unit that the header names, and, for a film, is its frame rate correct?"
         )
-    error = math.hypot(scatter / math.sqrt(len(left)), ROUNDED * max(gauge.interval, other.interval))
-    return MatchedClock(offset, drift, middle - offset, error, np.column_stack([times, offsets]), rival)
+    error = math.hypot(scatter / math.sqrt(len(left)), rounding)
+    return MatchedClock(offset, drift, middle - offset, error, np.column_stack([times, offsets]), rival, limit)
 
 
 def _correlated(gauge: Recording, other: Recording) -> list[float]:
-    """Offsets in s at which two recordings are alike, the MOST_TRIED best.
+    """Offsets in s at the MOST_TRIED highest peaks of the cross-correlation of two recordings.
 
-    Both are compared at steps of COARSE_S, dropped samples filled linearly; only here, and nothing of it is written.
+    Both are resampled at steps of COARSE_S, across gaps as well; no label uses these values.
     """
     from scipy.signal import correlate, correlation_lags, find_peaks
 
@@ -272,9 +280,10 @@ def _correlated(gauge: Recording, other: Recording) -> list[float]:
 
 
 def _offset_of(gauge: Recording, other: Recording, press: slice, rough: float) -> Iterator[tuple[float, float]]:
-    """The offset in s at which the force of a press is a smooth function of the other recording, and how much of it that explains.
+    """Find the offset in s at which the force of a press is a smooth function of the other recording.
 
-    1 for all of the force, 0 where TOLERATED of its variance is left; none where the other recording shows no press there.
+    Yields it with the quality of the fit: 1 for a perfect fit, 0 where TOLERATED of the force's variance is left.
+    Yields nothing where the other recording shows no press there.
     """
     from scipy.optimize import minimize_scalar
 
@@ -282,7 +291,7 @@ def _offset_of(gauge: Recording, other: Recording, press: slice, rough: float) -
     slow = (other.times + rough >= times[0]) & (other.times + rough <= times[-1])
 
     def both(shift: float) -> tuple[np.ndarray, np.ndarray]:
-        """Samples of both at the times of the slower one: to interpolate it would round off its corners."""
+        """Samples of both at the times of the slower one: interpolating that one would round off its corners."""
         if other.interval > gauge.interval:
             return other.values[slow, 0], gauge.at(other.times[slow] + rough + shift)[:, 0]
         return other.at(times - rough - shift)[:, 0], force
@@ -308,6 +317,6 @@ def _offset_of(gauge: Recording, other: Recording, press: slice, rough: float) -
 
 
 def _slope(times: np.ndarray, offsets: np.ndarray) -> float:
-    """Median slope between pairs of points (n,), which single wrong ones do not change; 0 for one point (Sen 1968)."""
+    """Theil-Sen slope: the median over all pairs of points (n,), robust to outliers; 0 for one point (Sen 1968)."""
     one, two = np.triu_indices(len(times), 1)
     return float(np.median((offsets[two] - offsets[one]) / (times[two] - times[one]))) if len(one) else 0.0

@@ -1,9 +1,10 @@
-"""Files of a bench, read: gauge log, path log, a film or a folder of images.
+"""Read the files of a bench: gauge log, path log, and a film or a folder of images.
 
-Times stand in a column `time_s`, `time_ms`, `time_us`, `time_ns` or `time_utc` (ISO 8601). A gauge log is a CSV with `fz_UNIT` and perhaps
-`fx_UNIT` and `fy_UNIT`. A path log says where the tip was: a CSV of nothing but a time, `x_UNIT`, `y_UNIT`, `z_UNIT` and perhaps
-`rot_deg`, or lines `TIME <STATE|WPos:x,y,z|…>`, GRBL's reports behind their time in s; with `MPos` one of them has the `WCO`, which never
-changes. A folder of images has a `times.csv` with the columns `image` and a time.
+Times are in a column `time_s`, `time_ms`, `time_us`, `time_ns` or `time_utc` (ISO 8601). A gauge log is a CSV with
+`fz_UNIT` and optionally `fx_UNIT` and `fy_UNIT`. A path log holds measured positions of the tip, in one of two forms.
+Either it is a CSV of a time, `x_UNIT`, `y_UNIT`, `z_UNIT`, optionally `rot_deg`, and no other column. Or it has lines
+`TIME <STATE|WPos:x,y,z|…>`, GRBL's reports after their time in s; with `MPos`, at least one report states `WCO`,
+which must not change. A folder of images has a `times.csv` with the columns `image` and a time.
 """
 
 import re
@@ -31,34 +32,37 @@ SECONDS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 HINT = "the head of src/gelforge/formats/benchfiles.py says which columns are read"
 AXES = "xyz"
 SMALL = (64, 48)  # px at which the change of an image is measured
-FASTEST_MM_S = 500.0  # of a tip that a bench moves
-SLOWEST_S = 0.25  # from sample to sample of a path
-MOST_HEAD = 100  # lines above a header
+FASTEST_MM_S = 500.0  # largest speed of a tip
+SLOWEST_S = 0.25  # largest sampling interval of a path
+MOST_HEAD = 100  # lines in which a misplaced header is searched
 NUMBER = r"(-?\d+\.\d{3})"
 REPORT = re.compile(
     rf"(\d+(?:\.\d+)?) <(Idle|Run|Jog|Hold:[01])\|([MW])Pos:{NUMBER},{NUMBER},{NUMBER}(?:\|([^<>]*))?>", re.ASCII
 )
 OFFSET = re.compile(rf"(?:^|\|)WCO:{NUMBER},{NUMBER},{NUMBER}(?:\||$)")
-# Why a line is none of a path's reports, by what it looks like.
+# What is wrong with a line that is no report of a path, by a pattern that it matches.
 STRANGE = (
     (
         r"\d+(\.\d+)? <(Alarm|Home|Check|Door|Sleep)",
-        "the machine moves its own zero in this state, or does not move at all: leave it out",
+        "in this state the machine resets its zero or does not move: remove the line",
     ),
-    (r"<.*[MW]Pos:-?\d+\.\d{4}", "four digits behind the point are inches ($13=1): set $13=0 and log again"),
-    (r"<.*[MW]Pos", "it is no report `TIME <STATE|WPos:x,y,z|...>` with its time in s first"),
-    (r"(\d+(\.\d+)?\s+)?X:\s*-?\d", "M114 says where the tip shall go: log where it was, as time_s,x_mm,y_mm,z_mm"),
+    (r"<.*[MW]Pos:-?\d+\.\d{4}", "four decimals mean inches ($13=1): set $13=0 and log again"),
+    (r"<.*[MW]Pos", "this is not a report `TIME <STATE|WPos:x,y,z|...>` with its time in s first"),
+    (
+        r"(\d+(\.\d+)?\s+)?X:\s*-?\d",
+        "M114 reports the commanded position: log the measured one, as time_s,x_mm,y_mm,z_mm",
+    ),
     (
         r"(?i)(\d[\d.]*\s+)?(\$J=|N\d+|[GM]\d)",
-        "a line of G-code says when it was sent, not where the tip was: log the controller's reports",
+        "G-code states commanded positions, not measured ones: log the controller's reports",
     ),
 )
 
 
 def read_gauge(path: Path, sign: int) -> tuple[Recording, tuple[str, ...]]:
-    """The force that presses and those along the gel's axes (n, 1 + k) N of a gauge log, and the k columns of a log that it has.
+    """Read a gauge log: compression and k forces along the gel's axes (n, 1 + k) N, and the names of their columns.
 
-    sign: -1 where pressing is positive.
+    sign: -1 where the gauge counts pressing as positive.
     """
     rows, times, _ = _timed_rows(path, "readings", "fz_n")
     found: dict[str, np.ndarray] = {}
@@ -70,7 +74,10 @@ def read_gauge(path: Path, sign: int) -> tuple[Recording, tuple[str, ...]]:
 
 
 def read_path(path: Path, origin: Sequence[float]) -> Recording:
-    """Depth below the apex in mm, the tip's x, y, z in mm and its turn in degrees (n, 5) of a path log; origin (3,): the apex there."""
+    """Read a path log: depth below the apex and the tip's x, y, z in mm, and its rotation in degrees (n, 5).
+
+    origin (3,): the apex in the path's coordinates, mm.
+    """
     text = read_text(path, HINT)
     reports = any("Pos:" in line or re.match(STRANGE[-1][0], line) for line in text.splitlines())
     times, places, lines = _reports(path, text) if reports else _samples(path)
@@ -78,21 +85,21 @@ def read_path(path: Path, origin: Sequence[float]) -> Recording:
     found = Recording(str(path), times, np.column_stack([-places[:, 2], places]))
     if found.interval > SLOWEST_S:
         raise BadInput(
-            f"{path}: one sample each {found.interval:.3g} s, as where a line is a whole move: log where the tip is {1 / SLOWEST_S:.0f} times a"
+            f"{path}: one sample every {found.interval:.3g} s, as if each line were a whole move: log the position of the tip {1 / SLOWEST_S:.0f} times a"
             " second or more"
         )
     jump = np.linalg.norm(np.diff(places[:, :3], axis=0), axis=1)
     fast = np.flatnonzero(jump > FASTEST_MM_S * np.maximum(np.diff(times), SLOWEST_S / 10))
     if len(fast):
         raise BadInput(
-            f"{path} line {lines[fast[0] + 1]}: the tip jumps by {jump[fast[0]]:.3g} mm; are work and machine coordinates, two units, or two"
-            " recordings in one log?"
+            f"{path} line {lines[fast[0] + 1]}: the tip jumps by {jump[fast[0]]:.3g} mm; does the log mix work and machine coordinates, two units, or two"
+            " recordings?"
         )
     return found
 
 
 def _samples(path: Path) -> tuple[np.ndarray, np.ndarray, list[int]]:
-    """Times (n,) s, positions x, y, z and turn (n, 4), and line numbers of a CSV of samples."""
+    """Times (n,) s, positions x, y, z and rotation (n, 4) in mm and degrees, and line numbers of a CSV of samples."""
     rows, times, lines = _timed_rows(path, "positions", "x_mm,y_mm,z_mm")
     places, known = np.zeros((len(rows), 4)), {"rot_deg"}
     for axis, name in enumerate(AXES):
@@ -105,13 +112,13 @@ def _samples(path: Path) -> tuple[np.ndarray, np.ndarray, list[int]]:
     if other:
         raise BadInput(
             f"{path}: column {printable(other[0])[:60]!r} is not known; a path has a time, x_UNIT, y_UNIT, z_UNIT and perhaps rot_deg, and"
-            " nothing that could mean that these are of several kinds: leave it out"
+            " no column that could mark rows of several kinds: remove it"
         )
     return times, places, lines
 
 
 def _reports(path: Path, text: str) -> tuple[np.ndarray, np.ndarray, list[int]]:
-    """The same of GRBL's reports, all of one frame of coordinates (github.com/gnea/grbl, interface.md, real-time status reports)."""
+    """The same of GRBL's real-time status reports, in one coordinate frame (github.com/gnea/grbl, interface.md)."""
     found: list[list[float]] = []
     lines: list[int] = []
     frame, offset = "", None
@@ -125,8 +132,7 @@ def _reports(path: Path, text: str) -> tuple[np.ndarray, np.ndarray, list[int]]:
                 (why for like, why in STRANGE if re.match(like, line) or ("<" in like and re.search(like, line))), ""
             )
             why = (
-                why
-                or "only reports `TIME <STATE|WPos:x,y,z|...>` are read: leave other lines out, or begin them with #"
+                why or "only reports `TIME <STATE|WPos:x,y,z|...>` are read: remove other lines, or begin them with #"
             )
             raise BadInput(f"{path} line {number}: {printable(line)[:60]!r}: {why}")
         time, _, of, x, y, z, rest = report.groups()
@@ -138,8 +144,8 @@ def _reports(path: Path, text: str) -> tuple[np.ndarray, np.ndarray, list[int]]:
         for seen in OFFSET.findall(rest or ""):
             if offset not in (None, seen):
                 raise BadInput(
-                    f"{path} line {number}: WCO:{','.join(seen)}, and WCO:{','.join(offset)} before it: the zero of the work coordinates was"
-                    " moved; leave out what lies before or after it"
+                    f"{path} line {number}: WCO:{','.join(seen)}, and WCO:{','.join(offset)} before it: the origin of the work coordinates was"
+                    " moved; remove the lines before or after this one"
                 )
             offset = seen
         found.append([float(time), float(x), float(y), float(z), 0.0])
@@ -147,16 +153,14 @@ def _reports(path: Path, text: str) -> tuple[np.ndarray, np.ndarray, list[int]]:
     table = np.array(found, float).reshape(-1, 5)
     if frame == "M":
         if offset is None:
-            raise BadInput(
-                f"{path}: MPos without any WCO: log WPos ($10=0), or a report that has the offset of the work coordinates"
-            )
+            raise BadInput(f"{path}: MPos without any WCO: log WPos ($10=0), or include a report with WCO")
         table[:, 1:4] -= np.array(offset, float)
     return table[:, 0], table[:, 1:], lines
 
 
 @dataclass(frozen=True)
 class Images:
-    """A film, or a folder of images with their times: names (n,), times (n,) s, small copies (n, rows, cols, 3), and where they are."""
+    """A film or a folder of images: names (n,), times (n,) s and small copies (n, rows, cols, 3) of its images."""
 
     path: Path
     names: list[str]
@@ -177,7 +181,7 @@ class Images:
         return cls(path, names, np.array(seen), np.array(small, np.float32))
 
     def __iter__(self) -> Iterator[np.ndarray]:
-        """Images (h, w, 3) uint8 RGB in the order of time."""
+        """Images (h, w, 3) uint8 RGB in the order of `times`."""
         if self.path.is_dir():
             for name in self.names:
                 yield read_image(self.path / name)
@@ -187,7 +191,7 @@ class Images:
                 yield np.ascontiguousarray(frame.image[:, :, ::-1])
 
     def change(self) -> Recording:
-        """Mean change in levels (n, 1) since the first STILL images, which show no contact."""
+        """Mean absolute change in levels (n, 1) from the mean of the first STILL images, which show no contact."""
         change = np.abs(self.small - self.small[:STILL].mean(axis=0)).mean(axis=(1, 2, 3))
         return Recording(str(self.path), self.times, change[:, None].astype(float))
 
@@ -202,20 +206,20 @@ def _small(image: np.ndarray) -> np.ndarray:
 def _timed_rows(
     path: Path, what: str, example: str, columns: tuple[str, ...] = ()
 ) -> tuple[list[dict[str, str]], np.ndarray, list[int]]:
-    """Rows of a CSV, their times (n,) s, and their lines; example: columns that stand beside the time."""
+    """Rows of a CSV, their times (n,) s, and their line numbers; example: columns beside the time, for messages."""
     _check_head(path, example)
     numbered = filled_rows(path, columns, what, HINT)
     names = [name for name in numbered[0][1] if name == "time_utc" or name in {f"time_{unit}" for unit in SECONDS}]
     if len(names) != 1:
         raise BadInput(
-            f"{path}: {len(names)} columns of time; give one of time_s, time_ms, time_us, time_ns, time_utc"
+            f"{path}: {len(names)} time columns; give exactly one of time_s, time_ms, time_us, time_ns, time_utc"
         )
     times = [_time(path, number, names[0], row[names[0]]) for number, row in numbered]
     return [row for _, row in numbered], np.array(times), [number for number, _ in numbered]
 
 
 def _check_head(path: Path, example: str) -> None:
-    """BadInput where a table has no header, or one below other lines, or is of M114's answers."""
+    """BadInput where a table has no header, has it below other lines, or consists of replies to M114."""
     lines = [(number, line.strip()) for number, line in enumerate(read_text(path, HINT).splitlines(), 1)]
     lines = [(number, line) for number, line in lines if line and not line.startswith("#")]
     for number, line in lines[:1]:
@@ -230,33 +234,33 @@ def _check_head(path: Path, example: str) -> None:
             below = next((at for at, text in lines[1:MOST_HEAD] if re.match(r"(.*,)?\s*time_\w+\s*(,|$)", text)), 0)
             if below:
                 raise BadInput(
-                    f"{path}: its header stands in line {below}; remove the lines above it, or begin them with #"
+                    f"{path}: its header is in line {below}; remove the lines above it, or begin them with #"
                 )
 
 
 def _time(path: Path, number: int, column: str, cell: str) -> float:
-    """A time in s; BadInput for what is none."""
+    """A cell as a time in s; BadInput where it is none."""
     try:
         if column == "time_utc":
             return _date(cell)
         unit = column.removeprefix("time_")
-        # nanoseconds since 1970 have more digits than a float holds
+        # nanoseconds since 1970 have more digits than a float holds, so read them as int
         seconds = int(cell) / 1e9 if unit == "ns" else float(cell) * SECONDS[unit]
     except ValueError as error:
-        raise BadInput(f"{path} line {number}: {cell!r} is no {column}; {HINT}") from error
+        raise BadInput(f"{path} line {number}: {cell!r} is not a valid {column}; {HINT}") from error
     if not np.isfinite(seconds):
         raise BadInput(f"{path} line {number}: {column} is {cell}; {HINT}")
     return seconds
 
 
 def _date(cell: str) -> float:
-    """Seconds since 1970 of a time in ISO 8601; one that names no zone is UTC."""
+    """Seconds since 1970 of a time in ISO 8601; without a time zone it is UTC."""
     when = datetime.fromisoformat(cell)
     return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
 
 
 def _column(path: Path, row: dict[str, str], name: str, units: dict[str, float], needed: bool) -> tuple[str, float]:
-    """The column of a quantity and its unit; empty where it is not needed and not there."""
+    """The column of a quantity and the factor of its unit; ("", 1.0) where an optional column is missing."""
     found = [(column, units[unit]) for column in row for unit in units if column.lower() == f"{name}_{unit}"]
     if len(found) > 1 or (needed and not found):
         raise BadInput(
@@ -266,9 +270,9 @@ def _column(path: Path, row: dict[str, str], name: str, units: dict[str, float],
 
 
 def _numbers(path: Path, rows: list[dict[str, str]], column: str) -> np.ndarray:
-    """A column (n,) as numbers; BadInput names the first cell that is none."""
+    """A column (n,) as numbers; BadInput names the first cell that is not a number."""
     found = [parse_number(row[column]) for row in rows]
     if None in found:
         number = found.index(None)
-        raise BadInput(f"{path}: {column} of sample {number + 1} is {rows[number][column]!r}, no number; {HINT}")
+        raise BadInput(f"{path}: {column} of sample {number + 1} is {rows[number][column]!r}, not a number; {HINT}")
     return np.array(found, float)

@@ -1,4 +1,4 @@
-"""Recordings of a bench brought to one log: clocks are matched, presses found, and each state that shows in an image has a row."""
+"""Combine a bench's recordings into one log: match clocks, find presses, make a row for each state in an image."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
@@ -26,17 +26,17 @@ from gelforge.records.log import write_log
 from gelforge.records.nocontactimage import STILL
 from gelforge.records.press import POSE, LoggedPress
 
-HELD_MM = 0.01  # above its lowest height the tip goes back up
-STATE_MM = 0.005  # nearer images show the same state
-DATED_S = 1e9  # from which on a clock counts from 1970
-OTHER_RATE = 0.12  # of a film's frame rate, by which it may be wrong: 25 frames a second for 22
-LEAST_LEVEL_N = 0.05
+HELD_MM = 0.01  # a tip this far above its lowest height is retracting
+STATE_MM = 0.005  # images whose tip positions differ less show the same state
+DATED_S = 1e9  # a clock with larger times counts from 1970
+OTHER_RATE = 0.12  # relative error that a film's frame rate may have: 25 frames a second instead of 22
+LEAST_LEVEL_N = 0.05  # smaller readings at rest are not reported
 DATASET_TOML = '# Aligned from the recordings of a bench by `gelforge align`.\nsensor = "{sensor}"\ngel = "{gel}"\n'
 
 
 @dataclass(frozen=True)
 class Setup:
-    """What is known of a bench beside its recordings: sensor (labelling.sensor.Sensor), indenter and piece of gel by name."""
+    """What a bench's recordings do not say: sensor (labelling.sensor.Sensor), names of indenter and piece of gel."""
 
     sensor: object
     indenter: str
@@ -45,9 +45,10 @@ class Setup:
 
 @dataclass(frozen=True)
 class Aligned:
-    """Rows of a log, by the number of their image, with what they were found by and what is to be said of it.
+    """Rows of a log by image number, with the recordings and clocks that they come from, and notes for the user.
 
-    gauge: without its level. clocks: of `path` and `change` against it. rest: images without contact.
+    gauge: with its reading at rest subtracted. clocks: "path" and "images" relative to the gauge's. rest: numbers of
+    images without contact.
     """
 
     rows: dict[int, LoggedPress]
@@ -62,10 +63,11 @@ class Aligned:
 def align(
     gauge: Recording, measured: Sequence[str], path: Recording, images: Images, bench, touch: float, every: int
 ) -> Aligned:
-    """Rows of the images on the way down or sideways, each with the path's place and the gauge's force at its time.
+    """Make a row of each image until the tip retracts, with the path's position and the gauge's force at its time.
 
-    measured: columns of the gauge's values behind the first. Rows of one press share a press_id; images of one state are one
-    row, with the middle one. touch: N from which on the gel is pressed. every: of so many states of a press one is taken.
+    measured: columns of the gauge's values after the first. Rows of one press share a press_id; images of one state
+    become one row, with the middle image. touch: force from which on the gel is pressed, N. every: of a press, take
+    every n-th state. BadInput where no image lies within a press.
     """
     levelled, change = without_level(gauge, touch), images.change()
     gauge, touch = levelled.gauge, levelled.touch
@@ -87,7 +89,7 @@ def align(
         during = within[np.isfinite(felt[within, 0]) & np.isfinite(places[within, 0])]
         if not np.isfinite(begin).all() or not len(during):
             notes.append(
-                f"press {number} at {shown(began)} of the gauge: path or images were dropped there, it is left out"
+                f"press {number} at {shown(began)} on the gauge's clock: samples or images are missing there, so it is left out"
             )
             continue
         held = during[places[during, 0] >= places[during, 0].max() - HELD_MM]
@@ -110,25 +112,27 @@ def align(
         raise BadInput(f"{images.path}: no image lies within a press of both gauge and path; " + "; ".join(notes))
     _check_height(path, list(rows.values()))
     if alike:
-        notes.append(f"{alike} images show the state of another one, where the tip stood: a state is one row")
+        notes.append(
+            f"{alike} images show the same state as another one, because the tip stood still: each state is one row"
+        )
     if len(presses) == 1:
         notes.append(_cost_of_one(at[list(rows)], gauge, path, clocks["path"], images.path))
     lost = int((~(np.isfinite(felt[:, 0]) & np.isfinite(places[:, 0]))).sum())
-    notes += [f"{lost} of {len(at)} images have no force or no place"] if lost else []
+    notes += [f"{lost} of {len(at)} images have no force or no position"] if lost else []
     quiet = at_rest(gauge, gauge.values[:, 0] >= touch)
     rest = [k for k, time in enumerate(at.tolist()) if quiet[np.abs(gauge.times - time).argmin()]]
     return Aligned(rows, gauge, path, change, clocks, rest, notes)
 
 
 def _gaps(path: Recording) -> np.ndarray:
-    """Numbers of the samples before which a path that is logged where it moves says nothing, because the tip stood in the gel."""
+    """Indices of the samples after a gap in which the tip stood still in the gel; some logs hold motion only."""
     before, after = path.values[:-1], path.values[1:]
     stood = (np.abs(after - before)[:, :4].max(axis=1) <= STATE_MM) & (before[:, 0] > 0.0)
     return np.flatnonzero(stood & (np.diff(path.times) > LAPSE * path.interval)) + 1
 
 
 def _filled(path: Recording) -> Recording:
-    """A path with samples where the tip stood, by which its clock is matched."""
+    """A path with gaps filled where the tip stood still, for matching its clock."""
     times, values = [path.times], [path.values]
     for at in _gaps(path).tolist():
         more = np.arange(path.times[at - 1] + path.interval, path.times[at] - 0.5 * path.interval, path.interval)
@@ -139,7 +143,7 @@ def _filled(path: Recording) -> Recording:
 
 
 def _where_it_stood(path: Recording, times: np.ndarray, places: np.ndarray, press: np.ndarray) -> np.ndarray:
-    """Places (n, 5) at times (n,) of a press from and to (2,) s, with those of gaps within it at whose ends the tip is in one place."""
+    """Positions (n, 5) at times (n,) s of a press (2,) s, with gaps filled in which the tip stood still."""
     places = places.copy()
     for at in _gaps(path).tolist():
         start, end = path.times[at - 1], path.times[at]
@@ -149,7 +153,7 @@ def _where_it_stood(path: Recording, times: np.ndarray, places: np.ndarray, pres
 
 
 def _states(images: np.ndarray, places: np.ndarray) -> list[np.ndarray]:
-    """Images (n,) of one press in groups of one state: their places lie within STATE_MM of the first one's."""
+    """Group images (n,) of one press by state: positions within STATE_MM of the first one of the group."""
     states: list[list[int]] = []
     for image in images.tolist():
         if states and np.abs(places[image, :4] - places[states[-1][0], :4]).max() <= STATE_MM:
@@ -160,30 +164,30 @@ def _states(images: np.ndarray, places: np.ndarray) -> list[np.ndarray]:
 
 
 def _cost_of_one(times: np.ndarray, gauge: Recording, path: Recording, clock: MatchedClock, film: Path) -> str:
-    """What the largest drift may cost rows at these times (n,) s of one press, a sentence."""
+    """A note on the error that an unknown drift may cause in the rows of a single press, at times (n,) s."""
     away, step = np.abs(times - times.mean()), gauge.interval
     speed = np.abs(path.at(clock.from_gauge(times + step)) - path.at(clock.from_gauge(times - step)))[:, 0] / (
         2 * step
     )
     rate = np.abs(gauge.at(times + step) - gauge.at(times - step))[:, 0] / (2 * step)
     off = [float(np.nanmax(away * value, initial=0.0)) for value in (speed, rate)]
-    said = f"one press: the drift of its clocks is unknown; with {1e6 * MOST_DRIFT:.0f} ppm, the most of two clocks, rows are up to"
-    said += f" {MOST_DRIFT * off[0]:.2g} mm and {MOST_DRIFT * off[1]:.2g} N off"
+    said = f"one press: the drift of its clocks is unknown; with {1e6 * MOST_DRIFT:.0f} ppm, the largest drift of two clocks, rows have errors of up to"
+    said += f" {MOST_DRIFT * off[0]:.2g} mm and {MOST_DRIFT * off[1]:.2g} N"
     if film.is_file():
         said += f"; with a film whose frame rate is wrong by {OTHER_RATE:.0%}, up to {OTHER_RATE * off[0]:.2g} mm and {OTHER_RATE * off[1]:.2g} N"
-    return f"{said}; two presses or more tell it"
+    return f"{said}; record two or more presses to measure the drift"
 
 
 def _dates(at: np.ndarray, clocks: dict[str, np.ndarray], notes: list[str]) -> list[str]:
-    """Times of the images as dates, by the first of these clocks that counts from 1970; else by the first one."""
+    """Times of the images as dates, by the first clock that counts from 1970; by the gauge's where none does."""
     dated = next((times for times in clocks.values() if times[0] >= DATED_S), None)
     if dated is None:
-        notes.append("no clock knows the date: time_utc counts from 1970 as the gauge's clock does")
+        notes.append("no clock has a date, so time_utc is the gauge's time, counted from 1970")
     return [shown(float(time), True) for time in (at if dated is None else dated)]
 
 
 def shown(time: float, date: bool = False) -> str:
-    """A time in s of a clock for people: a date where it counts from 1970, or where that is asked for."""
+    """A time in s as text; a date where the clock counts from 1970, or where `date` is set."""
     if time < DATED_S and not date:
         return f"{time:.2f} s"
     return datetime.fromtimestamp(max(time, 0.0), UTC).isoformat(timespec="milliseconds").replace("+00:00", "Z")
@@ -195,7 +199,7 @@ def nocontact_of(aligned: Aligned, images: Images) -> np.ndarray:
     free = [image for number, image in enumerate(images) if number in rest]
     if not free:
         raise BadInput(
-            f"{images.path}: no image was taken while the gauge rests; film the gel free before the first press"
+            f"{images.path}: no image was taken while the gauge was at rest; film the gel without contact before the first press"
         )
     return np.rint(np.mean(free, axis=0)).astype(np.uint8)
 
@@ -208,7 +212,7 @@ def write_dataset(
     bench,
     data: Path,
 ) -> None:
-    """Write the dataset folder `data`, which must not exist: log, images as `framed` makes them of the sensor's size, no-contact image."""
+    """Write log, images and no-contact image to the folder `data`, which must not exist; `framed` resizes images."""
     with new_folder(data) as part:
         for number, image in enumerate(images):
             if number in aligned.rows:
@@ -219,17 +223,17 @@ def write_dataset(
 
 
 def _level_told(level: np.ndarray, measured: Sequence[str]) -> list[str]:
-    """What the gauge reads at rest, where it is worth a sentence."""
+    """Notes on forces of LEAST_LEVEL_N and more that the gauge reads at rest, and on their drift."""
     said = []
     for column, values in zip(measured, level.T[1:], strict=True):
         if np.abs(values).max() >= LEAST_LEVEL_N:
             drift = f", and drifts by {np.ptp(values):.2g} N" if np.ptp(values) >= LEAST_LEVEL_N else ""
-            said.append(f"the gauge reads {column} = {values[0]:+.2f} N at rest{drift}: this was taken off")
+            said.append(f"the gauge reads {column} = {values[0]:+.2f} N at rest{drift}; this was subtracted")
     return said
 
 
 def _told(*recordings: Recording) -> list[str]:
-    """Rates and dropped samples of recordings, a sentence each."""
+    """Notes on the sampling interval and the gaps of each recording."""
     said = []
     for one in recordings:
         lapses = one.lapses
@@ -238,19 +242,19 @@ def _told(*recordings: Recording) -> list[str]:
             if len(lapses)
             else ""
         )
-        said.append(f"{one.name}: {len(one.times)} samples, one each {1e3 * one.interval:.3g} ms{drops}")
+        said.append(f"{one.name}: {len(one.times)} samples, one every {1e3 * one.interval:.3g} ms{drops}")
     return said
 
 
 def _clock_told(name: str, clock: MatchedClock, offset: float) -> str:
-    """Offset, drift and error of a clock, one sentence."""
+    """A note on the offset, drift and error of a clock."""
     rival = (
-        "; another offset fits nearly as well, as where presses are alike and evenly apart: check it"
+        "; another offset fits nearly as well, which happens if presses are similar and evenly spaced: check the offset"
         if clock.rival
         else ""
     )
     ahead = (
-        f"{1e3 * offset:+.1f} ms to the gauge's"
+        f"{1e3 * offset:+.1f} ms relative to the gauge's"
         if abs(offset) < DATED_S
         else (f"its 0 s is {shown(offset)}" if offset > 0.0 else f"the gauge's 0 s is {shown(-offset)}")
     )
@@ -259,13 +263,13 @@ def _clock_told(name: str, clock: MatchedClock, offset: float) -> str:
 
 
 def _check_height(path: Recording, rows: list[LoggedPress]) -> None:
-    """BadInput where force does not begin near the gel's surface, which lies a little below its apex, z = 0."""
+    """BadInput where force does not begin near the gel's surface: at or a little below its apex, z = 0."""
     first: dict[str, float] = {}
     for row in rows:
         first.setdefault(row.press_id, float(row.dz_mm))
     usual = float(np.median(list(first.values())))
     if not -0.5 < usual < 0.1:
         raise BadInput(
-            f"{path.name}: force begins at z = {usual:.2f} mm, and z = 0 is the apex of the gel: give the apex's place on the path as"
+            f"{path.name}: force begins at z = {usual:.2f} mm, but z = 0 is the apex of the gel: give the position of the apex in the path's coordinates as"
             " --origin X,Y,Z"
         )

@@ -1,4 +1,4 @@
-"""Whole datasets between FEATS' folders and ours."""
+"""Convert whole datasets between FEATS' folders and gelforge's."""
 
 import hashlib
 import math
@@ -34,10 +34,10 @@ from gelforge.records.press import FORCES, POSE, LoggedPress, check_id, pull_fau
 from gelforge.records.rowfile import map_array
 from gelforge.records.samplefile import SPLITS, TRAINING, UNSEEN_INDENTER, UNSEEN_SENSOR, VALIDATION, read_samples
 
-FEATS_C10 = 0.0792  # MPa, the paper's fit, which its labels were made with
-GEL_ID = "feats"  # of every press: their files name no gel
-QUIETEST, FEWEST_QUIET = 64, 16  # pictures that press least, of which a picture without contact is made
-# An image that came with its label alone: nobody knows how it was pressed.
+FEATS_C10 = 0.0792  # MPa, the paper's fit, used for its labels
+GEL_ID = "feats"  # for all presses, because FEATS' files name no gel
+QUIETEST, FEWEST_QUIET = 64, 16  # most and fewest images of least force that a no-contact image is made from
+# Columns of an image that came with a label only: its pose and measured force are unknown.
 NO_PRESS = {**dict.fromkeys(POSE, math.nan), **dict.fromkeys(FORCES), "indenter": "", "time_utc": ""}
 DATASET_TOML = """# Imported from files in FEATS' layout.
 sensor = "{sensor}"
@@ -46,12 +46,12 @@ catalogue = "indenters.toml"
 [params.plan]
 shard_size = 500
 """
-# Of labels alone no pose and no force sensor's reading is known, from which branches of the report start.
+# Branches of the report need poses and force readings, which a dataset of labels only lacks.
 LABELS_ALONE = "[params.report]\nbranches = []\n"
 
 
 def refuse_existing(path: Path) -> None:
-    """BadInput where the folder of a dataset that is to be made is there already."""
+    """BadInput where the folder of a new dataset exists already."""
     if path.exists():
         raise BadInput(f"{path} exists already; remove it, or give another name (DATASET=...)")
 
@@ -71,7 +71,7 @@ def new_folder(path: Path):
 
 
 def split_of(folder: str) -> str:
-    """The split that a folder's name stands for, empty where for none: ours, and other spellings of the same."""
+    """The split that a folder's name stands for, in gelforge's or another spelling; empty where for none."""
     name = folder.lower().replace("-", "_")
     if name in SPLITS:
         return name
@@ -81,13 +81,13 @@ def split_of(folder: str) -> str:
 
 
 def import_folder(source: Path, data: Path, sensor, other=None, splits: Sequence[str] = ()) -> dict:
-    """Turn the .npy files below `source` into the dataset folder `data`; return what was found.
+    """Turn the .npy files below `source` into the dataset folder `data`; return counts of presses, labels and files.
 
-    Raw samples become rows of log.csv and images; label files become labels/ROWSxCOLS.npz. A raw sample
-    and a label file with the same image are one press. `sensor` is the Sensor that took the images, `other` the one that
-    took those of the split of an unseen sensor, where it is known. splits: folders to take, all where none is named. From
-    label files a picture of each sensor without contact is found (`write_nocontact`). An unusable file raises BadInput that names
-    it, and nothing is left behind.
+    Raw samples become rows of log.csv and images; label files become labels/ROWSxCOLS.npz. A raw sample and a label
+    file with the same image are one press. `sensor` is the Sensor that took the images, `other` the one that took
+    those of the unseen-sensor split, if known. splits: folders to take, all where none is named. Label files also
+    give a no-contact image of each sensor (`write_nocontact`). An unusable file raises BadInput that names it, and
+    nothing is left behind.
     """
     missing = [name for name in splits if not (source / name).is_dir()]
     if missing:
@@ -129,11 +129,11 @@ def import_folder(source: Path, data: Path, sensor, other=None, splits: Sequence
 
 
 def published_splits(source: Path, presses: dict) -> list[dict]:
-    """sample_id and split of every press where folders directly below `source` are named as splits, else none.
+    """sample_id and split of every press where folders directly below `source` are named after splits, else none.
 
-    A dataset as FEATS publishes it lies in train/, val/, test/ and the three of unseen indenters and sensors. A press is of
-    the split that one of its files lies in. Where others lie in none or in two BadInput is raised: which split they
-    belong to is unknown.
+    FEATS' published dataset has train/, val/, test/ and three folders of unseen indenters and sensors. A press
+    belongs to the split whose folder holds one of its files. BadInput where the files of a press lie in two splits,
+    or where some presses lie in a split and others in none.
     """
     found, outside = [], []
     for press in presses.values():
@@ -148,13 +148,13 @@ def published_splits(source: Path, presses: dict) -> list[dict]:
             outside.append(press["files"][0])
     if found and outside:
         raise BadInput(
-            f"{outside[0]}: lies in none of the folders {', '.join(SPLITS)}, other files do; move it into one"
+            f"{outside[0]}: is in none of the folders {', '.join(SPLITS)}, but other files are; move it into one"
         )
     return found
 
 
 def refuse_beyond_limits(path: Path, sample: LabelSample | RawSample) -> None:
-    """BadInput where a sample has numbers that a log may not have: those of another unit, a label that pulls."""
+    """BadInput where a sample has numbers beyond the limits of a log, as in another unit, or a label that pulls."""
     if isinstance(sample, RawSample):
         numbers = {field: (column, sample.values[column]) for field, column in (POSE_FIELDS | FORCE_FIELDS).items()}
     else:
@@ -180,7 +180,7 @@ def _take(path, sample, sensor, part, presses, labels) -> None:
     if key not in presses:
         name = re.sub(r"[^A-Za-z0-9_-]", "_", path.stem)[:100].lstrip("_-") or "sample"
         if split_of(path.parent.name) and (part / "images" / f"{name}.png").exists():
-            name = f"{path.parent.name}-{name}"[:100]  # published splits may name their files alike
+            name = f"{path.parent.name}-{name}"[:100]  # files of different splits may share a name
         presses[key] = {"files": [], "row": {"sample_id": name, "image": f"images/{name}.png"}, "raw": False}
         target = part / "images" / f"{name}.png"
         target.parent.mkdir(exist_ok=True)
@@ -204,10 +204,10 @@ def _take(path, sample, sensor, part, presses, labels) -> None:
 
 
 def write_nocontact(part: Path, presses: dict) -> None:
-    """Write nocontact/SENSOR.png of each sensor with enough labelled pictures.
+    """Write nocontact/SENSOR.png of each sensor with enough labelled images.
 
-    It is the picture of the sample whose label is zero everywhere where there is one, else the median, pixel by pixel, of
-    those that press least: each pixel is touched in few of them.
+    It is the pixel-wise median of the images whose label is zero everywhere, else of those with the least force,
+    where each pixel is in contact in few of them.
     """
     by_sensor: dict[str, list] = {}
     for press in presses.values():
@@ -231,7 +231,7 @@ def _take_raw(path, sample: RawSample, press) -> None:
 
 
 def _time(stem: str) -> str:
-    """FEATS names a sample by the time of its recording, without a zone; taken as UTC."""
+    """The recording time in a file name of FEATS, which has no time zone, taken as UTC; empty for other names."""
     try:
         return datetime.strptime(stem, "%Y%m%d-%H%M%S").strftime("%Y-%m-%dT%H:%M:%SZ")
     except ValueError:
@@ -253,8 +253,9 @@ def _write_grid(path, members, presses) -> None:
 def export_dataset(dataset: Path, out: Path) -> dict:
     """Write a dataset of stage 60 as FEATS' label folders: out/SPLIT/ID.npy; return the training ranges.
 
-    Normalisation covers the training split, as FEATS' normalize.py does. Label files of an earlier export that are not
-    of this one go: a sample that changed its split would be learnt from and tested on.
+    Ranges cover the training split, as in FEATS' normalize.py. Label files of an earlier export that this one does
+    not write are deleted, or a sample whose split changed would be both in training and test. BadInput where the
+    dataset has no training samples.
     """
     samples = read_samples(dataset / "samples.csv")
     images, labels = (map_array(dataset / f"{name}.npy") for name in ("images", "labels"))
@@ -268,7 +269,7 @@ def export_dataset(dataset: Path, out: Path) -> dict:
         written.add(path)
     ours, splits = {each.press.sample_id for each in samples}, {*SPLITS, *(each.split for each in samples)}
     for path in set(out.glob("*/*.npy")) - written:
-        if path.parent.name in splits or path.stem in ours:  # its split of then may be none of today's
+        if path.parent.name in splits or path.stem in ours:  # the split it had then may no longer exist
             path.unlink()
     if not ranges.found:
         raise BadInput(f"{dataset}: has no training samples, so there is nothing to normalise by; add presses")

@@ -1,4 +1,4 @@
-"""FEATS' published dataset from the Hugging Face hub, by the hub's own library, which resumes where it was stopped."""
+"""Download FEATS' published dataset by the Hugging Face hub's own library, which resumes interrupted downloads."""
 
 import errno
 import os
@@ -12,15 +12,15 @@ from gelforge.flow.cli import UNWRITABLE
 from gelforge.formats.feats_folder import split_of
 
 REPOSITORY = "erikhelmut/FEATS"
-PATIENCE_S = 60.0  # that an answer of the hub may take
+PATIENCE_S = 60.0  # timeout of a request to the hub
 FULL = (*UNWRITABLE, errno.EFBIG)
 
 
 def fetch(folder: Path, splits: Sequence[str]) -> Path:
-    """Bring the .npy files of some splits (all where none is named) to `folder`; return the folder that holds the splits.
+    """Download the .npy files of some splits (all where none is named) to `folder`; return the folder of the splits.
 
-    Files that are there and unchanged are not loaded again. BadInput where the hub cannot be reached, has no such split, or
-    the disk takes no more; what was loaded stays for the next time.
+    Unchanged files are not downloaded again. BadInput where the hub cannot be reached or has no such split, or the
+    disk is full; what was downloaded is kept for the next call.
     """
     from huggingface_hub import HfApi, snapshot_download
     from huggingface_hub.utils import disable_progress_bars
@@ -28,7 +28,7 @@ def fetch(folder: Path, splits: Sequence[str]) -> Path:
     if not sys.stderr.isatty():
         disable_progress_bars()
     with said_by_the_hub():
-        # of one commit, asked for by itself: without a connection the library would be content with what there is
+        # ask for the commit separately: without a connection, snapshot_download would accept the local files
         info = HfApi().dataset_info(REPOSITORY, timeout=PATIENCE_S)
     names = [file.rfilename for file in info.siblings or [] if file.rfilename.endswith(".npy")]
     base = base_of(names)
@@ -41,12 +41,12 @@ def fetch(folder: Path, splits: Sequence[str]) -> Path:
         )  # fmt: skip
         missing = [name for name in required if not (folder / name).is_file()]
         if missing:
-            raise FileNotFoundError(f"{missing[0]} and {len(missing) - 1} more files did not come")
+            raise FileNotFoundError(f"{missing[0]} and {len(missing) - 1} more files are missing after the download")
     return folder / base
 
 
 def base_of(names: Sequence[str]) -> Path:
-    """The folder of the repository below which splits lie: what all files have in common."""
+    """The common folder of all files of the repository, which holds the splits; BadInput where there are no files."""
     if not names:
         raise BadInput(f"{REPOSITORY}: the hub lists no .npy files; give FROM=folder of a copy")
     common = Path(os.path.commonpath([str(Path(name).parent) for name in names]) or ".")
@@ -54,7 +54,7 @@ def base_of(names: Sequence[str]) -> Path:
 
 
 def chosen(names: Sequence[str], base: Path, splits: Sequence[str]) -> list[str]:
-    """Files of the splits that were asked for; BadInput for a split that there is not."""
+    """Files of the requested splits; BadInput for a split that does not exist."""
     split = {name: Path(name).relative_to(base).parts[0] for name in names}
     unknown = [asked for asked in splits if asked not in split.values()]
     if unknown:
@@ -65,10 +65,10 @@ def chosen(names: Sequence[str], base: Path, splits: Sequence[str]) -> list[str]
 
 @contextmanager
 def said_by_the_hub() -> Iterator[None]:
-    """Turn what the hub's library raises into BadInput."""
+    """Turn exceptions of the hub's library into BadInput."""
     try:
         yield
-    # connections, proxies and answers that are no JSON each raise errors of the library's own and of what it stands on
+    # the library and those below it raise many kinds of errors for connections, proxies and invalid JSON
     except Exception as error:
         full = next((e for e in causes(error) if isinstance(e, OSError) and e.errno in FULL), None)
         if full:
@@ -76,13 +76,13 @@ def said_by_the_hub() -> Iterator[None]:
         endpoint = os.environ.get("HF_ENDPOINT", "the hub")
         said = " ".join(str(error).split())[:200] or type(error).__name__
         raise BadInput(
-            f"{REPOSITORY}: {endpoint} gives no dataset ({type(error).__name__}: {said}); check the connection and any"
+            f"{REPOSITORY}: {endpoint} did not return the dataset ({type(error).__name__}: {said}); check the connection and any"
             " proxy, then run it again (what was loaded is kept), or give FROM=folder of a copy"
         ) from error
 
 
 def causes(error: BaseException | None) -> Iterator[BaseException]:
-    """An error and those that led to it."""
+    """An exception and its chain of causes."""
     while error is not None:
         yield error
         error = error.__cause__ or error.__context__

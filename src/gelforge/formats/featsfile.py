@@ -1,4 +1,4 @@
-"""FEATS' files: one press per .npy, a pickled dict; and its normalisation file.
+"""FEATS' files: a pickled dict in one .npy per press, and the normalisation file.
 
 Raw samples hold gs_img, indenter, x_0 … d_z, deg, f_x … m_z; label files hold gs_img, grid_x, grid_y,
 grid_z, f_x, f_y, f_z (feats-ai/feats, cnc_data_aquisition.py, label_generation.py, normalize.py).
@@ -30,13 +30,13 @@ FORCE_FIELDS = {"f_x": "fx_n", "f_y": "fy_n", "f_z": "fz_n", "m_x": "mx_nm", "m_
 GRIDS = ("grid_x", "grid_y", "grid_z")
 TOTALS = ("f_x", "f_y", "f_z")
 LARGEST_FILE = 2**30
-CONSTRUCTORS = {"_reconstruct", "scalar", "ndarray", "dtype"}  # of numpy, by which numpy.save pickles
-SUM_TOLERANCE = 1e-5  # of the sum of the cells' sizes; FEATS' totals are float64 sums of its cells
+CONSTRUCTORS = {"_reconstruct", "scalar", "ndarray", "dtype"}  # names of numpy that the pickles of numpy.save use
+SUM_TOLERANCE = 1e-5  # relative to the sum of the cells' absolute forces; FEATS' totals are float64 sums of its cells
 
 
 @dataclass(frozen=True)
 class RawSample:
-    """A press as recorded: image (h, w, 3) uint8 RGB, and values under our log's column names."""
+    """A press as recorded: image (h, w, 3) uint8 RGB, and values by the column names of gelforge's log."""
 
     image: np.ndarray
     values: dict
@@ -51,7 +51,7 @@ class LabelSample:
 
 
 class Unpickler(pickle.Unpickler):
-    """Python's unpickler, for which there are no names but numpy's constructors, so that no file can call anything else."""
+    """An unpickler that knows only numpy's constructors, so that a file cannot call anything else."""
 
     def find_class(self, module: str, name: str) -> Any:
         """One of numpy's constructors; UnpicklingError for any other name."""
@@ -63,8 +63,8 @@ class Unpickler(pickle.Unpickler):
 def read_npy(path: str | Path) -> Any:
     """Read a .npy file, pickled or not; no code of the file runs.
 
-    A 0-d object array gives the object in it, as numpy's .item() would. BadInput for a file that is damaged, or holds anything but
-    arrays, scalars and plain containers.
+    A 0-d object array gives the object in it, as numpy's .item() would. BadInput for a file that is corrupt, too
+    large, or holds anything but arrays, scalars and plain containers.
     """
     path = Path(path)
     fault = file_fault(path) or (f"more than {LARGEST_FILE >> 20} MiB" if path.stat().st_size > LARGEST_FILE else "")
@@ -86,27 +86,27 @@ def read_npy(path: str | Path) -> Any:
             f"{path}: refused, it holds {in_short(error)}; only numpy arrays, scalars and plain containers are read; save the sample"
             " again with numpy.save"
         ) from error
-    except Exception as error:  # damaged bytes make the unpickler and numpy each raise kinds of their own
+    except Exception as error:  # corrupt bytes make the unpickler and numpy raise many kinds of errors
         raise BadInput(f"{path}: truncated or not a .npy file ({in_short(error)}); copy it again") from error
 
 
 def exchanged(forces: np.ndarray) -> np.ndarray:
-    """Forces (3, ...) along gel x, y, z in FEATS' order, or the other way: its grid_x acts along gel y, its grid_y along gel x.
+    """Swap forces (3, ...) between gel x, y, z and FEATS' order: grid_x acts along gel y, grid_y along gel x.
 
-    Its names are those of the image's axes, and the image's columns run along gel y (feats-ai/feats, label_generation.py).
+    FEATS names the image's axes, and the image's columns run along gel y (feats-ai/feats, label_generation.py).
     """
     return forces[[1, 0, 2]]
 
 
 def feats_fields(sample: LabelSample) -> dict:
-    """Forces of a label file: its grids (rows, cols) float64 N per cell, and their sums."""
+    """Force fields of a label file: grids (rows, cols) float64 N per cell, and their sums."""
     label = exchanged(np.asarray(sample.label, np.float64))
     totals = [np.float64(grid.sum()) for grid in label]
     return dict(zip(GRIDS, label, strict=True)) | dict(zip(TOTALS, totals, strict=True))
 
 
 def read_sample(path) -> RawSample | LabelSample:
-    """Read one press, raw or labelled; what is missing, of another kind or not finite raises BadInput."""
+    """Read one press, raw or labelled; BadInput for fields that are missing, of a wrong type or not finite."""
     found = read_npy(path)
     if not isinstance(found, dict) or not all(isinstance(name, str) for name in found):
         raise BadInput(
@@ -138,16 +138,15 @@ def _label(path, found) -> np.ndarray:
     grids = [found[name] for name in GRIDS]
     for name, grid in zip(GRIDS, grids, strict=True):
         if not isinstance(grid, np.ndarray) or grid.ndim != 2 or grid.dtype.kind not in "fiu" or not grid.size:
-            raise BadInput(f"{path}: field {name} is no grid of numbers; label the press again")
+            raise BadInput(f"{path}: field {name} is not a two-dimensional array of numbers; label the press again")
         if grid.shape != grids[0].shape:
             raise BadInput(
                 f"{path}: field {name} has {grid.shape} cells, grid_x has {grids[0].shape}; they must agree"
             )
         if not np.isfinite(grid).all():
             raise BadInput(f"{path}: field {name} holds NaN or infinity; label the press again")
-    label = np.stack(grids).astype(
-        np.float64
-    )  # in half precision a sum has an error of thousandths, and ends at 65504
+    # sums in half precision have relative errors of thousandths and overflow at 65504
+    label = np.stack(grids).astype(np.float64)
     for name, grid in zip(TOTALS, label, strict=True):
         total = _number(path, name, found.get(name))
         if abs(total - grid.sum()) > SUM_TOLERANCE * np.abs(grid).sum() + 1e-9:
@@ -168,7 +167,7 @@ def _number(path, name, value) -> float:
 def _finite(value) -> bool:
     try:
         return math.isfinite(value)
-    except OverflowError:  # a whole number of a file may be larger than any float
+    except OverflowError:  # an integer in a file may exceed the range of floats
         return False
 
 
@@ -184,7 +183,7 @@ def write_label(path, sample: LabelSample) -> None:
 
 
 def read_normalisation(path) -> dict:
-    """Read a normalisation file: {field: {"min": value, "max": value}} of every field of the labels."""
+    """Read a normalisation file: {field: {"min": value, "max": value}} for every field of the labels."""
     found = read_npy(path)
     good = isinstance(found, dict) and all(
         isinstance(name, str) and isinstance(ends, dict) and {"min", "max"} <= set(ends)

@@ -1,23 +1,23 @@
-"""Recordings of robots as a dataset: images with the force sensor's wrench, where no indenter is known.
+"""Import recordings of robots as a dataset: images with a force sensor's wrench, without a known indenter.
 
 A small TOML names the topics:
 
     image = "/gelsight/image/compressed"  # CompressedImage (JPEG, PNG) or Image (colour, Bayer) of ROS; CompressedImage,
                                           # RawImage or CompressedVideo of Foxglove, protobuf or JSON
     wrench = "/ft/wrench"                 # geometry_msgs/WrenchStamped or Wrench, or any schema with:
-    force = ["wrench.force.x", "wrench.force.y", "wrench.force.z"]  # its three fields of force, N; a list's by number: "data.0"
-    torque = []                           # its three of moment, N m, where there are
+    force = ["wrench.force.x", "wrench.force.y", "wrench.force.z"]  # its force fields, N; items of a list: "data.0"
+    torque = []                           # its moment fields, N m, if any
     sensor = "gelsight_mini"              # in workflow/sensors.toml
-    latest_s = 0.02                       # an image takes the nearest wrench within this time
-    every = 10                            # of so many images one is taken
-    touch_n = 0.2                         # a press begins where the force rises above it
+    latest_s = 0.02                       # largest time between an image and its wrench
+    every = 10                            # take every tenth image
+    touch_n = 0.2                         # a press begins where the force exceeds this, N
     rotation = [[1, 0, 0], [0, 1, 0], [0, 0, 1]]  # from the wrench's frame to the gel's: x short side, z out of the gel
     sign = 1                              # -1 where the sensor states the force that the gel exerts
 
-Messages are paired by the time in their headers; by the log's time, with a sentence, where a topic has no such stamps or
-both topics' are of different clocks (formats.messagetime). Every image with a wrench becomes a row of log.csv without a
-pose, and a label of one cell, the total force: `make train RES=1x1 MODEL=pair_16` learns from them. The mean of the images
-without contact is the no-contact image.
+Messages are paired by the time in their headers; where a topic has no stamps, or the stamps of both topics come from
+different clocks, by log time, with a note (formats.messagetime). Every image with a wrench becomes a row of log.csv
+without a pose, and a label of one cell, the total force: `make train RES=1x1 MODEL=pair_16` learns from them. The
+no-contact image is the mean of the first images without contact.
 """
 
 import math
@@ -51,7 +51,7 @@ DEFAULTS = {
     "torque": [],
     "sensor": "gelsight_mini",
 }
-SPLIT_NS = 10**9  # a recorder that goes on in a new file misses less
+SPLIT_NS = 10**9  # a recorder that continues in a new file leaves a shorter gap
 DATASET_TOML = """# Imported from recordings: images with total force, no indenter known: make train RES=1x1 MODEL=pair_16
 sensor = "{sensor}"
 gel = "{gel}"
@@ -61,7 +61,7 @@ catalogue = "indenters.toml"
 
 @dataclass(frozen=True)
 class Topics:
-    """What a recording holds under which name, and how its wrench is to be read."""
+    """Names of the topics of a recording, and how its wrench is read."""
 
     image: str
     wrench: str
@@ -80,7 +80,7 @@ class Topics:
         table = read_toml(path)
         for name in ("image", "wrench"):
             if not isinstance(table.get(name), str):
-                raise BadInput(f"{path}: {name} is missing; name the topic of the {name}, as `mcap info` lists them")
+                raise BadInput(f"{path}: {name} is missing; give the topic of the {name}, as listed by `mcap info`")
         unknown = sorted(table.keys() - DEFAULTS.keys() - {"image", "wrench"})
         if unknown:
             raise BadInput(f"{path}: {unknown[0]} is not known; known: image, wrench, {', '.join(DEFAULTS)}")
@@ -88,13 +88,11 @@ class Topics:
         try:
             rotation = np.array(found["rotation"], float)
             square = rotation.shape == (3, 3) and np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3)
-            turned = square and np.linalg.det(rotation) > 0  # a mirror would turn the sign of one direction round
+            turned = square and np.linalg.det(rotation) > 0  # a reflection would flip the sign of one direction
         except (TypeError, ValueError, OverflowError):
             turned = False
         if not turned:
-            raise BadInput(
-                f"{path}: rotation = {found['rotation']!r}; give three rows of three, a rotation (no mirror)"
-            )
+            raise BadInput(f"{path}: rotation = {found['rotation']!r}; give a 3 x 3 rotation matrix (no reflection)")
         if not isinstance(found["sensor"], str):
             raise BadInput(f"{path}: sensor = {found['sensor']!r}; give one name of workflow/sensors.toml")
         for name in ("force", "torque"):
@@ -120,7 +118,7 @@ class Topics:
 
 
 def number(value: Any) -> float:
-    """A number of the TOML, NaN for what is none; a whole number there may be larger than any float."""
+    """A number of the TOML as float; NaN for anything else, and for an integer that exceeds the range of floats."""
     try:
         return float(value) if type(value) in (int, float) else math.nan
     except OverflowError:
@@ -128,8 +126,11 @@ def number(value: Any) -> float:
 
 
 def wrench_of(said: Any, where: str, topics: Topics) -> np.ndarray | None:
-    """Force and moment (6,) of a message in the gel frame, N and N m; None where the force is none, NaN for a moment that it lacks."""
-    wrench = getattr(said, "wrench", said)  # of the message's own class, known only to the file
+    """Force and moment (6,) of a message in the gel frame, N and N m.
+
+    None where the force is not finite; a missing moment is NaN. BadInput where the message holds no wrench.
+    """
+    wrench = getattr(said, "wrench", said)  # messages have classes that only the file defines
     try:
         if topics.force:
             force, torque = (
@@ -141,23 +142,23 @@ def wrench_of(said: Any, where: str, topics: Topics) -> np.ndarray | None:
             )
     except (AttributeError, IndexError, TypeError, ValueError) as error:
         raise BadInput(
-            f'{where} holds no wrench ({error}); name one of geometry_msgs/Wrench, or give its fields: force = ["…", "…", "…"]'
+            f'{where} holds no wrench ({error}); name a topic of geometry_msgs/Wrench, or give its fields: force = ["…", "…", "…"]'
         ) from error
     parts = np.stack([force, torque if len(torque) else np.full(3, np.nan)])
     return topics.sign * (topics.rotation @ parts.T).T.ravel() if np.isfinite(force).all() else None
 
 
 def field_of(said: Any, name: str) -> Any:
-    """A field of a message, as `wrench.force.x` or, of a list, `data.2`."""
+    """A field of a message, such as `wrench.force.x`, or `data.2` for an item of a list."""
     for part in name.split("."):
         said = said[int(part)] if part.isdigit() else getattr(said, part)
     return said
 
 
 def within_limits(values: np.ndarray, where: str, topics: Topics) -> tuple[np.ndarray, list[str]]:
-    """Which forces beside images (n, 6) a press on a gel may have (n,), by the limits of a log, and what to report of the others.
+    """Which wrenches of images (n, 6) are within the limits of a log (n,), and notes on those that are not.
 
-    BadInput where the wrench is of another unit, or is of the opposite sign: where as much pulls as presses.
+    BadInput where the wrench has another unit, or the opposite sign: where at least as many images pull as press.
     """
     for force in values.tolist():
         for column, value in zip(FORCES, force, strict=True):
@@ -166,17 +167,17 @@ def within_limits(values: np.ndarray, where: str, topics: Topics) -> tuple[np.nd
     pulls = np.array([pull_fault(fz_n) is not None for fz_n in values[:, 2].tolist()], bool)
     if not pulls.any():
         return ~pulls, []
-    said = f"{pulls.sum()} of {len(values)} images have a force that pulls, fz_n up to +{values[:, 2].max():.3g} N"
+    said = f"{pulls.sum()} of {len(values)} images have a pulling force, fz_n up to +{values[:, 2].max():.3g} N"
     if pulls.sum() >= (touching(values, topics) & ~pulls).sum():
         raise BadInput(
-            f"{where}: {said}; forces are those on the gel and pressing is negative: set sign = {-topics.sign}, mend"
+            f"{where}: {said}; forces must be those on the gel, with pressing negative: set sign = {-topics.sign}, correct"
             " rotation, or tare the sensor and record again"
         )
     return ~pulls, [f"{topics.wrench}: {said}; they are left out"]
 
 
 def nearest(times: np.ndarray, time: int, latest_ns: float) -> int | None:
-    """Row of the time nearest to another, none where it is farther away."""
+    """Row of the entry of `times` nearest to `time`, ns; None where they differ by more than `latest_ns`."""
     after = bisect_left(times, time)
     found = min(
         (at for at in (after - 1, after) if 0 <= at < len(times)), key=lambda at: abs(times[at] - time), default=None
@@ -186,10 +187,10 @@ def nearest(times: np.ndarray, time: int, latest_ns: float) -> int | None:
 
 @dataclass(frozen=True)
 class Pairs:
-    """Images of one recording with their wrenches, in the order of time.
+    """Images of one recording with their wrenches, in order of time.
 
-    images (n,): which message of the topic, from 0. times (n,): ns. values (n, 6): N and N m. gaps (n,): ns between an image
-    and its wrench. alone: images without a wrench. notes: what to report about the times.
+    images (n,): index of the message in its topic, from 0. times (n,): ns. values (n, 6): N and N m. gaps (n,): ns
+    between an image and its wrench. alone: number of images without a wrench. notes: for the user.
     """
 
     images: np.ndarray
@@ -201,7 +202,7 @@ class Pairs:
 
 
 def pair(path: Path, topics: Topics) -> Pairs:
-    """Pair the images of a recording with the wrenches nearest in time; those beyond the limits of a log are left out."""
+    """Pair images with the wrenches nearest in time; leave out pairs that pull beyond the limits of a log."""
     images: list[tuple[int, int]] = []
     readings: list[tuple[int, int]] = []
     read: list[np.ndarray] = []
@@ -237,20 +238,20 @@ def pair(path: Path, topics: Topics) -> Pairs:
 
 
 def untared(values: np.ndarray, topics: Topics) -> list[str]:
-    """What to report of a sensor that reads a force all the time; values (n, 6): its readings."""
+    """A note where the force sensor always reads a force; values (n, 6): its readings."""
     least = float(np.linalg.norm(values[:, :3], axis=1).min(initial=np.inf))
     if not topics.touch_n < least < np.inf:
         return []
     return [
-        f"{topics.wrench} never reads less than {least:.3g} N, above touch_n = {topics.touch_n:g}, so all images are of one"
+        f"{topics.wrench} never reads less than {least:.3g} N, above touch_n = {topics.touch_n:g}, so all images count as one"
         " contact; if the gel was free at any time, tare the sensor and record again"
     ]
 
 
 def import_recordings(source: Path, data: Path, topics: Topics, sensor) -> dict:
-    """Turn MCAP files into the dataset folder `data`, which must not exist; return what was found.
+    """Turn recordings into the dataset folder `data`, which must not exist; return counts and notes.
 
-    source: a file, or a folder of them. sensor: labelling.sensor.Sensor. Nothing is left behind where a file fails.
+    source: a recording, or a folder of them. sensor: labelling.sensor.Sensor. If one fails, nothing is left behind.
     """
     files = recordings_of(source)
     if not files:
@@ -264,7 +265,7 @@ def import_recordings(source: Path, data: Path, topics: Topics, sensor) -> dict:
     with new_folder(data) as part:
         (part / "images").mkdir(parents=True)
         found = [(path, pair(path, topics)) for path in files]
-        # parts of one recording are in the order of time, whatever their names (…_10 before …_2)
+        # sort parts of one recording by time, because names sort wrongly (…_10 before …_2)
         found.sort(key=lambda each: each[1].times[0] if len(each[1].times) else 0)
         ended, going = 0, ""
         for number, (path, pairs) in enumerate(found):
@@ -284,7 +285,7 @@ def import_recordings(source: Path, data: Path, topics: Topics, sensor) -> dict:
             write_png(part / "nocontact" / f"{sensor.name}.png", np.rint(np.mean(rest, axis=0)).astype(np.uint8))
         else:
             notes.append(
-                f"{source}: no image is without contact, below touch_n = {topics.touch_n:g} N; put one as nocontact/{sensor.name}.png into"
+                f"{source}: no image shows the gel without contact (force below touch_n = {topics.touch_n:g} N); put one as nocontact/{sensor.name}.png into"
                 f" {data}: networks compare images with it"
             )
         write_log(part / "log.csv", rows)
@@ -296,16 +297,17 @@ def import_recordings(source: Path, data: Path, topics: Topics, sensor) -> dict:
 
 
 def touching(values: np.ndarray, topics: Topics) -> np.ndarray:
-    """Whether each wrench (n, 6) is one of contact (n,)."""
+    """Whether each wrench (n, 6) shows contact (n,): a force above touch_n."""
     return np.linalg.norm(values[:, :3], axis=1) > topics.touch_n
 
 
 def take(
     path: Path, number: int, pairs: Pairs, part: Path, topics: Topics, sensor, rest: list[np.ndarray], going: str = ""
 ) -> list[LoggedPress]:
-    """Rows of the paired images of one file in the order of time; writes their PNGs, and collects the first ones without contact in `rest`.
+    """Rows of the paired images of one file, in order of time.
 
-    going: press_id of the contact in which the file before this one ended, empty for none.
+    Writes their PNGs, and appends the first images without contact to `rest`, up to STILL of them. going: press_id of
+    the contact in which the file before this one ended, empty for none.
     """
     touches = touching(pairs.values, topics)
     free = set(pairs.images[~touches].tolist()) if len(rest) < STILL else set()
@@ -315,7 +317,7 @@ def take(
         if at in free and len(rest) < STILL:
             rest.append(image)
         write_png(part / "images" / f"{name_of(number, at)}.png", image)
-    # Images of one contact are frames of one press: a split must not tear them apart.
+    # Images of one contact are frames of one press, so that they stay in one split.
     presses = np.cumsum(touches & ~np.concatenate([[False], touches[:-1]]))
     goes_on = np.logical_and.accumulate(touches) & bool(going)
     rows = []
@@ -337,7 +339,7 @@ def name_of(recording: int, message: int) -> str:
 
 
 def write_totals(path: Path, rows: list[LoggedPress], forces: np.ndarray) -> None:
-    """Write labels of one cell: total force (n, 3) along gel x, y, z, in the labels' order of channels."""
+    """Write labels of one cell: total force (n, 3) N along gel x, y, z, sorted by sample_id."""
     order = np.argsort([row.sample_id for row in rows])
     labels = forces[order].astype(np.float32)[:, :, None, None]
     arrays = {

@@ -1,7 +1,7 @@
-"""Messages of recordings, each decoded by the library of its kind: MCAP (ROS 2, protobuf, JSON), bags of ROS 1 and ROS 2.
+"""Decode messages of recordings: MCAP (ROS 2, protobuf, JSON), and bags of ROS 1 and ROS 2.
 
-MCAP is read from its beginning to its end, each chunk's checksum is checked (https://mcap.dev/spec). The summary at the end counts
-the messages, so that a chunk whose head is damaged is missed.
+MCAP is read from start to end, and the checksum of each chunk is verified (https://mcap.dev/spec). Message counts are
+compared with the summary at the end, which reveals chunks that are skipped because their header is corrupt.
 """
 
 import json
@@ -14,15 +14,15 @@ from typing import IO, Any
 from gelforge.errors import BadInput
 from gelforge.records.regular import file_fault
 
-LATEST_NS = 2**63 - 1  # in the year 2262
+LATEST_NS = 2**63 - 1  # latest valid time, in the year 2262
 BAG = ".bag"  # of ROS 1
 METADATA = "metadata.yaml"  # in the folder of a bag of ROS 2
 
 
 def recordings_of(source: Path) -> list[Path]:
-    """Recordings in a folder and below: MCAP files, bags of ROS 1, folders of bags of ROS 2; a file alone.
+    """Recordings in a folder and below: MCAP files, ROS 1 bags, folders of ROS 2 bags. For a file, the file itself.
 
-    MCAP that is compressed as a whole and not yet decompressed is named, too: it is refused, not passed over.
+    MCAP compressed as a whole (.mcap.zst) is listed too, so that it is refused and not silently skipped.
     """
     if not source.is_dir():
         return [source] if source.is_file() else []
@@ -33,9 +33,9 @@ def recordings_of(source: Path) -> list[Path]:
 
 
 def messages(path: Path, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
-    """(topic, log time in ns, message) of topics, in the order of the file; BadInput for one that is damaged or cannot be read.
+    """Yield (topic, log time in ns, message) of topics in file order; BadInput for a recording that cannot be read.
 
-    Some damage is noticed only at the end: nothing may be kept of what came before.
+    Some corruption is noticed only at the end. The caller must then discard all messages of the file.
     """
     bag = path.suffix == BAG or path.is_dir()
     if fault := "" if path.is_dir() else file_fault(path):
@@ -49,7 +49,7 @@ def messages(path: Path, topics: Collection[str]) -> Iterator[tuple[str, int, An
         mend = (
             "record it again"
             if bag
-            else "record it again, mend it with `mcap recover`, or unpack what was recorded with --compression-mode by `zstd -d` or `ros2 bag convert`"
+            else "record it again, repair it with `mcap recover`, or decompress a recording of --compression-mode with `zstd -d` or `ros2 bag convert`"
         )
         raise BadInput(
             f"{path}: cannot be read as a recording ({str(error)[:200] or type(error).__name__}); {mend}"
@@ -72,10 +72,10 @@ def _of_mcap(path: Path, topics: Collection[str]) -> Iterator[tuple[str, int, An
 
 
 class Json:
-    """Decodes JSON for the library of MCAP."""
+    """A decoder factory of JSON for MCAP's library."""
 
     def decoder_for(self, encoding: str, _schema: Any) -> Callable[[bytes], Any] | None:
-        """What makes an object of a message, whose parts are its attributes."""
+        """A function that turns a JSON message into an object with attributes; None for other encodings."""
         return (
             (lambda data: json.loads(data, object_hook=lambda part: SimpleNamespace(**part)))
             if encoding == "json"
@@ -98,8 +98,8 @@ def _decoded(path: Path, stream: IO[bytes], topics: Collection[str]) -> Iterator
             yield channel.topic, _sound(message.log_time), said
     except DecoderNotFoundError as error:
         raise BadInput(
-            f"{path}: {', '.join(topics)} holds messages that are none of ROS 2, protobuf or JSON ({error}); record it so, or convert a"
-            " recording of ROS 1 by `rosbags-convert`"
+            f"{path}: messages of {', '.join(topics)} are neither ROS 2, protobuf nor JSON ({error}); record one of these, or convert a"
+            " recording of ROS 1 with `rosbags-convert`"
         ) from error
     stream.seek(0)
     summary = make_reader(stream).get_summary()
@@ -108,11 +108,11 @@ def _decoded(path: Path, stream: IO[bytes], topics: Collection[str]) -> Iterator
     counted = summary.statistics.channel_message_counts
     for number, channel in summary.channels.items():
         if channel.topic in topics and counted.get(number, 0) != seen[number]:
-            raise ValueError(f"{seen[number]} messages of {channel.topic} are there of {counted.get(number, 0)}")
+            raise ValueError(f"{seen[number]} of {counted.get(number, 0)} messages of {channel.topic} were found")
 
 
 def _sound(time: int) -> int:
-    """A log time in ns; ValueError for one that no clock shows."""
+    """A log time in ns; ValueError where it is beyond LATEST_NS."""
     if time > LATEST_NS:
-        raise ValueError(f"a message of time {time}, ns since 1970")
+        raise ValueError(f"a message has an impossible time, {time} ns since 1970")
     return time

@@ -1,6 +1,6 @@
-"""Images and films in messages as RGB: the encodings that cameras write (sensor_msgs/image_encodings.hpp, Foxglove's schemas).
+"""Decode images and video in messages to RGB (sensor_msgs/image_encodings.hpp, Foxglove's schemas).
 
-Images without colour are refused: a gel's normal force is read from the colours of its three lights.
+Images without colour are refused, because networks read normal force from the colours of the gel's three lights.
 """
 
 import base64
@@ -13,8 +13,8 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.records.image import decode, is_monochrome
 
-# Bytes of a pixel, and cv2's name of the conversion to RGB. In ROS yuv422 is UYVY; Bayer patterns are named by their first
-# rows, as OpenCV's newer names are.
+# Bytes of a pixel, and cv2's name of the conversion to RGB. In ROS yuv422 is UYVY. Bayer patterns are named after
+# their first two rows, as in OpenCV's newer names.
 ENCODINGS: dict[str, tuple[int, str]] = {
     "rgb8": (3, ""),
     "bgr8": (3, "COLOR_BGR2RGB"),
@@ -24,20 +24,22 @@ ENCODINGS: dict[str, tuple[int, str]] = {
     **dict.fromkeys(("yuv422_yuy2", "yuyv"), (2, "COLOR_YUV2RGB_YUY2")),
     **{f"bayer_{name}8": (1, f"COLOR_Bayer{name.upper()}2RGB") for name in ("rggb", "bggr", "gbrg", "grbg")},
 }
+# Formats of foxglove.CompressedVideo, and FFmpeg's names of their codecs.
 FILMS = {
     "h264": "h264",
     "h265": "hevc",
     "vp9": "vp9",
     "av1": "av1",
-}  # foxglove.CompressedVideo, and FFmpeg's name of the codec
+}
 MONOCHROME = ("mono", "8UC1", "16UC1", "32FC1")
 IN_COLOUR = "record the camera's colour topic"
 
 
 def pictures(said: Iterable[Any], wanted: set[int], where: str) -> Iterator[tuple[int, np.ndarray]]:
-    """(number of the message, image (h, w, 3) uint8 RGB) of the wanted ones of the messages of a topic, from 0.
+    """Yield (index, image (h, w, 3) uint8 RGB) of the wanted messages of a topic; indices count from 0.
 
-    Each message of a film holds one frame, which only those before it make readable (Foxglove's schema CompressedVideo).
+    Each message of a video holds one frame, whose decoding needs the earlier ones (Foxglove's schema
+    CompressedVideo).
     """
     decoder: Any = None
     for at, each in enumerate(said):
@@ -60,7 +62,7 @@ def _decoder(codec: str) -> Any:
 
 
 def _frames(decoder: Any, at: int, data: bytes | None, where: str) -> Iterator[tuple[int, np.ndarray]]:
-    """Frames that a message makes readable, each with the number of its own; the last ones where `data` is None."""
+    """Decode a message, or flush where `data` is None; yield frames with the index of the message that holds them."""
     import av
 
     packet = None
@@ -79,15 +81,15 @@ def _frames(decoder: Any, at: int, data: bytes | None, where: str) -> Iterator[t
 
 
 def bytes_of(data: Any) -> bytes:
-    """The bytes of a message's field, which JSON holds as base64."""
+    """A field of a message as bytes; JSON holds it as base64."""
     return base64.b64decode(data) if isinstance(data, str) else bytes(data)
 
 
 def picture(said, where: str) -> np.ndarray:
-    """An image message as (h, w, 3) uint8 RGB; BadInput names `where` and what cannot be read."""
+    """An image message as (h, w, 3) uint8 RGB; BadInput, which names `where`, if unreadable or without colour."""
     image = _compressed(said, where) if hasattr(said, "format") else _raw(said, where)
     if is_monochrome(image):
-        raise BadInput(f"{where}: the image has no colours, all three are equal; {IN_COLOUR}")
+        raise BadInput(f"{where}: the image has no colour, its three channels are equal; {IN_COLOUR}")
     return image
 
 
@@ -123,7 +125,7 @@ def _raw(said, where: str) -> np.ndarray:
     if not row or said.step < row or len(data) != said.height * said.step:
         raise BadInput(
             f"{where}: an image of {said.width} x {said.height} {encoding} has {len(data)} bytes in rows of {said.step};"
-            " it is cut short, record it again"
+            " it is cut short; record it again"
         )
     pixels = data.reshape(said.height, said.step)[:, :row].reshape(said.height, said.width, size)
     pixels = np.ascontiguousarray(pixels[..., 0] if size == 1 else pixels)

@@ -13,7 +13,7 @@ def write_vtu(path, mesh: GelMesh, displacement: np.ndarray, force: np.ndarray, 
     """Write the undeformed gel with point arrays, whole or not at all.
 
     displacement (n, 3) mm ("Warp By Vector" shows the pressed gel), force (n, 3) N on the gel, known (n,)
-    bool: where the displacement was computed and not filled in.
+    bool: where the displacement was computed, not interpolated. BadInput where arrays do not match the mesh.
     """
     import pyvista as pv
 
@@ -29,15 +29,15 @@ def write_vtu(path, mesh: GelMesh, displacement: np.ndarray, force: np.ndarray, 
     grid.point_data["force"] = force
     grid.point_data["displacement_known"] = known.astype(np.uint8)
     with publish(path) as part:
-        # VTK's writer ends the process on a full disk; its sizes are in KiB
+        # VTK's writer aborts the process on a full disk; actual_memory_size is in KiB
         need_room(part.parent, 2 * 1024 * grid.actual_memory_size)
         grid.save(part)
 
 
 def fill_inside(mesh: GelMesh, surface: np.ndarray, displacement: np.ndarray) -> np.ndarray:
-    """Displacement (n, 3) of all nodes from that of `surface` nodes (s, 3) and the fixed base.
+    """Interpolate displacements (n, 3) of all nodes from those (s, 3) of the nodes `surface` (s,) and the fixed base.
 
-    Nodes between get the mean of their neighbours, which is smooth and only good for pictures.
+    Each inner node gets the mean of its neighbours, which is smooth, but good for pictures only.
     """
     from scipy.sparse import coo_matrix, diags
     from scipy.sparse.linalg import spsolve

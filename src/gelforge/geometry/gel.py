@@ -19,10 +19,10 @@ from gelforge.errors import BadInput
 class Gel:
     """GelSight Mini gel in the gel frame (mm): apex at the origin, x short side, y long side, z out of the gel.
 
-    The dome sags as a circle along each axis, `sag` at `sag_x` and at `sag_y`; off the axes the two multiply:
-    1 + twist z = (1 + twist z_x) (1 + twist z_y). Beyond, circular arcs that leave the dome without a kink fall to
-    `rim` on the outline. Measured on the solid published with FEATS (gelsight_mini.step), to 0.002 mm, in the four
-    corners to 0.02 mm.
+    Along each axis the dome is a circular arc that falls by `sag` at `sag_x` and at `sag_y`; off the axes
+    1 + twist z = (1 + twist z_x) (1 + twist z_y). Beyond the dome, circular arcs tangent to it fall to `rim` on the
+    outline. The shape matches the solid published with FEATS (gelsight_mini.step) to 0.002 mm, in the four corners to
+    0.02 mm.
     """
 
     name: str = "gelsight_mini"
@@ -36,7 +36,7 @@ class Gel:
     twist: float = 2.8163
     rim: float = -1.25
 
-    FITTED: ClassVar[float] = 1.0  # fraction of the term that was fitted to the solid's rounded corners
+    FITTED: ClassVar[float] = 1.0  # weight of the term that was fitted to the solid's rounded corners
 
     def top(self, x, y) -> np.ndarray:
         """Height z of the undeformed top surface at (x, y), mm, broadcast; outside the outline it is `rim`."""
@@ -74,7 +74,7 @@ class Gel:
             ahead = np.array([-np.sin(phi[-1]), np.cos(phi[-1])])
             points += [arc, arc[-1] + straight * np.arange(1, steps)[:, None] / steps * ahead]
         outline = np.concatenate(points)
-        # straight runs are set exactly, so that a triangulation of the outline has no slivers on them
+        # straight sides get exact coordinates, so that a triangulation of the outline has no slivers there
         near = np.abs(np.abs(outline) - [w, h]) < 1e-9
         return np.where(near, np.copysign([w, h], outline), outline)
 
@@ -139,7 +139,7 @@ class Gel:
         return z + (self.rim - z) * (p + q - p * q)
 
     def _fall(self, t, span, z, slope):
-        """Share of the drop from the dome's edge to the rim, along the arc that starts with the dome's slope."""
+        """Fraction of the drop from the dome's edge to the rim at distance t, on the arc tangent to the dome."""
         drop = z - self.rim
         start = np.arctan(slope)
         radius = np.hypot(span, drop) / (2.0 * np.sin(np.arctan2(drop, span) - start))
@@ -149,7 +149,7 @@ class Gel:
     def _round_corner(self, u, v, a, b):
         """Height where the outline is rounded, at offsets (u, v) from the centre (a, b) of the rounding.
 
-        Blends the two neighbours' falls over the angle; the term in sin 2 phi was fitted to the solid.
+        Blends the tops of the two neighbouring sides over the angle; the term in sin 2 phi was fitted to the solid.
         """
         rho, phi = np.minimum(np.hypot(u, v), self.corner_radius), np.arctan2(v, u)
         s = rho / self.corner_radius
@@ -164,20 +164,20 @@ def _circle(half_chord, sag):
     return half_chord**2 / (2.0 * sag) + sag / 2.0
 
 
-USUAL_GEL = "gelsight_mini"  # of a sensor of which nothing else is said
+USUAL_GEL = "gelsight_mini"  # of a sensor that names none
 GELS = {USUAL_GEL: Gel()}
 
 
-THICKNESS = (2.0, 8.0)  # mm that a gel of a stated thickness may have
+THICKNESS = (2.0, 8.0)  # mm, range of a thickness stated in a gel's name
 _OF_THICKNESS = re.compile(r"(.+)-(\d+(?:\.\d+)?)mm")
 
 
-CATALOGUE = "GELFORGE_GELS"  # environment variable that names the file of gels of one's own: processes inherit it
+CATALOGUE = "GELFORGE_GELS"  # environment variable with the path of the user's gels: child processes inherit it
 _asked: ContextVar[Path | None] = ContextVar("catalogue of gels", default=None)
 
 
 def catalogue() -> Path | None:
-    """The file of gels of one's own, None where none was given; it never depends on the working folder."""
+    """The file of the user's gels, None where none was given; none is searched for in the working folder."""
     named = _asked.get() or os.environ.get(CATALOGUE)
     return Path(named) if named else None
 
@@ -193,14 +193,14 @@ def gels_from(file: Path | str | None) -> Iterator[None]:
 
 
 def use_gels_of(workflow: Path | str) -> None:
-    """From now on read gels beside a workflow folder, in this process and in those that it starts."""
+    """From now on read gels.toml in a workflow folder, in this process and in those that it starts."""
     os.environ[CATALOGUE] = str(Path(workflow).absolute() / "gels.toml")
 
 
 def load_gel(name: str) -> Gel:
-    """The gel of that name: the usual one, one of the catalogue, or NAME-3.6mm, the same 3.6 mm thick at its apex.
+    """The gel of that name: a built-in one, one of the catalogue, or NAME-3.6mm: gel NAME, 3.6 mm thick at its apex.
 
-    A name that is none, or whose table makes none, raises BadInput.
+    An unknown name, a thickness outside THICKNESS or a faulty table raises BadInput.
     """
     if name in GELS:
         return GELS[name]
@@ -217,8 +217,8 @@ def load_gel(name: str) -> Gel:
             f"a table of {file}" if file else "a file such as workflow/gels.toml, which gelforge.solve takes as gels"
         )
         raise BadInput(
-            f"gel {name!r} is unknown; known: {known}, and each with its thickness, as {next(iter(GELS))}-3.6mm; a gel of your"
-            f" own is {where}"
+            f"gel {name!r} is unknown; known: {known}, each also with a thickness, such as {next(iter(GELS))}-3.6mm; define your own"
+            f" gel in {where}"
         )
     low, high = THICKNESS
     if not low <= float(match[2]) <= high:
@@ -227,29 +227,29 @@ def load_gel(name: str) -> Gel:
 
 
 def own_gels(names: Iterable[object]) -> dict[str, Gel]:
-    """Those of the names that are gels of the catalogue, or of a stated thickness: the code does not tell their shape."""
+    """Gels by name that are from the catalogue or of a stated thickness: the code does not fix their shape."""
     return {name: load_gel(name) for name in sorted({name for name in names if is_gel(name)} - GELS.keys())}
 
 
 def is_free(name: str) -> bool:
-    """Whether a table of the catalogue may have this name: no gel has it, and it states no thickness."""
+    """Whether a table of the catalogue may have this name: no built-in gel has it, and it states no thickness."""
     return name not in GELS and not _OF_THICKNESS.fullmatch(name)
 
 
 def gel_shape(gel: Gel) -> dict:
-    """The kind and numbers of a gel, and the content of its file, without names: what two gels that are one share."""
+    """Kind and numbers of a gel, and the digest of its file, without names: equal for gels of the same shape."""
     numbers = {key: value for key, value in asdict(gel).items() if key not in ("name", "file")}
     return numbers | {"kind": type(gel).__name__}
 
 
 def without_thickness(name: str) -> str:
-    """The name of a gel without a thickness that it states: gelsight_mini of gelsight_mini-3.6mm."""
+    """The name of a gel without its thickness: gelsight_mini for gelsight_mini-3.6mm."""
     match = _OF_THICKNESS.fullmatch(name)
     return match[1] if match else name
 
 
 def is_gel(name: object) -> TypeGuard[str]:
-    """Whether there is a gel of that name; one whose table makes none raises BadInput."""
+    """Whether there is a gel of that name; its table is not checked, an unreadable catalogue raises BadInput."""
     if not isinstance(name, str):
         return False
     from gelforge.geometry.gelcatalogue import names_in

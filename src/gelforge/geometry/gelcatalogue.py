@@ -1,4 +1,4 @@
-"""Gels of one's own, from workflow/gels.toml: pads by their measures, or a closed STL whose bonded face is named."""
+"""The user's gels from workflow/gels.toml: pads given by dimensions, or a closed STL with its bonded face named."""
 
 from dataclasses import dataclass
 from functools import lru_cache
@@ -16,18 +16,18 @@ from gelforge.geometry.triangles import is_watertight, volume
 
 Base = Literal["-x", "+x", "-y", "+y", "-z", "+z"]
 BASES = get_args(Base)
-THINNEST_MM = 0.3  # that a gel may be anywhere
-LEAST_RADIUS_MM = 0.2  # of the outline's corners: meshes need room to turn round them
-RASTER_MM = 0.1  # between heights of an STL's top
-MOST_APART = 0.02  # of its volume by which an STL may differ from the pad that is made of it
-LEAST_FILLED = 0.8  # of the outline's area that an STL's bonded face must fill
+THINNEST_MM = 0.3  # least thickness of a gel anywhere
+LEAST_RADIUS_MM = 0.2  # of the outline's corners: meshes cannot follow sharper ones
+RASTER_MM = 0.1  # spacing of the height map of an STL's top
+MOST_APART = 0.02  # largest difference in volume between an STL and the pad made from it, over the STL's
+LEAST_FILLED = 0.8  # fraction of its bounding rectangle that an STL's bonded face must fill
 Size = Annotated[Number, Within(0.5, 100.0, "mm")]
 Drop = Annotated[Number, Within(0.0, 20.0, "mm")]
 
 
 @dataclass(frozen=True)
 class Pad(Gel):
-    """A pad by its measures: a dome `sag` high to where the edges begin, and edges that fall to `rim` in a circle's arc."""
+    """A pad given by dimensions: a dome that falls by `sag` to where the edges begin, then circular arcs to `rim`."""
 
     def _dome(self, x, y):
         if self.sag == 0.0:
@@ -58,7 +58,7 @@ class SolidPad(Gel):
     sha256: str = ""
 
     def top(self, x, y) -> np.ndarray:
-        """Height z of the undeformed top at (x, y), mm: linear between heights RASTER_MM apart."""
+        """Height z of the undeformed top at (x, y), mm, by linear interpolation of a height map (RASTER_MM)."""
         from scipy.ndimage import map_coordinates
 
         xs, ys, z = _solid(self.file, self.base, self.scale, self.sha256).heights
@@ -72,7 +72,7 @@ class SolidPad(Gel):
 
 
 class PadTable(ParameterTable):
-    """A table of gels.toml: a pad, all in mm."""
+    """A table of gels.toml that describes a pad; lengths in mm."""
 
     width: Size
     length: Size
@@ -83,7 +83,7 @@ class PadTable(ParameterTable):
     edge_drop: Drop = 0.0
 
     def fault(self) -> str | None:
-        """Corners, edges or a dome for which the pad has no room."""
+        """Why corners, edges or dome do not fit the pad; None if they do."""
         half = min(self.width, self.length) / 2
         if self.corner_radius > half or self.edge_width >= half:
             return f"corner_radius = {self.corner_radius:g}, edge_width = {self.edge_width:g}: half of the short side is {half:g} mm"
@@ -114,11 +114,11 @@ class SolidTable(ParameterTable):
 
     def gel(self, name: str, folder: Path) -> Gel:
         """The gel of this table, whose file lies below `folder`."""
-        path = folder / self.file
-        if Path(self.file).is_absolute() or ".." in Path(self.file).parts or not path.is_file():
-            raise BadInput(
-                f"{folder}/gels.toml: [{name}] file = {self.file!r}: there is no file {path}; lay it there"
-            )
+        path, where = folder / self.file, f"{folder}/gels.toml: [{name}] file = {self.file!r}"
+        if Path(self.file).is_absolute() or ".." in Path(self.file).parts:
+            raise BadInput(f"{where}: copy the file into {folder} and give its path from there, without `..`")
+        if not path.is_file():
+            raise BadInput(f"{where}: there is no file {path}; put it there, or correct its name")
         sha256 = digest_of(path)
         found = _solid(str(path), self.base, self.scale, sha256)
         return SolidPad(
@@ -133,16 +133,16 @@ def names_in(path: Path) -> list[str]:
 
 
 def refuse_taken(name: str) -> None:
-    """BadInput where the catalogue has a table of that name, which is another gel's: nobody would read it."""
+    """Raise BadInput for a catalogue table with a reserved name (built-in, or with thickness): it is never read."""
     path = catalogue()
     if path and not is_free(name) and name in names_in(path):
         raise BadInput(
-            f"{path}: [{name}]: is a gel that there is already, or one with its thickness; give it another name"
+            f"{path}: [{name}]: this name is reserved (a built-in gel, or ending in a thickness); choose another name"
         )
 
 
 def gel_of(path: Path, name: str) -> Gel:
-    """A gel of a catalogue; a table that makes none raises BadInput."""
+    """A gel of a catalogue; a faulty table raises BadInput."""
     table, place = _tables(path, path.stat().st_mtime_ns)[name], Place(str(path), (name,))
     if not isinstance(table, dict):
         raise BadInput(f"{path}: {name}: give a table, as [{name}] with its keys below")
@@ -159,12 +159,12 @@ def _tables(path: Path, _time: int) -> dict:
 
 
 def _checked(gel: Gel, where: str) -> Gel:
-    """The gel, if its top lies between apex and base everywhere."""
+    """The gel; BadInput if its top rises above the apex or is closer than THINNEST_MM to the base."""
     x, y = (np.linspace(-side / 2, side / 2, 101) for side in (gel.width, gel.length))
     with np.errstate(invalid="ignore"):
         top = np.asarray(gel.top(x[:, None], y[None]))
     if not np.isfinite(top).all() or top.max() > 1e-6:
-        raise BadInput(f"{where}: its edges do not fall from the dome's own slope; give less apex, or more edge_drop")
+        raise BadInput(f"{where}: its edges cannot continue the slope of the dome; give less apex, or more edge_drop")
     if top.min() + gel.height < THINNEST_MM:
         left = top.min() + gel.height
         raise BadInput(
@@ -175,7 +175,7 @@ def _checked(gel: Gel, where: str) -> Gel:
 
 @dataclass(frozen=True)
 class _Solid:
-    """An STL in the gel frame: triangles, measures in mm, and heights (xs, ys, z (x, y)) of its top."""
+    """An STL in the gel frame: triangles, dimensions in mm, and heights (xs, ys, z (x, y)) of its top."""
 
     vertices: np.ndarray
     faces: np.ndarray
@@ -204,8 +204,8 @@ def _solid(file: str, base: str, scale: float, _sha256: str) -> _Solid:
     area = float(-0.5 * cross[bonded, 2].sum())
     if area < LEAST_FILLED * width * length:
         raise BadInput(
-            f"{file}: its side {base} is no flat base: {area / (width * length):.0%} of {width:.4g} x {length:.4g} mm are;"
-            f" name the side that is bonded, one of {', '.join(BASES)}"
+            f"{file}: its side {base} is not a flat base: only {area / (width * length):.0%} of its {width:.4g} x {length:.4g} mm is"
+            f" flat; name the side that is bonded, one of {', '.join(BASES)}"
         )
     radius = float(max(LEAST_RADIUS_MM, np.sqrt(max(0.0, width * length - area) / (4.0 - np.pi))))
     heights = _heights(corners[cross[:, 2] > 0.0], width, length)
@@ -220,14 +220,14 @@ def _solid(file: str, base: str, scale: float, _sha256: str) -> _Solid:
 
 
 def _check_unit(file: str, sides: list[float]) -> None:
-    """Refuse a solid that is no gel for its size: STL files name no unit."""
-    low, high = 0.5, 100.0  # mm, as the sides of a pad by its measures
+    """Raise BadInput for a solid whose size is implausible for a gel: STL files state no unit."""
+    low, high = 0.5, 100.0  # mm, as for the sides of a pad (Size)
     if low <= sides[0] and sides[-1] <= high:
         return
     said = " x ".join(f"{side:.3g}" for side in sides)
     raise BadInput(
-        f"{file}: measures {said} mm, a gel's sides are from {low:g} to {high:g}; an STL names no unit: give scale, mm of a unit of"
-        " the file (1000 for metres, 25.4 for inches)"
+        f"{file}: measures {said} mm, a gel's sides are from {low:g} to {high:g}; an STL states no unit: give scale, the mm per"
+        " unit of the file (1000 for metres, 25.4 for inches)"
     )
 
 
@@ -247,7 +247,7 @@ def _upright(base: str) -> np.ndarray:
 
 
 def _heights(up: np.ndarray, width: float, length: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Heights on lines xs, ys of the triangles (f, 3, 3) that look up; where none is, that of the nearest place."""
+    """Height map on lines xs, ys of the upward triangles (f, 3, 3); gaps get the height of the nearest point."""
     from scipy.ndimage import distance_transform_edt
 
     xs, ys = (np.linspace(-s / 2, s / 2, int(np.ceil(s / RASTER_MM)) + 1) for s in (width, length))

@@ -23,7 +23,7 @@ from gelforge.geometry.solids import Body, Extrusion, LyingCylinder, RoundedPoly
 from gelforge.records.press import PosedPress
 
 DEFAULT = object()
-CATALOGUE = Path(__file__).with_name("indenters.toml")  # workflow/indenters.toml, as it is installed
+CATALOGUE = Path(__file__).with_name("indenters.toml")  # the installed workflow/indenters.toml
 
 
 class _Table:
@@ -70,7 +70,7 @@ class _Table:
 
 
 def _sphere(t: _Table, **common) -> Body:
-    """A sphere on a shank; lower than its radius it is a cap, as a lens is."""
+    """A sphere on a shank, or a cap (a lens) if the height is below the radius."""
     radius, height = t.number("diameter") / 2.0, t.number("height")
     if height < radius:
         return SphericalCap(radius=radius, height=height, **common)
@@ -165,7 +165,7 @@ def _cylinder(t: _Table, **common) -> Body:
 
 
 def _rounded(profile: Ellipse | Annulus, t: _Table, **common) -> Body:
-    """The figure drawn along z; a rounded edge that met itself would be no edge, and the tip above z = 0."""
+    """The extruded figure; BadInput for a fillet that would meet itself, because the tip would be above z = 0."""
     fillet = t.number("fillet")
     if fillet > profile.widest_fillet + 1e-9:
         raise BadInput(
@@ -233,10 +233,10 @@ def _stl(t: _Table, **common) -> Body:
     file, scale = t.take("file"), t.number("scale", 1.0, high=1e5)
     spacing, reach = t.number("spacing", 0.2), t.number("reach", 4.0)
     if not isinstance(file, str):
-        t.fail("file", file, "name an STL file, from the catalogue's folder")
+        t.fail("file", file, "give the path of an STL file, from the catalogue's folder")
     path = t.folder / file
     if not path.is_file():
-        t.fail("file", file, f"there is no file {path}; the path starts at the catalogue's folder")
+        t.fail("file", file, f"there is no file {path}; relative paths start at {t.folder}")
     planned = t.take("sha256", None)
     if planned is not None and planned != digest_of(path):
         t.fail("file", file, f"{path} changed while this was planned; run make again")
@@ -264,8 +264,8 @@ KINDS: dict[str, Callable] = {
 def build(name: str, table: dict, source="indenters.toml", folder=None, kept: Path | None = None) -> Body:
     """The body that one catalogue table describes; lengths in mm, angles in degrees.
 
-    STL files are named from `folder`, which is that of the catalogue file `source` unless given. kept: folder of what
-    was measured of them (`sampled_from_stl`).
+    Paths of STL files are relative to `folder`, by default that of the catalogue file `source`. kept: cache folder of
+    sampled STL files (`sampled_from_stl`). A faulty table raises BadInput.
     """
     t = _Table(name, table, source, folder, kept)
     kind = t.take("kind")
@@ -282,7 +282,7 @@ def build(name: str, table: dict, source="indenters.toml", folder=None, kept: Pa
 
 
 def _fold_of_sides(t: dict) -> int:
-    """Of a figure with two sides along x and y, each mirrored onto itself."""
+    """Order of rotational symmetry of a figure of `size` along x and y that is mirror symmetric in both."""
     return 4 if t["size"][0] == t["size"][1] else 2
 
 
@@ -290,7 +290,7 @@ def _fold_of_ellipse(t: dict) -> int:
     return 0 if all(sides[0] == sides[1] for sides in (t["size"], t.get("hole", (0, 0)))) else 2
 
 
-# By how many equal turns about the tool's axis a body comes onto itself, 0: by any. Kinds that are not here: by a whole one.
+# Order of the rotational symmetry about the tool's axis, 0: axisymmetric. Kinds that are not listed have 1.
 FOLDS: dict[str, Callable[[dict], int]] = {
     "sphere": lambda t: 0,
     "cylinder": lambda t: 0,
@@ -306,9 +306,9 @@ FOLDS: dict[str, Callable[[dict], int]] = {
 
 
 def fold(table: dict) -> int:
-    """By how many equal turns about the tool's axis the body of a catalogue's table comes onto itself; 0: by any.
+    """Order of the rotational symmetry of a table's body about the tool's axis; 0: axisymmetric.
 
-    1 for a table that no body can be built from, as a catalogue that nothing is pressed with may have.
+    1 for a table that no body can be built from, because a catalogue may hold such tables if no press uses them.
     """
     try:
         return FOLDS.get(table["kind"], lambda t: 1)(table)
@@ -321,21 +321,21 @@ def read_catalogue(path) -> dict[str, dict]:
     tables = read_toml(path, "name an existing catalogue of indenters")
     for name, table in tables.items():
         if not isinstance(table, dict):
-            raise BadInput(f"{path}: {name} = {table!r} stands outside a table; write [{name}] with its `kind`")
+            raise BadInput(f"{path}: {name} = {table!r} is outside any table; write [{name}] with its `kind`")
     return tables
 
 
 def load_catalogue(path, names=None, folder=None) -> dict[str, Body]:
-    """Indenters by name from a catalogue file, all or those in `names`; STL files are named from `folder`.
+    """Indenters by name from a catalogue file, all or those in `names`.
 
-    Without `folder` they are named from the catalogue's. Each has distance(points), surface(), radius(), name,
-    height (mm), seen (whether networks train on it) and spare (left out of the standard set).
+    Paths of STL files are relative to `folder`, by default the catalogue's. Each has distance(points), surface(),
+    radius(), name, height (mm), seen (whether networks train on it) and spare (left out of the standard set).
     """
     return build_all(read_catalogue(path), path, names, folder)
 
 
 def build_all(tables: dict[str, dict], source, names=None, folder=None, kept: Path | None = None) -> dict[str, Body]:
-    """The bodies of catalogue tables, all or those in `names`, as `load_catalogue` gives them. kept: as of `build`."""
+    """The bodies of catalogue tables, all or those in `names`, as from `load_catalogue`. kept: as in `build`."""
     for name in names or ():
         if name not in tables:
             raise BadInput(f"{source}: no indenter named {name!r}{nearest(name, tables)}")
@@ -343,5 +343,5 @@ def build_all(tables: dict[str, dict], source, names=None, folder=None, kept: Pa
 
 
 def bodies_of(presses: Iterable[PosedPress], tables: dict[str, dict], workflow: Path, kept: Path) -> dict[str, Body]:
-    """The indenters of presses by name, of tables whose STL files are named from `workflow`. kept: as of `build`."""
+    """Bodies of the presses' indenters by name; STL paths are relative to `workflow`. kept: as in `build`."""
     return build_all(tables, "indenter catalogue", {press.indenter for press in presses}, workflow, kept)

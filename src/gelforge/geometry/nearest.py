@@ -1,4 +1,4 @@
-"""The nearest of many edges to each of many points: where most of the time of a distance goes, so compiled."""
+"""The nearest of many edges to each of many points; compiled, because most of a distance's time is spent here."""
 
 import numpy as np
 from numba import njit
@@ -6,9 +6,9 @@ from numba import njit
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def of_edges(points: np.ndarray, starts: np.ndarray, edges: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Way (n, 3) from the nearest point of edges to points (n, 3), and its length (n,).
+    """Vector (n, 3) from the nearest point on any edge to points (n, 3), and its length (n,).
 
-    Edge k runs from starts[k] to starts[k] + edges[k], (e, 3) each. Of edges equally near the first counts.
+    Edge k runs from starts[k] to starts[k] + edges[k], (e, 3) each. The first of equally near edges counts.
     """
     to, length = np.empty_like(points), np.empty(len(points))
     for p in range(len(points)):
@@ -32,9 +32,10 @@ def of_edges(points: np.ndarray, starts: np.ndarray, edges: np.ndarray) -> tuple
 def of_outline(
     points: np.ndarray, corners: np.ndarray, edges: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Way (n, 2) from the nearest point of a closed outline to points (n, 2), its length (n,), edge (n,), inside (n,).
+    """Vector (n, 2) from the nearest point of a closed outline to points (n, 2), and its length (n,).
 
-    corners: (k, 2). edges: (k, 2) from each corner to the next. Of edges equally near the first counts.
+    Also returns the edge (n,) and whether points are inside (n,). corners: (k, 2). edges: (k, 2) from each corner to
+    the next. The first of equally near edges counts.
     """
     to, length = np.empty((len(points), 2)), np.empty(len(points))
     which, inside = np.zeros(len(points), np.int64), np.zeros(len(points), np.bool_)
@@ -52,7 +53,7 @@ def of_outline(
             if square < best:
                 best = square
                 to[p, 0], to[p, 1], which[p] = dx, dy, k
-            # both ends exactly as the neighbours see them, or a level edge would count once too often
+            # both y values as the neighbouring edges see them, or rounding could count a crossing once too often
             if (py >= cy) != (py >= ey) and rx < ux / uy * ry:
                 inside[p] = not inside[p]
         length[p] = np.sqrt(best)

@@ -4,7 +4,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 
-CHORD_MM = 0.003  # a third of what the surfaces promise, so that two curvatures may add up
+CHORD_MM = 0.003  # a third of the promised 0.01 mm, because the errors of two curvatures may add up
 
 
 def arc_steps(radius: float, angle: float) -> int:
@@ -40,9 +40,9 @@ def mitred(corners: np.ndarray, offset: float) -> np.ndarray:
 
 
 def crosses_itself(corners: np.ndarray) -> bool:
-    """Whether any two edges of a polygon (k, 2) that are not neighbours meet, or a corner repeats.
+    """Whether any two non-adjacent edges of a polygon (k, 2) meet, or a corner repeats.
 
-    Edges on one line, as those of a plus have, meet only where they also lie side by side.
+    Collinear edges, such as those of a plus, meet only if they overlap.
     """
     a, b = corners, np.roll(corners, -1, axis=0)
 
@@ -144,13 +144,13 @@ class Ellipse:
 
     @property
     def widest_fillet(self) -> float:
-        """Largest radius (mm) that rounds a drawn figure's lower edge: the least radius of curvature."""
+        """Largest fillet (mm) of the extruded figure's lower edge: the least radius of curvature."""
         return min(self.a, self.b) ** 2 / max(self.a, self.b)
 
     def distance(self, p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Signed distance (n,) and outward unit gradient (n, 2) at points (n, 2).
 
-        The nearest point of an ellipse is found by its centre of curvature (Chou 2017); eight rounds leave 1e-9 mm.
+        The nearest point is iterated by the centre of curvature (Chou 2017); eight iterations leave 1e-9 mm.
         """
         if self.a == self.b:
             rho = np.hypot(p[:, 0], p[:, 1])
@@ -208,7 +208,7 @@ class Annulus:
 
     @property
     def widest_fillet(self) -> float:
-        """Largest radius (mm) that rounds a drawn figure's lower edge: half of the least wall, or what the outside bears."""
+        """Largest fillet (mm) of the extruded figure's lower edge: half the thinnest wall, or the outer ellipse's."""
         wall = min(self.outer.a - self.inner.a, self.outer.b - self.inner.b)
         return min(wall / 2.0, self.outer.widest_fillet)
 

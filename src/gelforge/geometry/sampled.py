@@ -1,4 +1,4 @@
-"""Indenters from a user's STL: checked, then held as a smooth grid of distances."""
+"""Indenters from a user's STL: checked, then stored as a spline of the signed distance on a grid."""
 
 import sys
 from functools import cached_property
@@ -17,14 +17,14 @@ from gelforge.geometry.triangles import Mesh
 MARGIN_MM = 1.0  # of the grid around the body: farther away only the sign and a rough distance matter
 LEAST_MM, LARGEST_MM = 0.5, 60.0  # largest extent of a body
 MOST_POINTS = 6_000_000
-LOOKED_AT_MM, MOST_LOST = 0.2, 0.4  # height above the tip, and share of the section there that may be lost
-MOST_LOOKED_AT = 250_000  # places of that section
+LOOKED_AT_MM, MOST_LOST = 0.2, 0.4  # height of a section above the tip, and fraction of it that the grid may lose
+MOST_LOOKED_AT = 250_000  # sample points of that section
 INCH_MM, METRE_MM = 25.4, 1000.0
-MEASURED = 1  # raise when a surface or its grid of distances changes: what was kept of a file is then measured again
+MEASURED = 1  # version: raise it when surfaces or distance grids change, so that cached ones are recomputed
 
 
 def check_body(vertices: np.ndarray, faces: np.ndarray, what: str) -> Mesh:
-    """The outer surface of a body that can be pressed; anything else is BadInput naming `what`."""
+    """The outer surface of a body that can be pressed; any other body raises BadInput naming `what`."""
     if not LEAST_MM <= np.ptp(vertices, axis=0).max() <= LARGEST_MM:
         raise BadInput(
             f"{what}: the body measures {size_of(vertices)} after scaling, expected {LEAST_MM:g} to {LARGEST_MM:g} mm along"
@@ -48,8 +48,8 @@ def size_of(vertices: np.ndarray) -> str:
 class Sampled(Body):
     """A closed surface as a cubic spline of its signed distance on a grid of `spacing` mm up to the height `reach`.
 
-    The error is of the order of the spacing's square over the edge radius; a sharp edge is rounded with about half
-    the spacing. Outside the grid the distance is an upper bound, good enough to say that nothing touches.
+    The error is of the order of spacing^2 / edge radius; a sharp edge is rounded with about half the spacing. Outside
+    the grid, where nothing touches, the distance is only an upper bound. Too many grid points raise BadInput.
     """
 
     def __init__(self, name, vertices, faces, spacing=0.2, reach=4.0, **flags):
@@ -74,13 +74,13 @@ class Sampled(Body):
         self.__dict__["_coefficients"] = found = spline_filter(field, order=3, mode="mirror")
         if (lost := self._lost(min(LOOKED_AT_MM, self.height / 2.0))) > MOST_LOST:
             raise BadInput(
-                f"indenter {self.name}: where it touches first its walls are too thin for distances every spacing ="
-                f" {self.spacing:g} mm, which lose {lost:.0%} of its section; give a `spacing` of half their thickness or less"
+                f"indenter {self.name}: near its lowest point its walls are too thin for spacing = {self.spacing:g} mm: the"
+                f" distance grid loses {lost:.0%} of its section; give a `spacing` of half the wall thickness or less"
             )
         return found
 
     def _lost(self, height: float) -> float:
-        """Share of the body's section at a height (mm) above its lowest point that the grid holds for outside of it."""
+        """Fraction of the body's section at a height (mm) above its lowest point that the sampled distance misses."""
         section = cut_at((self.vertices, self.faces), height)
         low, high = section.low - 2.0 * self.spacing, section.high + 2.0 * self.spacing
         step = max(self.spacing / 4.0, float(np.sqrt(np.prod(high - low) / MOST_LOOKED_AT)))
@@ -136,7 +136,7 @@ class Sampled(Body):
 
 
 def notes_of(body: Body) -> list[str]:
-    """How a body from a file stands, and doubts about it; nothing of other bodies, which their tables describe."""
+    """How a body from a file stands, and doubts about it; empty for other bodies, which their tables describe."""
     if not isinstance(body, Sampled):
         return []
     found = standing(body.vertices, body.faces)
@@ -166,14 +166,14 @@ def sampled_from_stl(
 ) -> Sampled:
     """The indenter that an STL file describes, after the checks of `check_body`.
 
-    folder: of what was measured of files, by their content: a fine one takes minutes. Of several processes one
-    measures it, the others wait for it.
+    folder: cache of sampled files, by content, because a fine file takes minutes. One process samples a file while
+    others wait for it.
     """
     how = {"spacing": spacing, "reach": reach, **flags}
 
     def measure() -> Sampled:
         body = Sampled(name, *check_body(*read_stl(path, scale), f"indenter {name}: {path}"), **how)
-        body.distance(np.zeros((1, 3)))  # which refuses walls that are too thin
+        body.distance(np.zeros((1, 3)))  # raises BadInput if walls are too thin
         for line in notes_of(body):
             print(f"note: indenter {name}: {path}: {line}", file=sys.stderr)
         return body

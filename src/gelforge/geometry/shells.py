@@ -1,4 +1,4 @@
-"""Closed shells of a triangle mesh: separated, each turned outwards, united to the surface that is seen from outside."""
+"""Split a triangle mesh into closed shells, orient them outwards and unite them to the surface seen from outside."""
 
 from collections.abc import Sequence
 
@@ -7,22 +7,22 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.geometry.triangles import Mesh, boolean, is_watertight, joined, to_meshlab, unique_rows, volume
 
-NEAR_MM = 1e-6  # what lies nearer touches
-FLAT_RAD = 1e-6  # between triangles that lie on each other
-LEAST_MM2 = 1e-9  # twice the area of a triangle that counts as one
+NEAR_MM = 1e-6  # surfaces closer than this touch
+FLAT_RAD = 1e-6  # triangles at a smaller angle about their edge lie on each other
+LEAST_MM2 = 1e-9  # a triangle is degenerate if twice its area is not above this
 LEAST_MM3 = 1e-6  # a shell that encloses less is a sheet
 HINT = "in the program that exported it"
 
 
 def outer_surface(vertices: np.ndarray, faces: np.ndarray, what: str) -> Mesh:
-    """The surface of a body that is seen from outside: shells (v, 3), (f, 3), each closed and outward, that only touch.
+    """The surface of a body seen from outside: vertices (v, 3) and faces (f, 3) of closed, outward shells.
 
-    However its shells were oriented. One inside another is left out, those that overlap or touch are united. A shell that
-    is open, one-sided, crosses itself or encloses nothing raises BadInput that names it and `what`.
+    The shells may have any orientation. A shell inside another is dropped; shells that overlap or touch are united. A
+    shell that is open, one-sided, crosses itself or encloses nothing raises BadInput, which names it and `what`.
     """
     faces = _without_needless(vertices, faces)
     if _half_edges(faces)[2].max() > 2:
-        # once the senses are right they part what touches in an edge alone
+        # with orientations corrected, the second split separates shells that touch only along an edge
         faces = split_shells(vertices, _without_copies(faces), what)[1]
     number, turned = split_shells(vertices, faces, what)
     count = number.max() + 1
@@ -46,17 +46,17 @@ def outer_surface(vertices: np.ndarray, faces: np.ndarray, what: str) -> Mesh:
 
 
 def split_shells(vertices: np.ndarray, faces: np.ndarray, what: str) -> tuple[np.ndarray, np.ndarray]:
-    """Shell number (f,) of each triangle, in the order of the file, and the triangles (f, 3), of each shell outward.
+    """Shell number (f,) of each triangle, in the order of the file, and the triangles (f, 3), oriented outwards.
 
-    Where more than two triangles meet in an edge, a shell continues from one to its neighbour around it, of triangles that lie
-    on each other to the other one: a wall between two parts that touch is a flat shell of its own. Open and one-sided
-    shells raise BadInput.
+    Where more than two triangles meet in an edge, a shell continues from a triangle to its neighbour around the edge.
+    Triangles that lie on each other are paired, so a wall between two touching parts becomes a flat shell of its own.
+    Shells that are open, one-sided or folded onto themselves raise BadInput.
     """
     half, edge, count = _half_edges(faces)
     if (count % 2).any():
         _refuse_open(vertices, faces, edge, count, what)
     first, second, flat = _paired(vertices, faces, half, edge, count)
-    # each triangle stands there twice, as it is and turned; two of a shell are linked in the senses that agree
+    # the graph has two nodes per triangle, as given and reversed; neighbours are linked where orientations agree
     ahead, n = half[:, 0] < half[:, 1], len(faces)
     same, one, other = ahead[first] == ahead[second], first // 3, second // 3
     label = _connected(2 * n, np.concatenate([one, one + n]), np.concatenate([other + n * same, other + n * ~same]))
@@ -89,7 +89,7 @@ def _volumes(vertices: np.ndarray, faces: np.ndarray, number: np.ndarray) -> np.
 
 
 def _half_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The three edges (3f, 2) of each triangle, the number of each (3f,), and how many there are of each number."""
+    """The three half edges (3f, 2) of each triangle, the edge index of each (3f,), and half edges per edge (e,)."""
     half = faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2).astype(np.int64)
     key = half.min(axis=1) * (half.max() + 1) + half.max(axis=1)
     _, edge, count = np.unique(key, return_inverse=True, return_counts=True)
@@ -97,7 +97,7 @@ def _half_edges(faces: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 
 
 def _paired(vertices, faces, half, edge, count) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Half edges (p,) and those (p,) on whose triangles a shell goes on behind them, and whether both lie on each other."""
+    """Pairs of half edges (p,), (p,) across which a shell continues; whether their triangles lie on each other."""
     order = np.argsort(edge, kind="stable")
     start = np.cumsum(count) - count
     plain = start[count == 2]
@@ -113,10 +113,11 @@ def _paired(vertices, faces, half, edge, count) -> tuple[np.ndarray, np.ndarray,
 
 
 def _around(vertices, faces, half, part, members: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Half edges (k,) of one edge, two by two of one shell, and which pairs (k / 2,) lie on each other.
+    """Half edges (k,) of one edge, consecutive pairs on one shell, and which pairs (k / 2,) lie on each other.
 
-    Two of one part, of triangles that other edges connect (part: (f,)), are a pair. Else they go by the angle of their
-    triangles about the edge: what lies on each other makes a pair, else what encloses a solid by the sense of the first.
+    part: (f,), labels of triangles that ordinary edges connect. If every part has two half edges here, these are the
+    pairs. Otherwise triangles are sorted by angle about the edge: pairs are those that lie on each other, or, where
+    none do, neighbours that enclose solid according to the orientation of the first.
     """
     of = part[members // 3]
     if (np.unique(of, return_counts=True)[1] == 2).all():
@@ -134,7 +135,7 @@ def _around(vertices, faces, half, part, members: np.ndarray) -> tuple[np.ndarra
 
 
 def _connected(count: int, one: np.ndarray, other: np.ndarray) -> np.ndarray:
-    """Label (count,) of what links one to other, (k,) each, connect."""
+    """Component label (count,) of each node of a graph with links from `one` to `other`, (k,) each."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -144,7 +145,7 @@ def _connected(count: int, one: np.ndarray, other: np.ndarray) -> np.ndarray:
 
 
 def _without_needless(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    """Triangles without those that a file holds twice, or that have no area, where nothing but these leaves edges open."""
+    """The triangles if closed; else without duplicates, or without degenerate ones too, if that closes them."""
     once = faces[np.sort(unique_rows(np.sort(faces, axis=1))[0])]
     a, b, c = vertices[once].transpose(1, 0, 2)
     wide = once[np.linalg.norm(np.cross(b - a, c - a), axis=1) > LEAST_MM2]
@@ -153,9 +154,9 @@ def _without_needless(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 def _without_copies(faces: np.ndarray) -> np.ndarray:
-    """Triangles without the copies of shells that a file holds several times.
+    """Triangles without repeated copies of a shell.
 
-    Triangles that lie on each other are a copy where they make a closed shell, else the wall between parts that touch.
+    Duplicate triangles that form a closed shell are a copy; others are a wall between parts that touch.
     """
     while True:
         _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
@@ -173,7 +174,7 @@ def _without_copies(faces: np.ndarray) -> np.ndarray:
 
 
 def _refuse_open(vertices, faces, edge, count, what: str) -> None:
-    """BadInput that names the first shell with edges that belong to an odd number of triangles."""
+    """Raise BadInput naming the first shell with edges that belong to an odd number of triangles."""
     of = np.repeat(np.arange(len(faces)), 3)
     number = _in_order(_connected(len(faces) + len(count), of, edge + len(faces))[: len(faces)])
     odd = count[edge] % 2 == 1
@@ -189,14 +190,14 @@ def _refuse(vertices, faces, number, at, what: str, why: str) -> None:
 
 
 def _apart(shells: list[Mesh]) -> bool:
-    """Whether shells need no union: each is run through once in each direction, and their boxes do not meet."""
+    """Whether shells need no union: each is watertight, and their bounding boxes do not meet."""
     low, high = (np.array([of(vertices, axis=0) for vertices, _ in shells]) for of in (np.min, np.max))
     meet = ((low[:, None] <= high + NEAR_MM) & (high[:, None] >= low - NEAR_MM)).all(axis=2)
     return np.count_nonzero(meet) == len(shells) and all(is_watertight(faces) for _, faces in shells)
 
 
 def _united(surface: Mesh, what: str) -> Mesh:
-    """Closed outward shells as one surface, without what lies inside it: shells, walls and cavities."""
+    """Unite closed outward shells to one surface without inner shells, walls and cavities; BadInput if not closed."""
     vertices, faces = boolean(surface, surface, "union")
     number, turned = split_shells(vertices, faces, what)
     outward = np.flatnonzero(_volumes(vertices, faces, number) > 0.0)
@@ -225,7 +226,7 @@ def signed_distances(points: np.ndarray, mesh: Mesh) -> np.ndarray:
 
 
 def _beyond(sheet: Mesh, outer: Mesh) -> bool:
-    """Whether corners or middles of a sheet's triangles lie outside a surface."""
+    """Whether corners or centroids of a sheet's triangles lie outside a surface."""
     corners = sheet[0][sheet[1]]
     points = np.concatenate([corners.reshape(-1, 3), corners.mean(axis=1)])
     return bool(signed_distances(points, outer).max() > NEAR_MM)
@@ -237,13 +238,13 @@ def _used(vertices: np.ndarray, faces: np.ndarray) -> Mesh:
 
 
 def _in_order(label: np.ndarray) -> np.ndarray:
-    """Numbers from 0 for labels (n,), as they come."""
+    """Labels (n,) renumbered from 0 in order of first occurrence."""
     _, first, inverse = np.unique(label, return_index=True, return_inverse=True)
     return np.argsort(np.argsort(first))[inverse]
 
 
 def _name(at: int, shells: Sequence[Mesh], what: str) -> str:
-    """What a message calls a shell: by its number in the file, its triangles and its place, where there are several."""
+    """Name of a shell in messages; of several, with its number in the file, triangle count and bounding box."""
     if len(shells) == 1:
         return what
     vertices, faces = shells[at]

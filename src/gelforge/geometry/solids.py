@@ -1,6 +1,6 @@
 """Rigid bodies of indenters: exact signed distances and watertight surfaces.
 
-Every body stands in its own frame: lowest point on the plane z = 0, body above, cut flat at `height`.
+Every body has its own frame: its lowest point is on the plane z = 0, its highest at z = `height`.
 """
 
 import hashlib
@@ -16,9 +16,9 @@ from gelforge.geometry.triangles import boolean, joined, stacked
 
 
 def _with_flat_top(z, height, side, side_gradient, below, below_normal):
-    """Cut a body that runs up for ever at z = height.
+    """Signed distance and normal of a body of unlimited height that is cut flat at z = height.
 
-    `side` is the distance to its cross-section at the cut, `below` the distance to the endless body.
+    `side`: distance to its cross-section at the cut. `below`: distance to the uncut body.
     """
     up = z - height
     outside, over = side > 0.0, up > 0.0
@@ -45,20 +45,23 @@ class Indenter(Protocol):
         """Watertight triangles: vertices (v, 3) float64 and faces (f, 3) int, outward orientation."""
 
     def __hash__(self) -> int:
-        """Equal bodies are one: what is costly to make of them is kept."""
+        """Bodies are keys of caches, such as that of `triangles.cropped`."""
 
     def radius(self) -> float:
         """Largest horizontal distance from the z axis of any point of the body, mm."""
 
 
 class Body(ABC):
-    """What all indenters share: a name, whether training sees it, and a cached surface. It is an `Indenter`."""
+    """Base class of all indenters, implements `Indenter`.
+
+    height: mm. seen: whether networks train on it. spare: left out of the standard set.
+    """
 
     def __init__(self, name: str, height: float, seen: bool = True, spare: bool = False):
         self.name, self.height, self.seen, self.spare = name, float(height), seen, spare
 
     def surface(self) -> tuple[np.ndarray, np.ndarray]:
-        """Watertight triangles: vertices (v, 3) mm and faces (f, 3), outward; chords within 0.01 mm at fillets."""
+        """Watertight triangles: vertices (v, 3) mm and faces (f, 3), outward; chord error at fillets 0.01 mm."""
         return self._surface
 
     @property
@@ -79,16 +82,16 @@ class Body(ABC):
 
 
 def surface_digest(indenter: Indenter, prefix: bytes = b"") -> str:
-    """SHA-256 of an indenter's surface, so that a changed shape is another one; `prefix` is hashed before it."""
+    """SHA-256 of `prefix` and an indenter's surface (vertices rounded to 1e-6 mm), which changes with the shape."""
     vertices, faces = indenter.surface()
     places, corners = np.round(np.asarray(vertices, float), 6), np.asarray(faces, np.int64)
     return hashlib.sha256(prefix + places.tobytes() + corners.tobytes()).hexdigest()
 
 
 class Extrusion(Body):
-    """A plane figure drawn along z, its lower edge rounded with radius `fillet` (mm).
+    """A plane figure extruded along z, its lower edge rounded with radius `fillet` (mm), at most `height`.
 
-    A sphere on a shank is the circle whose fillet is its own radius. The distance is exact wherever the figure's is.
+    A circle with a fillet of its own radius makes a sphere on a shank. The distance is exact where the figure's is.
     """
 
     def __init__(self, name, profile, fillet, height, **flags):
@@ -131,12 +134,12 @@ class Extrusion(Body):
         return stacked(loops, np.append(z, self.height), annular=isinstance(profile, Annulus))
 
     def _fillet_curve(self):
-        """Distance inside the edge and height along the fillet, from the flat to the wall."""
+        """Inset from the edge and height z of points along the fillet, from the bottom to the wall, mm."""
         angle = np.linspace(0.0, np.pi / 2.0, arc_steps(self.fillet, np.pi / 2.0) + 1)
         return self.fillet * (1.0 - np.sin(angle)), self.fillet * (1.0 - np.cos(angle))
 
     def _drill(self, profile: Pierced):
-        """The body that a hole with a rounded mouth takes away."""
+        """The body to subtract for a hole with a rounded mouth."""
         offset, z = self._fillet_curve()
         offset = np.concatenate([offset[:1], offset, [0.0]])
         loops = np.array([mitred(profile.hole, o) for o in offset])
@@ -144,7 +147,7 @@ class Extrusion(Body):
 
 
 class SphericalCap(Body):
-    """The part of a sphere of `radius` mm up to `height` mm above its lowest point, less than the radius: a lens."""
+    """The part of a sphere of `radius` mm up to `height` mm (below the radius) above its lowest point: a lens."""
 
     def __init__(self, name, radius, height, **flags):
         super().__init__(name, height, **flags)
@@ -163,7 +166,7 @@ class SphericalCap(Body):
         value, side, up = length - self.sphere, rho - self.rim, points[:, 2] - self.height
         cap = np.where(up > 0.0, side <= 0.0, up > value)
         normal[cap], value = [0.0, 0.0, 1.0], np.where(cap, up, value)
-        # beside the cut, and where the nearest point of the whole sphere would lie above it, the rim is nearest
+        # the rim is nearest beside the cut, and where the full sphere's nearest point lies above the cut
         past = (value > 0.0) & (normal[:, 2] > self.height / self.sphere - 1.0)
         rim = (side > 0.0) & ((up > 0.0) | past)
         value[rim] = np.hypot(side[rim], up[rim])
@@ -186,11 +189,11 @@ class SphericalCap(Body):
 
 
 class RoundedPolyhedron(Body):
-    """A block with vertical walls and a lower side of planes, every edge but the uppermost rounded.
+    """A convex block with vertical walls and a lower side of planes; all edges except those at the top are rounded.
 
-    outline: (k, 2) convex corners before rounding; planes: outward normals (m, 3) and levels (m,) of the lower side,
-    in a frame of any height: the body is moved so that its lowest point lies on z = 0. `height` counts from the
-    frame's zero upwards. Convex, so the distance is exact outside; inside it is that to the nearest plane.
+    outline: (k, 2) convex corners before rounding. planes: outward normals (m, 3) and levels (m,) of the lower side.
+    Levels and `height` count from an arbitrary z = 0; the body is then moved until its lowest point is on z = 0.
+    The distance is exact outside; inside it is the distance to the nearest plane.
     """
 
     def __init__(self, name, outline, planes, fillet, height, **flags):
@@ -231,7 +234,7 @@ class RoundedPolyhedron(Body):
         for simplex, face in zip(hull.simplices, face_of.ravel(), strict=True):
             for i, j in ((0, 1), (1, 2), (2, 0)):
                 edges.setdefault(tuple(sorted((simplex[i], simplex[j]))), set()).add(face)
-        # points above the cut are brought down to it, so that no edge of the cut is ever the only nearest one
+        # `distance` moves points above the cut down to it, so edges of the cut itself are never needed
         level = self.core[:, 2] > self.height - 1e-7
         kept = np.array([e for e, faces in edges.items() if len(faces) == 2 and not level[list(e)].all()])
         self._starts, self._edges = self.core[kept[:, 0]], self.core[kept[:, 1]] - self.core[kept[:, 0]]
@@ -270,12 +273,12 @@ class RoundedPolyhedron(Body):
 
     @cached_property
     def _surface(self):
-        """Hull of the core's corners grown by the fillet, with every arc sampled at the promised chord."""
+        """Convex hull of spheres of radius `fillet` at the core's corners, sampled to the promised chord error."""
         from scipy.spatial import ConvexHull
 
         meeting = [np.abs(self._normals @ corner - self._levels) < 1e-7 for corner in self.core]
         rings = [_ring(self._normals[faces]) for faces in meeting]
-        # one number of steps for all arcs, those of the widest: normals of a sharp edge stand more than 90 degrees apart
+        # all arcs get as many steps as the widest: normals at a sharp edge are more than 90 degrees apart
         steps = arc_steps(self.fillet, max(np.pi / 2.0, *(_widest(ring) for ring in rings)))
         fans = [corner + self.fillet * _fan(ring, steps) for corner, ring in zip(self.core, rings, strict=True)]
         points = np.unique(np.round(np.concatenate(fans), 9), axis=0)
@@ -288,7 +291,7 @@ class RoundedPolyhedron(Body):
 
 
 def _ring(normals):
-    """The normals (n, 3) that meet at a corner in turn, or the two (2, 3) of a corner at the level top."""
+    """Normals (n, 3) of the faces at a corner, in order around it; at the flat top only the two (2, 3) other ones."""
     level = normals[:, 2] > 1.0 - 1e-9
     if level.any():
         return normals[~level][:2]
@@ -296,12 +299,12 @@ def _ring(normals):
 
 
 def _widest(ring):
-    """The widest angle between two normals of a ring that follow each other, rad."""
+    """Largest angle between consecutive normals of a ring, rad."""
     return float(np.arccos(np.clip(np.einsum("ij,ij->i", ring, np.roll(ring, -1, axis=0)), -1.0, 1.0)).max())
 
 
 def _fan(ring, steps):
-    """Directions in which the ball at one corner of the core shows on the surface."""
+    """Directions (n, 3) from a corner of the core to the rounded surface around it."""
     if len(ring) == 2:
         return _arc(*ring, steps)
     centre = unit(ring.mean(axis=0))
@@ -323,7 +326,7 @@ def _angle_about(axis, directions):
 
 
 class LyingCylinder(Body):
-    """A cylinder along x whose side touches the gel, its end edges rounded (mm)."""
+    """A cylinder along x whose side touches the gel, its end edges rounded with radius `fillet`; mm."""
 
     def __init__(self, name, diameter, length, fillet, **flags):
         super().__init__(name, diameter, **flags)

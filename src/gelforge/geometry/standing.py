@@ -1,4 +1,4 @@
-"""How a body from a file stands: what of it touches first, where beside the axis, and what speaks against its being meant so."""
+"""How a body from a file stands: what touches first, how far from the axis, and doubts that this pose is intended."""
 
 from dataclasses import dataclass
 
@@ -6,20 +6,22 @@ import numpy as np
 
 from gelforge.geometry.triangles import Mesh, below
 
-TIP_MM = 0.1  # height above the lowest point at which a body is looked at
-LEVEL = 0.999  # |z| of the normal of a flat side that lies level
-FLAT_SHARE = 0.5  # of the section above the tip that a flat side has
-# Of its width by which the middle of a body stands beside the axis at most; one whose corner is the origin has a half.
+TIP_MM = 0.1  # height above the lowest point of the section that is examined
+LEVEL = 0.999  # least |z| of the unit normal of a horizontal face
+FLAT_SHARE = 0.5  # least area of a flat side, as a fraction of the section at TIP_MM
+# Largest offset of a body's middle from the axis, as a fraction of its width and in mm; with a corner at the origin
+# the fraction is 0.5.
 MOST_ASIDE, ASIDE_MM = 0.4, 0.5
-# A body that is so many times as long as high and whose ends differ so much was most likely meant to stand on one of them, if
-# it is as wide above as below, within the next share, and wider by the last factor half-way: no block, and no wedge.
+# A body was most likely meant to stand on an end if it is LYING times as long as high, the sections of its ends
+# differ by the factor ENDS_DIFFER, those at bottom and top agree within the fraction ALIKE, and the one half-way is
+# larger by the factor BULGE, so that it is neither a block nor a wedge.
 LYING, ENDS_DIFFER, ALIKE, BULGE = 1.2, 2.0, 0.1, 1.15
-SHARP_DEG = 60.0  # between the outward normals of two sides that make a ridge; facets of a fillet turn by less
+SHARP_DEG = 60.0  # least angle between the outward normals of a ridge's sides; facets of a fillet turn by less
 
 
 @dataclass(frozen=True)
 class Cut:
-    """A level cut through a body: area mm2, middle (2,), lowest and highest x, y (2,) mm."""
+    """A horizontal section of a body: area mm2, centroid (2,), lowest and highest x, y (2,) mm."""
 
     area: float
     middle: np.ndarray
@@ -28,7 +30,7 @@ class Cut:
 
 
 def cut_at(mesh: Mesh, height: float) -> Cut:
-    """The section of a closed surface, lowest point at z = 0, at a height in mm."""
+    """The section at a height in mm of a closed surface whose lowest point is at z = 0."""
     vertices, faces = below(*mesh, height)
     corners = vertices[faces]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -40,14 +42,14 @@ def cut_at(mesh: Mesh, height: float) -> Cut:
 
 @dataclass(frozen=True)
 class Standing:
-    """What touches first, as a sentence, and doubts about it, none for a body that stands as bodies do."""
+    """What touches first, as a sentence, and doubts about the pose, none for a usual one."""
 
     touches: str
     doubts: list[str]
 
 
 def standing(vertices: np.ndarray, faces: np.ndarray) -> Standing:
-    """How a closed surface stands on its lowest point; the z axis is the one on which it is pressed."""
+    """How a closed surface stands on its lowest point; it is pressed along the z axis."""
     vertices = vertices - [0.0, 0.0, vertices[:, 2].min()]
     low, high = vertices.min(axis=0), vertices.max(axis=0)
     size = high - low
@@ -83,7 +85,7 @@ def _lying(mesh: Mesh, size: np.ndarray) -> list[str]:
     vertices, faces = mesh
     ends = []
     for sign in (-1.0, 1.0):
-        # the axis turned up or down is the same surface, seen from its other end
+        # both rotations put the long axis along z, with one end or the other down
         turned = np.roll(vertices, 2 - axis, axis=1) * ([1.0, 1.0, 1.0] if sign < 0.0 else [1.0, -1.0, -1.0])
         turned = turned - [0.0, 0.0, turned[:, 2].min()]
         ends.append(cut_at((turned, faces), TIP_MM).area)
@@ -95,12 +97,12 @@ def _lying(mesh: Mesh, size: np.ndarray) -> list[str]:
     name = "xy"[axis]
     return [
         f"it lies: {size[axis]:.3g} mm along {name}, {size[2]:.3g} mm high, and its two ends along {name} differ"
-        f" ({ends[0]:.3g} and {ends[1]:.3g} mm2 {TIP_MM:g} mm from them): if it was modelled with {name} up, turn it, its tip goes down along z"
+        f" ({ends[0]:.3g} and {ends[1]:.3g} mm2 {TIP_MM:g} mm from them): if it was modelled with {name} up, turn it so that its tip points down along z"
     ]
 
 
 def _ridge(vertices: np.ndarray, faces: np.ndarray, normal: np.ndarray) -> list[str]:
-    """A ridge between two rising sides that touches first and is sharper than elements show."""
+    """A ridge between two rising sides that touches first and is sharper than elements can resolve."""
     half = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
     order = np.lexsort(half.T)
     one, other = order[::2] // 3, order[1::2] // 3  # every edge of a closed surface has two sides
@@ -114,6 +116,6 @@ def _ridge(vertices: np.ndarray, faces: np.ndarray, normal: np.ndarray) -> list[
         return []
     long = float(np.linalg.norm(np.diff(ends[found], axis=1), axis=2).sum())
     return [
-        f"a ridge of {180.0 - turn[found].max():.0f} degrees, {long:.3g} mm long, touches first: no elements are as sharp, so forces of shallow"
-        " presses are uncertain; give it the radius that the real one has"
+        f"a ridge of {180.0 - turn[found].max():.0f} degrees, {long:.3g} mm long, touches first: it is sharper than elements can"
+        " resolve, so forces of shallow presses are uncertain; give it the radius of the real edge"
     ]

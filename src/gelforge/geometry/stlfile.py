@@ -9,9 +9,9 @@ from gelforge.errors import BadInput, printable
 from gelforge.geometry.triangles import Mesh, cleaned, unique_rows
 from gelforge.records.regular import read_bytes
 
-HEADER = 84  # bytes before the triangles of a binary file, the last four their number
+HEADER = 84  # bytes before the triangles of a binary file; the last four are the number of triangles
 RECORD = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
-WELD = 1e-6  # of the largest coordinate: some units in the last place of single precision
+WELD = 1e-6  # fraction of the largest coordinate: some units in the last place of single precision
 EXPORT = "export the body again as binary STL"
 NAME = re.compile(r"\b(?:end)?solid\b.*?(?=\bfacet\b|[\r\n]|$)", re.IGNORECASE)
 CORNER = re.compile(r"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.IGNORECASE)
@@ -27,7 +27,7 @@ def read_stl(path, scale: float = 1.0) -> Mesh:
         raise BadInput(f"{path}: holds no triangles; {EXPORT}")
     if not np.isfinite(corners).all():
         at = int(np.argmin(np.isfinite(corners).all(axis=(1, 2))))
-        raise BadInput(f"{path}: a corner of its triangle {at + 1} is no finite number; {EXPORT}")
+        raise BadInput(f"{path}: its triangle {at + 1} has a coordinate that is not a finite number; {EXPORT}")
     every = np.arange(3 * len(corners)).reshape(-1, 3)
     vertices, faces = cleaned(welded(corners.reshape(-1, 3)) * scale, every)
     if not len(faces):
@@ -38,7 +38,7 @@ def read_stl(path, scale: float = 1.0) -> Mesh:
 
 
 def welded(points: np.ndarray) -> np.ndarray:
-    """Points (n, 3), each moved to the first of those within single precision of it: STL states a corner once a triangle."""
+    """Points (n, 3), each moved to the first one within WELD of it: STL repeats corners for every triangle."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
     from scipy.spatial import cKDTree
@@ -54,7 +54,7 @@ def welded(points: np.ndarray) -> np.ndarray:
 
 
 def _binary(data: bytes) -> np.ndarray | None:
-    """Corners (f, 3, 3) of a binary file, behind which some programs append what is theirs; None where the bytes are none."""
+    """Corners (f, 3, 3) of a binary file, to which some programs append data of their own; None for other bytes."""
     count = int.from_bytes(data[HEADER - 4 : HEADER], "little")
     beyond = len(data) - HEADER - RECORD.itemsize * count
     if beyond < 0 or (beyond and not count):
@@ -71,18 +71,21 @@ def _text(data: bytes, where: str) -> np.ndarray:
             f"{where}: not a readable STL file (no text that begins with solid, and {len(data)} bytes where {count} triangles"
             f" would take {HEADER + RECORD.itemsize * count}); {EXPORT}"
         )
-    text = NAME.sub("", text)  # which may hold any word
+    text = NAME.sub("", text)  # a name may hold any word
     found = CORNER.findall(text)
     facets, ends = (len(re.findall(rf"\b{word}\b", text, re.IGNORECASE)) for word in ("vertex", "endfacet"))
     if facets != len(found) or len(found) != 3 * ends:
         seen = f"{facets} corners and {ends} ends of triangles"
-        raise BadInput(f"{where}: not a readable STL file (text with {seen}, three to one are right); {EXPORT}")
+        raise BadInput(
+            f"{where}: not a readable STL file (text with {seen}; each triangle must have three corners of three numbers);"
+            f" {EXPORT}"
+        )
     try:
         return np.array(found, float).reshape(-1, 3, 3)
     except ValueError:
         wrong = next(word for corner in found for word in corner if not _is_number(word))
         raise BadInput(
-            f"{where}: not a readable STL file ({printable(wrong)[:50]!r} is no number, write decimals with a point);"
+            f"{where}: not a readable STL file ({printable(wrong)[:50]!r} is not a number; write decimals with a point);"
             f" {EXPORT}"
         ) from None
 

@@ -1,6 +1,6 @@
-"""Whether, when and where an indenter meets the undeformed gel on its path: the one place that looks.
+"""Whether, when and where an indenter meets the undeformed gel on its path; only this module checks that.
 
-Path parameter: 0 to 1 the press, 1 to 2 the way sideways; below 0 the press goes on upwards.
+Path parameter: 0 to 1 is the press, 1 to 2 the sideways travel; below 0 the press is extended upwards.
 """
 
 from collections.abc import Callable, Sequence
@@ -12,15 +12,15 @@ from gelforge.geometry.gel import Gel
 from gelforge.geometry.solids import Indenter
 from gelforge.records.press import Press
 
-PRESSED = (1.0, 1.25, 1.5, 1.75, 2.0)  # where a path is looked at once it is at its depth
+PRESSED = (1.0, 1.25, 1.5, 1.75, 2.0)  # path parameters that are checked at full depth
 ON_THE_WAY = (0.0, 0.5, 1.0, 1.5, 2.0)
-TRIED = (0.0, 0.25, 0.5, 0.75, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0)  # where a first touch is looked for
-HALVINGS = 30  # of the part of the path in which it lies
-SURELY = 2.0  # times the speed: distances that fall faster than their points move have not been seen
-EDGE_STEP, MOST_ON_EDGE = 0.1, 200  # mm between points on an indenter's edges, and how many at most
-NEAREST_STEP = 0.25  # mm between points of the top among which the nearest place is looked for
-TOUCH_STEP = 0.2  # mm between those that may be touched first
-CLOSER = 10.0  # how much finer the nearest place is looked at
+TRIED = (0.0, 0.25, 0.5, 0.75, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0)  # where a first touch is searched for
+HALVINGS = 30  # bisections of the interval that holds the first touch
+SURELY = 2.0  # safety factor on the speed; no distance is known to fall faster than its point moves
+EDGE_STEP, MOST_ON_EDGE = 0.1, 200  # mm between points on an indenter's edges, and most points per edge
+NEAREST_STEP = 0.25  # mm between points of the top in the search for the nearest one
+TOUCH_STEP = 0.2  # mm between points of the top in the search for the first touch
+CLOSER = 10.0  # refinement of the spacing around the nearest point
 
 
 def pose_at(press: Press, t: float) -> tuple[np.ndarray, np.ndarray]:
@@ -37,7 +37,7 @@ def gap(indenter: Indenter, press: Press, points: np.ndarray, t: float) -> np.nd
 def top_points(gel: Gel, low: np.ndarray, high: np.ndarray, spacing: float) -> tuple[np.ndarray, tuple[int, int]]:
     """Points (m, 3) of the undeformed top in a rectangle low (2,) to high (2,), and how many along x and y.
 
-    They are `spacing` mm apart or a little less. The rectangle is cut to the gel's; none where they do not meet.
+    They are `spacing` mm apart or a little less. The rectangle is clipped to the gel's; none if they do not meet.
     """
     half = np.array([gel.width, gel.length]) / 2.0
     low, high = np.maximum(low, -half), np.minimum(high, half)
@@ -71,13 +71,13 @@ def touched(
     return near
 
 
-@lru_cache(maxsize=64)  # several sensors may have seen one press, whose rows then lie on one path
+@lru_cache(maxsize=64)  # rows of several sensors that saw one press share its path
 def nearest(gel: Gel, indenter: Indenter, press: Press) -> float:
     """Least signed distance, mm, of the undeformed top from the indenter at its depth; negative: it touches.
 
-    The top is looked at every NEAREST_STEP mm, then ten times finer around the nearest point; a blade may pass between
-    these, so where none is met the edges of the indenter's own surface are looked at too. Infinite where the indenter is
-    never above the gel.
+    The top is sampled every NEAREST_STEP mm, then ten times finer around the nearest point. A blade may pass between
+    these points, so if none touches the edges of the indenter's surface are checked, too. Infinite where the indenter
+    is never above the gel.
     """
     least = np.inf
     for t in PRESSED:
@@ -96,7 +96,7 @@ def nearest(gel: Gel, indenter: Indenter, press: Press) -> float:
 
 
 def _on_outline(gel: Gel, points: np.ndarray) -> np.ndarray:
-    """The points that lie on the gel, whose corners are rounded; all of them where none does."""
+    """The points within the gel's rounded outline; all of them if none is."""
     keep = gel.inside(points[:, 0], points[:, 1])
     return points[keep] if keep.any() else points
 
@@ -104,8 +104,8 @@ def _on_outline(gel: Gel, points: np.ndarray) -> np.ndarray:
 def first_touch(gel: Gel, indenter: Indenter, press: Press) -> float | None:
     """Path parameter where the indenter first meets the undeformed gel, or None where it never does.
 
-    Looked for at points of the gel's surface; a blade may pass between these, so where none is met the edges of the
-    indenter's own surface are looked at too.
+    Searched at points of the gel's surface. A blade may pass between these, so if none touches the edges of the
+    indenter's surface are checked, too.
     """
     points, _ = under_path(gel, indenter, press, TOUCH_STEP)
     if not len(points):
@@ -121,8 +121,8 @@ def first_touch(gel: Gel, indenter: Indenter, press: Press) -> float | None:
 def _first_below(heights: Callable[[np.ndarray, float], np.ndarray], count: int, speed: float) -> float | None:
     """Path parameter at which one of `count` heights first falls below zero; None where none does.
 
-    heights: of some points, by their numbers, at a path parameter. speed: of the path; no height changes faster, so points
-    that are too high to get below zero any more need not be looked at again.
+    heights(which, t): heights of the points with indices `which` at path parameter t. speed: of the path; heights do
+    not change faster, so points that are too high to fall below zero are dropped.
     """
     every, low = np.arange(count), -1.0
     for high in TRIED:
@@ -145,7 +145,7 @@ def _first_below(heights: Callable[[np.ndarray, float], np.ndarray], count: int,
 
 
 def _edge_points(indenter: Indenter, below: float) -> np.ndarray:
-    """Points (m, 3) on the edges of the indenter's surface, in its frame, on edges that begin lower than `below` mm."""
+    """Points (m, 3) on those edges of the indenter's surface that reach below `below` mm, in its frame."""
     vertices, faces = indenter.surface()
     edges = np.unique(np.sort(np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]), axis=1), axis=0)
     begin, end = vertices[edges[:, 0]], vertices[edges[:, 1]]
@@ -166,15 +166,16 @@ def _heights(gel: Gel, press: Press, points: np.ndarray, t: float) -> np.ndarray
 
 
 def spacing_of(points: np.ndarray, shape: tuple[int, int]) -> tuple[float, float]:
-    """Spacing (x, y) in mm of the grid of `under_path`: its points (n, 3) and how many there are either way."""
+    """Spacing (x, y) in mm of the grid of `under_path`, from its points (n, 3) and their numbers along x and y."""
     return float(np.ptp(points[:, 0]) / (shape[0] - 1)), float(np.ptp(points[:, 1]) / (shape[1] - 1))
 
 
 def width_of(touched: np.ndarray, spacing: tuple[float, float]) -> float:
     """Width in mm of a figure on a grid, touched (nx, ny) bool, cells of spacing mm: four times area over perimeter.
 
-    The diameter of a disc, the side of a square, twice the wall of a thin ring; perimeters of slanted edges count
-    4 / pi times too long on average, which is taken back.
+    The perimeter is that along grid lines times pi / 4, because these make it 4 / pi times too long on average over
+    directions. So the width is the diameter of a disc and twice the wall of a thin ring, but 4 / pi times the side of
+    a square whose sides lie along the grid: its perimeter is not too long.
     """
     padded = np.pad(touched, 1)
     along = [np.count_nonzero(np.diff(padded.astype(np.int8), axis=axis)) for axis in (0, 1)]

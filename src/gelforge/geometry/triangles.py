@@ -16,9 +16,9 @@ def joined(meshes: list) -> tuple[np.ndarray, np.ndarray]:
 
 
 def unique_rows(rows: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """First occurrence (u,) of each different row of (n, d) in rising order, and the number of its row for each, (n,).
+    """Index (u,) of the first occurrence of each distinct row of (n, d), in sorted order, and the inverse, (n,).
 
-    What np.unique gives along axis 0, several times faster.
+    The same as np.unique along axis 0, several times faster.
     """
     order = np.lexsort(rows.T[::-1])
     ahead = rows[order]
@@ -71,14 +71,14 @@ def _strip(outer: np.ndarray, inner: np.ndarray) -> np.ndarray:
 
 
 def ears(polygon: np.ndarray) -> np.ndarray:
-    """Triangles (f, 3) of a simple counter-clockwise polygon (k, 2), by cutting ears; coincident points allowed."""
+    """Triangles (f, 3) of a simple counter-clockwise polygon (k, 2), by ear clipping; coincident points allowed."""
     left, triangles = list(range(len(polygon))), []
     while len(left) > 3:
         best = next((i for i in range(len(left)) if _is_ear(polygon, left, i)), None)
         if best is None:
             break
         triangles.append([left[best - 1], left[best], left[(best + 1) % len(left)]])
-        # the cut goes on at the other side, so that a disc becomes a zigzag and not a fan of needles
+        # continue on the opposite side, so that a disc becomes a zigzag and not a fan of needles
         del left[best]
         half = len(left) // 2
         left = left[half:] + left[:half]
@@ -105,7 +105,7 @@ def volume(vertices: np.ndarray, faces: np.ndarray) -> float:
 
 
 def is_watertight(faces: np.ndarray) -> bool:
-    """Whether every edge is run through once in each direction."""
+    """Whether every edge occurs exactly once in each direction."""
     edge = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).astype(np.int64)
     n = edge.max() + 1
     there, back = edge[:, 0] * n + edge[:, 1], edge[:, 1] * n + edge[:, 0]
@@ -138,10 +138,10 @@ def boolean(first: tuple, second: tuple, how: str) -> tuple[np.ndarray, np.ndarr
 
 
 def below(vertices: np.ndarray, faces: np.ndarray, height: float) -> tuple[np.ndarray, np.ndarray]:
-    """What of a closed mesh lies below a plane z = height, closed by that plane (vtkClipClosedSurface).
+    """The part of a closed mesh below the plane z = height, closed by that plane (vtkClipClosedSurface).
 
-    Fifty times faster than an exact intersection with a box, and the same to rounding. VTK's own modules: to import
-    pyvista takes longer than to crop a body.
+    Fifty times faster than an exact intersection with a box, and equal up to rounding. Uses VTK's own modules,
+    because importing pyvista takes longer than cropping a body. A mesh that is not watertight raises ValueError.
     """
     from vtkmodules.util.numpy_support import numpy_to_vtk, numpy_to_vtkIdTypeArray, vtk_to_numpy
     from vtkmodules.vtkCommonCore import vtkPoints

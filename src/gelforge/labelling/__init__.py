@@ -1,1 +1,1 @@
-"""Force on a gel's surface to cells of an image grid: projection, exact clipping, one sparse matrix."""
+"""Map forces on a gel's surface to cells of an image grid: projection, exact clipping, one sparse matrix."""

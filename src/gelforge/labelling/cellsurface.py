@@ -1,8 +1,8 @@
-"""What the gel's surface does in each cell of the image: mean displacement, and area before and after.
+"""Mean displacement of the gel's surface in each cell of the image, and its area before and after deformation.
 
-A cell is a piece of the gel's surface, the one that it shows before the gel is touched: that piece is followed. Means
-and areas are linear maps of what the nodes do, from the same clipped parts of faces that spread forces
-(`labelling.operator`), so that traction times area is the force of a cell.
+A cell is the piece of the gel's surface that it shows before contact, and follows that piece. Means and areas come
+from nodal values by sparse matrices and use the same clipped face parts that spread forces (`labelling.operator`), so
+that traction times area is the force of a cell.
 """
 
 from dataclasses import dataclass
@@ -17,15 +17,16 @@ from gelforge.labelling.sensor import Sensor, transform
 from gelforge.mechanics.contact.facerule import bilinear, shapes
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 
-NEWTON_STEPS = 8  # of the inverse of a bilinear map: doubles its digits each
+NEWTON_STEPS = 8  # to invert a bilinear map; each doubles the correct digits
 
 
 @dataclass(frozen=True)
 class SurfaceMap:
     """Linear maps of one mesh seen by one sensor on one grid.
 
-    mean: CSR (cells, nodes), rows sum to one, empty where a cell shows no gel. fraction: CSR (parts, cells + 1), of each
-    part's area in each cell. corners: (parts, triangles, 3) points as rows of `weights`, CSR (points, nodes).
+    mean: CSR (cells, nodes), rows sum to one, empty where a cell shows no gel. fraction: CSR (parts, cells + 1), of
+    each part's area in each cell, the last column outside. weights: CSR (points, nodes), interpolates points on
+    faces. corners: (parts, triangles, 3), indices of these points.
     """
 
     grid: Grid
@@ -66,11 +67,11 @@ def surface_map(mesh: GelMesh, sensor: Sensor, grid: Grid) -> SurfaceMap:
 
 
 def _corners(mesh: GelMesh) -> tuple[Any, np.ndarray]:
-    """Points of the triangles of every part: CSR (points, nodes), and their numbers (parts, triangles, 3)."""
+    """`weights` and `corners` of `SurfaceMap`: corners of the triangles that make up every part."""
     from scipy.sparse import csr_matrix
 
     k = CORNERS[mesh.kind]
-    # a second-order triangle's middle by its quadratic shape functions: -1/9 a corner, 4/9 a midside node
+    # shape functions of a second-order triangle at its centroid: -1/9 per corner, 4/9 per midside node
     unit = np.eye(mesh.faces.shape[1])
     if mesh.kind == "tet10":
         corner, side, middle = unit[:3], unit[3:6], np.repeat([-1 / 9, 4 / 9], 3)
@@ -88,7 +89,7 @@ def _corners(mesh: GelMesh) -> tuple[Any, np.ndarray]:
 
 
 def _mean(mesh: GelMesh, parts: np.ndarray, areas: np.ndarray, sensor: Sensor, grid: Grid) -> Any:
-    """CSR (cells, nodes): mean over each cell of what shape functions interpolate, by the middle of each clipped piece."""
+    """CSR (cells, nodes): mean of a nodal field over each cell, from its values at centroids of clipped pieces."""
     from scipy.sparse import csr_matrix
 
     polygons, k = parts.reshape(-1, *parts.shape[2:]), areas.shape[1]
@@ -115,7 +116,7 @@ def _mean(mesh: GelMesh, parts: np.ndarray, areas: np.ndarray, sensor: Sensor, g
 
 
 def _middle(polygons: np.ndarray) -> np.ndarray:
-    """Centroids (m, 2) of convex polygons (m, k, 2); of vanishing ones the mean of the corners."""
+    """Centroids (m, 2) of convex polygons (m, k, 2); for degenerate ones the mean of the corners."""
     first = polygons[:, :1]
     local = polygons - first
     following = np.roll(local, -1, axis=1)

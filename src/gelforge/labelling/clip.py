@@ -6,8 +6,8 @@ import numpy as np
 from numba import njit
 
 PAIRS_AT_ONCE = 200_000  # candidate polygon-cell pairs held in memory at a time, about 100 MiB
-# Corners of a piece, as a multiple of its polygon's, that there is room for: each of the four cuts adds at most half as many,
-# as it would to a star; to a convex polygon it adds one.
+# Space for the corners of a piece, as a multiple of its polygon's: each of the four cuts adds at most half as many
+# (to a star-shaped polygon); to a convex polygon it adds one.
 ROOM = 6
 
 
@@ -53,7 +53,7 @@ def _cell_range(polygons: np.ndarray, axis: int, cells: int, length: int) -> np.
 
 
 def _blocks(pairs: np.ndarray) -> Iterator[np.ndarray]:
-    """Numbers of polygons, each time of about PAIRS_AT_ONCE candidate pairs."""
+    """Blocks of polygon indices, each with about PAIRS_AT_ONCE candidate pairs."""
     if not len(pairs):
         return
     number = np.cumsum(pairs) // PAIRS_AT_ONCE
@@ -65,9 +65,9 @@ def _blocks(pairs: np.ndarray) -> Iterator[np.ndarray]:
 def _cut_to_cells(
     polygons: np.ndarray, ranges: np.ndarray, u_edges: np.ndarray, v_edges: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """What of polygons (m, k, 2) lies in each cell of their ranges (m, 2, 2), first cell and one past the last along u and v.
+    """Cut polygons (m, k, 2) to the cells of their ranges (m, 2, 2): first cell and one past the last along u and v.
 
-    Returns polygon index (p,), cell index (p,) and what lies in the cell (p, k', 2), its last corner repeated.
+    Returns polygon index (p,), cell index (p,) and the piece in the cell (p, k', 2), padded with its last corner.
     """
     most, room = 0, ROOM * polygons.shape[1]
     for at in range(len(polygons)):
@@ -94,7 +94,7 @@ def _cut_to_cells(
 
 @njit(cache=True, nogil=True, error_model="numpy")
 def _cut(corners: np.ndarray, count: int, axis: int, bound: float, sign: float, kept: np.ndarray) -> int:
-    """What of a convex polygon has sign * coordinate[axis] >= sign * bound: its corners into `kept`; returns their number.
+    """Cut a convex polygon to sign * coordinate[axis] >= sign * bound; write corners to `kept`, return their number.
 
     corners: (k, 2), of which the first `count` are the polygon's. One step of Sutherland and Hodgman (1974).
     """
@@ -116,5 +116,5 @@ def _cut(corners: np.ndarray, count: int, axis: int, bound: float, sign: float, 
 
 @njit(inline="always")
 def _copy(source: np.ndarray, row: int, target: np.ndarray, at: int) -> None:
-    """Copy a corner; said as `target[at] = source[row]` the compiler adds checks of shapes, which take it seconds."""
+    """Copy a corner; with `target[at] = source[row]` the compiler adds shape checks, which takes it seconds."""
     target[at, 0], target[at, 1] = source[row, 0], source[row, 1]

@@ -1,4 +1,4 @@
-"""A homography from point correspondences, and whether it can be had from them at all."""
+"""A homography from point correspondences, and whether they determine it."""
 
 from dataclasses import dataclass
 
@@ -7,7 +7,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.labelling.sensor import transform
 
-ON_A_LINE = 1e-3  # of the points' largest extent: three points, or all, closer to one line than this count as on it
+ON_A_LINE = 1e-3  # tolerance, fraction of the points' extent, for points on one line and for equal points
 
 
 @dataclass(frozen=True)
@@ -23,9 +23,10 @@ class Fit:
 
 
 def fit_homography(gel: np.ndarray, pixels: np.ndarray, where: str = "correspondences") -> Fit:
-    """Homography from gel points (n, 2) mm to pixels (n, 2), n >= 4, of least squares of the distance in the image.
+    """Least-squares homography from gel points (n, 2) mm to pixels (n, 2), n >= 4, by distance in the image.
 
-    OpenCV's, which ends at 1e-5 px, refined by scipy. Points that do not determine it raise BadInput with the reason.
+    OpenCV's result, accurate to 1e-5 px, is refined by scipy. Points that do not determine it raise BadInput with the
+    reason.
     """
     import cv2
     from scipy.optimize import least_squares
@@ -44,7 +45,7 @@ def fit_homography(gel: np.ndarray, pixels: np.ndarray, where: str = "correspond
 
 
 def check_points(gel, pixels, where) -> None:
-    """Raise BadInput for fewer than four points, repeated ones, all on a line, or three of four on one."""
+    """Raise BadInput for fewer than four, repeated or infinite points, or if all, or all but one, are on a line."""
     if len(gel) != len(pixels) or gel.ndim != 2 or gel.shape[1:] != (2,) or pixels.shape != gel.shape:
         raise BadInput(
             f"{where}: {len(gel)} gel points and {len(pixels)} pixels; give one pixel (u, v) per point (x, y)"

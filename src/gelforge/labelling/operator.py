@@ -2,12 +2,13 @@
 
 Every face is cut into one part per node that a uniform traction loads: a second-order triangle into
 three triangles between an edge and the centroid (its corners carry none of a uniform traction), a
-bilinear quadrangle into its four quarters. A nodal force belongs to the parts of its node on all faces
-around it, in proportion to the load that a uniform traction puts on the node from each; a part
-spreads it evenly over its projected undeformed area, clipped exactly against the cells. Columns sum
-to one, one extra row being what falls outside the image, and no weight is negative. A uniform
-traction comes out exactly. Against spreading over whole faces, with or without iterative refinement
-towards linear traction, the errors of linear traction and of contact edges are a third smaller.
+bilinear quadrangle into its four quarters. A nodal force is divided among its node's parts on all faces
+around it, in proportion to the load that a uniform traction on each face puts on the node. A part spreads
+its force evenly over its projected undeformed area, which is clipped exactly against the cells. Rows of
+surface nodes sum to one, with one extra column for what falls outside the image, and no weight is
+negative. A uniform traction is reproduced exactly. The errors of linear traction and of contact edges are
+a third smaller than if forces are spread over whole faces, with or without iterative refinement towards
+linear traction.
 """
 
 from dataclasses import dataclass
@@ -24,7 +25,7 @@ from gelforge.mechanics.mesh.gelmesh import GelMesh
 
 CORNERS = {"tet10": 3, "hex8": 4}
 UPRIGHT = 1e-6  # a face whose projection is smaller than this fraction of its area stands upright
-WHOLE = 1e-9  # a part that clipping finds inside the image to this accuracy lies inside; the rest is rounding
+WHOLE = 1e-9  # a part whose clipped fraction is one to this accuracy lies inside the image; the rest is rounding
 
 
 @dataclass(frozen=True)
@@ -47,10 +48,11 @@ class Operator:
         return csr_matrix((self.weight, self.cell, self.ptr), shape=(len(self.ptr) - 1, self.grid.cells + 1))
 
     def spread(self, ptr, node, force):
-        """Bin the forces of n samples in one product, sparse.
+        """Bin the forces of n samples in one sparse product.
 
         ptr (n+1,), node (k,) mesh nodes, force (k, 3) N. Returns scipy CSR (3 n, cells + 1) in N, row
-        axis * n + sample, the last column outside. Force on a node off the surface raises BadInput.
+        axis * n + sample, the last column outside. Force that is not finite or on a node off the surface raises
+        BadInput.
         """
         from scipy.sparse import csr_matrix
 
@@ -63,7 +65,7 @@ class Operator:
         return stacked @ self.matrix
 
     def apply(self, ptr, node, force) -> tuple[np.ndarray, np.ndarray]:
-        """What `spread` gives, as cells (n, 3, rows, cols) along gel x, y, z and outside (n, 3), N."""
+        """The result of `spread` as cells (n, 3, rows, cols) along gel x, y, z and outside (n, 3), N."""
         samples = len(ptr) - 1
         cells = self.spread(ptr, node, force).toarray().reshape(3, samples, self.grid.cells + 1).transpose(1, 0, 2)
         return cells[..., :-1].reshape(samples, 3, *self.grid.shape), np.ascontiguousarray(cells[..., -1])
@@ -99,7 +101,7 @@ def assemble(mesh: GelMesh, sensor: Sensor, grid: Grid) -> Operator:
 def face_parts(mesh: GelMesh) -> tuple[np.ndarray, np.ndarray]:
     """Cut faces into k parts each: polygons (f, k, corners, 2) in the gel's plane and their areas (f, k), mm^2.
 
-    Faces that stand upright get zero areas: nothing of their force can be spread over the image.
+    Upright faces get zero areas, because their force cannot be spread over the image.
     """
     corners = mesh.nodes[mesh.faces[:, : CORNERS[mesh.kind]]]
     flat, following = corners[..., :2], np.roll(corners[..., :2], -1, axis=1)
@@ -133,7 +135,7 @@ def face_loads(mesh: GelMesh) -> np.ndarray:
 
 
 def node_to_part(mesh: GelMesh, areas: np.ndarray):
-    """CSR (nodes, f k) giving each node's fraction of the faces' parts, and nodes without any, (l,).
+    """CSR (nodes, f k), fractions of each node's force on the faces' parts, and surface nodes without parts, (l,).
 
     The corners of second-order triangles have no part: their force, small and of either sign, goes to
     the parts beside them by area.
@@ -159,10 +161,10 @@ def node_to_part(mesh: GelMesh, areas: np.ndarray):
 
 
 def _even_out(loads, areas):
-    """CSR (f k, f k) moving what a node's load exceeds its part's area to the face's parts that lack some.
+    """CSR (f k, f k) that moves load in excess of a part's area to those parts of its face with less load than area.
 
-    A skewed quadrangle loads its corners not quite as its quarters' areas; after this a uniform traction
-    is uniform again. Rows sum to one and nothing is negative.
+    On a skewed quadrangle corner loads differ slightly from the quarters' areas; this makes a uniform
+    traction uniform again. Rows sum to one and nothing is negative.
     """
     from scipy.sparse import csr_matrix
 

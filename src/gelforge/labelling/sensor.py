@@ -12,9 +12,9 @@ from gelforge.geometry.gel import Gel, load_gel
 from gelforge.records.press import SENSOR_TABLES
 
 NOMINAL = Gel()
-SHAPE = 0.01  # by which the ratio of an image's sides may differ from that of the sensor's
-LEAST_SHOWN, MOST_SHOWN = 0.05, 5.0  # of the gel's length: what an image may be wide
-FEWEST_DOTS, MOST_DOTS = 2, 100  # in a row or a column of a print
+SHAPE = 0.01  # tolerance of an image's aspect ratio, relative to the sensor's
+LEAST_SHOWN, MOST_SHOWN = 0.05, 5.0  # width of an image as a multiple of the gel's length
+FEWEST_DOTS, MOST_DOTS = 2, 100  # in a row or a column of the marker grid
 
 
 @dataclass(frozen=True)
@@ -37,7 +37,7 @@ class Sensor:
     markers: dict = field(default_factory=dict)
 
     def project(self, points: np.ndarray) -> np.ndarray:
-        """Pixels (..., 2) of gel points (..., 2 or more) in mm; only x and y are looked at."""
+        """Pixels (..., 2) of gel points (..., 2 or more) in mm; only x and y are used."""
         return transform(self.projection, points)
 
     def unproject(self, pixels: np.ndarray) -> np.ndarray:
@@ -45,14 +45,14 @@ class Sensor:
         return transform(np.linalg.inv(self.projection), pixels)
 
     def sized(self, image: np.ndarray, where: str) -> np.ndarray:
-        """An image (h, w, 3) of any size in that of the sensor; BadInput where it has another shape. where: what it is of."""
+        """An image (h, w, 3) resized to the sensor's; BadInput for another aspect ratio. where: names the images."""
         import cv2
 
         (high, wide), (width, height) = image.shape[:2], self.image
         if abs(wide * height / (high * width) - 1.0) > SHAPE:
             raise BadInput(
-                f"{where} are {wide} x {high}, of another shape than those of sensor {self.name}, {width} x {height}; name another sensor,"
-                " or describe this one in workflow/sensors.toml"
+                f"{where} are {wide} x {high}; their aspect ratio differs from the {width} x {height} of sensor {self.name}: name another"
+                " sensor, or describe this one in workflow/sensors.toml"
             )
         return (
             image
@@ -62,7 +62,7 @@ class Sensor:
 
 
 def transform(homography: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Points (..., 2) under a homography (3, 3); a row of more than two numbers loses the rest."""
+    """Points (..., 2 or more) mapped by a homography (3, 3) to (..., 2); only the first two numbers are used."""
     points = np.asarray(points, float)[..., :2]
     mapped = points @ homography[:, :2].T + homography[:, 2]
     return mapped[..., :2] / mapped[..., 2:]
@@ -100,7 +100,7 @@ def check_projection(homography: np.ndarray, where: str, gel: Gel = NOMINAL) -> 
 
 
 def check_scale(homography: np.ndarray, image: tuple[int, int], where: str, gel: Gel = NOMINAL) -> None:
-    """Raise BadInput where an image (width, height) px would show far more or far less than a gel, as with another unit of length."""
+    """Raise BadInput if an image (width, height) px shows far more or far less than a gel, as with a wrong unit."""
     middle = np.array(image) / 2
     across = transform(np.linalg.inv(homography), middle + np.array([[-middle[0], 0.0], [middle[0], 0.0]]))
     shown = float(np.hypot(*(across[1] - across[0])))
@@ -126,17 +126,17 @@ def sensors_of(tables: dict, where: str) -> dict[str, Sensor]:
 
 
 def find_sensor(sensors: dict, name: str, where: str, tables: str = SENSOR_TABLES) -> Sensor:
-    """The sensor called `name`; one that is not there raises BadInput with those that are. tables: where they stand."""
+    """The sensor called `name`; an unknown one raises BadInput with the known names. tables: the file of sensors."""
     if name not in sensors:
         raise BadInput(
-            f"{where}: sensor {name!r} is not in {tables}, where there are {', '.join(sorted(sensors))}; add it there, or"
-            " give one of these"
+            f"{where}: sensor {name!r} is not in {tables}, which has {', '.join(sorted(sensors))}; add it there, or name"
+            " one of these"
         )
     return sensors[name]
 
 
 def sensor_of(path: str, name: str, table: dict) -> Sensor:
-    """The sensor of a table that stands in the file `path`; BadInput names the field that is wrong."""
+    """The sensor of a table in the file `path`; BadInput names the wrong field."""
     where = f"{path}: [{name}]"
     if not isinstance(table, dict) or not {"image", "projection", "gel"} <= set(table):
         raise BadInput(
@@ -162,7 +162,7 @@ def sensor_of(path: str, name: str, table: dict) -> Sensor:
 
 
 def check_markers(markers: Any, where: str) -> None:
-    """Raise BadInput for a description of printed markers whose values cannot be; what is left out is not known."""
+    """Raise BadInput for impossible values in the description of printed markers; any key may be missing."""
     if not isinstance(markers, dict):
         raise BadInput(f"{where}: is {markers!r}; write a table, such as {{ rows = 7, cols = 9 }}")
     for key in ("rows", "cols"):

@@ -1,4 +1,4 @@
-"""Augmentation: colour and noise, one small matrix per image; shifts and mirrors of image and label alike."""
+"""Augmentation: colour and noise of images, shifts, mirrors and crops of image and label together."""
 
 import math
 
@@ -8,7 +8,7 @@ import torch
 from gelforge.flow.tables import AugmentTable
 from gelforge.learning.nets import cell_pixels, inner_part, map_grid
 
-# Luma, and the two chroma axes of YIQ (NTSC 1953): hue turns the chroma plane, saturation scales it.
+# Luma and the two chroma axes of YIQ (NTSC 1953): hue rotates the chroma plane, saturation scales it.
 RGB_TO_YIQ = torch.tensor([[0.299, 0.587, 0.114], [0.5959, -0.2746, -0.3213], [0.2115, -0.5227, 0.3112]])
 YIQ_TO_RGB = torch.linalg.inv(RGB_TO_YIQ)
 
@@ -19,7 +19,7 @@ def uniform(n: int, half_width: float, generator):
 
 
 def colour_matrices(saturation, hue_turns):
-    """Matrices (n, 3, 3) that scale the chroma by `saturation` (n,) and turn it by `hue_turns` (n,) of a circle."""
+    """RGB matrices (n, 3, 3) that scale chroma by `saturation` (n,) and rotate it by `hue_turns` (n,) of a circle."""
     angle = 2 * math.pi * hue_turns
     turn = torch.zeros(len(angle), 3, 3)
     turn[:, 0, 0] = 1
@@ -30,12 +30,12 @@ def colour_matrices(saturation, hue_turns):
 
 
 def augment(images, settings: AugmentTable, generator):
-    """Vary noise, brightness, contrast, saturation and hue of images (n, 3, h, w) in 0..1; a chosen fraction of them.
+    """Vary noise, brightness, contrast, saturation and hue of a random fraction of the images (n, 3, h, w) in 0..1.
 
-    The order is the paper's; brightness, contrast, saturation and hue are linear in RGB, so they are one
-    matrix and one offset per image. `settings` holds probability, noise (standard deviation), brightness,
-    contrast, saturation (half widths around 1) and hue (half width in turns). Of images (n, 6, h, w) the
-    second half is the no-contact image: its colours vary as the image's do, and it gets no noise.
+    The order is the paper's; all but the noise is linear in RGB, so factors, an offset and a matrix per image
+    suffice. `settings` holds probability, noise (standard deviation), brightness, contrast, saturation (half widths
+    around 1) and hue (half width in turns). In pairs (n, 6, h, w) the last three channels are the no-contact image:
+    its colours vary like the image's, and it gets no noise.
     """
     n = len(images)
     chosen = torch.rand(n, generator=generator) < settings.probability
@@ -60,10 +60,10 @@ def augment(images, settings: AugmentTable, generator):
 
 
 def shift_together(images, labels, cells: int, generator) -> tuple[np.ndarray, np.ndarray]:
-    """Move each image (n, h, w, channels) and its label (n, 3, rows, cols) alike, by up to `cells` cells along both axes.
+    """Shift each image (n, h, w, channels) with its label (n, 3, rows, cols) by up to `cells` cells along both axes.
 
-    What leaves one side comes in at the other, in both, so that no force is lost: half a contact at the rim is half
-    the force. Places are drawn evenly, none moved or moved at random with equal odds.
+    Shifts are periodic, so that no force is lost: what leaves on one side enters on the other, in image and label.
+    With probability 1/2 an image stays; otherwise its shift is uniform.
     """
     image = images.shape[1:3]
     pixels = cell_pixels(image, map_grid(image, labels.shape[2:]), f"[train] shift_cells = {cells}")
@@ -76,10 +76,11 @@ def shift_together(images, labels, cells: int, generator) -> tuple[np.ndarray, n
 
 
 def misplace_nocontact(pairs: np.ndarray, narrow: np.ndarray, settings: AugmentTable, generator) -> np.ndarray:
-    """Shift, turn and zoom the no-contact image of a fraction of the pairs (n, h, w, 6) uint8, as if the gel were mounted differently.
+    """Shift, rotate and zoom the no-contact image of a fraction of the pairs (n, h, w, 6) uint8.
 
-    Where the gel is held its markers do not move under any force, so these show the network what to take back. narrow: (n,)
-    pairs that are left alone because they do not show these markers: there a common motion is sideways force.
+    The gel then seems mounted differently. Markers near the gel's clamped rim do not move under force, so they show
+    the network the misplacement. narrow: (n,) bool, pairs that are left as they are: without the rim in view, a
+    common motion of markers means shear.
     """
     import cv2
 
@@ -101,9 +102,10 @@ def narrow_views(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Hide the rim of a fraction of the pairs (n, h, w, 6) uint8 and of their labels (n, 3, rows, cols), up to `narrowed`.
 
-    Returns both and which were chosen, (n,) bool. So look pictures of a camera that sees less of the gel once they are
-    brought to the scale of the others: what it does not see is even, and no force is read there. Wide borders are drawn
-    more often than narrow ones, because it is them that take away what a network could hold on to. Only where the label is a map, maps (n,) bool, it is known what the rim hides.
+    Returns both and which were chosen, (n,) bool. Images of a camera that sees less of the gel look like this at the
+    scale of the others: a margin of uniform colour, in which no force is read. Wide margins are drawn more often than
+    narrow ones, because they hide the markers that a network would rely on. Only pairs whose label is a map, maps
+    (n,) bool, are chosen: otherwise the hidden force is unknown.
     """
     pairs, labels = np.array(pairs), np.array(labels)
     chosen = (torch.rand(len(pairs), generator=generator) < settings.narrowed_share) & torch.from_numpy(maps)
@@ -113,7 +115,7 @@ def narrow_views(
             float(fractions[k]), pairs.shape[1:3], labels.shape[2:], "[train.augment] narrowed"
         )
         shown, force = pairs[k][pixels].copy(), labels[k][(slice(None), *inner)].copy()
-        # where a pair shows nothing, the no-contact image's mean colour stands in both
+        # fill the margin of both images with the mean colour of the no-contact image
         mean = shown.sum(axis=0, dtype=np.uint64).sum(axis=0) / (
             shown.shape[0] * shown.shape[1]
         )  # by whole lines of memory
@@ -125,10 +127,10 @@ def narrow_views(
 
 
 def mirror_together(images, labels, generator) -> tuple[np.ndarray, np.ndarray]:
-    """Mirror each image (n, h, w, channels) and its label (n, 3, rows, cols) alike, either way with even odds.
+    """Mirror each image (n, h, w, channels) and its label (n, 3, rows, cols) along each axis with probability 1/2.
 
-    Mechanics and markers know no left and right: a press mirrored is a press, its force along the mirrored side of the
-    image reversed. The coloured light does not mirror, so a network learns to lean on it less.
+    Mechanics and markers are symmetric: a mirrored press is a press whose force along the mirrored axis is reversed.
+    The coloured light is not symmetric, so a network learns to rely on it less.
     """
     import cv2
 

@@ -1,4 +1,4 @@
-"""The arrays of stage 60 as training and evaluation read them, of one dataset or of several concatenated."""
+"""Datasets of stage 60 as training and evaluation read them: one, or several concatenated."""
 
 import hashlib
 from collections.abc import Sequence
@@ -17,10 +17,10 @@ from gelforge.records.samplefile import TRAINING, UNSEEN_BOTH, UNSEEN_SENSOR, VA
 
 FILES = ("images.npy", "labels.npy", "nocontact.npy", "samples.csv", "dataset.json")
 ONE_CELL = (1, 1)  # the grid of a label that is the total force alone
-LEAST_TOTAL = 0.01  # of the largest component's scale of total force
-CHUNK = 256
-FEWEST_EACH = 9  # presses of validation that choose, and as many that set intervals
-# Below this a split says nothing about an error and batch statistics nothing about a layer.
+LEAST_TOTAL = 0.01  # least scale of a component's total force, as a fraction of the largest component's
+CHUNK = 256  # rows read at a time
+FEWEST_EACH = 9  # fewest validation presses for model selection, and as many for calibrating intervals
+# Fewest samples for batch statistics (train) and for an error (val).
 SMALLEST = {TRAINING: 4, VALIDATION: 1}
 
 
@@ -30,8 +30,8 @@ class Data:
 
     images (n, height, width, 3) uint8 RGB; labels (n, 3, rows, cols) float32 N per cell along
     gel x, y, z; table has one record per sample; splits gives row numbers by name; nocontact
-    has the no-contact image (height, width, 3) uint8 RGB of each sensor that has one; maps (n,) bool says of which rows
-    the label is a map: of the others only the total is known.
+    has the no-contact image (height, width, 3) uint8 RGB of each sensor that has one; maps (n,) bool: whether a row's
+    label is a map, not only a known total.
     """
 
     folder: Path
@@ -42,13 +42,14 @@ class Data:
     info: dict
     nocontact: dict[str, np.ndarray]
     maps: np.ndarray
-    # Sensors, and what is taken back of the rows that were looked at: both are found once, not in every epoch.
+    # Caches: sensors by name, and by row the change that was taken back of its image, so that each is found only
+    # once.
     _sensors: dict[str, NoContact] = field(default_factory=dict, init=False, repr=False, compare=False)
     _changes: dict[int, Change] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def name(self) -> str:
-        """Of the dataset: that of its folder below results/ where it names none."""
+        """Name of the dataset; of its folder below results/ if dataset.json names none."""
         return str(self.info.get("name", self.folder.parent.parent.name))
 
     @property
@@ -79,16 +80,18 @@ class Data:
         missing = sorted(set(names) - set(self.nocontact))
         if missing:
             raise BadInput(
-                f"{self.folder}: no no-contact image of sensor {', '.join(missing)}, beside which this network "
-                f"reads pictures: put nocontact/{missing[0]}.png into the dataset's data folder and make the "
+                f"{self.folder}: the no-contact image of sensor {', '.join(missing)} is missing, and this network needs it "
+                f"beside each image: put nocontact/{missing[0]}.png into the dataset's data folder and make the "
                 "dataset again, or choose MODEL=unet, which reads the image alone"
             )
         return names
 
     def seen(self, rows, pair: bool) -> np.ndarray:
-        """What a network is given of some rows: images, uint8 (k, height, width, 3).
+        """Images of some rows as a network reads them, uint8 (k, height, width, 3).
 
-        Or pairs (k, height, width, 6), where the no-contact image stands behind each image, which is brought to its light.
+        With `pair` (k, height, width, 6): each image, normalised to the light of its no-contact image, then the
+        latter.
+        Raises BadInput as `require_nocontact`.
         """
         import cv2
 
@@ -113,11 +116,11 @@ class Data:
         return found
 
     def presses(self, rows) -> np.ndarray:
-        """Identity of the press of some rows, (k,): several images may show one; where unknown, none does."""
+        """Identity of the press of some rows, (k,): several images may show one; a row without group is its own."""
         return np.array([self.table[row].group or f"row {row}" for row in rows])
 
     def unaltered(self, rows: np.ndarray) -> np.ndarray:
-        """Those of some rows whose image and no-contact image are as a sound sensor gives them: no virtual rig altered them."""
+        """Those of some rows whose image and no-contact image no virtual rig has altered (wear, another light)."""
         return rows[np.array([not self.table[row].altered for row in rows], bool)]
 
     def totals(self, rows) -> np.ndarray:
@@ -128,7 +131,7 @@ class Data:
 def open_data(folder) -> Data:
     """Open a dataset folder of stage 60 and check that its parts belong together.
 
-    Raises BadInput for missing files, arrays of other shapes or types, labels that are not finite.
+    Raises BadInput for missing files, arrays of wrong shape or type, and labels that are not finite.
     """
     folder = Path(folder)
     for name in FILES:
@@ -159,18 +162,18 @@ def check_shapes(folder, images, labels, table, info) -> None:
     if not len(images) == len(labels) == len(table):
         raise BadInput(
             f"{folder}: {len(images)} images, {len(labels)} labels and {len(table)} rows of samples.csv; "
-            "they must be as many: remove the folder and make the dataset again"
+            "the numbers must be equal: remove the folder and make the dataset again"
         )
     grid = info.get("grid")
     if grid and tuple(grid) != labels.shape[2:]:
         raise BadInput(
-            f"{folder}: dataset.json says a grid of {grid}, labels.npy has {list(labels.shape[2:])}; "
+            f"{folder}: the grid is {grid} in dataset.json and {list(labels.shape[2:])} in labels.npy; "
             "make the dataset again for one resolution"
         )
 
 
 def match_pictures(folder, info, pictures, images) -> dict[str, np.ndarray]:
-    """No-contact images of sensors by name; BadInput where they fit neither their names nor the images."""
+    """No-contact images of sensors by name; BadInput if they do not fit their names or the images."""
     names = info.get("nocontact", [])
     if pictures.dtype != np.uint8 or pictures.shape != (len(names), *images.shape[1:]):
         raise BadInput(
@@ -205,9 +208,9 @@ def require_splits(data: Data) -> None:
 
 
 def split_validation(data: Data) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of validation that may choose (the epoch, how intervals grow), and those that choose nothing.
+    """Rows of validation for selection (the epoch, how intervals grow), and held-out rows, which select nothing.
 
-    Every other press goes to either; where there are too few presses for both, all of them choose.
+    Presses alternate between the two; fewer than 2 FEWEST_EACH presses all serve selection.
     """
     rows = data.splits[VALIDATION]
     presses, of_row = np.unique(data.presses(rows), return_inverse=True)
@@ -218,10 +221,9 @@ def split_validation(data: Data) -> tuple[np.ndarray, np.ndarray]:
 
 
 def calibration_rows(data: Data) -> np.ndarray:
-    """Rows of presses and sensors that chose nothing, on which the size of intervals is set.
+    """Rows of presses and sensors that selected nothing, on which the size of intervals is calibrated.
 
-    Beside the half of validation that chooses nothing it takes half of the unseen sensors; the others check whether intervals
-    hold.
+    The held-out half of validation, and half of the unseen sensors; the other half checks the coverage of intervals.
     """
     rows = np.concatenate([data.splits.get(name, np.zeros(0, int)) for name in (UNSEEN_SENSOR, UNSEEN_BOTH)])
     names = data.names("sensor_id")
@@ -231,10 +233,10 @@ def calibration_rows(data: Data) -> np.ndarray:
 
 
 def press_keys(data: Data, rows) -> np.ndarray:
-    """Identity of the press of some rows among all presses of all datasets, (k,) text.
+    """Identity of the press of some rows, unique over all datasets, (k,) text.
 
-    Frames, depths and shears of one touch, by whatever sensor, are one press. A press without a pose is identified by
-    its dataset, its name and the force that was measured.
+    Frames, depths and shears of one touch are one press, whichever sensor saw it. A press without a pose is
+    identified by its dataset and its press_id, or else its sample_id and measured force.
     """
     return np.array([_press_key(data.name, data.table[row].press) for row in rows])
 
@@ -248,7 +250,7 @@ def _press_key(dataset: str, press: PressRecord) -> str:
 
 
 def data_version(data: Data) -> str:
-    """Fingerprint of a dataset: everything but the images, of which every 64th enters."""
+    """Fingerprint of a dataset: of its tables and labels, its no-contact images and every 64th image."""
     digest = hashlib.sha256()
     for name in ("samples.csv", "dataset.json", "nocontact.npy"):
         digest.update((data.folder / name).read_bytes())
@@ -260,11 +262,12 @@ def data_version(data: Data) -> str:
 
 
 def scales(data: Data) -> dict:
-    """What training scales by: image mean and deviation per channel, and the labels' root mean square.
+    """Scales of training: image mean and deviation per channel, root mean square of cells and totals, their range.
 
-    Zero force is zero in scaled units too, because labels are divided and never shifted. A component whose totals
-    cancel, as sideways ones of centred presses do, is scaled by LEAST_TOTAL of the largest: errors of it count as theirs
-    do, not without bound. Cells are scaled by those of maps.
+    Labels are divided and never shifted, so zero force stays zero. A component with totals near zero, such as shear
+    of centred presses, is scaled by LEAST_TOTAL of the largest scale, so that its errors keep a bounded weight. The
+    scale of cells is that of labels that are maps. Raises BadInput for a component that is zero in every training
+    label.
     """
     rows = data.splits[TRAINING]
     sums, squares, cells = np.zeros(3), np.zeros(3), np.zeros(3)
@@ -294,10 +297,12 @@ def scales(data: Data) -> dict:
 
 
 def concatenate(own: Data, others: Sequence[Data]) -> Data:
-    """One dataset to learn from: all of `own`, and what `others` have to train on and to validate with.
+    """One dataset to learn from: `own` with all of its splits, and the training and validation splits of `others`.
 
-    Another one may know totals alone (a grid of one cell): its labels are spread over the cells, and `maps` tells them. It is named after all of them, and rows of `own` come first. Sensors and groups of another one carry its name, so that the
-    same name in two datasets stays two things. Raises BadInput for one of other images or another grid, and for one that is given twice.
+    It is named after all of them, and rows of `own` come first. Another dataset may have totals only (a grid of one
+    cell): they are spread evenly over the cells, and `maps` is False for them. Its sensors and groups get its name as
+    a prefix, so that names in two datasets do not clash. Raises BadInput for one of another image size or grid, and
+    for one that is given twice.
     """
     if not others:
         return own
@@ -323,13 +328,13 @@ def concatenate(own: Data, others: Sequence[Data]) -> Data:
 
 
 def spread(totals, grid: tuple[int, int]) -> np.ndarray:
-    """Total forces (n, 3, 1, 1) N as labels (n, 3, rows, cols) of the same sum, equal in all cells."""
+    """Total forces (n, 3, 1, 1) N spread evenly over the cells of labels (n, 3, rows, cols)."""
     cells = np.asarray(totals[:]) / np.float32(grid[0] * grid[1])
     return np.broadcast_to(cells, (*cells.shape[:2], *grid))
 
 
 def carrying(dataset: str, sample: DatasetSample) -> DatasetSample:
-    """A sample whose sensor and group carry the name of their dataset; a press without a group has none."""
+    """A sample with the name of its dataset before its sensor and group; an empty group stays empty."""
     press = replace(sample.press, sensor_id=f"{dataset}/{sample.press.sensor_id}")
     return replace(sample, press=press, group=f"{dataset}/{sample.group}" if sample.group else "")
 
@@ -342,5 +347,6 @@ def require_alike(own: Data, other: Data) -> None:
     )
     if other.image_size != own.image_size or other.grid not in (own.grid, ONE_CELL):
         raise BadInput(
-            f"{other.folder}: has {seen}, {own.folder} has {required}: only what is alike can be learnt from together"
+            f"{other.folder}: has {seen}, {own.folder} has {required}: datasets that a network learns from together must have"
+            " the same image size and grid, or a grid of 1 x 1 (totals alone)"
         )

@@ -1,4 +1,4 @@
-"""Errors of a trained network on presses it did not learn from: tables as the paper's, controls, sensors, single contacts."""
+"""Errors of a trained network on presses that it did not learn from, with those of baselines and reference forces."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -15,17 +15,17 @@ from gelforge.records.press import FORCE
 from gelforge.records.samplefile import TRAINING
 
 CONFIDENCE = 0.95
-LEAST_CELL = 0.02  # of the strongest cell's normal force, below which a cell belongs to no contact
-LEAST_FORCE = 0.5  # N below which what is pressed is no contact of its own
-REACH = 2.0  # cells around a contact in which what a network predicts still belongs to it
+LEAST_CELL = 0.02  # fraction of the strongest cell's normal force below which a cell belongs to no contact
+LEAST_FORCE = 0.5  # N; a patch of cells with less normal force is no contact
+REACH = 2.0  # cells around a contact whose predicted force counts as the contact's
 
 
 def bootstrap_mean(values, rng, resamplings: int, alike=None) -> tuple[np.ndarray, np.ndarray]:
-    """Interval of the mean of `values` (n, k) over groups drawn with replacement; low and high, (k,) each.
+    """95 % confidence interval of the mean of `values` (n, k): low and high, (k,) each.
 
-    Percentile bootstrap (Efron 1979) at 95 %. alike: (n,) the group of each value, such as its press: groups are drawn
-    whole, because what belongs to one errs alike (cluster bootstrap, Davison and Hinkley 1997, section 3.8); None: each
-    value is its own.
+    Percentile bootstrap (Efron 1979). alike: (n,) the group of each value, such as its press. Whole groups are drawn,
+    because errors within one are correlated (cluster bootstrap, Davison and Hinkley 1997, section 3.8); None: each
+    value is a group.
     """
     values = np.asarray(values, float)
     _, group = np.unique(np.arange(len(values)) if alike is None else alike, return_inverse=True)
@@ -43,7 +43,8 @@ def bootstrap_mean(values, rng, resamplings: int, alike=None) -> tuple[np.ndarra
 def error_table(error, rng, resamplings: int, force_range=None, alike=None) -> dict:
     """Summarise signed errors (n, 3) in N per component: MAE, its deviation and interval, bias, root mean square.
 
-    `force_range` (3,) N adds the MAE in percent of it (None where there is no range); `alike` (n,) is as for `bootstrap_mean`.
+    `force_range` (3,) N adds the MAE in percent of it (None for a range of 0); `alike` (n,) is as for
+    `bootstrap_mean`.
     """
     size = np.abs(error)
     low, high = bootstrap_mean(size, rng, resamplings, alike)
@@ -64,7 +65,7 @@ def error_table(error, rng, resamplings: int, force_range=None, alike=None) -> d
 
 
 def cell_table(predicted, labels) -> dict:
-    """Error per cell (n, 3, rows, cols) in N: mean over cells and images, and the deviation over images."""
+    """Absolute error per cell of maps (n, 3, rows, cols) in N: mean over cells and images, deviation over images."""
     per_image = np.abs(predicted - labels).mean((2, 3), dtype=np.float64)
     return {
         axis: {"mae": float(per_image[:, i].mean()), "std": float(per_image[:, i].std())}
@@ -85,16 +86,16 @@ def by_group(error, groups) -> dict:
 
 
 def slope(values, reference) -> dict:
-    """By what factor values (n, 3) N differ from a reference (n, 3) N per component: least squares through zero."""
+    """Slope per component of values (n, 3) N over a reference (n, 3) N: least squares through zero, or None."""
     squares = (np.asarray(reference) ** 2).sum(axis=0)
     factors = (np.asarray(values) * reference).sum(axis=0) / np.where(squares > 0, squares, np.nan)
     return {axis: float(factor) if np.isfinite(factor) else None for axis, factor in zip(CHANNELS, factors)}
 
 
 def force_bins(normal_force, edges) -> list[str]:
-    """Name of the bin of |f_z| that each press lies in, `low-high N`; from the last edge on `high+ N`.
+    """Name of the bin of |f_z| of each press, `low-high N`, or `high+ N` from the last edge on.
 
-    What is below the first edge has a bin from 0.
+    Presses below the first edge have a bin from 0.
     """
     edges = sorted({0.0, *edges})
     names = [f"{low:04.1f}-{high:04.1f} N" for low, high in zip(edges, edges[1:])] + [f"{edges[-1]:04.1f}+ N"]
@@ -123,10 +124,10 @@ def image_means(images, rows) -> np.ndarray:
 
 
 def contacts_of(label: np.ndarray) -> np.ndarray:
-    """Which contact each cell belongs to, (rows, cols) int, 0 for none; label: (3, rows, cols) N.
+    """Number of the contact that each cell belongs to, (rows, cols) int, 0 for none; label: (3, rows, cols) N.
 
-    Pressed cells that touch each other, corners too, are one contact; each takes the cells around it, up to REACH, that are
-    nearer to it than to another.
+    Pressed cells that touch, also at corners, are one contact. It includes the cells within REACH that are nearer to
+    it than to any other contact.
     """
     from scipy import ndimage
 
@@ -163,7 +164,7 @@ def contact_forces(labels: np.ndarray, forces: np.ndarray) -> np.ndarray:
 
 
 def contact_table(labels: np.ndarray, forces: np.ndarray) -> dict:
-    """Contacts in presses with several (`n`), and a network's error of the force of each: N and per cent, in the mean."""
+    """Number `n` of contacts in presses with several; mean absolute error of their normal forces, N and percent."""
     pairs = contact_forces(labels, forces)
     if not len(pairs):
         return {"n": 0}
@@ -171,18 +172,18 @@ def contact_table(labels: np.ndarray, forces: np.ndarray) -> dict:
     return {"n": len(pairs), "mae": float(off.mean()), "percent": float(100 * (off / pairs[:, 0]).mean())}
 
 
-# Where a dataset has them, total forces (samples.csv, gel frame: x short side) that did not come from
-# the labels: the force sensor of the rig, and what a virtual rig knows and a real one cannot.
+# Total forces in samples.csv (gel frame: x short side) that do not come from the labels: those of the rig's force
+# sensor, and the true ones, which only a virtual rig knows. A dataset may lack them.
 REFERENCES = {"sensor": "measured_{}", "truth": "true_{}"}
 
-# Of fewer sensors than these, an interval that draws whole sensors says nothing.
+# Fewest sensors for a bootstrap over sensors: with fewer, its interval means nothing.
 FEWEST_DRAWN = 5
 
 
 def reference_totals(data: Data, kind: str) -> np.ndarray | None:
-    """Total forces (n, 3) N of a reference, NaN where a press has none.
+    """Total forces (n, 3) N of a reference, NaN where a press has none; None if no press has one.
 
-    Without what fell outside the image, where the label knows it: a picture does not show it.
+    The label's force outside the image, where known, is subtracted, because the image does not show it.
     """
     columns = [REFERENCES[kind].format(column) for column in FORCE]
     totals = np.stack([data.column(name) for name in columns], axis=1)
@@ -192,11 +193,11 @@ def reference_totals(data: Data, kind: str) -> np.ndarray | None:
 
 
 def another_of_each(press: np.ndarray, rng: np.random.Generator) -> np.ndarray | None:
-    """For each row of `press` (n,), a row of another press, drawn evenly; None where all are of one press."""
+    """For each row of `press` (n,), a row of another press, drawn uniformly; None if all are of one press."""
     _, number, views = np.unique(press, return_inverse=True, return_counts=True)
     if len(views) < 2:
         return None
-    # rows of a press lie side by side in `order`; the draw counts the rows of all others
+    # rows of a press are consecutive in `order`; draw among all rows but these
     order, first = np.argsort(number, kind="stable"), (np.cumsum(views) - views)[number]
     drawn = rng.integers(len(press) - views[number])
     return order[np.where(drawn < first, drawn, drawn + views[number])]
@@ -204,7 +205,7 @@ def another_of_each(press: np.ndarray, rng: np.random.Generator) -> np.ndarray |
 
 @dataclass(frozen=True)
 class Lesson:
-    """What a guess may know of the presses that train: their totals (n, 3) N, and the mean colours (n, 3) of their pictures."""
+    """What baselines may use of the training presses: totals (n, 3) N and mean colours (n, 3) of their images."""
 
     totals: np.ndarray
     means: np.ndarray
@@ -216,16 +217,16 @@ class Lesson:
 
     @property
     def force_range(self) -> np.ndarray:
-        """From the least to the largest total by component, (3,) N."""
+        """Largest minus least total by component, (3,) N."""
         return self.totals.max(0) - self.totals.min(0)
 
 
 def controls(
     data: Data, rows: np.ndarray, predicted_totals: np.ndarray, lesson: Lesson, rng: np.random.Generator
 ) -> dict[str, np.ndarray]:
-    """Totals (k, 3) that know less than the network: a constant, another press's prediction, the image's mean.
+    """Totals (k, 3) of baselines: a constant, the prediction for another press, a linear fit to the mean colour.
 
-    Of rows that show one press alone there is no other's prediction.
+    The prediction for another press is left out if all rows show one press.
     """
     other = another_of_each(data.presses(rows), rng)
     return {
@@ -236,9 +237,9 @@ def controls(
 
 
 def known_rows(model: ForceModel, data: Data) -> np.ndarray:
-    """Which rows of a dataset (n,) bool show presses that a model learnt from, in whatever dataset these were.
+    """Which rows of a dataset, (n,) bool, show presses that a model learnt from, in this dataset or another.
 
-    Each press is identified by itself, so a dataset that has grown holds both.
+    Presses are identified one by one, so a dataset that has grown may hold both kinds.
     """
     pressed = {key for one in datasets_of(model.metadata) for key in one["pressed"]}
     if not pressed:
@@ -247,17 +248,17 @@ def known_rows(model: ForceModel, data: Data) -> np.ndarray:
 
 
 def learnt_sensors(model: ForceModel, data: Data) -> set[str]:
-    """Sensors of a dataset whose presses a model learnt from; of a part of it, those of that part."""
+    """Sensors in the training split of a dataset whose presses, all or some of them, a model learnt from."""
     training = data.splits.get(TRAINING, np.zeros(0, int))
     seen = training[known_rows(model, data)[training]]
     return set(model.metadata["sensors"]) & set(data.names("sensor_id")[seen].tolist())
 
 
 def what_errs_alike(data: Data, rows: np.ndarray, learnt: set[str]) -> np.ndarray:
-    """What the interval of a mean error over some rows draws whole, (k,): their sensors or their presses.
+    """Groups (k,) of some rows for the bootstrap of their mean error: sensors or presses.
 
-    It is the sensor where the network learnt from none of them (`learnt_sensors`) and there are FEWEST_DRAWN or more: what
-    matters then is how much sensors differ. Model cards say so.
+    Sensors if the network learnt from none of them (`learnt_sensors`) and there are FEWEST_DRAWN or more, because
+    then the differences between sensors matter; else presses. Model cards say so.
     """
     sensors = data.names("sensor_id")[rows]
     seen = set(sensors.tolist())
@@ -273,7 +274,7 @@ def evaluate_split(
     lesson: Lesson,
     rng,
 ) -> dict[str, Any]:
-    """All tables of one split, of what `predict` gives for its rows."""
+    """All tables of one split; predicted: for its rows, by `predict_rows`."""
     target, alike = data.totals(rows), what_errs_alike(data, rows, learnt_sensors(model, data))
     totals = predicted.forces.sum((2, 3), dtype=np.float64)
     error = totals - target
@@ -314,9 +315,13 @@ def evaluate_split(
 def held(
     data: Data, rows: np.ndarray, predicted: Predicted, error: np.ndarray, model: ForceModel
 ) -> dict[str, float] | None:
-    """Fraction of totals by channel that their intervals hold, of presses that these were not set on; None where none are left."""
+    """Coverage by channel of the intervals of totals, on presses that did not calibrate them.
+
+    None if there are no intervals or no such presses.
+    """
     set_on = model.metadata.get("intervals", {}).get("presses", [])
-    unseen = ~np.isin(press_keys(data, rows), set_on)  # another sensor's picture of a press errs as its own does
+    # whole presses are left out: errors on images of one press by several sensors are correlated
+    unseen = ~np.isin(press_keys(data, rows), set_on)
     if predicted.half_widths is None or not unseen.any():
         return None
     inside = (np.abs(error) <= predicted.half_widths)[unseen].mean(axis=0)
@@ -324,10 +329,10 @@ def held(
 
 
 def judged_splits(data: Data, learnt: bool) -> dict[str, np.ndarray]:
-    """Rows by split that a network is judged on: all but `train`, on which the controls are fitted.
+    """Rows by split that a network is evaluated on: all splits but `train`, on which the baselines are fitted.
 
-    learnt: whether it learnt from this dataset. One that did not is judged on `train` where the dataset is too small to
-    have other splits.
+    learnt: whether the network learnt from this dataset. If not, and the dataset is too small to have other splits,
+    it is evaluated on `train`. Raises BadInput if there is no split to evaluate on, or no `train`.
     """
     splits = {name: rows for name, rows in data.splits.items() if len(rows)}
     others = {name: rows for name, rows in splits.items() if name != TRAINING}
@@ -335,18 +340,19 @@ def judged_splits(data: Data, learnt: bool) -> dict[str, np.ndarray]:
         return others
     if TRAINING in splits and not learnt:
         return splits
-    lacks = f"one other than `{TRAINING}`, which it learnt from; log more presses, or let MODEL=shipped read them"
+    lacks = f"one other than `{TRAINING}`, which the network learnt from; log more presses, or evaluate MODEL=shipped"
     if TRAINING not in splits:
-        lacks = f"`{TRAINING}`, for the controls; leave some indenters and sensors seen"
+        lacks = f"`{TRAINING}`, for the baselines; leave some indenters and sensors seen"
     raise BadInput(f"{data.folder}: has splits {', '.join(splits) or 'none'}; an evaluation needs {lacks}")
 
 
 def evaluate(
     data: Data, model: ForceModel, settings: EvaluateTable, called: str = ""
 ) -> tuple[dict[str, Any], dict[str, tuple]]:
-    """Evaluate a model, as `predict` uses it, on every split of a dataset but the one it was fitted to (`judged_splits`).
+    """Evaluate a model, as `predict` uses it, on the splits of a dataset that `judged_splits` names.
 
-    Returns the figures, and per split its rows and predictions (k, 3, rows, cols) in N per cell. called: of `require_fit`.
+    Returns the figures, and per split its rows and predictions (k, 3, rows, cols) in N per cell. called: as for
+    `require_fit`.
     """
     require_fit(model, data, called)
     splits = judged_splits(data, learnt=bool(learnt_sensors(model, data)))

@@ -1,12 +1,13 @@
-"""A trained network as an ONNX graph, checked against torch before anything is made of it.
+"""A trained network as an ONNX graph, checked against torch, and its weights as safetensors.
 
-The graph takes `image` (n, height, width, 3) uint8 RGB and, where the network reads pairs, `nocontact`, both as
-`reading.pair` prepares them, and gives `forces` (n, 3, rows, cols), N per cell. Scales are inside, and so is
-test-time augmentation, where the network learnt from mirrored pictures: the mean over a picture and the same rotated by 180
-degrees, whose sideways force is reversed and whose cells trade places (Krizhevsky, Sutskever and Hinton 2012, NeurIPS 25,
-section 4.1, average so over parts and mirror images of a picture). One that learnt from its sensor's light alone knows no other.
+The graph takes `image` (n, height, width, 3) uint8 RGB and, for a network of pairs, `nocontact`, both as
+`reading.pair` prepares them, and gives `forces` (n, 3, rows, cols), N per cell. It includes the scales, and test-time
+augmentation for a network that was trained on mirrored images: the mean of the forces for an image and for the image
+rotated by 180 degrees, these rotated back with shear reversed (Krizhevsky, Sutskever and Hinton 2012, NeurIPS 25,
+section 4.1, average over crops and mirror images likewise). A network that saw light from one direction only gets
+none.
 
-Weights that a network is fine-tuned from, as safetensors: tensors and metadata, of which nothing is ever executed.
+The safetensors file, from which another network can be fine-tuned, holds tensors and metadata; no code in it is run.
 """
 
 import io
@@ -27,14 +28,14 @@ from gelforge.records.regular import file_fault
 
 OPSET = 17
 OUTPUT = "forces"
-SAMPLES = 3  # images that a graph is compared with torch on
-# The most that a force per cell may differ from torch's on the images that are checked, as a fraction of the range from the
-# least to the largest of all their forces per cell. Engines add up in other orders, which alone makes some 3e-6 of it.
+SAMPLES = 3  # images on which a graph is compared with torch
+# Largest difference of a force per cell from torch's, as a fraction of the range of all forces per cell of these
+# images. The order of summation, which differs between engines, alone causes some 3e-6.
 TOLERANCE = 1e-5
 
 
 class Exported(nn.Module):
-    """A network with its scales and, where `rotates`, test-time augmentation: the mean over an image and the same rotated by 180 degrees."""
+    """A network with its scales and, if `rotates`, test-time augmentation by the image rotated by 180 degrees."""
 
     scale: torch.Tensor
     reversed_force: torch.Tensor
@@ -57,13 +58,15 @@ class Exported(nn.Module):
 def export(net: nn.Module, metadata: dict[str, Any]) -> bytes:
     """The ONNX graph of a network, by torch's tracing exporter, which needs no other package.
 
-    metadata: its `model`, `normalisation`, `image` and `tta`. Raises GelforgeError where the graph differs from torch.
+    metadata: its `model`, `normalisation`, `image` and `tta` are read. Raises GelforgeError if the graph's forces
+    differ from torch's.
     """
     names = ["image", "nocontact"] if kind_of(metadata["model"]).pair else ["image"]
     pictures = dict(zip(names, sample_pictures(metadata["image"], len(names)), strict=True))
     module, content = Exported(net, metadata).eval(), io.BytesIO()
     with warnings.catch_warnings():
-        # torch prefers an exporter that needs onnx and onnxscript; these networks do not. Scales are constants.
+        # torch's other exporter needs onnx and onnxscript. The tracer warns of scales that become constants, as
+        # intended.
         warnings.simplefilter("ignore", DeprecationWarning)
         warnings.simplefilter("ignore", torch.jit.TracerWarning)
         torch.onnx.export(
@@ -80,14 +83,14 @@ def export(net: nn.Module, metadata: dict[str, Any]) -> bytes:
     off = largest_difference(module, graph, pictures)
     if not off <= TOLERANCE:  # NaN is no agreement
         raise GelforgeError(
-            f"{metadata['name']}: its ONNX form differs from torch by {off:.1e} of the range, allowed is {TOLERANCE}; report the"
-            " versions of torch and onnxruntime"
+            f"{metadata['name']}: its ONNX graph differs from torch by {off:.1e} of the force range (at most {TOLERANCE} is"
+            " allowed); report the versions of torch and onnxruntime"
         )
     return graph
 
 
 def largest_difference(module: nn.Module, graph: bytes, pictures: dict[str, np.ndarray]) -> float:
-    """Largest difference between a graph and torch on pictures (n, h, w, 3) by input, as a fraction of the range of forces."""
+    """Largest difference between graph and torch on images (n, h, w, 3) by input, as fraction of the force range."""
     with torch.inference_mode():
         required = module(*(torch.from_numpy(one) for one in pictures.values())).numpy()
     found = Graph(graph, "exported")(pictures)[OUTPUT]
@@ -95,7 +98,7 @@ def largest_difference(module: nn.Module, graph: bytes, pictures: dict[str, np.n
 
 
 def sample_pictures(size: tuple[int, int], count: int) -> list[np.ndarray]:
-    """Pictures (SAMPLES, h, w, 3) uint8 of noise over a slope, `count` times: no symmetry that could hide a swapped axis."""
+    """`count` times images (SAMPLES, h, w, 3) uint8: noise on a slope, so that no symmetry hides a swapped axis."""
     rng = np.random.default_rng(0)
     slope = np.linspace(30, 200, size[1])[None, None, :, None]
     drawn = [slope + rng.normal(0, 30, (SAMPLES, *size, 3)) for _ in range(count)]
@@ -103,7 +106,7 @@ def sample_pictures(size: tuple[int, int], count: int) -> list[np.ndarray]:
 
 
 def save_weights(path: Path, net: nn.Module, metadata: dict[str, Any]) -> None:
-    """Write a network's weights and what is known about it to exactly `path`; OSError where it cannot be."""
+    """Write a network's weights and metadata to exactly `path`; OSError if that fails."""
     from safetensors.torch import save
 
     tensors = {name: value.detach().cpu().contiguous() for name, value in net.state_dict().items()}
@@ -111,7 +114,7 @@ def save_weights(path: Path, net: nn.Module, metadata: dict[str, Any]) -> None:
 
 
 def load_weights(path: Path) -> tuple[nn.Module, dict[str, Any]]:
-    """A network in evaluation mode and what is known about it; BadInput for another file, or tensors that do not fit it."""
+    """A network in evaluation mode and its metadata; BadInput for another file, or tensors that do not fit."""
     from safetensors import safe_open
 
     path = Path(path)

@@ -1,4 +1,4 @@
-"""What is set beside a trained network by what it predicts for presses that training did not see: limits and intervals."""
+"""Predictions of a model on a dataset, and what they set: limits of usual images, intervals and latency."""
 
 import time
 from collections.abc import Mapping
@@ -22,10 +22,10 @@ WARM_UP = 5  # runs that are not timed
 
 @dataclass(frozen=True)
 class Predicted:
-    """What `predict` gives for some rows: forces (n, 3, rows, cols) N and half widths (n, 3) N of the totals' intervals.
+    """Predictions for some rows: forces (n, 3, rows, cols) N, and half widths (n, 3) N of the totals' intervals.
 
-    half_widths: None where the model knows none. in_place: whether all cells are those of the labels; False where a sensor's
-    pictures were scaled or turned, because then its cells show other places.
+    half_widths: None where the model has no intervals. in_place: whether the cells coincide with those of the labels;
+    False if a sensor's images were scaled or turned.
     """
 
     forces: np.ndarray
@@ -34,9 +34,9 @@ class Predicted:
 
 
 def predict_rows(model: ForceModel, data: Data, rows: np.ndarray) -> Predicted:
-    """Predict some rows of a dataset, each beside the no-contact image of its own sensor."""
+    """Predict some rows of a dataset, each with the no-contact image of its own sensor."""
     names = data.names("sensor_id")[rows].tolist()
-    # One row of each sensor is enough to find its picture.
+    # one row of each sensor, to look up its no-contact image
     first = dict(zip(names, rows, strict=True))
     beside = {name: _predictor(model, data, name, row) for name, row in first.items()}
     forces = np.zeros((len(rows), 3, *model.metadata["grid"]), np.float32)
@@ -60,7 +60,7 @@ def _predictor(model: ForceModel, data: Data, name: str, row: int) -> Predictor:
 def require_fit(model: ForceModel, data: Data, called: str = "") -> None:
     """Raise BadInput if a model cannot be used on a dataset: other grid, image size or sensor.
 
-    called: what people call it, where that is not the name that it was trained under.
+    called: name of the model in messages; empty for the one that it was trained under.
     """
     metadata = model.metadata
     called = called or f"model {metadata['name']}"
@@ -79,10 +79,10 @@ def require_fit(model: ForceModel, data: Data, called: str = "") -> None:
 
 
 def time_predictors(predictors: Mapping[str, Predictor], image: np.ndarray, seconds: float) -> dict[str, dict]:
-    """Latency of the graphs of several predictors on one image (h, w, 3) uint8, in ms: median, 10th and 90th percentile, runs.
+    """Latency of predictors' graphs on one image (h, w, 3) uint8, in ms: median, 10th and 90th percentile, runs.
 
-    The predictors take turns until each has had `seconds`, so that a machine that slows down slows all of them; the first
-    `WARM_UP` runs of each are not counted.
+    The predictors take turns until each has run for `seconds`, so that a machine that slows down slows all of them
+    alike. The first `WARM_UP` runs of each are not counted.
     """
     runs: dict[str, list[float]] = {name: [] for name in predictors}
     spent = dict.fromkeys(predictors, 0.0)
@@ -106,28 +106,29 @@ def summarise(values) -> dict:
     return {"median_ms": float(middle), "p10_ms": float(low), "p90_ms": float(high), "runs": len(values)}
 
 
-ENOUGH_PAIRS = 200  # pictures that show what good pairs are like
+ENOUGH_PAIRS = 200  # images that suffice to set the limits of good pairs
 
 
 def unaltered(data: Data) -> Data:
-    """A dataset without the pictures that a virtual rig altered: they teach what else may happen, not what is usual.
+    """A dataset without the images that a virtual rig altered, which do not show what is usual.
 
-    BadInput where none is left to train on or to validate with.
+    BadInput if none is left to train on or to validate with.
     """
     left = {name: data.unaltered(rows) for name, rows in data.splits.items()}
     if not len(left[TRAINING]) or not len(left[VALIDATION]):
         raise BadInput(
-            f"{data.folder}: the virtual rig drew every picture under another fall of light or with worn markers, so none shows"
-            " what is usual: lower relit_fraction and worn_fraction of the plan's units"
+            f"{data.folder}: the virtual rig altered light or markers in all images of the training or validation split, so"
+            " none of them shows usual conditions: lower relit_fraction and worn_fraction of the plan's units"
         )
     return replace(data, splits=left)
 
 
 def set_limits(metadata: dict[str, Any], learnt: Data, before: dict[str, Any] | None) -> dict[str, Any]:
-    """The part of a model's metadata that describes the usual ones of its images: `limits`, and the view of their cameras.
+    """The part of a model's metadata on usual images: `limits`, and `frame`, its cameras' view of the gel.
 
-    learnt: all that it learnt from; images that were altered set no limits, or a contact in a no-contact image would pass. before:
-    metadata of the network that it is fine-tuned from, whose limits are widened where few images are new.
+    learnt: all that it learnt from. Altered images set no limits: these would be so wide that a contact in a
+    no-contact image would pass. before: metadata of the network that it is fine-tuned from, whose limits are widened
+    if new images are few.
     """
     data = unaltered(learnt)
     if not kind_of(metadata["model"]).pair:
@@ -139,9 +140,9 @@ def set_limits(metadata: dict[str, Any], learnt: Data, before: dict[str, Any] | 
 
 
 def usual_rows(data: Data) -> np.ndarray:
-    """Rows whose pairs show what good ones are like: validation's, and where these are few some that trained, evenly picked.
+    """Rows that set the limits of good pairs: those of validation, and if these are few, evenly spaced training rows.
 
-    What a pair is like has nothing to do with what a network learnt from it.
+    Training rows serve as well, because limits depend on the images and not on the network.
     """
     rows, trained = data.splits[VALIDATION], data.splits[TRAINING]
     picked = np.linspace(0, len(trained) - 1, min(max(ENOUGH_PAIRS - len(rows), 0), len(trained))).astype(int)
@@ -149,14 +150,14 @@ def usual_rows(data: Data) -> np.ndarray:
 
 
 def good_pairs(data: Data, rows: np.ndarray) -> dict[str, float]:
-    """Limits of what the pairs of some rows and their no-contact images are like (`reading.faults`)."""
+    """Limits of `reading.faults` from the pairs of some rows and their no-contact images."""
     pairs = [data.prepared(int(row), np.ascontiguousarray(data.images[row])) for row in rows]
     sensors = [data.sensor(name) for name in sorted(set(data.names("sensor_id")[rows].tolist()))]
     return pair_limits([found for one in pairs if (found := pair_signs(one))]) | nocontact_limits(sensors)
 
 
 def frame_of(data: Data, before: dict[str, Any] | None) -> Learnt:
-    """How the cameras that training saw show the gel, beside those that `before` knew."""
+    """How the cameras of the training rows show the gel, together with those that `before` knew."""
     names = sorted(set(data.names("sensor_id")[data.splits[TRAINING]].tolist()))
     return learnt_from(
         (data.nocontact[name] for name in names), None if before is None else Learnt.of(before["frame"])
@@ -164,9 +165,10 @@ def frame_of(data: Data, before: dict[str, Any] | None) -> Learnt:
 
 
 def set_intervals(model: ForceModel, data: Data) -> dict[str, Any]:
-    """The part of a model's metadata that gives its 90 % prediction intervals, set on presses that chose nothing.
+    """The part of a model's metadata on its 90 % prediction intervals.
 
-    Empty where the model writes another grid than the dataset has, and no intervals where presses are too few.
+    How they grow with force is fitted to the selecting rows of validation, their size to `calibration_rows`. Empty if
+    the model's grid is not the dataset's; without intervals if there are too few presses.
     """
     if list(model.metadata["grid"]) != list(data.grid):
         return {}
@@ -178,6 +180,6 @@ def set_intervals(model: ForceModel, data: Data) -> dict[str, Any]:
 
 
 def errors_of(model: ForceModel, data: Data, rows: np.ndarray) -> Errors:
-    """Totals that are predicted for some rows, and what they are wrong by."""
+    """Predicted totals of some rows, their errors and their presses."""
     total = predict_rows(model, data, rows).forces.sum((2, 3), dtype=float)
     return Errors(total, total - data.totals(rows), data.presses(rows))

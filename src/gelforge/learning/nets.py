@@ -1,9 +1,9 @@
 """Networks by table of workflow/models.toml, and their inputs: the paper's U-net of one image, and light networks of pairs.
 
-A sheared gel shows in markers that moved by fractions of a pixel. From one image a network has to know where each marker
-was; beside a picture of the same sensor before it was touched the displacement lies open, also on a sensor that the
-network never saw. Tactile cameras are commonly read against such a first frame (GelSight: Yuan, Dong and Adelson
-2017, Sensors 17(12) 2762).
+Shear moves the markers by fractions of a pixel. From one image alone, a network must know where each marker was at
+rest. Next to a no-contact image of the same sensor it sees the displacement, also on a sensor that it never saw.
+Tactile images are commonly compared with such a first frame (GelSight: Yuan, Dong and Adelson 2017, Sensors 17(12)
+2762).
 
 Every network maps an input (n, channels, height, width), normalised, to (n, 3, rows, cols) in label units of its training
 scale. A new family is a class here, one line in `build`, and one in `records/networkkind.py`.
@@ -23,11 +23,11 @@ from gelforge.records.networkkind import kind_of, sizes_of
 if TYPE_CHECKING:
     import torch
 
-CELL_PX = 10  # widest cell of the map whose mean is the total force, where totals are all that is asked for
+CELL_PX = 10  # largest cell of the internal map whose mean is the total force, for networks of totals only
 
 
 def map_grid(image, grid) -> tuple[int, int]:
-    """Rows and columns that a network works on: those of `grid`, and for totals (1, 1) a map of cells of at most CELL_PX px."""
+    """Rows and columns that a network works on: `grid`, or for totals (1, 1) cells of at most CELL_PX px."""
     if tuple(grid) != (1, 1):
         return tuple(grid)
     height, width = image
@@ -47,7 +47,7 @@ def cell_pixels(image, grid, who: str) -> int:
 
 
 def inner_part(fraction: float, image, grid, who: str) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
-    """Pixels and cells, rows and columns of each, that are left where the border of an image hides a fraction of both sides."""
+    """Slices (rows, columns) of the pixels and the cells that remain if a border hides `fraction` of both sides."""
     cell = cell_pixels(image, grid, who)
     rows, cols = (slice(margin, count - margin) for margin, count in ((round(fraction * n / 2), n) for n in grid))
     return (slice(cell * rows.start, cell * rows.stop), slice(cell * cols.start, cell * cols.stop)), (rows, cols)
@@ -125,7 +125,7 @@ class UNet(nn.Module):
 
 
 def side_at_top(side: int, levels: int) -> int:
-    """Pixels that a U-net of so many levels leaves of a side of an image, below 1 where it cannot read it."""
+    """Pixels that remain of an image's side at the output of a U-net; below 1 where the image is too small for it."""
     for level in range(levels):
         side = (side // 2 if level else side) - 4
     for _ in range(levels - 1):
@@ -146,12 +146,13 @@ class BasicBlock(nn.Module):
         self.shortcut = (
             nn.Identity() if same else nn.Sequential(nn.Conv2d(before, after, 1, bias=False), nn.BatchNorm2d(after))
         )
-        # A convolution of 1 x 1 that strides corrupts memory when it is trained on fewer than 9 channels, in torch 2.13 on
-        # processors with AVX-512 (oneDNN's brgconv_strided); on every second value it is the same convolution.
+        # Training a strided 1 x 1 convolution on fewer than 9 channels corrupts memory in torch 2.13 on processors
+        # with AVX-512 (oneDNN's brgconv_strided). Subsampling before a convolution without stride gives the same
+        # result.
         self.every = stride
 
     def forward(self, x):
-        # in place: what a normalisation or a convolution gave is needed by nothing else, and memory anew costs time
+        # in place: nothing else needs the intermediate results, and new memory costs time
         y = F.relu(self.first_norm(self.first(x)), inplace=True)
         thinned = x if self.every == 1 else x[:, :, :: self.every, :: self.every]
         return F.relu(self.second_norm(self.second(y)).add_(self.shortcut(thinned)), inplace=True)
@@ -176,9 +177,9 @@ def strides(image, grid) -> list[int]:
 class GridNet(nn.Module):
     """A strided encoder that stops at the label grid and never decodes to full resolution.
 
-    A wide first stride reads the image once; residual blocks at the label grid, dilated so that a
-    cell sees its surroundings, do the rest. A vector of global means gives every cell the sensor's
-    light and the whole contact, and two coordinates give its place. A grid of one cell gets the mean of such a map.
+    A large first stride reduces the image; residual blocks at the label grid, dilated so that a cell sees its
+    surroundings, do the rest. Global means inform every cell of the illumination and the whole contact, and two
+    coordinates of its position. A grid of one cell gets the mean of the map of `map_grid`.
 
     :param image: height and width in pixels; the grid must divide both by the same factor, or be (1, 1).
     :param width: channels before the grid; twice as many at the grid.
@@ -198,7 +199,7 @@ class GridNet(nn.Module):
             *(BasicBlock(width if i == 0 else 2 * width, 2 * width, s) for i, s in enumerate(rest or [1]))
         )
         # One weight per channel and direction; a convolution of the constant coordinates would do the same,
-        # but OpenCV cannot read it back from ONNX.
+        # but OpenCV cannot import it from ONNX.
         self.place = nn.Parameter(torch.zeros(2, 2 * width, 1, 1))
         self.late = nn.ModuleList(BasicBlock(2 * width, 2 * width, 1, 2 ** (i % 3)) for i in range(blocks))
         self.context = nn.ModuleList(nn.Linear(2 * width, 2 * width) for _ in range(blocks))
@@ -242,10 +243,10 @@ def parameter_count(net: nn.Module) -> int:
 
 
 def begin_as(net: nn.Module, weights: dict[str, torch.Tensor]) -> None:
-    """Let a network begin with the weights of another one, which may be a light net of fewer blocks.
+    """Initialise a network with the weights of another one, which may be a light net of fewer blocks.
 
-    Blocks of its own change nothing at first, so that it reads as the other did before it learns (Chen, Goodfellow and
-    Shlens 2016, section 2.3).
+    Added blocks start as the identity, so that before training the network predicts as the other one did (Chen,
+    Goodfellow and Shlens 2016, section 2.3).
     """
     added = {name: value for name, value in net.state_dict().items() if name not in weights}
     silent = {

@@ -1,4 +1,4 @@
-"""A model made of datasets: its network trained, exported as it will be used, and judged on presses that it did not see."""
+"""From datasets to a model: its network is trained and exported, and its limits and intervals are set."""
 
 import json
 import resource
@@ -39,14 +39,14 @@ from gelforge.records.samplefile import TRAINING, VALIDATION
 
 @dataclass(frozen=True)
 class Trained:
-    """A trained network, and the model that was made of it."""
+    """A trained network, and the model made from it."""
 
     net: nn.Module
     model: ForceModel
 
     @property
     def metadata(self) -> dict[str, Any]:
-        """What is known about it."""
+        """The model's metadata."""
         return self.model.metadata
 
 
@@ -59,14 +59,14 @@ class Start:
 
 
 def save_trained(path: Path, trained: Trained) -> None:
-    """Write the weights that training may go on from beside `path`, then the model to exactly `path`, which its caller publishes."""
+    """Write weights for fine-tuning beside `path`, then the model to exactly `path`, which the caller publishes."""
     with publish(beside(path, ".safetensors")) as part:
         save_weights(part, trained.net, trained.metadata)
     save_model(path, trained.model)
 
 
 def identity(metadata: dict[str, Any]) -> str:
-    """Text that is equal for two trainings exactly when they must give the same curve."""
+    """Text that is equal for two trainings if and only if they must give the same curve."""
     keys = (
         "name", "model", "train", "image", "grid", "data", "also", "threads_used", "device", "version", "torch",
         "start",
@@ -75,7 +75,7 @@ def identity(metadata: dict[str, Any]) -> str:
 
 
 def learnt_from(data: Data, names: Sequence[str]) -> dict[str, Any]:
-    """What a model file says of a dataset that it learnt from; names: splits that it was given."""
+    """What a model file states about a dataset that it learnt from; names: the splits it was given."""
     rows = data.splits[TRAINING]
     return {
         "name": data.name,
@@ -89,14 +89,14 @@ def learnt_from(data: Data, names: Sequence[str]) -> dict[str, Any]:
 
 
 def names_in(every: Sequence[Data], column: str, split: str = "") -> list[str]:
-    """What a column of samples.csv names in some datasets, sorted; split: only where samples are of it."""
+    """Distinct texts in a column of samples.csv over some datasets, sorted; split: only of samples in this split."""
     rows = [one.splits[split] if split else slice(None) for one in every]
     return sorted({name for one, mine in zip(every, rows, strict=True) for name in one.names(column)[mine].tolist()})
 
 
 @dataclass(frozen=True)
 class Recipe:
-    """What is trained and how: a table of workflow/models.toml with its name, settings, and the version of how networks are trained."""
+    """What is trained and how: a table of workflow/models.toml, its name, settings and VERSION of stages/train.py."""
 
     name: str
     model: dict[str, Any]
@@ -105,9 +105,9 @@ class Recipe:
 
 
 def describe(every: Sequence[Data], recipe: Recipe, start: Start | None) -> dict[str, Any]:
-    """What a model file says about where its network comes from.
+    """Provenance of a network for its model file.
 
-    every: datasets that it learns from, the one that it is judged on first.
+    every: datasets that it learns from, the one that it is evaluated on first.
     """
     data, *others = every
     model, settings = recipe.model, recipe.settings
@@ -132,7 +132,7 @@ def describe(every: Sequence[Data], recipe: Recipe, start: Start | None) -> dict
         "threads_used": torch.get_num_threads(),
         "device": device,
         "start": begun,
-        # one that is fine-tuned keeps what light of any direction taught the other
+        # a fine-tuned network keeps what its start learnt from mirrored images
         "tta": kind_of(model).pair and (settings.mirrored_share > 0 or (start is not None and start.metadata["tta"])),
         "data": learnt_from(data, list(data.splits)),
         "also": [learnt_from(other, (TRAINING, VALIDATION)) for other in others],
@@ -148,10 +148,10 @@ def make_model(
 ) -> Trained:
     """Train the network of a recipe; return it with its metadata, curve and cost inside.
 
-    checkpoint: file for resuming, or None. start: the network to
-    fine-tune; None: from weights that `seed` draws. also: other datasets, whose presses to train on and to validate with it
-    learns from as well; its intervals are of `data` alone. Raises BadInput for a dataset that no network can learn from, that
-    `start` cannot be fine-tuned on, or that cannot be learnt from beside the others.
+    checkpoint: file for resuming, or None. start: the network to fine-tune; None: weights drawn from `seed`. also:
+    other datasets whose training and validation presses it learns from as well; intervals are set on `data` alone.
+    Raises BadInput for a dataset that no network can learn from, that `start` cannot be fine-tuned on, or that does
+    not match the others.
     """
     model, settings = recipe.model, recipe.settings
     for one in (data, *also):
@@ -160,15 +160,15 @@ def make_model(
     if settings.total_weight == 0 and learnt.grid != ONE_CELL and not learnt.maps.all():
         names = ", ".join(one.name for one in also if not one.maps.all())
         raise BadInput(
-            f"[train] total_weight = 0: of {names} only totals are known, which then teach nothing; set it to 1.0"
+            f"[train] total_weight = 0: only totals are known of {names}, and with this weight they are ignored; set it to 1.0"
         )
     if kind_of(model).pair:
-        # one that lacks its picture is named before hours of training
+        # name a sensor without no-contact image before hours of training
         learnt.require_nocontact(range(len(learnt.table)))
-    unaltered(learnt)  # as is one whose pictures are all altered
+    unaltered(learnt)  # raise now if all images are altered
     torch.set_num_threads(settings.threads)
     metadata = describe([data, *also], recipe, start)
-    # half of validation chooses nothing, so that it can measure how wrong the network is
+    # select on half of validation only; the held-out half measures the errors of the network
     choosing = replace(learnt, splits=learnt.splits | {VALIDATION: split_validation(learnt)[0]})
     training = begin(choosing, model, settings, metadata, start)
     fit(training, choosing, checkpoint, identity(metadata))
@@ -189,9 +189,9 @@ def make_model(
 
 
 def judged(net: nn.Module, metadata: dict[str, Any], learnt: Data, own: Data, start: Start | None) -> Trained:
-    """A network as a model: exported, with limits of what its pictures are like and intervals of its totals.
+    """A network as a model: exported, with limits for its images and prediction intervals for its totals.
 
-    learnt: what it learnt from. own: the one dataset of it whose unseen sensors measure how wrong it is.
+    learnt: all that it learnt from. own: the dataset among these that calibrates the intervals.
     """
     metadata = metadata | set_limits(metadata, learnt, None if start is None else start.metadata)
     model = model_of(metadata, export(net, metadata))
@@ -201,9 +201,10 @@ def judged(net: nn.Module, metadata: dict[str, Any], learnt: Data, own: Data, st
 def begin(
     data: Data, model: dict[str, Any], settings: TrainingTable, metadata: dict[str, Any], start: Start | None
 ) -> Training:
-    """A training at its beginning, which scales as its first weights expect.
+    """A new training, with the scales that its initial weights expect.
 
-    One that is fine-tuned never ends worse on validation than it began: what it learns counts as far as that helps.
+    Fine-tuning never ends with a larger validation error than it began with (`Training.finish`). Raises BadInput as
+    `scales`, `scales_before` and `require_judges`.
     """
     norm = scales(data)
     if start is not None:

@@ -17,14 +17,15 @@ def group_presses(
     folds: Mapping[str, int],
     repeated: Sequence[Sequence[int]] = (),
 ) -> np.ndarray:
-    """Group number (n,) of each sample: samples of one indenter at one position and angle share it, frames of a press too.
+    """Group number (n,) of each sample, shared by frames of a press and by presses of one indenter at one pose.
 
-    repeated: numbers of samples that show one picture (records.press), which share a group, too. folds: by how many equal turns an indenter comes onto itself, 0: by any (geometry.indenters.fold); one that is not
-    named, by a whole turn. Angles that differ by such a turn are one.
+    folds: order of rotational symmetry by indenter, 0: any angle (geometry.indenters.fold), 1 if not named; angles
+    that are equal by symmetry count as one. repeated: lists of samples that show the same image (records.press),
+    which share a group, too.
 
-    Depths and shears of one touch, and the same touch on several sensors, are views of one press: were
-    some trained on and others tested on, the test would be too easy. Closeness chains. Samples without
-    a pose and a press_id stand alone.
+    Depths and shears of one touch, and one touch on several sensors, are views of the same press: a test on some of
+    them would be too easy after training on others. Closeness is transitive. A sample without pose and press_id is a
+    group of its own.
     """
     by_indenter: dict[str, list[int]] = {}
     by_press: dict[str, list[int]] = {}
@@ -43,9 +44,9 @@ def group_presses(
 
 
 def _close(places: np.ndarray, near: tuple[float, float, float], turn: float) -> np.ndarray:
-    """Pairs (k, 2) of places (n, 3), x and y in mm and an angle in degrees, that are near along every axis.
+    """Pairs (k, 2) of places (n, 3), x, y in mm and an angle in degrees, that differ by at most `near` on every axis.
 
-    turn: degrees after which angles repeat themselves; infinity where no angle separates places.
+    turn: period of the angle in degrees; infinity if the angle does not matter.
     """
     from scipy.spatial import cKDTree
 
@@ -57,7 +58,7 @@ def _close(places: np.ndarray, near: tuple[float, float, float], turn: float) ->
 
 
 def _clusters(count: int, pairs: np.ndarray) -> np.ndarray:
-    """Number (count,) of the cluster that each of `count` things belongs to by linked pairs, by first members."""
+    """Cluster number (count,) of each of `count` items by linked pairs (k, 2), in the order of first members."""
     from scipy.sparse import coo_matrix
     from scipy.sparse.csgraph import connected_components
 
@@ -76,11 +77,11 @@ def split_presses(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Split name (n,) and group (n,) of samples.
 
-    folds, repeated: as for `group_presses`. Unseen indenters and sensors make their own tests; a press that shows the picture
-    of one of these goes there with all of its group. Any other group goes to training, validation or test by a hash of the name
-    of its first sample, so that presses that come later move none (but where they tie two groups together): what a network
-    learnt from is no test of one that is fine-tuned from it. The first groups go to one split each, so that few presses validate
-    and test, too.
+    folds, repeated: as for `group_presses`. Unseen indenters and sensors form test splits of their own; a press that
+    shows the image of one of these joins it there with its whole group. Any other group goes to training, validation
+    or test by a hash of its first sample's name. Presses added later therefore move no group (unless they join two),
+    so a network that is fine-tuned later is not tested on presses that its start was trained on. The first groups go
+    to one split each, so that a small dataset has validation and test presses, too.
     """
     group = group_presses(presses, settings.same_press_mm, settings.same_press_deg, folds, repeated)
     split = np.array(
@@ -107,7 +108,7 @@ def split_presses(
 
 
 def _drawn(name: str, seed: int) -> float:
-    """A number from 0 to 1 that a name and a seed decide."""
+    """Number from 0 to 1 by hash of a name and a seed."""
     digest = hashlib.blake2b(f"{seed} {name}".encode(), digest_size=8).digest()
     return int.from_bytes(digest, "big") / 2**64
 

@@ -1,7 +1,7 @@
-"""Training of one network: its batches, loss, epochs and checkpoints; seeded, resumed to the same curve, best epoch by validation.
+"""Training of one network: its batches, loss, epochs and checkpoints.
 
-`fit` runs `training_epochs`, the loop, to its end; at the end of the file stands what a network that is fine-tuned and the one
-that it begins as must have in common.
+Training is seeded, a resumed training gives the same curve, and validation selects the best epoch. `fit` runs the
+loop `training_epochs`. The end of the file checks that a network can be fine-tuned from another one.
 """
 
 import copy
@@ -32,17 +32,17 @@ from gelforge.records.axes import CHANNELS
 from gelforge.records.samplefile import TRAINING, VALIDATION
 
 STREAMS = {"order": 0, "augment": 1, "weights": 2, "shift": 3, "mirror": 4, "seat": 5, "view": 6}
-VARIED = ("augment", "shift", "mirror", "seat", "view")  # what an epoch's pictures draw from
+VARIED = ("augment", "shift", "mirror", "seat", "view")  # streams for the images of an epoch
 
-# Pictures prepared at a time. A whole batch would be arrays of tens of MB, for each of which the system clears new memory:
-# more than half of the time. Those of a few pictures are used again, and stay in the processor's cache.
+# Images prepared at a time. Arrays of a whole batch take tens of MB, and clearing new memory for them takes more than
+# half of the time; arrays of a few images are reused and stay in the processor's cache.
 PIECE = 4
 
 
 def generator(seed: int, stream: str, *numbers: int) -> torch.Generator:
-    """A torch generator that depends on nothing but a seed, what it is for, and where in the work it stands.
+    """A torch generator that depends only on a seed, its purpose (a key of STREAMS) and numbers such as the epoch.
 
-    So a resumed training draws what the uninterrupted one drew, and no generator's state is stored.
+    A resumed training therefore draws the same values as an uninterrupted one, and no generator state is stored.
     """
     words = np.random.SeedSequence([seed, STREAMS[stream], *numbers]).generate_state(2, np.uint32)
     return torch.Generator().manual_seed(int(words[0]) << 31 | int(words[1]) >> 1)
@@ -51,8 +51,8 @@ def generator(seed: int, stream: str, *numbers: int) -> torch.Generator:
 def epoch_order(rows: np.ndarray, seed: int, epoch: int, most: int = 0) -> np.ndarray:
     """The training rows of one epoch (from 0) in the order in which they are seen.
 
-    rows: (n,) of a dataset. most: rows in an epoch; with fewer than there are, epochs share a pass over all of them
-    between them, so that no row is seen a second time before every other was seen once. 0: an epoch is a pass.
+    rows: (n,) of a dataset. most: rows in an epoch; if fewer than n, consecutive epochs share a pass over all rows,
+    so that every row is seen once before any is seen again. 0: an epoch is a pass.
     """
     size = min(most or len(rows), len(rows))
     first, last = epoch * size, (epoch + 1) * size
@@ -65,13 +65,13 @@ def epoch_order(rows: np.ndarray, seed: int, epoch: int, most: int = 0) -> np.nd
 def images_to_tensor(images) -> torch.Tensor:
     """Images (n, h, w, channels) uint8 to a contiguous float tensor (n, channels, h, w) in 0..1.
 
-    Channels are turned to the front while they are bytes: four times faster than as floats.
+    Channels move to the front while they are bytes, which is four times faster than as floats.
     """
     return torch.from_numpy(np.require(images, requirements=["C", "W"])).permute(0, 3, 1, 2).contiguous() / 255
 
 
 def target(labels, norm: dict) -> torch.Tensor:
-    """Labels (n, 3, rows, cols) in N to what a network is fitted to, in training units."""
+    """Training target (n, 3, rows, cols): labels in N over the label scale of `norm`."""
     return torch.from_numpy(np.require(labels, requirements=["C", "W"])) / torch.tensor(norm["label"]).float().view(
         1, 3, 1, 1
     )
@@ -80,7 +80,7 @@ def target(labels, norm: dict) -> torch.Tensor:
 def training_batches(data, norm: dict, settings: TrainingTable, epoch: int, pair: bool):
     """Yield (input, target, maps) of one epoch, augmented, in the network's units.
 
-    Shapes (k, 3 or 6, h, w), (k, 3, rows, cols) and (k,): of which targets the map is known, not the total alone.
+    Shapes (k, 3 or 6, h, w), (k, 3, rows, cols) and (k,) bool: whether a target is a map or only a known total.
     """
     order = epoch_order(data.splits[TRAINING], settings.seed, epoch, settings.epoch_images)
     draws = {stream: generator(settings.seed, stream, epoch) for stream in VARIED}
@@ -98,7 +98,7 @@ def training_batches(data, norm: dict, settings: TrainingTable, epoch: int, pair
 
 
 def _varied(data, rows: np.ndarray, pair: bool, settings: TrainingTable, mirrors: bool, draws: dict):
-    """Pictures (k, channels, h, w) in 0..1 and labels (k, 3, rows, cols) N of some rows, varied as training asks for."""
+    """Augmented images (k, channels, h, w) in 0..1 and labels (k, 3, rows, cols) N of some rows."""
     pictures, labels = data.seen(rows, pair), data.labels[rows]
     if pair:
         pictures, labels, narrow = narrow_views(pictures, labels, data.maps[rows], settings.augment, draws["view"])
@@ -117,17 +117,17 @@ def epoch_steps(data, settings: TrainingTable) -> int:
 
 
 def batches_from(data, norm: dict, settings: TrainingTable, first: int, pair: bool):
-    """Yield the batches of all epochs from the `first` one on (from 0), as `training_batches` has them."""
+    """Yield the batches of `training_batches` for all epochs from the `first` one on (counted from 0)."""
     for epoch in range(first, settings.epochs):
         yield from training_batches(data, norm, settings, epoch, pair)
 
 
 def prefetched(batches: Iterator) -> Generator:
-    """The same batches, of which a thread prepares the next one while one is used.
+    """The same batches; a thread prepares the next one while the current one is used.
 
-    torch's DataLoader with a worker process takes 10 to 40 % longer for a step than this: it copies each batch.
+    A step with torch's DataLoader and a worker process takes 10 to 40 % longer, because it copies each batch.
     """
-    # A new thread starts with OpenMP's own count; one is enough here and keeps sums in one order.
+    # By default a new thread uses OpenMP's own thread count; one is enough here and keeps the order of sums fixed.
     with ThreadPoolExecutor(1, initializer=torch.set_num_threads, initargs=(1,)) as pool:
         ahead = pool.submit(next, batches, None)
         while (batch := ahead.result()) is not None:
@@ -135,10 +135,11 @@ def prefetched(batches: Iterator) -> Generator:
             yield batch
 
 
-# Of the way from the weights that a network is fine-tuned from to those that it learnt, where validation looks between the two.
+# Fine-tuning: interpolations between initial weights (0) and learnt weights (1) that validation compares with both.
 FRACTIONS = (0.25, 0.5, 0.75)
-FEWEST_JUDGES = 5  # presses of validation: chosen by a single one, a network read others five times worse than before
-FARTHER = 0.05  # fraction by which scales may lie beyond those that a network knows, so that it can still learn them
+# Validation presses; weights selected by a single one had five times the errors of the initial weights on others.
+FEWEST_JUDGES = 5
+FARTHER = 0.05  # fraction by which a new sensor's marker pitch (px) may lie outside the range that a network learnt
 
 
 def initial_net(model: dict, image, grid, seed: int):
@@ -151,9 +152,9 @@ def initial_net(model: dict, image, grid, seed: int):
 def loss_of(output, target, maps, scale, total_scale, settings: TrainingTable):
     """Mean square error per cell, plus `total_weight` times that of total force, both in units of their own scale.
 
-    maps: (n,) bool; of the other targets only the total is known, which is compared with the sum of the map: the presses with
-    maps beside them keep its shape. Beyond `total_huber` scales an error of total force counts linearly (smooth L1: Girshick 2015, equation 3, its
-    corner at `total_huber`); where that is 0, all count squared.
+    Where `maps` (n,) bool is False, only the total is known, and only the sum of the output is compared with it; the
+    presses with maps teach its shape. An error of total force beyond `total_huber` scales counts linearly (smooth L1:
+    Girshick 2015, equation 3, with its corner at `total_huber`); with `total_huber` 0 all errors count squared.
     output, target: (n, 3, rows, cols) in training units; scale, total_scale: (3,) N.
     """
     square = F.mse_loss(output, target, reduction="none").mean((1, 2, 3))
@@ -179,9 +180,10 @@ def predict_rows(net, data, rows, norm: dict, batch: int = 8, device: str = "cpu
 
 
 def validate(net, data, norm: dict, batch: int, device: str) -> dict:
-    """Validation errors of an epoch: mean absolute error of total force per component, N, their sum, and what is chosen by.
+    """Validation errors of an epoch: mean absolute error of total force by component, their sum, N, and val_score.
 
-    val_score: mean of the three, each over the scale of its own total, so that shear counts as much as normal force.
+    val_score selects the epoch: the mean of the three errors, each over the scale of its component's total, so that
+    shear counts as much as normal force.
     """
     rows = data.splits[VALIDATION]
     error = predict_rows(net, data, rows, norm, batch, device).sum((2, 3), dtype=np.float64) - data.totals(rows)
@@ -193,7 +195,7 @@ def validate(net, data, norm: dict, batch: int, device: str) -> dict:
 
 
 def device_of(asked: str) -> str:
-    """torch's device for [train] device; "auto" takes a graphics card where there is one. BadInput where it is not there."""
+    """torch's device for [train] device; "auto" takes a GPU if there is one. BadInput if the device is not there."""
     there = torch.cuda.is_available()
     if asked == "cuda" and not there:
         raise BadInput(
@@ -216,39 +218,39 @@ def between(first: dict, last: dict, fraction: float) -> dict:
 
 
 class Training:
-    """A network with everything that its training needs to go on where it stopped."""
+    """A network with all state that is needed to resume its training."""
 
     def __init__(self, model: dict, settings: TrainingTable, norm: dict, image, grid, device: str):
         self.settings, self.norm, self.device = settings, norm, device
-        # pixels side by side with their channels: convolutions on a CPU are a third faster
+        # with channels last in memory, convolutions on a CPU are a third faster
         self.net = initial_net(model, image, grid, settings.seed).to(device, memory_format=torch.channels_last)
         self.optimiser = torch.optim.Adam(self.net.parameters(), lr=settings.learning_rate)
-        # to nothing along half a cosine (Loshchilov and Hutter 2017)
+        # decays to zero along half a cosine (Loshchilov and Hutter 2017)
         self.schedule = torch.optim.lr_scheduler.CosineAnnealingLR(self.optimiser, settings.epochs)
-        self.mean: AveragedModel | None = None  # of the weights, once they are averaged
+        self.mean: AveragedModel | None = None  # mean of the weights, once averaging has begun
         self.curve: list[dict] = []
         self.best: dict[str, Any] = {"epoch": 0, "val_score": float("inf"), "weights": None}
-        self.start: dict[str, Any] | None = None  # weights that it is fine-tuned from, and their validation
-        self.fraction = 1.0  # of the way from these to the best ones, where those of the finished network lie
-        # seconds: of all, step_seconds: of the steps alone, wait_seconds: of these without a batch
+        self.start: dict[str, Any] | None = None  # initial weights of fine-tuning, and their validation errors
+        self.fraction = 1.0  # position of the final weights between the initial (0) and the best ones (1)
+        # seconds: of all training, step_seconds: of its steps, wait_seconds: part of these spent waiting for batches
         self.cost: dict[str, Any] = {
             "seconds": 0.0, "step_seconds": 0.0, "wait_seconds": 0.0, "steps": 0, "resumed": 0,
         }  # fmt: skip
 
     def go_on_from(self, weights: dict, data) -> None:
-        """Begin with the weights of another network of the same kind."""
+        """Fine-tune from the weights of another network of the same kind; validates them."""
         begin_as(self.net, weights)
         self.start = self.validated(self.net, data) | {"weights": copy.deepcopy(self.net.state_dict())}
 
     def validated(self, net, data) -> dict:
-        """Validation errors of a network that is scaled as this one."""
+        """Validation errors of a network that uses the scales of this one."""
         return validate(net, data, self.norm, self.settings.batch, self.device)
 
     def finish(self, data) -> None:
-        """Put the best epoch's weights into the network, or some between these and the ones that it went on from.
+        """Load the best epoch's weights; after fine-tuning, an interpolation between these and the initial weights.
 
-        Of two datasets learnt one after the other, weights between have more of both: they err less on pictures of either and
-        on others (Wortsman et al. 2022, Robust fine-tuning of zero-shot models, CVPR, section 3.2). Validation selects which.
+        Interpolated weights have smaller errors on images of the old dataset, the new one and others (Wortsman et al.
+        2022, Robust fine-tuning of zero-shot models, CVPR, section 3.2). Validation selects the interpolation.
         """
         best = self.best["weights"]
         if self.start is not None:
@@ -263,17 +265,17 @@ class Training:
 
     @property
     def best_epoch(self) -> int:
-        """The epoch, from 1, whose weights the finished network is a mean of; 0 where those it was fine-tuned from are better."""
+        """The best epoch, from 1; 0 if validation kept the initial weights of fine-tuning."""
         return self.best["epoch"] if self.fraction else 0
 
     @property
     def judged(self) -> torch.nn.Module:
-        """The network whose error counts: that of the mean weights once they are averaged."""
+        """The network that is validated: the one with mean weights once averaging has begun."""
         return self.net if self.mean is None else self.mean.module
 
     def save(self, path, identity: str) -> None:
-        """Write a checkpoint, tensors and plain values only, whole or not at all; OSError where there is no room for it."""
-        content = io.BytesIO()  # torch's own error of a full disk is none of the system's
+        """Write a checkpoint, tensors and plain values only, whole or not at all; OSError if the disk is full."""
+        content = io.BytesIO()  # torch would raise an error of its own, not OSError, on a full disk
         torch.save({
             "identity": identity, "net": self.net.state_dict(), "mean": None if self.mean is None else self.mean.state_dict(),
             "optimiser": self.optimiser.state_dict(), "schedule": self.schedule.state_dict(),
@@ -283,12 +285,12 @@ class Training:
             part.write_bytes(content.getvalue())
 
     def resume(self, path, identity: str) -> bool:
-        """Go on from a checkpoint if it belongs to the same training; say so either way."""
+        """Resume from a checkpoint of the same training; return whether it did. Prints why a file is not used."""
         if path is None or not Path(path).exists():
             return False
         try:
             state = torch.load(path, map_location="cpu", weights_only=True)
-        except Exception as error:  # torch raises a dozen kinds for a corrupt file, none of them documented
+        except Exception as error:  # for a corrupt file torch raises a dozen types, none of them documented
             print(f"{path}: cannot be read ({type(error).__name__}), starting over", flush=True)
             return False
         if not isinstance(state, dict) or state.get("identity") != identity:
@@ -307,10 +309,10 @@ class Training:
 
 
 def training_epochs(training: Training, data) -> Generator[dict]:
-    """Train through the epochs that are left; yield the curve's new row after each.
+    """Train through the remaining epochs; yield the curve's new row after each.
 
-    In the last `frozen_share` of the epochs batch normalisation keeps its statistics; over the steps of the last
-    `averaged_share` the weights are averaged (Izmailov et al. 2018), and it is their mean that is validated.
+    In the last `frozen_share` of the epochs batch normalisation keeps its statistics. In the last `averaged_share`
+    the weights are averaged over the steps (Izmailov et al. 2018), and their mean is validated.
     """
     settings, norm, net, cost, device = training.settings, training.norm, training.net, training.cost, training.device
     scale, total = (torch.tensor(norm[key], device=device).float() for key in ("label", "total"))
@@ -358,7 +360,7 @@ def training_epochs(training: Training, data) -> Generator[dict]:
 
 
 def fit(training: Training, data, checkpoint=None, identity: str = "", epochs: int | None = None) -> None:
-    """Train up to `epochs` (all of them if None), then let validation choose the network's weights (`Training.finish`).
+    """Train up to `epochs` (all if None), then select the network's weights by validation (`Training.finish`).
 
     :param checkpoint: file to resume from and to write every `checkpoint_seconds`; None for neither.
     :param identity: text that identifies one training; a checkpoint of another one is not used.
@@ -384,10 +386,10 @@ def fit(training: Training, data, checkpoint=None, identity: str = "", epochs: i
 def scales_before(
     metadata: dict[str, Any], model: dict[str, Any], data: Data, norm: dict[str, Any]
 ) -> dict[str, Any]:
-    """What a network that is fine-tuned scales by: as its weights expect, and the range of both datasets.
+    """Scales for fine-tuning: those that the initial weights expect, with the larger force range of the two datasets.
 
-    metadata: of the network it is fine-tuned from. model: its own table of workflow/models.toml. norm: scales of its own dataset.
-    Raises BadInput as `require_alike`.
+    metadata: of the network that is fine-tuned. model: table of the new one in workflow/models.toml. norm: scales of
+    the new dataset. Raises BadInput as `require_alike`.
     """
     require_alike(metadata, model, data)
     ranges = zip(metadata["normalisation"]["range"], norm["range"], strict=True)
@@ -395,9 +397,9 @@ def scales_before(
 
 
 def require_alike(metadata: dict[str, Any], model: dict[str, Any], data: Data) -> None:
-    """Raise BadInput where two networks are not of one kind, or the dataset is of another grid, image or scale of the gel.
+    """Raise BadInput if two networks differ in architecture, or the dataset in grid, image size or scale of the gel.
 
-    metadata: of the network that is fine-tuned. model: table of the other one.
+    metadata: of the network that is fine-tuned. model: table of the new one, which may be a light net of more blocks.
     """
     before, name = metadata["model"], metadata["name"]
     differ = sorted(key for key in before.keys() | model.keys() if before.get(key) != model.get(key))
@@ -405,7 +407,7 @@ def require_alike(metadata: dict[str, Any], model: dict[str, Any], data: Data) -
     if both and differ == ["blocks"] and model["kind"] == "grid" and before["blocks"] < model["blocks"]:
         differ = []  # a light net can be made deeper
     if differ:
-        values = ", ".join(f"{key} = {model.get(key)!r}, there {before.get(key)!r}" for key in differ)
+        values = ", ".join(f"{key} = {model.get(key)!r} here and {before.get(key)!r} in {name}" for key in differ)
         raise BadInput(
             f"it cannot be fine-tuned from {name}, which is another network: {values}; give the same values"
         )
@@ -420,20 +422,20 @@ def require_alike(metadata: dict[str, Any], model: dict[str, Any], data: Data) -
 
 
 def require_judges(metadata: dict[str, Any], data: Data) -> None:
-    """Raise BadInput where too few presses validate to show whether a network that is fine-tuned has become better."""
+    """Raise BadInput for too few validation presses to show whether fine-tuning improves a network."""
     count = len(np.unique(data.presses(data.splits[VALIDATION])))
     if count < FEWEST_JUDGES:
         raise BadInput(
-            f"{data.folder}: of its presses {count} validate, too few to show whether a network that is fine-tuned from"
-            f" {metadata['name']} becomes better, which takes {FEWEST_JUDGES}: raise [params.dataset] validation, to 0.25 for a few"
-            " dozen presses, or log more"
+            f"{data.folder}: validation has {count} of its presses; at least {FEWEST_JUDGES} are needed to show whether"
+            f" fine-tuning improves {metadata['name']}: raise [params.dataset] validation, to 0.25 for a few dozen presses, or log"
+            " more"
         )
 
 
 def require_scale(metadata: dict[str, Any], data: Data) -> None:
-    """Raise BadInput for a dataset of a sensor at another scale than those that a network learnt from.
+    """Raise BadInput if a sensor's marker pitch lies outside the range that a network learnt, widened by FARTHER.
 
-    It learns scales a little beyond them; its pictures are read as they are from then on.
+    A fine-tuned network learns pitches just outside that range and then reads images of that scale without zoom.
     """
     if not metadata["frame"]["pitch_px"]:
         return

@@ -1,1 +1,1 @@
-"""A running sensor: what is read of it, on a local web page, in Foxglove, as MCAP and as CSV."""
+"""Readings of a running sensor: on a local web page, in Foxglove, as MCAP and as CSV."""

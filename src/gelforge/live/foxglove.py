@@ -1,4 +1,4 @@
-"""A server of messages for Foxglove: its websocket protocol, by its own library."""
+"""A server of ROS 2 messages for Foxglove, in its websocket protocol, with Foxglove's library."""
 
 import sys
 from collections import defaultdict
@@ -11,7 +11,7 @@ from gelforge.live.topics import RosMessages
 
 
 class FoxgloveServer:
-    """Serves messages to any number of viewers; one that is slow misses the oldest of its own.
+    """Serves messages to any number of viewers; a slow viewer loses its oldest messages.
 
     BadInput where the port cannot be served.
     """
@@ -22,12 +22,12 @@ class FoxgloveServer:
         self.messages = messages
         self.context = foxglove.Context()
         self.channels: dict[str, foxglove.Channel] = {}
-        viewers: Any = Viewers()  # of the listener it has what is called where clients may only subscribe
+        viewers: Any = Viewers()  # has only the listener's methods that are called if clients may only subscribe
         try:
             self.server = foxglove.start_server(
                 name="gelforge", host=host, port=port, context=self.context, server_listener=viewers
             )
-        except (RuntimeError, OSError, OverflowError) as error:  # the last of a number that no port has
+        except (RuntimeError, OSError, OverflowError) as error:  # the last for a port number out of range
             raise BadInput(f"port {port} of {host}: cannot be served ({error}); name another with --port") from error
         self.url = f"ws://{host}:{self.server.port}"
 
@@ -54,12 +54,12 @@ class FoxgloveServer:
         self.server.publish_status(sentence, StatusLevel.Warning if fault else StatusLevel.Info)
 
     def stop(self) -> None:
-        """End it; viewers are disconnected."""
+        """Stop the server; viewers are disconnected."""
         self.server.stop()
 
 
 class Viewers:
-    """Says on the terminal who comes and leaves; the server calls it from threads of its own."""
+    """Reports on the terminal when viewers come and leave; called from the server's threads."""
 
     def __init__(self):
         self.topics: dict[int, set[int]] = defaultdict(set)

@@ -1,4 +1,4 @@
-"""What is read of one frame."""
+"""Readings of frames, and the check of a no-contact image that was found in a stream."""
 
 import time
 from collections.abc import Iterable, Iterator
@@ -12,17 +12,18 @@ from gelforge.reading.forcereading import TOTAL_COLUMNS, ForceReading, total_col
 from gelforge.records.film import Frame
 from gelforge.reporting.parts import jpeg, pack
 
-# Frames above DOUBTED_N of 34 films of real sensors that begin at rest read at most 1.2 times as much once they are exchanged with the
-# no-contact image; those of a film that begins in a grasp read 2.9 times as much, of films that begin in presses of the rig 1.2 to 9 times.
+# Ratio of predicted force with a frame and the no-contact image exchanged, for frames above DOUBTED_N: at most 1.2 in
+# 34 films of real sensors that begin at rest, 2.9 in one that begins in a grasp, 1.2 to 9 in films that begin in
+# presses of the rig.
 DOUBTED_N, MORE = 1.0, 1.3
-CONFIRMED, APART = 3, 5  # frames that must agree, and by how many they are apart
+CONFIRMED, APART = 3, 5  # checks that must agree, and the frames between them
 
 COLUMNS = ("frame", "time_s", *TOTAL_COLUMNS, "flag", "reason", "ms")
 
 
 @dataclass(frozen=True)
 class Reading:
-    """One frame: its number, its time, what was predicted from it, how long that took, and the image (h, w, 3) RGB below the cells."""
+    """One frame: number, time, prediction, how long that took in ms, and the image (h, w, 3) RGB below the cells."""
 
     frame: int
     time_s: float
@@ -38,7 +39,7 @@ class Reading:
         }  # fmt: skip
 
     def event(self) -> dict:
-        """All that the page shows of it."""
+        """Everything that the page shows of it."""
         half, cells = self.found.half_width, self.found.cells
         rounded = None if half is None else [round(float(v), 4) for v in half]
         return self.row() | {"half_width": rounded, "grid": list(cells.shape[1:]), "image": jpeg(self.image),
@@ -46,9 +47,10 @@ class Reading:
 
 
 class StartInDoubt:
-    """Judges a no-contact image that was found in a stream: where it shows a press, a released gel reads as one.
+    """Checks a no-contact image that was found in a stream: if it shows a press, a released gel reads as one.
 
-    The network reads less in what is not there any more than in what is: it reads more once frame and no-contact image are exchanged.
+    The network predicts less force from a contact that is gone than from one that is there, so in this case it
+    predicts more once frame and no-contact image are exchanged.
     """
 
     def __init__(self, predictor: Any, name: str) -> None:
@@ -56,7 +58,10 @@ class StartInDoubt:
         self.confirmed, self.asked, self.next, self.doubt = 0, 0, 0, ""
 
     def look(self, number: int, image: np.ndarray, normal: float) -> None:
-        """BadInput once several frames say that the stream began in a press. image: (h, w, 3) uint8 RGB. normal: read of it, N."""
+        """Raise BadInput once CONFIRMED checks in a row show that the stream began in a press.
+
+        image: (h, w, 3) uint8 RGB. normal: its predicted normal force, N.
+        """
         if number < self.next or -normal < DOUBTED_N:
             return
         self.next, exchanged = number + APART, self.predictor.exchanged(image)
@@ -64,14 +69,14 @@ class StartInDoubt:
         self.confirmed = self.confirmed + 1 if exchanged < MORE * normal else 0
         if self.confirmed:
             self.doubt = (
-                f"{self.name}: begins in a press: frame {number} reads {-normal:.1f} N against the no-contact image found at its start, and"
-                f" {-exchanged:.1f} N where both change places. Let it begin while nothing touches the sensor, or give that image with --nocontact"
+                f"{self.name}: begins in a press: {-normal:.1f} N are predicted for frame {number} with the no-contact image found at its start, and"
+                f" {-exchanged:.1f} N with both images exchanged. Start it while nothing touches the sensor, or give a no-contact image with --nocontact"
             )
         if self.confirmed == CONFIRMED:
             raise BadInput(self.doubt)
 
     def end(self) -> None:
-        """BadInput where the stream ends before enough frames could say so, and the last two that could do, or all of them: one may be odd."""
+        """Raise BadInput if the stream ends early and its last two checks, or all, show so: one alone may be odd."""
         if self.confirmed > 1 or 0 < self.confirmed == self.asked:
             raise BadInput(self.doubt)
 
@@ -79,7 +84,11 @@ class StartInDoubt:
 def readings(
     predictor: Any, frames: Iterable[Frame], paced: bool = False, start: StartInDoubt | None = None
 ) -> Iterator[Reading]:
-    """Read frames; paced: not before their time, as a film is shown. start: judges the no-contact image, where they gave it."""
+    """Predict frames.
+
+    paced: wait for each frame's time, as a film is played. start: checks the no-contact image, if it was found in
+    them.
+    """
     import cv2
 
     started = None

@@ -1,4 +1,4 @@
-"""Readings in files: MCAP with messages of ROS 2, and a table of CSV."""
+"""Readings in files: MCAP with messages of ROS 2, and a CSV table."""
 
 import contextlib
 import csv
@@ -20,7 +20,7 @@ CHUNK_BYTES = 2**18  # small, so that a full disk is noticed within a second
 
 
 class McapRecording:
-    """A recording of a folder, named by the time at which it began: whole when it is ended, absent when it fails.
+    """A recording in a folder, named by its start time: complete once it is ended, absent if it fails.
 
     BadInput where nothing can be written there.
     """
@@ -38,11 +38,11 @@ class McapRecording:
 
     @property
     def part(self) -> Path:
-        """Where it lies until it is whole."""
+        """Path of the file until it is complete."""
         return self.path.with_name(f".{self.path.name}.part")
 
     def _begun(self, folder: Path) -> tuple[Path, IO[bytes]]:
-        """Path of a recording that no other has, and the file that it goes to: two sensors may begin in one second."""
+        """A path that no other recording has, and its open file: two sensors may begin in the same second."""
         stem = time.strftime("%Y%m%d-%H%M%S")
         for k in itertools.count():
             self.path = folder / f"{stem}{f'-{k}' if k else ''}.mcap"
@@ -74,11 +74,11 @@ class McapRecording:
         """Give up what was recorded so far."""
         with contextlib.suppress(OSError):  # what could not be written is dropped
             self.stream.close()
-        with contextlib.suppress(OSError):  # what a folder refuses to remove is hidden, and no recording
+        with contextlib.suppress(OSError):  # a file that cannot be removed is hidden, and no recording
             self.part.unlink(missing_ok=True)
 
     def end(self) -> str:
-        """Publish the recording, unless it is empty; return what to say of it. BadInput where it cannot be written to its end."""
+        """Publish the recording unless it is empty; return a message. BadInput where it cannot be completed."""
         if not self.count:
             self.drop()
             return f"{self.path}: no frame was read, nothing is recorded"
@@ -92,9 +92,9 @@ class McapRecording:
 
 
 class CsvTable:
-    """A table of one row a reading, to a file or, named -, to standard output; BadInput where it cannot be written.
+    """A table with one row per reading, in a file or, for the path -, on standard output.
 
-    A file ends in its last whole row.
+    BadInput where it cannot be written. A file always ends with a complete row.
     """
 
     def __init__(self, path: Path):
@@ -119,7 +119,7 @@ class CsvTable:
             if not self.table:
                 sys.stdout.flush()
         except BrokenPipeError:
-            raise  # whoever reads standard output has enough
+            raise  # the reader of standard output has closed it
         except OSError as error:
             raise BadInput(
                 f"{self.path}: cannot be written ({error.strerror}); free space or name another file"
@@ -128,11 +128,11 @@ class CsvTable:
         self.flagged += reading.found.flag
 
     def drop(self) -> None:
-        """Close the file behind its last whole row."""
+        """Close the file after its last complete row."""
         if self.table:
             self.table.close()
 
     def end(self) -> str:
-        """Close the file; return what to say of it."""
+        """Close the file; return a message."""
         self.drop()
         return f"{self.path}: {self.count} frames read; {self.flagged} flagged"

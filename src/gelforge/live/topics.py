@@ -17,7 +17,7 @@ OK, WARN = 0, 1  # levels of a DiagnosticStatus
 class RosMessages:
     """Turns readings of one sensor into messages.
 
-    Stamps are the time at which the stream began plus the reading's own.
+    A stamp is the time at which the stream began plus the reading's time.
     """
 
     def __init__(self, sensor: str, start_ns: int | None = None):

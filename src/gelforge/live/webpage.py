@@ -16,14 +16,14 @@ from gelforge.reporting.page import COLOURS, LOOK
 WEB = Path(__file__).parent / "web"
 LOCAL = ("127.0.0.1", "localhost")
 KEPT = 600  # readings that the curve shows
-LARGE = ("image", "forces")  # of an event, and not in the curve
-QUIET_S = 5.0  # without a reading a page is sent an empty event, so that one that left is noticed
+LARGE = ("image", "forces")  # entries of an event that the curve does without
+QUIET_S = 5.0  # without a reading, after which a page is sent an empty event, so that a closed one is noticed
 
 
 class Hub:
-    """The latest event, which any number of pages wait for; a page that is slow misses some.
+    """The latest event, which any number of pages wait for; a slow page misses some.
 
-    Of the events before it the curve is kept, without pictures and maps, for pages that are opened later.
+    Earlier events are kept without images and maps, for the curve on pages that are opened later.
     """
 
     def __init__(self):
@@ -40,7 +40,7 @@ class Hub:
             self.changed.notify_all()
 
     def after(self, number: int, patience: float) -> tuple[int, dict | None]:
-        """The event after the one of that number, or none if none came in time."""
+        """Number of the latest event and this event, once newer than `number`; no event after `patience` seconds."""
         with self.changed:
             self.changed.wait_for(lambda: self.number > number, patience)
             return (self.number, self.latest) if self.number > number else (number, None)
@@ -62,7 +62,7 @@ class PageServer(ThreadingHTTPServer):
         self.said: dict = {}
         try:
             super().__init__((host, port), Handler)
-        except (OSError, OverflowError) as error:  # the latter of a number that no port has
+        except (OSError, OverflowError) as error:  # the latter for a port number out of range
             why = getattr(error, "strerror", None) or error
             raise BadInput(f"port {port} of {host}: cannot be served ({why}); name another with --port") from error
         threading.Thread(target=self.serve_forever, daemon=True).start()
@@ -77,17 +77,20 @@ class PageServer(ThreadingHTTPServer):
         self.hub.send(reading.event() | self.said)
 
     def announce(self, sentence: str, fault: bool = False) -> None:
-        """Show a sentence on all pages, in red where it is a fault, with the last reading and those that follow, also on pages opened later."""
+        """Show a sentence on all pages, in red for a fault, with the last reading and all later ones.
+
+        Pages that are opened later show it, too.
+        """
         self.said = {"said": sentence, "fault": fault}
         self.hub.send(self.hub.latest | self.said)
 
     def stop(self) -> None:
-        """End it."""
+        """Stop the server."""
         self.shutdown()
         self.server_close()
 
     def handle_error(self, request, client_address) -> None:
-        """A browser that left is no error of ours; others are reported."""
+        """Report an error, unless a browser left."""
         import sys
 
         if not isinstance(sys.exception(), ConnectionError):
@@ -100,7 +103,7 @@ class Handler(BaseHTTPRequestHandler):
     server: PageServer
 
     def do_GET(self) -> None:
-        # A foreign name that leads to this machine is another site's (DNS rebinding).
+        # refuse another site's name that resolves to this machine (DNS rebinding)
         host = (self.headers.get("Host") or "").rsplit(":", 1)[0]
         if self.server.local and host not in LOCAL:
             self.send_error(403)
@@ -114,7 +117,7 @@ class Handler(BaseHTTPRequestHandler):
             self.send_error(404)
 
     def begin(self, kind: str) -> None:
-        """Send the head of an answer, which ends with the connection."""
+        """Send the headers of a response, which ends with the connection."""
         self.send_response(200)
         self.send_header("Content-Type", kind)
         self.send_header("Cache-Control", "no-store")
@@ -130,7 +133,7 @@ class Handler(BaseHTTPRequestHandler):
             self.close_connection = True
 
     def events(self) -> Iterator[dict]:
-        """Events from the latest one on, the first with the curve of those before it."""
+        """Events from the latest one on; the first has the curve of earlier ones."""
         number, before = 0, {"before": self.server.hub.before()}
         while True:
             number, event = self.server.hub.after(number, QUIET_S)
@@ -142,7 +145,7 @@ class Handler(BaseHTTPRequestHandler):
 
 
 def page() -> str:
-    """The page, one file."""
+    """The HTML of the page, with its styles and scripts."""
     files = {"/*look*/": LOOK, "/*colours*/": COLOURS, "/*script*/": WEB / "live.js"}
     html = (WEB / "live.html").read_text(encoding="utf-8")
     for place, path in files.items():

@@ -1,6 +1,7 @@
-"""Weighing: presses held still in front of a camera, and the grams that a person reads off the scale below the sensor.
+"""Weighing: presses held still on the sensor, and the grams that a person reads off the scale below it.
 
-A film stops at each press that is held and asks; a camera goes on, and what is typed counts for the frames of that moment.
+A film stops at each press that is held and asks for its grams; a camera goes on, and what is typed counts for the
+frames of that moment.
 """
 
 import sys
@@ -22,32 +23,32 @@ from gelforge.records.film import Frame
 from gelforge.records.image import write_png
 from gelforge.records.press import parse_number
 
-GRAMS = 1000.0 / 9.80665  # of one newton on a scale
-HELD = 5  # frames in a row that read the same force
-STEADY, STEADY_N = 0.04, 0.1  # by how much they may differ: as a fraction, and in N
+GRAMS = 1000.0 / 9.80665  # that a scale shows per newton
+HELD = 5  # frames in a row that must have the same predicted force
+STEADY, STEADY_N = 0.04, 0.1  # range of these forces: as a fraction, and in N
 HELP = "hold a press still, type the scale's grams, Enter; - drops the last reading, an empty line skips, q ends"
 
 
 @dataclass
 class Moment:
-    """The last frames of a stream, (h, w, 3) uint8 BGR, and what was read of them."""
+    """The last frames of a stream, (h, w, 3) uint8 BGR, and their readings."""
 
     frames: deque[Frame] = field(default_factory=lambda: deque(maxlen=HELD))
     found: deque[Reading] = field(default_factory=lambda: deque(maxlen=HELD))
 
     def unsteady(self) -> str:
-        """Why they are no press that is held still; empty where they are."""
+        """Why the frames show no press that is held still; empty where they do."""
         normal = [-float(one.found.total[2]) for one in self.found]
         if len(normal) < HELD:
             return "too few frames yet"
         if min(normal) < LEAST_N:
-            return f"no contact: {max(min(normal), 0.0):.1f} N are read"
+            return f"no contact: {max(min(normal), 0.0):.1f} N are predicted"
         if max(normal) - min(normal) > STEADY_N + STEADY * max(normal):
-            return f"it moves: {min(normal):.1f} to {max(normal):.1f} N are read of the last {HELD} frames"
+            return f"it moves: {min(normal):.1f} to {max(normal):.1f} N are predicted for the last {HELD} frames"
         return ""
 
     def fault(self) -> str:
-        """Why they cannot be weighed; empty where they can."""
+        """Why the frames cannot be weighed; empty where they can."""
         if moves := self.unsteady():
             return moves
         if goes_beyond(self.found[-1].found.edge_peak):
@@ -83,7 +84,10 @@ class Weighing:
         self.read: list[float] = []
 
     def add(self, moment: Moment, grams: str) -> str:
-        """Keep what the frames show beside what the scale shows; what it means for the factor. BadInput where it cannot count."""
+        """Add the mean of the frames with the scale's grams; return a message with the factor so far.
+
+        BadInput where they cannot be used.
+        """
         if fault := moment.fault():
             raise BadInput(fault)
         value = parse_number(grams)
@@ -99,7 +103,7 @@ class Weighing:
         self._write()
         gain = fit_gain(np.array(self.measured), np.array(self.read))
         text = interval_text(gain.value, (gain.high - gain.low) / 2).lstrip("+")
-        return f"{name}: {value:g} g are {force:.2f} N, {read:.2f} N are read; factor so far {text}"
+        return f"{name}: {value:g} g are {force:.2f} N, {read:.2f} N are predicted; factor so far {text}"
 
     def drop(self) -> str:
         """Forget the last reading; BadInput where there is none."""
@@ -121,7 +125,7 @@ class Weighing:
 
 
 def ask(weighing: Weighing, moment: Moment, line: str) -> bool:
-    """Take one line of what was typed and say what became of it; whether it was a reading that counts."""
+    """Handle one typed line and print the result; return whether it added a reading."""
     counted = False
     try:
         print(weighing.drop() if line == "-" else weighing.add(moment, line), flush=True)
@@ -145,7 +149,7 @@ def typed() -> Iterator[str]:
 
 
 def weigh_film(weighing: Weighing, frames: Iterable[Frame], send: Callable[[Reading], None]) -> None:
-    """Go through a film, stop at each press that is held, and ask for its grams."""
+    """Play a film, stop at each press that is held, and ask for its grams."""
     moment, lines, asked = Moment(), typed(), False
     for reading in watched(weighing.predictor, frames, moment):
         send(reading)
@@ -157,7 +161,7 @@ def weigh_film(weighing: Weighing, frames: Iterable[Frame], send: Callable[[Read
             else:
                 line, counted = None, False
                 while line != "" and not counted:
-                    print(f"{where}, {read:.2f} N are read. Grams?", flush=True)
+                    print(f"{where}, {read:.2f} N are predicted. Grams?", flush=True)
                     line = next(lines, None)
                     if line is None:
                         return
@@ -166,7 +170,7 @@ def weigh_film(weighing: Weighing, frames: Iterable[Frame], send: Callable[[Read
 
 
 def weigh_camera(weighing: Weighing, frames: Iterable[Frame], send: Callable[[Reading], None]) -> None:
-    """Read a camera until the lines end; each counts for the frames at its Enter."""
+    """Read a camera until the typed lines end; each line counts for the frames at its Enter."""
     moment, lock, over = Moment(), threading.Lock(), threading.Event()
     fault: list[BadInput] = []
 

@@ -1,1 +1,1 @@
-"""Finite element contact mechanics: scenes in, nodal forces and their evidence out."""
+"""Finite element contact mechanics: computes nodal forces, with diagnostics, from scenes."""

@@ -1,8 +1,8 @@
-"""What two sizes of hexahedra together say of a press: the force that is exact, and how far off it may be.
+"""Extrapolation of the force of a press from two sizes of hexahedra, and a bound on the remaining error.
 
-Richardson's extrapolation (1911, Phil. Trans. R. Soc. A 210, 307-357), whose order follows the edge of contact: where the
-pressure is nearly singular there, force converges with the size of the hexahedra, under round bodies with its square. The
-numbers of a quality are fitted to presses of known force by `python -m tests.benchmarks.edge_order`.
+Richardson's extrapolation (1911, Phil. Trans. R. Soc. A 210, 307-357). Its order depends on the edge of contact:
+where the pressure is nearly singular, the force converges linearly with the size of the hexahedra, under round bodies
+quadratically. `python -m tests.benchmarks.edge_order` fits the coefficients to presses of known force.
 """
 
 from dataclasses import dataclass
@@ -15,31 +15,29 @@ from gelforge.mechanics.contact.penalty import FREE, ContactState
 from gelforge.mechanics.mesh.hexmesh import SMALLEST
 from gelforge.mechanics.pose import Pose
 
-BESIDE = 1.6  # spacings of the contact's points, within which one that touches is at the edge
-# Pressure at the edge over the mean one: 0.4 to 1.2 under round bodies, and this much more where it is most singular.
+BESIDE = 1.6  # distance, in spacings of contact points, within which touching and free points are at the edge
+# Pressure at the edge over the mean pressure: 0.4 to ROUND under round bodies, ROUND + SINGULAR where most singular.
 ROUND, SINGULAR = 1.2, 1.6
-BENT = 2.0  # that a body's surface bends at most over the size of a hexahedron: by more it is an edge
-MOST = 0.15  # of the force by which it may be corrected: where more is asked for, the hexahedra are too coarse to say anything
-UNCORRECTED, UNCORRECTED_CELLS = (
-    0.06,
-    0.2,
-)  # of the force that an uncorrected one may be off: the largest errors that were measured
-POINTS = 100  # of the edge at which the body's curvature is looked at
-DIRECTIONS = 4  # in which it may be bent there
-# Of the search for a body's surface along a vertical: where it begins and ends, its steps, and how near counts, mm.
+BENT = 2.0  # largest bend of a body's surface over the size of a hexahedron; more counts as this, an edge
+MOST = 0.15  # largest correction as a fraction of the force: larger ones mean that the hexahedra are too coarse
+# Error bounds of an uncorrected force, as fractions of it: the largest errors measured.
+UNCORRECTED, UNCORRECTED_CELLS = 0.06, 0.2
+POINTS = 100  # most points of the edge at which the bend of the body is evaluated
+DIRECTIONS = 4  # in which the bend is evaluated
+# Search for a body's surface along a vertical: start and end, mm; most steps; distance that counts as reached, mm.
 LOWEST, HIGHEST, STEPS, REACHED = -0.05, 6.0, 40, 1e-3
 
 
 @dataclass(frozen=True)
 class Convergence:
-    """Numbers of one quality, as shares of the difference between coarse and fine force if not said otherwise.
+    """Coefficients of one quality; fractions of the difference between coarse and fine force unless stated otherwise.
 
-    smooth: at any edge of contact. small: added where hexahedra were made as small as they may be for a small contact.
-    edge: added in proportion to how singular the pressure is at the edge. corner: the same, times how sharply the body
-    bends there. width: of the force, by the logarithm of coarse over fine contact area where the pressure is singular.
-    height: of the force, by the square of a hexahedron's width over the gel's height.
-    spread, floor: of the difference, and of the force, that is left. cells: of the force at the edge of contact that lies in
-    another cell than it should.
+    smooth: for every press. small: added if hexahedra are SMALLEST wide or less. edge, corner: added in proportion to
+    `Edge.singular`, and to `Edge.singular` times `Edge.bend`.
+    width: fraction of the force, times `Edge.singular` and the logarithm of coarse over fine contact area.
+    height: fraction of the force, times the square of a hexahedron's width over the gel's height.
+    spread, floor: remaining error, as fractions of the difference and of the force.
+    cells: fraction of the force at the edge of contact that acts in a wrong cell.
     """
 
     smooth: float
@@ -53,7 +51,7 @@ class Convergence:
     cells: float = 0.45
 
     def correction(self, edge: "Edge", coarse: "Coarse", force: float) -> float:
-        """Share of the force (N) on fine hexahedra by which it is too large."""
+        """Relative excess of the force (N) on fine hexahedra over the true one, within -MOST to MOST."""
         difference = coarse.force / force - 1.0
         share = (
             self.smooth + self.small * (edge.size <= SMALLEST) + edge.singular * (self.edge + self.corner * edge.bend)
@@ -63,13 +61,13 @@ class Convergence:
         return float(np.clip(found, -MOST, MOST))
 
     def error(self, coarse: "Coarse", force: float) -> float:
-        """Share of the force by which the corrected one may still be off."""
+        """Bound on the remaining relative error of the corrected force."""
         return self.spread * abs(coarse.force / force - 1.0) + self.floor
 
 
 @dataclass(frozen=True)
 class Coarse:
-    """A press on coarse hexahedra: size of the force, N, and area of contact, mm^2."""
+    """A press on coarse hexahedra: magnitude of the force, N, and area of contact, mm^2."""
 
     force: float
     area: float
@@ -79,9 +77,9 @@ class Coarse:
 class Edge:
     """The edge of contact on fine hexahedra.
 
-    singular: 0 where the pressure vanishes there, 1 where it is most concentrated. near: share of the force that acts there.
-    bend: how much the body's surface bends over the size of a hexahedron there. area: of contact, mm^2. size: of the
-    hexahedra, and height: of the gel, mm.
+    singular: 0 as under round bodies, 1 where the pressure at the edge is most concentrated. near: fraction of the
+    force at the edge. bend: of the body's surface at the edge, over the size of a hexahedron (see `_bend`). area: of
+    contact, mm^2. size: of the hexahedra, mm. height: of the gel, mm.
     """
 
     singular: float
@@ -93,7 +91,7 @@ class Edge:
 
 
 def edge_of(contact: ContactState, indenter: Indenter, pose: Pose, size: float, height: float) -> Edge | None:
-    """The edge of a solved contact; None where all points touch, none does, or what they bear does not press."""
+    """The edge of a solved contact; None if all points touch, none does, none is at an edge, or the total pulls."""
     on = contact.status != FREE
     if not on.any() or on.all():
         return None
@@ -116,7 +114,7 @@ def edge_of(contact: ContactState, indenter: Indenter, pose: Pose, size: float, 
 
 
 def _bend(indenter: Indenter, xy: np.ndarray, size: float) -> np.ndarray:
-    """How much a body's lower surface bends at places (n, 2) of its frame: its second difference over `size` mm, in its units."""
+    """Bend (n,) of a body's lower surface at xy (n, 2) of its frame: second difference over `size` mm by `size`."""
     here = _lowest(indenter, xy)
     found = []
     for angle in np.arange(DIRECTIONS) * np.pi / DIRECTIONS:
@@ -127,7 +125,7 @@ def _bend(indenter: Indenter, xy: np.ndarray, size: float) -> np.ndarray:
 
 
 def _lowest(indenter: Indenter, xy: np.ndarray) -> np.ndarray:
-    """Height (n,) mm at which the body begins above places (n, 2) of its frame, at most HIGHEST; by sphere tracing."""
+    """Height (n,) mm of the body's lower surface at xy (n, 2) of its frame, HIGHEST at most; by sphere tracing."""
     z = np.full(len(xy), LOWEST)
     rising = np.arange(len(xy))
     for _ in range(STEPS):

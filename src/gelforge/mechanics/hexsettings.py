@@ -1,4 +1,4 @@
-"""How finely hexahedra solve a scene: settings, and the named qualities."""
+"""Settings for solving a scene on hexahedra, and the named qualities."""
 
 from dataclasses import dataclass, replace
 
@@ -7,25 +7,26 @@ from gelforge.mechanics.extrapolate import Convergence
 from gelforge.mechanics.mesh.hexmesh import SMALLEST, FineBox
 from gelforge.mechanics.path.pathsettings import PathSettings
 
-# Residual over contact force of a path that only leads to the fine hexahedra. It is far below what their answer needs, because
-# which released points at its end turns on it: at 1e-4 a second thread let ten more points go under a pyramid, 0.2 % of force.
+# Residual over contact force of a coarse path. It is far tighter than the fine solution needs, because the points
+# released at its end depend on it: at 1e-4 a second thread released ten more under a pyramid, 0.2 % of the force.
 COARSE_TOLERANCE = 1e-6
-FLATNESS = 1.6  # height over width that hexahedra of the uppermost layer have at most under a small contact
-# What a path on coarse hexahedra brought so close to the indenter, in widths of a coarse hexahedron, has touched: between the
-# points where the coarse contact sticks, its faces cut corners. Five times as much also holds points beside the contact: up to
-# 6 % more force on wide shallow contacts and thin gels. Tetrahedra have twelve points a face, of which it holds too many.
+FLATNESS = 1.6  # largest height over width of hexahedra in the top layer under a small contact
+# Gap, in widths of a coarse hexahedron, up to which a point counts as having touched on a coarse path: between the
+# points that stick, the faces of the coarse mesh cut corners. Five times as much also makes points beside the contact
+# stick: up to 6 % more force on wide shallow contacts and thin gels. Not for tetrahedra: too many of their twelve
+# points per face would stick.
 TOUCHED = 0.01
-WIDEST = 0.15  # of the gel's height, hexahedra under the press
+WIDEST = 0.15  # of the gel's height: largest side of hexahedra under the press
 
 
 @dataclass(frozen=True)
 class Nested:
-    """How the path is followed on coarser hexahedra, of which only the end is solved on the fine ones.
+    """Settings of a path on coarser hexahedra, of which only the end is solved on the fine ones.
 
-    factor: their size in that of the fine ones. layers, widened, growth: theirs (see HexSettings). press_steps, shear_steps:
-    load steps of the path. convergence: what both sizes say of the force (mechanics.extrapolate); None: nothing. One factor on all
-    nodal forces of a press: balance and direction stay as they are; displacement is the fine hexahedra' own, whose base
-    reaction is that much larger.
+    factor: size of the coarse hexahedra over that of the fine ones. layers, widened, growth: as in HexSettings.
+    press_steps, shear_steps: load steps of the path. convergence: extrapolation of the force from both sizes
+    (mechanics.extrapolate); None: none. It multiplies all nodal forces of a press by one factor, so balance and
+    direction stay; displacements are not changed, and their base reaction is the force without that factor.
     """
 
     factor: float = 2.0
@@ -39,19 +40,19 @@ class Nested:
 
 @dataclass(frozen=True)
 class HexSettings(PathSettings):
-    """How finely a scene is solved, and how its path is followed.
+    """Mesh and path settings of a scene on hexahedra.
 
-    size: side of the hexahedra under the press, mm; smaller where the contact is under `across` of them wide (0: never), and
-    at most WIDEST of the gel's height.
-    layers, layer_ratio: hexahedra through the height, and how many times as thick as the uppermost the lowest is.
-    thin_below, steepness: where hexahedra under the press are as small as `thin_below` mm, those of the uppermost layer are
-    at most FLATNESS times as high as wide, each layer is up to `steepness` times as thick as the one above, and layers are
-    added (0: nowhere).
-    widened: how many of the lowest layers have hexahedra twice as wide, how many of these hexahedra four times as wide, and so on.
-    growth, largest: by what factor, and up to what side in mm, hexahedra grow away from the press.
+    size: side of the hexahedra under the press, mm; smaller if the contact is narrower than `across` of them (0:
+    never), and at most WIDEST of the gel's height.
+    layers, layer_ratio: hexahedra through the height, and thickness of the lowest layer over that of the uppermost.
+    thin_below, steepness: if hexahedra under the press are `thin_below` mm wide or less, those of the top layer are
+    at most FLATNESS times as high as wide, each layer is at most `steepness` times as thick as the one above, and
+    layers are added as needed (thin_below = 0: never).
+    widened: number of low layers with hexahedra twice as wide; of these, number with four times as wide, and so on.
+    growth, largest: factor by which, and side in mm up to which, hexahedra grow away from the press.
     box: fixed fine part (FineBox) in place of one that follows the press.
-    nested: how the path is followed on coarser hexahedra first; None: on these. With Coulomb friction it is always on these,
-    because a point's force depends on all of its slip.
+    nested: settings of a path on coarser hexahedra; None: the path is followed on these. With Coulomb friction it is
+    always followed on these, because a point's force depends on its whole slip.
     """
 
     across: int = 0
@@ -67,7 +68,7 @@ class HexSettings(PathSettings):
     nested: Nested | None = None
 
     def with_steps(self, finer: int) -> "HexSettings":
-        """The same with so many times as many load steps, on coarse hexahedra as well."""
+        """The same settings with `finer` times as many load steps, on coarse hexahedra as well."""
         n = self.nested
         more = n and replace(n, press_steps=finer * n.press_steps, shear_steps=finer * n.shear_steps)
         return replace(self, press_steps=finer * self.press_steps, shear_steps=finer * self.shear_steps, nested=more)
@@ -84,15 +85,16 @@ class HexSettings(PathSettings):
 
 
 # Chosen on the 16 scenes of workflow/scenes.toml, by error against CalculiX on fine tetrahedra.
-# - Layers of nearly equal height (ratio 2) are better than a thin top one: at five layers a ratio of 6 errs by 2 to 3 % in
-#   total force, 2 by 1 to 2 %.
-# - On a thin gel hexahedra wider than WIDEST of its height, wider still below, are up to 4 % too soft.
-# - A hexahedron's face bends too little for 3 x 3 points to stick: 2 x 2 halve the error of flat and sharp indenters.
-# - Under a contact a millimetre or two across, layers of half a millimetre err by up to 12 %: there the uppermost ones are
-#   thinner, and what the coarse hexahedra add is right to 1 % where their layers are those of the fine ones, two in one.
-# - Below the upper layers wide hexahedra do: the same errors in 0.7 (label) and 0.6 (draft) of the time. At least two layers
-#   must be fine: one alone, on wide faces, doubles the error of the cells.
-# - Three press steps cost under 0.6 % of the force with stick points at first touch (12 % where a step ends, one step).
+# - Layers of nearly equal height (ratio 2) are better than a thin top one: with five layers, the error of the total
+#   force is 2 to 3 % at a ratio of 6, and 1 to 2 % at a ratio of 2.
+# - On a thin gel, hexahedra wider than WIDEST of its height, and wider still in lower layers, are up to 4 % too soft.
+# - A hexahedron's face cannot bend enough for 3 x 3 sticking points: 2 x 2 halve the error of flat and sharp bodies.
+# - Under a contact one or two millimetres across, layers of half a millimetre have errors of up to 12 %: there the
+#   top layers are thinner, and extrapolation is right to 1 % if each coarse layer is as thick as two fine ones.
+# - Wide hexahedra in the lower layers give the same errors in 0.7 (label) and 0.6 (draft) of the time. At least two
+#   layers must be fine: a single one, on wide faces, doubles the error of the forces per cell.
+# - Three press steps change the force by under 0.6 % if points stick where they first touched (12 % for one step
+#   after which points stick where it ended).
 QUALITIES = {
     "draft": HexSettings(
         size=0.45, across=15, layers=6, widened=(4, 2), layer_ratio=2.0, thin_below=SMALLEST, growth=2.2, largest=4.0,
@@ -109,7 +111,7 @@ QUALITIES = {
 
 
 def quality(name: str) -> HexSettings:
-    """The settings of that name, one of QUALITIES; an unknown one raises BadInput."""
+    """The settings of that name, one of QUALITIES; an unknown name raises BadInput."""
     if name not in QUALITIES:
         raise BadInput(f"quality {name!r} of hexahedra is unknown; choose one of {', '.join(QUALITIES)}")
     return QUALITIES[name]

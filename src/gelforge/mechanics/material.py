@@ -2,15 +2,15 @@
 
 from dataclasses import dataclass
 
-REFERENCE_C10 = 0.0725  # MPa; every solve runs at this value, forces scale with C10 at fixed Poisson's ratio
+REFERENCE_C10 = 0.0725  # MPa, in every solve: forces are proportional to C10 at fixed Poisson's ratio
 
 
 @dataclass(frozen=True)
 class Material:
     """Neo-Hookean solid, W = C10 (I1bar - 3) + (J - 1)^2 / D1 (CalculiX manual, *HYPERELASTIC).
 
-    nu is Poisson's ratio at small strain. C10 is that of every solve, because all forces are proportional to it: what
-    a gel's own C10 makes of them is one factor on the solved ones.
+    nu is Poisson's ratio at small strain. C10 is REFERENCE_C10 in every solve: forces are proportional to it, so the
+    C10 of a particular gel is one factor on the solved forces.
     """
 
     nu: float = 0.475

@@ -1,4 +1,4 @@
-"""What a solver answers."""
+"""Output of a solver."""
 
 import json
 from collections.abc import Callable
@@ -10,11 +10,11 @@ from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.scene import Scene
 from gelforge.records.status import Status
 
-BALANCE = 1e-6  # of its size, by which the contact force of a valid result may differ from the base's reaction
+BALANCE = 1e-6  # relative difference allowed between contact force and base reaction of a valid result
 
 
 class NoEquilibrium(Exception):
-    """Newton's method stopped without a state; the load stepping answers with a shorter step."""
+    """Newton's method found no equilibrium; the load stepping retries with a shorter step."""
 
 
 @dataclass
@@ -25,8 +25,8 @@ class Result:
     displacement: (n, 3) mm. Contact data stay inside the solvers.
     evidence: plain numbers and strings; the keys every method fills are
     "equilibrium_residual" (relative), "penetration_mm", "pulling_fraction" (of the normal force),
-    "base_mismatch" (relative), "newton_iterations", "rounds", "seconds", "load_steps". "peak_mib" is that of
-    a solver which is a process of its own; presses that are solved in one process have no peaks of their own.
+    "base_mismatch" (relative), "newton_iterations", "rounds", "seconds", "load_steps". "peak_mib" is given only by
+    solvers that run as a process of their own.
     """
 
     status: Status
@@ -42,12 +42,12 @@ class Result:
 
     @property
     def error_n(self) -> float:
-        """By how much the size of the total force may be off, N: nine of ten are within it; NaN where nothing says so."""
+        """90 % bound on the error of the total force's magnitude, N; 0 without contact, NaN if unknown."""
         return 0.0 if self.status is Status.NO_CONTACT else float(self.evidence.get("error_n", np.nan))
 
     @property
     def error_share(self) -> float:
-        """`error_n` over the size of the force; 0 where nothing touches, infinite where nothing was solved or said."""
+        """`error_n` over the force's magnitude; 0 without contact, infinite if it is unknown or the solve failed."""
         force = float(np.linalg.norm(self.total))
         if self.status is Status.NO_CONTACT or not self.status.valid or force == 0.0 or np.isnan(self.error_n):
             return 0.0 if self.status is Status.NO_CONTACT else np.inf
@@ -55,7 +55,7 @@ class Result:
 
     @property
     def kept_evidence(self) -> dict:
-        """What of the evidence JSON can hold; numbers that are not finite are left out."""
+        """The evidence that JSON can hold; numbers that are not finite are left out."""
         kept = {}
         for key, value in self.evidence.items():
             value = value.item() if isinstance(value, np.generic) else value
@@ -67,5 +67,5 @@ class Result:
         return kept
 
 
-# State at the end of the scene's path. Failure is a status with its reason, not an exception.
+# Gives the state at the end of the scene's path. Failure is a status with its reason, not an exception.
 Solve = Callable[[Scene], Result]

@@ -1,4 +1,4 @@
-"""What a solver is asked: one press, from the gel to the contact law."""
+"""Input of a solver: one press, from the gel to the contact law."""
 
 from dataclasses import dataclass, replace
 
@@ -13,27 +13,27 @@ from gelforge.records.press import Press
 
 @dataclass(frozen=True)
 class Interface:
-    """Contact law between gel and indenter: its name (`contact.law.LAWS`), and the coefficient of one that has one."""
+    """Contact law between gel and indenter: its name in `contact.law.LAWS`, and its coefficient if it has one."""
 
     law: str = NoSlip.name
     mu: float = 0.0
 
     @classmethod
     def of_friction(cls, mu: float) -> "Interface":
-        """The law of a coefficient of friction: none at 0 or below, no slip at infinity, between them Coulomb's."""
+        """The law for a friction coefficient: frictionless at 0 or below, no slip at infinity, else Coulomb."""
         if mu <= 0.0:
             return cls(Frictionless.name)
         return cls(NoSlip.name) if np.isinf(mu) else cls(Coulomb.name, float(mu))
 
     @property
     def contact(self) -> ContactLaw:
-        """The law itself; a name that is none raises BadInput."""
+        """The law itself; an unknown name raises BadInput."""
         return contact_law(self.law, self.mu)
 
 
 @dataclass(frozen=True)
 class Scene:
-    """One press: everything a method may look at."""
+    """One press: all input that a solver may use."""
 
     gel: Gel
     material: Material
@@ -43,9 +43,10 @@ class Scene:
 
     @property
     def direct(self) -> "Scene":
-        """A scene with the same end that is reached straight down, where nothing depends on the way: without friction.
+        """A scene with the same end, reached straight down if the path does not matter, which is without friction.
 
-        Flat bodies that are dragged without friction stick in load steps in which the points at their edges come and go.
+        Newton's method stalls when a flat body is dragged without friction: points at its edges keep entering and
+        leaving contact.
         """
         straight = replace(self, press=self.press.straight_there)
         return self if self.interface.contact.sticks else straight

@@ -1,7 +1,7 @@
-"""How a press is solved: the methods, what is tried where one fails, and the key by which a solve is found again.
+"""How a press is solved: the methods, the fallbacks if one fails, and the key under which a solve is stored.
 
-A method is one name: hexahedra in process at a quality ("draft", "label", "fine"), CalculiX ("ccx"), or "auto", which goes
-from "draft" to "label" to "ccx" until one states an error within `tolerance`.
+Methods: hexahedra in process at a quality ("draft", "label", "fine"), CalculiX ("ccx"), or "auto", which tries
+"draft", "label" and "ccx" until one states an error within `tolerance`.
 """
 
 from collections.abc import Sequence
@@ -25,18 +25,20 @@ from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver, mesh_of
 from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.records.status import Status
 
-# Hexahedra on which the load path of `ccx` is found, and which solve a press for which it finds no valid state.
+# Quality of the hexahedra that give the load path of `ccx`, and that solve a press if `ccx` finds no valid state.
 GUIDE = "label"
-# Of CcxSettings: how long CalculiX may run. A press that it stopped is solved again where it may take longer (stages/fea.py).
+# Fields of CcxSettings that do not change a result. A press that ran out of time is solved again once the limit is
+# raised (stages/fea.py).
 NO_RESULT = {"timeout_s"}
-OVERDUE = {"stopped_after_s"}  # evidence of that
-# Of the force that `ccx` may be off in total, and summed over cells: nine of ten presses of known force, and scenes, are within.
+OVERDUE = {"stopped_after_s"}  # evidence that a press ran out of time
+# 90 % bounds on the error of `ccx` over the force, of the total and summed over cells: from presses of known force
+# and the benchmark scenes.
 CCX_ERROR, CCX_CELLS = 0.024, 0.048
 FINER = 4  # times as many load steps where a press on hexahedra failed
 
 
 class Solvers:
-    """Solvers that are kept between scenes; files of CalculiX lie in `workdir`, of this process alone. settings: [fea]."""
+    """Solvers, kept between scenes. workdir: folder for CalculiX' files, of this process alone. settings: [fea]."""
 
     def __init__(self, workdir: Path | str, settings: FeaTable) -> None:
         self.workdir, self.settings = Path(workdir), settings
@@ -47,16 +49,16 @@ class Solvers:
     def solve(self, scene: Scene, method: str) -> Result:
         """Solve by a method, one of METHODS.
 
-        Forces (n, 3) N on the gel and displacement (n, 3) mm are those of the mesh named by evidence["mesh"];
-        evidence["method"] is what solved it. A failed solve is a status with its reason in the evidence; a missing CalculiX
-        or a full disk raises BadInput.
+        Forces (n, 3) N on the gel and displacement (n, 3) mm belong to the mesh named by evidence["mesh"];
+        evidence["method"] is the method that solved it. A failed solve is a status with its reason in the evidence.
+        An unknown method or gel and a missing CalculiX raise BadInput, a full disk raises OSError.
         """
         return self.solve_frames([scene], method)[0]
 
     def solve_frames(self, scenes: Sequence[Scene], method: str) -> list[Result]:
-        """Solve frames of one press, scenes in order of time along one path; one result each, as `solve` gives it.
+        """Solve the frames of one press, scenes in order of time along one path; one result each, as from `solve`.
 
-        Without slip their path is followed once, on coarse hexahedra, for all of them.
+        Without Coulomb friction, the path is followed once for all of them, on coarse hexahedra ("fine": on its own).
         """
         if method not in METHODS:
             raise BadInput(f"method = {method!r} is unknown; choose one of {', '.join(METHODS)}")
@@ -67,16 +69,19 @@ class Solvers:
         if method not in IN_PROCESS:
             need_ccx()
         for gel in {scene.gel for scene in scenes}:
-            if load_gel(gel.name) != gel:  # of which the mesh could not be made again by its name
-                raise BadInput(f"gel {gel.name!r} of the scene is not the one of that name; give it one of its own")
+            if load_gel(gel.name) != gel:  # the mesh could not be rebuilt from its name
+                raise BadInput(
+                    f"the scene's gel {gel.name!r} differs from the known gel of that name; give it another name"
+                )
         return [
             self._first_valid(scene, tries) for scene, tries in zip(scenes, self._tries(scenes, method), strict=True)
         ]
 
     def _within_tolerance(self, scenes: Sequence[Scene]) -> list[Result]:
-        """The first of TAKEN whose stated error at the end of the press is within `tolerance`, else the one of the least.
+        """Results of the first method of TAKEN whose stated error is within `tolerance`, else of the least error.
 
-        CalculiX states the same share of every press, so it is not asked where hexahedra state less.
+        The error at the end of the press counts. CalculiX states the same relative error for every press, so it is
+        skipped if hexahedra state a smaller one.
         """
         tried: list[tuple[float, list[Result]]] = []
         for method in TAKEN:
@@ -89,16 +94,16 @@ class Solvers:
         return min(tried, key=lambda one: one[0])[1]
 
     def _tries(self, scenes: Sequence[Scene], method: str) -> list[list[tuple[str, Solve]]]:
-        """By scene, how it is solved as asked, and what is tried where that fails, by name; a path of several is followed here.
+        """For each scene, the requested method and its fallbacks, by name; the common path is followed here.
 
-        That is smaller load steps, more contact iterations, and hexahedra for CalculiX.
+        Fallbacks are smaller load steps, more contact iterations, and hexahedra in place of CalculiX.
         """
         if method in IN_PROCESS:
             smaller: Solve = lambda scene: self._solve_hex([scene], method, FINER)[0]  # noqa: E731
             found = self._solve_hex(scenes, method)
             return [[(method, _answer(each)), (f"{method}, smaller load steps", smaller)] for each in found]
         tries: list[list[tuple[str, Solve]]] = []
-        # with Coulomb friction a force depends on all of a point's slip, so its path is followed on the tetrahedra
+        # with Coulomb friction a force depends on a point's whole slip, so the path is followed on the tetrahedra
         slips = scenes[-1].interface.contact.frictional
         for frame in self.guide.coarse_path(scenes):
             shown = frame.path if frame else None
@@ -111,19 +116,19 @@ class Solvers:
         return tries
 
     def _first_valid(self, scene: Scene, tries: list[tuple[str, Solve]]) -> Result:
-        """The first valid result of the tries, else the last one, with what failed before it."""
+        """The first valid result of the tries, else the last one; its evidence lists the failed tries."""
         failed: list[str] = []
         overdue: dict[str, Any] = {}
         for name, attempt in tries:
             result = attempt(scene)
             result.evidence["attempt"] = name
-            # where CalculiX computes otherwise than this process, no other way makes its answer right
+            # if CalculiX disagrees with the solver in process, no fallback makes its answer right
             if result.status.valid or result.status is Status.DISAGREES:
                 break
             overdue |= {key: result.evidence[key] for key in OVERDUE & set(result.evidence)}
             failed.append(f"{name}: {result.status.name}, {result.evidence.get('reason') or result.status.value}")
         if result.evidence["method"] != tries[0][0]:
-            result.evidence |= overdue  # CalculiX may solve it where it may take longer
+            result.evidence |= overdue  # CalculiX may solve it with a higher time limit
         if result.status.valid and result.evidence["method"] != tries[0][0]:
             result.evidence["replaced"] = f"solved by {result.evidence['method']}, because {failed[0]}"
         result.evidence["failed_attempts"] = failed + result.evidence.get("failed_attempts", [])
@@ -137,7 +142,7 @@ class Solvers:
         rounds: int = 1,
         coarse_path: LoadPath | None = None,
     ) -> Result:
-        """Solve by CalculiX on a mesh by the contact that a path on hexahedra has shown."""
+        """Solve by CalculiX on a mesh refined for the contact found by `shown`, a path on hexahedra."""
         base = self.ccx
         finer = replace(base, press_steps=steps * base.press_steps, shear_steps=steps * base.shear_steps,
                         step_mm=base.step_mm / steps, rounds=rounds * base.rounds)  # fmt: skip
@@ -153,7 +158,7 @@ class Solvers:
         return result
 
     def _solve_hex(self, scenes: Sequence[Scene], method: str, finer: int = 1) -> list[Result]:
-        """Solve on hexahedra that follow the press; a result's mesh is a name that holds all numbers of it."""
+        """Solve on hexahedra refined under the press; evidence["mesh"] is the name of the mesh."""
         if (method, finer) not in self._hex:
             self._hex[method, finer] = HexSolver(quality(method).with_steps(finer))
         results = self._hex[method, finer].solve_frames(scenes)
@@ -163,7 +168,7 @@ class Solvers:
 
 
 def _answer(found: Result) -> Solve:
-    """What was solved already, as a method of solving it."""
+    """A result that was found already, as a solving function."""
     return lambda scene: found
 
 
@@ -173,9 +178,8 @@ def _answer(found: Result) -> Solve:
 def solve_key(frames: Sequence[Scene], shape: Any, how: Any, version: int, at: int = -1) -> str:
     """Key of frame `at` of a press, whose frames share one path: a digest of exactly what changes its result.
 
-    Content and numbers, no names. shape: what the indenter's surface is, as a digest of it or the numbers that it is built
-    from. how: settings of the solver, see `settings_of` and `hexahedra_key`. version: of the
-    solver's answers.
+    It covers content and numbers, no names. shape: the indenter's surface, as a digest or as the numbers that it is
+    built from. how: settings of the solver, see `settings_of` and `hexahedra_key`. version: of the solver's results.
     """
     scenes = [frames[0].direct] if len(frames) == 1 else list(frames)
     scene = scenes[at]
@@ -187,12 +191,12 @@ def solve_key(frames: Sequence[Scene], shape: Any, how: Any, version: int, at: i
 
 
 def hexahedra_key(settings: HexSettings) -> list:
-    """What of a solve on hexahedra changes its result."""
+    """Settings that change the result of a solve on hexahedra."""
     return ["hex", asdict(settings)]
 
 
 def settings_of(method: str, fea: FeaTable) -> list:
-    """What of [fea] changes the result of a press that is solved by a method."""
+    """Settings of [fea] that change the result of a method."""
     if method in IN_PROCESS:
         return hexahedra_key(quality(method))
     if method == "auto":

@@ -1,8 +1,9 @@
-"""What may be wrong with the images of a sensor: each fault is a function of what is seen, with its limit and its sentence.
+"""Faults of a sensor's images: each fault is a function of the images, with its limit and its message.
 
-A no-contact image is judged by itself (`nocontact_fault`), an image beside it (`pair_fault`), and what is predicted of both
-(`pull_fault`). `Reader`, `gelforge live` and `gelforge sensor`, and stages 15 and 60 ask these functions alone. What pairs are like that
-a network learnt from sets some of the limits (`pair_limits`, in the model's `limits`); the others are those of real Minis.
+A no-contact image is checked by itself (`nocontact_fault`), an image against it (`pair_fault`), and then the
+prediction (`pull_fault`). `Reader`, `gelforge live`, `gelforge sensor`, and stages 15 and 60 use only these
+functions. Some limits come from the image pairs of training (`pair_limits`, in the model's `limits`); the others come
+from real Minis.
 """
 
 import math
@@ -19,12 +20,13 @@ from gelforge.reading.untouched import touch_fault, touch_of
 from gelforge.reading.wear import faded, pale
 
 Limits = Mapping[str, float]
-TOUCH_MARGIN = 1.1  # beyond the most of the no-contact images that a network learnt beside
-# Of the distance of markers: how far one may move, and how much farther than its neighbour; and the first of these and a fraction of
-# markers that are lost. Of 132 drags by 1.5 to 2.5 mm (rig, four bodies, six units), which are read half as large as they are, all are beyond; of those
-# by 1 mm, read within 25 %, a third; of real films the farthest frames of one in ten.
+TOUCH_MARGIN = 1.1  # factor on the largest `touch_of` of the no-contact images of training
+# Limits of shear, in marker pitches: motion of a marker, and its difference between neighbours; or FAR_MOVED, with
+# more than a fraction FAR_LOST of the markers lost. Beyond them are all of 132 drags by 1.5 to 2.5 mm (rig, four
+# bodies, six units), whose forces are predicted half too small; a third of the drags by 1 mm (within 25 %); the
+# farthest frames of a tenth of real films.
 MOST_MOVED, MOST_TORN, FAR_MOVED, FAR_LOST = 0.6, 0.45, 0.4, 0.1
-# What good pairs and no-contact images stay within, by its name in a model file; one that is absent bounds nothing.
+# Names of the limits of good pairs and no-contact images in a model file; an absent limit does not apply.
 LIMITS = (
     "largest_distance",
     "largest_residual",
@@ -36,53 +38,56 @@ LIMITS = (
     "least_sharp",
 )
 MARGIN = 1.5
-GOOD_PERCENTILE = 99.0  # per cent of good pairs that the limits are set by: the worst of many are odd ones
-LEAST_UNEVEN = 0.2  # px to which markers are tracked, whatever the limit
+GOOD_PERCENTILE = 99.0  # percentile of good pairs that sets a limit: the few worst pairs are outliers
+LEAST_UNEVEN = 0.2  # px: precision of tracked markers, and lower bound of the limit "largest_uneven"
 
-# Markers of one gel that is mounted differently, or of another gel, move alike: one of ten by more than this fraction of what another one of
-# ten does, and than so many px. Of 700 presses of the rig, dragged ones too, four in a thousand do.
+# A gel that is mounted differently, or another gel, shows as common motion: the 10 % quantile of marker motion
+# exceeds this fraction of the 90 % quantile, and so many px. It does so in 0.4 % of 700 presses of the rig, drags
+# included.
 ALIKE_FRACTION, ALIKE_PX = 0.55, 1.0
-# Another gel's markers look otherwise, too: beyond the first fraction of such markers less of a common motion suffices, beyond the second
-# no motion is needed. Of 238 frames of real films none is flagged so beside its own no-contact image, beside that of the
-# gripper's other finger 99 % are; of presses of the rig, cropped to seven tenths, 2 %, most of them of 30 N and more.
+# Another gel's markers also look different. Above the first fraction of such markers, the second number replaces
+# ALIKE_FRACTION; above the third, no motion is needed. This flags none of 238 frames of real films against their own
+# no-contact images, 99 % against that of the gripper's other finger, and 2 % of the rig's presses cropped to 70 %,
+# most of 30 N and more.
 OTHER_LOOK, OTHER_LOOK_ALIKE_FRACTION, MOST_OTHER_LOOK = 0.27, 0.25, 0.5
-LEAST_LEVEL, LEAST_CONTRAST = 40.0, 30  # grey levels of a no-contact image
-SHARP_MARGIN = (
-    0.45  # of the logarithm of sharpness, below the least sharp no-contact image that a network learnt beside
-)
-# Of an image beside its no-contact image: logarithm of sharpness, and fraction of white pixels beyond. Of 130 images of real sensors the
-# least sharp has -0.42, and none has white pixels; all have -1.0 and less once they are blurred by a pixel of 320.
+LEAST_LEVEL, LEAST_CONTRAST = 40.0, 30  # grey levels: least mean of a no-contact image, least range of any image
+SHARP_MARGIN = 0.45  # of the logarithm of sharpness, below the least sharp no-contact image of training
+# Of an image relative to its no-contact image: least logarithm of sharpness; level of a white pixel, and largest
+# additional fraction of these. The least sharp of 130 images of real sensors has -0.42, and none has white pixels;
+# blurred by a pixel of 320, all have -1.0 or less.
 LEAST_SHARPNESS, WHITE, MOST_WHITE = -0.7, 254, 0.1
-MOST_BRIGHTER = 1.8  # times: with more or less light than that markers look otherwise
-MOST_CROWDED = 1.35  # markers of an image over those of its no-contact image: real films have 1.14 at most, one cropped by a seventh 1.8
-GREY = 1.5  # levels by which the colours of a picture differ in the mean where it has none
-# Of all markers: with so many half worn, in the image alone or in both, forces are within 10 %.
+MOST_BRIGHTER = 1.8  # ratio of mean levels, either way, beyond which markers look different
+# Ratio of marker counts, image to no-contact image: at most 1.14 in real films, 1.8 in one that is cropped by a
+# seventh.
+MOST_CROWDED = 1.35
+GREY = 1.5  # levels: mean range between the colours of a pixel, below which an image counts as monochrome
+# Largest fraction of half-worn markers, in the image alone and in both images, at which forces are within 10 %.
 MOST_FADED, MOST_PALE = 0.25, 0.33
-MOST_VANISHED = 8  # markers, of 63: with so many painted over in both images, nine of ten forces are within 11 %
-# Of the light's level, from the middle to the edge of the image: of all colours together, and of one. Of 114 frames of real films
-# that nothing else flags none is beyond, of 51 real presses of a ball the largest is 0.8 %.
+MOST_VANISHED = 8  # of 63 markers: with so many painted over in both images, 90 % of the forces are within 11 %
+# Largest change of the light's distribution from the middle to the edge of an image, as a fraction of its level: of
+# all colours together, and of one. None of 114 frames of real films that nothing else flags exceeds it; the largest
+# of 51 real presses of a ball is 0.8 %.
 MOST_FALL, MOST_COLOUR_FALL = 0.04, 0.055
 LEAST_PULL = 1.0  # N above which a prediction that no contact can make is flagged
-MARKER_AREA, MARKER_DEPTH = (
-    (25, 500),
-    18,
-)  # px at 320 x 240 (FEATS' markers have 106), and grey levels below their surroundings
+# Area in px at 320 x 240 (FEATS' markers have 106), and grey levels below the surroundings.
+MARKER_AREA, MARKER_DEPTH = (25, 500), 18
 
-# Limits of the light's pattern. Of 480 frames of real films, 51 real presses of a ball and 48 of the rig, beside their own no-contact images,
-# it is alike to 0.59 and more (0.9 in the median), to 0.625 and more where the light is otherwise, too, as under wide strong
-# contacts; beside that of another unit to 0.49 to 0.64, below 0.62 nine of ten.
+# Limits of the likeness of the light patterns of an image and a no-contact image. In 480 frames of real films, 51
+# real presses of a ball and 48 of the rig it is at least 0.59 against the own no-contact image (median 0.9), and at
+# least 0.625 where the light also differs, as under wide strong contacts. Against another unit's it is 0.49 to 0.64,
+# and below 0.62 in 90 %.
 PATTERN = (40, 30)  # px, width and height
-OTHER_PATTERN = 0.62  # likeness below which an image is of another unit, if its light is otherwise, too
+OTHER_PATTERN = 0.62  # likeness below which an image is of another unit, if its light also differs
 NO_PATTERN = 0.4  # likeness below which an image whose light cannot be compared shows no gel of the sensor
 OWN_PATTERN = 0.75  # likeness above which a turned or mirrored no-contact image fits
-FLIPPED = 0.1  # by which it then fits better
+FLIPPED = 0.1  # by how much its likeness must exceed that of the no-contact image as it is
 OTHER_DISTANCE, OTHER_RESIDUAL = 9.0, 16.0  # levels
 FLIPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "mirrored left to right": lambda image: image[:, ::-1],
     "mirrored top to bottom": lambda image: image[::-1],
     "turned by 180 degrees": lambda image: image[::-1, ::-1],
 }
-ORDERS = {**FLIPS, "with red and blue exchanged": lambda image: image[..., ::-1]}
+ORDERS = {**FLIPS, "in the other colour order (red and blue exchanged)": lambda image: image[..., ::-1]}
 
 
 # No-contact images.
@@ -91,7 +96,7 @@ ORDERS = {**FLIPS, "with red and blue exchanged": lambda image: image[..., ::-1]
 def nocontact_fault(nocontact: NoContact, limits: Limits, coloured: bool = True) -> str:
     """What is wrong with a no-contact image by itself; empty where nothing is.
 
-    limits: of the network that reads, or none. coloured: whether images are expected to have colour.
+    limits: of the network, may be empty. coloured: whether images are expected to have colour.
     """
     picture = nocontact.picture[nocontact.frame.shown]
     level = float(picture.mean())
@@ -110,14 +115,14 @@ def nocontact_fault(nocontact: NoContact, limits: Limits, coloured: bool = True)
             " hold it still"
         )
     if pale(nocontact.markers) > MOST_PALE:
-        return "the markers of the no-contact image are pale: they are worn, or printed otherwise than those that the network learnt from"
+        return "the markers of the no-contact image are pale: they are worn, or their print differs from that of the sensors in training"
     most = limits.get("largest_touch", 1.0)
     touched = touch_fault(nocontact.picture, nocontact.markers, nocontact.frame.shown, most)
     return touched or (BLUE_FIRST if nocontact.frame.blue_first else "")
 
 
 def is_blank(image: np.ndarray) -> bool:
-    """Whether an image (h, w, 3) uint8 is of one level."""
+    """Whether the levels of an image (h, w, 3) uint8 span less than LEAST_CONTRAST."""
     import cv2
 
     low, high, _, _ = cv2.minMaxLoc(np.ascontiguousarray(image).reshape(len(image), -1))
@@ -125,7 +130,7 @@ def is_blank(image: np.ndarray) -> bool:
 
 
 def is_grey(image: np.ndarray) -> bool:
-    """Whether an image (h, w, 3) uint8 has no colour. Photometric normalisation would give it some, so it is asked before that."""
+    """Whether an image (h, w, 3) uint8 has no colour. Call it before photometric normalisation, which adds colour."""
     import cv2
 
     small = cv2.resize(image, PATTERN, interpolation=cv2.INTER_AREA).astype(int)
@@ -133,7 +138,7 @@ def is_grey(image: np.ndarray) -> bool:
 
 
 def sharpness(image: np.ndarray) -> float:
-    """Logarithm of how much a pixel of an image (h, w, 3) uint8 differs from its neighbours."""
+    """Logarithm of 1 plus the variance of the Laplacian of an image (h, w, 3) uint8, in grey levels."""
     import cv2
 
     rough = spread_of(cv2.Laplacian(grey_of(cv2.split(image)), cv2.CV_16S))
@@ -141,7 +146,7 @@ def sharpness(image: np.ndarray) -> float:
 
 
 def spread_of(plane: np.ndarray) -> float:
-    """Standard deviation of a plane (h, w) of whole numbers, from sums that are exact: OpenCV's own takes ten times as long."""
+    """Standard deviation of a plane (h, w) of integers, from exact sums: OpenCV's own takes ten times as long."""
     import cv2
 
     mean = cv2.sumElems(plane)[0] / plane.size
@@ -153,13 +158,14 @@ def spread_of(plane: np.ndarray) -> float:
 
 @dataclass(frozen=True)
 class MarkerSigns:
-    """Whether both images are of one sensor, mounted alike, by the markers of a no-contact image that are found in an image.
+    """Signs from tracked markers of whether an image and its no-contact image show one sensor, mounted alike.
 
-    rim_px: how far half of the rim's markers moved at least, px. rim_lost: fraction of them that does not look as it did.
-    uneven: px; in the quarter of all places where it departs least, the motion of a marker departs from the middle of its
-    neighbours' by no more. Contact moves neighbours alike, and the markers of another print stand where its printer put them.
-    All three are 0 where no rim is shown. alike_px: by how much nine of ten markers moved at least, px, where no rim is shown
-    and they moved much alike; else 0. other_look: fraction of all markers that do not look as they did, where no rim is shown.
+    Where the rim is shown, else 0: rim_px, median motion of the rim's markers, px; rim_lost, fraction of them that
+    are lost or look different; uneven, lower quartile of the distance of a marker's motion from the mean of its two
+    neighbours', px (contact moves neighbours alike, whereas another gel's markers are printed at other places).
+
+    Where no rim is shown, else 0: alike_px, 10 % quantile of marker motion, px, or 0 where the motion is not common
+    to most markers; other_look, fraction of all markers that are lost or look different.
     """
 
     rim_px: float = 0.0
@@ -171,9 +177,10 @@ class MarkerSigns:
 
 @dataclass(frozen=True)
 class PairSigns:
-    """Signs whether an image and a no-contact image are of one sensor that was mounted alike.
+    """Signs of whether an image and a no-contact image are of one sensor with the gel mounted alike.
 
-    distance: of the image, brought to the other's light, levels. light: what was taken back. markers: what they show.
+    distance: between them after photometric normalisation, levels. light: the change of light that it removed.
+    markers: signs from the markers.
     """
 
     distance: float
@@ -182,7 +189,7 @@ class PairSigns:
 
 
 def pair_signs(seen: Prepared) -> PairSigns | None:
-    """Signs whether an image and its no-contact image belong together; None beside a model of one image."""
+    """Signs of whether an image and its no-contact image belong together; None for a single-image model."""
     if seen.nocontact is None or seen.light is None:
         return None
     markers = seen.nocontact.markers
@@ -192,20 +199,20 @@ def pair_signs(seen: Prepared) -> PairSigns | None:
 
 
 def distance(image: np.ndarray, nocontact: np.ndarray) -> float:
-    """Median over the picture of how far an image is from the no-contact image, grey levels; images (h, w, 3) uint8.
+    """Median difference between an image and a no-contact image, grey levels; images (h, w, 3) uint8.
 
-    A press changes less than half of the picture by much: another sensor's light changes most.
+    A press changes less than half of the image by much; another sensor's light changes most of it.
     """
     import cv2
 
     difference = cv2.resize(cv2.absdiff(image, nocontact), (80, 60), interpolation=cv2.INTER_AREA)
-    # the sum of whole planes, a quarter of the time of a mean along the colours
+    # adding planes takes a quarter of the time of a mean along the colour axis
     red, green, blue = cv2.split(difference)
     return float(np.median(red.astype(np.uint16) + green + blue)) / 3
 
 
 def rim_signs(markers: MarkerTracker, tracks: Tracks) -> MarkerSigns:
-    """Signs by where a no-contact image's markers are in an image that shows the gel's rim."""
+    """Signs from the tracked markers of an image that shows the gel's rim."""
     rim = markers.rim
     if not rim.any():
         return MarkerSigns()
@@ -215,10 +222,10 @@ def rim_signs(markers: MarkerTracker, tracks: Tracks) -> MarkerSigns:
 
 
 def rimless_signs(tracks: Tracks) -> MarkerSigns:
-    """Signs by where a no-contact image's markers are in an image that does not show the gel's rim.
+    """Signs from the tracked markers of an image that does not show the gel's rim.
 
-    What drags a gel moves markers the less the farther they are; a gel that is mounted differently moves all of them. Markers of another
-    gel do not look like those of the no-contact image either, which those around a contact need not.
+    A drag moves distant markers less; a gel that is mounted differently moves all of them. Markers of another gel
+    also look different from those of the no-contact image, but so may the markers around a contact.
     """
     if not len(tracks.unlike):
         return MarkerSigns()
@@ -232,7 +239,10 @@ def rimless_signs(tracks: Tracks) -> MarkerSigns:
 
 
 def bends(moved: np.ndarray) -> np.ndarray:
-    """How far places (3, rows, cols), the third 1 where there is one, depart from the middle of two neighbours', (n,) px."""
+    """Distances (n,) px of vectors from the mean of their two neighbours, along rows and along columns.
+
+    moved: (3, rows, cols), components along u and v in px, and 1 where there is a vector.
+    """
     found = []
     for rows in (moved, moved.transpose(0, 2, 1)):
         known = (rows[2, :, :-2] > 0) & (rows[2, :, 1:-1] > 0) & (rows[2, :, 2:] > 0)
@@ -242,16 +252,16 @@ def bends(moved: np.ndarray) -> np.ndarray:
 
 
 def unevenness(motion: np.ndarray) -> float:
-    """Lower quartile of how far markers' motions (3, ROWS, COLS) depart from the middle of two neighbours', px.
+    """Lower quartile of the distance of markers' motions (3, ROWS, COLS) from the mean of two neighbours, px.
 
-    The quartile, because a contact's edge is uneven, too.
+    A quartile, because the motion is uneven at a contact's edge, too.
     """
     bent = bends(motion)
     return float(np.partition(bent, len(bent) // 4)[len(bent) // 4]) if len(bent) else 0.0
 
 
 def pair_limits(found: Sequence[PairSigns]) -> dict[str, float]:
-    """What good pairs stay within, from such ones: beyond, a pair does not belong together."""
+    """Limits derived from good pairs; the images of a pair beyond them do not belong together."""
     most = {
         name: float(np.percentile([getattr(one.markers, name) for one in found], GOOD_PERCENTILE))
         for name in ("rim_px", "rim_lost", "uneven")
@@ -267,7 +277,7 @@ def pair_limits(found: Sequence[PairSigns]) -> dict[str, float]:
 
 
 def nocontact_limits(sensors: Sequence[NoContact]) -> dict[str, float]:
-    """What the no-contact images of the sensors that a network learnt from stay within."""
+    """Limits of the no-contact images of the sensors that a network was trained on."""
     touch = [touch_of(one.picture, one.markers, one.frame.shown) for one in sensors]
     return {
         "largest_touch": max(1.0, TOUCH_MARGIN * max(touch)),
@@ -276,7 +286,7 @@ def nocontact_limits(sensors: Sequence[NoContact]) -> dict[str, float]:
 
 
 def wider(known: Limits, found: Limits) -> dict[str, float]:
-    """Limits that hold what either of two do, where a network goes on from another one."""
+    """The wider of two sets of limits, for a fine-tuned network."""
     return {
         name: (min if name.startswith("least_") else max)(known.get(name, value), value)
         for name, value in {**known, **found}.items()
@@ -284,26 +294,28 @@ def wider(known: Limits, found: Limits) -> dict[str, float]:
 
 
 def pair_fault(limits: Limits, pair: PairSigns) -> str:
-    """The sign that the images of a pair do not belong together; empty where nothing does."""
+    """Why the images of a pair do not belong together; empty where they are within all limits."""
     light, markers = pair.light, pair.markers
     unlike = light.residual > limits.get("largest_residual", np.inf) or light.fraction < limits.get(
         "least_share", 0.0
     )
     faults = {
-        "another sensor than the no-contact image": pair.distance > limits.get("largest_distance", np.inf),
-        "too little of it looks like the no-contact image": light.known and unlike,
+        "the image and the no-contact image are of different sensors": (
+            pair.distance > limits.get("largest_distance", np.inf)
+        ),
+        "too little of the image matches the no-contact image": light.known and unlike,
         f"the rim of the gel moved by {markers.rim_px:.1f} px since the no-contact image": (
             markers.rim_px > limits.get("largest_rim_px", np.inf)
         ),
-        f"all its markers moved by {markers.alike_px:.1f} px and more: the gel is mounted differently than in the no-contact image, or that"
-        " is of another gel": markers.alike_px > ALIKE_PX,
-        f"{markers.other_look:.0%} of its markers do not look like those of the no-contact image: it is of another gel, or blurred": (
+        f"nearly all markers moved by at least {markers.alike_px:.1f} px: the gel is mounted differently than in the no-contact image, or"
+        " the no-contact image is of another gel": markers.alike_px > ALIKE_PX,
+        f"{markers.other_look:.0%} of its markers do not look like those of the no-contact image: the image is of another gel, or blurred": (
             markers.other_look > MOST_OTHER_LOOK
         ),
         "the markers at the rim are not those of the no-contact image, or blurred": (
             markers.rim_lost > limits.get("largest_rim_lost", np.inf)
         ),
-        "its markers do not stand as those of the no-contact image: it is of another gel, or its markers cannot be tracked": (
+        "the marker pattern differs from that of the no-contact image: the image is of another gel, or its markers cannot be tracked": (
             markers.uneven > limits.get("largest_uneven", np.inf)
         ),
     }
@@ -311,26 +323,26 @@ def pair_fault(limits: Limits, pair: PairSigns) -> str:
 
 
 def wear_fault(seen: Prepared) -> str:
-    """What is wrong with a pair that differs by more markers than a prediction without them allows; empty where it does not."""
+    """Fault of a pair in which too many markers vanished or faded for a prediction; empty where there is none."""
     if seen.vanished > MOST_VANISHED:
-        return f"{seen.vanished} markers are in the image or in the no-contact image alone: take a new one, or change the gel"
+        return f"{seen.vanished} markers are visible only in the image or only in the no-contact image: take a new no-contact image, or change the gel"
     if seen.nocontact is None or seen.change is None:
         return ""
     fainter = faded(seen.nocontact.markers, seen.nocontact.printed, seen.tracks, seen.darkness)
     if fainter <= MOST_FADED:
         return ""
-    return f"{fainter:.0%} of its markers are fainter than in the no-contact image: take a new one, focus the camera, or change the gel"
+    return f"{fainter:.0%} of its markers are fainter than in the no-contact image: take a new no-contact image, focus the camera, or change the gel"
 
 
 def crowd_fault(seen: Prepared) -> str:
-    """What is wrong with an image that shows many more markers than its no-contact image: their number, and what that means."""
+    """Fault of an image that shows many more markers than its no-contact image; empty where there is none."""
     known = 0 if seen.nocontact is None else len(seen.nocontact.markers.points)
     if not known:
         return ""
     count = count_markers(seen.darkness)
     if count <= MOST_CROWDED * known:
         return ""
-    return f"{count} markers are in it, {known} in the no-contact image: crop and scale both alike"
+    return f"the image shows {count} markers, the no-contact image {known}: crop and scale both alike"
 
 
 def count_markers(darkness: np.ndarray) -> int:
@@ -338,7 +350,7 @@ def count_markers(darkness: np.ndarray) -> int:
     import cv2
 
     _, mask = cv2.threshold(darkness, MARKER_DEPTH, 255, cv2.THRESH_BINARY)
-    # one of several ways that OpenCV has to the same components, and twice as fast as what it takes by itself
+    # twice as fast as OpenCV's default algorithm, with the same components
     _, _, boxes, _ = cv2.connectedComponentsWithStatsWithAlgorithm(mask, 8, cv2.CV_32S, cv2.CCL_BBDT)
     scale = darkness.shape[0] * darkness.shape[1] / (240 * 320)
     area = boxes[1:, cv2.CC_STAT_AREA]
@@ -346,17 +358,17 @@ def count_markers(darkness: np.ndarray) -> int:
 
 
 def light_fault(seen: Prepared) -> str:
-    """What is wrong with the light of a pair of images: it cannot be compared, or falls from another side; empty where it is right."""
+    """Fault of the light of a pair of images: it cannot be compared, or falls from another side; or empty."""
     if seen.light is None or seen.nocontact is None:
         return ""
     if not seen.light.known:
-        return "nothing in it has the light of the no-contact image"
+        return "the light of the image cannot be matched to that of the no-contact image"
     mean, most = seen.nocontact.reference.fall_of(seen.image, seen.light)
     if mean <= MOST_FALL and most <= MOST_COLOUR_FALL:
         return ""
     return (
-        f"the light falls otherwise than in the no-contact image, by {max(mean, most):.0%} of its level from the middle to the edge: take a new"
-        " one under the light of now"
+        f"the light is distributed differently than in the no-contact image, by {max(mean, most):.0%} of its level from the middle to the edge:"
+        " take a new no-contact image under the present light"
     )
 
 
@@ -385,7 +397,7 @@ def pattern_fault(seen: Prepared) -> str:
     if fits[how] > max(OWN_PATTERN, alike + FLIPPED):
         other = np.ascontiguousarray(ORDERS[how](rest))
         if _same_light(image, other, match_light(image, other)):
-            return f"the image is {how} against the no-contact image"
+            return f"the image is {how} compared with the no-contact image"
     if alike >= OWN_PATTERN:
         return ""
     if not light.known:
@@ -393,7 +405,7 @@ def pattern_fault(seen: Prepared) -> str:
         return "" if alike >= NO_PATTERN else unknown
     if alike >= OTHER_PATTERN or _same_light(image, rest, light):
         return ""
-    return "the image and the no-contact image are of two sensors: their light comes from other sides"
+    return "the image and the no-contact image are of different sensors: their light comes from different sides"
 
 
 def light_pattern(image: np.ndarray) -> np.ndarray:
@@ -420,7 +432,7 @@ def _same_light(image: np.ndarray, nocontact: np.ndarray, light: Light) -> bool:
 def log_image_fault(seen: Prepared) -> str:
     """Why an image of a log is not of the sensor of its no-contact image; empty where it may be.
 
-    Only what makes it useless in a dataset: what a network reads is judged where it reads.
+    Only faults that make it useless in a dataset; those that matter to a network are checked at prediction.
     """
     assert seen.nocontact is not None
     if is_blank(seen.image):
@@ -433,26 +445,26 @@ def log_image_fault(seen: Prepared) -> str:
 
 
 def camera_fault(image: np.ndarray, nocontact: np.ndarray) -> str:
-    """What a camera did to an image (h, w, 3) uint8 and not to its no-contact image: out of focus, overexposed, in other light; empty for nothing.
+    """Camera fault of an image (h, w, 3) uint8 beside its no-contact image: blur, overexposure, brightness; or empty.
 
-    A reader flags such images by their markers.
+    At prediction such images are flagged by their markers.
     """
     if sharpness(image) - sharpness(nocontact) < LEAST_SHARPNESS:
-        return "the image is blurred beside its no-contact image, or of another unit: focus the camera, and log images when it is still"
+        return "the image is blurred compared with its no-contact image, or of another unit: focus the camera, and log images while nothing moves"
     if _white(image) - _white(nocontact) > MOST_WHITE:
         return f"the image is overexposed, more than {MOST_WHITE:.0%} of its pixels are white: shorten the exposure"
     if not 1.0 / MOST_BRIGHTER < image.mean() / max(nocontact.mean(), 1.0) < MOST_BRIGHTER:
-        return "the image has about twice the light of its no-contact image, or half of it: take a no-contact image in the light of the presses"
+        return f"the image is more than {MOST_BRIGHTER:g} times brighter or darker than its no-contact image: take a no-contact image under the light of the presses"
     return ""
 
 
 def _white(image: np.ndarray) -> float:
-    """Fraction of pixels of which a colour is as bright as it can be."""
+    """Fraction of pixels with at least one saturated colour."""
     return float((image.max(axis=2) >= WHITE).mean())
 
 
 def shear_fault(seen: Prepared) -> str:
-    """What is wrong with an image in which markers moved so far that they may be taken for their neighbours; empty where none did."""
+    """Fault of an image whose markers moved so far that they may be taken for their neighbours; or empty."""
     if seen.nocontact is None or seen.change is None:
         return ""
     markers = seen.nocontact.markers
@@ -465,13 +477,13 @@ def shear_fault(seen: Prepared) -> str:
     if most <= MOST_MOVED and apart <= MOST_TORN and not lost:
         return ""
     return (
-        f"its markers moved by {max(most, apart):.0%} of their distance: farther than the network learnt, and each may be taken for its"
-        " neighbour; drag the gel less"
+        f"its markers moved by {max(most, apart):.0%} of their pitch: farther than in training, so that a marker may be taken for its neighbour;"
+        " drag the gel less"
     )
 
 
 def torn(moved: np.ndarray) -> float:
-    """The most by which motions (3, rows, cols) of neighbours differ, the third 1 where there is one, px."""
+    """Largest difference of motion between neighbouring markers, px; moved: as of `bends`."""
     most = 0.0
     for rows in (moved, moved.transpose(0, 2, 1)):
         known = (rows[2, :, :-1] > 0) & (rows[2, :, 1:] > 0)
@@ -483,16 +495,16 @@ def torn(moved: np.ndarray) -> float:
 
 
 def pull_fault(normal: float) -> str:
-    """What is wrong with a gel that pulls on what touches it; empty where it presses, total normal force in N."""
+    """Fault of a predicted total normal force in N that pulls on the gel; empty where it presses."""
     if normal < LEAST_PULL:
         return ""
     return f"the gel seems to pull with {normal:.1f} N: something may have touched it in the no-contact image"
 
 
 def first_fault(seen: Prepared, limits: Limits, coloured: bool, normal: float, of_nocontact: str) -> str:
-    """The first fault of an image, a pair and what is predicted of them, (N) normal force; empty where there is none.
+    """The first fault of an image, its pair and its prediction; empty where there is none.
 
-    of_nocontact: what is wrong with the no-contact image.
+    normal: predicted total normal force, N. of_nocontact: fault of the no-contact image.
     """
     pair = None if seen.fault else pair_signs(seen)
     return (

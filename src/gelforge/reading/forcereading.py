@@ -1,7 +1,7 @@
-"""What is predicted from one picture: the one result from `predict` to the page of `live`, and its columns of a table.
+"""The prediction from one image, the same result from `predict` to the page of `live`, and its columns of a table.
 
-For each channel: CHANNEL_n, the total, and CHANNEL_half_width_n, half of its 90 % prediction interval, empty where it is not
-known. edge_peak shows where totals are too low: the contact is cropped by the image.
+For each channel: CHANNEL_n, the total, and CHANNEL_half_width_n, half of its 90 % prediction interval, empty where it
+is not known. edge_peak shows where totals are too low, because the image crops the contact.
 """
 
 from dataclasses import dataclass
@@ -13,9 +13,9 @@ from gelforge.records.axes import CHANNELS
 
 KINDS = ("n", "half_width_n")
 TOTAL_COLUMNS = (*(f"{channel}_{kind}" for kind in KINDS for channel in CHANNELS), "edge_peak")
-LEAST_PRESS = 0.2  # N of normal force below which a map has no shape: what is read of a released gel is below
-# Of a map's largest force, borne by a cell at the image's edge: the contact there is cropped by the image. Of 51 real
-# presses those that end within it bear at most a tenth there, those that it cuts a quarter and more.
+LEAST_PRESS = 0.2  # N of normal force below which a map has no shape: predictions on a released gel are smaller
+# `edge_peak` from which the image crops the contact. Of 51 real presses, those that end within the image have at most
+# 0.1, those that it crops 0.25 and more.
 BEYOND = 0.2
 
 
@@ -27,14 +27,14 @@ class ForceReading:
         cells: (3, rows, cols) N along gel x, y and z (pressing is negative). In a
             picture of a GelSight Mini gel y points to the left and gel x upwards.
         total: (3,) N, their sums.
-        half_width: (3,) N, half of the 90 % prediction intervals of the totals, on sensors that training never saw and of
-            gels as stiff as those it saw, or as uncertain as the factor of a profile is; None where the model knows none.
+        half_width: (3,) N, half of the 90 % prediction intervals of the totals, for sensors unseen in training with
+        gels of
+            the stiffness seen there, or with the uncertainty of a profile's factor; None where the model has none.
         reason: what is wrong with the pictures, empty for nothing.
         edge_peak: largest normal force of a cell at the edge of what the picture shows, over the largest of all; above
             0.2 the contact is cropped by the image and the total is too low. NaN where the map has fewer than three rows
             or columns.
-        vanished: number of markers that only the image or only the no-contact image shows; both are compared without
-            them.
+        vanished: number of markers that only one of image and no-contact image shows; both are compared without them.
     """
 
     cells: np.ndarray
@@ -66,14 +66,14 @@ class ForceReading:
 
 
 def interval_digits(half: float) -> int:
-    """Decimals of a number whose half interval is `half`: two significant digits of it, four at most."""
+    """Number of decimals that show two significant digits of a half width, at most four."""
     return min(max(1 - int(np.floor(np.log10(half))), 0), 4)
 
 
 def interval_text(value: float, half: float | None = None) -> str:
-    """A force and its half interval, N, with the digits that the interval allows: two of the half width's own.
+    """A force and its half width, N, to two significant digits of the half width.
 
-    Without an interval three decimals stand, the resolution of FEATS' maps.
+    Without a half width to three decimals, the resolution of FEATS' maps.
     """
     if half is None or not np.isfinite(half) or half <= 0.0:
         return f"{value:+.3f}"
@@ -91,10 +91,10 @@ def total_columns(found: ForceReading) -> dict[str, float | None]:
 
 
 def edge_peak(forces: np.ndarray, shown: tuple[slice, slice]) -> float:
-    """Largest normal force of a cell at the picture's edge, over the largest of all; 0 where hardly anything presses.
+    """Largest normal force of a cell at the image's edge, over the largest of all; 0 where hardly anything presses.
 
-    forces: (3, rows, cols) N. shown: rows and columns of the cells that the picture shows; what is read beyond counts as
-    its edge. NaN where fewer than three rows or columns are shown, which are nothing but edge.
+    forces: (3, rows, cols) N. shown: rows and columns of the cells that the image shows; cells beyond count as its
+    edge. NaN where fewer than three rows or columns are shown, because all of these are edge.
     """
     pressed = np.maximum(-forces[2].astype(float), 0.0)
     if min(pressed[shown].shape) < 3:
@@ -107,5 +107,5 @@ def edge_peak(forces: np.ndarray, shown: tuple[slice, slice]) -> float:
 
 
 def goes_beyond(peak: float) -> bool:
-    """Whether the image crops the contact, by its `edge_peak`: then the total is too low."""
+    """Whether an `edge_peak` shows that the image crops the contact, so that the total is too low."""
     return peak >= BEYOND

@@ -1,12 +1,13 @@
-"""Where an image stands: from a camera's image of any size, crop and orientation to what a network reads.
+"""Image frame: from a camera's image of any size, crop and orientation to the input of a network.
 
     frame, markers = image_frame(nocontact, (240, 320), learnt)  # once for each sensor
     framed = frame(image)  # turned, cropped, resized, and zoomed about its middle
 
-A network learns from images as its sensors logged them. What their no-contact images show of the camera is `Learnt`, which the model
-keeps: any other camera is brought to that view, and those that it learnt from stay as they are. The no-contact image shows all of it:
-its markers, which are printed alike on every gel, give scale and middle; the light behind them and the coloured fringes that the
-three lights leave around them give the orientation, and whether it is mirrored.
+A network is trained on images as its sensors logged them. `Learnt`, which the model keeps, describes the view of
+their cameras. Images of any other camera are brought to that view; those of the training cameras stay as they are. A
+no-contact image is enough for this: its markers, which are printed alike on every gel, give scale and centre; the
+light behind them and the coloured fringes that the three lights leave around them give the orientation, and whether
+the image is mirrored.
 """
 
 import itertools
@@ -21,25 +22,26 @@ from gelforge.errors import BadInput
 from gelforge.reading.markers import Markers, markers_in
 
 MOST_SIDE = 640  # px: longer side at which markers are looked for, and of the image in a profile
-PITCH_PX = 31.2  # between markers in 320 x 240 of the maker's driver (FEATS' sensor and another one)
+PITCH_PX = 31.2  # between markers in the 320 x 240 images of the maker's driver (FEATS' sensor and another one)
 OF_WIDTH = 320.0
-# Of each side of the camera's whole image, which the maker's driver cuts off (gsrobotics, gs_sdk).
+# Fraction of the camera's image that the maker's driver crops at each side (gsrobotics, gs_sdk).
 DRIVER_CROP = 1 / 7
 GRID = (7, 9)  # markers of a Mini's gel, rows and columns
-LEAST_MARKERS, ON_GRID = 12, 0.6  # of a grid, and the fraction of all dark spots that stand on it
-UNEVEN = 0.12  # fraction by which sensors differ in the distance of their markers, px
-SAME_SHAPE = 0.02  # fraction by which the sides of an image may be in another ratio
-SQUARE = 0.1  # the same below which an image is neither upright nor across
-# Between which an image still shows what a network looks for: of its views three tenths are hidden at most.
+LEAST_MARKERS, ON_GRID = 12, 0.6  # least number of markers on a grid, and least fraction of all dark spots
+UNEVEN = 0.12  # fraction by which the marker pitch varies between sensors
+SAME_SHAPE = 0.02  # tolerance of the aspect ratio, as a fraction
+SQUARE = 0.1  # the same, within which an image counts as square
+# Zooms at which an image still shows what a network needs: in training at most 30 % of a view is hidden.
 ZOOMS = (0.7, 1.6)
-SLACK = 0.02  # of the markers' distance: how well an image shows it
-# First moments over the image of the part of red, green and blue in its light, and over a marker's surroundings of the darkness
-# of each colour beyond that of all three: of real Minis, (3, 2) along u and v, length 1.
+SLACK = 0.02  # precision of the marker pitch measured in an image, as a fraction
+# View of real Minis: first moments of red, green and blue along u and v, (3, 2), norm 1. LIGHT: of each colour's
+# fraction of the light, over the image. FRINGES: of each colour's darkness less the mean of all three, around a
+# marker.
 LIGHT = np.array([[0.03, 0.74], [-0.11, -0.12], [0.07, -0.62]])
 FRINGES = np.array([[0.28, 0.62], [-0.45, -0.13], [0.15, -0.50]])
-LEAST_FRINGES = 0.02  # of a marker's darkness: printed flat, markers have none
-SURE = 0.6  # least correlation by which an image is turned
-AHEAD = 0.3  # by how much an orientation must agree better than the image as it is
+LEAST_FRINGES = 0.02  # of a marker's darkness: flat prints have no fringes
+SURE = 0.6  # least correlation at which an image is turned
+AHEAD = 0.3  # by how much the sum of an orientation's correlations must exceed that of the best one tried before it
 
 
 @dataclass(frozen=True)
@@ -52,7 +54,7 @@ class Orientation:
 
     @property
     def mirrored(self) -> bool:
-        """Whether it shows the gel as a mirror does."""
+        """Whether it includes a reflection."""
         return self.transposed ^ self.flip_u ^ self.flip_v
 
     def moments(self, moments: np.ndarray) -> np.ndarray:
@@ -88,7 +90,7 @@ class View:
     fringes: np.ndarray
 
     def agrees(self, seen: "View", way: Orientation) -> list[float]:
-        """Correlation of these moments with those of another image once it is turned; of light alone where it has no fringes."""
+        """Correlations of the moments with those of another view turned by `way`; only light if it has no fringes."""
         compared = [(self.light, seen.light)]
         if np.linalg.norm(seen.fringes) >= LEAST_FRINGES:
             compared.append((self.fringes, seen.fringes))
@@ -97,10 +99,10 @@ class View:
 
 @dataclass(frozen=True)
 class Learnt:
-    """How the no-contact images show the gel that a network learnt beside, px at the size that it reads.
+    """View of the gel in the no-contact images that a network was trained on, in px of its input.
 
-    usual: distance of their markers, 0 where they have none. pitch: least and largest distance; None bounds nothing. grid: rows and
-    columns of markers. views: of cameras, such that each of those sensors lies as one of them.
+    usual: usual marker pitch, 0 without markers. pitch: smallest and largest marker pitch; None sets no bounds. grid:
+    rows and columns of markers. views: of cameras; the images of each training sensor are oriented as one of them.
     """
 
     usual: float
@@ -131,13 +133,13 @@ BLUE_FIRST = "red and blue seem to be exchanged in the no-contact image: give al
 
 @dataclass(frozen=True)
 class ImageFrame:
-    """From a camera's images to the (rows, cols) px that a network reads.
+    """Map from a camera's images to the (rows, cols) px of a network's input.
 
-    size: (rows, cols). shape: (h, w) of the image in which it was found; others may be larger or smaller, but must have its shape.
-    part: left, top, right and bottom, as fractions of the turned image, of what is shown. zoom: factor on lengths about the middle
-    of that part, so that markers stand as far apart as the network learnt; below 1 there is a margin that shows nothing, of levels
-    `fill`. text: what is done, in one line, empty for nothing. blue_first: whether the image in which it was found seems to have its
-    colours as OpenCV reads them.
+    size: (rows, cols). shape: (h, w) of the image that defined the frame; others may have another size, but must have
+    its aspect ratio. part: left, top, right and bottom of the shown part, as fractions of the turned image. zoom:
+    factor on lengths about the middle of that part, which brings the marker pitch to that of training; below 1 it
+    leaves an empty margin of levels `fill`. text: what is done, in one line, empty for nothing. blue_first: whether
+    the image that defined the frame seems to be BGR.
     """
 
     size: tuple[int, int]
@@ -169,7 +171,7 @@ class ImageFrame:
         return cv2.warpAffine(image, matrix, (cols, rows), borderMode=cv2.BORDER_CONSTANT, borderValue=self.fill)
 
     def markers(self, markers: Markers, shape: tuple[int, ...]) -> Markers:
-        """Markers of an image of a shape (h, w, ...) that are whole in the frame, as they stand in it."""
+        """Transform markers of an image of a shape (h, w, ...) into the frame; keep those that are wholly inside."""
         height, width = shape[:2]
         turned = self.orientation.points(markers.points / (width, height))
         if self.orientation.transposed:
@@ -183,7 +185,7 @@ class ImageFrame:
         return Markers(points, diameters).only(inside)
 
     def _window(self, shape: tuple[int, ...]) -> tuple[int, int, int, int]:
-        """Left, top, right and bottom px of a turned image of a shape (h, w, ...) between which it is shown."""
+        """Left, top, right and bottom px of the shown part of a turned image of a shape (h, w, ...)."""
         height, width = shape[:2]
         left, top, right, bottom = self.part
         return round(left * width), round(top * height), round(right * width), round(bottom * height)
@@ -194,13 +196,13 @@ class ImageFrame:
         if same_shape(image.shape, self.shape):
             return ""
         return (
-            f"the picture is {width} x {height}, of another shape than {cols} x {rows}, that of the no-contact image or of what the network"
-            " learnt from: take all pictures in one mode of the camera, or crop them"
+            f"the image is {width} x {height}; its aspect ratio differs from that of the no-contact image or of training ({cols} x {rows}):"
+            " take all images in one mode of the camera, or crop them"
         )
 
     @property
     def as_logged(self) -> bool:
-        """Whether images stay as they are but for their size."""
+        """Whether images are only resized."""
         return (self.orientation, self.part, self.zoom) == (AS_IT_IS, WHOLE, 1.0)
 
     @property
@@ -223,7 +225,7 @@ class ImageFrame:
 
 
 def same_shape(one: Sequence[int], other: Sequence[int]) -> bool:
-    """Whether sides (h, w, ...) of two images are in one ratio."""
+    """Whether two shapes of images (h, w, ...) have one aspect ratio, within SAME_SHAPE."""
     return abs(one[1] * other[0] - one[0] * other[1]) <= SAME_SHAPE * one[0] * other[1]
 
 
@@ -245,9 +247,9 @@ def of_minis(size: tuple[int, int]) -> Learnt:
 
 
 def learnt_from(pictures: Iterable[np.ndarray], before: Learnt | None = None) -> Learnt:
-    """What a network learnt from the sensors of some no-contact images (h, w, 3) uint8 RGB of one size.
+    """The view of a network that is trained on sensors with these no-contact images (h, w, 3) uint8 RGB of one size.
 
-    before: what the network knew that it goes on from.
+    before: the view of the network that is fine-tuned.
     """
     pitches, grids, found, shape = list(before.pitch or ()) if before else [], [], [], (1, 1)
     for picture in pictures:
@@ -265,7 +267,7 @@ def learnt_from(pictures: Iterable[np.ndarray], before: Learnt | None = None) ->
     if found and not views:
         views = [View(*(_mean_of([getattr(one, what) for one in found]) for what in ("light", "fringes")))]
     learnt = Learnt(usual, (min(pitches), max(pitches)) if pitches else None, (grid[0], grid[1]), tuple(views))
-    for _ in found:  # a view that is added may turn another sensor; in the worst case each has its own
+    for _ in found:  # an added view may turn another sensor; in the worst case each sensor gets its own view
         turned = [one for one in found if _orientation(one, learnt.views, (shape, shape)) != AS_IT_IS]
         if not turned:
             break
@@ -286,11 +288,11 @@ def view_of(image: np.ndarray, markers: Markers, pitch: float) -> View:
 def image_frame(
     nocontact: np.ndarray, size: tuple[int, int], learnt: Learnt | None = None
 ) -> tuple[ImageFrame, Markers]:
-    """The frame of a camera by its no-contact image (h, w, 3) uint8 RGB, and the markers of that image as they stand in it.
+    """The frame of a camera from its no-contact image (h, w, 3) uint8 RGB, and the markers of that image in it.
 
-    size: (rows, cols) that the network reads. learnt: what it learnt from; None: Minis. An image without markers is left as it is, and
-    resized whole. One that shows less of the gel than the network's frame is, too, where its shape allows it, and zoomed; one that no
-    zoom brings near enough raises BadInput.
+    size: (rows, cols) of the network's input. learnt: view of its training; None: Minis. An image without markers is
+    only resized. An image that shows less of the gel than the network's frame is resized whole, where its aspect
+    ratio fits, and zoomed; BadInput where no zoom brings it near enough.
     """
     learnt = learnt or of_minis(size)
     small = reduced(nocontact)
@@ -332,7 +334,7 @@ def image_frame(
 
 
 def at_scale(pitch: float, learnt: Sequence[float]) -> bool:
-    """Whether markers `pitch` px apart stand as those that a network learnt from, of which `learnt` is as in `image_frame`.
+    """Whether a marker pitch in px is that of training, up to SLACK; learnt: smallest and largest pitch there.
 
     An image without markers (pitch 0) has no known scale and passes.
     """
@@ -340,21 +342,21 @@ def at_scale(pitch: float, learnt: Sequence[float]) -> bool:
 
 
 def zoom_of(pitch: float, learnt: Sequence[float]) -> float:
-    """The zoom at which markers `pitch` px apart stand as those that a network learnt from, `learnt` as in `image_frame`.
+    """The zoom that brings a marker pitch in px to that of training; learnt: as of `at_scale`.
 
-    Gels are printed alike, so a camera whose markers stand closer or farther apart sees more or less of the gel. One without markers
-    (pitch 0) is left as it is; BadInput where no zoom brings them near enough.
+    Gels are printed alike, so a camera with a smaller or larger pitch sees more or less of the gel. The zoom is 1 for
+    an image without markers (pitch 0); BadInput where the zoom needed is outside ZOOMS.
     """
     if at_scale(pitch, learnt):
         return 1.0
     zoom = sum(learnt) / 2 / pitch
     if not ZOOMS[0] <= zoom <= ZOOMS[1]:
-        remedy = "crop or scale all pictures of this sensor so that its markers stand about as far apart"
+        remedy = "crop or scale all images of this sensor so that its markers stand about as far apart"
         if zoom < 1.0:
-            remedy = "the pictures show too little of the gel: take them in a mode of the camera that crops less"
+            remedy = "the images show too little of the gel: take them in a mode of the camera that crops less"
         raise BadInput(
-            f"the markers of the no-contact image stand {pitch:.1f} px apart, the network learnt from {learnt[0]:.0f} to"
-            f" {learnt[1]:.0f}: {remedy}"
+            f"the markers of the no-contact image stand {pitch:.1f} px apart, in training {learnt[0]:.0f} to"
+            f" {learnt[1]:.0f} px: {remedy}"
         )
     return zoom
 
@@ -362,10 +364,11 @@ def zoom_of(pitch: float, learnt: Sequence[float]) -> float:
 def _part(
     shape: tuple[int, int], markers: Markers, scale: float, size: tuple[int, int], grid: tuple[int, int]
 ) -> tuple[float, float, float, float]:
-    """The part of a turned image of a shape (h, w) that the network's frame shows, smaller where the image does not reach so far.
+    """Left, top, right and bottom, as fractions, of the part of a turned image (h, w) that the network's frame shows.
 
-    markers: of that image. scale: px of it for one of the frame. The part lies about the middle of the image, as the gel does but
-    for its mounting; about the middle of the marker grid where all of it is seen, and its middle is over a pitch away.
+    It is smaller where the image is too small. markers: of that image. scale: its px per px of the frame. The part is
+    centred on the image, as the gel is but for its mounting; or on the marker grid, where the whole grid is seen and
+    its middle is more than a pitch away.
     """
     height, width = shape
     scale = min(scale, width / size[1], height / size[0])
@@ -384,13 +387,14 @@ def _part(
 
 
 def _orientation(seen: View, views: Sequence[View], shapes: tuple[Sequence[int], Sequence[int]]) -> Orientation:
-    """How an image must be turned to lie as those that a network learnt from; as it is where nothing is sure.
+    """How an image must be turned to be oriented as those of training; AS_IT_IS where no orientation is certain.
 
     shapes: of the image and of what the network reads, (h, w, ...) each.
     """
     quarter = _upright(shapes[0]) * _upright(shapes[1])  # -1: only a quarter turn fits
     found, most = AS_IT_IS, -math.inf
-    # as it is first; without fringes both sides look alike: a turned camera is likelier than a mirrored one
+    # AS_IT_IS first, mirrored ones last: without fringes both look alike, and a turned camera is likelier than a
+    # mirrored one
     for one in sorted(
         itertools.starmap(Orientation, itertools.product((False, True), repeat=3)), key=lambda o: o.mirrored
     ):
@@ -423,9 +427,10 @@ def light_moments(image: np.ndarray) -> np.ndarray:
 
 
 def fringe_moments(image: np.ndarray, markers: Markers, pitch: float) -> np.ndarray:
-    """First moments (3, 2) along u and v, in pitches, of how much darker each colour is around a marker than all colours are.
+    """First moments (3, 2) along u and v, in pitches, of each colour's darkness around a marker less the mean of all.
 
-    Relative to the marker's darkness. image: (h, w, 3) uint8; markers: of this image, `pitch` px apart.
+    Relative to the marker's darkness, median over markers. image: (h, w, 3) uint8; markers: of this image, `pitch` px
+    apart.
     """
     darkness = 1.0 - image / markers.background
     reach = max(2, round(pitch / 2))

@@ -1,10 +1,11 @@
 """90 % prediction intervals of total force, by split conformal prediction.
 
-The half width of an interval grows as errors do: with the component itself, and with the force as a whole, for of two
-presses that slide alike the sideways force of the one that presses harder is predicted worse. Its size is set on presses that
-neither trained nor chose anything (conformal prediction with a local scale: Lei et al. 2018, J. Am. Stat. Assoc. 113, 1094-1111, section
-5.2). Pictures of one press err alike, so it is presses that count (pooled groups: Dunn, Wasserman and Ramdas 2023, J. Am.
-Stat. Assoc. 118, 2491-2502, section 3.1).
+The half width of an interval grows as errors do: with the component itself, and with the magnitude of the force,
+because of two presses that slide alike, the harder one has the larger error of sideways force. Its size is calibrated
+on presses that were used neither for training nor for any selection (conformal prediction with a local scale: Lei et
+al. 2018, J. Am. Stat. Assoc. 113, 1094-1111, section 5.2). Errors in images of one press are correlated, so presses
+are counted, not images (pooled groups: Dunn, Wasserman and Ramdas 2023, J. Am. Stat. Assoc. 118, 2491-2502, section
+3.1).
 """
 
 import math
@@ -16,10 +17,10 @@ import numpy as np
 from gelforge.reading.profile import AS_READ, Gain
 from gelforge.records.axes import CHANNELS
 
-HOLDS = 0.9  # fraction of the forces that intervals shall hold
-LEAST_PICTURES = 20  # fewer give no such fraction
-LEAST_PRESSES = 9  # the largest error of k presses holds k of k + 1: of fewer it holds less than HOLDS
-ROUNDS = 5  # of least squares, each weighting an error by what the one before expects of it
+HOLDS = 0.9  # coverage of the intervals
+LEAST_PICTURES = 20  # images without which no such coverage can be set
+LEAST_PRESSES = 9  # the largest error of k presses covers k / (k + 1) of new ones, with fewer presses less than HOLDS
+ROUNDS = 5  # of least squares, each weighted by the errors that the previous one expects
 
 
 @dataclass(frozen=True)
@@ -41,26 +42,26 @@ def magnitudes(totals: np.ndarray) -> np.ndarray:
 
 
 def conformal_size(in_scale: np.ndarray, press: np.ndarray) -> float:
-    """The least size, in units of a scale, that holds HOLDS of other presses; the largest if none is sure to.
+    """The smallest factor on a scale that covers HOLDS of other presses; the largest error if none is certain to.
 
-    in_scale: (n,) errors over their scale. press: (n,) their presses: of k presses it holds HOLDS (k + 1), a
-    press counting by the fraction of its pictures that it holds.
+    in_scale: (n,) errors divided by their scale. press: (n,) their presses. Of k presses the factor covers HOLDS (k +
+    1); a press counts by the fraction of its images that are covered.
     """
     order = np.argsort(in_scale)
     _, which, pictures = np.unique(press, return_inverse=True, return_counts=True)
-    held = np.cumsum(1.0 / pictures[which[order]])  # presses that an interval of each size holds
+    held = np.cumsum(1.0 / pictures[which[order]])  # number of presses that each factor covers
     enough = int(np.searchsorted(held, HOLDS * (len(pictures) + 1) - 1e-9))
     return float(in_scale[order[min(enough, len(order) - 1)]])
 
 
 def usual_error(component: np.ndarray, magnitude: np.ndarray, error: np.ndarray) -> HalfWidth:
-    """How large errors (n,) N are in the mean, growing with component and magnitude (n,) N from 0 on, by least squares.
+    """Mean error as a function of component and magnitude, all (n,) N from 0 on, by non-negative least squares.
 
-    Where errors are large they also scatter more: each counts by the inverse of what is expected there.
+    Large errors also scatter more, so each is weighted by the inverse of its expected size.
     """
-    from scipy.optimize import nnls  # who only reads pictures needs no scipy
+    from scipy.optimize import nnls  # prediction needs no scipy
 
-    least = max(0.05 * float(error.mean()), 1e-9)  # of the base: no force is predicted without any error
+    least = max(0.05 * float(error.mean()), 1e-9)  # smallest base: no force is predicted without any error
     grows = np.column_stack([np.ones(len(error)), component, magnitude])
     expected = np.full(len(error), max(float(error.mean()), least))
     for _ in range(ROUNDS):
@@ -72,7 +73,7 @@ def usual_error(component: np.ndarray, magnitude: np.ndarray, error: np.ndarray)
 
 @dataclass(frozen=True)
 class Errors:
-    """Predicted totals (n, 3) N, what they were wrong by (n, 3) N, and their presses, (n,)."""
+    """Predicted totals (n, 3) N, their errors (n, 3) N, and their presses (n,)."""
 
     total: np.ndarray
     error: np.ndarray
@@ -80,15 +81,15 @@ class Errors:
 
     @property
     def enough(self) -> bool:
-        """Whether these are enough for an interval that holds HOLDS of others."""
+        """Whether these are enough for an interval with coverage HOLDS."""
         return len(self.press) >= LEAST_PICTURES and len(np.unique(self.press)) >= LEAST_PRESSES
 
 
 def fit_intervals(scale_on: Errors, size_on: Errors) -> dict[str, dict[str, list[float]]]:
     """Intervals of totals by channel, as a model file keeps them: the three numbers of HalfWidth.
 
-    Split conformal prediction: how widths grow is fitted to presses that may have chosen the epoch (scale_on), how wide they
-    are is set on presses that chose nothing (size_on). Empty where either are too few.
+    Split conformal prediction: the growth of the widths is fitted to presses that may have been used to select the
+    epoch (scale_on), their size to presses that were used for no selection (size_on). Empty where either are too few.
     """
     if not (scale_on.enough and size_on.enough):
         return {}
@@ -103,9 +104,10 @@ def fit_intervals(scale_on: Errors, size_on: Errors) -> dict[str, dict[str, list
 
 
 def real_width(read: np.ndarray, force: np.ndarray, half: np.ndarray) -> float:
-    """The least fraction of what is read by which intervals (n,) N must grow to hold HOLDS of the forces (n,) N of real sensors.
+    """The least fraction of the predicted force that widens intervals to cover HOLDS of the forces of real sensors.
 
-    read, force, half: normal force as it is read, as it is known, and half the width that the network itself knows.
+    It is added to the half widths in quadrature. read, force, half: (n,) N, predicted and true normal force, and the
+    half width of the network itself.
     """
     lacking = np.sqrt(np.maximum((read - force) ** 2 - half**2, 0.0)) / np.maximum(np.abs(read), 1e-9)
     rank = math.ceil(HOLDS * (len(read) + 1)) - 1
@@ -115,10 +117,11 @@ def real_width(read: np.ndarray, force: np.ndarray, half: np.ndarray) -> float:
 def half_widths(metadata: dict[str, Any], totals: np.ndarray, gain: Gain = AS_READ) -> np.ndarray | None:
     """Half widths (3,) N at total forces (3,) N; None where unknown.
 
-    gain: of the sensor's profile, whose factor the forces were multiplied by. What is not known of it widens the intervals, and so
-    does what real sensors showed of a network that learnt from drawn ones (`intervals.real`): without a profile their level is
-    unknown, too, with one what images of one sensor differ by. Of a press straight down real sensors read a fraction of the whole force
-    sideways, whatever the component is.
+    gain: of the sensor's profile, whose factor is already applied to the totals. Its uncertainty widens the
+    intervals. So do the errors on real sensors of a network that was trained on rendered ones (`intervals.real`):
+    without a profile these include the sensor's unknown level of force, with one only the differences between images
+    of one sensor. On real sensors a press straight down gives sideways forces, so these widen by a fraction of the
+    magnitude, whatever the component is.
     """
     known = metadata.get("intervals", {}).get("total")
     if not known:

@@ -1,8 +1,8 @@
-"""Photometric normalisation: a picture brought under the light of the no-contact image of its sensor.
+"""Photometric normalisation: brings an image under the light of its sensor's no-contact image.
 
-Light drifts between the two: lamps warm up, a camera sets its exposure anew, a press shades the whole gel. A network that
-reads differences takes that for force. What does not touch shows the drift: most of the picture changes by one gain and one
-offset a colour, and where something touches it changes otherwise.
+Light drifts between the two: lamps warm up, a camera changes its exposure, a press shades the whole gel. A network
+that compares them takes this for force. The drift shows outside the contact: most of the image changes by one gain
+and one offset per colour, whereas the contact changes otherwise.
 """
 
 import math
@@ -11,21 +11,22 @@ from dataclasses import dataclass
 import numpy as np
 
 SMALL = (40, 30)  # width and height in px at which light is compared: markers and noise average out
-ROUNDS = 20  # at most of iteratively reweighted least squares; four are usual
-BRIGHTEST = 255.0  # level that a picture may have
+ROUNDS = 20  # largest number of rounds of iteratively reweighted least squares; four are usual
+BRIGHTEST = 255.0  # largest level of an image
 LEVELS = np.arange(BRIGHTEST + 1.0)[:, None]
-SETTLED = 0.02  # levels by which a round still changes what light makes of them, where another one is needless
-LEAST_SCALE = 1.5  # levels that a place may differ by through noise alone
+SETTLED = 0.02  # largest change in a round, in levels, at which the iteration stops
+LEAST_SCALE = 1.5  # levels by which a place may differ through noise alone
 # Scales beyond which a place has no weight (Tukey's biweight: Beaton and Tukey 1974, Technometrics 16, 147-185).
 REACH = 3.0
-TIED = 4.0  # levels squared of contrast below which a gain is hardly distinguished from an offset, and taken for 1
-LEAST_FRACTION = 0.25  # of the picture that must agree, or the change of the light is unknown
-DARK, BRIGHT = 4, 250  # levels between which a camera's answer is believed
-# How light falls on the gel is fitted by a slope across the image and a curve towards its corners, in so many rounds; a place that is left by
-# more than FALL_REACH scales has no weight, and beyond the largest scale a press shades the gel so unevenly that it says nothing.
+TIED = 4.0  # levels squared: a smaller variance hardly distinguishes gain from offset, so the gain is pulled to 1
+LEAST_FRACTION = 0.25  # of the image that must agree, or the change of light is unknown
+DARK, BRIGHT = 4, 250  # levels between which the camera's response is trusted
+# The distribution of light over the gel is fitted by a slope across the image and a curvature towards its corners.
+# Places with a residual above FALL_REACH scales have no weight; beyond the largest scale a press shades the gel too
+# unevenly for a fit.
 FALL_ROUNDS, FALL_REACH, FALL_SCALES = 4, 4.0, (0.01, 0.06)
-SPARSE = 3  # one of so many places is looked at, which are enough for four numbers
-MOST_GAIN = 2.0  # a factor beyond which pictures are not of one sensor under one light
+SPARSE = 3  # every third place is used, enough for four coefficients
+MOST_GAIN = 2.0  # a gain beyond which images are not of one sensor under one light
 ALL = slice(None), slice(None)  # rows and columns of a picture
 
 
@@ -39,8 +40,8 @@ FALL = np.stack([np.ones(len(ACROSS)), ACROSS, DOWN, ACROSS**2 + DOWN**2 - 2.0 /
 class Light:
     """How a picture differs in light from the no-contact image: picture = gain * no-contact + offset.
 
-    gain (3,), offset (3,) levels, by colour. residual: levels that agreeing places still differ by, root mean square.
-    fraction: fraction of the picture that agrees. known: False where too little does; gain is then 1 and offset 0.
+    gain (3,), offset (3,) levels, by colour. residual: root mean square difference that remains at agreeing places,
+    levels. fraction: of the image that agrees. known: False where too little agrees; gain is then 1 and offset 0.
     """
 
     gain: np.ndarray
@@ -50,7 +51,7 @@ class Light:
     known: bool
 
     def undo(self, image: np.ndarray) -> np.ndarray:
-        """The image (h, w, 3) uint8 as it would be under the light of the no-contact image; as it is where that is not known."""
+        """The image (h, w, 3) uint8 under the light of the no-contact image; unchanged where `known` is False."""
         import cv2
 
         if not self.known:
@@ -62,7 +63,7 @@ class Light:
         return cv2.LUT(np.ascontiguousarray(image), table[None])
 
 
-NO_LIGHT = Light(np.ones(3), np.zeros(3), 0.0, 0.0, False)  # of a picture that does not show it
+NO_LIGHT = Light(np.ones(3), np.zeros(3), 0.0, 0.0, False)  # where it cannot be compared
 
 
 def match_light(image: np.ndarray, nocontact: np.ndarray) -> Light:
@@ -71,9 +72,9 @@ def match_light(image: np.ndarray, nocontact: np.ndarray) -> Light:
 
 
 class Reference:
-    """A no-contact image (h, w, 3) uint8 whose light others are compared with: what is computed of it is computed once.
+    """A no-contact image (h, w, 3) uint8 whose light others are compared with; its own levels are computed once.
 
-    shown: rows and columns of the picture that show something.
+    shown: rows and columns of the image that show something.
     """
 
     def __init__(self, picture: np.ndarray, shown: tuple[slice, slice] = ALL) -> None:
@@ -91,15 +92,16 @@ class Reference:
         seen = image[self.shown]
         if seen.shape == image.shape:
             return light.undo(image)
-        normalised = self.picture.copy()  # what neither shows is the same in both
+        normalised = self.picture.copy()  # the margin is the same in both
         normalised[self.shown] = light.undo(seen)
         return normalised
 
     def fall_of(self, image: np.ndarray, light: Light) -> tuple[float, float]:
-        """By which fraction of its level light falls otherwise on an image (h, w, 3) uint8 than on the no-contact image.
+        """Change of the light's distribution on an image (h, w, 3) uint8 against the no-contact image.
 
-        From the middle to the edge of what is shown: of all colours together, and of the colour that changes most. (0, 0) where
-        the light is not known, or a press shades most of the gel.
+        As a fraction of the light's level, from the middle to the edge of the shown part: of all colours together,
+        and the slope of the colour that changes most. (0, 0) where the light is not known, or a press shades most of
+        the gel.
         """
         if not light.known:
             return 0.0, 0.0
@@ -120,7 +122,7 @@ class Reference:
         if believed.mean() < LEAST_FRACTION:
             return NO_LIGHT
         rest = self._small
-        if not believed.all():  # picking costs more than all else that is done to these few thousand levels once
+        if not believed.all():  # indexing costs more than everything else done once to these few thousand levels
             small, rest = small[:, believed], rest[:, believed]
         return _agreed(small.astype(float), rest.astype(float), float(believed.mean()))
 
@@ -128,7 +130,7 @@ class Reference:
 def _small(picture: np.ndarray) -> np.ndarray:
     """Levels (3, n) uint8 of a picture (h, w, 3) uint8 at the size at which light is compared, by colour.
 
-    Colours first, so that sums over the places are sums along lines of memory.
+    Colours first, so that sums over places run along contiguous memory.
     """
     import cv2
 
@@ -136,16 +138,16 @@ def _small(picture: np.ndarray) -> np.ndarray:
 
 
 def _believed(small: np.ndarray) -> np.ndarray:
-    """Which places (n,) have levels (3, n) at which a camera's answer is believed."""
+    """Which places (n,) have levels (3, n) at which the camera's response is trusted."""
     return np.asarray((small.min(axis=0) > DARK) & (small.max(axis=0) < BRIGHT))
 
 
 def _agreed(seen: np.ndarray, rest: np.ndarray, fraction: float) -> Light:
-    """Light that makes of levels at rest (3, n) those seen (3, n), as most places agree; fraction: of all that these are.
+    """Robust fit of the light that maps levels at rest (3, n) to levels seen (3, n); fraction: of places in use.
 
-    In few calls, and numbers by colour as plain ones: most of the time goes into calls, not into a thousand places.
+    Few NumPy calls, and plain numbers by colour, because the calls take most of the time, not the thousand places.
     """
-    products = np.empty((4, *rest.shape))  # what weighted sums are taken of
+    products = np.empty((4, *rest.shape))  # terms of the weighted sums
     products[0], products[1] = rest, seen
     np.multiply(rest, products[:2], out=products[2:])
     middle = seen.shape[1] // 2
@@ -167,7 +169,7 @@ def _agreed(seen: np.ndarray, rest: np.ndarray, fraction: float) -> Light:
         before = list(zip(gain, offset, strict=True))
         gain = [(crossed - a * b + TIED) / (squares - a * a + TIED) for a, b, squares, crossed in means]
         offset = [b - one * a for (a, b, _, _), one in zip(means, gain, strict=True)]
-        # the change of black and of white, between which all other levels lie
+        # the change of black and of white, which bounds that of all levels
         changes = [(a - c, b - d) for (a, b), c, d in zip(before, gain, offset, strict=True)]
         if max(max(abs(black), abs(BRIGHTEST * part + black)) for part, black in changes) < SETTLED:
             break
@@ -179,7 +181,7 @@ def _agreed(seen: np.ndarray, rest: np.ndarray, fraction: float) -> Light:
 
 
 def _fall(ratio: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, float]:
-    """Slopes along u and v and curve (3,) of logarithms of levels (n,), without the places where something touches, and the scale left."""
+    """Slopes along u and v and curvature (3,) of log level ratios (n,) outside a contact, and scale of residuals."""
     weight, scale = good.astype(float), 0.0
     for _ in range(FALL_ROUNDS):
         weighted = FALL * weight

@@ -1,11 +1,11 @@
-"""The printed markers of a gel: found in a no-contact image, and followed to other images.
+"""The printed markers of a gel: detected in a no-contact image, and tracked to other images.
 
-Light does not move markers. What they do is mechanics alone: they spread around a press and go along with a drag, on a unit
-of any contrast. All together they show whether the gel is mounted as it was (`faults.py`).
+Light does not move markers, so their motion is mechanical on a unit of any contrast: they spread around a press and
+follow a drag. Together they show whether the gel is mounted as it was (`faults.py`).
 
-Registration shifts an image back whose gel was shifted in its holder since the no-contact image. The shift is the median motion
-of the markers at the image's rim, where contact does least. It is taken back as far as it exceeds what contact does there, which
-grows from nothing without a jump. Turn and zoom are not fitted: contact spreads markers, which a similarity takes for zoom.
+Registration undoes a shift of the gel in its holder since the no-contact image. The shift is the median motion of the
+rim's markers, where contact moves them least. Only the part beyond what contact causes there is undone, which grows
+from 0 without a jump. Rotation and zoom are not fitted: contact spreads markers, which a similarity takes for zoom.
 """
 
 import functools
@@ -19,33 +19,34 @@ import numpy as np
 from gelforge.errors import BadInput
 
 # Detection.
-PITCH_RANGE = (12.0, 90.0)  # px between neighbouring markers of any GelSight Mini image we know, with a margin of two
-LARGEST_TURN = 25.0  # degrees a gel can be mounted turned in its holder and still be distinguished from the next lattice direction
-REACH = 0.3  # of the pitch: how far from its expected place a marker is still that marker
+PITCH_RANGE = (12.0, 90.0)  # px between neighbouring markers of any known GelSight Mini image, with a margin of two
+LARGEST_TURN = 25.0  # degrees: largest rotation of a gel in its holder at which lattice directions are told apart
+REACH = 0.3  # of the pitch: largest distance of a marker from its expected place
 LIT = 0.3  # of the brightest colour's background: below, a colour no longer separates noise from ink
 LEAST_FRACTION = 0.5  # of the markers must be found for a grid to be believed
-LEAST_FOR_PITCH = 8  # markers that give their distance
-UNEVEN = 0.15  # fraction by which such distances differ in one print
+LEAST_FOR_PITCH = 8  # least number of markers that gives a pitch
+UNEVEN = 0.15  # fraction by which marker distances differ in one print
 
 # Tracking.
-# Of the lattice that is looked at: a GelSight Mini shows 7 x 9 markers, or fewer where it is cropped.
+# Size of the tracked lattice: a GelSight Mini shows 7 x 9 markers, or fewer where it is cropped.
 ROWS, COLS = 9, 11
-FAR = {"winSize": (21, 21), "maxLevel": 3}  # how markers are followed: in a pyramid, which reaches about 40 px
-# How a marker is looked for where it should be: in the pictures themselves, in at most five steps or till one is small.
+FAR = {"winSize": (21, 21), "maxLevel": 3}  # optical flow to another image: its pyramid reaches about 40 px
+# Optical flow near a known place: no pyramid, at most five iterations or until a step is below 0.03 px.
 NEAR = {"winSize": (15, 15), "maxLevel": 0, "criteria": (3, 5, 0.03)}
-HOME = 0.5  # px by which a marker that is followed there and back may miss its start
-ALIKE, CLOSELY = 6.0, 0.05  # levels and px within which a marker that is looked for so is surely at home
+HOME = 0.5  # px: largest forward-backward error of a tracked marker
+# Levels of difference, and px of forward-backward error with NEAR, below which a marker is surely found.
+ALIKE, CLOSELY = 6.0, 0.05
 UNLIKE = 12.0  # levels by which a marker's surroundings may differ on average
-RIM = 0.8  # pitches from the outermost markers inwards that still are the rim
-OF_CONTACT = 2.5  # px that a contact may move the rim's markers together
-LEAST_FOUND = 0.5  # of the rim's markers, that must be found
+RIM = 0.8  # pitches: width of the rim, inwards from the outermost markers
+OF_CONTACT = 2.5  # px: largest common motion of the rim's markers that contact causes
+LEAST_FOUND = 0.5  # of the rim's markers that must be found
 
 
 @dataclass(frozen=True)
 class Markers:
     """Dark round markers of an image: points (n, 2) as (u, v) px from the image's corner, and diameters (n,) px.
 
-    background: levels (h, w, 3) of the image as they were without markers, plus 1; None where the markers were moved to another image.
+    background: levels (h, w, 3) of the image without markers, plus 1; None for selected or transformed markers.
     """
 
     points: np.ndarray
@@ -54,7 +55,7 @@ class Markers:
 
     @cached_property
     def pitch(self) -> float:
-        """Median distance in px of markers to their nearest neighbours; 0 where they are no even print."""
+        """Median distance in px of markers to their nearest neighbours; 0 where they are unevenly spaced."""
         if len(self.points) < LEAST_FOR_PITCH:
             return 0.0
         apart = np.hypot(*(self.points[:, None] - self.points[None]).transpose(2, 0, 1))
@@ -66,14 +67,14 @@ class Markers:
 
     @cached_property
     def lattice(self) -> tuple[np.ndarray, np.ndarray]:
-        """Row and column (k, 2) of the markers that stand on one lattice, and which these are, (k,); none where none do."""
+        """Row and column (k, 2) of the markers on one lattice, and their indices (k,); empty where there is none."""
         try:
             return lattice_of(self.points)
         except BadInput:
             return np.zeros((0, 2), int), np.zeros(0, int)
 
     def only(self, chosen: np.ndarray) -> "Markers":
-        """Some of them, (n,) bool."""
+        """The chosen markers, (n,) bool, without `background`."""
         return Markers(self.points[chosen], self.diameters[chosen])
 
     @property
@@ -82,7 +83,7 @@ class Markers:
         return float(np.median(self.diameters)) if len(self.diameters) else 0.0
 
     def grid(self, rows: int, cols: int, where: str = "image") -> "MarkerGrid":
-        """A grid of `rows` x `cols` of them, some missing or specks added; BadInput where no such grid is there."""
+        """Fit a grid of `rows` x `cols` of them, some missing or specks added; BadInput where there is no grid."""
         points, widths = self.points, self.diameters
         if len(points) < max(4, LEAST_FRACTION * rows * cols):
             raise BadInput(
@@ -128,7 +129,7 @@ class MarkerGrid:
 
 
 def lattice_of(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Row and column (n, 2) of the points (m, 2) px that stand on one lattice, and which points these are, (n,).
+    """Row and column (n, 2) of the points (m, 2) px that lie on one lattice, and the indices (n,) of these points.
 
     Raises BadInput where none do.
     """
@@ -141,8 +142,8 @@ def markers_in(image: np.ndarray) -> Markers:
 
     Each colour is divided by its own median-filtered background. Ink is dark in every colour and a marker's
     shadow only in the colour of the light it hides, so the least dark colour counts; a colour whose light
-    hardly reaches a corner says nothing there. Centres are weighted by darkness; coordinates run from the image's
-    edge, as those of label cells do: a pixel's centre is half a pixel in.
+    hardly reaches a corner is ignored there. Centres are weighted by darkness; coordinates start at the image's
+    edge, as those of label cells do, so the first pixel's centre is at 0.5.
     """
     import cv2
 
@@ -174,9 +175,10 @@ def markers_in(image: np.ndarray) -> Markers:
 
 
 def dark_spots(image: np.ndarray, wide: np.ndarray, near: np.ndarray, darker: float) -> np.ndarray:
-    """Which pixels (h, w) of an image (h, w, 3) uint8 are of spots narrower than `wide`, or within `near` of one.
+    """Mask (h, w) of an image (h, w, 3) uint8: pixels of dark spots narrower than `wide`, and those within `near`.
 
-    wide, near: elements of morphology. darker: fraction of the largest level by which a spot is darker than what surrounds it.
+    wide, near: structuring elements. darker: fraction of the largest level by which a spot is darker than its
+    surroundings.
     """
     import cv2
 
@@ -235,7 +237,7 @@ def _model(index: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 
 def _complete(points: np.ndarray, index: np.ndarray, used: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Give the markers that a gap cut off their place on the lattice; drop those that stand off it."""
+    """Add the markers beyond a gap to the lattice, and drop those that lie off it."""
     for _ in range(3):
         if len(used) < 4 or min(np.ptp(index, axis=0)) < 1:
             raise BadInput("the dark spots found form no grid; use a sharp image without contact")
@@ -289,9 +291,10 @@ def _spacing(index: np.ndarray, points: np.ndarray, axis: int) -> float:
 
 @dataclass(frozen=True)
 class Tracks:
-    """Markers (n,) of a no-contact image in another picture: `motion` (n, 2) px, NaN where one is lost; `unlike` (n,) bool.
+    """Markers (n,) of a no-contact image in another image: `motion` (n, 2) px, NaN where lost; `unlike` (n,) bool.
 
-    A marker is lost that, followed back, does not come home. Unlike is one whose surroundings do not look as they did.
+    A marker is lost if tracking it back misses its start. It is unlike if its surroundings look different, or if it
+    is lost.
     """
 
     motion: np.ndarray
@@ -304,12 +307,12 @@ class Tracks:
 
 
 class MarkerTracker:
-    """Markers of a no-contact image (h, w, 3) uint8, followed to other images.
+    """Tracks the markers of a no-contact image (h, w, 3) uint8 to other images.
 
-    printed: as they were found. points: (n, 2) px, OpenCV's: a pixel's centre is a whole number. diameter: px, of a typical marker.
-    rim: (n,) bool, which are outermost ones. at: (n, 2) row and column on the lattice, whose middle place has the marker nearest to
-    the picture's middle; -1 for one that stands on no lattice, or outside of ROWS x COLS. on_grid: (n,) bool, which do stand there.
-    known: whether these are enough to read anything from them.
+    printed: the markers as detected. points: (n, 2) px in OpenCV's convention, where a pixel's centre is an integer.
+    diameter: px, median. rim: (n,) bool, the outermost markers. at: (n, 2) row and column on the ROWS x COLS lattice,
+    whose central place has the marker nearest to the image's centre; -1 for a marker outside it. on_grid: (n,) bool,
+    markers on this lattice. known: whether these are enough to use them.
     """
 
     def __init__(self, nocontact: np.ndarray, markers: Markers):
@@ -333,7 +336,7 @@ class MarkerTracker:
 
     @functools.cached_property
     def empty(self) -> np.ndarray:
-        """Places of the lattice where the no-contact image shows no marker, (m, 2) px, between its outermost rows and columns."""
+        """Lattice places (m, 2) px without a marker in the no-contact image, within the outer rows and columns."""
         index, used = self.printed.lattice if self.known else (np.zeros((0, 2), int), np.zeros(0, int))
         if not len(used):
             return np.zeros((0, 2))
@@ -342,12 +345,12 @@ class MarkerTracker:
             -1, 2
         )
         bare = grid[~(grid[:, None] == index[None]).all(axis=2).any(axis=1)]
-        # outer markers stand wider apart, so places are cubic in row and column
+        # the spacing grows outwards, so positions are fitted by cubics of row and column
         fit, *_ = np.linalg.lstsq(_cubic(index, low, high), self.points[used], rcond=None)
         return np.asarray(_cubic(bare, low, high) @ fit)
 
     def track(self, image: np.ndarray) -> Tracks:
-        """The markers in an image (h, w, 3) uint8 in light and size like the no-contact image."""
+        """Track the markers in an image (h, w, 3) uint8 of the no-contact image's size and under its light."""
         import cv2
 
         if not len(self.points):
@@ -359,10 +362,10 @@ class MarkerTracker:
         return Tracks(motion, ~kept | (unlike > UNLIKE))
 
     def _home(self, grey: np.ndarray, start: np.ndarray, there: np.ndarray, unlike: np.ndarray) -> np.ndarray:
-        """Which markers (n,) bool come home to where they start, (n, 2) px, if they are followed back from an image's grey.
+        """Which markers (n,) bool return to their start (n, 2) px when they are tracked back from `there`.
 
-        Most look as they did and find home by what is close around them, at a sixth of the time; the others are followed
-        as they were on their way there.
+        Most look the same and are tracked back with NEAR, in a sixth of the time; the others with FAR, as on the way
+        there.
         """
         home = unlike < ALIKE
         if home.any():
@@ -374,7 +377,7 @@ class MarkerTracker:
         return home
 
     def on_lattice(self, tracks: Tracks) -> np.ndarray:
-        """What the markers did, on their lattice: (3, ROWS, COLS) float32.
+        """Motion of the markers on their lattice, (3, ROWS, COLS) float32.
 
         Motion along u and v in px, and 1 where a marker was found, 0 where there is none.
         """
@@ -386,7 +389,7 @@ class MarkerTracker:
 
 
 def _cubic(index: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """Terms (n, 6) of row and column (n, 2): 1, both, their product and their cubes, from -1 to 1 between two ends (2,)."""
+    """Terms (n, 6) of row and column, scaled to -1..1 between `low` and `high`: 1, both, their product and cubes."""
     row, col = (2.0 * (index - low) / np.maximum(high - low, 1) - 1.0).T
     return np.stack([np.ones_like(row), row, col, row * col, row**3, col**3], axis=1)
 
@@ -394,16 +397,16 @@ def _cubic(index: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
 def _follow(
     before: np.ndarray, after: np.ndarray, points: np.ndarray, how: dict[str, Any]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Points (n, 2) float32 of one grey picture in another: where, whether at all (n,) bool, how unlike (n,) levels."""
+    """Track points (n, 2) float32 by optical flow: their places, whether found (n,) bool, difference (n,) levels."""
     import cv2
 
-    nothing: Any = None  # no guess; OpenCV's types know no None here
+    nothing: Any = None  # no initial guess; OpenCV's type stubs do not allow None here
     there, seen, unlike = cv2.calcOpticalFlowPyrLK(before, after, points[:, None], nothing, **how)
     return there[:, 0], seen[:, 0] > 0, unlike[:, 0]
 
 
 def rim_shift(markers: MarkerTracker, tracks: Tracks) -> np.ndarray:
-    """Shift (2,) px along u and v that is to be taken back; 0 where the rim shows none."""
+    """Shift (2,) px of the gel along u and v that registration is to undo; 0 where the rim shows none."""
     found = markers.rim & tracks.found
     if not markers.known or found.sum() < max(1, LEAST_FOUND * markers.rim.sum()):
         return np.zeros(2)

@@ -1,4 +1,4 @@
-"""What a model file says of itself, checked before anything is made of it: it may come from anyone."""
+"""Checks the metadata of a model file before use: the file may come from anyone."""
 
 import math
 import sys
@@ -11,14 +11,14 @@ from gelforge.records.axes import CHANNELS
 from gelforge.records.networkkind import KINDS, kind_of
 
 MOST_SIDE = 4096
-ABSENT = object()  # what a description does not say; null is something that it says
+ABSENT = object()  # stands for a missing entry; null is an entry
 
 
 def _numbers(value: Any, count: int | None, above: float = -math.inf) -> bool:
     return (
         isinstance(value, list)
         and (count is None or len(value) == count)
-        # compared, not converted: a whole number of a file may be larger than any float
+        # compared, not converted: an integer in a file may be larger than any float
         and all(type(v) in (int, float) and abs(v) <= sys.float_info.max and v > above for v in value)
     )
 
@@ -76,7 +76,7 @@ NUMBER = "a number", lambda value: _numbers([value], 1)
 POSITIVE = "three numbers above 0", lambda value: _numbers(value, 3, 0)
 SIDES = f"whole numbers to {MOST_SIDE}"
 
-# Every part of a model's metadata that use relies on, and what it must be.
+# Required entries of a model's metadata: what each must be, and its check.
 PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "name": ("a name", _text),
     "sha256": ("the digest of its graph", lambda value: isinstance(value, str)),
@@ -100,7 +100,7 @@ PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
         lambda value: _numbers(value, None) and bool(value),
     ),
 }
-# What may be absent.
+# Optional entries.
 OPTIONAL: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "frame": ("the view of the cameras that it learnt from", _frame),
     "elastic": ("three numbers (reading.elastic)", lambda value: _numbers(value, 3)),
@@ -110,7 +110,7 @@ OPTIONAL: dict[str, tuple[str, Callable[[Any], bool]]] = {
 
 
 def check_metadata(metadata: Any, where: str) -> None:
-    """Raise BadInput for the first part of a model's metadata that is missing or cannot be."""
+    """Raise BadInput for the first entry of a model's metadata that is missing or invalid."""
     for name, (what, good) in (PARTS | OPTIONAL).items():
         table, _, key = name.partition(".")
         inside = metadata.get(table, ABSENT) if isinstance(metadata, dict) else None

@@ -1,6 +1,6 @@
-"""The file that predicts: an ONNX graph with its metadata inside, as JSON of `metadata_props`. Nothing of it is executed.
+"""Model files: an ONNX graph with its metadata as JSON in `metadata_props`. Loading one executes no code from it.
 
-Its inputs are named after what `reading.pair` prepares, its output is `forces`.
+The graph's inputs are named after what `reading.pair` prepares, its output is `forces`.
 """
 
 import hashlib
@@ -20,26 +20,23 @@ from gelforge.records.networkkind import kind_of
 from gelforge.records.regular import read_bytes
 
 FORMAT = 7
-KEY = "gelforge"  # of the metadata among `metadata_props`
-PROPERTY, BYTES = (
-    14,
-    2,
-)  # number of that field of ONNX' ModelProto, and protobuf's type of a field that states its length
+KEY = "gelforge"  # of the metadata in `metadata_props`
+PROPERTY, BYTES = 14, 2  # protobuf: number of this field in ONNX' ModelProto, and type of a length-delimited field
 MOST_BYTES = 2**31
 PROVIDERS = {"cpu": "CPUExecutionProvider", "cuda": "CUDAExecutionProvider", "coreml": "CoreMLExecutionProvider"}
 DEVICES = tuple(PROVIDERS)
-ANSWERED, AGREES = (
-    3,
-    0.01,
-)  # parts each way; devices and orders of sums differ by less than this fraction of the largest
-QUIET = 3  # onnxruntime's severity from which on it prints: errors
+# Parts of the answer to the test image, along rows and columns; devices and orders of summation change it by less
+# than this fraction of its largest value.
+ANSWERED, AGREES = 3, 0.01
+QUIET = 3  # least severity that onnxruntime prints: errors
 
 
 class Graph:
     """A graph that is ready to run.
 
-    content: of an ONNX file. where: names it in errors. device: one of DEVICES; BadInput where this computer's onnxruntime has
-    none. threads: of one picture. optimise: whether it is made fast, which takes some time.
+    content: of an ONNX file, BadInput if it cannot be loaded. where: its name in errors. device: one of DEVICES;
+    BadInput where this computer's onnxruntime lacks it. threads: per image. optimise: whether to optimise the graph,
+    which takes some time.
     """
 
     def __init__(
@@ -54,7 +51,7 @@ class Graph:
         provider = provider_of(device)
         try:
             self._session = onnxruntime.InferenceSession(content, options, providers=[provider])
-        except Exception as error:  # onnxruntime raises a dozen kinds for a graph that is none
+        except Exception as error:  # onnxruntime raises a dozen exception types for an invalid graph
             raise BadInput(
                 f"{where}: not an ONNX graph that can be loaded ({type(error).__name__}); the file is corrupt, of another kind, or"
                 f" newer than this onnxruntime ({onnxruntime.__version__}): copy or train it again, or update onnxruntime"
@@ -63,18 +60,18 @@ class Graph:
         self.outputs = tuple(one.name for one in self._session.get_outputs())
 
     def __call__(self, given: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Arrays by the names of the graph's outputs, from arrays by those of its inputs; others are not looked at."""
+        """Run the graph: arrays by output name from arrays by input name; other arrays are ignored."""
         found = self._session.run(None, {name: given[name] for name in self.inputs})
         return dict(zip(self.outputs, found, strict=True))
 
     @property
     def properties(self) -> dict[str, str]:
-        """What the file says of its graph."""
+        """The `metadata_props` of the file."""
         return dict(self._session.get_modelmeta().custom_metadata_map)
 
 
 def provider_of(device: str) -> str:
-    """onnxruntime's name of a device; BadInput where it is none, or not there."""
+    """onnxruntime's name of a device; BadInput where the device is unknown or not available."""
     import onnxruntime
 
     there = [name for name, provider in PROVIDERS.items() if provider in onnxruntime.get_available_providers()]
@@ -88,27 +85,27 @@ def provider_of(device: str) -> str:
 
 @dataclass(frozen=True)
 class ForceModel:
-    """A model to predict with: what is known about it, and its ONNX graph without metadata."""
+    """A model to predict with: its metadata, and its ONNX graph without them."""
 
     metadata: dict[str, Any]
     graph: bytes
 
     @property
     def needs_nocontact(self) -> bool:
-        """Whether it reads a picture beside a no-contact image of the same sensor."""
+        """Whether it compares an image with a no-contact image of the same sensor."""
         return kind_of(self.metadata["model"]).pair
 
 
 def model_of(metadata: dict[str, Any], graph: bytes) -> ForceModel:
-    """A model of a graph, whose metadata then has the graph's digest, and its answer to a picture (`check_runtime`)."""
+    """Make a model of a graph; its metadata get the graph's digest and its answer to a test image (`answer_of`)."""
     answer = answer_of(Graph(graph, "the graph", optimise=False), metadata["image"])
     return ForceModel(metadata | {"format": FORMAT, "sha256": digest_of_graph(graph), "answer": answer}, graph)
 
 
 def answer_of(graph: Graph, size: Sequence[int]) -> list[float]:
-    """What a graph answers to a picture of a size (h, w) that is computed alike everywhere: forces of ANSWERED parts each way, N.
+    """Forces in N that a graph predicts from a test image of a size (h, w), summed over ANSWERED x ANSWERED parts.
 
-    The picture has waves of whole numbers, which differ between its inputs.
+    The test image consists of waves of integers, which are the same on every computer and differ between the inputs.
     """
     v, u, colour = np.indices((*size, 3))
     given = {
@@ -123,15 +120,15 @@ def answer_of(graph: Graph, size: Sequence[int]) -> list[float]:
 
 
 def check_runtime(graph: Graph, metadata: Mapping[str, Any]) -> None:
-    """Raise BadInput where this computer's onnxruntime does not compute what the graph answered when it was made."""
+    """Raise BadInput where this computer's onnxruntime does not reproduce the answer in the metadata."""
     found, known = np.array(answer_of(graph, metadata["image"])), np.array(metadata["answer"], float)
     off = float(np.abs(found - known).max() / np.abs(known).max()) if found.shape == known.shape else math.inf
     if not off <= AGREES:  # NaN is no agreement
         import onnxruntime
 
         raise BadInput(
-            f"model {metadata['name']}: this computer's onnxruntime ({onnxruntime.__version__}) computes other forces from the picture that the model"
-            f" file carries, by {off:.0%} of the largest: install another version of onnxruntime, or choose --device cpu"
+            f"model {metadata['name']}: this computer's onnxruntime ({onnxruntime.__version__}) does not reproduce the model's forces for its test"
+            f" image, they differ by up to {off:.0%} of the largest: install another version of onnxruntime, or choose --device cpu"
         )
 
 
@@ -174,7 +171,7 @@ def load_model(path: Path | str) -> ForceModel:
 
 
 def property_of(text: str) -> bytes:
-    """Metadata as one entry of metadata_props: protobuf allows fields in any order, so it goes behind a graph that was written."""
+    """Metadata as an entry of metadata_props; protobuf allows fields in any order, so it is appended to the graph."""
     return _field(PROPERTY, _field(1, KEY.encode()) + _field(2, text.encode()))
 
 
@@ -191,18 +188,18 @@ def _varint(value: int) -> bytes:
 
 
 def datasets_of(metadata: dict[str, Any]) -> list[dict[str, Any]]:
-    """What a model's metadata says of each dataset that it learnt from, its own first."""
+    """The metadata of each dataset that a model was trained on, its own first."""
     return [metadata["data"], *metadata["also"]]
 
 
 def fingerprint(metadata: dict[str, Any]) -> str:
-    """Identity of a model, of its graph's digest."""
+    """Identity of a model: the first 16 digits of its graph's digest."""
     digest: str = metadata["sha256"][:16]
     return digest
 
 
 def require_sensor(model: ForceModel, required: set[str]) -> None:
-    """Raise BadInput if none of the sensors `required` belongs to the dataset that a model of one picture comes from."""
+    """Raise BadInput if the dataset of a single-image model has none of the sensors `required`."""
     known = model.metadata["known_sensors"]
     if not model.needs_nocontact and required.isdisjoint(known):
         raise BadInput(

@@ -1,4 +1,4 @@
-"""From a picture to what the graph of a model reads: all that ONNX cannot hold, on one page of numpy and OpenCV.
+"""From an image to the inputs of a model's graph: the preprocessing that ONNX cannot hold, in numpy and OpenCV.
 
     prepare = Preprocessor(metadata, nocontact)  # metadata: of the model's file (reading.model)
     session = onnxruntime.InferenceSession("model.onnx")
@@ -23,17 +23,18 @@ from gelforge.reading.markers import MarkerTracker, Tracks, grey_of, markers_in,
 from gelforge.reading.wear import appeared, darkness_of, painted_over, places_in, printed_in, vanished
 from gelforge.records.networkkind import kind_of
 
-INPUTS = ("image", "nocontact")  # what the inputs of a graph may be named
+INPUTS = ("image", "nocontact")  # allowed names of a graph's inputs
 NO_SHIFT = np.zeros(2)
-MOST_WORN = 8  # no-contact images without vanished markers that are kept
+MOST_WORN = 8  # cached no-contact images without vanished markers
 
 
 @dataclass(frozen=True)
 class Change:
-    """What was taken back of an image before a network sees it.
+    """Corrections of an image before a network sees it.
 
-    light: by which it differed from the no-contact image. shift: (2,) px of the gel in its holder. gone: (n,) bool, markers of the
-    no-contact image that it lacks; places: (k, 2) px of these and of markers that it alone shows, all of them painted over.
+    light: change of light against the no-contact image. shift: (2,) px of the gel in its holder. gone: (n,) bool, markers
+    of the no-contact image that the image lacks; places: (k, 2) px of these and of markers that only the image shows,
+    all painted over.
     """
 
     light: Light
@@ -43,10 +44,11 @@ class Change:
 
 
 class NoContact:
-    """A sensor while nothing touches it, as a network reads it: the picture in the network's frame, its light and its markers.
+    """The no-contact image of a sensor as a network reads it: in the network's frame, with its light and its markers.
 
-    picture: (h, w, 3) uint8 RGB of any size. size: (rows, cols) that the network reads. learnt: its view; None: pictures stay as they
-    are, as in a dataset that a network learns from. fault: what is wrong with its markers, empty for nothing.
+    picture: (h, w, 3) uint8 RGB of any size. size: (rows, cols) of the network's input. learnt: view of its training;
+    None: images stay as they are, as in a dataset for training. fault: what is wrong with the markers, empty for
+    nothing.
     """
 
     def __init__(self, picture: np.ndarray, size: tuple[int, int], learnt: Learnt | None) -> None:
@@ -56,16 +58,16 @@ class NoContact:
         else:
             self.frame, markers = image_frame(picture, size, learnt)
             if learnt.usual and not markers.pitch:
-                self.fault = "the no-contact image shows no markers, which the network learnt from: it is blurred, or of another gel"
+                self.fault = "the no-contact image shows no markers, unlike those of training: it is blurred, or of another gel"
         self.picture = self.frame(picture)
         self.markers = MarkerTracker(self.picture, markers)
         self.reference = Reference(self.picture, self.frame.shown)
         self._worn: dict[bytes, NoContact] = {}
 
     def prepared(self, image: np.ndarray, fault: str = "", change: Change | None = None) -> "Prepared":
-        """An image (h, w, 3) uint8 in the network's frame as the network reads it: all that light, mounting and wear do is taken back.
+        """Correct light, mounting and wear of an image (h, w, 3) uint8 in the network's frame.
 
-        fault: what is wrong with its shape. change: what is to be taken back, where it is known; else it is found.
+        fault: what is wrong with its shape. change: the corrections, where they are known; else they are found.
         """
         if change is not None:
             worn = self.without(change.gone) if change.gone.any() else self
@@ -80,7 +82,7 @@ class NoContact:
         return self._without_worn(found)
 
     def lit(self, image: np.ndarray, fault: str = "", shift: np.ndarray = NO_SHIFT) -> "Prepared":
-        """An image (h, w, 3) uint8 in the network's frame of which the light alone is taken back; shift: what was before."""
+        """Correct only the light of an image (h, w, 3) uint8 in the network's frame; shift: already undone, px."""
         lit, light = self.reference.normalised(image)
         change = Change(light, shift, np.zeros(len(self.markers.points), bool), np.zeros((0, 2)))
         return Prepared(image, lit, fault, change, self)
@@ -114,7 +116,7 @@ class NoContact:
         return printed_in(self.markers, self.darkness)
 
     def without(self, gone: np.ndarray) -> "NoContact":
-        """The same with some of its markers, (n,) bool, painted over. Kept for the next image, as wear stays."""
+        """The same with the markers `gone`, (n,) bool, painted over. Cached for later images, because wear stays."""
         key = gone.tobytes()
         if key not in self._worn:
             while len(self._worn) >= MOST_WORN:
@@ -131,10 +133,11 @@ class NoContact:
 
 @dataclass(frozen=True)
 class Prepared:
-    """An image as the graph of a model reads it, and what was taken back on the way.
+    """An image as the graph of a model reads it, and its corrections.
 
-    image: (h, w, 3) uint8 in the model's frame, registered; lit: under the light of the no-contact image, too. fault: what is wrong
-    with its shape. nocontact and change are None beside a model of one image; that of a no-contact image itself is None, too.
+    image: (h, w, 3) uint8 in the model's frame, registered; lit: also under the light of the no-contact image,
+    without worn markers. fault: what is wrong with its shape. nocontact and change are None for a single-image model;
+    change is None for a no-contact image itself, too.
     """
 
     image: np.ndarray
@@ -145,22 +148,22 @@ class Prepared:
 
     @property
     def shown(self) -> np.ndarray:
-        """What of `image` the camera shows: (h', w', 3) without the margin that a narrow view leaves."""
+        """The part of `image` that the camera shows, (h', w', 3), without the margin of a narrow view."""
         return self.image if self.nocontact is None else self.image[self.nocontact.frame.shown]
 
     @property
     def vanished(self) -> int:
-        """How many markers only the image or only the no-contact image shows; they are painted over in `lit` and in `nocontact`."""
+        """Number of markers that only one of the two images shows; they are painted over in `lit` and `nocontact`."""
         return 0 if self.change is None else len(self.change.places)
 
     @property
     def light(self) -> Light | None:
-        """By which the image differed from the no-contact image."""
+        """The light that was corrected; None where `change` is."""
         return None if self.change is None else self.change.light
 
     @cached_property
     def tracks(self) -> Tracks:
-        """Where the markers of the no-contact image are."""
+        """The no-contact image's markers, tracked to `lit`."""
         return self._reference().markers.track(self.lit)
 
     @cached_property
@@ -169,10 +172,10 @@ class Prepared:
         return darkness_of(grey_of(list(np.moveaxis(self.lit, 2, 0))))
 
     def feature(self, name: str) -> np.ndarray:
-        """What a graph's input is given, (1, h, w, 3) uint8 RGB: `image`, or `nocontact`; BadInput for another name."""
+        """The value of a graph's input, (1, h, w, 3) uint8 RGB: `image` or `nocontact`; BadInput for another name."""
         if name not in INPUTS:
             raise BadInput(
-                f"the graph of the model reads {name!r}, only {' and '.join(INPUTS)} are there; train it again"
+                f"the graph of the model has the input {name!r}, but only {' and '.join(INPUTS)} are known; train it again"
             )
         picture = self.lit if name == "image" else self._reference().picture
         return np.ascontiguousarray(picture[None])
@@ -180,7 +183,7 @@ class Prepared:
     def _reference(self) -> NoContact:
         if self.nocontact is None:
             raise BadInput(
-                "this network reads one picture alone, and no markers: there is no no-contact image to compare with"
+                "this network reads the image alone: it has no no-contact image to compare with, and no markers"
             )
         return self.nocontact
 
@@ -194,7 +197,7 @@ class Preprocessor:
 
     def __init__(self, metadata: Mapping[str, Any], nocontact: np.ndarray | None = None) -> None:
         rows, cols = metadata["image"]
-        self.frame = ImageFrame((rows, cols), (rows, cols))  # in which images are read
+        self.frame = ImageFrame((rows, cols), (rows, cols))
         self.nocontact: NoContact | None = None
         if kind_of(metadata["model"]).pair:
             if nocontact is None:
@@ -214,5 +217,5 @@ class Preprocessor:
 
 
 def at_rest(nocontact: NoContact) -> Prepared:
-    """A no-contact image itself as the graph reads it, whose forces are subtracted from all others (tare)."""
+    """A no-contact image prepared as an image; the forces predicted for it are subtracted from all others (tare)."""
     return Prepared(nocontact.picture, nocontact.picture, "", None, nocontact)

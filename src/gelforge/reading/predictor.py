@@ -1,6 +1,6 @@
-"""From a picture to a reading: the one way that predict, Reader, stream, live and every benchmark share.
+"""From an image to its prediction: the one path that predict, Reader, stream, live and every benchmark share.
 
-It keeps no state from one picture to the next, so the same picture gives the same answer everywhere.
+It keeps no state from one image to the next, so the same image gives the same result everywhere.
 """
 
 from pathlib import Path
@@ -16,12 +16,12 @@ from gelforge.reading.model import ForceModel, Graph, check_runtime, load_model,
 from gelforge.reading.pair import NoContact, Prepared, Preprocessor, at_rest
 from gelforge.reading.profile import AS_READ, Gain
 
-COLOURED = 3.0 / 255  # by which the mean colours of images differ that have any
+COLOURED = 3.0 / 255  # least range of the mean colours (0 to 1) of colour images
 SHIPPED = Path(__file__).with_name("weights") / "default.onnx"
 
 
 def load_for_use(path: Path | str | None, sensor: str | None = None) -> ForceModel:
-    """Load a model for prediction and check that it is for `sensor`, where one is named; None: the one that ships."""
+    """Load a model for prediction, None: the shipped one; check that it is for `sensor`, where one is named."""
     require_opencv()
     if path is None and not SHIPPED.exists():
         raise BadInput(
@@ -34,7 +34,7 @@ def load_for_use(path: Path | str | None, sensor: str | None = None) -> ForceMod
 
 
 def require_opencv() -> None:
-    """Raise BadInput where OpenCV is not there whole."""
+    """Raise BadInput where OpenCV is missing or incomplete."""
     try:
         import cv2
 
@@ -51,10 +51,11 @@ def require_opencv() -> None:
 
 
 class Predictor:
-    """Predicts the forces in pictures of one sensor, of any size, crop and orientation of its camera.
+    """Predicts the forces in images of one sensor, of any size, crop and orientation of its camera.
 
-    nocontact: (h, w, 3) uint8 RGB of any size, of the sensor while nothing touches it, where the model needs one. gain: what all
-    forces are multiplied by, of the sensor's profile. device, threads: of onnxruntime (reading.model). fault: what is wrong with the no-contact image, empty for nothing.
+    nocontact: (h, w, 3) uint8 RGB of any size, of the sensor while nothing touches it, where the model needs one.
+    gain: factor on all forces, of the sensor's profile. device, threads: of onnxruntime (reading.model). fault: what
+    is wrong with the no-contact image, empty for nothing.
     """
 
     def __init__(
@@ -81,7 +82,7 @@ class Predictor:
         return self.prepare.frame.text
 
     def rest(self, nocontact: NoContact | None) -> np.ndarray:
-        """Forces (3, rows, cols) N that the graph predicts for a no-contact image; 0 beside a model of one picture."""
+        """Forces (3, rows, cols) N that the graph predicts for a no-contact image; 0 for a single-image model."""
         if nocontact is None:
             return np.zeros((3, 1, 1), np.float32)
         if nocontact not in self._rest:
@@ -89,16 +90,16 @@ class Predictor:
         return self._rest[nocontact]
 
     def raw(self, seen: Prepared) -> np.ndarray:
-        """Forces (3, rows, cols) N of a prepared picture as the graph predicts them, without tare and factor."""
+        """Forces (3, rows, cols) N that the graph predicts for a prepared image, without tare and factor."""
         found = self.graph({name: seen.feature(name) for name in self.graph.inputs})
         return np.asarray(found["forces"][0])
 
     def predict(self, image: np.ndarray) -> ForceReading:
-        """Read an image (h, w, 3) uint8 RGB of any size."""
+        """Predict an image (h, w, 3) uint8 RGB of any size."""
         return self.predict_shown(image)[0]
 
     def predict_shown(self, image: np.ndarray) -> tuple[ForceReading, np.ndarray]:
-        """Read an image (h, w, 3) uint8 RGB of any size; also the image (rows, cols, 3) that lies below the cells."""
+        """Predict an image (h, w, 3) uint8 RGB of any size; also return the image (rows, cols, 3) below the cells."""
         seen = self.prepare(image)
         cells = (self.raw(seen) - self.rest(seen.nocontact)) * np.float32(self.gain.value)
         total = cells.sum((1, 2), dtype=float)
@@ -113,7 +114,10 @@ class Predictor:
         return found, seen.image
 
     def exchanged(self, image: np.ndarray) -> float:
-        """Normal force in N where an image (h, w, 3) uint8 RGB and the no-contact image change places; 0 beside a model of one picture."""
+        """Normal force in N with an image (h, w, 3) uint8 RGB and the no-contact image exchanged.
+
+        It is 0 for a single-image model.
+        """
         if self.prepare.nocontact is None:
             return 0.0
         seen = Preprocessor(self.metadata, self.prepare.frame(image))(self.prepare.nocontact.picture)

@@ -1,8 +1,8 @@
-"""What is known of one sensor: its no-contact image, the distance of its markers, and a factor on what is predicted.
+"""The profile of one sensor: its no-contact image, its marker pitch, and a factor on predicted forces.
 
-A network learnt how gels of one stiffness look under force. Force is proportional to the stiffness of the gel, so what a
-softer, harder or thicker gel makes wrong is, to first order, one factor, and a few readings of a kitchen scale or a force
-sensor give it.
+A network is trained on gels of one stiffness. Force is proportional to the stiffness of the gel, so the error on a
+softer, harder or thicker gel is, to first order, one factor. A few readings of a kitchen scale or a force sensor give
+it.
 """
 
 import datetime
@@ -22,24 +22,24 @@ from gelforge.reading.markers import markers_in
 from gelforge.reading.model import fingerprint
 from gelforge.records.image import read_image, write_png
 
-SPREAD = 0.3  # of a factor's logarithm before any reading: gels, prints and cameras differ by a third
-SCATTER, KNOWN = 0.15, 2.0  # of one reading's logarithm, as two readings would give it before any is made
+SPREAD = 0.3  # prior standard deviation of the factor's logarithm: gels, prints and cameras differ by a third
+SCATTER, KNOWN = 0.15, 2.0  # prior scatter of a reading's logarithm, and the number of readings that it counts for
 MAKE_IT = "make it with `gelforge sensor`"  # what to do where there is no profile
-# Of the readings of a scale: probability that a constant was added to all of them, its standard deviation, N, and where it is looked for.
+# A constant added to all readings of a scale: prior probability, standard deviation in N, and grid in N.
 OFFSET_PROBABILITY, OFFSET_N = 0.3, 3.0
 OFFSETS = np.concatenate([[0.0], np.linspace(-12.0, 12.0, 97)])
 SLAB = np.exp(-0.5 * (OFFSETS[1:] / OFFSET_N) ** 2)
 OFFSET_PRIOR = np.log(np.concatenate([[1.0 - OFFSET_PROBABILITY], OFFSET_PROBABILITY * SLAB / SLAB.sum()]))
 FACTORS = np.linspace(-2.0, 2.0, 801)  # logarithms of factors
-LEAST_FRACTION = 0.02  # of a reading that is left without the constant
-WEAK_N = 1.0  # forces of about this size and below say little of a factor
-LEAST_N = 0.5  # read by the network: below, nothing touches
-FARTHEST = 5.0  # times that a reading may differ from what the network reads
-ODD = 2.0  # times that a reading's proportion differs from that of most, where one of them is likely wrong
-PROBABILITY = 0.9  # of the probability that an interval holds
-# Standard deviations that such an interval reaches on either side.
+LEAST_FRACTION = 0.02  # of a reading that must remain without the constant
+WEAK_N = 1.0  # readings of about this force and below have little weight
+LEAST_N = 0.5  # predicted by the network: below, nothing touches the gel
+FARTHEST = 5.0  # largest ratio between a reading and the prediction
+ODD = 2.0  # ratio to the median proportion beyond which a reading is likely wrong
+PROBABILITY = 0.9  # of an interval
+# Half width of such an interval in standard deviations.
 REACH = NormalDist().inv_cdf(0.5 + PROBABILITY / 2)
-APART = 0.03  # fraction by which the markers' distance may differ from the profile's
+APART = 0.03  # fraction by which the marker pitch may differ from the profile's
 
 
 @dataclass(frozen=True)
@@ -53,7 +53,7 @@ class Gain:
 
     @property
     def unsure(self) -> float:
-        """Half of the interval as a fraction of the factor; none of one that comes from no reading, which changes nothing."""
+        """Half of the interval as a fraction of the factor; 0 without readings, where no factor is applied."""
         return (self.high - self.low) / (2 * self.value) if self.readings else 0.0
 
 
@@ -62,10 +62,10 @@ AS_READ = Gain()  # of a sensor that has no profile
 
 @dataclass(frozen=True)
 class SensorProfile:
-    """One sensor: name, date of the profile, no-contact image (h, w, 3) uint8 RGB, distance of its markers, gain.
+    """One sensor: name, date of the profile, no-contact image (h, w, 3) uint8 RGB, marker pitch, gain.
 
-    pitch: px between neighbouring markers, 0 where the gel has none. model: name of the network whose readings were compared,
-    network: its identity (`fingerprint`).
+    pitch: px between neighbouring markers, 0 where the gel has none. model: name of the network whose predictions
+    gave the gain, network: its identity (`fingerprint`).
     """
 
     name: str
@@ -78,12 +78,12 @@ class SensorProfile:
 
 
 def fit_gain(measured: np.ndarray, read: np.ndarray) -> Gain:
-    """Factor from normal forces (n,) N measured and read by the network, both larger where pressed more.
+    """Factor from normal forces (n,) N, measured and predicted by the network, both positive where pressed.
 
-    Posterior of the factor's logarithm on a grid, its scatter estimated from the readings and a prior of two (Gelman et al., Bayesian
-    Data Analysis, 3rd ed., sections 2.6 and 3.2). A scale that was not tared adds a constant to all readings with probability
-    OFFSET_PROBABILITY (spike and slab: Mitchell and Beauchamp 1988, J. Am. Stat. Assoc. 83, 1023-1032): few readings do not
-    show it, so the interval allows for it.
+    Posterior of the factor's logarithm on a grid; the scatter is estimated from the readings and a prior worth KNOWN
+    readings (Gelman et al., Bayesian Data Analysis, 3rd ed., sections 2.6 and 3.2). A scale that was not tared adds a
+    constant to all readings with probability OFFSET_PROBABILITY (spike and slab: Mitchell and Beauchamp 1988, J. Am.
+    Stat. Assoc. 83, 1023-1032). Few readings do not show it, so the interval allows for it.
     """
     if not len(measured):
         return AS_READ
@@ -113,21 +113,21 @@ def check_readings(names: list[str], measured: np.ndarray, read: np.ndarray) -> 
             raise BadInput(f"{name}: force_n = {force:g}: give the force that presses, above 0 N")
         if seen < LEAST_N:
             raise BadInput(
-                f"{name}: {force:g} N were measured, but the picture shows no contact ({seen:.1f} N are read)"
+                f"{name}: {force:g} N were measured, but the image shows no contact ({seen:.1f} N are predicted)"
             )
         if not 1.0 / FARTHEST < force / seen < FARTHEST:
             raise BadInput(
-                f"{name}: {force:g} N were measured where about {seen:.1f} N are read; are they newtons?"
+                f"{name}: {force:g} N were measured, but about {seen:.1f} N are predicted; was the reading in newtons?"
                 " (102 g, 0.225 lbf and 3.6 ozf are 1 N)"
             )
 
 
 def odd_readings(names: list[str], measured: np.ndarray, read: np.ndarray) -> dict[str, str]:
-    """What is odd about readings, by name, whose force is in another proportion to what is read than that of most."""
+    """Readings whose ratio to the prediction is more than ODD times off the median ratio: a sentence by name."""
     ratio = np.asarray(measured, float) / read
     usual = float(np.median(ratio))
     return {
-        name: f"{force:g} N were measured where about {seen:.1f} N are read, {usual:.2g} times as much is usual here"
+        name: f"{force:g} N were measured, but about {seen:.1f} N are predicted; the usual ratio here is {usual:.2g}"
         for name, force, seen, one in zip(names, measured, read, ratio, strict=True)
         if max(one / usual, usual / one) > ODD
     }
@@ -177,7 +177,7 @@ def _gain_of(table: dict) -> Gain | None:
 
 
 def gain_there(path: Path) -> Gain | None:
-    """The factor of the profile in a file, whatever became of its picture; as read where there is no file, None if it is none."""
+    """The factor of a profile's file, even if its image is lost; AS_READ without a file, None if it is no profile."""
     if not path.exists():
         return AS_READ
     try:
@@ -187,7 +187,7 @@ def gain_there(path: Path) -> Gain | None:
 
 
 def _picture_of(path: Path, table: dict) -> Path:
-    """Where the no-contact image of a profile lies; BadInput where it does not lie beside it."""
+    """Path of the no-contact image of a profile; BadInput where it is not named as a file beside the profile."""
     beside = table.get("nocontact")
     if not isinstance(beside, str) or not beside or "\0" in beside or Path(beside).name != beside:
         raise BadInput(f"{path}: nocontact = {beside!r}: name a picture that lies beside the profile")
@@ -215,7 +215,7 @@ def with_profile(path: Path | None, picture: np.ndarray | None, metadata: dict) 
     check_same_network(profile, metadata)
     if picture is None:
         return profile.nocontact, profile.gain
-    check_same_sensor(profile, markers_in(reduced(picture)).pitch)  # as the profile keeps its own
+    check_same_sensor(profile, markers_in(reduced(picture)).pitch)  # reduced as the profile's image
     return picture, profile.gain
 
 
@@ -233,5 +233,5 @@ def check_same_sensor(profile: SensorProfile, pitch: float) -> None:
     if abs(pitch - profile.pitch) > APART * profile.pitch:
         raise BadInput(
             f"the markers of the no-contact image stand {pitch:.1f} px apart, those of profile {profile.name} {profile.pitch:.1f}:"
-            " it is of another sensor, or cropped or scaled otherwise; make a profile of this one with `gelforge sensor`"
+            " the image is of another sensor, or cropped or scaled differently; make a profile of this sensor with `gelforge sensor`"
         )

@@ -1,4 +1,4 @@
-"""Forces in images of one sensor: what a Python program reads with."""
+"""The Python interface: predicts forces in images of one sensor."""
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -20,15 +20,15 @@ def predict(
     Args:
         image: (h, w, 3) uint8 RGB.
         nocontact: picture (h, w, 3) uint8 RGB of the same sensor while nothing touches it.
-        model: path of a model; None: the network that ships.
+        model: path of a model; None: the shipped one.
 
     Returns:
         Force on the gel per cell, (3, rows, cols) N along gel x, y and z, pressing negative; and a dict of
-        what `ForceReading` has, by the same names. Its `flag` is True where something is wrong with the pictures,
+        the attributes of `ForceReading`. Its `flag` is True where something is wrong with the images,
         and `reason` says what.
 
     Raises:
-        BadInput: a picture that is none, one that the model needs and that is missing, or a file that is no model.
+        BadInput: an invalid image, no no-contact image where the model needs one, or a file that is no model.
     """
     found = Reader(nocontact, model=model)(image)
     return found.cells, vars(found) | {"flag": found.flag}
@@ -40,13 +40,13 @@ class Reader:
     Args:
         nocontact: picture (h, w, 3) uint8 RGB of the sensor while nothing touches it; may be left out with a profile,
             which holds one.
-        profile: path of a profile that `gelforge sensor` wrote, by whose factor forces are multiplied.
-        model: path of a model; None: the network that ships.
+        profile: path of a profile that `gelforge sensor` wrote; its factor multiplies the forces.
+        model: path of a model; None: the shipped one.
         device: "cpu", or "cuda" where onnxruntime has it.
-        threads: that one image is predicted with.
+        threads: per image.
 
     Raises:
-        BadInput: pictures that are none of this sensor, or a file that is no profile or no model.
+        BadInput: images that are not of this sensor, or a file that is no profile or no model.
     """
 
     def __init__(
@@ -69,10 +69,10 @@ class Reader:
             image: (h, w, 3) uint8 RGB.
 
         Returns:
-            Forces in N, how sure they are, and what is wrong with the picture.
+            Forces in N, their prediction intervals, and what is wrong with the image.
 
         Raises:
-            BadInput: what is no such image.
+            BadInput: anything that is no such image.
         """
         return self._predictor.predict(check_image(image))
 
@@ -86,7 +86,7 @@ class Reader:
             One reading of each, as soon as it is asked for.
 
         Raises:
-            BadInput: what is no such image; it ends the stream.
+            BadInput: anything that is no such image; it ends the stream.
         """
         return map(self, images)
 
@@ -100,7 +100,7 @@ class Reader:
             One reading of each.
 
         Raises:
-            BadInput: what is no such image.
+            BadInput: anything that is no such image.
         """
         return [self(image) for image in images]
 

@@ -1,7 +1,7 @@
-"""Whether something touches the gel in a no-contact image, seen by that image alone.
+"""Detects a contact in a no-contact image, from that image alone.
 
-A gel that nothing touches is lit smoothly: a polynomial of the place describes the logarithm of its light. What an object presses
-departs from it, on units of any contrast, and in colour more than in level, because its slopes turn from one lamp to another.
+A gel that nothing touches is lit smoothly: the logarithm of its light is a polynomial of position. An imprint departs
+from it on units of any contrast, and in colour more than in level, because its slopes face different lamps.
 """
 
 from dataclasses import dataclass
@@ -12,23 +12,25 @@ import numpy as np
 from gelforge.reading.light import ALL
 from gelforge.reading.markers import MarkerTracker, dark_spots
 
-# Signs of touch, both of which must be beyond. Of 108 clean no-contact images of drawn units 3 % are, of 4 real ones at rest none, of the
-# starts of 40 real films one, which shows a stain; of 245 presses of 0.5 N and more, drawn on 22 units and real, none is not.
+# Limits of TouchSigns: a contact exceeds both. So do 3 % of 108 clean no-contact images of rendered units, none of 4
+# real ones at rest, one of the starts of 40 real films (a stain), and all of 245 presses of 0.5 N and more, rendered
+# for 22 units and real.
 UNEVEN, COLOURED = 0.075, 3.2
-# px: the width to which an image is reduced, and the least that it has itself; of a border that is left out, and of a place.
+# px: width to which an image is reduced, its own least width, border that is left out, size of a cell.
 WIDTH, LEAST_WIDTH, RIM, CELL = 320.0, 160, 12, 4
-SPOT, SPOT_MARGIN, INK = 25, 7, 0.15  # px, larger than a dark spot and left out around one; how much darker it is
-SMOOTH, ORDER, ROUNDS = 2.0, 6, 8  # px; of the polynomial; of the fit
-# Of a place, the fraction that is gel; levels added to all, which a logarithm needs; the least scatter of a fit; levels of hue.
+SPOT, SPOT_MARGIN, INK = 25, 7, 0.15  # px above a dark spot's size; px of margin around it; how much darker it is
+SMOOTH, ORDER, ROUNDS = 2.0, 6, 8  # px of smoothing; order of the polynomial; rounds of the fit
+# Least fraction of gel in a cell; levels added before the logarithm; least scatter of the fit; least median of the
+# departure in colour, levels.
 SHOWN, DARK, LEAST_SCATTER, LEAST_HUE = 0.2, 8.0, 0.006, 0.2
 
 
 @dataclass(frozen=True)
 class TouchSigns:
-    """How far the light between markers departs from a smooth one.
+    """Departure of the light between markers from the smooth fit.
 
-    uneven: the 97 % quantile, as a fraction of the light, of the three colours together. coloured: the 97 % quantile of the departure in colour
-    alone over its median.
+    uneven: its 97 % quantile, as a fraction of the light, summed over the three colours. coloured: the 97 % quantile
+    of the departure in colour alone, over its median.
     """
 
     uneven: float
@@ -37,7 +39,7 @@ class TouchSigns:
 
 @lru_cache(maxsize=4)
 def terms(rows: int, cols: int) -> np.ndarray:
-    """Products of powers of row and column up to ORDER, (rows * cols, n), from -1 to 1."""
+    """Polynomial terms of row and column up to ORDER, (rows * cols, n), both scaled to -1 to 1."""
     v, u = np.meshgrid(np.linspace(-1.0, 1.0, rows), np.linspace(-1.0, 1.0, cols), indexing="ij")
     powers = [(i, j) for i in range(ORDER + 1) for j in range(ORDER + 1 - i)]
     return np.stack([u**i * v**j for i, j in powers], axis=-1).reshape(rows * cols, -1)
@@ -46,8 +48,8 @@ def terms(rows: int, cols: int) -> np.ndarray:
 def touch_signs(nocontact: np.ndarray, markers: MarkerTracker, shown: tuple[slice, slice] = ALL) -> TouchSigns:
     """Signs of touch in a no-contact image (h, w, 3) uint8 with its markers; shown: rows and columns of it that show something.
 
-    The fit is robust, by Tukey's biweight, so that it follows the light around an object and not the object. Places where the
-    lattice of markers lacks one are left out as markers are: what is left of a worn marker is no object.
+    The fit is robust (Tukey's biweight), so that it follows the light around an object and not the object. Lattice
+    places without a marker are masked as markers are: the rest of a worn marker is no object.
     """
     import cv2
 
@@ -90,13 +92,13 @@ def touch_signs(nocontact: np.ndarray, markers: MarkerTracker, shown: tuple[slic
 
 
 def touch_of(nocontact: np.ndarray, markers: MarkerTracker, shown: tuple[slice, slice] = ALL) -> float:
-    """How much a no-contact image looks as if something touched the gel; beyond 1 something does."""
+    """How much a no-contact image looks as if something touched the gel; above 1 something does."""
     signs = touch_signs(nocontact, markers, shown)
     return min(signs.uneven / UNEVEN, signs.coloured / COLOURED)
 
 
 def touch_fault(nocontact: np.ndarray, markers: MarkerTracker, shown: tuple[slice, slice], most: float) -> str:
-    """The sign that something touches a sensor in its no-contact image, beyond `most` of `touch_of`; empty where nothing does."""
+    """Fault of a no-contact image in which `touch_of` exceeds `most`; empty where it does not."""
     if touch_of(nocontact, markers, shown) <= most:
         return ""
     return "something seems to touch the gel in the no-contact image, or dirt lies on it: between its markers the light is uneven"

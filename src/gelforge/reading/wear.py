@@ -1,27 +1,29 @@
-"""Markers that wear: which are gone, new or faint in another image of the gel, and images without some of them.
+"""Worn markers: finds those that vanished, appeared or faded between two images of a gel, and paints markers over.
 
-A network takes a marker that is missing in one image alone for a large motion or a bright contact: one of 63 changes a force by a
-tenth, eight double it. Missing in both, it changes nothing: so it is painted over in the other.
+A network takes a marker that is missing from only one image for a large motion or a bright contact: one of 63 changes
+a force by a tenth, eight double it. A marker missing from both changes nothing, so it is painted over in the other
+image, too.
 """
 
 import numpy as np
 
 from gelforge.reading.markers import MarkerTracker, Tracks
 
-PRINTED = 15  # levels by which a marker is darker than what surrounds it
-# Of that darkness: below, the marker is gone, or fainter. Of 1638 markers of real presses of a ball the least has 0.65.
+PRINTED = 15  # levels by which a marker is darker than its surroundings
+# Fraction of its darkness below which a marker is gone, or faded. The least of 1638 markers in real presses of a ball
+# is 0.65.
 LEFT, FADED = 0.35, 0.6
-INKED = 0.45  # of its light that a marker takes at least: on real units 0.54 to 0.76, half worn 0.28 to 0.38
-LEAST_DIAMETER = 8.0  # px: smaller markers are paler in an image of half the size
-APPEARED = 0.6  # of the darkness of the other markers: a place without a marker that is darker now has got one
-SEEN_WITHIN = (2, 4)  # px at half size around a marker's place: in the no-contact image, and where it is followed to
+INKED = 0.45  # least fraction of the light that a marker absorbs: on real units 0.54 to 0.76, half worn 0.28 to 0.38
+LEAST_DIAMETER = 8.0  # px: smaller markers look paler at half size
+APPEARED = 0.6  # of the median darkness of the markers: an empty place that is darker has gained one
+SEEN_WITHIN = (2, 4)  # px at half size around a marker's place: in the no-contact image, and where it is tracked to
 WIDER = 0.75  # of a marker's diameter: radius of what is painted
 
 
 def darkness_of(grey: np.ndarray) -> np.ndarray:
-    """By how many levels a grey image (h, w) uint8 is darker than its surroundings a marker's width away, (h / 2, w / 2) uint8.
+    """Levels by which a grey image (h, w) uint8 is darker than a marker's width away, (h / 2, w / 2) uint8.
 
-    Markers of a dozen pixels are as well seen at half the size, at a sixth of the time.
+    Half size shows markers of a dozen pixels as well, in a sixth of the time.
     """
     import cv2
 
@@ -31,7 +33,7 @@ def darkness_of(grey: np.ndarray) -> np.ndarray:
 
 
 def places_in(tracks: Tracks, markers: MarkerTracker) -> np.ndarray:
-    """Where markers are followed to, (n, 2) px; one that is lost is expected to have moved as the median of the others."""
+    """Places (n, 2) px of tracked markers; a lost one is assumed to have moved by the median of the others."""
     usual = np.median(tracks.motion[tracks.found], axis=0) if tracks.found.any() else np.zeros(2)
     return markers.points + np.where(tracks.found[:, None], tracks.motion, usual)
 
@@ -42,9 +44,12 @@ def printed_in(markers: MarkerTracker, before: np.ndarray) -> np.ndarray:
 
 
 def vanished(markers: MarkerTracker, printed: np.ndarray, tracks: Tracks, now: np.ndarray) -> np.ndarray:
-    """Which markers (n,) bool of a no-contact image are gone in another one. printed: its `printed_in`; now: the other's `darkness_of`."""
+    """Which markers (n,) bool of a no-contact image are gone in another image.
+
+    printed: `printed_in` of the no-contact image; now: `darkness_of` of the other image.
+    """
     left = _darkest(now, places_in(tracks, markers), SEEN_WITHIN[1])
-    # those that look as they did are there
+    # markers that look the same are not gone
     return np.asarray(tracks.unlike & (printed >= PRINTED) & (left >= 0) & (left < LEFT * printed))
 
 
@@ -57,7 +62,7 @@ def faded(markers: MarkerTracker, printed: np.ndarray, tracks: Tracks, now: np.n
 
 
 def pale(markers: MarkerTracker) -> float:
-    """Fraction of the markers of a no-contact image that leave more of the light than ink does."""
+    """Fraction of the markers of a no-contact image that absorb less of the light than ink does."""
     import cv2
 
     if not len(markers.points) or markers.diameter < LEAST_DIAMETER:
@@ -87,7 +92,7 @@ def appeared(
 
 
 def _darkest(dark: np.ndarray, points: np.ndarray, reach: int) -> np.ndarray:
-    """Largest darkness around points (n, 2) px of the full image, (n,) int; -1 beside the image."""
+    """Largest darkness around points (n, 2) px of the full image, (n,) int; -1 outside the image."""
     import cv2
 
     most = cv2.dilate(dark, np.ones((2 * reach + 1, 2 * reach + 1), np.uint8))
@@ -99,7 +104,7 @@ def _darkest(dark: np.ndarray, points: np.ndarray, reach: int) -> np.ndarray:
 
 
 def painted_over(image: np.ndarray, points: np.ndarray, diameter: float) -> np.ndarray:
-    """An image (h, w, 3) uint8 without what is at some points (n, 2) px, filled in from what surrounds them.
+    """An image (h, w, 3) uint8 with the markers at points (n, 2) px filled in from their surroundings.
 
     Source: Telea, An image inpainting technique based on the fast marching method, J. Graphics Tools 9 (2004).
     """

@@ -1,4 +1,4 @@
-"""Files of arrays (.npz), of ours or of others: one reader, which checks them by a schema and runs nothing of them."""
+"""The reader of .npz files, our own or foreign: it checks them against a schema and never unpickles."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -10,18 +10,19 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import DAMAGED
 from gelforge.records.regular import file_fault
 
-MOST_SAID = 200  # characters of an error: numpy quotes a header whole
-Form = tuple[str, int]  # kinds of numpy ("U" text, "f" floats, "iu" whole numbers) and number of dimensions
+MOST_SAID = 200  # most characters of an error in a message: numpy quotes whole headers
+Form = tuple[str, int]  # numpy's dtype kind (of KINDS), number of dimensions
+KINDS = {"U": "text", "f": "floats", "i": "whole numbers"}
 
 
 def in_short(error: BaseException) -> str:
-    """What an error says of corrupt bytes, cut to what a person reads."""
+    """Text of an error about corrupt bytes, cut to MOST_SAID characters."""
     return str(error)[:MOST_SAID]
 
 
 @dataclass(frozen=True)
 class Schema:
-    """What a kind of file holds: arrays by name, and those that it may lack; what: the kind, for messages."""
+    """Required and optional arrays of a kind of file, by name; what: the kind, for messages."""
 
     what: str
     arrays: Mapping[str, Form]
@@ -29,13 +30,13 @@ class Schema:
 
 
 def read_arrays(path: str | Path, schema: Schema, hint: str) -> dict[str, np.ndarray]:
-    """All arrays of a file by name; BadInput for one that is not as its schema says. hint: what to do about it."""
+    """All arrays of a file by name; BadInput if it does not match its schema. hint: what to do about it."""
     with Archive(path, schema, hint) as file:
         return {name: file[name] for name in (*schema.arrays, *(name for name in schema.optional if name in file))}
 
 
 class Archive:
-    """Arrays of a file by name, each read and checked when asked for; BadInput as `read_arrays`."""
+    """Arrays of a file by name, each read and checked on access; BadInput as `read_arrays`."""
 
     def __init__(self, path: str | Path, schema: Schema, hint: str):
         self.path, self.schema, self.hint = Path(path), schema, hint
@@ -47,7 +48,7 @@ class Archive:
         except DAMAGED as error:
             raise self._bad(in_short(error)) from error
         if not isinstance(self._file, np.lib.npyio.NpzFile):
-            raise self._bad("it is no archive")
+            raise self._bad("it is not an archive")
 
     def __enter__(self) -> "Archive":
         return self
@@ -68,11 +69,11 @@ class Archive:
             raise self._bad(f"array {name}: {in_short(error)}") from error
         if not isinstance(found, np.ndarray) or found.dtype.kind not in kinds or found.ndim != dims:
             seen = f"{found.dtype} {found.shape}" if isinstance(found, np.ndarray) else "no array"
-            raise self._bad(f"array {name} is {seen}, which it cannot be")
+            raise self._bad(f"array {name} is {seen}, expected {dims}-dimensional {KINDS[kinds]}")
         return found
 
     def get(self, name: str, default: np.ndarray) -> np.ndarray:
-        """One array, or `default` where the file lacks it."""
+        """One array, or `default` if the file lacks it."""
         if name not in self:
             return default
         return self[name]

@@ -1,6 +1,7 @@
-"""The one order of forces: along gel x (the short side), y (the long side) and z (out of the gel), named fx, fy, fz.
+"""Order of force components: along gel x (the short side), y (the long side) and z (out of the gel): fx, fy, fz.
 
-All maps, totals, intervals and tables of gelforge have it. FEATS' order exists in its files alone (`formats.featsfile`).
+All maps, totals, intervals and tables of gelforge use it. FEATS' order occurs only in its files
+(`formats.featsfile`).
 """
 
 AXES = ("x", "y", "z")

@@ -13,16 +13,17 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.records.regular import file_fault
 
-EBML, SEGMENT = b"\x1a\x45\xdf\xa3", b"\x18\x53\x80\x67"  # what a Matroska or WebM file begins with (RFC 9559)
+EBML, SEGMENT = b"\x1a\x45\xdf\xa3", b"\x18\x53\x80\x67"  # IDs at the start of Matroska and WebM files (RFC 9559)
 
 
 @contextmanager
 def open_source(
     video: Path | None, camera: int | None, mode: tuple[int, int] | None = None
 ) -> Iterator[tuple[Any, int]]:
-    """Hold a video file or a camera open: OpenCV's capture and the frames announced, 0 if unknown.
+    """Hold a video file or a camera open: OpenCV's capture, and the number of frames by the header, 0 if unknown.
 
-    mode: (width, height) that a camera is asked for. Raises BadInput for what cannot be opened or set. However the block ends, the camera is free for others afterwards.
+    mode: (width, height) that a camera is set to. Raises BadInput for what cannot be opened or set. The source is
+    released however the block ends.
     """
     import cv2
 
@@ -31,7 +32,7 @@ def open_source(
         fault = "no such video" if fault.startswith("No such file") else f"cannot be read as a video ({fault})"
         camera_there = f", or the camera by --camera {video}" if str(video).startswith("/dev/v") else ""
         raise BadInput(f"{video}: {fault}; name an AVI or MP4 file{camera_there}")
-    # OpenCV's decoder prints thousands of lines about a corrupt film, `Film` one
+    # silent, because OpenCV's decoder prints thousands of lines about a corrupt film and `Film` raises one error
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     source = cv2.VideoCapture(str(video)) if camera is None else cv2.VideoCapture(camera)
     if not source.isOpened():
@@ -50,7 +51,7 @@ def open_source(
 
 
 def set_mode(source: Any, mode: tuple[int, int], name: str) -> None:
-    """Set a camera's width and height; BadInput where it gives another size."""
+    """Set a camera's width and height; BadInput if it gives another size."""
     got = asked_for(source, mode)
     if got != mode:
         raise BadInput(
@@ -60,10 +61,10 @@ def set_mode(source: Any, mode: tuple[int, int], name: str) -> None:
 
 
 def asked_for(source: Any, mode: tuple[int, int]) -> tuple[int, int]:
-    """The (width, height) of an open source after it was asked for one; a driver takes the nearest that it has."""
+    """The (width, height) that an open source uses after a request; a driver takes the nearest that it has."""
     import cv2
 
-    # in motion JPEG a USB camera sends large images fast
+    # motion JPEG, because USB is too slow for large uncompressed images
     source.set(cv2.CAP_PROP_FOURCC, cv2.VideoWriter.fourcc(*"MJPG"))
     source.set(cv2.CAP_PROP_FRAME_WIDTH, mode[0])
     source.set(cv2.CAP_PROP_FRAME_HEIGHT, mode[1])
@@ -71,14 +72,14 @@ def asked_for(source: Any, mode: tuple[int, int]) -> tuple[int, int]:
 
 
 def rate_of(source: Any) -> float:
-    """Frames a second of an open film, 25 where it does not say."""
+    """Frames per second of an open film, 25 if it states none."""
     import cv2
 
     return float(source.get(cv2.CAP_PROP_FPS)) or 25.0
 
 
 def source_name(video: Path | None, camera: int | None) -> str:
-    """What a film or camera is called in messages."""
+    """Name of a film or camera in messages."""
     return f"camera {camera}" if video is None else str(video)
 
 
@@ -92,9 +93,10 @@ class Frame:
 
 
 class Film:
-    """Frames of an open source, to be iterated over once; `taken` says how many were read so far.
+    """Frames of an open source, to be iterated over once; `taken` counts those read so far.
 
-    source, announced: of `open_source`. limit: of frames. camera: whether time runs by this computer's clock. path: of a film.
+    source, announced: from `open_source`. limit: most frames to read. camera: whether times are those of this
+    computer's clock. path: of a film.
     """
 
     def __init__(
@@ -121,7 +123,7 @@ class Film:
             now = self._clock()
             if not self.taken:
                 first = last = now
-            elif not now > last:  # a film that knows no times, or repeats one
+            elif not now > last:  # a film without times, or with a repeated one
                 now = last + 1.0 / self.rate
             last = now
             self.taken += 1
@@ -129,17 +131,17 @@ class Film:
         self._check_whole(last)
 
     def _clock(self) -> float:
-        """When the frame just read was shown or taken, s."""
+        """Time of the frame just read, s."""
         import cv2
 
         return time.perf_counter() if self.camera else 1e-3 * self._source.get(cv2.CAP_PROP_POS_MSEC)
 
     def _check_whole(self, last: float) -> None:
-        """BadInput where no frame was read, or fewer than there are; last: time of the last one in the film, s."""
+        """BadInput if no frame was read, or fewer than announced; last: time of the last one in the film, s."""
         expected = self._announced if self._limit is None else min(self._announced, self._limit)
         if self.taken == 0:
             raise BadInput(f"{self.name}: holds no frame that can be decoded")
-        # files without an index announce what duration and mean rate make of it, not how many frames they hold
+        # files without an index announce duration times mean rate instead of the true number of frames
         ended = last + 2.0 / self.rate >= self._announced / self.rate
         if self.taken < expected and not ended and not (self._path and is_whole_matroska(self._path)):
             raise BadInput(
@@ -149,7 +151,7 @@ class Film:
 
 
 def numbered(images: Iterable[np.ndarray]) -> Iterator[Frame]:
-    """Images (h, w, 3) uint8 as the frames of a film of 25 a second."""
+    """Images (h, w, 3) uint8 as frames of a film of 25 frames per second."""
     return (Frame(number, number / 25.0, image) for number, image in enumerate(images))
 
 
@@ -159,7 +161,7 @@ def frames(source: Any, announced: int, name: str, limit: int | None) -> Iterato
 
 
 def is_whole_matroska(path: Path) -> bool:
-    """Whether a file is Matroska or WebM and holds all that its segment announces."""
+    """Whether a file is Matroska or WebM and at least as long as its segment states."""
     try:
         with path.open("rb") as stream:
             if stream.read(4) != EBML:
@@ -174,7 +176,7 @@ def is_whole_matroska(path: Path) -> bool:
 
 
 def _ebml_size(stream: BinaryIO) -> int | None:
-    """The size that stands next (RFC 8794, 4), of 1 to 8 bytes; None where it is left open, as while recording."""
+    """The next element's size (RFC 8794, 4), of 1 to 8 bytes; None if it is unknown, as while recording."""
     head = stream.read(1)
     length = 9 - head[0].bit_length()
     value = int.from_bytes(bytes([head[0] ^ (1 << (8 - length))]) + stream.read(length - 1), "big")

@@ -7,16 +7,17 @@ An uncompressed .npz. `n` samples; `k` contact nodes and `m` surface nodes, all 
 | sample_id, status, mesh | (n,) str | `status` names a `Status`, `mesh` what `gelforge.mechanics.mesh.names.load_mesh` takes |
 | ptr, node, force | (n+1,) int64, (k,) int32, (k, 3) float64 | N on the gel at `c10`; free nodes are left out |
 | surface_ptr, displacement | (n+1,) int64, (m, 3) float32 | mm, rows follow the mesh's `surface_nodes` |
-| total | (n, 3) float64 | resultant, N |
+| total | (n, 3) float64 | total force, N |
 | c10 | () float64 | MPa |
 | c10_interval68, c10_interval95 | (2,) float64 | MPa, only where the material was calibrated |
-| extrapolated | (n,) float64 | factor for the size of hexahedra that `force` holds and `displacement` does not; 1: none |
-| error_n, cells_error_n | (n,) float64 | N by which the size of the total force, and the forces per cell of 24 x 32 summed, may be off: nine of ten are within; NaN: not known |
-| press_id | (n,) str | only where samples are frames of a press: which one |
+| extrapolated | (n,) float64 | factor that corrects `force`, not `displacement`, for the size of hexahedra; 1: none |
+| error_n | (n,) float64 | N, 90 % bound on the error of the total force's magnitude; NaN: not known |
+| cells_error_n | (n,) float64 | N, the same of the forces per cell of a 24 x 32 grid, summed over cells |
+| press_id | (n,) str | only if samples are frames of a press: its identifier |
 
-Samples without a valid state have no entries. Nothing is compressed because a label reads `force`
-only, and a zip member is read alone: measured on 100 samples of 6000 surface nodes, uncompressed
-reads eight times faster than deflated, and deflating saves 8 % of the bytes.
+Samples without a valid state have no nodes. Labels read `force` only, and a zip member can be read alone. Nothing is
+compressed: on 100 samples of 6000 surface nodes, deflating saves 8 % of the bytes and reading takes eight times as
+long.
 """
 
 from collections.abc import Sequence
@@ -94,7 +95,7 @@ def write_forces(
 def _check_sample(path: str | Path, sample: SampleForces) -> None:
     where = f"{path}: sample {sample.sample_id}"
     if sample.status not in Status.__members__:
-        raise BadInput(f"{where}: status {sample.status!r} is none of {', '.join(Status.__members__)}")
+        raise BadInput(f"{where}: unknown status {sample.status!r}; use one of {', '.join(Status.__members__)}")
     if not len(sample.nodes) == len(sample.force) == len(sample.displacement):
         raise BadInput(
             f"{where}: {len(sample.nodes)} nodes, {len(sample.force)} forces and"
@@ -124,9 +125,9 @@ HINT = "delete it and run make again"
 
 
 class ForceFile:
-    """Reader of what `write_forces` wrote; arrays are attributes, each read when first asked for.
+    """Reader of what `write_forces` wrote, used as a context manager; large arrays are read when first accessed.
 
-    Use it as a context manager. A file that is no such shard raises BadInput.
+    A file that is no such shard raises BadInput.
     """
 
     def __init__(self, path: str | Path):
@@ -175,7 +176,10 @@ class ForceFile:
         return int(found[0])
 
     def sample(self, index: int, surface_nodes: np.ndarray) -> SampleForces:
-        """Sample `index` with forces on all of its mesh's `surface_nodes` (sorted), zero where none acts."""
+        """Sample `index` with forces on all of its mesh's `surface_nodes` (sorted), zero where none acts.
+
+        Raises BadInput if the mesh has another number of surface nodes than the shard.
+        """
         rows = slice(self.surface_ptr[index], self.surface_ptr[index + 1])
         displacement = self.displacement[rows].astype(float)
         touched = slice(self.ptr[index], self.ptr[index + 1])

@@ -1,4 +1,4 @@
-"""Moments of one press: rows of a log that share a press_id, in order of time along one path, down and then sideways."""
+"""Frames of one press: rows of a log that share a press_id, in order of time along a path down and then sideways."""
 
 from collections.abc import Sequence
 from datetime import UTC, datetime
@@ -10,13 +10,13 @@ from gelforge.records.press import PressRecord, RawRow, Rejection, reject
 
 Record = TypeVar("Record", bound=PressRecord | RawRow)
 
-# A bench that films reads its axes while they move: what lies nearer than its resolution is the same place.
+# Differences below the resolution of a bench that reads its axes while they move count as none.
 NEAR_MM = 0.01
 NEAR_DEG = 0.05
-# A frame that gives way moves by some hundredths while a press goes sideways.
+# A compliant machine frame moves by some hundredths of a mm in depth while a press goes sideways.
 NEAR_DEPTH_MM = 0.05
-# By how much a frame that stands may end beyond the last one of its press: places of two rows may differ from the first
-# row's to either side.
+# How far an accepted frame may end beyond the last one of its press. In depth 2 NEAR_MM are added, because the z0 of
+# two rows may differ from the first row's in opposite directions.
 MOST_DEEPER_MM = NEAR_DEPTH_MM + 2.0 * NEAR_MM
 MOST_FARTHER_MM = NEAR_MM
 SAME = ("indenter", "sensor_id", "gel_id")
@@ -24,7 +24,7 @@ PLACE = {"x0_mm": NEAR_MM, "y0_mm": NEAR_MM, "z0_mm": NEAR_MM, "rot_deg": NEAR_D
 
 
 def presses_of(records: Sequence[Record]) -> list[list[Record]]:
-    """Records grouped by press_id, in the order of their first rows; a record without one is a press of its own."""
+    """Records grouped by press_id, in the order of first rows; a record without press_id is a press of its own."""
     found: dict[str, list[Record]] = {}
     for at, record in enumerate(records):
         found.setdefault(f"id {record.press_id}" if record.press_id else f"at {at}", []).append(record)
@@ -32,10 +32,10 @@ def presses_of(records: Sequence[Record]) -> list[list[Record]]:
 
 
 def check_frames(records: Sequence[PressRecord], file: str) -> list[Rejection]:
-    """Rejections of rows that are no later frame of the press whose press_id they have.
+    """Rejections of rows that cannot be a later frame of the press with their press_id.
 
-    The first row of a press stands; each later one must have its indenter, sensor, gel, place and rotation, and lie
-    further along its path than every row before it that stands.
+    The first row of a press is accepted. Each later one must have its indenter, sensor, gel, place and rotation, no
+    earlier time, and lie further along its path than all accepted rows before it.
     """
     wrong = []
     for press in presses_of(records):
@@ -64,7 +64,7 @@ def _differs(first: PressRecord, frame: PressRecord) -> tuple[str, str] | None:
 
 
 def _earlier(last: PressRecord, frame: PressRecord) -> tuple[str, str] | None:
-    """Whether the log gives a frame an earlier time than the row before it; rows without a time are in order."""
+    """The fault of a frame with an earlier time than the last accepted row, else None; missing times are no fault."""
     times = [getattr(record, "time_utc", "") for record in (last, frame)]
     if not all(times):
         return None
@@ -75,15 +75,15 @@ def _earlier(last: PressRecord, frame: PressRecord) -> tuple[str, str] | None:
 
 
 def _in_utc(time: datetime) -> datetime:
-    """A time that names no zone is UTC, as the column's name says."""
+    """A time without zone is in UTC, as the column's name states."""
     return time if time.tzinfo else time.replace(tzinfo=UTC)
 
 
 def _off_path(path: np.ndarray, now: np.ndarray) -> tuple[str, str] | None:
-    """Whether a point (3,) mm is no later one of a path, whose points (n, 3) so far are dx, dy, dz of the rows that stand.
+    """The fault of a point (3,) mm that is not further along a path, else None.
 
-    It is held against how far all of them came: against the last one alone a press that is filmed slowly could go back by
-    steps that are each too small to see.
+    path: (n, 3) mm, dx, dy, dz of accepted rows. The point is compared with the extreme of all rows, not with the
+    last one: a slowly filmed press could otherwise go back in steps below the tolerance.
     """
     fault = _depth_fault(path, now) or _sideways_fault(path[:, :2], now[:2])
     if fault is None and (now == path[-1]).all():
@@ -109,7 +109,7 @@ def _sideways_fault(path: np.ndarray, now: np.ndarray) -> tuple[str, str] | None
     column = "dx_mm" if abs(now[0] - farthest[0]) >= abs(now[1] - farthest[1]) else "dy_mm"
     if now @ farthest < (moved - NEAR_MM) * moved:
         return column, "goes back within its press: a press moves sideways in one direction"
-    # the farthest point gives the line of the press best, and all others must lie on it
+    # the farthest point defines the line of the press most accurately, and all others must lie on it
     x, y = now / goes if goes > moved else farthest / moved
     if np.abs(np.vstack([path, now]) @ [-y, x]).max() > NEAR_MM:
         return column, "leaves the line of its press: a press moves sideways in one direction"

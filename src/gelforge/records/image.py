@@ -1,7 +1,10 @@
-"""Pictures as files: the only reader and the only writer. A picture is RGB, (height, width, 3) uint8, everywhere else.
+"""The only reader and writer of image files: images are RGB, (height, width, 3) uint8.
 
-Bytes come from others, so what a file claims is checked before a decoder sees it: that it is a file, its size in
-bytes, its width and height, and, of a PNG, that every chunk is whole.
+Elsewhere, too, images are RGB, unless a docstring says BGR: OpenCV's order, in which frames of films and cameras come
+(records.film).
+
+Files come from others, so they are checked before decoding: that it is a regular file, its size in bytes, its width
+and height, and that every chunk of a PNG is intact.
 """
 
 import io
@@ -22,8 +25,8 @@ PNG = b"\x89PNG\r\n\x1a\n"
 KINDS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP", "PPM")
 MOST_PIXELS = 4096 * 4096
 MOST_BYTES = 256 * 2**20
-LEAST_CONTRAST = 16  # levels: a frame of fewer is dark or covered, and says nothing of colours
-OF_PALETTE = 3  # the colour type of a PNG whose pixels are numbers of colours
+LEAST_CONTRAST = 16  # levels: a frame of less contrast is dark or covered, and its colours mean nothing
+OF_PALETTE = 3  # colour type of a PNG whose pixels are palette indices
 PALETTE = "has a palette of at most 256 colours, too few to see the light fall; save it in true colour"
 HINT = f"give {', '.join(KINDS[:-1])} or {KINDS[-1]}"
 
@@ -31,8 +34,8 @@ HINT = f"give {', '.join(KINDS[:-1])} or {KINDS[-1]}"
 def read_image(path: str | Path, size: tuple[int, int] | None = None, hint: str = HINT) -> np.ndarray:
     """A picture file as RGB (height, width, 3) uint8.
 
-    size is the (width, height) it must have. What is missing, no regular file, no picture, larger than 4096 x 4096
-    pixels or of another size raises BadInput.
+    size is the (width, height) it must have. Raises BadInput for a file that is missing, not regular, no image,
+    larger than 4096 x 4096 pixels or of another size.
     """
     path = Path(path)
     image = decode(read_bytes(path, hint, MOST_BYTES), str(path), hint)
@@ -47,16 +50,16 @@ def read_image(path: str | Path, size: tuple[int, int] | None = None, hint: str 
 def read_logged_image(
     folder: Path, name: str, size: tuple[int, int], hint: str = "restore it, or empty the log's column `image`"
 ) -> np.ndarray:
-    """A picture that a log names below its dataset's folder; a path that leads out of it raises BadInput."""
+    """An image that a log names below its dataset's folder; a path that leads out of it raises BadInput."""
     if not stays_inside(folder, name):
-        raise BadInput(f"{folder}/log.csv: image {name!r} leads out of the dataset's folder; give a path inside it")
+        raise BadInput(f"{folder}/log.csv: image {name!r} points outside the dataset's folder; give a path inside it")
     return read_image(folder / name, size, hint)
 
 
 def stays_inside(folder: Path, name: str) -> bool:
-    """Whether a path that a log names lies below its dataset's folder, or below a folder in it that is a link to another disk.
+    """Whether a path in a log stays below its dataset's folder.
 
-    No other link leads out of it, and no `..` or absolute path does.
+    Its first folder may be a link to another disk. Other links, `..` and absolute paths must not lead out.
     """
     parts = Path(name).parts
     try:
@@ -70,7 +73,7 @@ def stays_inside(folder: Path, name: str) -> bool:
 
 
 def decode(data: bytes, where: str, hint: str = HINT) -> np.ndarray:
-    """Bytes of a picture as RGB (height, width, 3) uint8; what cannot be decoded raises BadInput."""
+    """Bytes of an image file as RGB (height, width, 3) uint8; what cannot be decoded raises BadInput."""
     import cv2
 
     if not data.startswith(PNG):
@@ -94,19 +97,19 @@ def decode(data: bytes, where: str, hint: str = HINT) -> np.ndarray:
 
 
 def is_monochrome(image: np.ndarray) -> bool:
-    """Whether an RGB image (h, w, 3) uint8 shows something, but all of it without colour, as from a monochrome camera."""
+    """Whether an RGB image (h, w, 3) uint8 has contrast but no colour, as from a monochrome camera."""
     red = image[..., 0]
     grey = (red == image[..., 1]).all() and (red == image[..., 2]).all()
     return bool(grey and np.ptp(red) > LEAST_CONTRAST)
 
 
 def _claim_fault(data: bytes) -> str | None:
-    """What is wrong with what the header of any other format says; Pillow reads headers without decoding."""
+    """What is wrong with the header of a format other than PNG; Pillow reads headers without decoding."""
     from PIL import Image, UnidentifiedImageError
 
     try:
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # what matters is checked below and by the decoder
+            warnings.simplefilter("ignore")  # size and decoding are checked explicitly
             with Image.open(io.BytesIO(data), formats=KINDS) as header:
                 return _size_fault(header.size) or (PALETTE if header.mode == "P" else None)
     except Image.DecompressionBombError:
@@ -137,7 +140,7 @@ def write_png(path: str | Path, image: np.ndarray, compression: int | None = Non
             part.write_bytes(encode_png(image, compression))
     except OSError as error:
         raise GelforgeError(
-            f"{path}: the image could not be written ({error.strerror}); free space or mend the folder"
+            f"{path}: the image could not be written ({error.strerror}); free space or repair the folder"
         ) from error
 
 
@@ -150,12 +153,12 @@ def encode_jpeg(image: np.ndarray, quality: int) -> bytes:
 
 
 def as_jpeg(image: np.ndarray, quality: int) -> np.ndarray:
-    """An RGB picture (height, width, 3) uint8 as it comes back from JPEG of a quality from 1 to 100."""
+    """An RGB image (height, width, 3) uint8 after JPEG compression at a quality from 1 to 100."""
     return decode(encode_jpeg(image, quality), "an image just coded")
 
 
 def bad_image(press: PressRecord, file: str, folder: str | Path, size: tuple[int, int] | None) -> Rejection | None:
-    """Why a press's image cannot be used; `folder` is the dataset's, `size` the sensor's width and height where it is known."""
+    """Why a press's image cannot be used; folder: of the dataset. size: the sensor's (width, height), if known."""
 
     def no(reason: str, hint: str) -> Rejection:
         return reject(press, file, "image", reason, hint)
@@ -189,22 +192,19 @@ def bad_image(press: PressRecord, file: str, folder: str | Path, size: tuple[int
 
 
 def png_fault(data: bytes) -> tuple[str | None, tuple[int, int]]:
-    """What is wrong with PNG bytes (None where nothing is), and width and height."""
+    """What is wrong with PNG bytes, or None, and the image's (width, height)."""
     if not data.startswith(PNG):
         return "is not a PNG file" if data else "is empty", (0, 0)
     fault, size = _chunk_fault(data)
     fault = fault or _size_fault(size) or _decode_fault(data)
-    if not fault and b"eXIf" in data:  # which may turn it by 90 degrees
+    if not fault and b"eXIf" in data:  # its orientation may rotate the image by 90 degrees
         height, width, _ = decode(data, "the image").shape
         size = width, height
     return fault, size
 
 
 def _chunk_fault(data: bytes) -> tuple[str | None, tuple[int, int]]:
-    """Walk the chunks and their checksums: decoders show half a truncated file without complaint.
-
-    PNG specification, 5.3.
-    """
+    """Check the chunks and their checksums, because decoders accept truncated files (PNG specification, 5.3)."""
     at, size, kind = len(PNG), (0, 0), b""
     while kind != b"IEND":
         if at + 12 > len(data):

@@ -7,17 +7,18 @@ An uncompressed .npz. `n` samples:
 | sample_id, status | (n,) str | as in the forces; a sample without a valid state has labels of NaN |
 | label | (n, 3, rows, cols) float32 | N per cell along gel x, y, z |
 | outside | (n, 3) float64 | N that fell outside the image, along the same axes |
-| press_id | (n,) str | where samples are frames of a press: which one |
-| extrapolated | (n,) float64 | factor for the size of hexahedra that the forces hold and displacement does not; 1: none |
-| error_n, cells_error_n | (n,) float64 | N by which the size of the total force, and the forces per cell of 24 x 32 summed, may be off: nine of ten are within; NaN: not known |
-| c10 | () float64 | MPa, the material that the forces belong to; absent where they were read by a sensor |
+| press_id | (n,) str | only if samples are frames of a press: its identifier |
+| extrapolated | (n,) float64 | factor that corrects forces, not displacement, for the size of hexahedra; 1: none |
+| error_n | (n,) float64 | N, 90 % bound on the error of the total force's magnitude; NaN: not known |
+| cells_error_n | (n,) float64 | N, the same of the forces per cell of a 24 x 32 grid, summed over cells |
+| c10 | () float64 | MPa, the material of the forces; absent where a force sensor measured them |
 | c10_interval68, c10_interval95 | (2,) float64 | MPa, where the material was calibrated; labels scale with c10 |
 
-Only where `[labels] channels` asks for them, NaN in cells that show no gel:
+Only if `[labels] channels` asks for them, NaN in cells that show no gel:
 
 | array | shape, type | meaning |
 | --- | --- | --- |
-| displacement | (n, 3, rows, cols) float32 | mm, mean over the piece of surface that the cell shows before the touch |
+| displacement | (n, 3, rows, cols) float32 | mm, mean over the piece of the undeformed surface that the cell shows |
 | traction, area | (n, 3, rows, cols), (n, rows, cols) float32 | kPa on the undeformed area, and that area, mm^2 |
 | traction_deformed, area_deformed | the same | kPa on the deformed area of the same piece, and that area |
 """
@@ -49,9 +50,9 @@ def write_labels(
 ) -> None:
     """Write a shard whose label array of `shape` comes in consecutive `blocks` (b, 3, rows, cols) float32.
 
-    Labels are streamed, because a large shard at a fine resolution does not fit in memory, and so are `fields`, by
-    name their shape and blocks. `arrays` are the others, by name; they are written after the last label block, so
-    that what the blocks fill in is in them. Whole or not at all.
+    Labels are streamed, because a large shard at a fine resolution does not fit in memory. So are `fields`: shape and
+    blocks by name. `arrays`: the others by name, written after the last label block, so that producing the blocks may
+    fill them. Whole or not at all.
     """
     with publish(path) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_STORED, allowZip64=True) as archive:
         _stream(archive, "label", shape, blocks)
@@ -70,7 +71,7 @@ def _stream(archive: zipfile.ZipFile, name: str, shape: tuple[int, ...], blocks:
             member.write(np.ascontiguousarray(block, "<f4").data)
 
 
-# Arrays beside the forces that a shard may have, and their dimensions.
+# Optional arrays of a shard beside the forces, and their numbers of dimensions.
 FIELDS = {"displacement": 4, "traction": 4, "area": 3, "traction_deformed": 4, "area_deformed": 3}
 SCHEMA = Schema(
     "a label shard",
@@ -109,7 +110,7 @@ class LabelShard:
 
 
 def open_labels(path: str | Path) -> Archive:
-    """A label file to read single arrays of."""
+    """A label file, for reading single arrays."""
     hint = f"delete it and run {command_for('labels', path)} again, or import it again"
     return Archive(path, SCHEMA, hint)
 
@@ -117,8 +118,8 @@ def open_labels(path: str | Path) -> Archive:
 def read_labels(path: str | Path) -> LabelShard:
     """Read a label file, made by stage 50 or imported, and check it.
 
-    An array that is missing or has another form, a status that is none, a sample_id that stands twice and a valid
-    sample whose label is not finite raise BadInput that names the file and the sample.
+    Raises BadInput, naming file and sample, for an array that is missing or malformed, an unknown status, a repeated
+    sample_id and a valid sample whose label is not finite.
     """
     with open_labels(path) as file:
         names, states = file["sample_id"], file["status"]
@@ -149,7 +150,7 @@ def _check_shapes(
     press: np.ndarray,
     fields: dict[str, np.ndarray],
 ) -> None:
-    """BadInput where arrays of a label file do not fit each other."""
+    """BadInput if the shapes of the arrays of a label file do not match."""
     n = len(names)
     if not (len(states) == len(label) == len(outside) == len(press) == n and label.shape[1] == 3 == outside.shape[1]):
         raise BadInput(
@@ -162,21 +163,23 @@ def _check_shapes(
 
 
 def _statuses(where: str | Path, names: np.ndarray, states: np.ndarray) -> list[Status]:
-    """The status of each sample; BadInput for one that is none, and for a sample_id that stands twice."""
+    """The status of each sample; BadInput for an unknown status and a repeated sample_id."""
     ids, counts = np.unique(names, return_counts=True)
     if (counts > 1).any():
         first = counts.argmax()
         raise BadInput(
-            f"{where}: sample {ids[first]} stands {counts[first]} times; give every label its own sample_id"
+            f"{where}: sample {ids[first]} occurs {counts[first]} times; give every label its own sample_id"
         )
     for name, state in zip(names.tolist(), states.tolist(), strict=True):
         if state not in Status.__members__:
-            raise BadInput(f"{where}: sample {name}: status {state!r} is none of {', '.join(Status.__members__)}")
+            raise BadInput(
+                f"{where}: sample {name}: unknown status {state!r}; use one of {', '.join(Status.__members__)}"
+            )
     return [Status[state] for state in states]
 
 
 def _check_values(shard: LabelShard) -> None:
-    """BadInput for a valid sample whose label is not finite, and for a stiffness that is none."""
+    """BadInput for a valid sample whose label is not finite, and for a stiffness that is not positive and finite."""
     lost = np.array([not state.valid for state in shard.status], bool) | np.isfinite(shard.label).all(axis=(1, 2, 3))
     if not lost.all():
         raise BadInput(
@@ -188,11 +191,11 @@ def _check_values(shard: LabelShard) -> None:
 
 
 def to_float32(values: np.ndarray, group: np.ndarray, groups: int) -> np.ndarray:
-    """Round values (k,) to float32 (k,) so that the sum of each group stays what it was.
+    """Round values (k,) to float32 (k,) so that the sum of each group is kept.
 
-    group (k,) numbers the values' groups from 0 to groups - 1. Rounding each value alone would lose some
-    1e-8 of a sum. What is lost is put into one small value, whose spacing of float32 numbers is fine
-    enough to hold it, and which is a thousand times what it takes in.
+    group (k,) numbers the values' groups from 0 to groups - 1. Rounding each value alone would change a sum by some
+    1e-8. The difference is added to the smallest value that is at least a thousand times as large: small, so that
+    float32 resolves the difference there.
     """
     rounded = values.astype(np.float32)
     lost = np.bincount(group, values - rounded, groups)

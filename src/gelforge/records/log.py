@@ -1,4 +1,4 @@
-"""The raw log and its shards as files: one reader of rows, one way to number them."""
+"""Files of presses: the raw log, its shards, the pose table and rejections; rows are numbered by lines of the log."""
 
 import csv
 import io
@@ -34,22 +34,22 @@ from gelforge.records.table import other_separator, read_table, write_table
 
 P = TypeVar("P", bound=PressRecord)
 
-MOST_NOTES = 100  # lines above a header among which it is looked for
+MOST_NOTES = 100  # rows at the top of a file among which a misplaced header is looked for
 REJECTION_COLUMNS = ("file", "row", "sample_id", "column", "value", "reason", "hint")
 POSED_COLUMNS = ("row", "sample_id", "sensor_id", "gel_id", "indenter", *POSE, *FORCES, "image", "stl")
 
 
 def read_log(path: str | Path) -> list[RawRow]:
-    """Rows of a raw log, each numbered by the line it begins at; blank lines count and are no rows.
+    """Rows of a raw log, each numbered by the line it begins at; blank lines are counted but are no rows.
 
-    Cells are stripped, columns of other names are not read. A log without rows, without sample_id, with a column
-    twice or with one whose name is nearly that of an optional one, or of one that is missing, raises BadInput.
+    Cells are stripped, unknown columns ignored. Raises BadInput for a log without rows or sample_id, with a column
+    twice, or with a column whose name is close to that of an optional or a missing one.
     """
     return _some(_read(Path(path), KNOWN, needed=("indenter", *POSE)), path)
 
 
 def read_shard(path: str | Path) -> list[RawRow]:
-    """Rows of a shard that `shard_text` wrote, with their line in the log; of a log alike."""
+    """Rows of a shard that `shard_text` wrote, numbered by their lines in the log; reads a log, too."""
     return _some(_read(Path(path), (*KNOWN, "row", "fault")), path)
 
 
@@ -77,7 +77,7 @@ def _read(
             if "sample_id" in _spelt([cell.strip() for cell in cells], known)
         ]
         if below:
-            raise BadInput(f"{path}: its header stands in line {below[0]}; remove the lines above it")
+            raise BadInput(f"{path}: its header is in line {below[0]}; remove the lines above it")
     places = _places(path, header, known)
     for name in needed:
         near = get_close_matches(name, sorted(set(header) - set(known)), 1, 0.5) if name not in places else []
@@ -90,7 +90,7 @@ def _read(
 
 
 def _records(path: Path, text: str) -> list[tuple[int, list[str]]]:
-    """Line at which each record of a CSV file begins, and its cells; blank lines are none. BadInput where it is not strict CSV."""
+    """First line and cells of each record of a CSV file, blank lines skipped; BadInput if it is not strict CSV."""
     reader, found, start = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True, strict=True), [], 1
     try:
         for cells in reader:
@@ -111,16 +111,16 @@ def _some(rows: list[RawRow], path: str | Path) -> list[RawRow]:
 
 
 def _spelt(header: list[str], known: tuple[str, ...]) -> list[str]:
-    """A header whose known columns are spelt as they are here: Sample_ID, X0 mm and dz-mm are known by their letters.
+    """A header with known columns in our spelling: Sample_ID, X0 mm and dz-mm are recognised by their letters.
 
-    A column that stands there as it is spelt here is that column, whatever another one is called.
+    A column in exactly our spelling takes precedence over others that are similar.
     """
     plain = (re.sub(r"[\s\-]+", "_", name.strip("\ufeff ")).lower() for name in header)
     return [like if like in known and like not in header else name for name, like in zip(header, plain, strict=True)]
 
 
 def _places(path: Path, header: list[str], known: tuple[str, ...]) -> dict[str, int]:
-    """Where each known column stands in the header."""
+    """Position of each known column in the header."""
     if "sample_id" not in header:
         seen = printable(", ".join(header))[:200] or "no header"
         other = other_separator(header)
@@ -128,7 +128,7 @@ def _places(path: Path, header: list[str], known: tuple[str, ...]) -> dict[str, 
         raise BadInput(f"{path}: column sample_id is missing, so it holds no presses; seen: {seen}{hint}")
     for name in known:
         if header.count(name) > 1:
-            raise BadInput(f"{path}: column {name} stands {header.count(name)} times in the header; keep one of them")
+            raise BadInput(f"{path}: column {name} occurs {header.count(name)} times in the header; keep one of them")
     for name in header:
         near = get_close_matches(name.lower(), OPTIONAL, 1, 0.8)
         if near and name not in known:
@@ -149,7 +149,7 @@ def _row(line: int, cells: list[str], places: dict[str, int], header: list[str])
 def write_log(path: str | Path, presses: Iterable[LoggedPress], decimals: dict[str, int] | None = None) -> None:
     """Write presses as a raw log that `read_log` and `parse` read back to the last digit.
 
-    decimals: digits behind the point, by column, where the shortest text that reads back is not used.
+    decimals: digits after the point by column; other columns get the shortest text that reads back exactly.
     """
     rows = [press.cells() for press in presses]
     for cells in rows:
@@ -158,7 +158,7 @@ def write_log(path: str | Path, presses: Iterable[LoggedPress], decimals: dict[s
 
 
 def read_presses(path: str | Path) -> list[LoggedPress]:
-    """Presses of a log that a program wrote; a row that cannot be read raises BadInput."""
+    """Presses of a log written by a program; a row that cannot be read raises BadInput."""
     presses = []
     for raw in read_log(path):
         press, wrong = parse(raw, str(path))
@@ -169,18 +169,18 @@ def read_presses(path: str | Path) -> list[LoggedPress]:
 
 
 def write_poses(path: str | Path, presses: Iterable[PosedPress]) -> None:
-    """Write a pose table with the lines that its presses have in the log, whole or not at all."""
+    """Write a pose table with its presses' line numbers in the log, whole or not at all."""
     write_table(path, POSED_COLUMNS, [{"row": press.row, **press.cells()} for press in presses])
 
 
 def fixed(value: float, places: int) -> str:
-    """A number with so many digits behind the point, never a negative zero."""
+    """A number with so many digits after the point, never a negative zero."""
     text = f"{value:.{places}f}"
     return text if float(text) else f"{0.0:.{places}f}"
 
 
 def read_poses(path: str | Path) -> list[PosedPress]:
-    """Presses of a pose table, by their lines in the log; one that stage 10 cannot have written raises BadInput."""
+    """Presses of a pose table, numbered by lines of the log; BadInput for one that stage 10 cannot have written."""
     known, hint = (*KNOWN, "row", "stl"), f"run {command_for('poses', path)}"
     return [parse_posed(raw, str(path)) for raw in _read(Path(path), known, hint)]
 
@@ -200,7 +200,7 @@ def without_duplicates(presses: list[P], file: str) -> tuple[list[P], list[Rejec
 
 
 def unknown_names(press: PressRecord, file: str, sensors: Iterable[str], indenters: Iterable[str]) -> list[Rejection]:
-    """Rejections of a sensor or an indenter that its catalogue does not have."""
+    """Rejections of a press whose sensor or indenter is in no table."""
     wrong = []
     for column, name, known, where in (
         ("sensor_id", press.sensor_id, list(sensors), f"no such sensor in {SENSOR_TABLES}"),
@@ -208,7 +208,7 @@ def unknown_names(press: PressRecord, file: str, sensors: Iterable[str], indente
     ):
         if name not in known:
             near = get_close_matches(name, known, 1)
-            meant = f"; is {near[0]} meant?" if near else ""
+            meant = f"; did you mean {near[0]}?" if near else ""
             wrong.append(
                 reject(press, file, column, where, f"add it there, or write a name that stands there{meant}")
             )
@@ -221,11 +221,11 @@ def write_rejections(path: str | Path, rejections: Iterable[Rejection]) -> None:
 
 
 def rejected_rows(path: str | Path, but: str = "") -> set[int]:
-    """Lines of the log that a table of rejections names, those for column `but` alone left out."""
+    """Lines of the log in a table of rejections, without rejections for column `but`."""
     found, hint = set(), f"delete it and run {command_for('poses', path)}"
     for cells in read_table(path, hint):
         if not cells.get("row", "").isdigit() or "column" not in cells:
-            raise BadInput(f"{path}: is no table of rejected rows; {hint}")
+            raise BadInput(f"{path}: is not a table of rejected rows; {hint}")
         if cells["column"] != but:
             found.add(int(cells["row"]))
     return found

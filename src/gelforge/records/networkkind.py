@@ -1,4 +1,4 @@
-"""The kinds of networks, and what is known of each before one is built; their layers are in networks.models."""
+"""The kinds of networks and their properties, without torch; their layers are in learning.nets."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -6,18 +6,18 @@ from typing import Any
 
 from gelforge.errors import BadInput
 
-LIMITS = {"width": (1, 4096), "widths": (1, 4096), "blocks": (0, 64)}  # least and most of what sizes are built
-MOST_LEVELS = 16  # numbers of a size that is a list
-BESIDES = ("kind", "note", "train", "start")  # what a network's table says beside its sizes
+LIMITS = {"width": (1, 4096), "widths": (1, 4096), "blocks": (0, 64)}  # least and largest allowed sizes
+MOST_LEVELS = 16  # most numbers in a size that is a list
+BESIDES = ("kind", "note", "train", "start")  # keys of a network's table that are no sizes
 
 
 @dataclass(frozen=True)
 class NetworkKind:
-    """What is known of a kind of network.
+    """Properties of a kind of network.
 
-    sizes: by name, int for one that is a whole number, list for one that is a list of them. pair: whether it reads an image
-    beside a no-contact image, or the image alone. image_seconds: of a processor, measured, that an image takes in one epoch
-    of training. colour: in charts, a name that matplotlib knows.
+    sizes: by name, int for a whole number, list for a list of them. pair: whether it reads a no-contact image beside
+    the image. image_seconds: measured CPU time per training image and epoch, s. colour: in charts, a name of
+    matplotlib's.
     """
 
     sizes: Mapping[str, type]
@@ -33,7 +33,7 @@ KINDS = {
 
 
 def kind_of(model: Mapping[str, Any]) -> NetworkKind:
-    """What is known of the kind of a network by its table of workflow/models.toml; BadInput where there is no such kind."""
+    """The kind of a network, from its table of workflow/models.toml; BadInput for an unknown kind."""
     name = model.get("kind")
     if not isinstance(name, str) or name not in KINDS:
         raise BadInput(f"unknown kind of network {str(name)[:60]!r}: use one of {', '.join(sorted(KINDS))}")
@@ -41,7 +41,7 @@ def kind_of(model: Mapping[str, Any]) -> NetworkKind:
 
 
 def sizes_of(model: Mapping[str, Any]) -> dict[str, Any]:
-    """The sizes of a network by its table; BadInput for one that its kind has not, or that no network is built of."""
+    """The sizes of a network, from its table; BadInput for one that its kind does not have or outside LIMITS."""
     known = kind_of(model).sizes
     sizes = {name: value for name, value in model.items() if name not in BESIDES}
     for name, value in sizes.items():

@@ -10,25 +10,25 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.records.film import Film, Frame, open_source, source_name
 
-SETTLING = 8  # frames that a camera takes to set its exposure and colours, at least
-STILL = 5  # frames in a row that must be alike
-ALIKE = 0.5  # levels by which each may differ from their mean, on average over the image
-SMALL = (40, 30)  # px at which frames are compared
-FEWEST = SETTLING + STILL  # least number of frames by which the sensor is known to be at rest
+SETTLING = 8  # fewest frames that a camera takes to set its exposure and colours
+STILL = 5  # consecutive frames that must be alike
+ALIKE = 0.5  # grey levels; largest mean absolute difference of each of these frames from their mean
+SMALL = (40, 30)  # px; size at which frames are compared
+FEWEST = SETTLING + STILL  # fewest frames that show whether the sensor is at rest
 MOST = 300  # frames within which a sensor is expected to be at rest
 
 
 def find_nocontact(frames: Iterable[Frame], name: str) -> tuple[np.ndarray, Iterator[Frame]]:
-    """The no-contact image (h, w, 3) uint8 at the start of a stream, colours as in its frames, and the stream from the frames that it is made of.
+    """The no-contact image (h, w, 3) uint8 at the start of a stream, colours in its order, and the stream after it.
 
-    Frames before these belong to a camera that had not settled, or to a contact, and are not given back: against this
-    image their forces would be wrong. frames: begin while nothing touches the sensor. Raises BadInput where none of the
-    first MOST frames are at rest.
+    The returned stream begins with the frames that the image is the mean of. Earlier frames are dropped: they show a
+    contact, or come from a camera that had not settled, and their forces relative to this image would be wrong.
+    frames: begin without contact. Raises BadInput if the sensor is not at rest within the first MOST frames.
     """
     import cv2
 
     rest, seen = iter(frames), 0
-    held: deque[tuple[Frame, np.ndarray]] = deque(maxlen=STILL)  # however large they are, few are kept
+    held: deque[tuple[Frame, np.ndarray]] = deque(maxlen=STILL)  # few, because frames may be large
     for frame in itertools.islice(rest, MOST):
         seen += 1
         held.append((frame, cv2.resize(frame.image, SMALL, interpolation=cv2.INTER_AREA).astype(float)))
@@ -58,9 +58,9 @@ def _mean(images: list[np.ndarray]) -> np.ndarray:
 
 
 def nocontact_of(video: Path | None, camera: int | None, mode: tuple[int, int] | None = None) -> np.ndarray:
-    """The no-contact image (h, w, 3) uint8 RGB at the start of a film, or of what a camera shows now."""
+    """The no-contact image (h, w, 3) uint8 RGB at the start of a film or from a camera; BadInput if none is found."""
     name = source_name(video, camera)
     with open_source(video, camera, mode) as (source, _):
-        # only the start is looked at, so a film that is cut short serves
+        # only the start is read, so a truncated film is good enough
         picture, _ = find_nocontact(Film(source, 0, name, None, camera is not None), name)
     return np.ascontiguousarray(picture[:, :, ::-1])

@@ -1,4 +1,4 @@
-"""What a network read in every image of a dataset, beside its evaluation.
+"""Predictions of a network for every image of a dataset, stored with its evaluation.
 
 An uncompressed .npz. `n` images, in the order of samples.csv:
 
@@ -6,7 +6,7 @@ An uncompressed .npz. `n` images, in the order of samples.csv:
 | --- | --- | --- |
 | sample_id | (n,) str | |
 | total | (n, 3) float32 | N, along gel x, y, z |
-| forces | (n, 3, rows, cols) float16 | N per cell; rows and cols are 1 where a network knows totals only |
+| forces | (n, 3, rows, cols) float16 | N per cell; rows and cols are 1 for a network of totals only |
 """
 
 from pathlib import Path
@@ -21,7 +21,7 @@ SCHEMA = Schema("a file of predictions", {"sample_id": ("U", 1), "total": ("f", 
 
 
 def write_predictions(path: str | Path, sample_id: np.ndarray, forces: np.ndarray) -> None:
-    """Write forces (n, 3, rows, cols) in N per cell of the samples named, whole or not at all."""
+    """Write forces (n, 3, rows, cols) in N per cell of the samples `sample_id` (n,), whole or not at all."""
     total = forces.sum((2, 3), dtype=np.float64).astype(np.float32)
     with publish(path) as part, part.open("wb") as stream:
         np.savez(stream, sample_id=np.asarray(sample_id, dtype=str), total=total, forces=forces.astype(np.float16))

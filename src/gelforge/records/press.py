@@ -1,7 +1,7 @@
-"""A press from the log to the report: what a row says, as a typed record, and the one parser of its cells.
+"""A press as a typed record of a row, from the log to the report, and the only parser of its cells.
 
 `LoggedPress` is a row of the raw log, `PosedPress` one of the pose table that stage 10 writes. Lengths are mm, angles
-degrees, forces N, moments N m. A row's number is its line in the log as an editor shows it, in every file and message.
+degrees, forces N, moments N m. In every file and message, a row's number is its line in the log, as in an editor.
 """
 
 import math
@@ -14,18 +14,18 @@ from typing import TYPE_CHECKING, Any
 from gelforge.errors import BadInput, printable
 from gelforge.flow.layout import command_for
 
-if TYPE_CHECKING:  # a plan reads logs without arrays: numpy would double its start
+if TYPE_CHECKING:  # commands that only read logs need no arrays: importing numpy would double their start-up time
     import numpy as np
 
 POSE = ("x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg")
-MOST_NAMED = 5  # pictures in one message, and presses of one picture
+MOST_NAMED = 5  # most images named in one message, and most presses named for an image
 FORCE = ("fx_n", "fy_n", "fz_n")
 MOMENT = ("mx_nm", "my_nm", "mz_nm")
 FORCES = (*FORCE, *MOMENT)
 COLUMNS = ("sample_id", "time_utc", "sensor_id", "gel_id", "indenter", *POSE, *FORCES, "image")
 OPTIONAL = ("press_id",)
 KNOWN = (*COLUMNS, *OPTIONAL)
-# Where the tables of the sensors and indenters stand that rows name.
+# Files with the tables of the sensors and indenters that rows name.
 SENSOR_TABLES = "workflow/sensors.toml or the dataset's own sensors.toml"
 INDENTER_TABLES = (
     "workflow/indenters.toml (or the catalogue that dataset.toml names) or the dataset's own indenters.toml"
@@ -38,13 +38,13 @@ LARGEST = {
     **dict.fromkeys(FORCE, 500.0),
     **dict.fromkeys(MOMENT, 20.0),
 }
-# A force sensor that drifted reads a light press as a small pull; beyond this the sign is turned round.
+# A drifted force sensor may read a light press as a small pull; a larger pull means that the sign is reversed.
 LARGEST_PULL_N = 0.5
-SHALLOW, BORNE = 0.01, 1.0  # mm and N: no gel bears so much where it is pressed by so little, metres were written
+SHALLOW, BORNE = 0.01, 1.0  # mm and N: no gel bears such a force at so small a depth, so depths are in metres
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 _ID = re.compile(r"[A-Za-z0-9][A-Za-z0-9_.\-]{0,99}", re.ASCII)
 
-# Why the cells of a row cannot be separated: column that the rejection names, reason, hint.
+# Faults of a row that leave its cells unreliable: column that the rejection names, reason, hint.
 ROW_FAULTS = {
     "more_cells": (
         "sample_id",
@@ -77,7 +77,7 @@ class Press:
     rot_deg: float = 0.0
 
     def pose(self, press: float, shear: float) -> "tuple[np.ndarray, np.ndarray]":
-        """Rotation (3, 3) and translation (3,) of the indenter frame at fractions of the path."""
+        """Rotation (3, 3) and translation (3,) mm of the indenter frame at fractions of the way down and sideways."""
         import numpy as np
 
         angle = np.deg2rad(self.rot_deg)
@@ -93,15 +93,15 @@ class Press:
 
     @property
     def straight_there(self) -> "Press":
-        """The press straight down that ends in the pose in which this one ends."""
+        """The press straight down that ends in the same pose."""
         return replace(self, x0=self.x0 + self.dx, y0=self.y0 + self.dy, dx=0.0, dy=0.0)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PressRecord:
-    """What the log says of one press: a force that was not measured is None, a pose that was not logged NaN.
+    """What the log says of one press; a force that was not measured is None, a pose that was not logged NaN.
 
-    press_id: rows that share one are frames of one press (`records.frames`); empty where the row stands alone.
+    press_id: shared by the frames of one press (`records.frames`); empty where the row is the only one.
     """
 
     row: int
@@ -156,7 +156,7 @@ class LoggedPress(PressRecord):
 
 @dataclass(frozen=True, kw_only=True)
 class PosedPress(PressRecord):
-    """One row of the pose table: the path is that of the tip against the gel; stl names the posed surface."""
+    """One row of the pose table: the path of the tip relative to the gel; stl names the posed surface."""
 
     stl: str = ""
 
@@ -171,13 +171,13 @@ class RawRow:
 
     @property
     def press_id(self) -> str:
-        """What rows of one press share; empty where the row stands alone."""
+        """Identifier that rows of one press share; empty where the row is the only one."""
         return self.cells.get("press_id", "")
 
 
 @dataclass(frozen=True)
 class Rejection:
-    """Why one cell keeps its row out, and what to do; text of the log is shown as `printable`."""
+    """Why a row is rejected for one cell, and what to do; text of the log is shown as `printable`."""
 
     file: str
     row: int
@@ -201,10 +201,9 @@ MOST_ROWS = 5  # of one reason that are listed by number
 
 
 def summarised(rejections: Iterable[Rejection], verdict: str = "rejected") -> list[str]:
-    """A line for each reason against a column, as of its first row, with how many rows more it holds for and the first of them.
+    """One line per column, reason and hint: the first rejection, the number of further rows and the first of these.
 
-    A log that lacks a column has the same reason against every row. What else is to be done is named beside each. verdict:
-    what becomes of the rows.
+    A log that lacks a column gives the same reason for every row. verdict: what becomes of the rows.
     """
     alike: dict[tuple[str, str, str], list[Rejection]] = {}
     for one in rejections:
@@ -221,7 +220,7 @@ def _more(others: list[Rejection]) -> str:
 
 
 def reject(press: PressRecord, file: str, column: str, reason: str, hint: str) -> Rejection:
-    """A rejection of one cell of a press that could be read."""
+    """A rejection for one cell of a press whose row was parsed."""
     return Rejection(
         file, press.row, press.sample_id, column, printable(_cell(getattr(press, column)))[:200], reason, hint
     )
@@ -229,18 +228,18 @@ def reject(press: PressRecord, file: str, column: str, reason: str, hint: str) -
 
 def parse_number(text: str) -> float | None:
     """The finite float that plain decimal text stands for, else None."""
-    text = text.replace("\u2212", "-")  # the minus sign of print
+    text = text.replace("\u2212", "-")  # typographic minus sign
     value = float(text) if _NUMBER.fullmatch(text) else math.nan
     return value if math.isfinite(value) else None
 
 
 def names_files(name: str) -> bool:
-    """Whether a name may be that of a file or folder of ours (ID_RULE)."""
+    """Whether a name may be used for our files and folders (ID_RULE)."""
     return _ID.fullmatch(name) is not None
 
 
 def check_id(name: str, what: str = "sample_id") -> str:
-    """A name that may name files, as it is; any other raises BadInput. what: it is, for the message."""
+    """The name, if it may be used for files; any other raises BadInput. what: what is named, for the message."""
     if not names_files(name):
         raise BadInput(f"{what} {name[:100]!r} is not usable as a file name; use {ID_RULE}")
     return name
@@ -249,10 +248,11 @@ def check_id(name: str, what: str = "sample_id") -> str:
 def parse(raw: RawRow, file: str, needed: Collection[str] = COLUMNS) -> tuple[LoggedPress | None, list[Rejection]]:
     """One raw row as a typed press, or None and every reason against it.
 
-    Columns that are not `needed` may be missing or hold anything: what cannot be read of them stays empty.
+    Columns that are not `needed` may be missing or, but for OPTIONAL ones, hold anything: unreadable cells stay
+    empty.
     """
     absent = [name for name in COLUMNS if name in needed and name not in raw.cells]
-    if raw.fault == "more_cells" and absent:  # as where the header lost a column's name
+    if raw.fault == "more_cells" and absent:  # for example, the header lacks a column's name
         return None, [
             _rejection(raw, file, name, ABSENT, f"write {name} there again, at its place") for name in absent
         ]
@@ -295,7 +295,7 @@ def _cell(value: str | float | None) -> str:
 
 
 def judge_cell(name: str, text: str | None) -> tuple[str | float | None, tuple[str, str] | None]:
-    """Value of a cell, or what stands for none and what is wrong: (reason, hint)."""
+    """Value of a cell and None, or the empty value of its column and what is wrong: (reason, hint)."""
     if text is None:
         hint = f"add a column {name} to the log{' (its cells may be empty)' if name in FORCES else ''}"
         if name == "image":
@@ -329,7 +329,7 @@ def _number_cell(name: str, text: str) -> tuple[float | None, tuple[str, str] | 
 
 
 def size_fault(name: str, value: float) -> tuple[str, str] | None:
-    """Why a number of a column of POSE or FORCES is of another unit, and what to do; None where it may be of ours."""
+    """Reason and hint for a number in a column of POSE or FORCES that is too large for our units, else None."""
     return (
         (f"larger than {LARGEST[name]:g}", "check the unit: mm, degrees, N and N m")
         if abs(value) > LARGEST[name]
@@ -338,7 +338,7 @@ def size_fault(name: str, value: float) -> tuple[str, str] | None:
 
 
 def pull_fault(fz_n: float) -> tuple[str, str] | None:
-    """Why a normal force on a gel that is pressed has a wrong sign, and what to do; None where it is one of pressing."""
+    """Reason and hint for a normal force that pulls on the gel, else None."""
     if fz_n <= LARGEST_PULL_N:
         return None
     hint = (
@@ -366,10 +366,10 @@ def _word_fault(name: str, text: str) -> tuple[str, str] | None:
 
 
 def repeats(records: Sequence[PressRecord | RawRow], pictures: Sequence[Hashable]) -> list[list[int]]:
-    """Numbers of the records that show one picture under different presses, for each such picture.
+    """For each image that several presses show, the numbers of the records that show it.
 
-    pictures: what stands for the content of each record's picture; None where it shows none. Frames of one press may show
-    one picture, as where a log runs faster than its camera.
+    pictures: key of the content of each record's image, None where it has no image. Frames of one press may share an
+    image, for example where a log runs faster than its camera.
     """
     found: dict[Hashable, list[int]] = {}
     for at, picture in enumerate(pictures):
@@ -380,7 +380,7 @@ def repeats(records: Sequence[PressRecord | RawRow], pictures: Sequence[Hashable
 
 
 def describe_repeats(where: str, records: Sequence[PressRecord], found: Sequence[Sequence[int]]) -> str:
-    """One sentence about `repeats`; where: the file that the presses are of."""
+    """One sentence about `repeats`; where: the file of the presses."""
     each = []
     for members in found[:MOST_NAMED]:
         names = [f"{records[at].sample_id} ({records[at].image})" for at in members]

@@ -1,7 +1,4 @@
-"""Files of others, opened only where they are what they should be: no pipe that never ends, no device, no folder.
-
-And never written over.
-"""
+"""Input files: only regular files are read (no pipe, device or folder), and no output replaces one of them."""
 
 import os
 import stat
@@ -18,13 +15,13 @@ KINDS = {
     stat.S_IFBLK: "a device",
 }
 LFS = b"version https://git-lfs"
-WORKBOOKS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")  # how .xlsx and .ods begin, and .xls
-LFS_BYTES = 1024  # of a pointer at most
-FOLDER = f"it is {KINDS[stat.S_IFDIR]}"  # what `file_fault` says of one
+WORKBOOKS = (b"PK\x03\x04", b"\xd0\xcf\x11\xe0")  # first bytes of .xlsx and .ods, and of .xls
+LFS_BYTES = 1024  # largest size of an LFS pointer
+FOLDER = f"it is {KINDS[stat.S_IFDIR]}"  # what `file_fault` returns for a folder
 
 
 def file_fault(path: Path) -> str | None:
-    """Why a path is no file that can be read whole, in a few words, or None."""
+    """Why a path is not a regular file with its content, in a few words, or None."""
     try:
         found = path.stat()
         if not stat.S_ISREG(found.st_mode):
@@ -39,7 +36,7 @@ def file_fault(path: Path) -> str | None:
 
 
 def bytes_or_fault(path: Path, most: int) -> tuple[bytes, str | None]:
-    """Bytes of a regular file of at most `most` bytes and None, or none and why there are none, in a few words."""
+    """Bytes of a regular file of at most `most` bytes and None, or b"" and the reason in a few words."""
     try:
         fault = file_fault(path)
         if fault is None and path.stat().st_size > most:
@@ -50,7 +47,7 @@ def bytes_or_fault(path: Path, most: int) -> tuple[bytes, str | None]:
 
 
 def read_bytes(path: Path, hint: str, most: int = 2**32) -> bytes:
-    """Bytes of a regular file of at most `most` bytes; anything else raises BadInput that ends with the hint."""
+    """Bytes of a regular file of at most `most` bytes; anything else raises BadInput with the hint at its end."""
     data, fault = bytes_or_fault(path, most)
     if fault is None:
         return data
@@ -60,23 +57,23 @@ def read_bytes(path: Path, hint: str, most: int = 2**32) -> bytes:
 
 
 def real_place(path: Path) -> Path:
-    """Where a path leads, links followed as far as they go; `Path.resolve` raises for one that leads to itself."""
+    """Target of a path with all links followed; unlike `Path.resolve` it does not raise for a link loop."""
     return Path(os.path.realpath(path))
 
 
 def refuse_to_replace(asked: str, written: Iterable[Path], read: Iterable[Path | None]) -> None:
-    """BadInput where a file that is written would take the place of one that is read.
+    """BadInput if a file that is written would replace one that is read.
 
-    asked: the option that names what is written, with its value, for the message. None among what is read is no file.
+    asked: the option that names the written file, with its value, for the message. None in `read` is ignored.
     """
     kept = {real_place(path) for path in read if path is not None}
     for path in written:
         if real_place(path) in kept:
-            raise BadInput(f"{asked}: {path} would take the place of a file that is read; name another place")
+            raise BadInput(f"{asked}: {path} would overwrite an input file; choose another path")
 
 
 def read_text(path: Path, hint: str) -> str:
-    """Text of a regular file in UTF-8, whatever byte order marks it begins with; line endings stay as they are."""
+    """Text of a regular file in UTF-8 without leading byte order marks, line endings kept; else BadInput."""
     data = read_bytes(path, hint)
     if data.startswith(WORKBOOKS):
         raise BadInput(f"{path}: is a workbook of Excel or LibreOffice, not text; save it there as CSV in UTF-8")

@@ -12,7 +12,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import DAMAGED
 from gelforge.records.arrays import in_short
 
-LET_GO = 512  # rows
+LET_GO = 512  # rows between two flushes
 HINT = "remove it and make the dataset again"
 
 
@@ -25,9 +25,9 @@ def map_array(path: Path) -> np.memmap:
 
 
 def array_on_disk(path: Path, dtype: type, shape: tuple[int, ...]) -> np.memmap:
-    """A new .npy file mapped for writing; OSError where the disk has no room for all of it.
+    """A new .npy file mapped for writing; OSError if the disk has no room for all of it.
 
-    The room is taken at once: a full disk would stop the whole process as soon as one of its pages is written to.
+    The space is allocated at once, because writing to a mapped page on a full disk kills the process.
     """
     mapped = np.lib.format.open_memmap(path, "w+", dtype, shape)
     with path.open("r+b") as file:
@@ -39,21 +39,21 @@ def array_on_disk(path: Path, dtype: type, shape: tuple[int, ...]) -> np.memmap:
 
 
 def write_rows(path: Path, dtype: type, shape: tuple[int, ...], rows: Iterable[np.ndarray]) -> None:
-    """Write a .npy file row by row; OSError where the disk has no room for all of it.
+    """Write a .npy file row by row; OSError if the disk has no room for all of it.
 
-    What was written is flushed and dropped from memory now and then: it would count as memory of the process, up to the whole file.
+    Written pages are flushed and dropped every LET_GO rows; otherwise they count as memory of the process.
     """
     mapped = array_on_disk(path, dtype, shape)
     for at, row in enumerate(rows):
         mapped[at] = row
         if at % LET_GO == LET_GO - 1:
             mapped.flush()
-            mapped._mmap.madvise(mmap.MADV_DONTNEED)  # type: ignore[attr-defined]  # what numpy mapped it by
+            mapped._mmap.madvise(mmap.MADV_DONTNEED)  # type: ignore[attr-defined]  # numpy's underlying mmap
     mapped.flush()
 
 
 class Rows(ABC):
-    """An array whose rows are read when they are asked for, each time anew: a number, a slice or a list of them."""
+    """An array whose rows are read on each access, by a number, a slice or a list of numbers."""
 
     shape: tuple[int, ...]
     dtype: np.dtype
@@ -76,8 +76,8 @@ class Rows(ABC):
 class RowFile(Rows):
     """An array of a .npy file whose rows are read from the file.
 
-    Of an array that is mapped instead, every page that was ever looked at counts as memory of the process, up to the whole
-    file. Raises BadInput for what is no such file, and for one that was cut short since it was opened.
+    It is not mapped, because every page of a mapped array that was accessed counts as memory of the process. Raises
+    BadInput for a file of another kind, and for one that was truncated after it was opened.
     """
 
     def __init__(self, path: Path):
@@ -96,10 +96,7 @@ class RowFile(Rows):
 
 
 class ChainedRows(Rows):
-    """Rows of several arrays, one behind the other.
-
-    arrays: of shape (n_i, …), alike but for n_i.
-    """
+    """Rows of several arrays, concatenated; arrays: of shapes (n_i, …) that differ only in n_i."""
 
     def __init__(self, arrays: Sequence[np.ndarray | Rows]):
         self._arrays = tuple(arrays)

@@ -1,4 +1,4 @@
-"""The table of stage 60, samples.csv: each press of a dataset with its label's total and its place in the split."""
+"""The table of stage 60, samples.csv: each press of a dataset with its label's total and its split."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -11,7 +11,7 @@ from gelforge.errors import BadInput
 from gelforge.records.press import FORCE, KNOWN, POSE, PressRecord, RawRow, parse, parse_number
 from gelforge.records.table import read_table, write_table
 
-# Names of the splits of a dataset: FEATS' own, and those of what training never saw.
+# Names of the splits of a dataset: FEATS' own, and tests on indenters and sensors that training never saw.
 TRAINING, VALIDATION, TEST = "train", "val", "test"
 UNSEEN_INDENTER, UNSEEN_SENSOR, UNSEEN_BOTH = "test_unseen_indenter", "test_unseen_sensor", "test_unseen_both"
 SPLITS = (TRAINING, VALIDATION, TEST, UNSEEN_INDENTER, UNSEEN_SENSOR, UNSEEN_BOTH)
@@ -25,11 +25,12 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class DatasetSample:
-    """A press of a dataset; its record's own force is the one that was measured.
+    """A press of a dataset; `press.force` is the measured force.
 
-    total: force of its label, outside: force that fell outside the image, (3,) N along the gel's axes, NaN where it is
-    not known. truth: what a virtual rig knows of it, cells by FORCE. group: of samples that share a split. altered: how a virtual
-    rig drew its image or no-contact image otherwise than a sound sensor gives it; empty where it did not.
+    total: force of its label, outside: force that fell outside the image, (3,) N along the gel's axes, NaN if
+    unknown. truth: the true force that a virtual rig knows, cells by FORCE. group: shared by samples that must be in
+    one split. altered: how a virtual rig altered its image or no-contact image (wear, another light); empty if it did
+    not.
     """
 
     press: PressRecord
@@ -41,7 +42,7 @@ class DatasetSample:
     altered: str = ""
 
     def numbers(self) -> dict[str, float]:
-        """Every number of the row by its column, NaN where it is not known."""
+        """Every number of the row by column, NaN if unknown."""
         found = {name: float(getattr(self.press, name)) for name in POSE}
         true = [parse_number(self.truth.get(name, "")) for name in FORCE]
         for at, name in enumerate(FORCE):
@@ -52,7 +53,7 @@ class DatasetSample:
         return found
 
     def text(self, column: str) -> str:
-        """A text of the row by its column: of the press, or its split, its group or how it was altered."""
+        """A text of the row by column: of the press, or `split`, `group` or `altered`."""
         return str(getattr(self if column in ("split", "group", "altered") else self.press, column))
 
     def cells(self) -> dict[str, Any]:
@@ -76,7 +77,7 @@ def write_samples(path: str | Path, samples: Sequence[DatasetSample]) -> None:
 
 
 def read_samples(path: str | Path) -> list[DatasetSample]:
-    """Read the table; a row without sample_id or split, or with a number that is none, raises BadInput."""
+    """Read the table; a row without sample_id or split, or with a malformed number, raises BadInput."""
     return [_sample(path, at, row) for at, row in enumerate(read_table(path, HINT), 2)]
 
 
@@ -97,5 +98,5 @@ def _sample(path: str | Path, at: int, row: dict[str, str]) -> DatasetSample:
 def _force(path: str | Path, at: int, text: str) -> float:
     value = parse_number(text) if text else np.nan
     if value is None:
-        raise BadInput(f"{path}: row {at}: {text[:40]!r} is no force; {HINT}")
+        raise BadInput(f"{path}: row {at}: {text[:40]!r} is not a force; {HINT}")
     return value

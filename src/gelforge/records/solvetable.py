@@ -1,4 +1,4 @@
-"""The table of stage 30, one row a press: how it was solved."""
+"""The table of stage 30: how each press was solved, one row per press."""
 
 import math
 from collections.abc import Sequence
@@ -26,8 +26,8 @@ COLUMNS = (*NAMES, *FORCE, *EVIDENCE)
 class Solved:
     """How one press was solved.
 
-    total: force on the gel, (3,) N at the reference C10. file: its output below the folder of the table, empty where
-    there is none. evidence: cells of EVIDENCE as the solve gave them.
+    total: force on the gel, (3,) N at the reference C10. file: its output, relative to the table's folder, empty if
+    there is none. evidence: diagnostics of the solve, cells by the names of EVIDENCE.
     """
 
     sample_id: str
@@ -41,7 +41,7 @@ class Solved:
     press_id: str = ""
 
     def number(self, name: str) -> float:
-        """A number of the evidence, NaN where the solve gave none."""
+        """A number of the evidence, NaN if the solve gave none."""
         value = parse_number(str(self.evidence.get(name, "")))
         return math.nan if value is None else value
 
@@ -69,7 +69,7 @@ def read_solves(path: str | Path) -> list[Solved]:
         forces = [_force(row.get(name) or "") for name in FORCE]
         state = row.get("status") or ""
         if state not in Status.__members__ or None in forces or not row.get("sample_id"):
-            raise BadInput(f"{path}: row {at} is no solve of stage 30; {hint}")
+            raise BadInput(f"{path}: row {at} is not a solve of stage 30; {hint}")
         x, y, z = (math.nan if force is None else force for force in forces)
         names = {name: row.get(name) or "" for name in NAMES if name != "status"}
         evidence: dict[str, object] = {name: row.get(name) or "" for name in EVIDENCE}
@@ -79,7 +79,7 @@ def read_solves(path: str | Path) -> list[Solved]:
 
 
 def corrupt(folder: Path, record: dict[str, Any]) -> list[Path]:
-    """Files of a sample's record that are gone or do not have the bytes they were written with."""
+    """Files of a sample's record that are missing or whose SHA-256 differs from the record's."""
     digests = record.get("sha256", {})
     paths = [folder / name for name in record["files"]]
     return [path for path in paths if not path.is_file() or digest_of(path) != digests.get(path.name)]

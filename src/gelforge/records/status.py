@@ -22,5 +22,5 @@ class Status(Enum):
         return self in (Status.OK, Status.NO_CONTACT)
 
 
-# Names of the valid ones, for tables whose column of states has other words as well, such as a press not yet solved.
+# Names of the valid ones, for tables whose status column has other values, too, such as a press not yet solved.
 VALID = frozenset(status.name for status in Status if status.valid)

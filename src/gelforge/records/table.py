@@ -1,4 +1,4 @@
-"""Tables that a stage or a person wrote, read as rows of text; whatever else lies there is refused."""
+"""CSV tables of stages and people as rows of text; anything else is refused."""
 
 import contextlib
 import csv
@@ -15,15 +15,15 @@ from gelforge.records.regular import read_text
 
 
 def write_table(path: str | Path, columns: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> None:
-    """Write a table, whole or not at all; optional columns only where a press has one, so that other tables stay as they were."""
+    """Write a table, whole or not at all; OPTIONAL columns only if a row has a value in them."""
     names = [*columns, *(name for name in OPTIONAL if any(row[name] for row in rows))]
     write_csv(path, names, [{name: row[name] for name in names} for row in rows])
 
 
 class GrowingTable:
-    """A CSV file that grows row by row: whatever happens it ends in a whole row, and without any row there is none.
+    """A CSV file that grows row by row; after `close` it ends with a complete row, and without rows it is removed.
 
-    OSError where a row cannot be written; the table is closed then.
+    OSError if a row cannot be written; the table is then closed.
     """
 
     def __init__(self, path: Path, columns: Sequence[str]):
@@ -45,10 +45,10 @@ class GrowingTable:
         self.count += 1
 
     def close(self) -> None:
-        """Close the file behind its last whole row."""
-        with contextlib.suppress(OSError):  # what could not be written is cut off
+        """Close the file after its last complete row."""
+        with contextlib.suppress(OSError):  # an incomplete row is cut off below
             self._stream.close()
-        if not self.path.is_file():  # a device has no rows that can be taken back
+        if not self.path.is_file():  # a device cannot be truncated
             return
         if self.count:
             os.truncate(self.path, self._whole)
@@ -57,14 +57,14 @@ class GrowingTable:
 
 
 def read_table(path: str | Path, hint: str) -> list[dict[str, str]]:
-    """Rows of a CSV file by column; one that cannot be read, is empty, or has a row of another length raises BadInput."""
+    """Rows of a CSV file by column; BadInput if it cannot be read, is empty, or has a row of another length."""
     return [row for _, row in numbered_rows(path, hint)]
 
 
 def numbered_rows(path: str | Path, hint: str, comments: bool = False) -> list[tuple[int, dict[str, str]]]:
-    """`read_table` with the number of each row's line in the file, for tables that people write: some lines may be blank.
+    """`read_table` with each row's line number, for tables that people write; blank lines are allowed.
 
-    comments: whether a line that begins with # is blank, too.
+    comments: whether lines that begin with # count as blank.
     """
     text = list(io.StringIO(read_text(Path(path), hint), newline=""))
     if comments:
@@ -76,7 +76,7 @@ def numbered_rows(path: str | Path, hint: str, comments: bool = False) -> list[t
     except csv.Error as error:
         raise BadInput(f"{path}: row {top + lines.line_num}: {error}; {hint}") from error
     if not lines.fieldnames:
-        raise BadInput(f"{path}: is empty, not even a header stands in it; {hint}")
+        raise BadInput(f"{path}: is empty, without even a header; {hint}")
     other = other_separator(lines.fieldnames)
     if other:
         raise BadInput(f"{path}: cells are separated by {other!r}; separate them by commas; {hint}")
@@ -89,14 +89,15 @@ def numbered_rows(path: str | Path, hint: str, comments: bool = False) -> list[t
 
 
 def other_separator(header: Sequence[str]) -> str:
-    """What separates the cells of a table whose header was read as one cell; empty where commas do."""
+    """Separator other than a comma in a header that was read as one cell; empty if there is none."""
     return next((mark for mark in ";\t|" if len(header) == 1 and mark in header[0]), "")
 
 
 def filled_rows(path: Path, columns: Sequence[str], what: str, hint: str) -> list[tuple[int, dict[str, str]]]:
-    """Rows of a table that a person wrote, with their lines' numbers; a line that begins with # is none.
+    """Rows of a table that a person wrote, with their line numbers; lines that begin with # are comments.
 
-    BadInput where a column, all rows or a cell of these columns lack. what: the rows are called so. hint: what to give.
+    BadInput if there are no rows, or if a column or a cell in it is missing. what: name of the rows in messages.
+    hint: what to provide.
     """
     rows = [
         (number, {name.strip(): cell.strip() for name, cell in row.items()})

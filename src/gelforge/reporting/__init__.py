@@ -1,1 +1,1 @@
-"""Pictures and the page of stage 90."""
+"""Charts, pictures, and the page of stage 90."""

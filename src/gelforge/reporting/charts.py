@@ -1,11 +1,11 @@
-"""Charts of pareto and stability, as PNG bytes."""
+"""Charts of `make pareto` and `make stability`, as PNG bytes."""
 
 from gelforge.flow.tables import METHODS
 from gelforge.reporting.canvas import canvas_with_axes, to_png
 
 COLOURS = {"hex": "#2a7f9e", "ccx": "#d1603d", "auto": "#6a4c93"}
 MARKERS = {"hex": "o", "ccx": "s", "auto": "*"}
-FLOOR = 1e-5  # errors below it are drawn on it
+FLOOR = 1e-5  # smaller errors are drawn here
 KINDS = {"total": "error of total force", "cells": "error per cell at 24 x 32, sum over cells / total force"}
 
 
@@ -15,7 +15,7 @@ def _shown(row, kind, which):
 
 
 def _spot(axis, row, kind, slowest):
-    """One method: filled at its median, a line up to its worst scene; hollow where a scene failed."""
+    """Draw one method at its median, hollow where a scene failed, with a line up to its worst scene."""
     middle, worst = _shown(row, kind, "median"), _shown(row, kind, "worst")
     colour, x = COLOURS[row["solver"]], row["cpu_seconds_median"]
     ship = row["method"] in ("label", "ccx", "auto")
@@ -23,13 +23,13 @@ def _spot(axis, row, kind, slowest):
     axis.plot([x], [worst], "_", color=colour, ms=7, zorder=2)
     size = 11 if row["solver"] == "auto" else 8 if ship else 5
     inside, edge = "white" if row["failed"] else colour, "black" if ship else colour
-    # auto lies on the solver that it takes, and is drawn over it; the names of label settings stand to their right
+    # auto coincides with the solver that it chooses and is drawn over it; names of label settings go to the right
     auto = row["solver"] == "auto"
     left = auto or not ship or x > slowest / 2
     above = 4 if auto else 3
     axis.plot([x], [middle], MARKERS[row["solver"]], ms=size, mfc=inside, mec=edge, mew=1.2, zorder=above)
     if row["method"] in METHODS:
-        place = {"xytext": (-7, -9), "ha": "right"} if left else {"xytext": (6, -9)}
+        place = {"xytext": (-7, 5 if auto else -9), "ha": "right"} if left else {"xytext": (6, -9)}
         axis.annotate(row["method"], (x, middle), textcoords="offset points", fontsize=7, **place)
 
 
@@ -41,7 +41,7 @@ def _frontier(axis, rows, kind):
 
 
 def plain_ticks(axis):
-    """1, 2, 5, 10 as such, with room for the names of points."""
+    """Log axes with plain ticks 1, 2, 5, 10, and margins for the names of points."""
     from matplotlib.ticker import FuncFormatter, LogLocator, NullFormatter
 
     axis.set(xscale="log", yscale="log")
@@ -85,9 +85,9 @@ VERDICTS = {"good": "#9bc995", "drifts": "#f0c05a", "failed": "#c8553d", "not ru
 
 
 def stability_map(table: list[dict]) -> bytes:
-    """One panel per row of the map: its levels against solver and kind of indenter, coloured by verdict.
+    """One panel per row of the map: levels against solver and kind of indenter, coloured by verdict.
 
-    The press around which one factor at a time is varied has a black frame.
+    A black frame marks the base press, of which one factor at a time is varied.
     """
     from matplotlib.patches import Patch
 
@@ -108,19 +108,19 @@ def stability_map(table: list[dict]) -> bytes:
                     "finest of the same solver", fontsize=11)  # fmt: skip
     named = {"drifts": "drifts: error above [stability] drift"}
     handles = [Patch(color=colour, label=named.get(verdict, verdict)) for verdict, colour in VERDICTS.items()]
-    frame = Patch(facecolor="white", edgecolor="black", label="the press around which one factor is varied")
+    frame = Patch(facecolor="white", edgecolor="black", label="base press, of which one factor at a time is varied")
     figure.legend(handles=[*handles, frame], loc="outside lower center", ncols=5)
     return to_png(figure)
 
 
 def _case(line):
-    """What is solved in a line of the map: lines of two rows may be one case."""
+    """The case that a line of the map solves; lines of different rows may share one."""
     return tuple(line[name] for name in ("solver", "kind", "shape", "depth", "shear", "place", "nu", "friction", "size",
                                     "steps"))  # fmt: skip
 
 
 def _shared(table):
-    """Cases that stand in several rows that vary one factor: the press around which they vary it."""
+    """Cases that are in several one-factor rows: the base press that they vary."""
     rows: dict[tuple, set] = {}
     for line in table:
         if line["row"] != "random":
@@ -129,7 +129,7 @@ def _shared(table):
 
 
 def _grid(axis, row, lines, shared):
-    """Cells of levels by solver and kind; numbers are the error in per cent, words how a solve failed or what others stand beside."""
+    """Cells of levels by solver and kind: error in per cent, status of a failed solve, or "finest", the reference."""
     from matplotlib.patches import Rectangle
 
     levels = list(dict.fromkeys(line["level"] for line in lines))
@@ -154,7 +154,7 @@ def _grid(axis, row, lines, shared):
 
 
 def _scatter(axis, lines):
-    """Random combinations over depth and shear; circles hex, squares ccx."""
+    """Scatter plot of random combinations over depth and shear; circles hex, squares ccx."""
     for solver, shift in (("hex", -0.012), ("ccx", 0.012)):
         own = [line for line in lines if line["solver"] == solver]
         x, y = [line["depth"] + shift for line in own], [line["shear"] for line in own]

@@ -1,4 +1,4 @@
-"""Pictures of a posterior."""
+"""Charts of a posterior: corner plot, traces, posterior predictive."""
 
 from pathlib import Path
 
@@ -9,8 +9,8 @@ from gelforge.flow.files import publish
 from gelforge.reporting.canvas import canvas, save_png, to_png
 
 BAND = "#3b6ea5"
-READABLE = 8  # parameters in one corner plot
-FAR = 3.0  # standard deviations beyond which a reading is named
+READABLE = 8  # most parameters of a corner plot that stays readable
+FAR = 3.0  # readings beyond this many standard deviations are named
 
 
 def _save(figure, path) -> None:
@@ -19,14 +19,14 @@ def _save(figure, path) -> None:
 
 
 def corner_names(names) -> list[str]:
-    """Parameters that the corner plot shows: scales of single indenters are left out where that makes it readable."""
+    """Parameters in the corner plot; beyond READABLE of them, scales of single indenters are left out."""
     return [name for name in names if len(names) <= READABLE or not name.startswith("scale of ")]
 
 
 def corner_plot(path, chain, model) -> None:
-    """One and two-dimensional marginals of the parameters, with medians and 68 % intervals.
+    """One- and two-dimensional marginals of the parameters, with medians and 68 % intervals.
 
-    The outermost half per cent of the draws is not shown, or one draw in a long tail would set the axes.
+    Axes span the central 99.5 % of the draws, so that a long tail does not set them.
     """
     import corner
 
@@ -52,7 +52,7 @@ def corner_plot(path, chain, model) -> None:
 
 
 def trace_plot(path, chain, model) -> None:
-    """Every walker's path, thinned, the burn-in shaded."""
+    """Trace of every walker, thinned, with the burn-in shaded."""
     coordinates, figure = chain.coordinates, canvas(9, 1.5 * len(model.names))
     axes = np.atleast_1d(figure.subplots(len(model.names), 1, sharex=True))
     thin = max(1, len(coordinates) // 1500)
@@ -69,7 +69,7 @@ def trace_plot(path, chain, model) -> None:
 
 
 def predictive_plot(path, bands, observed, mean, scale, ids) -> None:
-    """Force against depth with predictive bands, and every reading's distance from its prediction.
+    """Force against depth with posterior predictive bands, and standardised residuals of the readings.
 
     bands: list of (name, depth (g,), force quantiles (5, g) at 2.5, 16, 50, 84, 97.5 %, N, measured
     depths, measured forces), normal force as compression. ids: (n,) str. Others as in summary.predictions.
@@ -85,7 +85,7 @@ def predictive_plot(path, bands, observed, mean, scale, ids) -> None:
     left.set(
         xlabel="commanded depth (mm)",
         ylabel="normal force, compression (N)",
-        title="readings, and where 68 % and 95 % of new ones would lie",
+        title="readings, with 68 % and 95 % posterior predictive bands",
     )
     left.legend(fontsize=7)
     left.set_ylim(bottom=0)
@@ -103,7 +103,7 @@ def predictive_plot(path, bands, observed, mean, scale, ids) -> None:
     right.set(
         xlabel="predicted normal force, compression (N)",
         ylabel="measured - predicted (standard deviations)",
-        title=f"distance of {np.isfinite(observed).sum()} readings of {len(observed)} presses; grey: one deviation",
+        title=f"residuals of {np.isfinite(observed).sum()} readings of {len(observed)} presses; grey: one standard deviation",
     )
     right.legend(fontsize=8)
     _save(figure, path)

@@ -4,17 +4,17 @@ from gelforge.records.axes import CHANNELS
 
 
 def cell_text(table: dict | None, axis: str) -> str:
-    """Mean and deviation as the paper prints them."""
+    """Mean absolute error ± standard deviation, as the paper prints them."""
     return "-" if table is None else f"{table[axis]['mae']:.4f} ± {table[axis]['std']:.4f}"
 
 
 def contacts_text(found: dict) -> str:
-    """Error of each contact where a picture shows several."""
+    """Error per contact of images with several contacts."""
     return f"{found['mae']:.2f} N, {found['percent']:.1f} % ({found['n']})" if found["n"] else "-"
 
 
 def tables(result: dict) -> list[dict]:
-    """Tables of an evaluation for the report: title, columns, rows of text. The last one only where there are references."""
+    """Tables of an evaluation for the report: title, columns, rows of text. References are last, if there are any."""
     groups = (("per_indenter", "per indenter"), ("per_force", "per normal force"), ("per_sensor", "per sensor"))
     found = [
         _totals_and_cells(result),
@@ -66,12 +66,12 @@ def _intervals(result: dict) -> dict:
     ]
     title = "Total force: 95 % interval of the mean absolute error and bias, N; error in % of the force range"
     return _table(
-        title, ["split", "component", "95 % interval", "bias", "% of range", "90 % intervals hold, %"], rows
+        title, ["split", "component", "95 % interval", "bias", "% of range", "coverage of 90 % intervals, %"], rows
     )
 
 
 def control_rows(result: dict) -> list[list[str]]:
-    """One row per split and control: the mean absolute error of total force that it reaches."""
+    """One row per split and baseline, with the baseline's mean absolute error of total force."""
     return [
         [name, what.replace("_", " "), *(f"{values[a]:.3f}" for a in CHANNELS)]
         for name, split in result["splits"].items()
@@ -100,5 +100,5 @@ def _references(result: dict) -> dict:
         for kind, pair in split["against"].items()
         for who in ("network", "labels")
     ]
-    title = "Network and labels against the force sensor and against what a virtual rig knows, N"
+    title = "Network and labels against the force sensor and against the virtual rig's true forces, N"
     return _table(title, ["split", "reference", "who", "images", *CHANNELS], rows)

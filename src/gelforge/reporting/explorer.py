@@ -1,4 +1,4 @@
-"""What the page's explorer shows: the table of presses, each one's parts, and what all of them share."""
+"""Data of the page's explorer: the table of presses, the data of each press, and what all of them share."""
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
@@ -17,17 +17,17 @@ from gelforge.records.labelfile import read_labels
 from gelforge.records.rowfile import map_array
 from gelforge.reporting.parts import MICRON, arrows, jpeg, pack
 
-SPACING_MM = 0.35  # of the grid on which the surface of any mesh is drawn
-MOST_FACES = 1500  # of an indenter in the page
+SPACING_MM = 0.35  # spacing of the grid on which the gel's surface is drawn, for every mesh
+MOST_FACES = 1500  # most triangles of an indenter in the page
 
 
 @dataclass(frozen=True)
 class Explorer:
-    """Reads what belongs to single presses.
+    """Reads the data of single presses.
 
-    rows: the table of presses.press_rows. samples: row of samples.csv, counted from 0, by sample_id. predictions: arrays
-    of records.predictionfile, or none. gel: its outline and dome are those of all gels of the dataset, whose thickness may
-    differ.
+    rows: the table of presses.press_rows. samples: row of samples.csv, counted from 0, by sample_id. predictions:
+    arrays of records.predictionfile, or None. gel: all gels of the dataset have its outline and dome; their thickness
+    may differ.
     """
 
     results: Path
@@ -44,7 +44,7 @@ class Explorer:
 
     @cached_property
     def resampler(self):
-        """`Resampler` by mesh name; those last used are kept."""
+        """A function from mesh name to `Resampler`, with a cache of the last used."""
         return lru_cache(maxsize=16)(lambda name: Resampler(load_mesh(name), self.gel))
 
     @cached_property
@@ -53,7 +53,7 @@ class Explorer:
         return {} if self.predictions is None else {str(n): i for i, n in enumerate(self.predictions["sample_id"])}
 
     def presses(self) -> Iterator[dict]:
-        """What the page draws of each press, in the order of the rows."""
+        """Data of each press for the page, in the order of the rows."""
         shard, opened = None, Shard()
         for row in self.rows:
             if row["shard"] != shard:
@@ -62,9 +62,9 @@ class Explorer:
             yield self.press(row, opened)
 
     def press(self, row: dict, shard: "Shard") -> dict:
-        """Picture, maps, gel and forces of one press; what it lacks is left out."""
+        """Image, maps, gel and forces of one press; missing ones are left out."""
         packed: dict[str, Any] = {}
-        if row["status"] == "REJECTED":  # it may bear the name of another press
+        if row["status"] == "REJECTED":  # its sample_id may be that of another press
             return pack(packed)
         if row["id"] in shard.labels:
             packed["label"] = shard.labels[row["id"]]
@@ -80,7 +80,7 @@ class Explorer:
         return ({"image": jpeg(self.images[found])} if found is not None else {}) | pack(packed)
 
     def shared(self) -> dict:
-        """What all presses share: the gel's undeformed surface, how thick each gel is, the indenters over the origin."""
+        """Shared data: the gel's undeformed surface, the thickness of each gel, and the indenters at the origin."""
         rows, columns, points = grid_points(self.gel)
         gels = sorted({row["gel"] for row in self.rows if row.get("gel")})
         return {
@@ -91,7 +91,7 @@ class Explorer:
         }  # fmt: skip
 
     def deepest(self) -> dict[str, dict]:
-        """The press of each indenter whose tip ends lowest: its posed surface is cut off highest above the tip."""
+        """The press of each indenter whose tip ends lowest: its stored surface reaches highest above the tip."""
         found: dict[str, dict] = {}
         for row in self.rows:
             if row.get("indenter") and row.get("stl"):
@@ -101,7 +101,7 @@ class Explorer:
         return found
 
     def indenter(self, row: dict) -> dict:
-        """Surface of the indenter of a press in its own frame, of few faces: points and faces to pack."""
+        """Simplified surface of the indenter of a press, in the indenter's own frame: packed points and faces."""
         points, faces = few_faces(*read_stl(Layout(self.results).folder(POSES) / row["stl"]))
         turn = -np.deg2rad(row["rot_deg"])
         c, s = np.cos(turn), np.sin(turn)
@@ -169,9 +169,10 @@ def grid_points(gel: Gel) -> tuple[int, int, np.ndarray]:
 
 
 class Resampler:
-    """Carries displacements from a mesh's surface nodes to the grid of a gel.
+    """Interpolates displacements from a mesh's surface nodes to the grid of a gel.
 
-    mesh: GelMesh, whose surface is a height over x and y. Midside nodes of tetrahedra serve like corners.
+    mesh: GelMesh, whose surface is a height field over x and y. Midside nodes of tetrahedra are used like corner
+    nodes.
     """
 
     def __init__(self, mesh, gel: Gel):
@@ -187,9 +188,9 @@ class Resampler:
         part = np.einsum("gij,gj->gi", affine[:, :2], points - affine[:, 2])
         self.corners = triangles.simplices[found]
         weight = np.column_stack([part, 1 - part.sum(axis=1)])
-        # Rounded corners of the outline leave points of the grid outside: there the gel does not move.
+        # Grid points beyond the rounded corners of the outline do not move.
         self.weight = np.where((found >= 0)[:, None], np.nan_to_num(weight), 0.0)
 
     def __call__(self, displacement: np.ndarray) -> np.ndarray:
-        """Displacement (g, 3) mm on the grid of one (s, 3) mm on the surface nodes."""
+        """Interpolate displacements (s, 3) mm of the surface nodes to the grid (g, 3)."""
         return np.einsum("gk,gkj->gj", self.weight, displacement[self.corners])

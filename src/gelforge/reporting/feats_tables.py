@@ -1,8 +1,8 @@
-"""FEATS' published errors beside those of networks here, in the metrics of its own evaluation.
+"""Compare networks with FEATS' published errors, in the metrics of FEATS' own evaluation.
 
-Numbers: Helmut et al., IROS 2025 (arXiv:2411.03315), tables of the results and of the ablation; the paper gives no deviation
-of its third test, and of the ablation no errors per cell. Metrics: feats-ai/feats, evaluate.py, which leaves out pictures of
-presses of 40 N and more.
+Numbers: Helmut et al., IROS 2025 (arXiv:2411.03315), tables of results and ablation; the paper gives no standard
+deviations for its third test, and no errors per cell for the ablation. Metrics: feats-ai/feats, evaluate.py, which
+leaves out images of presses of 40 N and more.
 """
 
 import numpy as np
@@ -10,11 +10,12 @@ import numpy as np
 from gelforge.records.axes import CHANNELS
 from gelforge.records.samplefile import TEST, UNSEEN_INDENTER, UNSEEN_SENSOR
 
-SENSOR = "feats_mini"  # of datasets that hold the published tests
+SENSOR = "feats_mini"  # sensor of datasets with the published tests
 STRONGEST_N = 40.0
 TESTS = {TEST: "known indenters", UNSEEN_INDENTER: "unseen indenters", UNSEEN_SENSOR: "another sensor"}
 UNET = "U-net 24 x 32 (paper)"
-# Mean absolute errors of total force and of a cell's, N, along gel x, y, z, which the paper prints in the order y, x, z; deviations where given.
+# Mean absolute errors of total force and of force per cell, N, along gel x, y, z (the paper prints y, x, z), and
+# standard deviations where given.
 PAPER: dict[str, dict[tuple[str, str], tuple[str, str, str]]] = {
     UNET: {
         (TEST, "total"): ("0.230 ± 0.341", "0.293 ± 0.417", "0.799 ± 1.014"),
@@ -32,10 +33,10 @@ NOTHING = ("-", "-", "-")
 
 
 def published_errors(predicted: np.ndarray, labels: np.ndarray) -> dict | None:
-    """Errors of one test as FEATS' own evaluation states them; None where no press is below its 40 N.
+    """Errors of one test, defined as in FEATS' own evaluation; None where no press is below STRONGEST_N.
 
-    predicted, labels: (n, 3, rows, cols) N per cell; a network of another grid has totals only. Of each channel the mean
-    over pictures of the absolute error, and its deviation from one picture to the next (n - 1).
+    predicted, labels: (n, 3, rows, cols) N per cell; if their grids differ, only totals are compared. Each channel
+    gets the mean of the absolute error over images, and its standard deviation over images (n - 1).
     """
     target = labels.sum((2, 3), dtype=np.float64)
     kept = target[:, 2] > -STRONGEST_N
@@ -48,7 +49,7 @@ def published_errors(predicted: np.ndarray, labels: np.ndarray) -> dict | None:
 
 
 def _each(errors: np.ndarray) -> list[list[float]]:
-    """Mean and deviation of each column (n, 3)."""
+    """Mean and standard deviation of each column of errors (n, 3)."""
     deviation = errors.std(axis=0, ddof=1) if len(errors) > 1 else np.zeros(3)
     return [[float(mean), float(std)] for mean, std in zip(errors.mean(axis=0), deviation, strict=True)]
 
@@ -71,5 +72,5 @@ def comparison(ours: dict[str, dict]) -> dict:
 
 
 def _text(errors: list | None, axis: int, what: str) -> str:
-    """An error and its deviation as the paper prints them."""
+    """An error ± its standard deviation, as the paper prints them."""
     return "-" if not errors else " ± ".join(f"{value:.{4 if what == 'cell' else 3}f}" for value in errors[axis])

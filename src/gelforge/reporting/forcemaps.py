@@ -5,21 +5,21 @@ import numpy as np
 from gelforge.records.axes import TITLES
 from gelforge.records.image import write_png
 
-# Colour maps, the same in every picture. Of a component: red along its axis, blue against it, as on the pages of the
-# explorer and of `live`. Of pressure: light where nothing presses, the darker, the harder.
+# Colour maps of all pictures. SIGNED shows force along an axis in red and against it in blue, as the pages of the
+# explorer and of `live` do; PRESSURE is darker for more pressure.
 SIGNED, PRESSURE = "RdBu_r", "OrRd"
-PANEL_PX = 380  # width of each of the panels of a written map
-# Text beside a picture: OpenCV's plain font (cv2.FONT_HERSHEY_SIMPLEX) and its scale, in lines of so many px. Three lines
-# of 640 px hold the longest sentence that a picture is flagged by.
+PANEL_PX = 380  # width of each panel of `write_maps`
+# Text above a panel: OpenCV's plain font (cv2.FONT_HERSHEY_SIMPLEX) and its scale, line height, margin, number of
+# lines. Five lines of a panel hold a file name and the longest reason for a flag.
 FONT = (0, 0.5)
-LINE_PX, MARGIN_PX, WARNING_LINES = 22, 6, 3
-# Force per cell that full colour stands for at least, by channel: what a network reads in a released gel is a tenth of
-# it, and would else be drawn as strong as a press.
+LINE_PX, MARGIN_PX, WARNING_LINES = 18, 6, 5
+# Least force per cell of full colour, by channel. Predictions for a released gel are a tenth of it, and would
+# otherwise look as strong as a press.
 FULL_COLOUR_N = (0.005, 0.005, 0.03)
 
 
 def write_maps(path, image, forces, title: str) -> None:
-    """Write a PNG of an image (h, w, 3) RGB beside its force maps (3, rows, cols) in N per cell, by OpenCV alone."""
+    """Write a PNG of an image (h, w, 3) RGB beside its force maps (3, rows, cols) in N per cell, with OpenCV only."""
     height = round(image.shape[0] * PANEL_PX / image.shape[1])
     panels = [captioned(image, wrapped(title, PANEL_PX - 2 * MARGIN_PX, WARNING_LINES), height)]
     for channel, force in enumerate(forces):
@@ -30,14 +30,14 @@ def write_maps(path, image, forces, title: str) -> None:
 
 
 def captioned(picture, lines: list[str], height: int) -> np.ndarray:
-    """A picture (h, w, 3) RGB, PANEL_PX wide and so high, with lines of text above it."""
+    """A picture (h, w, 3) RGB, resized to PANEL_PX x `height` px, with lines of text above it."""
     import cv2
 
     how = cv2.INTER_NEAREST if picture.shape[1] < PANEL_PX else cv2.INTER_AREA
     panel = cv2.resize(picture, (PANEL_PX, height), interpolation=how)
     head = np.full((LINE_PX * WARNING_LINES, PANEL_PX, 3), 255, np.uint8)
     for i, text in enumerate(lines):
-        cv2.putText(head, text, (MARGIN_PX, 17 + LINE_PX * i), *FONT, (0, 0, 0), 1, cv2.LINE_AA)
+        cv2.putText(head, text, (MARGIN_PX, 14 + LINE_PX * i), *FONT, (0, 0, 0), 1, cv2.LINE_AA)
     return np.vstack([head, panel])
 
 
@@ -49,9 +49,9 @@ def signed_colours(values) -> np.ndarray:
 
 
 def draw_component(axis, force, channel: int, note: str = "", **placed) -> None:
-    """Draw the map (rows, cols) of one component of force, N per cell, under its name and total.
+    """Draw the map (rows, cols) of one component of force, N per cell, with its name and total as title.
 
-    note: what is said behind the total. placed: where and how the map lies, as matplotlib's imshow takes it.
+    note: text after the total. placed: further arguments of matplotlib's imshow.
     """
     span = max(float(np.abs(force).max()), 1e-6)
     shown = axis.imshow(force, cmap=SIGNED, vmin=-span, vmax=span, **placed)
@@ -72,12 +72,12 @@ def maps_figure(forces, title: str):
 
 
 def draw_pressure(axis, force, most: float):
-    """Draw the map (rows, cols) of normal force, N per cell, compression negative; most: what the darkest colour means."""
+    """Draw the map (rows, cols) of normal force, N per cell, compression negative; most: N of the darkest colour."""
     return axis.imshow(-force, cmap=PRESSURE, vmin=0, vmax=most)
 
 
 def wrapped(text: str, width: int, most: int) -> list[str]:
-    """Text in lines no wider than `width` px; where it needs more than `most` of them, the last one ends in an ellipsis."""
+    """Text in at most `most` lines no wider than `width` px; if it is longer, the last line ends in an ellipsis."""
     import cv2
 
     def fits(line: str) -> bool:

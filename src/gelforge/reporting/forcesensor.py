@@ -1,4 +1,4 @@
-"""Labels beside the readings of the bench's force sensor: by how much they differ, and by how much they should."""
+"""Compare labels with the bench's force sensor: their differences, and the expected standard deviations of these."""
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
@@ -10,16 +10,16 @@ from gelforge.flow.tables import CalibrateTable, MaterialTable
 
 COMPARED = ["press", "indenter", "label (N)", "95 % from", "to", "force sensor (N)", "label / sensor", "deviations",
             "bench", "material", "mesh", "calibration"]  # fmt: skip
-LEAST_N = 2.0  # below, the sensor's own noise is a large part of the ratio
-NAMED = 3.0  # standard deviations from which a difference is named
-STEEPEST = 2.0  # exponent of force over depth, the largest of usual bodies: 1 under a punch, 1.5 under a ball
+LEAST_N = 2.0  # at smaller forces the sensor's noise is a large part of the ratio
+NAMED = 3.0  # standard deviations above which a press is named
+STEEPEST = 2.0  # exponent of force over depth, largest of usual indenters: 1 for a flat punch, 1.5 for a sphere
 
 
 @dataclass(frozen=True)
 class Spreads:
-    """Standard deviations: of C10 and of meshes as fractions of a force, noise in N, depth of touch in mm; C10's 95 %.
+    """Standard deviations: c10 and mesh relative to a force, noise in N, touch (depth of first contact) in mm.
 
-    low, high: ends of the interval of C10 over its value.
+    low, high: ends of the 95 % interval of C10, relative to its value.
     """
 
     c10: float
@@ -34,7 +34,8 @@ class Spreads:
 class Compared:
     """Normal force of one press by its label and by the force sensor, N, and variances of their difference, N^2.
 
-    label: with what fell outside the image, which the force sensor feels, too.
+    label: with the force outside the image, which the force sensor measures, too. low, high: 95 % interval by C10, N.
+    bench, material, mesh: the variances. used: whether the calibration used the press.
     """
 
     name: str
@@ -54,7 +55,7 @@ class Compared:
 
     @property
     def deviations(self) -> float:
-        """The difference over its standard deviation."""
+        """The difference in units of its standard deviation."""
         return (self.label - self.sensor) / self.variance**0.5
 
     @property
@@ -62,14 +63,14 @@ class Compared:
         return self.label / self.sensor
 
     def fractions(self) -> list[str]:
-        """What of the variance the bench, the material and the mesh have."""
+        """Fractions of the variance from the bench, the material and the mesh."""
         return [f"{part / self.variance:.0%}" for part in (self.bench, self.material, self.mesh)]
 
 
 def spreads(material: MaterialTable, summary: Mapping[str, Any], calibrate: CalibrateTable) -> Spreads:
-    """How uncertain forces are: by the frozen interval of C10, the posterior of the bench, and the priors about meshes.
+    """Uncertainties of forces, from the interval of C10, the posterior of the bench, and the priors of mesh errors.
 
-    summary: of the calibration, empty where there is none; the bench's priors serve then.
+    summary: of the calibration; if empty, the medians of the priors are used.
     """
     priors, found = calibrate.priors, summary.get("parameters", {})
 
@@ -89,9 +90,9 @@ def spreads(material: MaterialTable, summary: Mapping[str, Any], calibrate: Cali
 
 
 def compare_forces(rows: Sequence[Mapping[str, Any]], of: Spreads, used: Collection[str]) -> list[Compared]:
-    """Presses that have a label and a reading, in the order of the page's rows.
+    """Presses that have both a label and a force reading, in the order of the page's rows.
 
-    The bench's part is the sensor's noise and the error of touch, which counts by the slope of force over depth.
+    The bench's variance comes from the sensor's noise and from the touch error times the slope of force over depth.
     """
     found = []
     for row in rows:
@@ -114,7 +115,7 @@ def force_rows(presses: Sequence[Compared]) -> list[list]:
 
 
 def force_sentences(presses: Sequence[Compared]) -> list[str]:
-    """Differences of labels and force sensor, and the presses where they are larger than they should be."""
+    """Sentences on the ratio of labels to the force sensor, and on presses that differ by more than NAMED."""
     held = [p for p in presses if not p.used and abs(p.sensor) >= LEAST_N]
     said = []
     if held:
@@ -128,7 +129,7 @@ def force_sentences(presses: Sequence[Compared]) -> list[str]:
         bench, material, mesh = p.fractions()
         said.append(
             f"{p.name} ({p.indenter}): the label says {p.label:.2f} N ({p.high:.2f} to {p.low:.2f} by the interval of C10), the"
-            f" force sensor {p.sensor:.2f} N, {abs(p.deviations):.1f} standard deviations apart. Of what explains a difference"
-            f" the bench has {bench}, the material {material}, the mesh {mesh}: check its row, its indenter, and its touch."
+            f" force sensor {p.sensor:.2f} N, {abs(p.deviations):.1f} standard deviations apart. Of the expected variance,"
+            f" {bench} comes from the bench, {material} from the material, {mesh} from the mesh: check its row, indenter and touch."
         )
     return said

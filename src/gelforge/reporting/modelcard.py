@@ -1,4 +1,4 @@
-"""Model card: what a network is, what it learnt from, and how wrong it is, in Markdown (web/card.md)."""
+"""Model card in Markdown (web/card.md): a network's architecture, training data and errors."""
 
 from collections.abc import Sequence
 
@@ -7,7 +7,7 @@ from gelforge.records.networkkind import kind_of
 from gelforge.reporting.errortables import contacts_text, control_rows
 from gelforge.reporting.page import WEB
 
-FEW = 12  # sensors that are named one by one
+FEW = 12  # most sensors that are named one by one
 
 
 def listing(values: dict) -> str:
@@ -19,7 +19,7 @@ def listing(values: dict) -> str:
 
 
 def named(sensors: list[str]) -> str:
-    """Names of sensors, or of many how many, the first and the last."""
+    """Names of sensors; beyond FEW, their number, the first and the last."""
     in_order = sorted(sensors, key=lambda name: (len(name), name))
     return ", ".join(sensors) if len(sensors) <= FEW else f"{len(sensors)} from {in_order[0]} to {in_order[-1]}"
 
@@ -27,7 +27,7 @@ def named(sensors: list[str]) -> str:
 def write_card(metadata: dict, evaluation: dict, figures: Sequence[dict] = (), readings: Sequence[dict] = ()) -> str:
     """Return the card of a model as Markdown, from its metadata, its evaluation, and figures of benchmarks.
 
-    readings: what readings of a force sensor leave, of benchmark-unseen.
+    readings: rows of benchmark-unseen on the errors left after a few readings of a force sensor.
     """
     from jinja2 import Environment, StrictUndefined
 

@@ -1,4 +1,4 @@
-"""Pictures of a network: its training curve, and what it predicts beside the labels."""
+"""Charts of a network: training curve, predictions against labels, error against latency."""
 
 import numpy as np
 
@@ -9,7 +9,7 @@ from gelforge.reporting.canvas import canvas, save_png
 from gelforge.reporting.forcemaps import draw_pressure
 
 SHOWN_PRESSES = 4
-# Errors of networks that are drawn against latency: keys of rows of stages.pareto_models, and their labels.
+# Errors drawn against latency: keys of the rows of stages.pareto_models, and axis labels.
 PANELS = {
     "percent": "total force, mean of components (% of range)",
     "cell_fz": "normal force per cell (N)",
@@ -76,10 +76,10 @@ def draw_networks(
     split: str,
     chosen: str | None,
 ) -> None:
-    """Write total error and error per cell of networks against their latency.
+    """Write the total error and the error per cell of networks against their latency.
 
-    :param rows: of stages.pareto_models, one a network; one without an error is not drawn against it.
-    :param fronts: by key of PANELS, the names of the networks that no other beats in both latency and error.
+    :param rows: rows of stages.pareto_models, one per network; panels leave out networks without their error.
+    :param fronts: by key of PANELS, the names of the networks on the Pareto front of latency and error.
     """
     figure = canvas(11, 4.6)
     for axis, (key, label) in zip(figure.subplots(1, len(PANELS)), PANELS.items(), strict=True):
@@ -90,11 +90,11 @@ def draw_networks(
 
 
 def _draw_latencies(axis, shown: list[dict], key: str, front: set[str], chosen: str | None) -> None:
-    """One error of networks against their latency with one thread, and the line through the front."""
+    """Draw one error of networks against their latency with one thread, and the line through the front."""
     line = sorted((row["cpu1_median_ms"], row[key]) for row in shown if row["model"] in front)
     axis.plot(*zip(*line), color="0.7", zorder=1, drawstyle="steps-post")
     for place, row in enumerate(sorted(shown, key=lambda row: row[key])):
-        # names in turn below and above, from the least error: those of near networks would cover each other
+        # names alternate below and above, in order of error, so that neighbours do not overlap
         _draw_network(axis, row, key, 6 if place % 2 else -12, row["model"] == chosen)
     axis.set(xscale="log", yscale="log", xlabel="ms per image, batch 1, one CPU thread (bar: 10 to 90 %)")
     axis.margins(x=0.2, y=0.12)
@@ -102,7 +102,7 @@ def _draw_latencies(axis, shown: list[dict], key: str, front: set[str], chosen: 
 
 
 def _draw_network(axis, row: dict, key: str, name_above: int, chosen: bool) -> None:
-    """One network as a point with its name, `name_above` points of print above it."""
+    """Draw one network as a point, with its name `name_above` typographic points above it."""
     x = row["cpu1_median_ms"]
     axis.errorbar(
         x,

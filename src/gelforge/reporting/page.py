@@ -1,4 +1,4 @@
-"""One self-contained HTML page from sections of text, tables and pictures."""
+"""Render a self-contained HTML page from sections of text, tables and pictures."""
 
 import base64
 from dataclasses import dataclass, field
@@ -7,35 +7,35 @@ from pathlib import Path
 from gelforge.reporting.parts import script_json
 
 WEB = Path(__file__).parent / "web"
-LOOK, COLOURS = WEB / "look.css", WEB / "colours.js"  # of this page and of a running sensor's
+LOOK, COLOURS = WEB / "look.css", WEB / "colours.js"  # shared with the page of `gelforge live`
 
 
 @dataclass
 class Section:
-    """A titled part of the page; `items` are dicts that page.html knows."""
+    """A titled part of the page; `items` are dicts in the form that page.html expects."""
 
     title: str
     items: list[dict] = field(default_factory=list)
 
     def text(self, text: str, absent: bool = False) -> "Section":
-        """A paragraph; `absent` marks what was not made."""
+        """Add a paragraph; `absent` marks missing results."""
         self.items.append({"kind": "text", "text": text, "absent": absent})
         return self
 
     def picture(self, png: bytes, caption: str, folded: bool = False) -> "Section":
-        """A PNG with its caption, folded away under it where few look at it."""
+        """Add a PNG with its caption; `folded` hides it under the caption."""
         data = base64.b64encode(png).decode()
         self.items.append({"kind": "picture", "data": data, "caption": caption, "folded": folded})
         return self
 
     def table(self, columns: list[str], rows: list[list], folded: str = "") -> "Section":
-        """A table, floats with four significant digits; `folded` is the caption it is folded away under."""
+        """Add a table, floats with four significant digits; `folded` is a caption that hides it."""
         cells = [[show(c) for c in row] for row in rows]
         self.items.append({"kind": "table", "columns": columns, "rows": cells, "caption": folded})
         return self
 
     def code(self, text: str, caption: str) -> "Section":
-        """Text folded away under its caption."""
+        """Add text that is hidden under its caption."""
         self.items.append({"kind": "code", "text": text, "caption": caption})
         return self
 
@@ -49,14 +49,14 @@ def show(value) -> str:
 
 @dataclass(frozen=True)
 class Explored:
-    """What the explorer of presses is given: its data, and the parts that the page itself holds."""
+    """Input of the explorer of presses: its data, and the parts embedded in the page."""
 
     data: dict
     parts: list[str]
 
 
 def render(dataset: str, lead: str, sections: list[Section], explored: Explored | None = None) -> str:
-    """The page as text, one file that asks for nothing from outside; everything that came from data is escaped."""
+    """The page as text; apart from parts of presses beside it, it loads nothing, and all data is escaped."""
     from jinja2 import Environment
     from markupsafe import Markup
 

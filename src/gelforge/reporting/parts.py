@@ -1,8 +1,8 @@
-"""What the page shows of a single press: its picture, its maps, and the gel, packed small.
+"""Compact data of single presses for the page: image, maps and gel.
 
-A press is a dict of `image` (JPEG as base64, or none) and `data`: deflated little-endian int16 numbers, one after
-the other the `arrays` that it lists by name, length and what one unit is worth. A page asks for presses by parts of
-PART presses; a part is a line of JavaScript, because a page opened from disk may load no other kind of file.
+A press is a dict of `image` (JPEG as base64, if any), `arrays` (name, length and unit of each array) and `data`: all
+arrays concatenated as deflated little-endian int16 numbers. The page loads parts of PART presses. A part is a line of
+JavaScript, because a page opened from disk can load no other kind of file.
 """
 
 import base64
@@ -19,13 +19,13 @@ from gelforge.records.image import encode_jpeg
 PART = 16
 PARTS = "parts-"
 FULL = 32767
-MICRON = 1e-3  # mm a unit of what is drawn in three dimensions
+MICRON = 1e-3  # unit of three-dimensional coordinates, mm
 MOST_ARROWS = 300
 JPEG_QUALITY = 88
 
 
 def pack(arrays: dict[str, np.ndarray | tuple[np.ndarray, float]]) -> dict:
-    """Arrays by name as {"arrays": [[name, length, unit], …], "data": base64}; with no unit given, of full range."""
+    """Arrays by name as {"arrays": [[name, length, unit], …], "data": base64}; the default unit fills int16."""
     listed, parts = [], []
     for name, value in arrays.items():
         values, unit = value if isinstance(value, tuple) else (value, _unit(value))
@@ -40,7 +40,7 @@ def _unit(values: np.ndarray) -> float:
 
 
 def _planes(parts) -> bytes:
-    """All low bytes, then all high ones: a third smaller when deflated."""
+    """All low bytes, then all high bytes, which deflate to a third less."""
     return np.concatenate([np.empty(0, "<i2"), *parts]).view(np.uint8).reshape(-1, 2).T.tobytes()
 
 
@@ -50,7 +50,7 @@ def jpeg(image: np.ndarray) -> str:
 
 
 def arrows(points: np.ndarray, force: np.ndarray) -> dict:
-    """The largest nodal forces (k, 3) N and where they act (k, 3) mm, as arrays to pack."""
+    """The MOST_ARROWS largest nodal forces (k, 3) N and their positions (k, 3) mm, as arrays to pack."""
     size = np.linalg.norm(force, axis=1)
     largest = np.argsort(-size)[:MOST_ARROWS]
     largest = largest[size[largest] > 0]
@@ -63,7 +63,7 @@ def part_text(number: int, presses: list[dict]) -> str:
 
 
 def script_json(value) -> str:
-    """A value as JSON that may stand inside a script element whatever text it holds."""
+    """A value as JSON that is safe inside a script element, whatever text it holds."""
     text = json.dumps(value, allow_nan=False, separators=(",", ":"))
     for sign in "<>&\u2028\u2029":
         text = text.replace(sign, f"\\u{ord(sign):04x}")
@@ -83,10 +83,11 @@ def in_parts(presses):
 
 
 def place_parts(folder: Path, parts, limit: float) -> tuple[str, list[str]]:
-    """Keep parts of up to `limit` bytes in all for the page itself, or write them beside it.
+    """Return parts of up to `limit` bytes in total for embedding in the page, or write them beside it.
 
-    Returns the name of the folder of NUMBER.js beside the page, empty where the page holds all, and what it holds. The
-    folder's name comes from what is in it, so that a page that was opened earlier never meets parts of another one.
+    Returns the name of the folder of NUMBER.js files beside the page, empty where parts are embedded, and the
+    embedded parts. The folder is named by a hash of its content, so that a page opened earlier never loads parts of a
+    newer one.
     """
     held, size, digest, made = [], 0, hashlib.sha256(), folder / ".parts"
     shutil.rmtree(made, ignore_errors=True)
@@ -110,7 +111,7 @@ def place_parts(folder: Path, parts, limit: float) -> tuple[str, list[str]]:
 
 
 def forget_parts(folder: Path, kept: str) -> None:
-    """Remove folders of parts of earlier pages."""
+    """Remove folders of parts of earlier pages; kept: the folder to keep."""
     for old in folder.glob(f"{PARTS}*"):
         if old.name != kept:
             shutil.rmtree(old)

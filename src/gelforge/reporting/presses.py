@@ -1,4 +1,4 @@
-"""All presses of a dataset as one table of columns, which the page filters, sorts and draws."""
+"""All presses of a dataset as one table, which the page filters, sorts and draws."""
 
 from typing import Any
 
@@ -17,7 +17,7 @@ NUMBERS = (
     "seconds",
     "peak_mib",
 )  # fmt: skip
-# Digits behind the point: micrometres, tenths of a millinewton.
+# Decimal places: tenths of a micrometre, and of a millinewton.
 DIGITS = 4
 
 
@@ -31,8 +31,8 @@ def press_rows(
 ) -> list[dict]:
     """One dict a press, rejected rows of the log last.
 
-    presses, rejected: presses of the pose tables and rows of their rejections, with their shard. solved, samples: of
-    stages 30 and 60 by sample_id. totals: (3,) N by sample_id that the network read. gels: name of
+    presses: (shard, press) of the pose tables. rejected: rows of the tables of rejections, with their shard. solved,
+    samples: of stages 30 and 60, by sample_id. totals: the network's total force (3,) N, by sample_id. gels: name of
     the gel of each sensor.
     """
     rows = [
@@ -72,21 +72,21 @@ def _press(
         row |= {name: getattr(solve, name) for name in ("reason", "method", "mesh")}
         row |= {name: solve.number(name) for name in ("seconds", "peak_mib")}
     row |= {name: getattr(press, name) for name in (*POSE, "stl")}
-    # Forces of the label, or of the solve where the press has no picture and so no place in the dataset.
+    # Forces of the label, or of the solve for a press without an image, which is not in the dataset.
     known = sample.total if sample else solve.total if solve and solve.status.valid else np.full(3, np.nan)
     outside = np.nan_to_num(sample.outside) if sample else np.zeros(3)
     row["outside_fz"] = outside[2]
     for at, axis in enumerate(CHANNELS):
         row[f"measured_{axis}"], row[f"label_{axis}"] = press.force[at], known[at]
         row[f"network_{axis}"] = np.nan if total is None else total[at]
-    if solve:  # stated at the reference C10, and in proportion to it
+    if solve:  # error_n is stated at the reference C10, and proportional to C10
         stiffer = np.linalg.norm(known + outside) / max(float(np.linalg.norm(solve.total)), np.finfo(float).tiny)
         row["error_n"] = solve.number("error_n") * stiffer
     return row
 
 
 def as_columns(rows: list[dict]) -> dict:
-    """The table by columns: `id` as text, NUMBERS as lists with None where unknown, TEXTS as (names, at)."""
+    """The table by columns: `id` as text, NUMBERS with None where unknown, TEXTS as names and indices into them."""
     table: dict[str, Any] = {"id": [row["id"] for row in rows]}
     for name in NUMBERS:
         values = np.round([row.get(name, np.nan) for row in rows], DIGITS)

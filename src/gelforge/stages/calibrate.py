@@ -1,4 +1,4 @@
-"""Branch calibrate: posterior of the gel's C10 and of what the rig does to the measurement."""
+"""Branch calibrate: posterior of the gel's C10 and of the rig's errors."""
 
 import sys
 from argparse import Namespace
@@ -28,7 +28,7 @@ from gelforge.records.log import rejected_rows
 from gelforge.reporting import cornerplots as plots
 
 VERSION = 14
-MOST_BANDS = 6  # indenters in the plot of predictive bands, the first by name: more hide each other
+MOST_BANDS = 6  # indenters in the plot of predictive bands, the first by name: more would hide each other
 
 
 @dataclass(frozen=True)
@@ -46,14 +46,14 @@ def sampling_rules(params: CalibrateTable) -> Rules:
 
 
 def served(readings: Readings) -> np.ndarray:
-    """Force components that serve, (n, 3) N: sideways ones of sheared presses only, else nan."""
+    """Force components that calibration uses, (n, 3) N: tangential ones of sheared presses only, else nan."""
     observed = readings.force.copy()
     observed[~readings.sheared, :2] = np.nan
     return observed
 
 
 def model_of(readings: Readings, params: CalibrateTable, law: str) -> Model:
-    """The model of a contact law for readings; too few readings raise BadInput."""
+    """The model of the readings under a contact law; too few readings raise BadInput."""
     observed = served(readings)
     check_enough(int(np.isfinite(observed).sum()))
     return make_model(params, law, np.unique(readings.indenters).tolist(), bool(np.isfinite(observed[:, :2]).any()))
@@ -74,20 +74,27 @@ def calibrate(readings: Readings, emulator: Emulator, params: CalibrateTable, la
 
 
 def refuse_beyond(posterior: Posterior, chain: Chain, reach: float, seen: Sequence[str] = ()) -> None:
-    """Refuse a posterior that presses more than `reach` mm deeper than commanded, which is about how deep was solved.
+    """Refuse a posterior if over 2 % of its depths are beyond the solves and over `reach` mm below the commanded ones.
 
-    seen: what the readings say of sensor and log, which is then the likelier cause.
+    The limit is `reach` for presses that slide, too, although they are solved only to a third of it (`make_plan`).
+    Beyond that their forces continue along the last slopes. The ratio of sideways to normal force, from which friction
+    is found, then hardly changes; the normal force of a ball, at the limit of a reach of 0.15 mm, is 2 % too small at
+    a depth of 0.5 mm and 4 % at 0.3 mm.
+    seen: what the readings say about sensor and log, which is then the likelier cause.
     """
     values = posterior.model.values(chain.flat(1000))
     depth = posterior.emulator.forces(posterior.depth, values)[2]
     beyond = float((depth > np.maximum(posterior.emulator.top, posterior.depth + reach)).mean())
     if beyond > 0.02:
         cause = " ".join(seen) or "raise [calibrate] reach_mm or narrow the prior of the touch offset"
-        raise BadInput(f"{100 * beyond:.0f} % of the posterior presses deeper than the emulator's solves go; {cause}")
+        raise BadInput(
+            f"{100 * beyond:.0f} % of the posterior's depths are beyond the emulator's solves and more than {reach:g} mm"
+            f" below the commanded ones; {cause}"
+        )
 
 
 def summarise(done: Calibration, params: CalibrateTable, seen: list[str]) -> dict:
-    """Everything that summary.json holds but the solves and the plots. seen: what the readings say of sensor and log."""
+    """Contents of summary.json except the solves. seen: what the readings say about sensor and log."""
     posterior, chain = done.posterior, done.chain
     parameters = summary.parameter_table(chain, posterior.model)
     correlation = summary.correlations(chain, posterior.model)
@@ -117,7 +124,7 @@ def summarise(done: Calibration, params: CalibrateTable, seen: list[str]) -> dic
 
 
 def usual_forces(posterior: Posterior, c10: float) -> np.ndarray:
-    """Forces (n, 3) N on a gel of that C10 where nothing but the gel yields and friction is as its prior expects."""
+    """Forces (n, 3) N on a gel of that C10 on a rigid bench, with friction at the median of its prior."""
     model = posterior.model
     nothing = {name: np.zeros(1) for name in (*model.fixed, *model.free)}
     mu = model.fixed["mu"] if "mu" in model.fixed else model.free["mu"].law.median()
@@ -127,11 +134,11 @@ def usual_forces(posterior: Posterior, c10: float) -> np.ndarray:
 
 
 def evidence_of(done: Calibration, logged: Readings, usual: float) -> list[str]:
-    """What the readings say of the force sensor and the log. logged: all of the log's. usual: C10 of such gels, MPa."""
+    """What the readings say about force sensor and log. logged: all readings. usual: C10 of such gels, MPa."""
     readings, posterior, chain = done.readings, done.posterior, done.chain
     parameters = summary.parameter_table(chain, posterior.model)
     mean, _ = summary.predictions(chain, posterior)
-    # of presses without shear the sideways forces do not serve, but they show a constant one
+    # tangential forces of presses without shear are not used in the fit, but they show a constant offset
     constant = evidence.mean_forces((readings.force - mean)[~readings.sheared, :2])
     for name in [name for name in TARE if name in parameters]:
         low, high = parameters[name]["interval68"]
@@ -150,7 +157,7 @@ def evidence_of(done: Calibration, logged: Readings, usual: float) -> list[str]:
 
 
 def draw_bands(done: Calibration) -> list:
-    """Predictive bands of the normal force for the deepest press of each of MOST_BANDS indenters; see plots.predictive_plot."""
+    """Predictive bands of normal force for the deepest press of MOST_BANDS indenters; see plots.predictive_plot."""
     readings, posterior = done.readings, done.posterior
     rng = np.random.default_rng(0)
     coordinates = done.chain.flat(600)
@@ -193,10 +200,10 @@ def solver_settings(table: CalibrateSolverTable):
 def emulate(
     readings: Readings, catalogue: dict, params: CalibrateTable, law: str, nu: float, folder: Path, jobs: int
 ) -> tuple:
-    """Readings that could be solved, their emulator, and the solves it took.
+    """Readings whose presses could be solved, their emulator, and the counts of solves.
 
-    Counts: total, per interface law, fine, new, in_vain (SolveCache.spent), and the list `unsolved` of presses
-    left out with the reason. More than half of them unsolved raises BadInput.
+    Counts: total, per interface law, fine, new, in_vain (SolveCache.spent), and the list `unsolved` of presses left
+    out, with the reason. BadInput is raised if more than half of the presses could not be solved.
     """
     from gelforge.calibration.solves import SolveCache, build_emulator, make_plan, refine, solve_all
     from gelforge.mechanics.hexsettings import quality
@@ -214,7 +221,7 @@ def emulate(
             "raise press_steps or change size in [calibrate.solver]"
         )
     readings = readings.take(np.setdiff1d(np.arange(len(readings)), list(failed)))
-    plan = planned(readings)  # of solves that are there already
+    plan = planned(readings)  # its solves exist already
     emulator = build_emulator(plan, cache)
     spent = cache.spent
     if params.refine != "none":
@@ -234,13 +241,13 @@ def say_spent(spent: dict) -> str:
 
 
 def load_rejected(poses: Path, shards: list[str]) -> set:
-    """Lines of the log that stage 10 rejected for anything but their image, which does not matter here."""
+    """Rows of the log that stage 10 rejected, except for their image, which calibration does not need."""
     tables = [path for name in shards if (path := poses / f"{name}.rejected.csv").exists()]
     return {row for path in tables for row in rejected_rows(path, but="image")}
 
 
 def gels_of(sensors: dict[str, Sensor], of: DatasetFile) -> dict[str, str]:
-    """Names of the gels by sensor; that of rows which name no sensor stands under ""."""
+    """Names of the gels by sensor; the key "" is for rows that name no sensor."""
     gels = {name: sensor.gel for name, sensor in sensors.items()}
     return gels | ({"": gels[of.sensor]} if of.sensor in gels else {})
 

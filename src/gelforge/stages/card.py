@@ -1,4 +1,4 @@
-"""Stage 80, too: the model card of a network."""
+"""Second part of stage 80: the model card of a network."""
 
 from argparse import Namespace
 from pathlib import Path
@@ -11,7 +11,11 @@ from gelforge.reporting.modelcard import write_card
 
 VERSION = 5
 MEASURED = option(
-    "--measured", type=Path, nargs="*", default=[], help="figures of benchmarks; those of other networks are left out"
+    "--measured",
+    type=Path,
+    nargs="*",
+    default=[],
+    help="JSON files of benchmark figures; figures of other networks are ignored",
 )
 
 

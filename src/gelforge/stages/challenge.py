@@ -1,4 +1,4 @@
-"""Branch pareto: the scenes of the chart and their references as a folder of plain files, a benchmark for any simulator."""
+"""Branch pareto: the chart's scenes and references as a folder of plain files, a benchmark for any simulator."""
 
 from argparse import Namespace
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Stage 60: images and labels as arrays ready to train on, with a split without leaks and normalisation."""
+"""Stage 60: images and labels as arrays for training, with splits without leaks."""
 
 import hashlib
 import os
@@ -43,10 +43,10 @@ WRONG_IMAGE = "its image is not of this press"
 def collect(
     shards: list[tuple[Path, list]], truth: dict, wrong_images: Mapping[str, str]
 ) -> tuple[list[DatasetSample], list, dict, dict]:
-    """Samples with a label and an image, where each one's label lies, what was left out, and the first shard's material.
+    """Samples with label and image, the places of their labels, counts of those left out, the first shard's material.
 
-    shards: label files with the presses of their samples (a pose table or a log). wrong_images: samples to leave out. Places are (file number, index in
-    it); what was left out is counted by its reason.
+    shards: label files, each with the presses of its samples, from a pose table or a log. wrong_images: samples to
+    leave out. A place is (file number, index in the file). Samples left out are counted by reason.
     """
     found: list[DatasetSample] = []
     places: list[tuple[int, int]] = []
@@ -78,9 +78,9 @@ def _reason(press: PressRecord | None, status: Status) -> str:
 
 
 def read_truth(data: Path) -> dict:
-    """True resultants (fx_n, fy_n, fz_n) by sample_id where a virtual rig left them; only evaluation compares."""
+    """True total forces (fx_n, fy_n, fz_n) by sample_id, if a virtual rig wrote them; only evaluation uses them."""
     path = data / "truth" / "presses.csv"
-    rows = read_table(path, "write it anew, or remove it") if path.exists() else []
+    rows = read_table(path, "write it again, or remove it") if path.exists() else []
     if rows and {"sample_id", *FORCE} - rows[0].keys():
         raise BadInput(
             f"{path}: its columns are {', '.join(rows[0])}; give sample_id, {', '.join(FORCE)}, or remove it"
@@ -89,16 +89,16 @@ def read_truth(data: Path) -> dict:
 
 
 def read_altered(data: Path) -> dict[str, str]:
-    """How a virtual rig altered pictures, images and no-contact images, by their path; what sets limits leaves them out."""
+    """How a virtual rig altered images and no-contact images, by path; those are left out where limits are set."""
     path = data / "truth" / "pictures.csv"
-    rows = read_table(path, "draw the pictures anew, or remove it") if path.exists() else []
+    rows = read_table(path, "draw the images again, or remove it") if path.exists() else []
     if rows and {"picture", "altered"} - rows[0].keys():
         raise BadInput(f"{path}: its columns are {', '.join(rows[0])}; give picture and altered, or remove it")
     return {row["picture"]: row["altered"] for row in rows}
 
 
 def altered(press: PressRecord, pictures: Mapping[str, str]) -> str:
-    """How the image or the no-contact image of a press were altered; pictures: of `read_altered`."""
+    """How the image or the no-contact image of a press was altered; pictures: from `read_altered`."""
     both = {"image": press.image, "no-contact image": f"nocontact/{press.sensor_id}.png"}
     return ", ".join(f"{what} {pictures[path]}" for what, path in both.items() if pictures.get(path))
 
@@ -122,7 +122,7 @@ def write_image_array(path, data: Path, presses: list[PressRecord], size: tuple[
 def write_nocontact(path, data: Path, names: list[str], size: tuple[int, int]) -> list[str]:
     """Write the no-contact images, nocontact/NAME.png, as uint8 (k, height, width, 3) RGB.
 
-    Returns the k of `names` that have one; a network that reads pairs needs them, no other does.
+    Returns the k of `names` that have one; only a network that reads pairs of images needs them.
     """
     there = [name for name in names if (data / "nocontact" / f"{name}.png").exists()]
     pictures = [read_logged_image(data, f"nocontact/{name}.png", size, "restore it, or remove it") for name in there]
@@ -134,7 +134,7 @@ def write_nocontact(path, data: Path, names: list[str], size: tuple[int, int]) -
 def share_images(folder: Path, data: Path, presses: list[PressRecord], size) -> None:
     """Put images.npy into `folder` as a hard link to one copy that all resolutions of the dataset share.
 
-    Resolutions are made side by side: the first writes the copy, the others wait for it.
+    Resolutions may be made in parallel: the first writes the copy, and the others wait for it.
     """
     with alone(folder.parent / "images"):
         _share_images(folder, data, presses, size)
@@ -142,7 +142,7 @@ def share_images(folder: Path, data: Path, presses: list[PressRecord], size) -> 
 
 def _share_images(folder: Path, data: Path, presses: list[PressRecord], size) -> None:
     for left in folder.parent.glob(".images-*.part.npy"):
-        left.unlink()  # of a make that was killed: whoever writes one holds the lock
+        left.unlink()  # left by a make that was killed: a running writer would hold the lock
     digest = hashlib.sha256(str(size).encode())
     for press in presses:
         path = data / press.image
@@ -151,7 +151,7 @@ def _share_images(folder: Path, data: Path, presses: list[PressRecord], size) ->
         digest.update(f"{press.sample_id} {press.image} {stamp}\n".encode())
     shared = folder.parent / f"images-{digest.hexdigest()[:16]}.npy"
     noted = shared.with_suffix(".sha256")
-    # a copy that was corrupted since must not come back by its link
+    # a copy that has become corrupt must not be linked again
     if not (shared.exists() and noted.exists() and noted.read_text(encoding="utf-8") == digest_of(shared)):
         write_image_array(shared, data, presses, size)
         write_text(noted, digest_of(shared))
@@ -164,9 +164,9 @@ def _share_images(folder: Path, data: Path, presses: list[PressRecord], size) ->
 
 
 def repeated_pictures(path: Path, presses: list[PressRecord], where: str) -> list[list[int]]:
-    """Numbers of presses whose pictures are equal in each pixel, by picture; reported.
+    """Groups of presses, by number, whose images are equal in every pixel; a note reports them.
 
-    path: the array of all pictures. Labels of such presses contradict each other, and one would test what another taught.
+    path: the array of all images. Labels of such presses contradict each other, and across splits one would leak.
     """
     images = RowFile(path)
     found = repeats(
@@ -204,7 +204,7 @@ def _read_array(path: Path, name: str, grid: Grid) -> np.ndarray:
 
 
 def write_fields(folder: Path, shards, places, grid: Grid) -> None:
-    """Write what the labels hold beside forces, one array each; those that they no longer hold go."""
+    """Write what the labels hold beside forces, one array each; arrays of what they no longer hold are removed."""
     with open_labels(shards[places[0][0]][0]) as file:
         held = [name for name in FIELDS if name in file]
     for name in FIELDS:
@@ -215,7 +215,7 @@ def write_fields(folder: Path, shards, places, grid: Grid) -> None:
 
 
 def image_size(presses: list[PressRecord], sensors: dict, where: str) -> tuple[int, int]:
-    """The one image size of all samples' sensors; several raise BadInput."""
+    """The image size that the sensors of all samples share; several sizes raise BadInput."""
     sizes: dict[tuple[int, int], str] = {}
     for name in sorted({press.sensor_id for press in presses}):
         width, height = find_sensor(sensors, name, where).image
@@ -227,11 +227,11 @@ def image_size(presses: list[PressRecord], sensors: dict, where: str) -> tuple[i
 
 
 def list_shards(of: Layout, resolution: str) -> list[tuple[Path, list]]:
-    """Label files with their presses: those of stage 50 with pose tables, or an imported file with the log."""
+    """Label files with their presses: those of stage 50 with the pose tables, or an imported file with the log."""
     imported = of.data / "labels" / f"{resolution}.npz"
     if not imported.parent.is_dir():
         return [(of.labels(resolution, name), read_poses(of.poses(name))) for name in of.names()]
-    # an image that was imported with its label may have no pose
+    # an image imported with its label may have no pose
     rows = [row for name in of.names() for row in read_shard(of.shard(name))]
     rows.sort(key=lambda row: row.row)
     parsed = [parse(raw, str(of.log), ("sample_id", "sensor_id", "image")) for raw in rows]
@@ -242,7 +242,7 @@ def list_shards(of: Layout, resolution: str) -> list[tuple[Path, list]]:
 
 
 def wrong_imported(of: Layout, presses: list[PressRecord]) -> dict[str, str]:
-    """Why images of imported samples are not of their sensors, by sample: without poses stage 15 does not look at them."""
+    """Why images of imported samples are not of their sensors, by sample; stage 15, which needs poses, skips them."""
     images = LogImages(of.data, load_sensors(of.parameters("sensors")))
     found = {press.sample_id: fault for press in tqdm(presses, "images judged") if (fault := images.fault(press))}
     for fault in sorted(set(found.values())):
@@ -252,7 +252,7 @@ def wrong_imported(of: Layout, presses: list[PressRecord]) -> dict[str, str]:
 
 
 def doubts_of_forces(found: Sequence[DatasetSample], material: Mapping) -> list[str]:
-    """What the log's force readings say beside the labels of their presses, in the order of the log."""
+    """Doubts from comparing the log's force readings with the labels of their presses, in the order of the log."""
     ordered = sorted(found, key=lambda each: each.press.row)
     presses = [each.press for each in ordered]
     log = LogForces(
@@ -286,19 +286,19 @@ def describe(name: str, grid: Grid, found: list[DatasetSample], splits, left_out
 def published_splits(
     data: Path, presses: list, splits: np.ndarray, repeated: Sequence[Sequence[int]] = ()
 ) -> np.ndarray:
-    """The splits (n,) that an imported dataset came with, data/DATASET/splits.csv, else those given.
+    """The splits (n,) that an imported dataset brings in data/DATASET/splits.csv, else the given ones.
 
-    repeated: numbers of presses that show one picture; in two splits they are refused.
+    repeated: groups of presses, by number, with equal images; BadInput if a group lies in two splits.
     """
     path = data / "splits.csv"
     if not path.exists():
         return splits
-    rows = numbered_rows(path, "write it anew, or remove it to split anew")
+    rows = numbered_rows(path, "write it again, or remove it to make new splits")
     if rows and {"sample_id", "split"} - rows[0][1].keys():
         raise BadInput(f"{path}: its columns are {', '.join(rows[0][1])}; give sample_id and split")
     for at, row in rows:
         if not names_files(row["split"]):
-            raise BadInput(f"{path}: row {at}: split {row['split'][:100]!r} is no name; give {ID_RULE}")
+            raise BadInput(f"{path}: row {at}: split {row['split'][:100]!r} is not a name; give {ID_RULE}")
     known: dict[str, str] = {}
     for at, row in rows:
         if known.setdefault(row["sample_id"], row["split"]) != row["split"]:
@@ -307,7 +307,7 @@ def published_splits(
             )
     missing = [press.sample_id for press in presses if press.sample_id not in known]
     if missing:
-        raise BadInput(f"{path}: has no split of sample {missing[0]}; add it, or remove the file to split anew")
+        raise BadInput(f"{path}: has no split of sample {missing[0]}; add it, or remove the file to make new splits")
     found = np.array([known[press.sample_id] for press in presses])
     refuse_torn_presses(path, presses, found)
     for members in repeated:
@@ -315,16 +315,16 @@ def published_splits(
         if other is not None:
             first, second = (f"{presses[at].sample_id} ({found[at]})" for at in (members[0], other))
             raise BadInput(
-                f"{path}: the pictures of {first} and {second} are equal, but in two splits; give both the same, or remove"
-                " the file to split anew"
+                f"{path}: the images of {first} and {second} are equal, but in two splits; give both the same, or remove"
+                " the file to make new splits"
             )
     return found
 
 
 def refuse_torn_presses(path: Path, presses: list, splits: np.ndarray) -> None:
-    """BadInput where pictures of one press lie in two splits (n,): it would be learnt from and tested on.
+    """BadInput if images of one press lie in two splits (n,): networks would be tested on a press they learnt from.
 
-    Pictures by two sensors may, as where one sensor is kept apart for a test.
+    Images of different sensors may lie in different splits, as when a sensor is kept for a test.
     """
     seen: dict[tuple[str, str], tuple[str, str]] = {}
     for press, split in zip(presses, splits.tolist(), strict=True):
@@ -350,7 +350,7 @@ def nothing_left(of: Layout, left_out: dict) -> str:
 
 
 def counted(found: dict) -> str:
-    """Counts by name, as a person writes them."""
+    """Counts by name, in words."""
     return ", ".join(f"{count} x {name}" for name, count in found.items()) or "none"
 
 

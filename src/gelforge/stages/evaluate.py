@@ -1,4 +1,4 @@
-"""Stage 80: errors of one trained network, in the paper's tables, against labels, controls and sensors."""
+"""Stage 80: errors of one trained network in the paper's tables, against labels, force sensors and baselines."""
 
 from argparse import Namespace
 
@@ -20,9 +20,9 @@ VERSION = 19
 
 
 def keep_predictions(path, data, model, predictions: dict) -> None:
-    """Write what is predicted for every image, those it learnt from too, in the order of samples.csv.
+    """Write the predictions for all images, including the training images, in the order of samples.csv.
 
-    predictions: those already made, as `evaluate` returns them.
+    predictions: those that exist already, from `evaluate`.
     """
     from gelforge.learning.fitting import predict_rows
 

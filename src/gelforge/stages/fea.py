@@ -44,12 +44,12 @@ def scene_of(press: PosedPress, bodies: dict, sensors: dict, params: StageParame
     return Scene(gel, material, bodies[press.indenter], press.press, interface)
 
 
-# What of an indenter's table says nothing of its shape; a file's name does not either, its content (sha256) does.
+# Keys of an indenter's table that do not affect its shape. A file's name is one; its content counts by `sha256`.
 NO_SHAPE = {"seen", "spare", "file"}
 
 
 def shape_of(press: PosedPress, tables: dict) -> dict:
-    """The numbers that an indenter's surface is built from."""
+    """The values of an indenter's table that its surface is built from."""
     return {key: value for key, value in tables["indenters"][press.indenter].items() if key not in NO_SHAPE}
 
 
@@ -60,9 +60,9 @@ def press_keys(frames: list[PosedPress], scenes: list[Scene], params: StageParam
 
 
 def finished(folder: Path, sample_id: str, key: str, timeout_s: float) -> dict | None:
-    """The record of a sample that was solved whole under the same key, else None.
+    """The record of a sample that was solved under the same key and whose files are intact, else None.
 
-    One that was stopped because it took too long is no such record where it may take longer now.
+    A solve that was stopped at a shorter time limit than `timeout_s` does not count.
     """
     record = record_of(folder / f"{sample_id}.json", key)
     if record is None or corrupt(folder, record):
@@ -73,13 +73,13 @@ def finished(folder: Path, sample_id: str, key: str, timeout_s: float) -> dict |
 def publish_solve(sample_id: str, result: Result, key: str, folder: Path) -> dict:
     """Publish the arrays of one solved sample, its record last; return the record.
 
-    They are forces and displacements of the surface's nodes, and of a press that CalculiX solved what its deck is made of
-    again, with the numbers of "deck".
+    The arrays are forces and displacements of the surface's nodes. For a press solved by CalculiX, further arrays and
+    the record's "deck" hold what is needed to write its deck again.
     """
     evidence = result.kept_evidence
     record = {
         "key": key, "sample_id": sample_id, "status": result.status.name, "mesh": evidence.get("mesh", ""),
-        # of a valid one: why another method solved it than was asked for
+        # for a valid result: why another method than the requested one solved it
         "reason": str(evidence.get("replaced", "") if result.status.valid else evidence.get("reason") or result.status.value),
         "method": evidence["method"], "total": result.total.tolist(),
         "evidence": evidence, "files": [], "deck": {},
@@ -100,7 +100,7 @@ def publish_solve(sample_id: str, result: Result, key: str, folder: Path) -> dic
 
 
 def borrow(record: dict, sample_id: str, folder: Path) -> dict:
-    """Publish the solve of a sample for another one that is the same press, seen by another sensor."""
+    """Publish the solve of a sample for another one that shows the same press by another sensor."""
     files = [name.replace(record["sample_id"], sample_id, 1) for name in record["files"]]
     for source, name in zip(record["files"], files, strict=True):
         with publish(folder / name) as part:
@@ -112,7 +112,7 @@ def borrow(record: dict, sample_id: str, folder: Path) -> dict:
 
 
 def solved(record: dict, press: PosedPress, folder: Path) -> Solved:
-    """The row of the shard's table that a sample's record makes."""
+    """A sample's row of the shard's table, from its record."""
     file = f"{folder.name}/{record['files'][-1]}" if record["files"] else ""
     return Solved(
         record["sample_id"], Status[record["status"]], record["reason"], record["method"], record["mesh"], file,
@@ -123,7 +123,7 @@ def solved(record: dict, press: PosedPress, folder: Path) -> Solved:
 def run_shard(
     presses: list[PosedPress], params: StageParameters, tables: dict, bodies: dict, folder: Path
 ) -> list[Solved]:
-    """Solve what is missing of a shard, frames of a press together; rows in the order of the presses."""
+    """Solve the missing samples of a shard, frames of a press together; return rows in the order of the presses."""
     folder.mkdir(parents=True, exist_ok=True)
     for stale in folder.glob(".work-*"):
         shutil.rmtree(stale, ignore_errors=True)
@@ -138,8 +138,8 @@ def run_shard(
                 found = run_press(frames, keys, scenes, solvers, known, folder)
             except OSError as error:
                 raise BadInput(
-                    f"{folder}: sample {frames[0].sample_id}: {error}; free space or mend the folder and"
-                    " run make again, it resumes at this sample"
+                    f"{folder}: sample {frames[0].sample_id}: {error}; free space or repair the folder, then"
+                    " run make again; it resumes at this sample"
                 ) from error
             records |= {record["sample_id"]: record for record in found}
             by_ccx = altered(params, fea=altered(params.fea, method="ccx"))
@@ -150,9 +150,9 @@ def run_shard(
 
 def run_press(frames: list[PosedPress], keys: list[str], scenes: list[Scene], solvers: Solvers, known: dict,
               folder: Path) -> list[dict]:  # fmt: skip
-    """Records of the frames of one press: those finished before, borrowed ones, and the rest from one solve.
+    """Records of the frames of one press: finished ones, copies from other sensors, and the rest from one solve.
 
-    known: record by key of each solve met in this shard, which grows: several sensors may have seen a press.
+    known: records of this shard by key, extended here, because several sensors may have seen the same press.
     """
     limit = solvers.settings.timeout_s
     records = [finished(folder, press.sample_id, key, limit) for press, key in zip(frames, keys, strict=True)]
@@ -160,7 +160,7 @@ def run_press(frames: list[PosedPress], keys: list[str], scenes: list[Scene], so
         if records[at] is None and keys[at] in known:
             records[at] = borrow(known[keys[at]], press.sample_id, folder)
     if None in records:
-        # all frames again: what a frame is solved from must not depend on which others were there before
+        # solve all frames again: a frame's result must not depend on which other frames were finished already
         for at, result in enumerate(solvers.solve_frames(scenes, solvers.settings.method)):
             records[at] = records[at] or publish_solve(frames[at].sample_id, result, keys[at], folder)
     found = [record for record in records if record is not None]
@@ -170,10 +170,10 @@ def run_press(frames: list[PosedPress], keys: list[str], scenes: list[Scene], so
 
 def verify_press(press: PosedPress, keys: tuple[str, str], scenes: list[Scene], record: dict, solvers: Solvers,
                  sensors: dict, folder: Path) -> None:  # fmt: skip
-    """Solve a press that "auto" solved without CalculiX by CalculiX, too, where it is one of [fea] verify.
+    """Solve a press by CalculiX, too, if "auto" solved it without CalculiX and [fea] verify selects it.
 
-    press, keys, record: of the last frame; the second key is that of CalculiX' solve. What CalculiX found is
-    kept as of a sample called ID.ccx; the difference is ID.verify.json.
+    press, keys, record: of the last frame; the second key is that of CalculiX' solve. CalculiX' result is kept as a
+    sample called ID.ccx; the difference is ID.verify.json.
     """
     path, twin = folder / f"{press.sample_id}{verification.ENDING}", f"{press.sample_id}.ccx"
     automatic = solvers.settings.method == "auto" and Status[record["status"]].valid
@@ -209,7 +209,7 @@ def verify_press(press: PosedPress, keys: tuple[str, str], scenes: list[Scene], 
 
 
 def read_shard(of: Layout, shard: str) -> tuple[StageParameters, dict, list[PosedPress], dict]:
-    """What stage 30 reads of a shard: parameters, catalogues, presses, and their bodies by name."""
+    """Inputs of stage 30 for a shard: parameters, catalogues, presses, and their bodies by name."""
     tables = {name: read_json(of.parameters(name)) for name in ("sensors", "indenters")}
     presses = read_poses(of.poses(shard))
     read = read_parameters(of.parameters("fea"))

@@ -25,7 +25,7 @@ VERSION = 3
 
 
 def read_sample(solve: Solved, folder: Path) -> tuple[SampleForces, str]:
-    """Forces of one row of 30_fea's table at the reference C10, and the reason where there are none."""
+    """Forces of one row of 30_fea's table at the reference C10, and the reason if there are none."""
     status, reason = solve.status, solve.reason
     if not status.valid:
         return SampleForces.failed(solve.sample_id, status.name, solve.mesh, solve.press_id), reason
@@ -57,7 +57,7 @@ def read_sample(solve: Solved, folder: Path) -> tuple[SampleForces, str]:
 
 
 def material_c10(material: MaterialTable, calibration: Path) -> tuple[float, dict]:
-    """C10 in MPa and its intervals, from [material]: a number, or "calibrated" with a summary file."""
+    """C10 in MPa and its intervals: from [material], or from the summary `calibration` if c10 = "calibrated"."""
     if not isinstance(material.c10, str):
         known = {name: getattr(material, name) for name in INTERVALS}
         return float(material.c10), {name: list(pair) for name, pair in known.items() if pair is not None}
@@ -77,9 +77,9 @@ def material_c10(material: MaterialTable, calibration: Path) -> tuple[float, dic
 
 
 def refuse_corrupt(table: Path, solves: list[Solved]) -> None:
-    """Stop where a solved sample's files are gone or changed, after taking the shard's table away.
+    """Remove the shard's table and raise BadInput if files of a solved sample are missing or changed.
 
-    Without its table the shard is due again: the next make solves what is corrupt and keeps the rest.
+    Without its table the shard is outdated: the next make solves the corrupt samples and keeps the rest.
     """
     folder = table.parent / table.name.split(".")[0]
     lost = []
@@ -90,7 +90,7 @@ def refuse_corrupt(table: Path, solves: list[Solved]) -> None:
     if lost:
         table.unlink()
         raise BadInput(
-            f"{lost[0]}{f' and {len(lost) - 1} more' if len(lost) > 1 else ''}: missing, or not as it was written;"
+            f"{lost[0]}{f' and {len(lost) - 1} more' if len(lost) > 1 else ''}: missing or changed since it was written;"
             f" {table} was removed, so run make again: it solves what is corrupt and keeps the rest"
         )
 
@@ -107,7 +107,7 @@ def main(args: Namespace) -> None:
     refuse_corrupt(table, solves)
     for solve in solves:
         sample, reason = read_sample(solve, table.parent)
-        if solve.status.valid and reason:  # others were reported by stage 30
+        if solve.status.valid and reason:  # stage 30 reported the others
             print(f"failed: {sample.sample_id}: {sample.status}, {reason}")
             lost[f"{sample.status}: {Status[sample.status].value}"] += 1
         # At a fixed Poisson's ratio and prescribed motion every force is proportional to C10.

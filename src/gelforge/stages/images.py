@@ -1,7 +1,7 @@
-"""Stage 15: whether the images of a log, one by one and taken together, show what its rows describe (`evidence.images`).
+"""Stage 15: whether the images of a log, singly and together, show what its rows describe (`evidence.images`).
 
-A finding by which no label could be right stops make here, before anything is solved. Rows whose image is wrong are left out of the
-dataset, and all other findings are notes.
+A finding that would make all labels wrong stops make here, before anything is solved. Rows whose image is wrong are
+left out of the dataset, and all other findings are notes.
 """
 
 import sys
@@ -31,11 +31,11 @@ from gelforge.records.log import read_poses
 from gelforge.records.press import SENSOR_TABLES, PosedPress
 
 VERSION = 3
-CHUNK = 200  # presses that one process looks at
+CHUNK = 200  # presses per task of a process
 
 
 def look(presses: list[PosedPress], data: Path, tables: dict, workflow: Path, kept: Path) -> list[Seen]:
-    """What some presses' images show."""
+    """What the images of some presses show."""
     names = sorted({press.sensor_id for press in presses})
     sensors = {name: sensor_of(SENSOR_TABLES, name, tables["sensors"][name]) for name in names}
     images, bodies = LogImages(data, sensors), bodies_of(presses, tables["indenters"], workflow, kept)
@@ -44,15 +44,15 @@ def look(presses: list[PosedPress], data: Path, tables: dict, workflow: Path, ke
 
 
 def in_chunks(presses: list[PosedPress]) -> Iterator[list[PosedPress]]:
-    """Presses in parts for one process each."""
+    """Presses in chunks, one per task of a process."""
     for start in range(0, len(presses), CHUNK):
         yield presses[start : start + CHUNK]
 
 
 def shapes_beside(of: Layout, named: Collection[str]) -> dict[str, dict]:
-    """Tables of the dataset's catalogue that no row names: a row that names another indenter was pressed by one of them, most likely.
+    """Tables of the dataset's catalogue that no row names: a row that names a wrong indenter may mean one of them.
 
-    They serve a hint alone, so what an edit of them changes is not made anew. An STL file takes too long to measure.
+    They only serve a hint, so editing them does not rerun the stage. STL files are left out, as measuring takes long.
     """
     catalogue = read_dataset_file(of.data / "dataset.toml").catalogue
     tables = read_indenter_tables(of.workflow, of.data, catalogue)
@@ -69,7 +69,7 @@ def shapes_of(
     bodies: Mapping[str, Body],
     beside: Mapping[str, dict] = MappingProxyType({}),
 ) -> Shapes:
-    """The indenters that a log names, and those of the tables `beside`, as they would press in any of its presses."""
+    """Expected imprints in any press of a log, by the indenters that it names and by those of the tables `beside`."""
     windows: dict[str, Window] = {}
     known: dict[str, Body | None] = dict(bodies)
 
@@ -78,7 +78,7 @@ def shapes_of(
             try:
                 known[name] = build(name, beside[name])
             except BadInput:
-                known[name] = None  # a wrong table harms those alone that use it
+                known[name] = None  # an invalid table matters only to datasets that use it
         return known[name]
 
     def window_of(name: str) -> Window:
@@ -100,7 +100,7 @@ def shapes_of(
 
 
 def judge(seen: list[Seen], shapes: Shapes | None, where: str) -> dict:
-    """What images.json says; findings by which no label could be right raise BadInput."""
+    """Contents of images.json; findings about several rows whose images are wrong raise BadInput."""
     found = findings(seen, shapes)
     stopping = [one.text for one in found if one.wrong and len(one.rows) > 1]
     if stopping:
@@ -120,7 +120,7 @@ def judge(seen: list[Seen], shapes: Shapes | None, where: str) -> dict:
 
 
 def told(found: dict, seen: list[Seen]) -> list[str]:
-    """Lines for a person about what images.json says."""
+    """Contents of images.json as lines for a person."""
     rows: dict[str, list[int]] = {}
     for one in seen:
         if one.sample_id in found["left_out"]:

@@ -1,4 +1,4 @@
-"""Stage 50: nodal forces of all shards to force per cell of an image grid."""
+"""Stage 50: labels, the force in each cell of an image grid, from the nodal forces of all shards."""
 
 import json
 from argparse import Namespace
@@ -29,12 +29,12 @@ from gelforge.records.status import Status
 VERSION = 3
 OPERATORS_KEPT = 64  # operators in memory
 BLOCK_BYTES = 64 * 2**20  # of float64 cells held at a time
-UNSEEN = 0.5  # fraction of its normal force beyond the image from which on a picture does not show a press
+UNSEEN = 0.5  # an image does not show a press if more than this fraction of its normal force lies outside
 LEAST_PRESSES = 10  # of a sensor before the projection is judged
 
 
 def bin_samples(forces: ForceFile, members, operator: Operator) -> tuple[np.ndarray, np.ndarray]:
-    """Labels (m, 3, rows, cols) float32 and force outside (m, 3) of the samples numbered `members`.
+    """Labels (m, 3, rows, cols) float32 and force outside the image (m, 3) of the samples numbered `members`, N.
 
     Every sample must be on the operator's mesh.
     """
@@ -77,21 +77,20 @@ def label_blocks(forces: ForceFile, operators: list, grid: Grid, outside: np.nda
 
 
 def note_small_cells(grid: Grid, sensor: Sensor) -> None:
-    """Say where cells are smaller than the pixels of a sensor's pictures: the solve has such detail, no picture does."""
+    """Print a note if cells are smaller than a sensor's pixels: the solve has such detail, no image does."""
     width, height = sensor.image
     if grid.rows > height or grid.cols > width:
         print(
-            f"note: RES={grid}, rows x columns, asks for cells smaller than the pixels of {sensor.name}'s pictures, {width} x"
-            f" {height}: no picture shows forces so finely; RES=24x32 is usual",
+            f"note: RES={grid}, rows x columns, has cells smaller than the pixels of {sensor.name}'s images, {width} x"
+            f" {height}: no image shows forces so finely; RES=24x32 is usual",
             flush=True,
         )
 
 
 class Finder:
-    """Operators and surface maps of meshes at one resolution, the last ones kept in memory.
+    """Operators and surface maps of meshes at one resolution; the latest ones are kept in memory.
 
-    Meshes follow the press: nearly every press has its own, and its operator takes a fiftieth of a second, so that no file is
-    worth it.
+    They are not written to files: nearly every press has its own mesh, and an operator takes only 0.02 s.
     """
 
     def __init__(self, sensors: dict, grid: Grid, where: str):
@@ -118,10 +117,10 @@ class Finder:
 
 
 def field_streams(forces: ForceFile, find_maps: list, grid: Grid, channels) -> dict[str, Stream]:
-    """Fields beside the forces that `channels` asks for, by name of their array: shape, and blocks of one sample each.
+    """Fields beside the forces that `channels` names, by name of their array: shape, and blocks of one sample each.
 
-    find_maps has for each sample a function without arguments that gives its `SurfaceMap` and the `Operator` of its
-    forces, None where it has no state: then a field is NaN.
+    find_maps has one entry per sample: a function without arguments that returns its `SurfaceMap`, the `Operator` of
+    its forces, and its mesh, or None for a sample without a state, whose fields are NaN.
     """
     n = len(forces)
 
@@ -205,7 +204,7 @@ def _first_bad(forces: ForceFile) -> str:
 def summarise(forces: ForceFile, outside: np.ndarray, sensor_of: dict[str, str]) -> dict:
     """Counts of a shard and the sample with the largest fraction of its normal force outside the image.
 
-    seen: of each sensor how many samples bear most of their force in its image, and how many beyond it.
+    seen: per sensor, how many samples have most of their normal force inside its image, and how many outside.
     """
     fraction = np.abs(outside[:, 2]) / np.maximum(np.abs(forces.total[:, 2]), 1e-12)
     fraction = np.where(np.isfinite(fraction), fraction, 0.0)
@@ -224,9 +223,9 @@ def summarise(forces: ForceFile, outside: np.ndarray, sensor_of: dict[str, str])
 
 
 def label_folder(of: Layout, grid: Grid, folder: Path, channels) -> dict:
-    """Label every shard of a dataset whose labels, in `folder`, were made of something else; return the contents of labels.json.
+    """Label every shard whose labels in `folder` were made from other inputs; return the contents of labels.json.
 
-    What a shard's labels were made of stands in the labels.json of the run before.
+    The labels.json of the previous run holds a digest of the inputs of each shard's labels.
     """
     tables = [read_json(of.parameters(name)) for name in ("sensors", "gels", "labels")]
     find = Finder(load_sensors(of.parameters("sensors")), grid, str(of.folder(POSES)))
@@ -262,7 +261,7 @@ def label_folder(of: Layout, grid: Grid, folder: Path, channels) -> dict:
 
 
 def require_good(poses: Path, shards: list[str]) -> None:
-    """Raise BadInput where stage 10 rejected all rows of all shards. poses: folder 10_poses."""
+    """Raise BadInput if stage 10 rejected all rows of all shards. poses: folder 10_poses."""
     if any(read_csv(poses / f"{shard}.csv") for shard in shards):
         return
     tables = [poses / f"{shard}.rejected.csv" for shard in shards]
@@ -277,7 +276,7 @@ def require_good(poses: Path, shards: list[str]) -> None:
 
 
 def require_seen(seen: Counter[tuple[str, bool]], where) -> None:
-    """Raise BadInput for a sensor most of whose presses lie mostly outside its pictures: it cannot look where it is said to.
+    """Raise BadInput if most presses of a sensor lie mostly outside its images: its projection or the log is wrong.
 
     seen: counts of samples (`summarise`). where: file of the sensors.
     """
@@ -285,14 +284,14 @@ def require_seen(seen: Counter[tuple[str, bool]], where) -> None:
         inside, outside = seen[name, True], seen[name, False]
         if inside + outside >= LEAST_PRESSES and outside > inside:
             raise BadInput(
-                f"{where}: by the projection of sensor {name} {outside} of its {inside + outside} samples bear most of"
-                f" their normal force outside its pictures: measure it anew with make projection SENSOR={name}"
+                f"{where}: by the projection of sensor {name}, {outside} of its {inside + outside} samples have most of"
+                f" their normal force outside its images: measure the projection again with make projection SENSOR={name}"
                 " (workflow/README.md), or correct x0_mm and y0_mm of the log"
             )
 
 
 def report(summary: dict, largest_share: float) -> None:
-    """Say what was labelled, and name the press that lies farthest outside the image."""
+    """Print how many samples were labelled and, if above `largest_share`, the largest fraction of force outside."""
     print(f"labels {summary['resolution']}: {summary['samples'] - summary['failed']} of {summary['samples']} samples")
     if summary["worst_outside_share"] > largest_share:
         print(

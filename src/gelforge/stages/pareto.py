@@ -1,6 +1,6 @@
-"""Branch pareto: seconds of a solve against its error, for every solver, mesh density and load-step count.
+"""Branch pareto: time of a solve against its error, for every solver, mesh density and number of load steps.
 
-`scene` solves one scene by every method, `chart` draws.
+`scene` solves one scene by every method, `chart` draws the chart of all scenes.
 """
 
 from argparse import Namespace
@@ -23,7 +23,7 @@ from gelforge.sweeps.scenes import NamedScene, parse_scene
 from gelforge.sweeps.trial import ChartBench, given_check, load_bench, measure
 
 VERSION = 5
-GOAL_TOTAL, GOAL_CELLS = 0.02, 0.08  # what a label setting should meet over all scenes
+GOAL_TOTAL, GOAL_CELLS = 0.02, 0.08  # largest relative errors that a method for labels should have over all scenes
 COLUMNS = ("method", "solver", "size_mm", "load_steps", "scenes", "failed", "cpu_seconds_median",
            "cpu_seconds_worst",
            "total_median", "total_worst", "total_worst_scene", "cells_median", "cells_worst", "cells_worst_scene",
@@ -33,7 +33,8 @@ COLUMNS = ("method", "solver", "size_mm", "load_steps", "scenes", "failed", "cpu
 def solve_scene(bench: ChartBench, scene: NamedScene, methods: list[Method]) -> dict:
     """Every method on one scene, the last being the reference; records by method with their errors.
 
-    The large reference is checked by another solve, or by what is kept of that beside a reference that is kept.
+    LARGE_REFERENCE is checked by one more solve, with elements and load steps of twice the size, or by the stored
+    result of that check if its reference is stored.
     """
     reference, check = methods[-1].name, given_check(bench, scene)
     if methods[-1] == LARGE_REFERENCE and check is None:
@@ -52,8 +53,7 @@ def solve_scene(bench: ChartBench, scene: NamedScene, methods: list[Method]) -> 
 def summarise(scenes: list[dict]) -> list[dict]:
     """One row per method over all scenes: cost, errors, failures and whether it lies on a frontier.
 
-    A method that failed on a scene is on none and takes no other off it: its worst error leaves out the scene that was too
-    much for it.
+    A method that failed on a scene counts for no frontier, because its worst error leaves that scene out.
     """
     names = dict.fromkeys(name for scene in scenes for name in scene["methods"])
     reference = {scene["reference"] for scene in scenes} | {DOUBLED}
@@ -89,14 +89,14 @@ def _median(values: list[float]) -> float | None:
 
 
 def failures(scenes: list[dict]) -> list[dict]:
-    """Every solve that gave no result, with its reason."""
+    """Solves without a result, each with its reason."""
     return [{"scene": scene["scene"], "method": name, "status": record["status"], "reason": record["reason"]}
             for scene in scenes for name, record in scene["methods"].items()
             if record.get("cells") is None]  # fmt: skip
 
 
 def reading(rows: list[dict], scenes: list[dict], fails: list[dict]) -> list[str]:
-    """What the chart says, in sentences."""
+    """The results of the chart in sentences."""
     meets = [row for row in rows if row["total_worst"] is not None and not row["failed"]
              and row["total_worst"] <= GOAL_TOTAL and row["cells_worst"] <= GOAL_CELLS]  # fmt: skip
     said = [f"{len(scenes)} scenes against {scenes[0]['reference']}; seconds are processor seconds of one thread."]
@@ -115,17 +115,19 @@ def reading(rows: list[dict], scenes: list[dict], fails: list[dict]) -> list[str
     for scene in scenes:
         check = scene.get("reference_check")
         if "reference_check" in scene:
-            effect = "failed"
+            found = "failed"
             if check:
-                effect = f"moves total force by {check['total']:.2%} and cells by {check['cells']:.1%}"
-            said.append(f"Halving element size and load step of the reference on {scene['scene']} {effect}.")
+                found = f"differs by {check['total']:.2%} in total force and by {check['cells']:.1%} in cells"
+            said.append(
+                f"Check of the reference on {scene['scene']}: a solve with elements and load steps of twice the size {found}."
+            )
     if fails:
         said.append(f"{len(fails)} solves gave no result; they are listed with their reasons.")
     return said
 
 
 def publish_chart(out: Path, scenes: list[dict]) -> dict:
-    """Write chart, CSV and JSON (`out`, last); returns what the JSON holds."""
+    """Write chart, CSV and, last, JSON (`out`); return the contents of the JSON."""
     from gelforge.reporting.charts import pareto_chart
 
     rows, fails = summarise(scenes), failures(scenes)
@@ -148,7 +150,7 @@ def _brief(record: dict) -> dict:
 
 @dataclass(frozen=True)
 class ChartedScene:
-    """What a solve of the chart reads: its stage's parameters, and its scene by name."""
+    """Inputs of a solve of the chart: parameters of the stage, the named scene, and the bench."""
 
     params: StageParameters
     scene: NamedScene
@@ -164,7 +166,7 @@ def asked(args: Namespace) -> ChartedScene:
 
 
 def planned_scene(of: Layout, name: str, params: StageParameters) -> NamedScene:
-    """A scene by name, its indenter's table resolved."""
+    """A planned scene by name, with its indenter's table."""
     return parse_scene(name, read_json(of.parameters(f"scenes/{name}")), params.material.nu)
 
 
@@ -184,13 +186,15 @@ def chart_of(paths: list[Path], out: Path) -> None:
     scenes = [read_json(path) for path in paths]
     references = {scene["reference"] for scene in scenes}
     if len(references) != 1:
-        raise BadInput(f"scenes stand against different references ({', '.join(sorted(references))}); run make again")
+        raise BadInput(
+            f"scenes are compared with different references ({', '.join(sorted(references))}); run make again"
+        )
     print("\n".join(publish_chart(out, scenes)["reading"]))
 
 
 @stage(Layout.chart)
 def draw(args: Namespace) -> None:
-    """Draw all planned scenes: one that was retired is no part of the chart, whatever lies in its folder."""
+    """Draw the chart of all planned scenes; other files in the scenes' folder are ignored."""
     of = args.of
     chart_of([of.chart_scene(name) for name in read_json(of.parameters("scenes"))], args.out)
 

@@ -1,6 +1,6 @@
-"""Branch pareto-models: error of every trained network against the time of one image.
+"""Branch pareto-models: error of every trained network against its time per image.
 
-Writes JSON and, beside it, the same as CSV and as a chart.
+Writes JSON and, beside it, the same values as CSV and as a chart.
 """
 
 from argparse import Namespace
@@ -17,13 +17,16 @@ from gelforge.reporting.networkcharts import PANELS, draw_networks
 from gelforge.sweeps.deviation import frontier
 
 VERSION = 4
-SECONDS = 3.0  # of timed runs per network and way of running
+SECONDS = 3.0  # of timed runs per network and device
 BASELINE = "unet"
-FASTER = 5.0  # times that the chosen network must be faster than the baseline, on one CPU thread
+FASTER = 5.0  # smallest ratio of the baseline's time to that of the chosen network, on one CPU thread
 
 
 def row_of(evaluation: dict, latencies: dict[str, dict]) -> dict:
-    """One network's row: errors on the test split, latency per way of running (`cpu1`, `cpu2`, `cuda`)."""
+    """One network's row: errors on the test split, and latency per device (`cpu1`, `cpu2`, `cuda`).
+
+    BadInput if there is no test split, or if all training presses have the same force.
+    """
     if TEST not in evaluation["splits"]:
         raise BadInput(
             f"evaluation of {evaluation['model']}: has no split {TEST!r} but {', '.join(evaluation['splits'])}; the chart"
@@ -73,9 +76,9 @@ def choose(rows: list[dict]) -> dict | None:
 
 
 def measure(models: dict, image, seconds: float) -> dict[str, dict[str, dict]]:
-    """Latency of models by name (reading.model.ForceModel), with one and two CPU threads, and on CUDA if there.
+    """Latency of models by name (reading.model.ForceModel), with one and two CPU threads, and on CUDA if present.
 
-    image: (h, w, 3) uint8. It serves as no-contact image too: no time depends on what that shows.
+    image: (h, w, 3) uint8, also used as the no-contact image, whose content does not affect the time.
     """
     import onnxruntime
 
@@ -93,7 +96,7 @@ def measure(models: dict, image, seconds: float) -> dict[str, dict[str, dict]]:
 
 
 def fronts_of(rows: list[dict]) -> dict[str, set[str]]:
-    """Names of the networks that no other beats in both latency and error, by the chart's errors."""
+    """Names of the networks on the Pareto front of latency and error, for each error of the chart."""
     found = {}
     for key in PANELS:
         shown = [row for row in rows if row[key] is not None]

@@ -1,7 +1,7 @@
-"""Stage 00: which shards a dataset has, and each stage's parameters as its own file.
+"""Stage 00: the shards of a dataset, and the parameters of each stage in a file of their own.
 
-make runs it before it reads its rules for good where the content of a file that the plan was made from changed (`flow/refuse.py`), so
-that `make -n` knows all of it. Files change only when their content does.
+If an input of the plan changed (`flow/refuse.py`), make runs this stage and reads its rules again, so that `make -n`
+knows the new plan. Output files are written only if their content changes.
 """
 
 import json
@@ -38,11 +38,11 @@ from gelforge.records.table import read_table
 def assign_shards(
     ids: list[str], known: dict[str, int], size: int, press_of: dict[str, str] | None = None
 ) -> dict[str, int]:
-    """Return the shard of each id: what `known` says, new ones filling the last shard.
+    """Return the shard of each id: that of `known`, or for new ids the last shard until it is full.
 
     A sample keeps its shard, so appending to a log leaves every full shard as it is. Samples of one press (`press_of`,
-    by id) are solved together: they go to its first one's shard, however full, also where they were given as one
-    press after they had shards.
+    by id) are solved together: all go to the shard of the first one, however full, even if they had other shards when
+    the log did not yet name them as one press.
     """
     shards: dict[str, int] = {}
     counts: dict[int, int] = {}
@@ -70,7 +70,7 @@ def assign_shards(
 
 
 def logged_rows(log: Path, sensor: str | None) -> list[RawRow]:
-    """Raw rows of a log; those that name no sensor are of the dataset's, where it names one."""
+    """Raw rows of a log; rows that name no sensor get the dataset's `sensor`, if there is one."""
     rows = read_log(log)
     if sensor is None:
         return rows
@@ -82,10 +82,10 @@ def logged_rows(log: Path, sensor: str | None) -> list[RawRow]:
 
 
 def known_shards(table: Path) -> dict[str, int]:
-    """Shard of each sample in the plan before, none where there was none; a corrupt table raises BadInput."""
-    hint = "bring it back from a copy, or remove it: samples that come into another shard then are solved again"
+    """Shard of each sample in the previous plan, empty if there was none; a corrupt table raises BadInput."""
+    hint = "restore it from a copy, or remove it: samples that come into another shard then are solved again"
     rows = read_table(table, hint) if table.exists() else []
-    # a row of the log without a sample_id has a shard, too: stage 10 rejects it there
+    # a row of the log without a sample_id has a shard, too, in which stage 10 rejects it
     if not all("sample_id" in row and row.get("shard", "").isdecimal() for row in rows):
         raise BadInput(f"{table}: does not name the shard of every sample; {hint}")
     return {row["sample_id"]: int(row["shard"]) for row in rows}
@@ -98,9 +98,9 @@ def write_shards(
     pictures: Mapping[str, str],
     tables: Mapping[str, dict] = MappingProxyType({}),
 ) -> list[str]:
-    """Write of each shard its raw rows, what it uses of the catalogues and its pictures, and the assignment; return the shards' names.
+    """Write each shard's raw rows, catalogue entries and digests of images, and the shard table; return shard names.
 
-    pictures: digests by the name that rows give them. Only what sharding needs is checked here; stage 10 judges the rows.
+    pictures: digests by the name that rows give them. Only what sharding needs is checked here, the rest by stage 10.
     """
     known = known_shards(of.shard_table)
     ids = [row.cells["sample_id"] for row in rows]
@@ -110,10 +110,11 @@ def write_shards(
     for row, name in zip(rows, ids, strict=True):
         by_shard.setdefault(shards[name], []).append(row)
     repeated = repeated_rows(rows, pictures)
-    folder, names = str(of.shards), []  # of thousands of files a Path each would take longer than to write it
+    # the folder as text: for thousands of files, making a Path would take longer than writing
+    folder, names = str(of.shards), []
     for shard, members in sorted(by_shard.items()):
         names.append(shard_name(shard))
-        # an entry that only other shards use may change without a rerun of this one
+        # only the entries that this shard uses, so that a change of others does not rerun it
         entries = {kind: used(table, named(members, COLUMN_OF[kind])) for kind, table in tables.items()}
         entries["gels"] = own_shapes(gels_of(entries.get("sensors", {})))
         seen = {
@@ -121,16 +122,16 @@ def write_shards(
             "repeated": {str(row.row): repeated[row.row] for row in members if row.row in repeated},
         }
         write_if_changed(f"{folder}/{names[-1]}.csv", shard_text(members))
-        # json writes one line several times as fast as many
+        # json writes one line several times faster than indented text
         write_if_changed(f"{folder}/{names[-1]}.json", json.dumps(entries, sort_keys=True, ensure_ascii=False) + "\n")
         write_if_changed(
             f"{folder}/{names[-1]}.pictures.json", json.dumps(seen, sort_keys=True, ensure_ascii=False) + "\n"
         )
     for gone in set(of.names()) - set(names):
-        # the log lost its rows: no stage may read them again
+        # the log no longer has these rows: no stage may read them again
         for path in (of.shard(gone), of.used(gone), of.pictures(gone)):
             path.unlink(missing_ok=True)
-    # samples that the log has lost keep their shard, and so their solves, should they come back
+    # samples that the log no longer has keep their shard, and so their solves, in case they come back
     kept = {name: shard for name, shard in known.items() if name not in shards}
     lines = [{"sample_id": n, "shard": shard, LOGGED: int(n in shards)} for n, shard in (shards | kept).items()]
     write_if_changed(of.shard_table, csv_text(["sample_id", "shard", LOGGED], lines))
@@ -138,21 +139,21 @@ def write_shards(
 
 
 def own_shapes(names: Iterable[object]) -> dict[str, dict]:
-    """Kind and numbers of those gels that the code does not define: what is pressed there depends on them."""
+    """Kind and dimensions of the gels that the code does not define itself, because results depend on them."""
     from gelforge.geometry.gel import gel_shape, own_gels
 
     return {name: gel_shape(gel) for name, gel in own_gels(names).items()}
 
 
 def gels_of(tables: Mapping[str, object]) -> list[object]:
-    """What tables of sensors or scenes name as their gel."""
+    """The gels that tables of sensors or scenes name."""
     return [table.get("gel") for table in tables.values() if isinstance(table, dict)]
 
 
 def repeated_rows(rows: list[RawRow], pictures: Mapping[str, str]) -> dict[int, str]:
-    """For each row whose picture another press shows, too, by its line: the first such row but itself.
+    """For each row whose image is also that of another press, by line number: the first other row with that image.
 
-    pictures: digests by name, so that copies of a file count.
+    pictures: digests by name, so that copies of a file count as equal.
     """
     found: dict[int, str] = {}
     for members in repeats(rows, [pictures.get(row.cells.get("image", "")) for row in rows]):
@@ -165,12 +166,12 @@ COLUMN_OF = {"sensors": "sensor_id", "indenters": "indenter"}  # of the log, by 
 
 
 def named(rows: list[RawRow], column: str) -> set[str]:
-    """What rows of the log name in a column."""
+    """The values that rows of the log have in a column."""
     return {row.cells.get(column, "").strip() for row in rows}
 
 
 def inside(data: Path, names: Iterable[str]) -> dict[str, str]:
-    """Pictures that rows name, by name, but for those that stage 10 refuses for their place outside the dataset's folder."""
+    """Paths of the images that rows name, by name, without those outside the dataset's folder (stage 10 rejects)."""
     from gelforge.records.image import stays_inside
 
     folders: dict[str, list[str]] = {}
@@ -196,21 +197,21 @@ def links_in(folder: Path) -> set[str]:
 
 
 def digests(states: Mapping[str, State | None], files: Mapping[str, Path | str]) -> dict[str, str]:
-    """Digest of each file that can be read, by name: one that was replaced is another, one that was touched is not."""
+    """Digest of each readable file, by name; it changes with the content of a file, not with its time stamp."""
     found = {name: states[str(path)] for name, path in files.items()}
     return {name: state[0][:16] for name, state in found.items() if state}
 
 
 def files_beside(data: Path) -> dict[str, Path]:
-    """What lies beside a log and goes into its dataset, by its path there: no-contact images, splits, truth, labels."""
+    """Files beside a log that belong to its dataset, by path there: no-contact images, splits, truth, labels."""
     found = [*listed(data / "nocontact", "*"), *listed(data / "labels", "*.npz")]
     found += [data / "splits.csv", data / "truth" / "presses.csv", data / "truth" / "pictures.csv"]
     return {str(path.relative_to(data)): path for path in found if path.is_file()}
 
 
 def write_beside(of: Layout, found: Mapping[str, str]) -> None:
-    """Write the digests of what lies beside the log, in a file for each kind that others read."""
-    # that labels come or go changes what a dataset is made of, at any resolution
+    """Write the digests of the files beside the log, one file per kind, for the stages that read them."""
+    # the list of imported labels counts at every resolution: a dataset with any of them solves nothing
     imported = {"labels": [name for name in found if name.startswith("labels/")]}
     kinds: dict[str, dict] = {"nocontact": {}, "rows": imported}
     for name, digest in found.items():
@@ -223,7 +224,7 @@ def write_beside(of: Layout, found: Mapping[str, str]) -> None:
 
 
 def write_parameters(params: Params, workflow: Path, out: Path, tables: dict[str, dict], scenes: dict) -> None:
-    """Write the parameters of every stage, and the catalogues' entries that this dataset uses, without their comments."""
+    """Write the parameters of every stage, and the catalogue entries that this dataset uses, without comments."""
     source = Path(__file__).parent
     for name in STAGES:
         made = config.written_for(params, name, config.stage_version(source, name))
@@ -239,18 +240,18 @@ def write_parameters(params: Params, workflow: Path, out: Path, tables: dict[str
 
 
 def used(catalogue: dict, names: set[str]) -> dict:
-    """The entries of a catalogue that a dataset names: another one that is added or edited changes nothing."""
+    """The entries of a catalogue that a dataset names, so that adding or editing others changes nothing."""
     return {name: table for name, table in catalogue.items() if name in names}
 
 
-# What make takes as one word without reading anything into it.
+# A word without characters that make interprets.
 _WORD = re.compile(r"[A-Za-z0-9_@+][A-Za-z0-9_.@+/-]*")
 NETWORK_NAME = re.compile(r"[a-z0-9_]+")
 MOST_SHARDS = 20_000
 
 
 def make_list(name: str, values: list[str]) -> str:
-    """A line of make that lists words; one that make would not take as it stands raises BadInput."""
+    """A line of make that lists words; a word with characters that make interprets raises BadInput."""
     for value in values:
         if not isinstance(value, str) or not _WORD.fullmatch(value):
             raise BadInput(
@@ -261,7 +262,7 @@ def make_list(name: str, values: list[str]) -> str:
 
 
 def networks(workflow: Path) -> dict[str, dict]:
-    """Tables of workflow/models.toml by name; BadInput for a name that make, which makes them words of its rules, would miss."""
+    """Tables of workflow/models.toml by name; BadInput for a name that cannot stand in make's rules."""
     path = workflow / "models.toml"
     found = config.read_toml(path)
     if odd := [name for name in found if not NETWORK_NAME.fullmatch(name)]:
@@ -270,7 +271,7 @@ def networks(workflow: Path) -> dict[str, dict]:
 
 
 def network_lists(models: dict[str, dict]) -> dict[str, list[str]]:
-    """Names of all networks, of those that start from the network that ships, and of those that read a no-contact image."""
+    """Names of all networks, of those fine-tuned from the shipped one, and of those that read a no-contact image."""
     tables = {name: table for name, table in models.items() if isinstance(table, dict)}
     tuned = [name for name, table in tables.items() if "start" in table]
     beside = [name for name, table in tables.items() if table.get("kind") == "grid"]
@@ -278,9 +279,9 @@ def network_lists(models: dict[str, dict]) -> dict[str, list[str]]:
 
 
 def reported_model(file: Path, params: Params, models: dict, presses: int) -> list[str]:
-    """The network that the report shows, as a list of one or none; BadInput for a name that is none. file: dataset.toml.
+    """The network that the report shows, as a list of one or none; BadInput for an unknown name. file: dataset.toml.
 
-    presses: number of them with images. Few teach a network less than the one that ships knows.
+    presses: number of presses with images. With few of them, the shipped network is better than one trained on them.
     """
     name = params.report.model
     if not name and presses < ENOUGH_PRESSES and (file.parent / "nocontact").is_dir():
@@ -293,12 +294,12 @@ def reported_model(file: Path, params: Params, models: dict, presses: int) -> li
 
 
 def pressed(rows: list[RawRow]) -> int:
-    """Number of presses with an image in a log: frames of one are one."""
+    """Number of presses with an image in a log; frames of one press count once."""
     return len({row.press_id or f"row {row.row}" for row in rows if row.cells.get("image")})
 
 
 def plan_files(data: Path, workflow: Path, catalogue: str) -> list[Path]:
-    """Files that any plan is made from, those too that are not there: tables, the log, what lies beside it, and the code."""
+    """Files that a plan is made from, including missing ones: tables, the log, files beside it, and the code."""
     tables = ("params", "models", "scenes", "sensors", "gels", "indenters")
     own = ("log.csv", "dataset.toml", "sensors.toml", "indenters.toml", "calibration.toml")
     beside = ("nocontact", "labels", "splits.csv", "truth/presses.csv", "truth/pictures.csv")
@@ -325,9 +326,9 @@ def check_count(shards: list[str], size: int) -> None:
 
 
 def without_ccx(params: config.Params, dataset_toml: Path) -> config.Params:
-    """Parameters of a machine that has no CalculiX: its presses are solved in process, in place of what is usual.
+    """Parameters for a machine without CalculiX: presses are solved in process instead.
 
-    A dataset that names CalculiX itself raises BadInput, because it would get other numbers than it asks for.
+    A dataset that itself asks for CalculiX raises BadInput, because it would get other numbers than it asks for.
     """
     method = params.fea.method
     if method in IN_PROCESS:
@@ -341,7 +342,7 @@ def without_ccx(params: config.Params, dataset_toml: Path) -> config.Params:
     return replace(params, fea=replace(params.fea, method="label"))
 
 
-# What the report shows of a branch, below results/DATASET.
+# Result of a branch that the report shows, relative to results/DATASET.
 SHOWN_OF = {"calibrate": "calibrate/summary.json"}
 CCX = option(
     "--ccx", type=Path, default=None, help="file that names CalculiX' program, or says `none`; without it none"
@@ -359,7 +360,7 @@ def main(args: Namespace) -> None:
     dataset_toml = data / "dataset.toml"
     dataset = config.read_dataset_file(dataset_toml)
     known = (record_of(metrics_of(of.plan())) or {}).get("inputs", {})
-    # states are taken before files are read: a change in between is seen by the next make
+    # take states before reading files, so that the next make sees a change in between
     states = states_of([*filter(None, [args.ccx]), *plan_files(data, workflow, dataset.catalogue)], known)
     params = config.load_params(workflow, dataset_toml)
     if args.ccx is None or args.ccx.read_text(encoding="utf-8").strip() == "none":

@@ -1,6 +1,6 @@
-"""Stage 10: checks the raw log and puts each indenter's surface where the CNC put it.
+"""Stage 10: check the raw log and place each indenter's surface where the CNC placed it.
 
-The pose table holds the path of the tip against the gel; the commanded one stays in the raw log.
+The pose table holds the path of the tip relative to the gel; the commanded path stays in the raw log.
 """
 
 import json
@@ -47,16 +47,16 @@ from gelforge.records.press import (
 )
 
 VERSION = 8
-# A tip that ends less deep below the apex may press so lightly that any reading is the sensor's own error.
+# If the tip ends less than this below the apex, the force may be so small that the reading is all sensor error.
 FIRM_MM = 0.3
 
 
 def yielded(sample: LoggedPress, file: str, params: PosesTable) -> tuple[LoggedPress, list[Rejection]]:
-    """The sample with the path that its tip took against the gel, in place of the commanded one.
+    """The sample with the path that its tip took relative to the gel, in place of the commanded one.
 
-    Frame and gantry give way in proportion to the force read, and touch was found too high or too low: parameters
+    Frame and gantry yield in proportion to the force read, and touch was found too high or too low: parameters
     `compliance_mm_per_n`, `shear_compliance_mm_per_n` and `touch_offset_mm` (positive: deeper), as calibrate infers
-    them from the commanded path. A sample without the reading that this takes is rejected.
+    them from the commanded path. A sample without the force reading that this needs is rejected.
     """
     normal, sideways = params.compliance_mm_per_n, params.shear_compliance_mm_per_n
     needed = {"fx_n": sideways, "fy_n": sideways, "fz_n": normal}
@@ -64,7 +64,7 @@ def yielded(sample: LoggedPress, file: str, params: PosesTable) -> tuple[LoggedP
         if compliance and getattr(sample, column) is None:
             hint = f"fill it in, or set the compliance of [poses], {compliance:g} mm/N, to 0"
             return sample, [reject(sample, file, column, "no force reading, which the compliance needs", hint)]
-    # the force on the gel points along the motion, so what the frame gave way shortens the path
+    # the force on the gel points along the motion, so the frame's deflection shortens the path
     given = {name: c * (getattr(sample, f"f{name[1]}_n") or 0.0)
            for name, c in (("dx_mm", sideways), ("dy_mm", sideways), ("dz_mm", normal))}  # fmt: skip
     moved = {name: getattr(sample, name) - shift for name, shift in given.items() if shift}
@@ -72,16 +72,18 @@ def yielded(sample: LoggedPress, file: str, params: PosesTable) -> tuple[LoggedP
         moved["z0_mm"] = sample.z0_mm - params.touch_offset_mm
     if moved.get("dz_mm", sample.dz_mm) >= 0.0:
         hint = f"check fz_n, or compliance_mm_per_n = {normal:g} in [poses]"
-        return sample, [reject(sample, file, "dz_mm", "the bench gives way by more than the press", hint)]
+        return sample, [
+            reject(sample, file, "dz_mm", "fz_n times the bench compliance exceeds the depth of the press", hint)
+        ]
     path = replace(sample, **moved)
     return path, turned_round(sample, path, file, sideways)
 
 
 def pulling(sample: LoggedPress, file: str, params: PosesTable) -> list[Rejection]:
-    """The rejection of a press whose normal force is logged as a pull, most likely with its sign turned round.
+    """The rejection of a press whose normal force is logged as a pull, most likely because its sign is inverted.
 
-    Nothing that is computed from such a reading is right, and where the bench gives way it would put the tip deeper in
-    place of less deep: there a light press is rejected, too.
+    Nothing computed from such a reading is right. With a bench compliance it would also move the tip deeper instead
+    of less deep, so then a press shallower than FIRM_MM is rejected, too.
     """
     firm = -(sample.z0_mm + sample.dz_mm) >= FIRM_MM
     fault = pull_fault(sample.fz_n or 0.0)
@@ -94,7 +96,7 @@ def pulling(sample: LoggedPress, file: str, params: PosesTable) -> list[Rejectio
 
 
 def turned_round(sample: LoggedPress, path: LoggedPress, file: str, compliance: float) -> list[Rejection]:
-    """The rejection of a press whose corrected `path` goes sideways against the commanded one, or across it.
+    """The rejection of a press whose corrected `path` moves sideways at 90 degrees or more to the commanded one.
 
     compliance: shear_compliance_mm_per_n, for the hint.
     """
@@ -106,11 +108,15 @@ def turned_round(sample: LoggedPress, path: LoggedPress, file: str, compliance: 
         f"check shear_compliance_mm_per_n = {compliance:g} in [poses], and the sign of fx_n, fy_n: the force on the gel"
         " points along the motion"
     )
-    return [reject(sample, file, column, "the bench gives way sideways by more than the press moves", hint)]
+    return [
+        reject(
+            sample, file, column, "the sideways force times the bench compliance exceeds the sideways travel", hint
+        )
+    ]
 
 
 def posed_points(press, points: np.ndarray) -> np.ndarray:
-    """Points (n, 3) of the indenter frame in the gel frame, mm, where the path begins."""
+    """Points (n, 3) of the indenter frame in the gel frame at the beginning of the path, mm."""
     rotation, shift = press.pose(0.0, 0.0)
     return points @ rotation.T + shift
 
@@ -118,7 +124,7 @@ def posed_points(press, points: np.ndarray) -> np.ndarray:
 def geometric_faults(sample: LoggedPress, file: str, body, gel: Gel, params: PosesTable) -> list[Rejection]:
     """Rejections of a press that never touches the gel or leaves what it can represent."""
     press = sample.press
-    # Reasons stay the same words for every sample, so that they can be counted; the numbers go into the hint.
+    # Reasons are the same for every sample, so that they can be counted; numbers go into the hint.
     sideways, farthest = float(np.hypot(press.dx, press.dy)), params.farthest_shear_mm
     if sideways > farthest:
         column = "dx_mm" if abs(press.dx) >= abs(press.dy) else "dy_mm"
@@ -143,7 +149,7 @@ def geometric_faults(sample: LoggedPress, file: str, body, gel: Gel, params: Pos
 
 
 def reachable_height(press, params: PosesTable) -> float:
-    """Height above the tip, mm, up to which the gel can meet the indenter; rounded up, so that crops are shared."""
+    """Height above the tip, mm, up to which the gel can touch the indenter, rounded up so that crops are shared."""
     reach = -(press.z0 + press.dz) + params.bulge_mm
     return float(max(1, np.ceil(reach / params.band_mm)) * params.band_mm)
 
@@ -158,10 +164,10 @@ def write_posed(path, body, press, params: PosesTable) -> None:
 
 
 def judge(rows: list[RawRow], file: str, data: Path, tables: dict, params: PosesTable, kept: Path | None = None):
-    """Good samples with body and gel, and rejections, of raw rows.
+    """Good samples of raw rows, each with its body, and the rejections.
 
-    tables: "sensors" and "indenters" as dicts of catalogue tables, "folder" that STL files are named from. kept: folder
-    of what was measured of these (`geometry.sampled`).
+    tables: "sensors" and "indenters" as dicts of catalogue tables, and "folder", to which paths of STL files are
+    relative. kept: folder of the measured surfaces of these files (`geometry.sampled`).
     """
     needed = [name for name in COLUMNS if params.images or name != "image"]
     parsed = [parse(row, file, needed) for row in rows]
@@ -187,7 +193,7 @@ def judge(rows: list[RawRow], file: str, data: Path, tables: dict, params: Poses
 
 
 def name_and_image_faults(sample: LoggedPress, file: str, data: Path, tables: dict, params: PosesTable):
-    """Rejections of what a press names: a sensor or an indenter that there is not, a picture that cannot be used."""
+    """Rejections of a press that names an unknown sensor or indenter, or an image that cannot be used."""
     wrong = unknown_names(sample, file, tables["sensors"], tables["indenters"])
     if not params.images:
         return wrong
@@ -200,7 +206,7 @@ def name_and_image_faults(sample: LoggedPress, file: str, data: Path, tables: di
 
 
 def beside_cells(row: RawRow, wrong: list[Rejection], file: str, data: Path, tables: dict, params: PosesTable):
-    """Rejections of what a row names where other cells are `wrong`, so that all that is to be corrected is seen at once."""
+    """Further rejections of names in a row whose other cells are `wrong`, so that all faults are shown at once."""
     sample, _ = parse(row, file, ())
     found = name_and_image_faults(sample, file, data, tables, params) if sample else []
     return [each for each in found if each.column not in {r.column for r in wrong}]
@@ -215,7 +221,7 @@ def path_faults(sample: LoggedPress, file: str, sensor: dict, bodies, params: Po
 
 
 def repeated_pictures(samples: list[LoggedPress], file: str, repeated: dict[str, str]) -> list[Rejection]:
-    """Reasons against samples whose picture another press shows, too; repeated: that press, by the sample's row."""
+    """Notes on samples whose image is also that of another press. repeated: that press, by the sample's row."""
     hint = "give each press its own picture, or remove its row; did the camera freeze?"
     return [
         reject(sample, file, "image", f"{repeated[str(sample.row)]} shows a picture of the same content", hint)
@@ -245,7 +251,7 @@ class Bodies:
 
 
 def place_faults(sample: LoggedPress, file: str, sensor: dict, bodies, params: PosesTable) -> list[Rejection]:
-    """Rejections of a press by its sensor's table, its indenter's shape and where it lies."""
+    """Rejections of a press by its sensor's table, its indenter's shape and its place."""
     try:
         known = sensor_of(SENSOR_TABLES, sample.sensor_id, sensor)
     except BadInput as error:
@@ -257,7 +263,7 @@ def place_faults(sample: LoggedPress, file: str, sensor: dict, bodies, params: P
 
 
 def write_shard(good, rejections, out: Path, params: PosesTable) -> None:
-    """Write a shard's surfaces, its rejections, and last its pose table to exactly `out`."""
+    """Write a shard's surfaces, its rejections and, last, its pose table, which goes to `out`."""
     folder = beside(out, "")
     folder.mkdir(parents=True, exist_ok=True)
     posed = []
@@ -289,9 +295,8 @@ def main(args: Namespace) -> None:
     write_shard(good, rejections, args.out, params)
     for line in [*summarised(rejections), *summarised(doubtful, "note: kept, in one split with those like it")]:
         print(line, file=sys.stderr)
-    reasons = {
-        r.row: f"{r.column}: {r.reason}" for r in rejections
-    }  # one that is wrong in several columns is one row
+    # a row that is wrong in several columns counts once
+    reasons = {r.row: f"{r.column}: {r.reason}" for r in rejections}
     print(json.dumps({"done": len(good), "failed": Counter(reasons.values())}))
 
 

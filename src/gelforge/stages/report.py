@@ -1,4 +1,4 @@
-"""Stage 90: one page that shows what was pressed, solved, labelled, learnt, and what failed."""
+"""Stage 90: one page that shows presses, solves, labels, networks and failures."""
 
 import json
 import subprocess
@@ -37,29 +37,29 @@ from gelforge.sweeps import verification
 
 VERSION = 5
 ABSENT = "not installed"
-FOLDED = ("trace.png",)  # pictures for who doubts a result
+FOLDED = ("trace.png",)  # plots shown folded, for readers who check a result
 PACKAGES = (
     "gelforge", "numpy", "scipy", "torch", "pymeshlab", "pyvista", "emcee", "opencv-contrib-python-headless",
 )  # fmt: skip
 
 
 def read_tables(results: Layout, path_of: Callable[[str], Path]) -> list[dict]:
-    """Rows of the tables of the planned shards, each with its `shard`; a stage may not have made all of them."""
+    """Rows of the existing tables of the planned shards, each with its `shard`."""
     paths = {name: path_of(name) for name in results.names()}
     return [{**row, "shard": name} for name, path in paths.items() if path.exists() for row in read_csv(path)]
 
 
 def read_presses(results: Path) -> list[tuple[str, PosedPress]]:
-    """Good presses of the planned shards whose pose tables are there, each with its shard."""
+    """Presses in the existing pose tables of the planned shards, each with its shard."""
     of = Layout(results)
     paths = {name: of.poses(name) for name in of.names()}
     return [(name, press) for name, path in paths.items() if path.exists() for press in read_poses(path)]
 
 
 def read_solved(results: Path) -> dict[str, Solved]:
-    """Solves of the planned shards whose tables are there, by sample_id.
+    """Solves in the existing tables of the planned shards, by sample_id.
 
-    Once a shard's forces were taken out of them, as these say: in the material's N, and lost where they were not sound.
+    If a shard's file of forces exists, status and total are those of that file, with forces scaled to the material.
     """
     of = Layout(results)
     found: dict[str, Solved] = {}
@@ -70,7 +70,7 @@ def read_solved(results: Path) -> dict[str, Solved]:
 
 
 def with_forces(solves: list[Solved], path: Path) -> list[Solved]:
-    """Solves with status and total as a shard's file of forces has them; as they are where there is none."""
+    """Solves with status and total from a shard's file of forces; unchanged if that is missing."""
     if not path.exists():
         return solves
     with ForceFile(path) as shard:
@@ -89,7 +89,7 @@ def _with_force(solve: Solved, status: str, total: list[float]) -> Solved:
 
 
 def calibration_section(results: Path) -> Section:
-    """Posterior of the material."""
+    """Posterior of C10 and of the bench."""
     section = Section("Calibration")
     path = Layout(results).calibration()
     if not path.exists():
@@ -104,8 +104,8 @@ def calibration_section(results: Path) -> Section:
     for press in summary.get("outliers", []):
         section.text(
             f"Outlier: {press['sample_id']} (row {press['row']}), f{press['component']} {press['measured_n']:.3g} N "
-            f"read, {press['predicted_n']:.3g} N predicted, {press['scales_away']:+.1f} deviations; it serves with a "
-            "low weight."
+            f"read, {press['predicted_n']:.3g} N predicted, {press['scales_away']:+.1f} deviations; it has a "
+            "low weight in the fit."
         )
     for press in summary.get("solves_spent", {}).get("unsolved", []):
         section.text(f"Left out: {press['sample_id']}: {press['reason']}")
@@ -118,7 +118,7 @@ def calibration_section(results: Path) -> Section:
 
 
 def force_section(results: Path, data: Path, rows: list[dict], doubts: Sequence[str] = ()) -> Section:
-    """Labels beside the force sensor's readings, press by press. doubts: what stage 60 says of the readings."""
+    """Labels against the force sensor's readings, press by press. doubts: what stage 60 says about the readings."""
     of, section = Layout(results), Section("Labels against the force sensor")
     none = "The log has no force readings of presses that were labelled."
     if not any(row.get("measured_fz") for row in rows):  # as where labels came with the dataset
@@ -148,7 +148,7 @@ def force_section(results: Path, data: Path, rows: list[dict], doubts: Sequence[
 
 
 def add_pictures(section: Section, folder: Path, captions: dict[str, str]) -> Section:
-    """Pictures of a folder, file to caption, in this order; those that were not made are left out."""
+    """Add plots of a folder, given as file to caption, in this order; missing ones are left out."""
     for name, caption in captions.items():
         if (folder / name).exists():
             section.picture((folder / name).read_bytes(), caption, folded=name in FOLDED)
@@ -156,7 +156,7 @@ def add_pictures(section: Section, folder: Path, captions: dict[str, str]) -> Se
 
 
 def failures_section(results: Path, solved: dict[str, Solved]) -> Section:
-    """Everything that did not become a label as was asked for, with its reason."""
+    """Presses without a label, or labelled by another method than requested, with the reasons."""
     section = Section("Failures")
     rejected = read_tables(Layout(results), Layout(results).rejected)
     failed = [solve for solve in solved.values() if not solve.status.valid]
@@ -171,13 +171,13 @@ def failures_section(results: Path, solved: dict[str, Solved]) -> Section:
             columns, [[r[c] for c in columns] for r in rejected]
         )
     if images["left_out"]:
-        section.text("Presses whose images are not theirs, so that the dataset lacks them.").table(
+        section.text("Presses left out of the dataset because their images do not match them.").table(
             ["sample_id", "reason"], [list(each) for each in images["left_out"].items()]
         )
     for note in images["notes"]:
         section.text(note)
     if replaced:
-        section.text("Labels by another method than was asked for.").table(
+        section.text("Labels by another method than requested.").table(
             ["sample_id", "method", "reason"], [[s.sample_id, s.method, s.reason] for s in replaced]
         )
     if failed:
@@ -195,7 +195,7 @@ def read_verified(results: Path) -> list[verification.Verified]:
 
 
 def verified_section(records: list[verification.Verified]) -> Section:
-    """Presses that were solved by CalculiX, too, and the differences of both solves."""
+    """Presses that CalculiX solved, too, and the differences between both solves."""
     section = Section("Verified by CalculiX")
     section.text(
         "Differences between the method that was chosen and CalculiX, over CalculiX' total force. The limit is the sum of"
@@ -221,7 +221,7 @@ def fidelities_section(solved: dict[str, Solved]) -> Section:
 
 
 def branch_section(results: Path, title: str, folder: str, what: str, shipped: Path) -> Section:
-    """Charts of a branch as they lie in its folder, or the one that comes along."""
+    """Charts of a branch from its folder, or the one that gelforge ships if there are none."""
     section = Section(title)
     charts = listed(results / folder, "*.png", below=True) or [png for png in (shipped,) if png.exists()]
     if not charts:
@@ -233,7 +233,7 @@ def branch_section(results: Path, title: str, folder: str, what: str, shipped: P
 
 
 def network_section(results: Path, resolution: str, model: str) -> Section:
-    """Errors of the trained network, and how it learnt."""
+    """Errors of the trained network, and its learning curve."""
     section = Section("Network")
     path = Layout(results).evaluation(resolution, model)
     if not path.exists():
@@ -250,13 +250,13 @@ def network_section(results: Path, resolution: str, model: str) -> Section:
 
 
 def published_here(folder: Path) -> dict[str, dict]:
-    """Errors on FEATS' published tests of every network that was evaluated on them, by its name."""
+    """Errors on FEATS' published test sets of every network that was evaluated on them, by name."""
     found = {path.stem: read_json(path).get("published") for path in listed(folder, "*.json")}
     return {name: errors for name, errors in found.items() if errors}
 
 
 def learnt_from(metrics: dict, model: str) -> str:
-    """What the network saw before, and how to judge it."""
+    """What the network was trained on, and how to judge it."""
     who = "The shipped network" if model == SHIPPED else f"{model[0].upper()}{model[1:]}"
     images = " and ".join(f"{count} images of dataset {name}" for name, count in metrics["lessons"].items())
     these = "this one among them" if metrics["knows"] else "none of them from this one"
@@ -271,7 +271,7 @@ def learnt_from(metrics: dict, model: str) -> str:
 
 
 def calculix_version() -> str:
-    """Version of the CalculiX that solves run, as it prints it."""
+    """Version that the CalculiX of the solves prints."""
     program = ccx_program()
     if program is None:
         return ABSENT
@@ -280,7 +280,7 @@ def calculix_version() -> str:
 
 
 def versions_section(results: Path) -> Section:
-    """What made this: programs and parameters."""
+    """Versions of programs, and parameters."""
     section, found = Section("Versions and parameters"), installed(PACKAGES)
     rows = [*([name, found.get(name, ABSENT)] for name in PACKAGES), ["CalculiX", calculix_version()]]
     section.table(["program", "version"], rows, folded="programs")
@@ -290,7 +290,7 @@ def versions_section(results: Path) -> Section:
 
 
 def about(results: Path, dataset: str, resolution: str, model: str, params: Path) -> dict:
-    """What the page's charts and provenance must know beside the presses."""
+    """Data that the page's charts and provenance need beside the presses."""
     path = Layout(results).evaluation(resolution, model)
     splits = read_json(path)["splits"] if path.exists() else {}
     return {
@@ -307,7 +307,7 @@ def about(results: Path, dataset: str, resolution: str, model: str, params: Path
 def open_explorer(
     results: Path, resolution: str, model: str, solved: dict[str, Solved], gels: dict[str, str]
 ) -> Explorer:
-    """The table of presses with what the network read of them; gels: their names by sensor."""
+    """The table of presses with the network's predictions. gels: their names by sensor."""
     path = Layout(results).evaluation(resolution, model).with_suffix(".predictions.npz")
     predictions = read_predictions(path) if path.exists() else None
     totals = (
@@ -325,7 +325,7 @@ def open_explorer(
 
 
 def explorer_data(explorer: Explorer, known: dict) -> dict:
-    """All that the page's explorer is given, but for the parts."""
+    """All data of the page's explorer except the parts."""
     costs = costs_of(last_runs(explorer.results))
     return {
         "columns": as_columns(explorer.rows),
@@ -337,7 +337,7 @@ def explorer_data(explorer: Explorer, known: dict) -> dict:
 
 
 def sections_of(explorer: Explorer, data: Path, model: str, solved: dict[str, Solved]) -> list[Section]:
-    """What stands below the explorer."""
+    """Sections of the page below the explorer."""
     results, resolution = explorer.results, explorer.resolution
     verified = read_verified(results)
     doubts = read_json(Layout(results).dataset_table(resolution)).get("doubts_of_forces", [])
@@ -360,7 +360,7 @@ def sections_of(explorer: Explorer, data: Path, model: str, solved: dict[str, So
 
 
 def lead_of(rows: list[dict], resolution: str, samples: int) -> str:
-    """One sentence on how many presses became labels; samples: those of the dataset, whose labels may have come with it."""
+    """One sentence on how many presses were labelled. samples: size of the dataset, whose labels may be imported."""
     labelled = sum(row["status"] in VALID for row in rows)
     if samples and not labelled:
         return f"{samples} pictures with labels that came with the dataset, at {resolution} cells a picture; no press was solved here."

@@ -1,4 +1,4 @@
-"""Source `rig`: carry out a plan on the virtual bench and write data/DATASET like a real one would."""
+"""Source `rig`: carry out a plan on the virtual bench and write data/DATASET as a real bench would."""
 
 import hashlib
 import json
@@ -39,11 +39,11 @@ from gelforge.virtualrig.writer import (
 )
 
 FILM, RATE, QUALITY = "film.avi", 15, 90  # name, images a second, JPEG's quality
-CAMERAS = 64  # that a process keeps, of 20 MB each; to make one anew costs about three pictures
+CAMERAS = 64  # cameras that a process keeps, 20 MB each; making one costs as much as about three images
 
 
 class Worker:
-    """Bench and cameras of one process."""
+    """The bench and the cameras of one process."""
 
     def __init__(self, plan: Plan, workflow: Path, folder: Path):
         import cv2
@@ -69,10 +69,10 @@ class Worker:
         save_image(self.folder / nocontact_name(sensor), self.camera(sensor).image(rng=chance))
 
     def carry_out(self, orders: list[Order], solved: bool) -> list[tuple]:
-        """Press once and take every picture of `orders`, which are of one press and its frames.
+        """Press once and take every image of `orders`, which are the frames of one press by one or more sensors.
 
-        Returns (order, row of the log or None, row of the truth) of each; none where the press is `solved` and only
-        pictures are drawn from the surface kept then.
+        Returns (order, row of the log or None, row of the truth) of each. If the press is `solved` already, it only
+        draws the images from the stored surface and returns an empty list.
         """
         from gelforge.virtualrig.fields import Surface, surface_of
 
@@ -98,7 +98,7 @@ class Worker:
         ]
 
     def take_film(self) -> None:
-        """Film the presses of the plan's [film]: a second of rest, then each on its way down and up, with rest in between."""
+        """Film the presses of [film]: 1 s without contact, then each press down and up, and 0.2 s without contact."""
         from gelforge.virtualrig.bench import Bench
         from gelforge.virtualrig.fields import field_of, surface_of
         from gelforge.virtualrig.render import Pressed
@@ -133,7 +133,7 @@ def write_film(path: Path, images: list[np.ndarray]) -> None:
     import cv2
 
     with publish(path) as part:
-        named = Path(f"{part}{path.suffix}")  # by which OpenCV chooses the container
+        named = Path(f"{part}{path.suffix}")  # OpenCV chooses the container by the suffix
         writer = cv2.VideoWriter(
             str(named), cv2.CAP_OPENCV_MJPEG, cv2.VideoWriter.fourcc(*"MJPG"), RATE, images[0].shape[1::-1]
         )
@@ -145,17 +145,17 @@ def write_film(path: Path, images: list[np.ndarray]) -> None:
 
 
 def of_nocontact(plan: Plan, appearance: Appearance) -> np.random.Generator:
-    """Randomness of a unit's no-contact image."""
+    """Random generator of a unit's no-contact image."""
     return np.random.default_rng([plan.seed, appearance.seed])
 
 
 def of_picture(plan: Plan, order: Order) -> np.random.Generator:
-    """Randomness of an order's picture."""
+    """Random generator of an order's image."""
     return generator(plan, order.index, streams.camera(order.unit, order.frame))
 
 
 def altered_pictures(plan: Plan, appearances: dict[str, Appearance]) -> list[dict[str, str]]:
-    """Every picture of a plan that is drawn otherwise than a sound sensor gives it, by its path, and how."""
+    """Every image of a plan that differs from that of a sensor without faults: its path, and how it was altered."""
     chances = [
         (nocontact_name(name), appearances[name], of_nocontact(plan, appearances[name])) for name in plan.sensors
     ]
@@ -168,7 +168,7 @@ def altered_pictures(plan: Plan, appearances: dict[str, Appearance]) -> list[dic
 
 @lru_cache(maxsize=1)
 def worker_of(plan: Plan, workflow: Path, folder: Path) -> Worker:
-    """The bench and cameras of this process, made once: that costs more than a press."""
+    """The bench and cameras of this process, made once because making them costs more than a press."""
     return Worker(plan, workflow, folder)
 
 
@@ -209,7 +209,7 @@ def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
     finally:
         if new:
             dataset.publish()
-    counts = {"new": new, "only drawn again": drawn, "failed": len(failed)}
+    counts = {"new": new, "with images drawn again": drawn, "failed": len(failed)}
     counted = "".join(f", {count} {what}" for what, count in counts.items() if count or what == "new")
     print(f"{folder}: {len(dataset.log)} samples{counted}")
     for order, status in failed:
@@ -218,7 +218,7 @@ def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
 
 
 def by_press(dataset: Dataset, every: list[Order]) -> list[tuple[list[Order], bool]]:
-    """What is missing: the orders of each press, and whether only their pictures are."""
+    """Missing orders by press, and for each press whether only its images are missing."""
     found: dict[tuple[int, bool], list[Order]] = {}
     for order in dataset.missing(every):
         found.setdefault((order.index, dataset.solved(order)), []).append(order)
@@ -226,7 +226,7 @@ def by_press(dataset: Dataset, every: list[Order]) -> list[tuple[list[Order], bo
 
 
 def check(plan_path, workflow: Path) -> Plan:
-    """Everything that can be refused before a file is written."""
+    """Read a plan and check all that can be checked before a file is written; BadInput if anything is wrong."""
     use_gels_of(workflow)
     plan = read_plan(plan_path)
     catalogue = read_catalogue(workflow / plan.catalogue)
@@ -239,7 +239,7 @@ def check(plan_path, workflow: Path) -> Plan:
 
 
 def units_of(plan: Plan, workflow: Path) -> tuple[dict[str, Appearance], dict[str, Sensor]]:
-    """Appearances and sensors by name: those of workflow/, and those that the plan draws."""
+    """Appearances and sensors by name: those of workflow/, and those that the plan draws at random."""
     appearances, sensors = (
         read_appearances(workflow / "rig" / "sensors.toml"),
         load_sensors(workflow / "sensors.toml"),
@@ -253,7 +253,7 @@ def units_of(plan: Plan, workflow: Path) -> tuple[dict[str, Appearance], dict[st
 def contents_of(
     plan: Plan, workflow: Path, appearances: dict[str, Appearance], sensors: dict[str, Sensor]
 ) -> tuple[dict[str, str], dict[str, str]]:
-    """Digests of what a plan's names stand for: each indenter's table and STL file, each sensor's appearance and projection."""
+    """Digests of the indenters and sensors of a plan: tables and STL files, appearances and projections."""
     every = read_catalogue(workflow / plan.catalogue)
     tables = with_content({name: every[name] for name in plan.indenters}, workflow)
     seen = {name: [asdict(appearances[name]), asdict(sensors[name])] for name in plan.sensors}
@@ -261,7 +261,7 @@ def contents_of(
 
 
 def digests(of: dict[str, Any]) -> dict[str, str]:
-    """Short digest of what each name stands for; arrays count to six decimals."""
+    """Short digest of each named value; arrays are rounded to six decimals."""
     texts = {
         name: json.dumps(what, sort_keys=True, default=lambda a: np.round(a, 6).tolist()) for name, what in of.items()
     }
@@ -270,7 +270,7 @@ def digests(of: dict[str, Any]) -> dict[str, str]:
 
 @contextmanager
 def _pool(jobs: int, plan: Plan, workflow: Path, folder: Path):
-    """Context that yields a function from a method of Worker and its arguments, a tuple a task, to results in their order."""
+    """Yield a function that maps a method of Worker over tasks, tuples of arguments, with results in their order."""
 
     def work(what: Callable) -> Callable[[tuple], Any]:
         return partial(_work, plan, workflow, folder, what)
@@ -279,9 +279,9 @@ def _pool(jobs: int, plan: Plan, workflow: Path, folder: Path):
         try:
             yield lambda what, tasks: map(work(what), tasks)
         finally:
-            worker_of.cache_clear()  # a later run of this process may find other looks and shapes under these names
+            worker_of.cache_clear()  # in a later run of this process the names may mean other appearances and shapes
         return
-    # forked threads of numerical libraries hang, so workers start fresh
+    # spawned, because numerical libraries' threads hang after a fork
     executor = pool(jobs, get_context("spawn"))
     try:
         yield lambda what, tasks: executor.map(work(what), tasks)
@@ -297,9 +297,9 @@ def _pool(jobs: int, plan: Plan, workflow: Path, folder: Path):
 )
 def main(given: Namespace) -> None:
     """Carry out a plan, or refuse it with the reason."""
-    # one thread per press, whatever the user has set: presses run side by side, and sums keep their order
+    # one thread per press, whatever the user has set: presses run in parallel, and sums keep their order
     os.environ.update(OMP_NUM_THREADS="1", MKL_NUM_THREADS="1", OPENBLAS_NUM_THREADS="1")
-    os.environ.setdefault("MKL_CBWR", "AUTO")  # the same digits wherever in memory an array lies
+    os.environ.setdefault("MKL_CBWR", "AUTO")  # the same digits whatever the memory alignment of an array
     run(given.plan, given.data, given.workflow, given.jobs)
 
 

@@ -1,6 +1,6 @@
-"""Branch stability: where each solver converges, what fails and why, where an answer drifts though it converged.
+"""Branch stability: where each solver converges, where it fails and why, and where a converged result drifts.
 
-`row` solves the cases of one factor, `map` puts the rows together.
+`row` solves the cases of one factor, `map` joins the rows.
 """
 
 import time
@@ -26,14 +26,14 @@ from gelforge.sweeps.trial import ccx_settings, kept, solve_isolated
 
 VERSION = 5
 NOT_RUN = "NOT_RUN"
-# How a case at label setting is solved, by its solver.
+# Method of cases without an element size of their own, by solver.
 LABEL = {"hex": method_of("label"), "ccx": method_of("ccx"), FINEST: method_of("fine")}
 COLUMNS = ("row", "level", "solver", "kind", "shape", "depth", "shear", "place", "nu", "friction", "size", "steps", "status",
            "verdict", "error", "against", "fx_n", "fy_n", "fz_n", "cpu_seconds", "reason")  # fmt: skip
 
 
 def case_key(case: Case, params: StageParameters) -> str:
-    """Digest of all that a case's result depends on."""
+    """Digest of everything that a case's result depends on."""
     parts = [case.describe(), params.version]
     if case.solver in ("hex", FINEST):
         parts.append(asdict(hex_settings(case_method(case, params))))
@@ -43,7 +43,7 @@ def case_key(case: Case, params: StageParameters) -> str:
 
 
 def case_method(case: Case, params: StageParameters) -> Method:
-    """How a case is solved."""
+    """The method by which a case is solved."""
     if not case.size:
         return LABEL[case.solver]
     layers = params.stability.layers.get(str(case.size), 6)
@@ -51,13 +51,13 @@ def case_method(case: Case, params: StageParameters) -> Method:
 
 
 def case_file(case: Case, params: StageParameters, folder: Path) -> tuple[Path, str]:
-    """Where a case's record is kept, and its key."""
+    """Path of a case's record, and its key."""
     key = case_key(case, params)
     return folder / f"{key[:24]}.json", key
 
 
 def solve_case(case: Case, params: StageParameters, folder: Path) -> dict:
-    """Record of one case, the kept one or a new one."""
+    """Record of one case, stored or newly solved."""
     path, key = case_file(case, params, folder)
     limit = params.stability.limit_s
     record = kept(path, key, limit)
@@ -72,7 +72,7 @@ def solve_case(case: Case, params: StageParameters, folder: Path) -> dict:
 
 
 def solve_row(row: str, params: StageParameters, folder: Path) -> list[dict]:
-    """Records of a row, those beyond its time marked NOT_RUN; a rerun resumes at them."""
+    """Records of a row; cases that its time limit left out are marked NOT_RUN, and a rerun resumes at them."""
     end = time.monotonic() + 60.0 * params.stability.minutes
     records = []
     for case in tqdm(row_cases(params.stability, row), f"stability {row}"):
@@ -87,8 +87,8 @@ def solve_row(row: str, params: StageParameters, folder: Path) -> list[dict]:
 def judge_row(row: str, records: list[dict], params: StageParameters) -> list[dict]:
     """Rows of the table: each case with its verdict "good", "drifts", "failed" or "not run", and its error.
 
-    That is the difference of total force from the finest of the same press: in the rows of elements and load steps of the
-    same solver, elsewhere on the finest hexahedra.
+    The error is the difference in total force from the finest solve of the same press: by the same solver in the rows
+    of element sizes and load steps, on the finest hexahedra in the others.
     """
     limit = params.stability.drift
     cases = [Case(**record["case"]) for record in records]
@@ -111,7 +111,7 @@ def judge_row(row: str, records: list[dict], params: StageParameters) -> list[di
 
 
 def _yardstick(row, case, cases, records):
-    """What a case is held against: its description and the record, (None, None) where there is nothing."""
+    """What a case is compared with: description and record, (None, None) if there is nothing."""
     if row in SERIES:
         same = [i for i, c in enumerate(cases) if (c.solver, c.press) == (case.solver, case.press)]
         finest = min(same, key=lambda i: (cases[i].size, -cases[i].steps))
@@ -124,7 +124,7 @@ def _yardstick(row, case, cases, records):
 
 
 def reading(table: list[dict]) -> list[str]:
-    """What the map says, in sentences."""
+    """The results of the map in sentences."""
     said = []
     for solver in dict.fromkeys(line["solver"] for line in table):
         own = [line for line in table if line["solver"] == solver]
@@ -164,7 +164,7 @@ def solve(args: Namespace) -> None:
 
 @stage(Layout.stability_map)
 def draw(args: Namespace) -> None:
-    """Put the rows together: picture, CSV and JSON."""
+    """Join the rows: picture, CSV and JSON."""
     from gelforge.reporting.charts import stability_map
 
     table = [line for row in ROWS for line in read_json(args.of.stability_row(row))["judged"]]

@@ -19,7 +19,10 @@ VERSION = 23
 
 
 def resolve(models: dict, name: str, train: TrainTable) -> tuple[dict, TrainingTable]:
-    """Return the table of model `name` and the training settings with those of its kind and its own laid over them."""
+    """Return the table of model `name`, and the training settings overridden by those of its kind and its own.
+
+    BadInput for an unknown name, a start other than the shipped network, or wrong settings.
+    """
     if name not in models:
         raise BadInput(f"MODEL={name}: no such model in workflow/models.toml; known: {', '.join(sorted(models))}")
     model = dict(models[name])
@@ -27,10 +30,10 @@ def resolve(models: dict, name: str, train: TrainTable) -> tuple[dict, TrainingT
         raise BadInput(
             f"workflow/models.toml, [{name}]: start = {model['start']!r}: only {SHIPS!r} can be fine-tuned"
         )
-    kind_of(model)  # which refuses what is no kind
+    kind_of(model)  # refuses an unknown kind
     own = model.pop("train", {})
     values = plain(train)
-    del values["also"]  # it says what is learnt from, not how
+    del values["also"]  # names training data, no setting of the training
     of_kind = values.pop("epochs_of").get(model["kind"], 0)
     values["epochs"] = of_kind or train.epochs
     model.pop("note", None)
@@ -39,7 +42,7 @@ def resolve(models: dict, name: str, train: TrainTable) -> tuple[dict, TrainingT
 
 
 def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None, start=None, also=()):
-    """A model of a dataset, learning.recipe.make_model of this VERSION."""
+    """A trained model of a dataset, made by learning.recipe.make_model with this VERSION."""
     from gelforge.learning.recipe import Recipe, make_model
 
     return make_model(data, Recipe(name, model, settings, VERSION), checkpoint, start, also)

@@ -1,1 +1,1 @@
-"""Measuring every method on the same scenes: what `pareto`, `stability` and the fea benchmark share."""
+"""Measure every method on the same scenes: shared code of `pareto`, `stability` and the fea benchmark."""

@@ -1,4 +1,4 @@
-"""Cases of the stability map: one factor varied at a time around a centre at label setting, and random combinations."""
+"""Cases of the stability map: one factor varied at a time around label settings, and random combinations."""
 
 from dataclasses import asdict, dataclass, replace
 from typing import Any
@@ -20,14 +20,14 @@ BODIES = {
     "several": {"kind": "triple_triangle", "side": 10, "wall": 1, "first_corner_deg": -90, "fillet": 0.7,
                 "height": 10},
 }  # fmt: skip
-TILTED, RIDGE = "tilted", "ridge"  # bodies of a row of their own, whose `shape` is varied
+TILTED, RIDGE = "tilted", "ridge"  # bodies with rows of their own that vary `shape`
 # Where the axis stands, mm; at the rim part of every body hangs over the gel's edge.
 PLACES = {"centre": (0.0, 0.0), "off-centre": (3.0, 5.0), "rim": (8.5, 0.0)}
-# Of the map, as in STABILITY_ROWS of rules/branches.mk: one for each factor, and one of combinations.
+# Rows of the map, as in STABILITY_ROWS of rules/branches.mk: one per factor, and one of random combinations.
 ROWS = ("depth", "shear", "place", "tilt", "ridge", "nu", "friction", "size", "steps", "random")
 SHAPED = {"tilt": TILTED, "ridge": RIDGE}  # rows that vary a body
-SERIES = ("size", "steps")  # rows of elements and load steps, beside which label setting is no value
-FINEST = "fine"  # hexahedra of that quality
+SERIES = ("size", "steps")  # rows of element sizes and load steps, whose values do not include the label setting
+FINEST = "fine"  # quality of hexahedra with which the solvers are compared
 SHEAR_DEG = 30.0  # direction of the shear, between mesh lines
 
 
@@ -35,10 +35,10 @@ SHEAR_DEG = 30.0  # direction of the shear, between mesh lines
 class Case:
     """One solve of the map.
 
-    solver: hex, ccx, or FINEST, beside which the others stand. depth: mm below the gel's top under the axis.
+    solver: hex, ccx, or FINEST, with which the others are compared. depth: mm below the gel's top under the axis.
     shear: fraction of the depth. shape: slope in degrees of a tilted block, width in mm of a ridge. friction: coefficient;
-    None: no slip. size: of elements under the press, mm; steps: load steps of the press, half as many of the shear; both 0
-    where labels' own are used.
+    None: no slip. size: of elements under the press, mm; steps: load steps of the press, half as many of the shear;
+    both are 0 at label settings.
     """
 
     solver: str
@@ -64,7 +64,7 @@ class Case:
 
     @property
     def law(self) -> Interface:
-        """What holds between gel and indenter."""
+        """Contact law between gel and indenter."""
         return Interface() if self.friction is None else Interface.of_friction(self.friction)
 
     @property
@@ -77,7 +77,7 @@ class Case:
 
     @property
     def press(self) -> tuple:
-        """What is pressed, whichever way it is solved."""
+        """Key of what is pressed, independent of how it is solved."""
         return self.kind, self.shape, self.depth, self.shear, self.place, self.nu, self.friction
 
     def describe(self) -> dict:
@@ -85,12 +85,12 @@ class Case:
 
 
 def centre(table: StabilityTable, solver: str, kind: str) -> Case:
-    """The case at label setting that rows vary one factor of."""
+    """The case at label settings, of which rows vary one factor."""
     return Case(solver, kind, table.depth_mm, 0.0, "centre", table.nu)
 
 
 def series(table: StabilityTable, solver: Any, kind: str) -> Case:
-    """The case that rows of elements and load steps vary."""
+    """The case of which the rows in SERIES vary one factor."""
     return replace(centre(table, solver, kind), size=table.size[solver], steps=table.steps)
 
 

@@ -1,7 +1,7 @@
-"""The scenes of the chart as an open benchmark of plain files, which any simulator can be held against.
+"""The scenes of the chart as an open benchmark of plain files, against which any simulator can be compared.
 
 Nothing in the folder needs gelforge: scenes are JSON and STL, references are CSV, and the script that scores is NumPy's.
-Beside them lie axisymmetric presses whose forces are known, of the same kind of files.
+The folder also holds axisymmetric presses whose forces are known, in the same kind of files.
 """
 
 import shutil
@@ -28,14 +28,14 @@ TOLD = (
 
 
 def write_challenge(scenes: list[NamedScene], sensor: Sensor, references: Path, out: Path) -> None:
-    """Write the whole folder, challenge.json last; a scene without a reference, or one too many, raises BadInput."""
+    """Write the whole folder, challenge.json last; a scene without a reference, or the reverse, raises BadInput."""
     names, held = {scene.name for scene in scenes}, {path.stem for path in references.glob("*.csv")}
     if names != held:
         raise BadInput(
             f"{references}: has references of {', '.join(sorted(held))} and the scenes are {', '.join(sorted(names))}; "
             "run make fea-references"
         )
-    for name in ("references", "scenes", "exact"):  # of scenes that there were
+    for name in ("references", "scenes", "exact"):  # may hold scenes that no longer exist
         shutil.rmtree(out / name, ignore_errors=True)
     for text in TEXTS:
         shutil.copyfile(references / text, out / text)

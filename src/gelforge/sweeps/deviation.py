@@ -19,7 +19,7 @@ def cell_error(cells, reference, total) -> float:
 
 
 def errors(record: dict, reference: dict) -> dict | None:
-    """Errors {"total", "cells"} of a record against the reference's, None where either is no result."""
+    """Errors {"total", "cells"} of a record against the reference; None if either has no cells or that no force."""
     if record.get("cells") is None or reference.get("cells") is None:
         return None
     if np.linalg.norm(reference["total"]) == 0.0:
@@ -31,7 +31,7 @@ def errors(record: dict, reference: dict) -> dict | None:
 
 
 def frontier(points: list[tuple[float, float]]) -> list[bool]:
-    """Which of the points (cost, error) no other beats in both, or in one at equal other."""
+    """Which of the points (cost, error) are Pareto optimal."""
 
     def beaten(p):
         return any(q[0] <= p[0] and q[1] <= p[1] and q != p for q in points)

@@ -1,4 +1,4 @@
-"""One solve in a process of its own, so that its time, its memory and its death are its own."""
+"""One solve in a process of its own, so that its time and memory are measured alone and a crash ends only it."""
 
 import os
 import resource
@@ -16,9 +16,8 @@ from gelforge.flow.jobs import die_with_parent
 REFUSED, CRASHED, TIMED_OUT = "REFUSED", "CRASHED", "TIMED_OUT"
 # The cost of a solve is that of one thread, whatever the user has set.
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "MKL_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
-WAITING = (
-    10.0  # times its limit of processor time that a solve may take by the clock, on a machine that has other work
-)
+# Limit of a solve's wall time over that of its processor time, because the machine may have other work.
+WAITING = 10.0
 
 
 def cpu_seconds() -> float:
@@ -45,10 +44,10 @@ class Clock:
 
 
 def _answer(work: Callable[[], dict], pipe: Connection, limit_s: float) -> None:
-    """What runs in the other process: say that it begins, then send what `work` returns, or why it did not."""
+    """Run in the child process: signal the start, then send the result of `work`, or why it failed."""
     die_with_parent()
     began = cpu_seconds()
-    most = ceil(began + limit_s)  # whole seconds; what it begins may take as many
+    most = ceil(began + limit_s)  # whole seconds; each process that it starts may take as many
     resource.setrlimit(resource.RLIMIT_CPU, (most, most + 1))
     pipe.send(None)
     try:
@@ -57,7 +56,7 @@ def _answer(work: Callable[[], dict], pipe: Connection, limit_s: float) -> None:
     except BadInput as error:
         pipe.send({"status": REFUSED, "reason": str(error)})
     except OSError as error:
-        pipe.send({"stopped": f"{error}; free space or mend the folder and run make again, it resumes here"})
+        pipe.send({"stopped": f"{error}; free space or repair the folder, then run make again; it resumes here"})
     except ImportError as error:
         pipe.send({"stopped": f"{error}; run make setup"})
     except Exception as error:
@@ -87,9 +86,10 @@ def surroundings(required: dict[str, str]) -> Iterator[None]:
 def isolated(work: Callable[[], dict], limit_s: float) -> dict:
     """The dict that `work` returns from a process of its own, or how that process failed.
 
-    It begins anew, because one forked beside threads of numerical libraries may hang; pickle must take `work`. limit_s: of
-    processor time, so that a busy machine changes no result. A failure is {"status", "reason"} with status REFUSED
-    (BadInput), CRASHED or TIMED_OUT; a full disk, a missing file or package is none of these and raises BadInput.
+    The process is spawned, because one forked beside threads of numerical libraries may hang; `work` must be
+    picklable. limit_s: processor time, so that a busy machine changes no result. A failure is {"status", "reason"}
+    with status REFUSED (BadInput), CRASHED or TIMED_OUT; a full disk, a missing file or a missing package raises
+    BadInput.
     """
     context = get_context("spawn")
     here, there = context.Pipe(duplex=False)
@@ -99,7 +99,7 @@ def isolated(work: Callable[[], dict], limit_s: float) -> dict:
     there.close()
     answer = None
     try:
-        here.recv()  # it has begun: imports are none of its time
+        here.recv()  # it has started: the time of imports does not count
         if not here.poll(WAITING * limit_s):
             reason = f"stopped after {WAITING * limit_s:g} s by the clock, before it had used {limit_s:g} s of processor time"
             answer = {"status": TIMED_OUT, "reason": reason, "limit_s": limit_s}

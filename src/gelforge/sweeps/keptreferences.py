@@ -1,8 +1,8 @@
-"""References of the chart's scenes kept as plain files, so that nobody has to solve them again: hours on fine tetrahedra.
+"""Reference solutions of the chart's scenes, kept as plain files because solving one on fine tetrahedra takes hours.
 
-A file for each scene holds its force in every cell; one beside them says by a digest what each is a reference of, and by
-another what it holds. Where the scene, the cells, [pareto.reference] or the file itself have changed since, a reference is
-none any more and is solved anew.
+One file per scene holds the force in every cell. KEYS holds two digests per scene: of the inputs of its reference,
+and of its file. Where the scene, the cells, [pareto.reference] or the file have changed, the reference is invalid and
+is solved again.
 """
 
 from collections.abc import Iterable
@@ -23,20 +23,20 @@ from gelforge.sweeps.scenes import parse_scene
 
 KEYS = "keys.json"
 COLUMNS = ("row", "column", *FORCE)
-OUTSIDE = -1  # row and column of what acts outside of the picture
-LEAST_N = 5e-8  # less in a cell is written as none
-IMAGES = ((-1, 1), (1, -1), (-1, -1))  # signs of x and y
-# Random points at which a scene is compared with its mirror image, how far they reach, and what counts as equal.
+OUTSIDE = -1  # row and column of the force outside the image
+LEAST_N = 5e-8  # cells with less force are not written
+IMAGES = ((-1, 1), (1, -1), (-1, -1))  # mirror images, as signs of x and y
+# Number and range of random points at which a scene is compared with its mirror image, and the tolerance.
 POINTS, REACH_MM, LEAST_MM = 4000, 12.0, 1e-6
 
 
 def reference_key(scene: dict, nu: float, sensor: Sensor, table: ReferenceTable) -> str:
-    """Digest of what a reference is one of: table of the scene, Poisson's ratio, cells, element sizes and load steps."""
+    """Digest of a reference's inputs: table of the scene, Poisson's ratio, cells, element sizes and load steps."""
     return digest_of_value([scene, nu, sensor.projection.tolist(), plain(table)])
 
 
 def reference_rows(record: dict) -> list[dict]:
-    """Rows of a scene's reference: force in N of each cell that has one, and what acts outside of the picture."""
+    """Rows of a scene's reference: force in N of each loaded cell, and outside the image; BadInput if it failed."""
     if record["status"] != "OK":
         raise BadInput(
             f"the reference of {record['scene']} is {record['status']}: {record['reason']}; run make pareto"
@@ -52,17 +52,19 @@ def _row(row: int, column: int, force: np.ndarray) -> dict:
 
 
 def keep_references(charted: Iterable[dict], folder: Path, nu: float) -> None:
-    """Write references from scenes of the chart (pareto/scenes/*.json), one file each; those of other scenes go.
+    """Write references from scenes of the chart (pareto/scenes/*.json), one file each; delete those of other scenes.
 
-    A scene that is its own mirror image gets the mean of its forces and their images, which a mesh keeps apart. By how much a
-    solve on elements and load steps of twice the size differs from it is its `elements_doubled`. nu: Poisson's ratio.
+    A scene that is its own mirror image gets the mean of its forces and their mirror images, because meshes are not
+    symmetric. `elements_doubled`: difference of a solve with elements and load steps of twice the size. nu: Poisson's
+    ratio.
     """
     keys = {}
     for scene in charted:
         record = scene["methods"].get(REFERENCE)
         if record is None:
             raise BadInput(
-                f"the chart of {scene['scene']} has no {REFERENCE}; the small chart's reference is none here"
+                f"the chart of scene {scene['scene']} has no solve by method {REFERENCE}, so another version made it; remove"
+                f" pareto/scenes/{scene['scene']}.json in the results folder and run make fea-references"
             )
         path = folder / f"{scene['scene']}.csv"
         if record.get("cells") is not None:
@@ -79,7 +81,7 @@ def keep_references(charted: Iterable[dict], folder: Path, nu: float) -> None:
 
 
 def averaged(record: dict, images: list[tuple[int, int]]) -> dict:
-    """Cells (3, rows, columns) N and force outside (3,) N of a reference, the mean of its mirror images."""
+    """Cells (3, rows, columns) N and force outside (3,) N of a reference, averaged over its mirror images."""
     cells, outside = (np.asarray(record[key], float) for key in ("cells", "outside"))
     every = [(1, 1), *images]
     return {
@@ -89,14 +91,14 @@ def averaged(record: dict, images: list[tuple[int, int]]) -> dict:
 
 
 def elements_doubled(folder: Path) -> dict[str, dict | None]:
-    """By scene, {"total", "cells"} by what share of the force a solve on elements and load steps of twice the size differs."""
+    """By scene, relative differences {"total", "cells"} of a solve with elements and load steps of twice the size."""
     return {name: of.get("elements_doubled") for name, of in read_json(folder / KEYS).items()}
 
 
 def kept_reference(folder: Path, scene: str, key: str, shape: tuple[int, int]) -> dict | None:
     """The reference of a scene that was solved under the same key, as a record of the chart; else None.
 
-    shape: rows and columns of its cells. The record has no cost: it was spent elsewhere.
+    shape: rows and columns of its cells. The record has no cost, because it was solved elsewhere.
     """
     path = folder / f"{scene}.csv"
     try:
@@ -122,11 +124,11 @@ def kept_reference(folder: Path, scene: str, key: str, shape: tuple[int, int]) -
     }
 
 
-# -- scenes that are their own mirror image: what a mesh adds to their forces cancels in the mean of both
+# -- scenes that are their own mirror image: mesh errors cancel in the mean of the forces and their images
 
 
 def images_of(scene: Scene) -> list[tuple[int, int]]:
-    """Those of IMAGES that take the scene's gel, body and path to themselves."""
+    """Those of IMAGES under which the scene's gel, body and path are unchanged."""
     rng = np.random.default_rng(7)
     points = rng.uniform(-REACH_MM, REACH_MM, (POINTS, 3)) * [1.0, 1.0, 0.3]
     rotation, start = scene.press.pose(0.0, 0.0)

@@ -1,4 +1,4 @@
-"""The methods on the chart: those of [fea], and a solver at several densities and numbers of load steps; and how each is run."""
+"""The methods of the chart: those of [fea], solvers at several mesh densities and load steps, and how each is run."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -14,15 +14,15 @@ from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.result import Result
 from gelforge.mechanics.scene import Scene
 
-WIDER = 1.5  # times the size at the edge of contact that tetrahedra of a density series have inside it
+WIDER = 1.5  # size of tetrahedra inside the contact over that at its edge, in a density series
 REFERENCE, DOUBLED = "reference", "reference-doubled"  # DOUBLED: on elements and load steps of twice the size
 
 
 @dataclass(frozen=True)
 class Method:
-    """One point of the chart: name, solver ("hex", "ccx", "auto", REFERENCE), and the settings that make it differ from others.
+    """One point of the chart: name, solver ("hex", "ccx", "auto", REFERENCE) and its own settings.
 
-    size: mm, of hexahedra or of the density's tetrahedra; None for a method of [fea] and a reference.
+    size: mm, of hexahedra, or of tetrahedra at the edge of contact; None for a method of [fea] and a reference.
     steps: load steps of the press, half as many of the shear; None for the method's own.
     """
 
@@ -34,7 +34,7 @@ class Method:
     doubled: bool = False
 
 
-LARGE_REFERENCE = Method(REFERENCE, REFERENCE)  # what the large chart stands against
+LARGE_REFERENCE = Method(REFERENCE, REFERENCE)  # the reference of the large chart
 
 
 def method_of(name: str) -> Method:
@@ -62,7 +62,7 @@ def every_method(pareto: ParetoTable) -> list[Method]:
 
 @cache
 def warm_up() -> None:
-    """Compile or load kernels before the clock runs, once a process; one that it forks has them already."""
+    """Compile or load kernels before time is measured, once per process; forked children inherit them."""
     from gelforge.geometry.gel import Gel
     from gelforge.geometry.indenters import build
     from gelforge.mechanics.material import Material
@@ -78,7 +78,7 @@ def hex_settings(method: Method) -> HexSettings:
     """Settings of a method on hexahedra."""
     if method.name in IN_PROCESS:
         return quality(method.name)
-    # `across` would shrink the hexahedra under small contacts: a density series holds their size
+    # no `across`: it would shrink hexahedra under small contacts, but a density series keeps their size
     if method.size is None or method.layers is None or method.steps is None:
         raise ValueError(f"{method.name}: hexahedra of {method.size} mm without their layers and steps")
     return HexSettings(size=method.size, layers=method.layers, press_steps=method.steps,
@@ -107,7 +107,7 @@ def prepare(
     else:
         if method.size is None or method.steps is None:
             raise ValueError(f"{method.name}: tetrahedra of {method.size} mm without their steps")
-        # a density series holds its size, as on hexahedra
+        # a density series keeps its size, as with hexahedra
         sizes, longest = (method.size, WIDER * method.size), np.inf
         press_steps, shear_steps = method.steps, (method.steps + 1) // 2
     frame = HexSolver(quality(GUIDE)).coarse_path([scene])[0]

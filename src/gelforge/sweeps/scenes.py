@@ -25,7 +25,7 @@ class NamedScene:
 
 
 def resolve(name: str, table: dict, catalogue: dict) -> dict:
-    """The table with its indenter spelt out: `indenter` may be a name of the catalogue (raw tables)."""
+    """The table with its indenter's own table, where `indenter` is a name of the catalogue (raw tables)."""
     unknown = sorted(set(table) - _KEYS)
     missing = sorted({"indenter", "depth"} - set(table))
     if unknown or missing:
@@ -47,11 +47,11 @@ def read_tables(workflow) -> dict[str, dict]:
 
 
 def with_gel(table: dict) -> dict:
-    """A scene's table with the numbers of its gel where that is one of the catalogue, which may change under its name."""
+    """A scene's table with the numbers of its gel if that is from the catalogue, because they may change."""
     try:
         shapes = [gel_shape(gel) for gel in own_gels([table.get("gel")]).values()]
     except BadInput:
-        return table  # the chart of this scene refuses it; other datasets need not know
+        return table  # the chart of this scene raises it; other datasets must not fail
     return table | {"gel_shape": shapes[0]} if shapes else table
 
 

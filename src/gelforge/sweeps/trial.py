@@ -1,4 +1,4 @@
-"""A scene solved by a method: the record of it, kept in a file of its own."""
+"""Solve a scene by a method and keep the record in a file of its own."""
 
 import shutil
 import tempfile
@@ -29,7 +29,7 @@ NOT_SOLVER = CHOOSING | {"method", "timeout_s"}
 
 @dataclass(frozen=True)
 class ChartBench:
-    """Where methods are measured: the sensor whose cells are compared, parameters, kept records.
+    """Setting in which methods are measured: the sensor whose cells are compared, parameters, folder of records.
 
     references: folder of references that were solved elsewhere (sweeps.keptreferences); None: all are solved here.
     """
@@ -43,7 +43,7 @@ class ChartBench:
         return self.records / scene.name / f"{method.name}.json"
 
     def key(self, scene: NamedScene, method: Method) -> str:
-        """Digest of all that a record depends on; of a reference, what it is a reference of."""
+        """Digest of a record's inputs; `reference_key` for the large chart's reference."""
         if method == LARGE_REFERENCE:
             return reference_key(scene.table, self.params.material.nu, self.sensor, self.params.pareto.reference)
         parts = [scene.table, asdict(method), self.params.version, self.params.material.nu,
@@ -54,7 +54,7 @@ class ChartBench:
         p = self.params
         if method.solver == "hex":
             return [asdict(hex_settings(method))]
-        if method.solver == REFERENCE:  # on elements of twice the size: the reference itself has a key of its own
+        if method.solver == REFERENCE:  # with elements of twice the size: the reference itself has a key of its own
             return [plain(p.pareto.reference), *ccx_settings(p)]
         if method.name in ("auto", "ccx"):
             return [settings_of(method.name, p.fea)]
@@ -62,7 +62,7 @@ class ChartBench:
 
 
 def ccx_settings(params: StageParameters) -> list[dict]:
-    """What changes a solve with CalculiX, whichever method is chosen: its part of [fea], and the hexahedra that lead it."""
+    """Settings that change a CalculiX solve of any method: its part of [fea], and the hexahedra that guide it."""
     return [{key: value for key, value in plain(params.fea).items() if key not in NOT_SOLVER}, asdict(quality(GUIDE))]
 
 
@@ -86,9 +86,9 @@ def outcome(result, mesh, sensor: Sensor | None) -> dict:
 
 
 def solve_isolated(make: Callable[[Path], Callable], sensor: Sensor | None, limit_s: float, work: Path) -> dict:
-    """Run `make(folder)()`, a prepared solve, in a process of its own; its record with what it cost.
+    """Run `make(folder)()`, a prepared solve, in a process of its own; returns its record with its cost.
 
-    pickle must take `make`: a function of a module, or functools.partial of one.
+    `make` must be picklable: a function of a module, or functools.partial of one.
     """
     work.mkdir(parents=True, exist_ok=True)
     folder = Path(tempfile.mkdtemp(prefix=".work-", dir=work))
@@ -110,8 +110,8 @@ def _solved(make, folder, sensor) -> dict:
 def kept(path: Path, key: str, limit_s: float) -> dict | None:
     """The record that was made under the same key, else None.
 
-    What was refused or ended in a crash is tried again, because what stood in its way may be mended; what ran out of its
-    time is, where it may take longer now.
+    Refused and crashed solves are tried again, because their cause may be gone; a solve that timed out is tried again
+    if the limit is longer.
     """
     record = record_of(path, key) or {}
     status = record.get("status")
@@ -123,11 +123,11 @@ def measure(bench: ChartBench, scene: NamedScene, method: Method) -> dict:
     """The record of a scene solved by a method: the kept one, or a new one, which is kept.
 
     {"status", "reason", "total" (3,) N, "cells" (3, 24, 32) N, "outside" (3,) N, "seconds", "cpu_seconds"
-    (the solve alone, on one thread), "peak_mib", "nodes", "evidence"}; what failed has no cells, a reference that was
-    solved elsewhere no cost.
+    (the solve alone, on one thread), "peak_mib", "nodes", "evidence"}. A failed solve has no cells, a reference that
+    was solved elsewhere has no cost.
     """
     path, key = bench.record_path(scene, method), bench.key(scene, method)
-    # one that is kept elsewhere is read there: what was taken from it before may be an earlier one
+    # a reference kept elsewhere is always read there: the record made from it here may be outdated
     given = given_reference(bench, scene) if method == LARGE_REFERENCE else None
     record = None if given else kept(path, key, bench.params.pareto.limit_s)
     if record is None:
@@ -143,14 +143,14 @@ def measure(bench: ChartBench, scene: NamedScene, method: Method) -> dict:
 
 
 def given_reference(bench: ChartBench, scene: NamedScene) -> dict | None:
-    """The reference of a scene where it was solved before, elsewhere, under the same key."""
+    """The reference of a scene if it was solved elsewhere under the same key, else None."""
     if bench.references is None:
         return None
     return kept_reference(bench.references, scene.name, bench.key(scene, LARGE_REFERENCE), GRID.shape)
 
 
 def given_check(bench: ChartBench, scene: NamedScene) -> dict | None:
-    """How far a solve on elements and load steps of twice the size is from a reference that was solved elsewhere."""
+    """Difference of a solve with elements and load steps of twice the size from a reference solved elsewhere."""
     if bench.references is None or given_reference(bench, scene) is None:
         return None
     return elements_doubled(bench.references).get(scene.name)

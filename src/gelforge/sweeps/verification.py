@@ -1,4 +1,4 @@
-"""Presses that method "auto" solved without CalculiX, solved by CalculiX, too, and the differences of both."""
+"""Verify presses that method "auto" solved without CalculiX against CalculiX."""
 
 import hashlib
 from collections.abc import Sequence
@@ -22,10 +22,10 @@ ALLOWED = 0.05  # fraction of the verified presses that may differ by more than 
 
 @dataclass(frozen=True)
 class Verified:
-    """One press solved by both methods, as fractions of CalculiX' total force: differences, and the limits they should meet.
+    """Differences of one press between both methods, and their limits, as fractions of CalculiX' total force.
 
-    key: digest of what both solves depend on. method: how "auto" solved it. reason: why there are no differences, empty where
-    there are. limits: sums of the errors that both solves state of themselves.
+    key: digest of the inputs of both solves. method: how "auto" solved it. reason: why there are no differences,
+    empty where there are. limit_total, limit_cells: sums of both solves' own error estimates.
     """
 
     key: str
@@ -39,15 +39,15 @@ class Verified:
 
     @property
     def beyond(self) -> bool:
-        """Whether the difference is larger than what both state."""
+        """Whether a difference exceeds its limit."""
         found = ((self.total, self.limit_total), (self.cells, self.limit_cells))
         return any(value is not None and value > limit for value, limit in found)
 
     def sentence(self) -> str:
-        """The difference of this press, for people."""
+        """The differences of this press as a sentence."""
         return (
             f"{self.sample_id}: {self.method} and CalculiX differ by {self.total:.1%} of total force and {self.cells:.1%} summed"
-            f" over the cells; {self.limit_total:.1%} and {self.limit_cells:.1%} are what both state"
+            f" over the cells; the error estimates of both add up to {self.limit_total:.1%} and {self.limit_cells:.1%}"
         )
 
 
@@ -69,8 +69,8 @@ def compare(
 ) -> Verified:  # fmt: skip
     """The differences of a press; about: key, sample_id and method of `Verified`.
 
-    errors: `error_n` and `cells_error_n` of both solves, N. found: total (3,) and cells (3, rows, columns) N of "auto", or why
-    CalculiX has none. right: those of CalculiX.
+    errors: `error_n` and `cells_error_n` of both solves, N. found: total (3,) and cells (3, rows, columns) N of
+    "auto", or the reason why CalculiX has no result. right: the same of CalculiX.
     """
     if isinstance(found, str) or right is None:
         return Verified(*about, str(found), None, None, 0.0, 0.0)
@@ -85,7 +85,7 @@ def write_verified(path: Path, found: Verified) -> None:
 
 
 def kept_verified(path: Path) -> Verified | None:
-    """The record of one press; None where there is none that can be read."""
+    """The record of one press; None where it is missing or unreadable."""
     record = record_of(path)
     return Verified(**record) if record else None
 
@@ -117,12 +117,12 @@ def table(records: Sequence[Verified]) -> tuple[list[str], list[list]]:
 
 
 def refuse_beyond(records: Sequence[Verified]) -> None:
-    """Refuse a dataset in which more than ALLOWED of the verified presses differ by more than expected."""
+    """Raise BadInput if more than a fraction ALLOWED of the verified presses exceed their limits."""
     solved = [record for record in records if not record.reason]
     beyond = [record for record in solved if record.beyond]
     if len(beyond) > ALLOWED * len(solved):
         raise BadInput(
-            f"{len(beyond)} of {len(solved)} verified presses differ from CalculiX by more than the errors that both state"
-            f" ({ALLOWED:.0%} may): {'; '.join(record.sentence() for record in beyond[:5])}; look at these presses, and set"
-            ' [fea] method = "ccx", or lower tolerance'
+            f"{len(beyond)} of {len(solved)} verified presses differ from CalculiX by more than the sum of both error estimates"
+            f" (at most {ALLOWED:.0%} may): {'; '.join(record.sentence() for record in beyond[:5])}; look at these presses, and"
+            ' set [fea] method = "ccx", or lower tolerance'
         )

@@ -1,1 +1,1 @@
-"""The virtual rig: presses like a CNC bench makes them, and images like a gel with markers shows them."""
+"""The virtual rig: simulates presses of a CNC bench and the images of a gel with markers."""

@@ -26,7 +26,7 @@ BOUNDS = {
     "shadow_length": (0, 1e3), "normal_motion": (0, 2),
 }  # fmt: skip
 
-# What workflow/rig/sensors.toml calls them where it names the unit, too.
+# Keys in workflow/rig/sensors.toml that differ from the attribute, because they include the unit.
 KEYS = {
     "camera_mm": "height_mm", "blur": "blur_px", "noise_blur": "noise_blur_px", "diameter": "diameter_px",
     "shadow_length": "shadow_length_px", "light": "azimuth_deg",
@@ -35,13 +35,13 @@ KEYS = {
 
 @dataclass(frozen=True)
 class Drift:
-    """How a unit's light differs from picture to picture, each drawn evenly between two bounds.
+    """How a unit's light, focus and wear differ between images; each range is drawn uniformly.
 
-    gain: relative, and offset: grey levels, of each colour; field: relative change towards the image's sides. relit: fraction
-    of the pictures that are taken under another fall of light besides; their relative change from the image's middle to
-    its sides, of all colours (gradient) and of each (colour_gradient), and how much darker corners become (vignette).
-    refocus: px of blur that a picture has beyond the unit's. worn: fraction of the pictures in which further markers are worn
-    off; how many (worn_markers), and how much of their ink is left (worn_ink).
+    gain: relative, and offset: grey levels, of each colour; field: relative change towards the image's sides. relit:
+    fraction of images that are also taken under light from another direction, with a relative change from the image's
+    centre to its sides, common to all colours (gradient) and of each (colour_gradient), and a darkening of the
+    corners (vignette). refocus: px of blur in addition to the unit's. worn: fraction of images in which further
+    markers are worn off, their number (worn_markers), and the fraction of ink that is left (worn_ink).
     """
 
     gain: tuple[float, float]
@@ -57,7 +57,7 @@ class Drift:
     worn_ink: tuple[float, float] = (0.0, 0.0)
 
     def draw(self, markers: np.ndarray, rng: np.random.Generator) -> "Circumstances":
-        """Under what one picture is taken; markers: (n, 2) px, those of the unit. They are the first draws of its `rng`."""
+        """Circumstances of one image, the first draws of its `rng`; markers: (n, 2) px, those of the unit."""
         worn: list[tuple[np.ndarray, float]] = []
         if rng.random() < self.worn:
             least, most = map(int, self.worn_markers)
@@ -75,11 +75,11 @@ class Drift:
 
 @dataclass(frozen=True)
 class Circumstances:
-    """Under what one picture is taken, as a `Drift` draws it.
+    """Circumstances under which one image is taken, drawn by a `Drift`.
 
-    worn: centre (2,) px and share of the ink that is left of each further worn marker. gain, offset: (3,); field: (5, 3), of
-    s, t, s t, s^2 and t^2. relit: where the picture is taken under another fall of light, the gradients (2, 3) along s and
-    t and how much darker corners become; else None. blur: px.
+    worn: centre (2,) px and remaining fraction of ink of each further worn marker. gain, offset: (3,); field: (5, 3),
+    coefficients of s, t, s t, s^2 and t^2. relit: for light from another direction the gradients (2, 3) along s and t
+    and the darkening of the corners; else None. blur: px.
     """
 
     worn: list[tuple[np.ndarray, float]]
@@ -91,7 +91,7 @@ class Circumstances:
 
     @property
     def altered(self) -> str:
-        """What a sound sensor, in its own light, would not show; empty where nothing is."""
+        """How the image differs from that of an unworn sensor in its own light; empty if it does not."""
         relit, worn = self.relit is not None, bool(self.worn)
         return " and ".join(what for what, so in (("relit", relit), ("worn", worn)) if so)
 
@@ -103,16 +103,15 @@ class Appearance:
     background: (15, 3) coefficients of s^i t^j in the order of TERMS, grey levels, where s and t run from -1 to 1
     across the image. tilt: (3, 2) relative change of the light along s and t. light: (3, 2) unit vectors in the
     image plane towards each light. slope_gain: (3,) relative brightening per unit of surface slope towards the light,
-    which levels off beyond slope_limit. brightening: (3,) how much of it a steep flank that faces the light gets;
-    gentle slopes and flanks that turn away get all.
-    markers: (n, 2) centres, counted from the image's corner like projections. ink: (3,) what an ink marker still
-    reflects; flecks: (3,) how much brighter its bare spots are. shadow_depth and shadow_length: the coloured
-    penumbra beside each marker. noise: (3,) standard deviation in grey levels. camera_mm: height of the pinhole
-    below the gel's apex, which sets how much a pressed part looks larger. specks: marks of dust and scratches.
-    drift: of the light from picture to picture. shade: (3,) relative change of each colour's light per mm by which the
-    gel is pressed in on average. jpeg: quality of a camera that compresses, 0 for one that does not. normal_motion: factor on
-    the in-plane motion of the surface that the way down causes, below 1 for a coat stiffer than its gel; sideways travel is
-    not scaled.
+    which saturates beyond slope_limit. brightening: (3,) factor on it for steep flanks that face the light; gentle
+    slopes and flanks that face away have factor 1. markers: (n, 2) centres, measured from the image's corner like
+    projections. ink: (3,) fraction of light that a marker reflects; flecks: (3,) how much brighter its bare spots
+    are. shadow_depth and shadow_length: the coloured penumbra beside each marker. noise: (3,) standard deviation in
+    grey levels. camera_mm: distance of the pinhole below the gel's apex, which sets how much larger a pressed part
+    looks. specks: number of dust grains and scratches. drift: changes of light, focus and wear between images. shade:
+    (3,) relative change of each colour's light per mm of mean indentation of the gel. jpeg: quality of a camera that
+    compresses, 0 for one that does not. normal_motion: factor on the surface's in-plane motion due to the way down,
+    below 1 for a coat stiffer than its gel; motion due to sideways travel is not scaled.
     """
 
     name: str
@@ -144,7 +143,7 @@ class Appearance:
     normal_motion: float = 1.0
 
     def fault(self) -> str:
-        """What no sensor can look like, as the start of a sentence; empty where nothing is."""
+        """Which value has a wrong shape or is out of BOUNDS, as the start of a sentence; empty if none."""
         for name, shape in SHAPES.items():
             if getattr(self, name).shape != shape:
                 return f"{KEYS.get(name, name)} has {getattr(self, name).shape} numbers, {shape} are needed"
@@ -171,7 +170,10 @@ def normalised_pixels() -> tuple[np.ndarray, np.ndarray]:
 
 
 def read_appearances(path) -> dict[str, Appearance]:
-    """Read every sensor's appearance; a table may name another as `base` and write only what differs."""
+    """Read every sensor's appearance; a table may name another as `base` and give only what differs.
+
+    Raises BadInput for a table that is incomplete or malformed, or has values out of BOUNDS.
+    """
     path = Path(path)
     tables = read_toml(path)
     for name, table in tables.items():
@@ -181,7 +183,7 @@ def read_appearances(path) -> dict[str, Appearance]:
             else [name]
         )
         if loose:
-            raise BadInput(f"{path}: {loose[0]} stands outside of a table; compare it with [mini_a]")
+            raise BadInput(f"{path}: {loose[0]} is outside any table; compare it with [mini_a]")
     return {name: _appearance(name, _merged(name, tables, path), path) for name in tables}
 
 
@@ -237,7 +239,10 @@ def _appearance(name: str, table: dict, path) -> Appearance:
 
 
 def marker_centres(markers: dict) -> np.ndarray:
-    """Centres of the printed markers, (n, 2) px: a rotated grid with seeded misprints, less the missing ones."""
+    """Centres of the printed markers, (n, 2) px: a rotated grid with seeded misprints, without the missing ones.
+
+    Raises ValueError for fewer than 2 rows or columns and for `missing` that are not on the grid.
+    """
     rows, cols, missing = markers["rows"], markers["cols"], np.array(markers.get("missing", []), int)
     if min(rows, cols) < 2 or ((missing < 0) | (missing >= rows * cols)).any():
         raise ValueError(f"{rows} rows and {cols} cols of markers: give 2 or more of both, and `missing` from 0 on")
@@ -264,7 +269,10 @@ def marker_free(centres: np.ndarray, radius: float) -> np.ndarray:
 
 
 def fit_background(image: np.ndarray) -> np.ndarray:
-    """Coefficients (15, 3) of Appearance.background by least squares over the marker-free pixels of an RGB image."""
+    """Coefficients (15, 3) of Appearance.background by least squares over the marker-free pixels of an RGB image.
+
+    Raises BadInput for an image that is not 320 x 240 RGB or shows no markers.
+    """
     if image.shape != (HEIGHT, WIDTH, 3):
         raise BadInput(
             f"an image of shape {image.shape} was given; an appearance is fitted to {WIDTH} x {HEIGHT} RGB"

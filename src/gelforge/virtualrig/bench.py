@@ -1,4 +1,4 @@
-"""The bench itself: one ordered press becomes forces, a row of the log, and the gel's shape."""
+"""The bench: carries out an ordered press, which gives forces, rows of the log and the gel's shape."""
 
 import zlib
 from collections.abc import Mapping
@@ -17,23 +17,23 @@ from gelforge.virtualrig import streams
 from gelforge.virtualrig.fields import FAR, RoughBody, body_of
 from gelforge.virtualrig.rigplan import Order, Plan, Truth, generator
 
-SETTINGS = quality("draft")  # of the hexahedra that the truth is solved on
-# Power of how much thinner a gel is, by which its force is larger: 1.0 under shallow balls, 1.7 under blocks.
+SETTINGS = quality("draft")  # of the hexahedra on which the truth is solved
+# Force scales with gel thickness to the power -STIFFER; the exponent is 1.0 for shallow balls and 1.7 for blocks.
 STIFFER = 1.5
-EVERY = 4  # of the lines of a body's heights by which its footprint is found
-# A bench never diverges: where the steps were too long it takes shorter ones, and at last a less deep press,
-# which the log then reports.
+EVERY = 4  # subsampling of a body's height map for the footprint
+# A real bench never diverges: if a solve does, it is repeated with shorter load steps, and at last with a less deep
+# press, which the log then reports.
 FINER = SETTINGS.with_steps(3)
 ATTEMPTS = ((SETTINGS, 1.0), (FINER, 1.0), (FINER, 0.8))
 
 
 @dataclass(frozen=True)
 class Pressing:
-    """What one press really was and what the bench reports of it.
+    """The truth about one frame of a press, and what the bench reports.
 
-    real: the path the tip took, mm. log: the same as the bench believes it. force: (3,) N on the gel,
-    moment: (3,) N m about the apex. read_force, read_moment: the load cell's readings of both. down: displacement (n, 3) mm
-    at the end of the way down, for a press that goes sideways.
+    real: true path of the tip, mm. log: the path that the bench reports. force: (3,) N on the gel, moment: (3,) N m
+    about the apex. read_force, read_moment: the load cell's readings of both. down: displacement (n, 3) mm at the end
+    of the way down, for a press that goes sideways.
     """
 
     order: Order
@@ -48,7 +48,7 @@ class Pressing:
 
 
 class Bench:
-    """Presses indenters as a plan's truth has it; keeps bodies between presses."""
+    """Presses indenters with a plan's truth; caches bodies between presses."""
 
     def __init__(self, plan: Plan, indenters: Mapping[str, Indenter], gel: Gel):
         self.plan, self.indenters, self.gel = plan, indenters, gel
@@ -59,7 +59,7 @@ class Bench:
         return Interface.of_friction(self.plan.truth.friction)
 
     def body(self, name: str) -> RoughBody:
-        """Underside of an indenter with the texture its printing left, the same in every run."""
+        """Underside of an indenter with its printed texture, the same in every run."""
         if name not in self._bodies:
             rng = np.random.default_rng(zlib.crc32(name.encode()))
             angle = float(rng.choice([135.0, 45.0])) + rng.normal(scale=2.0)
@@ -69,14 +69,14 @@ class Bench:
         return self._bodies[name]
 
     def press(self, order: Order) -> list[Pressing]:
-        """Carry out one order, the frames of its press in order of time; all of them from one load path.
+        """Carry out one order; return the frames of its press in order of time, all from one load path.
 
-        A state that no attempt could reach has a status that is not valid; so may a frame on the way.
+        If every attempt fails, the last frame's status is not valid. Earlier frames may be invalid in any case.
         """
         truth, rng = self.plan.truth, generator(self.plan, order.index, streams.BENCH)
         play = rng.uniform(-1.0, 1.0, size=6) * truth.cnc_um * 1e-3
         if order.shear == (0.0, 0.0):
-            play[3:5] = 0.0  # axes that do not travel make no error of travel
+            play[3:5] = 0.0  # axes that do not move have no error of travel
         height = truth.touch_offset_mm + rng.normal(scale=truth.touch_scatter_mm)
         read_noise = rng.normal(scale=truth.force_noise_n, size=3)
         moment_noise = rng.normal(scale=truth.moment_noise_nm, size=3)
@@ -95,9 +95,10 @@ class Bench:
         ]
 
     def _states(self, real: Press) -> tuple[list[dict[str, float]], int | None]:
-        """States of a press that are solved, in order of time, and which of them is the end of its way down and no frame.
+        """States of a press that are solved, in order of time, and the index of the end of its way down, or None.
 
-        Units scale the motion of the way down, so that of a press which goes sideways is solved for them.
+        This state is no frame. It is solved for presses that go sideways, because units scale the motion of the way
+        down.
         """
         states = frames_along(real, self.plan.frames)
         if real.end == 1.0:
@@ -129,9 +130,9 @@ class Bench:
         return HexSolver(settings).solve_frames(scenes)
 
     def reached(self, order: Order, height: float) -> float:
-        """Depth that is left of the ordered one when the frame has given way and the load limit was kept.
+        """Depth in mm, at most the ordered one, after deflection of the frame and within the load limit.
 
-        Only an estimate enters here: the log's depth follows afterwards from the force that was computed.
+        It uses an estimate of the force; the log's depth follows later from the computed force.
         """
         low, high = 0.0, order.depth
         compliance = self.plan.truth.compliance_mm_per_n
@@ -148,10 +149,10 @@ class Bench:
         return low
 
     def estimate(self, order: Order, height: float, depth: float) -> float:
-        """Normal force in N, good to a seventh: displaced volume on a bed that stiffens with mean depth and area.
+        """Normal force in N, to within a seventh: displaced volume times a stiffness by mean depth and area.
 
-        The stiffness is a fit to solves of 24 presses of the training plan, spheres to bars, 0.2 to 1.7 mm deep; how it
-        grows as the pad gets thinner, to balls and a block on pads of 3.6, 4 and 4.4 mm.
+        The stiffness is a fit to solves of 24 presses of the training plan, spheres to bars, 0.2 to 1.7 mm deep. Its
+        dependence on thickness is fitted to balls and a block on pads of 3.6, 4 and 4.4 mm.
         """
         place = Press(order.x, order.y, height, 0.0, 0.0, -depth, order.rot_deg)
         _, _, sunk, cell = self._sunk(order.indenter, place)
@@ -162,7 +163,7 @@ class Bench:
         return self.plan.truth.c10_mpa / REFERENCE_C10 * volume * stiffness * thinner
 
     def _sunk(self, name: str, press: Press):
-        """Gel points x, y under the body at the end of the path, how far it is below the gel there, cell area."""
+        """Gel points x, y under the body at the end of the path and its depth there, mm, and the cell area, mm^2."""
         body = self.body(name)
         under = body.bare[::EVERY, ::EVERY]
         axis = np.arange(len(under)) * EVERY * body.step - body.reach
@@ -182,7 +183,7 @@ def _path(order: Order, height: float, depth: float, play) -> Press:
 
 
 def frames_along(real: Press, count: int) -> list[dict[str, float]]:
-    """How far down and sideways (dx, dy, dz in mm) a press is at `count` frames, evenly along its path, the last its end."""
+    """Travel dx, dy, dz in mm of a press at `count` frames, evenly spaced along its path, the last at its end."""
     times = [real.end * (k + 1) / count for k in range(count)]
     return [
         {"dx": max(t - 1.0, 0.0) * real.dx, "dy": max(t - 1.0, 0.0) * real.dy, "dz": min(t, 1.0) * real.dz}
@@ -191,14 +192,14 @@ def frames_along(real: Press, count: int) -> list[dict[str, float]]:
 
 
 def _part(play: np.ndarray, real: Press, state: dict[str, float]) -> np.ndarray:
-    """The axes' errors (6,) at a frame: those of the travel grow with it."""
+    """Position errors (6,) mm of the axes at a frame; errors of travel grow in proportion to it."""
     down = state["dz"] / real.dz
     aside = (state["dx"] / real.dx if real.dx else state["dy"] / real.dy) if real.dx or real.dy else 1.0
     return play * [1.0, 1.0, 1.0, aside, aside, down]
 
 
 def believed(order: Order, real: Press, play, force, truth: Truth) -> Press:
-    """The path as commanded: the real one plus what frame and gantry gave way under `force`."""
+    """The commanded path: the real one without axis errors, plus the deflection of frame and gantry under `force`."""
     return Press(
         order.x,
         order.y,
@@ -211,7 +212,7 @@ def believed(order: Order, real: Press, play, force, truth: Truth) -> Press:
 
 
 def load_cell_error(plan: Plan, index: int) -> np.ndarray:
-    """Bias and drift of the load cell at a press, (3,) N: slow waves over the presses, known from the seed alone."""
+    """Bias and drift of the load cell at a press, (3,) N; the drift, slow waves over presses, depends on the seed."""
     rng = generator(plan, streams.EVERY_PRESS, streams.ORDER)
     phase, period = rng.uniform(0, 2 * np.pi, (3, 3)), rng.uniform(80.0, 900.0, (3, 3))
     waves = np.sin(2 * np.pi * index / period + phase).sum(axis=1) / np.sqrt(3.0)

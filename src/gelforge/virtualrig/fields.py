@@ -18,15 +18,15 @@ STEP = 0.1  # mm between the samples of a field
 SCHEMA = Schema(
     "a surface of a press", {"xs": ("f", 1), "ys": ("f", 1), "moved": ("f", 3), "press": ("f", 1)}, {"down": ("f", 3)}
 )
-FAR = 4.0  # mm; no part of the body higher than this above its tip can touch the gel
+FAR = 4.0  # mm above the tip; higher parts of the body cannot touch the gel
 
 
 @dataclass(frozen=True)
 class Field:
     """Displacement of the gel's surface on a regular grid, (ny, nx, 3) float32 mm.
 
-    Sample (j, i) lies at x = x0 + i STEP, y = y0 + j STEP of the unloaded surface. down: (ny, nx, 2) float32 mm, the in-plane
-    motion that the way down caused; None where it is not known apart from that of the way sideways.
+    Sample (j, i) lies at x = x0 + i STEP, y = y0 + j STEP of the unloaded surface. down: (ny, nx, 2) float32 mm, the
+    in-plane motion due to the way down; None if only its sum with the sideways motion is known.
     """
 
     values: np.ndarray
@@ -35,7 +35,7 @@ class Field:
     down: np.ndarray | None = None
 
     def scaled(self, factor: float) -> "Field":
-        """The field whose in-plane motion by the way down is multiplied by a factor."""
+        """The field with the in-plane motion due to the way down scaled; ValueError if `down` is None."""
         if self.down is None:
             raise ValueError("the field does not know what the way down alone has moved")
         values = self.values.copy()
@@ -52,9 +52,9 @@ def unloaded(gel: Gel) -> Field:
 
 @dataclass(frozen=True)
 class Surface:
-    """What a picture of a press needs: displacement (ny, nx, 3) mm at the nodes of lines xs, ys, and the path.
+    """What an image of a press needs: displacement (ny, nx, 3) mm at the nodes of grid lines xs, ys mm, and the path.
 
-    down: (ny, nx, 2) mm, the in-plane motion at the end of the way down; None where that was not kept.
+    down: (ny, nx, 2) mm, the in-plane motion at the end of the way down; None if not stored.
     """
 
     xs: np.ndarray
@@ -85,9 +85,9 @@ class Surface:
 
 
 def surface_of(mesh: GelMesh, displacement: np.ndarray, press: Press, down: np.ndarray | None = None) -> Surface:
-    """The part of a solved press, displacement (n, 3) on a hexahedral mesh, that a camera can see.
+    """The surface of a solved press that a camera sees; displacement: (n, 3) mm at the nodes of a hexahedral mesh.
 
-    down: displacement (n, 3) at the end of the way down of a press that then goes sideways.
+    down: displacement (n, 3) mm at the end of the way down, for a press that then goes sideways.
     """
     xs, ys, first = surface_lines(mesh)
 
@@ -103,8 +103,8 @@ def surface_of(mesh: GelMesh, displacement: np.ndarray, press: Press, down: np.n
 def field_of(gel: Gel, surface: Surface) -> Field:
     """Displacement of a surface as a continuously differentiable field.
 
-    Tensor-product cubic Hermite interpolation through the nodes with finite-difference slopes: hexahedra
-    alone would show their edges as facets in the shading.
+    Tensor-product cubic Hermite interpolation through the nodes with finite-difference slopes: piecewise linear
+    interpolation would show the hexahedra as facets in the shading.
     """
     x, y = _grid(gel)
     along_x, along_y = _interpolation(surface.xs, x), _interpolation(surface.ys, y)
@@ -142,10 +142,10 @@ class RoughBody:
 
 
 def body_of(indenter: Indenter, texture_mm: float, pitch_mm: float, angle_deg: float) -> RoughBody:
-    """Sample the underside of `indenter` and add the lines a filament printer leaves.
+    """Sample the underside of `indenter` and add the lines that a filament printer leaves.
 
-    Flat faces carry parallel lines of `pitch_mm` at `angle_deg`, inclined ones the steps of the printed
-    layers; both are `texture_mm` deep.
+    Flat faces have parallel lines of pitch `pitch_mm` at `angle_deg`, `texture_mm` deep; inclined ones have the steps
+    of the printed layers, half as deep.
     """
     step = STEP / 2
     count = int(np.ceil(min(indenter.radius(), 15.0) / step)) + 2
@@ -155,7 +155,7 @@ def body_of(indenter: Indenter, texture_mm: float, pitch_mm: float, angle_deg: f
     slope = np.hypot(*np.gradient(height, step))
     angle = np.deg2rad(angle_deg)
     along = (x * np.cos(angle) + y * np.sin(angle)) / pitch_mm
-    # filaments are not quite straight nor equally high: a slow wobble keeps the lines from looking ruled
+    # filaments are neither quite straight nor of equal height: a slow wobble makes the lines irregular
     wobble = 0.07 * np.sin(1.3 * (x - y) + 0.9) + 0.05 * np.sin(2.1 * y + 0.4)
     lines = np.cos(2 * np.pi * (along + wobble))
     lines *= 0.7 + 0.3 * np.sin(1.1 * x + 1.7) * np.sin(0.9 * y + 0.6) + 0.15 * np.sin(4.1 * along)
@@ -167,7 +167,7 @@ def body_of(indenter: Indenter, texture_mm: float, pitch_mm: float, angle_deg: f
 
 
 def _underside(indenter: Indenter, xy: np.ndarray) -> np.ndarray:
-    """Lowest z of the body above each point, by walking up its distance function."""
+    """Lowest z of the body above each point, at most FAR, by sphere tracing upwards along its distance function."""
     points = np.column_stack([xy, np.full(len(xy), -0.05)])
     open_ = np.arange(len(points))
     for _ in range(200):
@@ -181,7 +181,7 @@ def _underside(indenter: Indenter, xy: np.ndarray) -> np.ndarray:
 
 
 def body_position(body: RoughBody, press: Press, x, y) -> tuple[np.ndarray, np.ndarray, float]:
-    """Column and row in `body` of gel points (x, y) at the end of the path, and the z of its tip plane."""
+    """Column and row in `body` of gel points (x, y) mm at the end of the path, and the z in mm of its tip plane."""
     turn, tip = press.pose(1.0, 1.0)
     dx, dy = x - tip[0], y - tip[1]
     column = (turn[0, 0] * dx + turn[1, 0] * dy + body.reach) / body.step

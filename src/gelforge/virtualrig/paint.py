@@ -1,16 +1,16 @@
-"""What is printed on the unloaded gel: markers with ragged rims, flecks and coloured shadows."""
+"""The print on the unloaded gel: markers with ragged rims, flecks and coloured shadows."""
 
 import cv2
 import numpy as np
 
 from gelforge.virtualrig.appearance import HEIGHT, WIDTH, Appearance
 
-MARGIN = 32  # px of gel painted beyond the image, which a press can pull into view
-SUPER = 3  # samples per px and direction
+MARGIN = 32  # px painted beyond the image, because a press can pull gel into view
+SUPER = 3  # samples per px in each direction
 
 
 def printed(appearance: Appearance, rng: np.random.Generator) -> np.ndarray:
-    """Share of light the printed gel returns, ((240 + 2 MARGIN) SUPER, (320 + 2 MARGIN) SUPER, 3) float32.
+    """Fraction of light that the printed gel reflects, ((240 + 2 MARGIN) SUPER, (320 + 2 MARGIN) SUPER, 3) float32.
 
     Sample (i, j) lies at v = (i + 0.5) / SUPER - MARGIN px from the image's corner, u likewise.
     """
@@ -32,12 +32,12 @@ def printed(appearance: Appearance, rng: np.random.Generator) -> np.ndarray:
 
 
 def sample_position(pixel: np.ndarray) -> np.ndarray:
-    """Index of the painted sample at a distance in px from the image's corner."""
+    """Sample index (fractional) at a distance in px from the image's corner."""
     return (pixel + MARGIN) * SUPER - 0.5
 
 
 def wear_off(paint: np.ndarray, centre: np.ndarray, diameter: float, left: float) -> None:
-    """Leave a share of a marker's ink in a print (h, w, 3), its shadow included; centre (2,) and diameter in px."""
+    """Reduce a marker's ink and shadow in a print (h, w, 3) to a fraction `left`; centre (2,) and diameter in px."""
     reach = int(2 * diameter * SUPER)
     column, row = np.rint(sample_position(np.asarray(centre))).astype(int).tolist()
     top, first = max(row - reach, 0), max(column - reach, 0)
@@ -85,7 +85,7 @@ def _add_speck(out: np.ndarray, rng: np.random.Generator) -> None:
 
 
 def _smeared(cover: np.ndarray, direction: np.ndarray, length: float) -> np.ndarray:
-    """`cover` dragged along `direction`, fading over `length` samples; nothing of it for a length of 0."""
+    """`cover` smeared along `direction` with exponential decay over `length` samples; zero for a length of 0."""
     if length == 0.0:
         return np.zeros_like(cover)
     reach = int(np.ceil(3 * length))
@@ -93,5 +93,5 @@ def _smeared(cover: np.ndarray, direction: np.ndarray, length: float) -> np.ndar
     steps = np.arange(0, 3 * length, 0.25)
     x, y = reach + direction[0] * steps, reach + direction[1] * steps
     np.add.at(kernel, (np.round(y).astype(int), np.round(x).astype(int)), np.exp(-steps / length))
-    # filter2D correlates, so the kernel is turned round to drag forwards
+    # filter2D correlates, so the kernel is rotated by 180 degrees for a convolution
     return cv2.filter2D(cover, -1, kernel[::-1, ::-1] / kernel.sum(), borderType=cv2.BORDER_CONSTANT)

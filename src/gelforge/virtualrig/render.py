@@ -1,4 +1,4 @@
-"""From a displacement field to the picture the sensor's camera takes."""
+"""From a displacement field to the image that the sensor's camera takes."""
 
 from dataclasses import dataclass
 from typing import Any
@@ -13,21 +13,21 @@ from gelforge.virtualrig.appearance import HEIGHT, WIDTH, Appearance, Circumstan
 from gelforge.virtualrig.fields import FAR, STEP, Field, RoughBody, body_position, unloaded
 from gelforge.virtualrig.paint import MARGIN, printed, sample_position, wear_off
 
-TOUCH = 0.05  # mm between the computed surface and the body within which the picture lays one on the other
-RIPPLE_MM = 0.2
+TOUCH = 0.05  # mm; gap below which the drawn surface follows the body instead of the computed surface
+RIPPLE_MM = 0.2  # standard deviation of the blur that removes ripples of hexahedron size
 RELAXATION, ROUNDS = 0.65, 9
 
 
 @dataclass(frozen=True)
 class Pressed:
-    """The body in touch with the gel and where it went."""
+    """The body in contact with the gel, and its path."""
 
     body: RoughBody
     press: Press
 
 
 class Renderer:
-    """Camera of one sensor: everything that does not change from press to press is worked out once."""
+    """Camera of one sensor; everything that is the same for all presses is computed once."""
 
     def __init__(self, appearance: Appearance, projection: np.ndarray, gel: Gel):
         self.appearance, self.projection, self.gel = appearance, np.asarray(projection, float), gel
@@ -48,15 +48,15 @@ class Renderer:
         self.flat_shade = self._shade(self.inner_top)
 
     def image(self, field: Field | None = None, pressed: Pressed | None = None, rng=None) -> np.ndarray:
-        """Picture of a gel that is displaced by `field` and touched by `pressed`, (240, 320, 3) uint8 RGB.
+        """Image of a gel that is displaced by `field` and touched by `pressed`, (240, 320, 3) uint8 RGB.
 
-        Without `rng` it is free of noise.
+        Without `rng` it has no noise and no drift.
         """
         source_u, source_v, height = (
             (self.pixel_u, self.pixel_v, self.inner_top) if field is None else self._trace(field)
         )
         if field is not None and self.appearance.normal_motion != 1.0:
-            # the coat holds the printed markers back, the shape of the surface is that of the gel
+            # a stiffer coat reduces the motion of the printed markers; the surface keeps the shape of the gel
             source_u, source_v, _ = self._trace(field.scaled(self.appearance.normal_motion))
         if pressed is not None:
             height = self._against(height, pressed)
@@ -84,7 +84,7 @@ class Renderer:
         return as_jpeg(levels, self.appearance.jpeg) if self.appearance.jpeg else levels
 
     def seen(self, xy: np.ndarray, moved: np.ndarray) -> np.ndarray:
-        """Pixels (n, 2) at which gel points xy (n, 2) mm appear that have moved by (n, 3) mm."""
+        """Pixels (n, 2) at which gel points xy (n, 2) mm appear after a displacement (n, 3) mm."""
         return np.stack(self._seen(xy[:, 0] + moved[:, 0], xy[:, 1] + moved[:, 1], moved[:, 2]), axis=1)
 
     def height(self, field: Field, pressed: Pressed) -> np.ndarray:
@@ -92,13 +92,13 @@ class Renderer:
         return self._against(self._trace(field)[2], pressed)
 
     def _seen(self, x, y, w):
-        """Pixels of displaced points: the part pressed by w towards the pinhole looks larger."""
+        """Pixels of points at (x, y) that are displaced by w mm: parts pressed towards the pinhole look larger."""
         u, v = project(self.projection, x, y)
         nearer = self.appearance.camera_mm / (self.appearance.camera_mm + w)
         return self.axis[0] + (u - self.axis[0]) * nearer, self.axis[1] + (v - self.axis[1]) * nearer
 
     def _trace(self, field: Field):
-        """For every pixel the unloaded pixel of the gel point seen there, and its height in mm."""
+        """For every pixel, the pixel (u, v) at which its gel point lies without load, and its height in mm."""
         moved = cv2.remap(
             field.values, self.field_column, self.field_row, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE
         )
@@ -107,8 +107,8 @@ class Renderer:
         shift = np.stack([seen_u - wide_u, seen_v - wide_v], axis=-1).astype(np.float32)
         source = np.stack([self.pixel_u, self.pixel_v], axis=-1)
         target = source.copy()
-        nothing: Any = None  # maps of pairs need no second one; OpenCV's types know no None here
-        index = np.float32(MARGIN - 0.5)  # of the first pixel's corner in the painted surroundings
+        nothing: Any = None  # a map of (u, v) pairs needs no second map, but OpenCV's type stubs do not allow None
+        index = np.float32(MARGIN - 0.5)  # index of the image's corner in the arrays with margin
         for _ in range(ROUNDS):
             at = cv2.remap(shift, source + index, nothing, cv2.INTER_LINEAR, borderMode=cv2.BORDER_REPLICATE)
             source += np.float32(RELAXATION) * (target - at - source)
@@ -122,14 +122,15 @@ class Renderer:
         return source[..., 0].copy(), source[..., 1].copy(), height
 
     def _against(self, height: np.ndarray, pressed: Pressed) -> np.ndarray:
-        """Lay the surface against the body where they touch, so that its edges and texture show.
+        """Height of a surface that follows the body where they touch, so that its edges and texture show.
 
-        Hexahedra are larger than a print line or an edge fillet; within TOUCH the gel follows the body.
+        Hexahedra are larger than a print line or an edge fillet; where the gap is below TOUCH the gel follows the
+        body.
         """
-        # off the body the gel is smooth; what ripples there is the size of the hexahedra
+        # off the body the gel is smooth; ripples there are an artefact of the hexahedra
         height = cv2.GaussianBlur(height, (0, 0), RIPPLE_MM * self.scale)
         x, y = self.inner_xy
-        # where a point lies that looks larger or smaller by how far it has moved, as `_seen` has it
+        # inverse of the magnification in `_seen`: true position of the point that appears at (x, y)
         farther = (self.appearance.camera_mm + height - self.inner_top) / self.appearance.camera_mm
         column, row, tip = body_position(pressed.body, pressed.press, x * farther, y * farther)
         body = tip + cv2.remap(
@@ -145,11 +146,11 @@ class Renderer:
         return np.where(body < FAR + tip - 0.01, body - gap, height).astype(np.float32)
 
     def _shade(self, height: np.ndarray) -> np.ndarray:
-        """Brightness by surface slope relative to a level surface, (240, 320, 3) float32."""
+        """Brightness due to surface slope, relative to a level surface, (240, 320, 3) float32."""
         smooth = cv2.GaussianBlur(height, (0, 0), max(self.appearance.blur, 0.5))
         slope_u = cv2.Sobel(smooth, cv2.CV_32F, 1, 0, scale=self.scale / 8)
         slope_v = cv2.Sobel(smooth, cv2.CV_32F, 0, 1, scale=self.scale / 8)
-        # the gel's coating scatters: steep flanks are hardly brighter than moderate ones
+        # the gel's coating scatters light, so steep flanks are hardly brighter than moderate ones
         strength = 1.0 / np.sqrt(1.0 + (slope_u**2 + slope_v**2) / np.float32(self.appearance.slope_limit**2))
         gentle = strength**4
         shade = np.empty((HEIGHT, WIDTH, 3), np.float32)
@@ -170,7 +171,7 @@ class Renderer:
 
 
 def worn(paint: np.ndarray, diameter: float, markers: list[tuple[np.ndarray, float]]) -> np.ndarray:
-    """A print (h, w, 3) some of whose markers are worn off; markers: their centres (2,) px and what is left of their ink."""
+    """`paint` (h, w, 3) with some markers worn off; markers: centre (2,) px and remaining fraction of ink of each."""
     left = paint.copy()
     for centre, ink in markers:
         wear_off(left, centre, diameter, ink)
@@ -178,7 +179,7 @@ def worn(paint: np.ndarray, diameter: float, markers: list[tuple[np.ndarray, flo
 
 
 def drifted(picture: np.ndarray, taken: Circumstances) -> np.ndarray:
-    """A picture (h, w, 3) under light that differs by a gain, an offset and a smooth field of each colour, and in another focus."""
+    """An image (h, w, 3) under the gain, offset and light field of each colour, and with the blur, of `taken`."""
     s, t = normalised_pixels()
     shapes = np.stack([s, t, s * t, s**2, t**2], axis=-1) @ taken.field
     light = 1.0 + taken.gain + shapes
@@ -191,13 +192,13 @@ def drifted(picture: np.ndarray, taken: Circumstances) -> np.ndarray:
 
 
 def _pixels(margin: int) -> tuple[np.ndarray, np.ndarray]:
-    """Centres (u, v) of the pixels, counted from the image's corner as projections and label cells are."""
+    """Centres (u, v) of the pixels, measured from the image's corner like projections and label cells."""
     v, u = np.mgrid[-margin : HEIGHT + margin, -margin : WIDTH + margin].astype(np.float32) + np.float32(0.5)
     return u, v
 
 
 def _blur_gain(sigma: float) -> float:
-    """Standard deviation of blurred white noise of unit deviation."""
+    """Standard deviation of white noise of unit standard deviation after a Gaussian blur."""
     impulse = np.zeros((41, 41), np.float32)
     impulse[20, 20] = 1.0
     return float(np.sqrt((cv2.GaussianBlur(impulse, (0, 0), sigma) ** 2).sum()))
@@ -206,8 +207,8 @@ def _blur_gain(sigma: float) -> float:
 def project(projection: np.ndarray, x, y):
     """Pixels (u, v) of gel points, by a homography (Hartley and Zisserman, section 2.3).
 
-    As `labelling.sensor.transform`, but coordinate by coordinate: a product of matrices rounds otherwise, and differently
-    from processor to processor, and a plan that is carried out again must give the same pictures.
+    Like `labelling.sensor.transform`, but by coordinate: the rounding of matrix products depends on the processor,
+    and a plan that is repeated must give the same images.
     """
     w = projection[2, 0] * x + projection[2, 1] * y + projection[2, 2]
     u = projection[0, 0] * x + projection[0, 1] * y + projection[0, 2]

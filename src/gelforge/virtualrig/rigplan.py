@@ -1,4 +1,4 @@
-"""Plans of the virtual rig: what is pressed where, how often, and what the bench hides."""
+"""Plans of the virtual rig: what is pressed where, how often, and the true parameters that its log does not show."""
 
 import fnmatch
 import json
@@ -20,9 +20,9 @@ from gelforge.geometry.gel import USUAL_GEL, Gel, load_gel
 from gelforge.records.press import LARGEST
 from gelforge.virtualrig.streams import MOST_FRAMES, ORDER, WHO_SEES
 
-EDGE = 2.0  # mm that the tip keeps from the gel's outline
+EDGE = 2.0  # mm; least distance of the tip from the gel's outline
 TINY = 1e-9
-DEEPEST = 0.7  # fraction of the gel's height that a press may take
+DEEPEST = 0.7  # largest depth of a press, as a fraction of the gel's height
 
 Millimetres = Annotated[Number, Within(-1e3, 1e3, "mm")]
 
@@ -34,12 +34,11 @@ class RigTable(ParameterTable):
 
 
 class Truth(RigTable):
-    """What the bench does to a press and nobody may read from the log; MPa, mm, N, N m, micrometres.
+    """True material and errors of the bench, which the log does not show; MPa, mm, N, N m, micrometres.
 
-    touch_offset_mm: real height of the tip above the logged one when the log says "touch" (negative: deeper).
-    compliance_mm_per_n: how far frame and gantry give way per newton of normal force, shear_compliance_mm_per_n
-    sideways.
-    force_bias_n, drift_n: constant error of the load cell and how far it wanders over a day.
+    touch_offset_mm: true height of the tip over the logged one when the log says "touch" (negative: deeper).
+    compliance_mm_per_n: deflection of frame and gantry per newton of normal force, shear_compliance_mm_per_n:
+    sideways. force_bias_n, drift_n: constant error of the load cell, and scale of its drift over the presses.
     """
 
     c10_mpa: Stiffness
@@ -57,13 +56,12 @@ class Truth(RigTable):
 
 
 class Kind(RigTable):
-    """One kind of press: `weight` of all presses, drawn evenly from these ranges.
+    """One kind of press, with `weight` relative to the other kinds; values are uniform in these ranges.
 
-    indenters: names of the plan's catalogue, or patterns of them: "*" is all of it.
-    seen_by: how many of `sensors` see a press, a row of the log each; which ones is drawn anew for every press unless
-    all do. A press takes a second, a further picture of it a hundredth.
-    shear: range of the sideways path as a fraction of the depth. max_force_n: depth is cut where the
-    estimated normal force would pass it, as a bench with a load limit does.
+    indenters: names of the plan's catalogue, or patterns: "*" is all of it. seen_by: number of `sensors` that see a
+    press, each with a row in the log; which ones is drawn for every press. Computing a press takes a second, a
+    further image of it a hundredth. shear: range of the sideways path as a fraction of the depth. max_force_n: the
+    depth is limited so that the estimated normal force stays below it, as on a bench with a load limit.
     """
 
     weight: Annotated[Number, Within(TINY, 1e9)]
@@ -82,8 +80,8 @@ class DrawnUnits(RigTable):
     """Virtual sensors drawn from ranges: `known` ones, known_01 and on, and as many `unseen` ones, unseen_01 and on.
 
     ranges: file in workflow/rig. `sensors` of a kind may name them by a pattern: "known_*" is all known ones.
-    known_gels, unseen_gels: names of the gels that they have in turn, such as gelsight_mini-3.6mm; none: on the plan's.
-    Sensors that see one press have the same gel.
+    known_gels, unseen_gels: names of gels, such as gelsight_mini-3.6mm, assigned to them in turn; none: the plan's
+    gel. Sensors that see one press have the same gel.
     """
 
     ranges: str
@@ -100,7 +98,7 @@ class DrawnUnits(RigTable):
         return [f"{name}_{k + 1:02d}" for k in range(getattr(self, name))]
 
     def gel_of(self, name: str) -> str | None:
-        """Name of a drawn unit's gel; none where it has the plan's, and for a unit that was not drawn."""
+        """Name of a drawn unit's gel; None if it has the plan's, or is no drawn unit."""
         return self._gel_of_name.get(name)
 
     @cached_property
@@ -116,9 +114,9 @@ class DrawnUnits(RigTable):
 
 
 class FilmTable(RigTable):
-    """A film of some presses by one sensor: film.avi, which begins with a second of rest.
+    """A film of some presses by one sensor: film.avi, which begins with a second without contact.
 
-    presses: their numbers in the plan. frames: of each way down; the way up shows them backwards.
+    presses: their numbers in the plan. frames: number for each way down; the way up shows them in reverse.
     """
 
     sensor: str
@@ -127,9 +125,9 @@ class FilmTable(RigTable):
 
 
 class Plan(RigTable):
-    """A whole plan; `presses` may grow, everything else but `params` makes it another plan.
+    """A whole plan. `presses` may grow; a change of anything else but `params` and `film` makes it another plan.
 
-    frames: states of each press that are recorded, evenly along its way down and then sideways, the last at its end.
+    frames: recorded states of each press, evenly spaced along its way down and then sideways, the last at its end.
     """
 
     dataset: Name
@@ -149,7 +147,7 @@ class Plan(RigTable):
     units: DrawnUnits | None = None
 
     def identity(self) -> str:
-        """Canonical text of everything that a press depends on but the number of presses."""
+        """Canonical text of everything that a press depends on; the number of presses is left out."""
         content = {key: value for key, value in asdict(self).items() if key not in ("params", "presses", "film")}
         return json.dumps(content, sort_keys=True)
 
@@ -173,11 +171,11 @@ class Plan(RigTable):
 
 @dataclass(frozen=True)
 class Order:
-    """One press as ordered, seen by one sensor: what the bench is asked to do, and its place in the plan.
+    """One frame of a press seen by one sensor: what the bench is asked to do, and its place in the plan.
 
-    index: of the press, unit: of the sensor among those that see it. gel: name of the gel that is pressed. press_id: what
-    orders of one press share.
-    frame: which of its frames, 0 the first. film_id: what the frames that one sensor sees share; empty for a single one.
+    index: number of the press. unit: number of the sensor among those that see it. gel: name of the gel. press_id:
+    shared by all orders of a press. frame: number of the frame from 0. film_id: shared by the frames of a press by
+    one sensor; empty for a single frame.
     """
 
     index: int
@@ -199,7 +197,7 @@ class Order:
 
 
 def read_plan(path) -> Plan:
-    """Read and check a plan's own values; names are checked by `check_names`, after `with_indenters`."""
+    """Read a plan and check its values; `check_names` checks the names, after `with_indenters`."""
     path = Path(path)
     raw, whole = read_toml(path), Place(str(path))
     kinds = raw.pop("kind", [])
@@ -217,14 +215,14 @@ def read_plan(path) -> Plan:
 
 
 def with_indenters(plan: Plan, catalogue: Iterable[str]) -> Plan:
-    """The plan with each pattern among its indenters replaced by the names of its catalogue that it matches."""
+    """The plan with patterns among its indenters replaced by matching names of its catalogue."""
     return replace(
         plan, kinds=tuple(replace(kind, indenters=_matching(kind.indenters, catalogue)) for kind in plan.kinds)
     )
 
 
 def _matching(asked: tuple[str, ...], known: Iterable[str]) -> tuple[str, ...]:
-    """Names, a pattern such as "known_*" replaced by the known ones that it matches, in their order."""
+    """Names with a pattern such as "known_*" replaced by the known names that it matches, in their order."""
     found = [fnmatch.filter(known, name) or [name] for name in asked]
     return tuple(dict.fromkeys(name for names in found for name in names))
 
@@ -239,7 +237,7 @@ def _check_values(plan: Plan, path) -> None:
         start_time(plan)
         time_of(plan, plan.presses)
     except ValueError as error:
-        raise BadInput(f"{path}: start_utc = {plan.start_utc!r} is no time; write 2026-01-12T09:00:00Z") from error
+        raise BadInput(f"{path}: start_utc = {plan.start_utc!r} is not a time; write 2026-01-12T09:00:00Z") from error
     except OverflowError as error:
         raise BadInput(
             f"{path}: {plan.presses} presses of {plan.seconds_per_press:g} s from {plan.start_utc} on end after the year "
@@ -263,7 +261,7 @@ def by_gel(plan: Plan, sensors: Sequence[str]) -> dict[str, list[str]]:
 
 
 def _check_kind(kind: Kind, gel: Gel, fewest: int, where: str) -> None:
-    """gel: the thinnest that is pressed. fewest: of the kind's sensors that have one gel."""
+    """gel: the thinnest that is pressed. fewest: least number of the kind's sensors on one gel."""
     if not 1 <= kind.seen_by <= fewest:
         raise BadInput(
             f"{where}: seen_by = {kind.seen_by}: give 1 to {fewest}, as many sensors as it names on one gel"
@@ -285,7 +283,7 @@ def _check_kind(kind: Kind, gel: Gel, fewest: int, where: str) -> None:
 
 
 def check_names(plan: Plan, indenters, sensors, appearances, path) -> None:
-    """Refuse a plan that names indenters, sensors or appearances nobody defined."""
+    """Raise BadInput for a plan that names undefined indenters, sensors or appearances."""
     units = [*plan.sensors, *plan.held_out_sensors, *([plan.film.sensor] if plan.film else [])]
     for what, asked, known, where in (
         ("indenter", plan.indenters, indenters, plan.catalogue),
@@ -303,15 +301,14 @@ def start_time(plan: Plan) -> datetime:
 
 
 def time_of(plan: Plan, index: int) -> datetime:
-    """Time of a press; OverflowError where the calendar ends before."""
+    """Time of a press; OverflowError if it is after the year 9999."""
     return start_time(plan) + timedelta(seconds=round(index * plan.seconds_per_press, 3))
 
 
 def kind_of(plan: Plan, presses: int) -> tuple[np.ndarray, np.ndarray]:
     """Kind of each press and its number within that kind, two arrays (presses,).
 
-    Always the kind that is furthest behind its fraction, so the answer for a press does not depend on
-    how many follow.
+    Each press gets the kind that is furthest behind its fraction, so the result does not depend on how many follow.
     """
     weight = np.array([kind.weight for kind in plan.kinds])
     fraction = weight / weight.sum()
@@ -325,12 +322,12 @@ def kind_of(plan: Plan, presses: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def generator(plan: Plan, index: int, purpose: int) -> np.random.Generator:
-    """Randomness of one press, independent of all others; `purpose` is a number of the table in `streams`."""
+    """Random generator of one press and a purpose (a number of `streams`), independent of all others."""
     return np.random.default_rng([plan.seed, index, purpose])
 
 
 def orders(plan: Plan) -> list[Order]:
-    """Every order of the plan in the order of the log; those of one press stand side by side."""
+    """All orders of the plan in the sequence of the log; those of one press are consecutive."""
     kinds, numbers = kind_of(plan, plan.presses)
     return [
         order
@@ -359,10 +356,10 @@ def _orders_of_press(plan: Plan, index: int, kind: Kind, number: int) -> list[Or
 
 
 def _sensors_of_press(plan: Plan, index: int, kind: Kind) -> tuple[str, ...]:
-    """The sensors that see a press, in the order in which the plan names them; all of them have the same gel."""
+    """The sensors that see a press, in the plan's order; all have the same gel."""
     rng, gels = generator(plan, index, WHO_SEES), by_gel(plan, kind.sensors)
     names = list(gels.values())
-    # a gel is pressed as often as its sensors are many; a plan of one gel draws nothing for it
+    # a gel is pressed in proportion to the number of its sensors; with a single gel nothing is drawn
     fractions = [len(group) / len(kind.sensors) for group in names]
     chosen = names[0] if len(names) == 1 else names[int(rng.choice(len(names), p=fractions))]
     drawn = rng.choice(len(chosen), kind.seen_by, replace=False)

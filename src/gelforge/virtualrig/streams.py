@@ -1,31 +1,30 @@
-"""The streams of random numbers of a plan, in one table: what is drawn for one thing does not depend on another.
+"""The independent streams of random numbers of a plan, in one table.
 
-A stream is a press of the plan and a purpose, a number from here, for `rigplan.generator`. The numbers follow no scheme
-that one would choose today. data/demo and every dataset since were drawn with them, and a plan that is carried out again
-must give the same presses and pictures, so a number that was ever used keeps its meaning; new ones go where none is.
+A stream is a press of the plan and a purpose, a number from here, for `rigplan.generator`. The numbers follow no
+scheme, but every dataset was drawn with them, and a plan that is repeated must give the same presses and images. A
+number must therefore keep its meaning, and new purposes need unused numbers.
 """
 
 MOST_FRAMES = 99  # frames of one press that a plan may ask for
 
 ORDER = 0  # what is pressed, where and how deep
-BENCH = 1  # play of the axes, the touch, and the load cell's noise at a press's end
+BENCH = 1  # axis errors, touch height, and the load cell's noise at a press's end
 WHO_SEES = 20_000  # which sensors see a press
 
-# Noise of the cameras: 2 + unit + 1000 * frame while that stays below the load cell's numbers, which holds for
-# FEW_FRAMES frames of FEW_UNITS units. A later frame (whose number once was the load cell's of an earlier one) or a
-# further unit has its number past CAMERAS, where nothing else is.
+# Camera noise: 2 + unit + 1000 * frame for the first FEW_FRAMES frames of FEW_UNITS units, which stays below the load
+# cell's numbers. Later frames, which would collide with these, and further units have numbers from _CAMERAS on.
 _CAMERA, _FRAME, FEW_UNITS, FEW_FRAMES = 2, 1000, 998, 10
 _CAMERAS = 1_000_000
-_LOAD_CELL = 10_000  # and on, one for each frame before a press's end
+_LOAD_CELL = 10_000  # first number; one for each frame before a press's end
 
-# A press that no plan has, for what is drawn once for all presses: the waves in which the load cell drifts. (A unit's
-# ranges and its no-contact image have streams of two numbers, the seed and one of their own, which numpy takes for the
-# ORDER of a press of that number. A number of a unit may thus be one of a press; neither shows in what the other makes.)
+# A press number that no plan has, for draws that all presses share: the drift of the load cell. (A unit's values and
+# its no-contact image have streams [seed, number]; numpy treats them as [seed, number, 0], the ORDER of the press of
+# that number. The same draws may thus occur in both, which is harmless: they are used for different quantities.)
 EVERY_PRESS = 999_999_999
 
 
 def camera(unit: int, frame: int) -> int:
-    """Purpose of the noise in the picture that the `unit`th sensor of a press takes at a frame, both from 0 on."""
+    """Purpose of the noise in the image of a press's sensor `unit` at a frame, both from 0 on; else ValueError."""
     _check_frame(frame)
     if unit < 0:
         raise ValueError(f"unit = {unit}: sensors of a press are counted from 0 on")
@@ -35,7 +34,7 @@ def camera(unit: int, frame: int) -> int:
 
 
 def load_cell(frame: int) -> int:
-    """Purpose of what the load cell adds at a frame before a press's end; at the end it is a part of BENCH."""
+    """Purpose of the load cell's noise at a frame before a press's end; at the end it is part of BENCH."""
     _check_frame(frame)
     return _LOAD_CELL + frame
 

@@ -1,4 +1,4 @@
-"""Virtual sensors drawn at random from ranges, so that a network learns what all of them share."""
+"""Virtual sensors drawn at random from ranges, so that a network learns what they have in common."""
 
 import zlib
 from dataclasses import replace
@@ -14,18 +14,19 @@ from gelforge.labelling.sensor import Sensor
 from gelforge.virtualrig.appearance import HEIGHT, WIDTH, Appearance, Drift, marker_centres, read_appearances
 from gelforge.virtualrig.rigplan import DrawnUnits
 
-ROWS, COLS = 7, 9  # of the markers that a whole view shows
+ROWS, COLS = 7, 9  # of the marker grid in a full view
 AZIMUTH = np.array([90.0, 0.0, 270.0])  # degrees of the red, green and blue light
 
 
 class UnitRanges(ParameterTable):
-    """What differs between units, each drawn evenly between two bounds; the file says where each range comes from.
+    """Ranges of what differs between units, each drawn uniformly; the file states the source of each range.
 
-    Lengths are px unless named mm, light is in grey levels of 255, angles in degrees. Names are those of `Appearance` and
-    of workflow/rig/sensors.toml. backgrounds: appearances whose light is mixed. pitch_mm: distance of the markers on the gel.
-    contrast: of all colours together, drawn evenly in its logarithm; colour_contrast: of each besides.
-    jpeg_fraction: of the units whose camera compresses, with jpeg_quality. relit_fraction: of the pictures under another fall
-    of light. worn_fraction: of the pictures in which further markers are worn off.
+    Lengths are px unless named mm, light is in grey levels up to 255, angles in degrees. Names are those of
+    `Appearance` and of workflow/rig/sensors.toml. backgrounds: appearances whose light is mixed. pitch_mm: distance
+    of the markers on the gel. contrast: common factor of all colours, log-uniform; colour_contrast: a further factor
+    of each. jpeg_fraction: fraction of units whose camera compresses, with jpeg_quality. relit_fraction: fraction of
+    images under light from another direction. worn_fraction: fraction of images in which further markers are worn
+    off.
     """
 
     example = "workflow/rig/units.toml"
@@ -82,8 +83,8 @@ class UnitRanges(ParameterTable):
 def draw_units(units: DrawnUnits, gel: str, rig: Path, seed: int) -> tuple[dict[str, Appearance], dict[str, Sensor]]:
     """Appearances and sensors of a plan's drawn units, by name; each depends on the seed and its own name alone.
 
-    gel: name of the gel of those for which `units` names none. rig: folder workflow/rig with the ranges and with
-    sensors.toml, whose backgrounds are mixed.
+    gel: name of the gel of units for which `units` names none. rig: folder workflow/rig with the ranges and with
+    sensors.toml, whose backgrounds are mixed. Raises BadInput for ranges that name an unknown background.
     """
     path = rig / units.ranges
     ranges, known = read_ranges(path), read_appearances(rig / "sensors.toml")
@@ -105,7 +106,7 @@ def read_ranges(path: Path) -> UnitRanges:
 
 
 class Draw:
-    """One unit's values; each asked for by name, in a fixed order."""
+    """Draws one unit's values by name; the order of the draws is fixed."""
 
     def __init__(self, rng: np.random.Generator, ranges: UnitRanges):
         self.rng, self.ranges = rng, ranges
@@ -121,7 +122,7 @@ class Draw:
         return int(self.rng.integers(round(low), round(high) + 1))
 
     def sensor(self, name: str) -> Sensor:
-        """Where the camera sees the gel, and the markers that are printed on it."""
+        """Sensor of the unit: projection of the gel into its camera, and the printed marker grid."""
         scale, angle = self.of("scale_px_per_mm"), np.deg2rad(self.of("rotation_deg"))
         centre = np.array([WIDTH, HEIGHT]) / 2 + self.of("shift_px", 2)
         cos, sin = scale * np.cos(angle), scale * np.sin(angle)

@@ -1,4 +1,4 @@
-"""data/DATASET as a bench writes it, row by row, and the truth beside it that only the rig's checks read."""
+"""Writes data/DATASET as a bench does, press by press, and beside it the truth, for the evaluation of forces."""
 
 import json
 import math
@@ -22,18 +22,18 @@ from gelforge.records.status import VALID
 from gelforge.records.table import read_table
 from gelforge.virtualrig.rigplan import Order, Plan
 
-if TYPE_CHECKING:  # a plan is read, refused or found complete without what presses
+if TYPE_CHECKING:  # checking a plan or finding it complete needs no solver
     from gelforge.virtualrig.bench import Pressing
 
 # Lengths to 0.1 micrometre, forces to 0.1 mN, moments to 1 mN mm.
 DECIMALS = {**dict.fromkeys((*POSE, *FORCE), 4), **dict.fromkeys(MOMENT, 6)}
 FRAME_S = 0.1  # between frames of one press
-PUBLISHED_EVERY_S = 10.0  # at most so much is pressed anew after a run was killed
+PUBLISHED_EVERY_S = 10.0  # a run that is killed loses at most the presses of this time
 TRUTH_COLUMNS = ("sample_id", "status", *POSE, *FORCES, "newton_iterations", "load_steps")
 
 
 class Dataset:
-    """One dataset folder that grows press by press; every file in it is whole at any time."""
+    """One dataset folder that grows press by press; every file in it is complete at any time."""
 
     def __init__(self, folder, plan: Plan):
         self.folder, self.plan = Path(folder), plan
@@ -53,7 +53,7 @@ class Dataset:
         return {row["sample_id"]: row for row in rows}
 
     def _before(self) -> dict:
-        """What truth.json holds of the plan that the folder was written by."""
+        """truth.json of the plan that wrote the folder; BadInput if it cannot be read."""
         try:
             before = read_json(self.plan_path)
         except (OSError, ValueError) as error:
@@ -64,15 +64,15 @@ class Dataset:
 
     def _unknown_plan(self, fault: str) -> BadInput:
         return BadInput(
-            f"{self.plan_path}: does not say which plan the folder was written by ({fault}); bring it back from a copy, or "
+            f"{self.plan_path}: does not state which plan wrote the folder ({fault}); restore it from a copy, or "
             "remove the folder"
         )
 
     def check_same_plan(self, shapes: dict[str, str], appearances: dict[str, str]) -> None:
-        """Refuse to mix two plans in one folder; more presses of the same plan are welcome.
+        """Raise BadInput if the folder was written by another plan; a plan with more presses is the same.
 
-        shapes, appearances: digest of what each name of an indenter, of a sensor, stands for today. A name that stood for
-        something else when presses were made, or pictures taken that are still there, is another plan.
+        shapes, appearances: digest by name of each indenter's shape and each sensor's appearance. Another digest than
+        when existing presses were computed or existing images drawn counts as another plan.
         """
         if not self.plan_path.exists():
             if self.log_path.exists():
@@ -95,8 +95,8 @@ class Dataset:
         changed = differing(before["looks"], appearances) if self._has_pictures() else []
         if changed:
             raise BadInput(
-                f"{self.folder}: sensor {changed[0]} looked otherwise when pictures were taken with it; "
-                "remove images/ and nocontact/ there to have all drawn anew"
+                f"{self.folder}: the appearance of sensor {changed[0]} has changed since its images were drawn; "
+                "remove images/ and nocontact/ there to draw all again"
             )
 
     def _has_pictures(self) -> bool:
@@ -115,10 +115,12 @@ class Dataset:
         if not description.exists():
             write_text(description, describe(self.plan))
         elif read_toml(description) != tomllib.loads(describe(self.plan)):
-            print(f"{description} is not what the plan would write and stays as it is; remove it to have the plan's")
+            print(
+                f"{description} differs from what the plan would write and is kept; remove it to get the plan's version"
+            )
 
     def missing(self, orders: list[Order]) -> list[Order]:
-        """Orders that are not yet carried out, or whose image is gone."""
+        """Orders that are not yet carried out, or whose image is missing."""
         return [order for order in orders if not self._done(order)]
 
     def _done(self, order: Order) -> bool:
@@ -130,14 +132,15 @@ class Dataset:
         return (self.folder / image_name(order)).is_file()
 
     def solved(self, order: Order) -> bool:
-        """Whether all but the picture of an order is there."""
+        """Whether everything but the image of an order exists."""
         there = order.sample_id in self.log and order.sample_id in self.truth
         return there and (self.folder / surface_name(order)).is_file()
 
     def add(self, rows: list[tuple[Order, LoggedPress | None, dict]]) -> None:
-        """Take in one press, (order, record of the log or None, row of the truth) of each sensor that saw it.
+        """Add one press: (order, record of the log or None, row of the truth) for each sensor that saw it.
 
-        What was taken in is published every few seconds, because both tables are written whole; the rest by `publish`.
+        Tables are written every PUBLISHED_EVERY_S only, because each is rewritten as a whole; call `publish` at the
+        end.
         """
         self.truth |= {order.sample_id: truth for order, _, truth in rows}
         self.log |= {order.sample_id: log for order, log, _ in rows if log is not None}
@@ -145,15 +148,15 @@ class Dataset:
             self.publish()
 
     def publish(self) -> None:
-        """Write what was taken in: the truth first, then the rows that make it count."""
+        """Write both tables, the truth first: a valid press counts as done only once the log has its row."""
         write_csv(self.truth_path, TRUTH_COLUMNS, _ordered(self.truth))
-        if self.log:  # a log of no rows is one that nobody can read again
+        if self.log:  # a log without rows cannot be read back
             write_log(self.log_path, _ordered(self.log), DECIMALS)
         self._published = time.monotonic()
 
 
 def differing(before: dict[str, str], now: dict[str, str]) -> list[str]:
-    """Names that stood for something else before; those that are new or gone do not count."""
+    """Names whose digest has changed; new and missing names do not count."""
     return sorted(name for name, digest in before.items() if now.get(name, digest) != digest)
 
 
@@ -172,7 +175,7 @@ def nocontact_name(sensor: str) -> str:
 
 
 def surface_name(order: Order) -> str:
-    """Path of a press's surface below the dataset's folder: from it its pictures can be drawn again."""
+    """Path below the dataset's folder of a frame's surface, from which its images can be drawn again."""
     frame = f"-f{order.frame + 1:02d}" if order.film_id else ""
     return f"truth/surfaces/{order.press_id}{frame}.npz"
 
@@ -183,7 +186,7 @@ def save_image(path, image: np.ndarray) -> None:
 
 
 def time_of(order: Order) -> str:
-    """Time of an order, as a log has it; frames of one film are FRAME_S apart."""
+    """Time of an order as text for the log; frames of one press are FRAME_S apart."""
     if not order.film_id:
         return order.time_utc
     time = datetime.fromisoformat(order.time_utc) + timedelta(seconds=FRAME_S * order.frame)
@@ -191,7 +194,7 @@ def time_of(order: Order) -> str:
 
 
 def logged(pressing: "Pressing") -> LoggedPress:
-    """The bench's record: what it was asked to do and what its load cell read."""
+    """Row of the log: the path that the bench reports and what its load cell read."""
     order, log = pressing.order, pressing.log
     path = (log.x0, log.y0, log.z0, log.dx, log.dy, log.dz, log.rot_deg)
     values = dict(zip((*POSE, *FORCES), (*path, *pressing.read_force, *pressing.read_moment), strict=True))
@@ -202,7 +205,7 @@ def logged(pressing: "Pressing") -> LoggedPress:
 
 
 def truth_row(pressing: "Pressing") -> dict:
-    """What the press really was."""
+    """Row of the truth: real path, force and moment, and the cost of the solve."""
     real, evidence = pressing.real, pressing.result.evidence
     values = [real.x0, real.y0, real.z0, real.dx, real.dy, real.dz, real.rot_deg, *pressing.force, *pressing.moment]
     cost = [evidence["newton_iterations"], evidence["load_steps"]]
@@ -236,7 +239,7 @@ def write_sensors(path: Path, sensors: dict[str, Sensor]) -> None:
 
 
 def _tables(name: str, table: dict) -> list[str]:
-    """Lines of a TOML table of numbers, texts and lists of them, and its subtables; name: its path as TOML has it."""
+    """Lines of a TOML table of numbers, texts, lists of them and subtables; name: its dotted key."""
     own = [f"{_key(key)} = {_value(value)}" for key, value in table.items() if not isinstance(value, dict)]
     lines = ["", f"[{name}]", *own] if own else []
     for key, value in table.items():
@@ -246,13 +249,13 @@ def _tables(name: str, table: dict) -> list[str]:
 
 
 def _key(name: str) -> str:
-    """A key of TOML: as it stands where it is a bare word, else quoted, as "0.7", whose period would make two keys of it."""
+    """A key of TOML: a bare key as it is, any other quoted, such as "0.7", which would otherwise be a dotted key."""
     return name if re.fullmatch(r"[A-Za-z0-9_-]+", name) else _value(name)
 
 
 def _value(value) -> str:
-    """A number, a text or a list of them, which TOML and JSON write alike but for two kinds of characters.
+    """A number, a text or a list of them as TOML, which is JSON but for two kinds of characters.
 
-    JSON halves those beyond 16 bits into escapes that TOML refuses, and leaves the one that deletes as it is.
+    JSON may escape characters beyond 16 bits as surrogate pairs, which TOML refuses, and does not escape DEL (0x7f).
     """
     return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 
 from gelforge.calibration import summary
+from gelforge.calibration.emulator import DEPTHS, FRICTIONS, Emulator
 from gelforge.calibration.parameters import CHECK, label_of, make_model, prior_of
+from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.readings import check_enough, check_readings, read_readings
 from gelforge.calibration.sampling import Chain, Figures, NotConverged, Rules, complaint, sample, start_points
-from gelforge.calibration.solves import refuse_no_contact
+from gelforge.calibration.solves import make_plan, refuse_no_contact
 from gelforge.errors import BadInput
 from gelforge.flow.schema import Place, parse
 from gelforge.flow.tables import Law, PriorTable
@@ -51,7 +53,7 @@ def test_of_the_frames_of_a_press_the_last_serves(tmp_path):
 
 def test_forces_that_pull_are_turned_round_or_of_a_sensor_that_was_not_tared():
     for force in (-FORCE, 0.1 - FORCE, 5.0 - FORCE):
-        with pytest.raises(BadInput, match=r"fz_n is positive in [34] of [34] .* opposite sign convention"):
+        with pytest.raises(BadInput, match=r"fz_n is positive in [34] of the [34] .* opposite sign convention"):
             check_readings(make_readings(DEPTH, force))
     light = FORCE / 10
     for bias in (2.0, 1.9, 5.0):
@@ -103,8 +105,33 @@ def test_posterior_deeper_than_the_solves_is_named():
         ([], r"raise \[calibrate\] reach_mm"),
         (["Readings are in grams-force."], "Readings are in grams-force"),
     ):
-        with pytest.raises(BadInput, match=f"25 % of the posterior presses deeper .*; {said}"):
+        with pytest.raises(
+            BadInput, match=f"25 % of the posterior's depths are beyond .* 0.1 mm below the commanded ones; {said}"
+        ):
             refuse_beyond(posterior, chain, 0.1, seen)
+
+
+def test_a_press_that_slides_may_lie_beyond_its_solves_as_far_as_others_are_solved():
+    """It is solved to a third of the reach; the forces of this table are 0, so that each depth is the offset deeper."""
+    readings = make_readings([0.1, 0.2, 0.25], [-0.1, -0.3, -0.4], sheared=True)
+    top = make_plan(readings, 0.15, "coulomb", [0.25, 0.6], 0.475).top
+    assert top == pytest.approx(readings.depth + 0.05)
+    emulator = Emulator(np.zeros((3, FRICTIONS, DEPTHS, 3)), top, np.zeros(3, int), readings.travel)
+    model = make_model(PARAMS, "coulomb", sideways=True)
+    posterior = Posterior(emulator, model, readings.depth, readings.force, PARAMS.tail)
+    at, offset = model.draw(np.random.default_rng(0), 1000).mean(axis=0), model.free["offset"]
+    figures = Figures(50, 0, 1.0, 50.0, 0.5, 1.0, "offset")
+    for deeper, refused in ((0.04, False), (0.14, False), (0.16, True)):
+        at[model.names.index("offset")] = offset.quantile(offset.law.cdf(deeper))
+        chain = Chain(np.tile(at, (10, 8, 1)), figures)
+        assert posterior.emulator.forces(readings.depth, model.values(chain.flat()))[2][0] == pytest.approx(
+            readings.depth + deeper, abs=1e-3
+        )
+        if not refused:
+            refuse_beyond(posterior, chain, 0.15)
+            continue
+        with pytest.raises(BadInput, match=r"100 % of the posterior's depths .* 0.15 mm below the commanded ones"):
+            refuse_beyond(posterior, chain, 0.15)
 
 
 def test_a_parameter_outside_of_its_prior_is_said_with_what_to_check():
@@ -138,7 +165,7 @@ def test_a_chain_that_is_too_short_or_whose_walkers_differ_is_refused_with_figur
         sample(posterior, replace(RULES, max_steps=20))
     apart = Figures(3000, 500, 20.0, 125.0, 0.3, 1.4, "offset")
     assert not apart.meets(RULES)
-    assert "Walkers differ in offset, as in two modes" in complaint(apart, RULES, [])
+    assert "Walkers disagree on offset, as if it had two modes" in complaint(apart, RULES, [])
     with pytest.raises(
         NotConverged,
         match=r"The touch offset \(mm\) is .*, outside of what its prior expects .* check how touch was found",

@@ -72,7 +72,7 @@ def test_gelforge_lists_its_commands(capsys):
     assert ended.value.code == 0 and capsys.readouterr().out == f"gelforge {gelforge.__version__}\n"
     with pytest.raises(SystemExit) as ended:
         main(["sample", "--id", "demo-000001"])
-    assert ended.value.code == 2 and "'sample' is no command of gelforge" in capsys.readouterr().err
+    assert ended.value.code == 2 and "'sample' is not a command of gelforge" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("words", [[], ["--help"], ["status", "--help"]])

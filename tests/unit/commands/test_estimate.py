@@ -11,6 +11,7 @@ from gelforge.commands import estimate
 from gelforge.commands.estimate import (
     DRAGGED,
     MEASURED,
+    OF_FILE,
     SLIPPING,
     START,
     ahead,
@@ -141,7 +142,7 @@ def test_a_long_stage_says_before_it_begins_what_is_left_of_it(tmp_path):
     write_json(of.params / "stability.json", {})
     assert [
         "10 of 10 files" in ahead(of, Path("stability/rows/depth.json"), 2),
-        "50 min" in ahead(of, Path("stability/rows/depth.json"), 2),
+        duration(10 * OF_FILE[layout.STABILITY] / 2) in ahead(of, Path("stability/rows/depth.json"), 2),
     ] == [True] * 2
     write_json(of.stability_row("depth"), {})
     assert "9 of 10 files" in ahead(of, Path("stability/rows/shear.json"), 2)

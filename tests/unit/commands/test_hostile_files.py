@@ -181,14 +181,17 @@ def nan_in(arrays):
 
 SPOILT = {
     "a label that is not finite": (nan_in, "sample b has a label that is not finite"),
-    "an unknown status": (lambda a: a.update(status=np.array(["OK", "FINE", "OK"])), "sample b: status 'FINE'"),
-    "one id eight times": (lambda a: a.update(sample_id=np.array(["a", "a", "c"])), "sample a stands 2 times"),
+    "an unknown status": (
+        lambda a: a.update(status=np.array(["OK", "FINE", "OK"])),
+        "sample b: unknown status 'FINE'",
+    ),
+    "one id eight times": (lambda a: a.update(sample_id=np.array(["a", "a", "c"])), "sample a occurs 2 times"),
     "no outside": (lambda a: a.pop("outside"), "array outside is missing"),
     "c10 below zero": (lambda a: a.update(c10=np.float64(-1)), "c10 = -1"),
     "two channels": (lambda a: a.update(label=a["label"][:, :2]), "do not fit each other"),
     "one label less": (lambda a: a.update(label=a["label"][:2]), "do not fit each other"),
     "labels of whole numbers": (lambda a: a.update(label=a["label"].astype(int)), "label is int64"),
-    "a flat label": (lambda a: a.update(label=a["label"][0]), "which it cannot be"),
+    "a flat label": (lambda a: a.update(label=a["label"][0]), "label is float32 .*expected 4-dimensional floats"),
     "ids that are numbers": (lambda a: a.update(sample_id=np.arange(3)), "sample_id is int64"),
     "objects": (lambda a: a.update(status=np.array([{}, [], None], object)), "array status: Object arrays"),
 }

@@ -101,7 +101,7 @@ def test_predict_never_takes_the_place_of_what_it_reads(given, data, paths, tmp_
         (shots, [str(table)]),
         (kept, [str(shot), "--nocontact", str(rest)]),
     ):
-        refused("would take the place", predict.main, [*more, *words, "--out", str(out)])
+        refused("would overwrite an input file", predict.main, [*more, *words, "--out", str(out)])
     assert before == {path: path.read_bytes() for path in before} and len(list(kept.iterdir())) == 1
 
 
@@ -158,7 +158,7 @@ def test_unlike_images_are_flagged(data, models):
     for image, reason in (
         (np.zeros((*IMAGE, 3), np.uint8), "dark, covered or of one colour"),
         (np.full((*IMAGE, 3), 120, np.uint8), "dark, covered or of one colour"),
-        (cv2.resize(np.asarray(data.images[0]), (160, 96)), "of another shape"),
+        (cv2.resize(np.asarray(data.images[0]), (160, 96)), "aspect ratio differs"),
     ):
         found = predictor.predict(image)
         assert found.flag and reason in found.reason

@@ -182,7 +182,7 @@ def test_scales_along_both_axes_are_said_and_doubted_where_they_differ(capsys, s
     projection.report(projection.describe(found), None, None)
     said = capsys.readouterr().out
     assert f"scale at the apex: {14 / stretched:.2f} px/mm along gel x, 14.00 along gel y" in said
-    assert ("doubt: these differ by" in said) == told
+    assert ("doubt: the scales differ by" in said) == told
 
 
 def test_the_markers_of_reference_images(reference):
@@ -309,9 +309,9 @@ def test_the_command_refuses_and_replaces_nothing_that_it_reads(tmp_path, monkey
         (["--sensor", "a", "--image", "none.png"], "none.png"),
         (["--sensor", "a", "--like", "b"], "'b'"),
         # the drawing of the fit lies beside the JSON, by its stem
-        ([*like, "--out", "unit.json"], "unit.png would take the place of a file that is read"),
-        ([*like, "--points", "points.csv", "--out", "points.csv"], "points.csv would take the place"),
-        ([*like, "--out", "fit.png"], "fit.png: is the name of its picture"),
+        ([*like, "--out", "unit.json"], "unit.png would overwrite an input file"),
+        ([*like, "--points", "points.csv", "--out", "points.csv"], "points.csv would overwrite an input file"),
+        ([*like, "--out", "fit.png"], "fit.png: its picture would have this name"),
     ):
         refused(reason, projection.main, [*arguments, "--sensors", str(root / "workflow/sensors.toml")])
     assert (tmp_path / "unit.png").read_bytes() == image

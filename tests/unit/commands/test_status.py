@@ -75,7 +75,7 @@ def test_a_stage_that_failed_is_reported_with_the_last_words_of_its_log(tmp_path
         "60_dataset/24x32/dataset",
     ]  # 0007 is of rows now lost
     assert failed_lines(results, asked) == [
-        "failed: 30_fea/0000: ended with code 1 without a word; log: " + str(results / "logs/30_fea/0000.log"),
+        "failed: 30_fea/0000: ended with code 1 without a message; log: " + str(results / "logs/30_fea/0000.log"),
         f"failed: 60_dataset/24x32/dataset: error: no sample has a label; log: {log}",
     ]
     table = lines(results, asked)
@@ -102,14 +102,18 @@ def test_what_was_made_of_something_that_changed_since_is_reported(tmp_path):
 
     assert reported() == []
     write_text(params[1], "changed")
-    assert reported() == ["outdated: 30_fea/0000 and what follows from it, because parameters of fea changed since"]
+    assert reported() == [
+        "outdated: 30_fea/0000 and what follows from it, because parameters of fea changed since it was made"
+    ]
     write_text(params[1], params[1].name)
     write_text(fea, "solved again, and not labelled")
-    assert reported() == [f"outdated: 50_labels/12x16/labels and what follows from it, because {fea} changed since"]
+    assert reported() == [
+        f"outdated: 50_labels/12x16/labels and what follows from it, because {fea} changed since it was made"
+    ]
     write_text(params[0], "changed")
     write_text(results / "00_plan/shards/0000.csv", "changed")
     assert reported() == [
-        "outdated: 10_poses/0000 and what follows from it, because parameters of poses changed since"
+        "outdated: 10_poses/0000 and what follows from it, because parameters of poses changed since it was made"
     ]
 
 

@@ -107,10 +107,20 @@ def test_readings_that_stay_as_they_were_or_end_at_a_limit_are_named():
     session, label, names = labelled(0)
     stale, most = np.repeat(session.force[::2], 2, axis=0)[: len(label)], 0.5 * np.abs(session.force).max()
     for force, said in (
-        (stale, "exactly the force of the press before"),
+        (stale, "exactly the reading of the previous press"),
         (session.force.clip(-most), "the end of the sensor's range"),
     ):
         assert [said in line for line in of_labels(log_of(with_force(session, force)), label, names)] == [True]
+
+
+def test_readings_of_the_previous_press_are_named_if_its_label_differs_by_a_fifth():
+    """By a tenth, two presses may have one reading."""
+    still, depth, force = np.zeros((12, 2)), np.linspace(0.5, 1.1, 12), np.repeat(np.linspace(3.0, 9.0, 6), 2)
+    read = LogForces(still, depth, np.zeros(12), np.column_stack([still, -force]))
+    for larger, named in ((1.2, True), (1.1, False)):
+        label = read.force * np.where(np.arange(12) % 2, larger, 1.0)[:, None]
+        said = of_labels(read, label, ["ball"] * 12)
+        assert any("6 presses have exactly the reading of the previous press" in line for line in said) == named
 
 
 def test_a_constant_force_shows_in_presses_without_shear():
@@ -223,7 +233,7 @@ def test_labels_name_the_trouble_and_of_a_clean_session_nothing(seed):
     for name, factor in (("ball", 1.3), ("bar", 0.8)):
         wrong = session.force * np.where(names == name, factor, 1.0)[:, None]
         (line,) = of_labels(log_of(with_force(session, wrong)), label, names)
-        assert f"Forces of {name} are" in line
+        assert f"For {name}, the ratio of forces to labels is" in line
 
 
 @pytest.mark.parametrize(
@@ -242,12 +252,12 @@ def test_forces_that_grow_otherwise_with_the_contact_name_the_gel_s_thickness(po
 BESIDE_LABELS = {
     "x and z exchanged": (lambda f: f[:, [2, 1, 0]], "fx_n follows the normal force .* fz_n does not"),
     "y and z exchanged": (lambda f: f[:, [0, 2, 1]], "fy_n follows the normal force .* fz_n does not"),
-    "half of the press before": (lambda f: (f + np.vstack([f[:1], f[:-1]])) / 2, r"Readings hold [3-6]\d % of the force of the press before"),
-    "a quarter of the press before": (lambda f: 0.75 * f + 0.25 * np.vstack([f[:1], f[:-1]]), r"Readings hold [23]\d % of the force"),
-    "a stiffer gel halfway": (lambda f: f * np.where(np.arange(len(f)) < len(f) // 2, 1.0, 1.25)[:, None], r"From press 13 .* are 1.2\d times"),
-    "a softer gel halfway": (lambda f: f * np.where(np.arange(len(f)) < len(f) // 2, 1.0, 0.8)[:, None], r"From press 13 .* are 0.8\d? times"),
-    "weight of a tool": (lambda f: f - [0.0, 0.0, 20.0], r"Forces are [+](19|2\d).\d N beyond what is usual"),
-    "weight that lifts": (lambda f: f + [0.0, 0.0, 30.0], r"Forces are -[23]\d.\d N beyond what is usual"),
+    "half of the press before": (lambda f: (f + np.vstack([f[:1], f[:-1]])) / 2, r"Readings contain [3-6]\d % of the previous press' force"),
+    "a quarter of the press before": (lambda f: 0.75 * f + 0.25 * np.vstack([f[:1], f[:-1]]), r"Readings contain [23]\d % of the previous press' force"),
+    "a stiffer gel halfway": (lambda f: f * np.where(np.arange(len(f)) < len(f) // 2, 1.0, 1.25)[:, None], r"From press 13 .* is 1.2\d times"),
+    "a softer gel halfway": (lambda f: f * np.where(np.arange(len(f)) < len(f) // 2, 1.0, 0.8)[:, None], r"From press 13 .* is 0.8\d? times"),
+    "weight of a tool": (lambda f: f - [0.0, 0.0, 20.0], r"Forces are offset by [+](19|2\d).\d N from the usual"),
+    "weight that lifts": (lambda f: f + [0.0, 0.0, 30.0], r"Forces are offset by -[23]\d.\d N from the usual"),
     "small tare": (lambda f: f - [0.0, 0.0, 0.4], r"constant force of -0.\d+ N along z"),
 }  # fmt: skip
 
@@ -311,7 +321,7 @@ def test_readings_of_a_scale_say_nothing_or_name_unit_offset_and_drift(seed):
     for offset, way in ((2.0, "falls"), (4.0, "falls"), (-1.5, "rises")):
         (line,) = of_readings(measured + offset, read)
         assert f"ratio {way} with force: tare" in line and line.startswith(
-            f"Readings are {np.sign(offset):+.0f}"[:-1]
+            f"Readings have an offset of {np.sign(offset):+.0f}"[:-1]
         )
     (line,) = of_readings(measured + 1.5 * np.arange(12), read)
     assert "drift by +" in line

@@ -222,8 +222,8 @@ def test_a_displaced_map_is_found_to_a_tenth_of_a_place():
 
 
 NOCONTACT = {
-    "another unit's": (lambda log: with_nocontact(log, mini_a=log.nocontact["mini_e"]), "two sensors"),
-    "exchanged": (lambda log: with_nocontact(log, mini_a=log.nocontact["mini_e"], mini_e=log.nocontact["mini_a"]), "two sensors"),
+    "another unit's": (lambda log: with_nocontact(log, mini_a=log.nocontact["mini_e"]), "different sensors"),
+    "exchanged": (lambda log: with_nocontact(log, mini_a=log.nocontact["mini_e"], mini_e=log.nocontact["mini_a"]), "different sensors"),
     "pressed by a sphere": (lambda log: with_nocontact(log, mini_a=log.images[0]), "to touch the gel in the no-contact image"),
     "pressed by a triangle": (lambda log: with_nocontact(log, mini_a=log.images[16]), "something touched the gel"),
     "pressed under strong light": (lambda log: with_nocontact(log, mini_e=log.images[3]), "touch the gel"),
@@ -234,10 +234,10 @@ AXES = {
     **{how: (functools.partial(lambda log, how: replace(log, images=flipped(log.images, how)), how=how), how) for how in FLIPS},
     **{f"sensor {how}": (functools.partial(lambda log, how: replace(
         log, images=flipped(log.images, how),
-        nocontact=dict(zip(log.nocontact, flipped(log.nocontact.values(), how), strict=True))), how=how), f"but {how}") for how in FLIPS},
-    "projection turned by 90 degrees": (lambda log: projected(log, 90.0), "but turned by 90 degrees"),
+        nocontact=dict(zip(log.nocontact, flipped(log.nocontact.values(), how), strict=True))), how=how), f"once these are {how}") for how in FLIPS},
+    "projection turned by 90 degrees": (lambda log: projected(log, 90.0), "once these are turned by 90 degrees"),
     "x0 with the other sign": (lambda log: replace(
-        log, rows=[row | {"x0_mm": str(-float(row["x0_mm"]))} for row in log.rows]), "but mirrored top to bottom"),
+        log, rows=[row | {"x0_mm": str(-float(row["x0_mm"]))} for row in log.rows]), "once these are mirrored top to bottom"),
 }  # fmt: skip
 ROWS = {
     "shifted down": (lambda log: replace(log, images=log.images[1:] + log.images[:1]), "pose of the next row"),
@@ -245,18 +245,18 @@ ROWS = {
     "in the order of unpadded names": (lambda log: replace(
         log, images=[log.images[at] for at in sorted(range(len(log.images)), key=str)]), "do not show the contacts that their rows describe"),
     "two exchanged": (lambda log: with_images(log, {10: log.images[16], 16: log.images[10]}), "row 12 (demo-000010)"),
-    "one of another unit": (lambda log: with_images(log, {5: log.images[3]}), "row 7: the image and the no-contact image are of two"),
+    "one of another unit": (lambda log: with_images(log, {5: log.images[3]}), "row 7: the image and the no-contact image are of different"),
     "one black": (lambda log: with_images(log, {5: np.zeros_like(log.images[5])}), "row 7: the image shows nothing"),
     "one of noise": (lambda log: with_images(log, {5: np.random.default_rng(1).integers(0, 255, log.images[5].shape).astype(np.uint8)}),
                      "row 7: the image shows nothing"),
     "in the order BGR": (lambda log: replace(log, images=[np.ascontiguousarray(image[..., ::-1]) for image in log.images]),
-                         "mini_e: 6 of 6 images have one fault, the image is with red and blue exchanged"),
+                         "mini_e: 6 of 6 images have the same fault, the image is in the other colour order (red and blue exchanged)"),
     "shifted from the middle on": (lambda log: replace(
         log, images=log.images[:30] + log.images[31:] + log.images[-1:]), "on suit the pose of the next row"),
     "shifted back from the middle on": (lambda log: replace(
         log, images=log.images[:30] + log.images[29:-1]), "on suit the pose of the previous row"),
-    "one of a frozen camera": (lambda log: frozen(log, 1), "the very one of the row before"),
-    "three of a frozen camera": (lambda log: frozen(log, 3), "the very one of the row before"),
+    "one of a frozen camera": (lambda log: frozen(log, 1), "identical to that of the previous row"),
+    "three of a frozen camera": (lambda log: frozen(log, 3), "identical to that of the previous row"),
     "two of another print": (lambda log: reprinted(log, (6, 20), 12), "the markers at the rim of its image are not"),
     "one of a gel that moved": (lambda log: with_images(log, {6: np.roll(log.images[6], 9, 1)}), "the markers at the rim of its image are not"),
     "all monochrome": (lambda log: replace(log, images=[grey(image) for image in log.images]), "row 2: the image is monochrome"),
@@ -271,7 +271,7 @@ SHAPES = {
     "cuboid too large": (lambda log: resized(log, "cuboid_10", 1.2), "imprints of cuboid_10 are 0.8"),
     "projection moved along both axes": (lambda log: projected(log, shift=(14.0, -16.0)), "moved by 1."),
     "origin beside the apex": (lambda log: replace(
-        log, rows=[row | {"x0_mm": str(float(row["x0_mm"]) + 5.0)} for row in log.rows]), "mini_a: the contacts lie moved by 4."),
+        log, rows=[row | {"x0_mm": str(float(row["x0_mm"]) + 5.0)} for row in log.rows]), "mini_a: compared with the poses and the projection, the contacts are moved by 4."),
     "rot_deg in radians": (lambda log: with_turn(log, np.radians), "as if rot_deg were in radians"),
     "rot_deg of the other sign": (lambda log: with_turn(log, np.negative), "as if rot_deg were of the other sign"),
     "rot_deg off by a right angle": (lambda log: with_turn(log, lambda turn: turn - 90.0), "as if rot_deg were off by 90 degrees"),
@@ -305,11 +305,11 @@ def overexposed(image: np.ndarray) -> np.ndarray:
 
 CAMERA = {
     "one out of focus": (lambda log: with_images(log, {7: defocused(log.images[7])}), "row 9: the image is blurred"),
-    "all out of focus": (lambda log: replace(log, images=[*map(defocused, log.images)]), "images have one fault, the image is blurred"),
+    "all out of focus": (lambda log: replace(log, images=[*map(defocused, log.images)]), "images have the same fault, the image is blurred"),
     "one overexposed": (lambda log: with_images(log, {7: overexposed(log.images[7])}), "row 9: the image is overexposed"),
     "all overexposed": (lambda log: replace(log, images=[*map(overexposed, log.images)]), "the image is overexposed"),
     "no-contact images at half the light": (lambda log: replace(
-        log, nocontact={name: one // 2 for name, one in log.nocontact.items()}), "have one fault, the image has about twice the light"),
+        log, nocontact={name: one // 2 for name, one in log.nocontact.items()}), "have the same fault, the image is more than 1.8 times brighter"),
 }  # fmt: skip
 
 

@@ -63,7 +63,7 @@ def test_a_value_that_a_dataset_sets_too_is_refused(root, tmp_path):
     path = frozen(tmp_path)
     own = path.parent / "dataset.toml"
     own.write_text("[params.interface]\nlaw = 'coulomb'\n[params.poses]\ncompliance_mm_per_n = 0.01\n")
-    with pytest.raises(BadInput, match=r"\[params.poses\] compliance_mm_per_n is set by .*calibration.toml, too"):
+    with pytest.raises(BadInput, match=r"\[params.poses\] compliance_mm_per_n is also set by .*calibration.toml"):
         load_params(root / "workflow", own)
 
 
@@ -72,8 +72,8 @@ def test_a_file_that_is_none_is_refused_in_a_sentence(root, tmp_path):
     whole = path.read_text()
     for old, new, said in (
         ('name = "', "name = ", "not valid TOML: .*run make freeze"),
-        ("law =", "laww =", "is no frozen calibration"),
-        ("c10 =", "nu =", "what no calibration finds"),
+        ("law =", "laww =", "is not a frozen calibration"),
+        ("c10 =", "nu =", "a key that calibration does not set"),
         ("c10 = 0.0853", "c10 = 85.3", "c10 = 85.3: give a number from"),
     ):
         path.write_text(whole.replace(old, new))

@@ -31,7 +31,7 @@ def test_a_stage_overrides_the_default_and_an_own_file_the_published_one(tmp_pat
 
 def test_a_wrong_profile_is_named(tmp_path):
     for line, words in (
-        ("memory = 3", "[labels] memory: unknown key; memory_mb is meant?"),
+        ("memory = 3", "[labels] memory: unknown key; did you mean memory_mb?"),
         ("cores = 0", "[labels] cores = 0: give a whole number from 1"),
         ("options = [1]", "give a list"),
         ("visible_seconds = true", "give a number from 0"),

@@ -112,7 +112,7 @@ def test_two_wrappers_of_one_target_work_once(tmp_path):
     first = start(target, "bash", "-c", text)
     wait_until(count.exists, of=first)
     second = start(target, "bash", "-c", text)
-    assert "another make is at it" in second.stdout.readline()
+    assert "another make is making it" in second.stdout.readline()
     go.touch()
     assert first.wait(HANG) == 0 and second.wait(HANG) == 0
     assert count.read_text() == "ran\n" and target.read_text() == "made\n"
@@ -141,7 +141,7 @@ def test_what_was_made_of_an_input_that_changed_meanwhile_is_due_again(tmp_path)
     wait_until(target.with_name("0000.csv.read").exists, of=first)
     source.write_text("new\n")
     second = start(target, "bash", "-c", text, reads=[source])
-    assert "another make is at it" in second.stdout.readline()
+    assert "another make is making it" in second.stdout.readline()
     go.touch()
     said = first.communicate(timeout=HANG)[0]
     assert first.returncode == 0 and str(target) in said
@@ -187,7 +187,9 @@ def test_nothing_is_made_of_an_input_that_is_not_as_it_was_made(tmp_path):
         do()
         code, said = read()
         gone = table if named == table else f"{table} {named}"
-        assert code == 2 and said.startswith(f"{last}: {named}: is not as it was made; remove it (rm {gone})"), harm
+        assert code == 2 and said.startswith(
+            f"{last}: {named}: missing or changed since it was made; remove it (rm {gone})"
+        ), harm
         assert not last.exists()
     # a run that failed since left the file of the one before
     assert wrapped(table, "bash", "-c", making)[0] == 0 and wrapped(table, "false")[0] == 1
@@ -382,7 +384,7 @@ def test_an_interrupt_while_another_make_is_waited_for_is_no_traceback(tmp_path)
     words = [sys.executable, "-m", "gelforge.flow.step", str(target), "--", "true"]
     pipes = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, "text": True}
     second = subprocess.Popen(words, **pipes, preexec_fn=heed_interrupts)
-    assert "another make is at it" in second.stdout.readline()
+    assert "another make is making it" in second.stdout.readline()
     second.send_signal(signal.SIGINT)
     said = second.communicate(timeout=HANG)[1]
     first.terminate()

@@ -13,6 +13,7 @@ from gelforge.formats.benchfiles import read_gauge, read_path
 from gelforge.labelling.sensor import load_sensors
 from gelforge.records.image import read_image
 from gelforge.records.log import read_log, read_presses
+from gelforge.reporting import canvas
 from gelforge.stages.poses import judge
 from tests.support.parameters import parameters
 from tests.support.refused import refused
@@ -79,6 +80,9 @@ def test_clocks_are_right_to_five_milliseconds(name):
         error = found.to_gauge(clock(probe, late, gains)) - probe
         assert np.abs(error).max() < 0.005, (other.name, 1e3 * error)
         assert np.abs(found.from_gauge(found.to_gauge(probe)) - probe).max() < 1e-6
+        assert found.limit_s == pytest.approx(
+            0.025 + 0.1 / min(gauge_rate, path_rate if other is path else image_rate), rel=0.01
+        )
         # the error that is told is that of the offset
         assert abs(error.mean()) < 2 * found.error_s
 
@@ -103,7 +107,7 @@ def test_alike_presses_evenly_apart_are_told():
 @pytest.mark.parametrize(
     ("times", "values", "said"),
     [
-        ([0, 1, 1, 2], [0, 1, 1, 0], "does not go on"),
+        ([0, 1, 1, 2], [0, 1, 1, 0], "does not increase"),
         ([0], [1], "two at least"),
         (np.arange(100) / 10, np.zeros(100), "no press"),
         (np.arange(100) / 10, -np.ones(100), "sign"),
@@ -168,38 +172,38 @@ def test_units_and_reports_of_one_frame_are_read(tmp_path):
 LINE = "0.5 <Idle|WPos:1.000,2.000,5.000|FS:0,0>\n"
 CSV = "time_s,x_mm,y_mm,z_mm\n0.00,1,2,5\n"
 NO_PATHS = {  # what a path may not be, and what is said of it
-    "G-code": ("0.5 G1 X1 Y2 Z5 F100\n", "line 1.*where the tip was"),
-    "relative": (LINE + "0.6 g91\n", "line 2.*where the tip was"),
-    "packed words": (LINE + "0.6 G20G90\n", "line 2.*where the tip was"),
-    "numbered": (LINE + "0.6 N10G20\n", "line 2.*where the tip was"),
-    "a jog": (LINE + "0.6 $J=G21G91X1F500\n", "line 2.*where the tip was"),
-    "padded": (LINE + "0.6 G020\n", "line 2.*where the tip was"),
-    "a moved zero": (LINE + "0.6 G92 X0\n", "line 2.*where the tip was"),
-    "offsets": (LINE + "0.6 G10 L20 P1 X0\n", "line 2.*where the tip was"),
-    "homing": (LINE + "0.6 G28\n", "line 2.*where the tip was"),
-    "machine moves": (LINE + "0.6 g53 z0\n", "line 2.*where the tip was"),
+    "G-code": ("0.5 G1 X1 Y2 Z5 F100\n", "line 1.*commanded positions, not measured ones"),
+    "relative": (LINE + "0.6 g91\n", "line 2.*commanded positions, not measured ones"),
+    "packed words": (LINE + "0.6 G20G90\n", "line 2.*commanded positions, not measured ones"),
+    "numbered": (LINE + "0.6 N10G20\n", "line 2.*commanded positions, not measured ones"),
+    "a jog": (LINE + "0.6 $J=G21G91X1F500\n", "line 2.*commanded positions, not measured ones"),
+    "padded": (LINE + "0.6 G020\n", "line 2.*commanded positions, not measured ones"),
+    "a moved zero": (LINE + "0.6 G92 X0\n", "line 2.*commanded positions, not measured ones"),
+    "offsets": (LINE + "0.6 G10 L20 P1 X0\n", "line 2.*commanded positions, not measured ones"),
+    "homing": (LINE + "0.6 G28\n", "line 2.*commanded positions, not measured ones"),
+    "machine moves": (LINE + "0.6 g53 z0\n", "line 2.*commanded positions, not measured ones"),
     "spaced": (LINE + "0.6 G 91\n", "line 2"),
     "an axis alone": (LINE + "0.6 X1.5 Z-0.5\n", "line 2"),
     "two frames": (LINE + "0.6 <Idle|MPos:1.000,2.000,5.000|FS:0,0>\n", "line 2.*one frame of coordinates"),
     "machine alone": (LINE.replace("WPos", "MPos") * 1, "MPos without any WCO"),
     "zero moved": (
         LINE.replace("|FS", "|WCO:0.000,0.000,1.000|FS") + LINE.replace("|FS", "|WCO:0.000,0.000,2.000|FS"),
-        "line 2.*was moved",
+        "line 2.*origin of the work coordinates was moved",
     ),
     "inches": ("0.5 <Idle|WPos:0.0394,0.0787,0.1969|FS:0,0>\n", "line 1.*inches"),
-    "homing state": (LINE + "0.6 <Home|WPos:1.000,2.000,5.000|FS:0,0>\n", "line 2.*its own zero"),
-    "alarm": (LINE + "0.6 <Alarm|WPos:1.000,2.000,5.000|FS:0,0>\n", "line 2.*its own zero"),
-    "old GRBL": (LINE + "0.6 <Idle,MPos:1.000,2.000,5.000,WPos:1.000,2.000,5.000>\n", "line 2.*no report"),
+    "homing state": (LINE + "0.6 <Home|WPos:1.000,2.000,5.000|FS:0,0>\n", "line 2.*resets its zero"),
+    "alarm": (LINE + "0.6 <Alarm|WPos:1.000,2.000,5.000|FS:0,0>\n", "line 2.*resets its zero"),
+    "old GRBL": (LINE + "0.6 <Idle,MPos:1.000,2.000,5.000,WPos:1.000,2.000,5.000>\n", "line 2.*not a report"),
     "no time": ("<Idle|WPos:1.000,2.000,5.000|FS:0,0>\n", "line 1.*time in s first"),
-    "a cut line": (LINE + "0.6 <Idle|WPos:1.000,2.000,5.0\n", "line 2.*no report"),
+    "a cut line": (LINE + "0.6 <Idle|WPos:1.000,2.000,5.0\n", "line 2.*not a report"),
     "ok": (LINE + "0.6 ok\n", "line 2.*only reports"),
-    "exponents": (LINE + "0.6 <Idle|WPos:1.0e1,2.000,5.000|FS:0,0>\n", "line 2.*no report"),
-    "decimal commas": (LINE + "0,6 <Idle|WPos:1.000,2.000,5.000|FS:0,0>\n", "line 2.*no report"),
-    "four axes": (LINE + "0.6 <Idle|WPos:1.000,2.000,5.000,0.000|FS:0,0>\n", "line 2.*no report"),
-    "M114": ("X:1.00 Y:2.00 Z:5.00 E:0.00 Count X:80 Y:160 Z:2000\n", "M114 says where"),
+    "exponents": (LINE + "0.6 <Idle|WPos:1.0e1,2.000,5.000|FS:0,0>\n", "line 2.*not a report"),
+    "decimal commas": (LINE + "0,6 <Idle|WPos:1.000,2.000,5.000|FS:0,0>\n", "line 2.*not a report"),
+    "four axes": (LINE + "0.6 <Idle|WPos:1.000,2.000,5.000,0.000|FS:0,0>\n", "line 2.*not a report"),
+    "M114": ("X:1.00 Y:2.00 Z:5.00 E:0.00 Count X:80 Y:160 Z:2000\n", "M114 reports the commanded position"),
     "M114 behind its time": ("0.5 X:1.00 Y:2.00 Z:5.00 E:0.00 Count X:80\n", "line 1"),
     "no header": ("0.00,1,2,5\n0.02,1,2,5\n", "no header"),
-    "header below": ("controller,grbl,1.1,h\n" + CSV, "header stands in line 2"),
+    "header below": ("controller,grbl,1.1,h\n" + CSV, "header is in line 2"),
     "another column": ("time_s,x_mm,y_mm,z_mm,mode\n0.00,1,2,5,G90\n0.02,1,2,4,G91\n", "'mode' is not known"),
     "two units": (
         CSV + "0.02,0.0394,0.0787,0.1969\n0.04,1,2,5\n" + CSV.split("\n")[1].replace("0.00", "0.06") * 0,
@@ -214,11 +218,11 @@ NO_PATHS = {  # what a path may not be, and what is said of it
     "semicolons and commas": (CSV.replace(",", ";").replace(".", ","), "separated by"),
     "thousands": (CSV + "0.02,1,234.5,2,5\n", "another number"),
     "radians": ("time_s,x_mm,y_mm,z_mm,rot_rad\n0,1,2,5,0\n0.02,1,2,5,0\n", "'rot_rad' is not known"),
-    "a time without a unit": ("time,x_mm,y_mm,z_mm\n0,1,2,5\n0.02,1,2,5\n", "0 columns of time"),
-    "two logs in one": (CSV + "0.02,1,2,5\n0.00,1,2,5\n", "time does not go on"),
+    "a time without a unit": ("time,x_mm,y_mm,z_mm\n0,1,2,5\n0.02,1,2,5\n", "0 time columns"),
+    "two logs in one": (CSV + "0.02,1,2,5\n0.00,1,2,5\n", "time does not increase"),
     "words": (CSV + "0.02,1,2,five\n", "'five'"),
     "no unit": ("time_s,x,y,z\n0,1,2,5\n0.02,1,2,5\n", "columns x_UNIT"),
-    "two times": ("time_s,time_ms,x_mm,y_mm,z_mm\n0,0,1,2,5\n0.02,20,1,2,5\n", "2 columns of time"),
+    "two times": ("time_s,time_ms,x_mm,y_mm,z_mm\n0,0,1,2,5\n0.02,20,1,2,5\n", "2 time columns"),
 }
 del NO_PATHS["two units"]  # inches among millimetres near the origin jump by less than a tip may
 
@@ -236,7 +240,7 @@ def test_a_path_that_may_be_meant_otherwise_is_refused_by_line(tmp_path, name):
     [
         ("time_s,fz\n0,1\n", "fz_UNIT"), ("time_s,fz_n,fz_gf\n0,1,1\n", "2 columns"), ("t,fz_n\n0,1\n", "time_s"),
         ("time_s,fz_n\n0,one\n1,2\n", "'one'"), ("time_s,fz_n\nnow,1\n", "line 2"), ("0.0,1.2\n0.1,1.3\n", "no header"),
-        ("gauge of the lab\nserial 12\ntime_s,fz_n\n0,1\n1,1\n", "header stands in line 3"),
+        ("gauge of the lab\nserial 12\ntime_s,fz_n\n0,1\n1,1\n", "header is in line 3"),
     ],
 )  # fmt: skip
 def test_a_gauge_log_that_cannot_be_read_names_its_cause(tmp_path, text, said):
@@ -254,7 +258,7 @@ def test_positions_that_were_sent_ahead_of_the_tip_are_named():
         lead = np.interp(at, STARTS, rng.permutation(np.linspace(low, high, len(STARTS))))
         times = np.maximum.accumulate(at - lead + 1e-6 * np.arange(len(at)))
         path = Recording("path", times, -height(at)[:, None])
-        refused("sent", match_clock, gauge, path, 0.1)
+        refused("commanded positions logged", match_clock, gauge, path, 0.1)
 
 
 def test_a_film_whose_frame_rate_is_wrong_is_named():
@@ -305,9 +309,15 @@ def test_a_bench_becomes_a_log_that_stage_10_takes_whole(tmp_path, capsys, root,
     seconds, dated = (36.0, 1.79e9) if name == "steady" else (62.0, 0.0)  # two presses, or three
     words = lay_bench(tmp_path, name, seconds, (640, 480) if name == "delayed" else (64, 48), dated)
     words += ["--origin", "-120.5,-88.2,-35.4"]
+    drawn, save = [], canvas.save_png
+    monkeypatch.setattr(canvas, "save_png", lambda path, figure: drawn.append(figure) or save(path, figure))
     command.main([*words, "--indenter", "sphere_15"])
+    deviations = drawn[0].axes[1]
+    assert "images 35.0 ms" in deviations.get_title()  # 25 ms and a tenth of the interval of the images
+    dashed = [line.get_ydata()[0] for line in deviations.lines if line.get_linestyle() == "--"]
+    assert dashed[2:] == pytest.approx([-35.0, 35.0], abs=0.1)
     told = capsys.readouterr()
-    assert "at rest" in told.out and "the state of another one" in told.out
+    assert "at rest" in told.out and "the same state as another one" in told.out
     log = tmp_path / "bench/log.csv"
     rows = read_presses(log)
     tables = {each: tomllib.loads((root / f"workflow/{each}.toml").read_text()) for each in ("sensors", "indenters")}
@@ -348,4 +358,6 @@ def test_images_of_a_turned_camera_come_into_the_sensors_frame_and_others_are_re
     framed = command.framing(sensor, large, "film: images")(large)
     assert framed.shape == rest.shape and np.abs(framed.astype(int) - rest).mean() < 4.0
     even = np.full((320, 240, 3), 90, np.uint8)
-    refused("film: images are 240 x 320, of another shape", command.framing(sensor, even, "film: images"), even)
+    refused(
+        "film: images are 240 x 320; their aspect ratio differs", command.framing(sensor, even, "film: images"), even
+    )

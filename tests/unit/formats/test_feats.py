@@ -294,7 +294,7 @@ def test_a_published_dataset_keeps_its_six_splits(tmp_path, sensor):
 
 def test_files_outside_of_the_splits_are_asked_about(tmp_path, sensor):
     publish_feats(tmp_path / "feats", outside=True)
-    with pytest.raises(BadInput, match="lies in none of the folders"):
+    with pytest.raises(BadInput, match="is in none of the folders"):
         import_folder(tmp_path / "feats", tmp_path / "lab", sensor)
     assert not (tmp_path / "lab").exists()
 

@@ -52,7 +52,7 @@ def test_an_image_has_the_force_of_its_own_moment(tmp_path, sensor, delay):
     assert len(rows) == len(FILM)
     assert np.abs(moments(rows) - FILM).max() <= 5.0
     assert found["largest_gap_s"] == pytest.approx(0.003, abs=1e-6)
-    assert not [note for note in found["notes"] if "log's time" in note]
+    assert not [note for note in found["notes"] if "log times" in note]
 
 
 @pytest.mark.parametrize("bare", ["images", "wrenches", "both", "a type without header"])
@@ -70,7 +70,7 @@ def test_without_stamps_the_log_is_used_and_that_is_reported(tmp_path, sensor, c
     said = capsys.readouterr().out
     named = [IMAGE] * (bare in ("images", "both")) + [WRENCH] * (bare != "images")
     assert all(f"messages of {topic} have no time in their headers" in said for topic in named)
-    assert said.count("the log's time was used") == 1 and "at most" in said and "ms apart" in said
+    assert said.count("log times were used") == 1 and "at most" in said and "ms apart" in said
     rows = read_csv(tmp_path / "lab/log.csv")
     assert np.abs(moments(rows) - FILM - 79.0).max() <= 5.0
 
@@ -80,7 +80,7 @@ def test_stamps_of_two_clocks_are_not_compared(tmp_path, sensor, clock):
     """A camera that counts from its start, one in another time zone, one that nobody set."""
     images = filmed(FILM, lambda k: 1.0, clock=clock)
     found, rows = imported(tmp_path, write(tmp_path / "a.mcap", images, ramp()), sensor)
-    assert any("different clocks" in note and "the log's time was used" in note for note in found["notes"])
+    assert any("different clocks" in note and "log times were used" in note for note in found["notes"])
     assert np.abs(moments(rows) - FILM).max() <= 5.0
 
 
@@ -89,7 +89,7 @@ def test_one_clock_that_is_not_the_logs_serves(tmp_path, sensor):
     shift = 10**12 - START
     images = filmed(FILM, lambda k: 200.0, clock=shift)
     found, rows = imported(tmp_path, write(tmp_path / "a.mcap", images, ramp(clock=shift)), sensor)
-    assert not [note for note in found["notes"] if "log's time" in note]
+    assert not [note for note in found["notes"] if "log times" in note]
     assert np.abs(moments(rows) - FILM).max() <= 5.0
 
 
@@ -264,7 +264,7 @@ def test_recordings_of_every_kind_give_the_same_rows(tmp_path, sensor, kind, siz
     found, rows = imported(
         tmp_path, write_kind(tmp_path / name, list(zip(times, shown, strict=True)), forces), sensor, more
     )
-    assert len(rows) == len(FILM) and not [note for note in found["notes"] if "log's time" in note]
+    assert len(rows) == len(FILM) and not [note for note in found["notes"] if "log times" in note]
     assert np.abs(100.0 * np.array([float(row["fx_n"]) for row in rows]) * 10 - FILM).max() <= 5.0
     moments_known = "torque" in more or not more
     assert [row["mx_nm"] for row in rows] == (["0.01"] * len(rows) if moments_known else [""] * len(rows))
@@ -335,7 +335,7 @@ def test_forces_of_another_unit_or_axis_are_named_by_what_the_shipped_network_re
 
 REFUSED_FORCES = {
     "grams": (lambda z: 102.0 * z, "fz_n = -5.+, larger than 500; check the unit"),
-    "the reaction": (lambda z: -z, r"pulls, fz_n up to \+1[0-9.]+ N; .*set sign = -1"),
+    "the reaction": (lambda z: -z, r"pulling force, fz_n up to \+1[0-9.]+ N; .*set sign = -1"),
     "a sensor that was not tared": (lambda z: z + 12.0, "tare the sensor"),
 }
 
@@ -357,7 +357,7 @@ def test_a_few_images_of_a_pull_are_left_out_and_reported(tmp_path, sensor):
         for k, (time, each) in enumerate(ramp())
     ]
     found, rows = imported(tmp_path, write(tmp_path / "a.mcap", filmed(FILM, lambda k: 0.0), forces), sensor)
-    (note,) = [note for note in found["notes"] if "pulls" in note]
+    (note,) = [note for note in found["notes"] if "pulling force" in note]
     left_out = int(re.search(r": (\d+) of 38 images", note)[1])
     assert left_out in (1, 2) and len(rows) == len(FILM) - left_out
     assert max(float(row["fz_n"]) for row in rows) == 0.4
@@ -374,14 +374,14 @@ every = 2
 WRONG_TOPICS = [
     ('image = "/a"', "wrench is missing"),
     (TOML + "colour = 1", "colour is not known"),
-    (TOML.replace("[0, 1, 0]", "[0, 2, 0]"), "a rotation"),
-    (TOML.replace("[-1, 0, 0]", "[1, 0, 0]"), "no mirror"),
+    (TOML.replace("[0, 1, 0]", "[0, 2, 0]"), "a 3 x 3 rotation matrix"),
+    (TOML.replace("[-1, 0, 0]", "[1, 0, 0]"), "no reflection"),
     (TOML + 'touch_n = "0.2 N"', "touch_n"),
     (TOML + "touch_n = [0.2]", "touch_n"),
     (TOML + "touch_n = nan", "touch_n"),
     (TOML + f"touch_n = {10**400}", "touch_n"),
     (TOML + f"latest_s = {10**400}", "latest_s is above 0"),
-    (TOML.replace("[0, 1, 0]", f"[0, {10**400}, 0]"), "a rotation"),
+    (TOML.replace("[0, 1, 0]", f"[0, {10**400}, 0]"), "a 3 x 3 rotation matrix"),
     (TOML + 'sensor = ["gelsight_mini"]', "one name"),
     (TOML.replace("every = 2", "every = 0"), "whole number from 1"),
     (TOML.replace("sign = -1", "sign = 3"), "sign is 1 or -1"),

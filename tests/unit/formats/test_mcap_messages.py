@@ -55,9 +55,9 @@ def test_what_is_no_recording_of_ros_2_is_one_sentence(tmp_path):
     (tmp_path / "text.mcap").write_text("not a recording")
     record(tmp_path / "old.mcap", profile="ros1", encoding="ros1msg")
     for name, said in (
-        ("cut.mcap", "mend it with `mcap recover`"),
-        ("text.mcap", "mend it with `mcap recover`"),
-        ("old.mcap", "none of ROS 2, protobuf or JSON .*rosbags-convert"),
+        ("cut.mcap", "repair it with `mcap recover`"),
+        ("text.mcap", "repair it with `mcap recover`"),
+        ("old.mcap", "neither ROS 2, protobuf nor JSON .*rosbags-convert"),
         ("none.mcap", "cannot be read"),
     ):
         with pytest.raises(BadInput, match=f"{name}: .*{said}"):

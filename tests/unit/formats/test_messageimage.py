@@ -80,7 +80,7 @@ REFUSED = {
     "8UC1": (lambda: raw(coloured()[..., 0], "8UC1", 1), "monochrome; record the camera's colour topic"),
     "grey as rgb8": (
         lambda: raw(np.repeat(coloured()[..., :1], 3, 2)),
-        "no colours.*record the camera's colour topic",
+        "no colour.*record the camera's colour topic",
     ),
     "grey png": (lambda: {"format": "mono8; png compressed ", "data": grey_png()}, "monochrome; record the camera's"),
     "bayer png": (lambda: {"format": "bayer_rggb8; png compressed ", "data": grey_png()}, "record it before"),

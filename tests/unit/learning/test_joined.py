@@ -104,7 +104,7 @@ def test_a_network_reads_both_that_it_learnt_from_and_says_so(datasets):
     read = [predict_rows(one.net, turned, rows, one.metadata["normalisation"]) for one in (alone, both, summed)]
     errors = [np.abs(forces.sum((2, 3)) - turned.totals(rows)).mean() for forces in read]
     assert max(errors[1:]) < 0.8 * errors[0]
-    refused("total_weight = 0: of other only totals", train, own, "small", SMALL,
+    refused("total_weight = 0: only totals are known of other", train, own, "small", SMALL,
             with_values(settings, total_weight=0.0), also=[totals])  # fmt: skip
     assert alone.metadata["also"] == []
     reported = both.metadata["also"][0]
@@ -132,4 +132,4 @@ def test_no_network_is_judged_on_presses_that_it_learnt_from(datasets):
     both = train(own, "small", SMALL, with_values(SETTINGS, epochs=1), also=[other])
     assert "train" not in evaluate(other, both.model, EVALUATE)[0]["splits"]
     only = replace(other, splits={"train": other.splits["train"]})
-    refused("which it learnt from", evaluate, only, both.model, EVALUATE)
+    refused("which the network learnt from", evaluate, only, both.model, EVALUATE)

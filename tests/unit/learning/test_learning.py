@@ -220,7 +220,7 @@ def test_a_deeper_network_begins_as_the_one_it_goes_on_from(few, trained):
     assert not last.any()
     next(training_epochs(training, few))
     assert last.any()
-    said = f"blocks = {SMALL['blocks']}, there {deeper['blocks']}"
+    said = f"blocks = {SMALL['blocks']} here and {deeper['blocks']} in "
     refused(said, train, few, "shallower", SMALL, SETTINGS, start=start_of(begun))
 
 
@@ -272,9 +272,9 @@ def test_what_a_network_cannot_learn_from_or_go_on_from_is_refused(few, trained,
     start, one = start_of(trained), with_values(SETTINGS, epochs=1)
     finer = open_data(write_dataset(tmp_path / "12x16", 16, IMAGE, (12, 16)))
     hardly = open_data(write_dataset(tmp_path / "6x8", 24, IMAGE, GRID))
-    refused("width = 16, there 8", train, few, "tuned", {**SMALL, "width": 16}, SETTINGS, start=start)
+    refused("width = 16 here and 8 in ", train, few, "tuned", {**SMALL, "width": 16}, SETTINGS, start=start)
     refused("grid", train, finer, "tuned", SMALL, SETTINGS, start=start)
-    said = "of its presses 3 validate, too few .* raise .params.dataset. validation"
+    said = "validation has 3 of its presses; at least .* raise .params.dataset. validation"
     refused(said, train, hardly, "tuned", SMALL, SETTINGS, start=start)
     refused("only 'shipped'", resolve, {"tuned": {**SMALL, "start": "mine"}}, "tuned", parameters().train)
     alone = replace(open_data(folder), nocontact={})

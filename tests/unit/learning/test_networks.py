@@ -115,7 +115,7 @@ def test_unknown_kind_and_wrong_size_are_named():
         refused("a light net: ", strides, image, grid)  # cells of uneven size
     refused("MODEL=nothing", resolve, {"grid": SMALL}, "nothing", parameters().train)
     odd = {"grid": {**SMALL, "train": {"epoch": 3}}}
-    said = r"models.toml: \[grid.train\] epoch: unknown key; epochs is meant"
+    said = r"models.toml: \[grid.train\] epoch: unknown key; did you mean epochs"
     refused(said, resolve, odd, "grid", parameters().train)
 
 

@@ -114,7 +114,7 @@ def test_all_outputs_of_one_run_hold_the_same(film, tmp_path, chromium):
         with urllib.request.urlopen(f"{page}/events", timeout=HANG) as stream:
             event = json.loads(stream.readline().removeprefix(b"data: "))
     hearing.join(HANG)
-    assert child.returncode == 0 and "frames before the no-contact image are not read: 8" in "".join(said)
+    assert child.returncode == 0 and "frames skipped before the no-contact image: 8" in "".join(said)
     wait_for(chromium, "return el('state').textContent.includes('does not answer')")
     with table.open() as stream:
         rows = list(csv.DictReader(stream))
@@ -167,9 +167,7 @@ def test_a_film_that_begins_in_a_press_is_refused_once_the_gel_reads_as_pressed(
     words = ["--csv", str(tmp_path / "live.csv"), "--video"]
     for released in (APART + 1, 14):  # the former are looked at twice: too few to be sure while the film goes on
         film = write_film(tmp_path / "film.avi", [pressed] * 14 + [rest] * released, 10.0)
-        said = (
-            "(begins in a press: frame .* reads|something seems to touch the gel) .*give that image with --nocontact"
-        )
+        said = "(begins in a press: .* N are predicted for frame|something seems to touch the gel) .*give a no-contact image with --nocontact"
         refused(said, live.main, [*words, str(film)])
     live.main([*words, str(film), "--nocontact", str(root / "data/demo/nocontact/mini_a.png")])
     live.main([*words, str(write_film(tmp_path / "right.avi", [rest] * 14 + [pressed] * 14, 10.0))])
@@ -347,7 +345,7 @@ def test_what_cannot_be_made_is_refused_first(film, tmp_path):
         (["--video", film], "give an output"),
         (["--video", film, "--camera", "0", "--csv", "-"], "give either"),
         (["--csv", "-"], "give either"),
-        (["--video", film, "--csv", film], "would take the place"),
+        (["--video", film, "--csv", film], "would overwrite an input file"),
         (["--camera", "97", "--csv", tmp_path / "a.csv"], "camera 97"),
     ):
         with pytest.raises(BadInput, match=said):

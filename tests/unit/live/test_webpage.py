@@ -76,7 +76,7 @@ def test_flags_edges_and_colours_are_those_of_the_reading(chromium):
         for each, flag, edge, normal in (
             (reading(0), "nothing seems wrong with the image", "0 %", FULL_COLOUR_N[2]),
             (reading(1, flag=True), "dark", "0 %", 1.0),
-            (cropped, "the image cuts a contact off: the forces are those of the part that it shows", "42 %", 2.0),
+            (cropped, "the image crops a contact: the forces are those of the visible part", "42 %", 2.0),
             (unknown, "nothing seems wrong with the image", "\u2013", 3.0),
         ):
             show(chromium, server, each)

@@ -65,7 +65,7 @@ def test_a_run_that_ends_before_it_answers_leaves_no_answer_of_an_earlier_one(tm
 def test_a_program_that_does_not_even_print_its_name_is_refused(tmp_path, monkeypatch, ending, said):
     """Every press would be solved without it, each after some attempts."""
     monkeypatch.setenv("CCX", program(tmp_path / "bin/ccx", ending))
-    with pytest.raises(BadInput, match=f"bin/ccx: no CalculiX that works here; it ended with .*{said}"):
+    with pytest.raises(BadInput, match=f"bin/ccx is not a working CalculiX: it ended with .*{said}"):
         run_ccx("press", tmp_path, 60.0)
 
 

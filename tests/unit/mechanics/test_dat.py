@@ -42,15 +42,15 @@ def test_what_is_not_whole_is_refused_by_name():
         *((whole()[:-cut], "truncated") for cut in range(1, 9)),
         (HEAD.format(time="1") + ROWS.splitlines()[0] + "\n", "truncated"),
         (whole().replace("5.000000E-01", "         NaN"), "not finite at node 7"),
-        (whole().replace("5.000000E-01", "*************"), "no number"),
+        (whole().replace("5.000000E-01", "*************"), "not a number"),
         (whole().replace("         7", "         8"), "another mesh"),
-        (whole().replace("1.000000E-01 -2", "1.000000E-001-2"), "columns that run together"),
+        (whole().replace("1.000000E-01 -2", "1.000000E-001-2"), "no space between two columns"),
         (
             whole().replace("1.000000E-01 -2.000000E-01  3", "1.000000E-001-2.000000E-0013"),
-            "columns that run together",
+            "no space between two columns",
         ),
-        (whole().replace("1.000000E-01", "1,000000E-01"), "no number"),
-        (whole().replace("1.000000E-01", "NAN(IND)"), "no number"),
+        (whole().replace("1.000000E-01", "1,000000E-01"), "not a number"),
+        (whole().replace("1.000000E-01", "NAN(IND)"), "not a number"),
     ):
         with pytest.raises(DatError, match=reason):
             read(text)

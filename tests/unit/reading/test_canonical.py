@@ -143,7 +143,7 @@ def test_a_camera_of_the_learnt_scale_or_without_markers_is_left_as_it_is():
         assert frame.shows_rim and frame.shown == (slice(0, 240), slice(0, 320))
         assert np.array_equal(frame(gel(1)), gel(1))
     for pitch in (15.0, 50.0):
-        with pytest.raises(BadInput, match=f"stand {pitch:.1f} px apart, the network learnt from 31 to 33"):
+        with pytest.raises(BadInput, match=f"stand {pitch:.1f} px apart, in training 31 to 33 px"):
             zoom_of(pitch, (31.0, 33.0))
 
 
@@ -177,8 +177,8 @@ def test_a_picture_is_flagged_for_its_shape_and_not_for_its_size(shipped, nocont
     for size in ((640, 480), (1280, 960), (160, 120)):
         larger = [cv2.resize(picture, size, interpolation=cv2.INTER_CUBIC) for picture in (rest, press)]
         found = Predictor(shipped, larger[0]).predict(larger[1])
-        assert "shape" not in found.reason and "size" not in found.reason
-    assert "of another shape" in Predictor(shipped, rest).predict(np.ascontiguousarray(press[:, :240])).reason
+        assert "aspect ratio" not in found.reason and "size" not in found.reason
+    assert "aspect ratio differs" in Predictor(shipped, rest).predict(np.ascontiguousarray(press[:, :240])).reason
 
 
 @pytest.mark.parametrize("view", ["whole", "narrow"])

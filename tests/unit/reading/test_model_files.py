@@ -187,7 +187,7 @@ def test_a_runtime_that_computes_otherwise_than_the_file_says_is_refused(shipped
     other = replace(shipped, metadata=shipped.metadata | {"answer": answer})
     picture = np.full((240, 320, 3), 90, np.uint8)
     if refused_:
-        refused("computes other forces from the picture that the model file carries", Predictor, other, picture)
+        refused("does not reproduce the model's forces for its test image", Predictor, other, picture)
     else:
         Predictor(other, picture)
 

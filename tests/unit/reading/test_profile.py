@@ -211,9 +211,9 @@ def test_a_reading_that_cannot_be_right_is_named_by_its_picture(weighed, capsys)
     folder, rows = weighed
     assert make(folder, rows) == 0
     said = capsys.readouterr().err
-    assert "is usual here" not in said and "FLAGGED" not in said
+    assert "the usual ratio here" not in said and "FLAGGED" not in said
     make(folder, [[rows[0][0], f"{3 * float(rows[0][1]):.2f}"], *rows[1:]])
-    reported = [line for line in capsys.readouterr().err.splitlines() if "is usual here" in line]
+    reported = [line for line in capsys.readouterr().err.splitlines() if "the usual ratio here" in line]
     assert len(reported) == 1 and rows[0][0] in reported[0]
     spoilt = read_image(folder / rows[0][0])[..., ::-1].copy()  # swapped colours, every fourth pixel turned round
     spoilt[::2, ::2] = 255 - spoilt[::2, ::2]
@@ -230,14 +230,14 @@ def test_readings_that_cannot_be_are_refused(weighed):
     for changed, said in (
         ([[image, f"-{newtons}"]], "above 0 N"),
         ([["rest.png", "5.0"]], "shows no contact"),
-        ([[image, f"{102 * float(newtons):.1f}"]], "are they newtons"),
+        ([[image, f"{102 * float(newtons):.1f}"]], "was the reading in newtons"),
         ([[image, "0"]], "force_n = 0: .*above 0 N"),
-        ([[image, "much"]], "'much' is no number"),
-        ([[image, '"3,5"']], "'3,5' is no number; write newtons with a decimal point"),
+        ([[image, "much"]], "'much' is not a number"),
+        ([[image, '"3,5"']], "'3,5' is not a number; write newtons with a decimal point"),
         ([["", "5.0"]], "line 2: its image is empty"),
         ([rows[0], [], [], ["gone.png", "x"]], "line 5: .*gone.png: not found"),
-        ([rows[0], rows[1], rows[0]], "line 4: .*the picture of line 2 again"),
-        ([rows[0], rows[1], ["copy.png", "9.0"]], "line 4: copy.png shows the picture of line 2 again"),
+        ([rows[0], rows[1], rows[0]], "line 4: .*the image of line 2 again"),
+        ([rows[0], rows[1], ["copy.png", "9.0"]], "line 4: copy.png shows the image of line 2 again"),
         ([], "no readings"),
     ):
         refused(said, make, folder, changed)
@@ -271,7 +271,7 @@ def test_what_a_profile_is_made_from_keeps_its_place(weighed, shipped):
         ),
         (predict.main, [str(image), "--profile", str(folder / "renamed.toml"), "--out", str(folder)]),
     ):
-        refused("would take the place of a file that is read", call, words)
+        refused("would overwrite an input file", call, words)
 
 
 def lossless(path, pictures):
@@ -320,10 +320,10 @@ def test_a_picture_that_shows_a_part_of_the_contact_does_not_count(reference, tm
         cv2.imwrite(str(tmp_path / f"{name}.png"), picture[..., ::-1])
     rows = [[f"{name}.png", "10"] for name in ("ball", "small_ball", "bar")]
     assert make(tmp_path, rows) == 0
-    reported = [line for line in capsys.readouterr().err.splitlines() if "cropped by the image" in line]
-    assert len(reported) == 1 and "line 4: bar.png: does not count" in reported[0]
+    reported = [line for line in capsys.readouterr().err.splitlines() if "whole contact" in line]
+    assert len(reported) == 1 and "line 4: bar.png: is not used" in reported[0]
     assert read_profile(tmp_path / "mine.toml").gain.readings == 2
-    refused("in none of 1 pictures is all of the contact seen", make, tmp_path, rows[2:])
+    refused("none of 1 images shows the whole contact", make, tmp_path, rows[2:])
 
 
 HOLD, REST = 8, 6  # frames
@@ -364,7 +364,7 @@ def test_a_scale_beside_a_film_gives_the_factor_of_its_readings(weighed, monkeyp
     with (folder / "scale-readings/readings.csv").open() as stream:
         assert [row["image"] for row in csv.DictReader(stream)] == [f"{k + 1:02d}.png" for k in range(len(kept))]
     refused(
-        "scale-readings is there already",
+        "scale-readings exists already",
         sensor.main,
         ["--name", "scale", "--video", str(film), "--weigh", "--out", str(out)],
     )

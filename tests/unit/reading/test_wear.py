@@ -131,7 +131,7 @@ def test_many_vanished_markers_are_flagged_and_order_does_not_matter(sensor):
     predictor, images = sensor
     worn = without(predictor, images[0], MOST_VANISHED + 4, 1)
     first = predictor.predict(worn)
-    assert f"{MOST_VANISHED + 4} markers are in" in first.reason
+    assert f"{MOST_VANISHED + 4} markers are visible only in" in first.reason
     for image in images:
         predictor.predict(without(predictor, image, 3, 7))
     again = predictor.predict(worn)

@@ -118,10 +118,10 @@ def test_bad_cell_is_rejected_with_its_place_and_a_hint():
     sample, _ = parse(sensor_id="mini_x", indenter="spere_15")
     wrong = log.unknown_names(sample, "log.csv", ["gelsight_mini"], ["sphere_15"])
     assert [(r.column, r.value) for r in wrong] == [("sensor_id", "mini_x"), ("indenter", "spere_15")]
-    assert "is sphere_15 meant?" in wrong[1].hint
+    assert "did you mean sphere_15?" in wrong[1].hint
     for name, near in (("Sphere15", "sphere_15"), ("cuboid", "cuboid_10"), ("spoon", "")):
         (r,) = log.unknown_names(replace(sample, indenter=name), "log.csv", ["mini_x"], ["sphere_15", "cuboid_10"])
-        assert (f"is {near} meant?" in r.hint) if near else ("meant" not in r.hint)
+        assert (f"did you mean {near}?" in r.hint) if near else ("did you mean" not in r.hint)
 
 
 def test_what_is_shown_obeys_no_text_of_others():
@@ -157,8 +157,8 @@ def test_files_that_are_no_log_are_refused(tmp_path):
         ("", "no presses"),
         (HEADER + "\n", "no presses"),
         ((HEADER + "\n" + log_line()).replace(",", ";"), "separate cells by commas, not by ';'"),
-        ("sep=,\n" + WHOLE, "header stands in line 2; remove the lines above it"),
-        ("% ATI Nano17\n% N, N m\n\n" + WHOLE, "header stands in line 4; remove the lines above it"),
+        ("sep=,\n" + WHOLE, "header is in line 2; remove the lines above it"),
+        ("% ATI Nano17\n% N, N m\n\n" + WHOLE, "header is in line 4; remove the lines above it"),
         ("x" * 200_000 + "\n", "row 1: field larger than field limit"),  # one long line, as JSON often is
         (
             WHOLE + log_line(image='"images/b.png') + "\n" + log_line(sample_id="c") + "\n",
@@ -166,9 +166,9 @@ def test_files_that_are_no_log_are_refused(tmp_path):
         ),
         (WHOLE + log_line(image='"images/b".png') + "\n", "row 3: .* expected after"),
         (WHOLE + log_line(gel_id="x" * 200_000) + "\n", "row 3: field larger than field limit"),
-        (f"{HEADER},x0_mm\n{log_line()},1\n", "column x0_mm stands 2 times"),
+        (f"{HEADER},x0_mm\n{log_line()},1\n", "column x0_mm occurs 2 times"),
         (f"{HEADER},pressid\n{log_line()},p1\n", "'pressid' is unknown; write press_id"),
-        (renamed(image="Image", mz_nm="IMAGE"), "column image stands 2 times"),
+        (renamed(image="Image", mz_nm="IMAGE"), "column image occurs 2 times"),
     ):
         refused(said, read, tmp_path, text)
     path.write_bytes(b"sample_id\n\xff\xfe\n")

@@ -1,11 +1,15 @@
 """Pictures of force maps: what a person reads off them."""
 
+import ast
+from pathlib import Path
+
 import cv2
 import numpy as np
 import pytest
 
+from gelforge.reading import faults, frame, untouched, wear
 from gelforge.reporting.canvas import canvas, to_png
-from gelforge.reporting.forcemaps import FULL_COLOUR_N, WARNING_LINES, wrapped, write_maps
+from gelforge.reporting.forcemaps import FULL_COLOUR_N, MARGIN_PX, PANEL_PX, WARNING_LINES, wrapped, write_maps
 
 WARNING = "the gel is mounted too far from its place in the no-contact image to be sure: (+12.0, -3.0) px aside, 4.1 degrees turned"
 GREY = np.full((240, 320, 3), 90, np.uint8)
@@ -20,6 +24,24 @@ def test_a_warning_is_reported_whole_where_there_is_room_and_else_ends_in_an_ell
     short = wrapped(long, 308, WARNING_LINES)
     assert len(short) == WARNING_LINES and short[-1].endswith(" ...")
     assert long.startswith(" ".join(short).removesuffix(" ..."))
+
+
+def text_of(node) -> str:
+    """The text of a string in the source, with each number of an f-string as 100.0 px."""
+    parts = node.values if isinstance(node, ast.JoinedStr) else [node]
+    return "".join(str(part.value) if isinstance(part, ast.Constant) else "100.0" for part in parts)
+
+
+@pytest.mark.parametrize("module", [faults, frame, untouched, wear], ids=lambda module: module.__name__)
+def test_every_reason_for_a_flag_is_written_whole_above_its_picture(module):
+    tree = ast.parse(Path(module.__file__).read_text(encoding="utf-8"))
+    strings = [node for node in ast.walk(tree) if isinstance(node, ast.JoinedStr | ast.Constant)]
+    texts = [
+        text for text in map(text_of, strings) if " " in text and "\n" not in text
+    ]  # docstrings have several lines
+    for text in texts:
+        lines = wrapped(f"press_0001 | FLAGGED: {text}", PANEL_PX - 2 * MARGIN_PX, WARNING_LINES)
+        assert not lines[-1].endswith("..."), text
 
 
 @pytest.mark.filterwarnings("error")

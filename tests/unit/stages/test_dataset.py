@@ -266,7 +266,7 @@ BROKEN = (
     (without_images, {}, r"log\.csv: names no images, .* ends at labels: run make labels DATASET="),
     (lambda m: (m["results"] / "50_labels/4x4/0000.npz").write_bytes(b"x"), {}, r"0000\.npz.*make labels"),
     (lambda m: write_text(m["data"] / "splits.csv", "sample_id,split\ns000,train\ns003\n"), {}, r"splits\.csv.*row 3.*number of cells"),
-    (lambda m: write_text(m["data"] / "splits.csv", "sample_id,split\ns000,\n"), {}, r"splits\.csv.*row 2.*is no name"),
+    (lambda m: write_text(m["data"] / "splits.csv", "sample_id,split\ns000,\n"), {}, r"splits\.csv.*row 2.*is not a name"),
     (lambda m: write_text(m["data"] / "splits.csv", "sample_id,split\ns000,train\ns001,train\ns000,test\n"), {},
      r"splits\.csv.*row 4.*'s000' is in two splits"),
     (lambda m: corrupt_truth(m, b"sample_id,fx_n,fy_n,fz_n\n\xff,1,2,3\n"), {}, "presses.csv: not UTF-8"),
@@ -308,7 +308,7 @@ def test_a_published_split_that_tests_on_a_picture_it_taught_is_refused(tmp_path
     write_text(tmp_path / "splits.csv", "sample_id,split\na,train\nb,test\nc,test\n")
     rows = [press_record(sample_id=name) for name in "abc"]
     assert published_splits(tmp_path, rows, np.array([]), [[1, 2]]).tolist() == ["train", "test", "test"]
-    said = r"pictures of a \(train\) and c \(test\) are equal"
+    said = r"images of a \(train\) and c \(test\) are equal"
     refused(said, published_splits, tmp_path, rows, np.array([]), [[1, 2], [0, 2]])
 
 

@@ -62,7 +62,7 @@ def test_wrong_images_are_left_out(folder, capsys):
     }
     assert (
         said.count("rejected: ") == 3
-        and "two sensors" in said
+        and "different sensors" in said
         and "row 28 (demo-000026)" in said
         and "(row 7)" in said
     )
@@ -103,7 +103,9 @@ def test_a_no_contact_image_of_another_unit_or_size_stops_make(folder, capsys):
     mine, other = of.data / "nocontact/mini_a.png", of.data / "nocontact/mini_e.png"
     picture = read_image(mine)
     shutil.copy(other, mine)
-    with pytest.raises(BadInput, match=r"sensor mini_a: 31 of 34 images .* are of two sensors.*judge_images = false"):
+    with pytest.raises(
+        BadInput, match=r"sensor mini_a: 31 of 34 images .* are of different sensors.*judge_images = false"
+    ):
         judge(folder, capsys)
     assert judge(folder, capsys, judge_images=False) == (0, "")
     for width, height in ((640, 480), (160, 120)):

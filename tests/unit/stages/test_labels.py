@@ -138,7 +138,7 @@ def test_a_sensor_that_does_not_look_where_it_is_pressed_is_refused(tmp_path, ro
         path.write_text(json.dumps(sensors))
         if shift_mm:
             for _ in range(2):  # its shards are up to date the second time
-                refused("sensor mini_c 12 of its 12 samples", label, made, resolution, path)
+                refused("sensor mini_c, 12 of its 12 samples", label, made, resolution, path)
         else:
             assert json.loads((label(made, resolution, path) / "labels.json").read_text())["samples"] == 24
 
@@ -175,7 +175,7 @@ def rewrite(path, old, new):
 BROKEN = (
     (spoil_forces, "0000.npz.*s000.*not finite"),
     (lambda r: (r / "40_forces/0000.npz").write_bytes(b"PK\x03\x04half"), "0000.npz.*delete it"),
-    (lambda r: rename_mesh(r, "teapot"), "mesh name 'teapot' is none"),
+    (lambda r: rename_mesh(r, "teapot"), "mesh name 'teapot' starts with neither"),
     (lambda r: (r / "10_poses/0000.csv").write_text("sample_id,sensor_id\n"), "0000.csv.*s000|s000.*0000.csv"),
     (lambda r: rewrite(r / "10_poses/0000.csv", "mini_a", "zzz"), "zzz.*mini_a"),
     (lambda r: rename_mesh(r, mesh_name(2.5).name), "node.*make"),

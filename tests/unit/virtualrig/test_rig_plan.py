@@ -55,17 +55,21 @@ def test_bad_plan_is_refused_by_name_before_anything_is_written(tmp_path):
         (frames, 'presses = "many"', "presses = 'many': give a whole number"),
         (frames, f"presses = {streams.EVERY_PRESS + 1}", "presses"),  # the number that stands for all
         *((frames, f"{frames}\nframes = {count}", "frames") for count in (0, -1, 100, 2.5)),
-        ("seed = 20260112", "sead = 20260112", "sead: unknown key; seed is meant"),
+        ("seed = 20260112", "sead = 20260112", "sead: unknown key; did you mean seed"),
         ('dataset = "demo"', 'dataset = "../demo"', "give a name of letters"),
         ('gel = "gelsight_mini"', 'gel = "digit"', "gel 'digit' is unknown"),
-        ("2026-01-12T09:00:00Z", "yesterday", "is no time"),
+        ("2026-01-12T09:00:00Z", "yesterday", "is not a time"),
         ("2026-01-12T09:00:00Z", "9999-12-31T23:59:59Z", "end after the year 9999"),
         (turn, "rot_deg = [-1e308, 1e308]", "each a number from -3600 to 3600 degrees"),
         ("nu = 0.475", "nu = 0.5", r"\[truth\] nu = 0.5: give a number"),
         ("c10_mpa = 0.0853", "c10_mpa = 85.3", r"\[truth\] c10_mpa = 85.3: give a number from 0.002 to 5 MPa"),
         ("presses = [0, 7, 29]", "presses = [0, 48]", "the plan has presses 0 to 47"),
         ('[film]\nsensor = "mini_a"', '[film]\nsensor = "mini_z"', "unknown sensor mini_z"),
-        ("[params.train]\nepochs", "[params.train]\nepoks", r"\[params.train\] epoks: unknown key; epochs is meant"),
+        (
+            "[params.train]\nepochs",
+            "[params.train]\nepoks",
+            r"\[params.train\] epoks: unknown key; did you mean epochs",
+        ),
     ):
         plan = changed(tmp_path, DEMO, (old, new))
         assert str(plan) in refused(said, run, plan, tmp_path / "data", ROOT / "workflow")
@@ -160,7 +164,7 @@ def test_a_look_that_no_sensor_has_is_refused(tmp_path):
         ("rows = 7", "rows = 1", "give 2 or more of both"),
         ("seed = 1\n", "seed = 1\nmissing = [99]\n", "`missing` from 0 on"),
         ("shadow_length_px = [2.2, 3.4, 3.0]", "shadow_length_px = [-2.2, 3.4, 3.0]", "shadow_length_px is"),
-        ("[mini_a.background]", "loose = 3\n[mini_a.background]", "loose stands outside of a table"),
+        ("[mini_a.background]", "loose = 3\n[mini_a.background]", "loose is outside any table"),
         ('base = "mini_a"', 'base = ["mini_a"]', "must be a table without a base of its own"),
         ("[mini_b.light]\n", "[mini_b]\nlight = 3\n[mini_b.other]\n", "sensors.toml"),
     ):
@@ -216,7 +220,7 @@ def test_corrupt_records_of_the_truth_are_refused(tmp_path):
     for content in ("", '{"plan": "x', "[]", "{}"):
         record.write_text(content)
         dataset = Dataset(tmp_path, read_plan(DEMO))
-        refused(r"truth.json: does not say which plan .* remove the folder", dataset.check_same_plan, {}, {})
+        refused(r"truth.json: does not state which plan .* remove the folder", dataset.check_same_plan, {}, {})
     for content, said in (
         (b"a,b\n1,2\n", "has no columns sample_id and status; remove it, and its presses are repeated"),
         (b"sample_id,status,x0_mm\ns-1,OK\n", "row 2 has another number of cells than the header, .*; remove it"),

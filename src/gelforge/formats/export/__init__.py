@@ -1,1 +1,1 @@
-"""Datasets in the formats that others read, one module a format: `write(path, samples)` and what reads it back."""
+"""Export datasets to other programs' formats, one module each, with a function `write(path, samples)`."""

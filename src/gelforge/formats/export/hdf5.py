@@ -1,8 +1,8 @@
-"""HDF5: one file for those who ask for one.
+"""Export as one HDF5 file.
 
-/picture (n,) bytes of the picture's file as the sensor gave it, /forces (n, 3, rows, cols) float32 N per cell, /total
-(n, 3) N along gel x, y, z, and every column of samples.csv below /samples: numbers as float64, NaN where one is not known, else
-text. Attributes of the file say what they mean.
+/picture (n,) bytes of the image file, /media_type (n,) its type, /forces (n, 3, rows, cols) float32 N per cell,
+/total (n, 3) N along gel x, y, z, and every column of samples.csv below /samples: numbers as float64, NaN where
+unknown, else text. Attributes of the file state units, frame and calibration.
 """
 
 import json
@@ -19,7 +19,7 @@ BLOCK = 256
 
 
 def write(path: Path, samples: Samples) -> None:
-    """Write one file, in a process of its own: where it cannot write on, HDF5 ends its process (h5py issue 914)."""
+    """Write one file in a separate process, because HDF5 aborts its process when a write fails (h5py issue 914)."""
     context = multiprocessing.get_context("fork")
     here, there = context.Pipe(duplex=False)
     child = context.Process(target=_write_apart, args=(path, samples, there))
@@ -28,20 +28,20 @@ def write(path: Path, samples: Samples) -> None:
     try:
         failed = here.recv()
     except EOFError:
-        failed = OSError("HDF5 broke off, as it does where a disk is full")
+        failed = OSError("HDF5 aborted, probably because the disk is full")
     child.join()
     if failed is not None:
         raise failed
 
 
 def _write_apart(path: Path, samples: Samples, pipe: Connection) -> None:
-    """Write, send what went wrong or None, and end at once: HDF5 would try to write again what it could not."""
+    """Write, send the exception or None, and exit at once, because at exit HDF5 would repeat a failed write."""
     failed: Exception | None = None
-    # h5py reports on the error stream what it cannot close; what matters goes by the pipe
+    # h5py prints what it cannot close on standard error; the pipe carries what matters
     os.dup2(os.open(os.devnull, os.O_WRONLY), 2)
     try:
         write_here(path, samples)
-    except RuntimeError as error:  # h5py's word for a file that cannot be closed
+    except RuntimeError as error:  # h5py raises this where a file cannot be closed
         failed = OSError(str(error))
     except Exception as error:
         failed = error
@@ -55,7 +55,7 @@ def write_here(path: Path, samples: Samples) -> None:
     import h5py
 
     count = len(samples)
-    # nobody else knows this file yet, and some file systems have no locks
+    # no other process uses this file, and some file systems have no locks
     with h5py.File(path, "w", locking=False) as file:
         for name, value in samples.facts().items():
             file.attrs[name] = value if isinstance(value, str) else json.dumps(value)
@@ -68,7 +68,8 @@ def write_here(path: Path, samples: Samples) -> None:
         for start in range(0, count, BLOCK):
             block = [samples.sample(at) for at in range(start, min(start + BLOCK, count))]
             rows = slice(start, start + len(block))
-            for at, sample in enumerate(block, start):  # h5py takes pictures of one length together for two axes
+            # one by one: h5py would take images of equal length as a 2-d array
+            for at, sample in enumerate(block, start):
                 pictures[at] = np.frombuffer(sample.picture, np.uint8)
             types[rows] = [sample.media_type for sample in block]
             forces[rows] = np.stack([sample.label for sample in block])

@@ -1,18 +1,18 @@
 """LeRobot's dataset layout, codebase version v3.0 (https://huggingface.co/docs/lerobot, lerobot-dataset-v3).
 
-A press on one sensor is an episode (rows that share a press_id), its images are the frames, `timestamp` is their time since
-the first one, by `time_utc` of the log; `fps` is the usual rate. Episodes of a split follow each other. LeRobot has no agreed schema for touch yet (its proposals speak of point sets); features here are
-ordinary ones:
+A press on one sensor (rows that share a press_id) is an episode, and its images are the frames. `timestamp` is the
+time since its first frame, by `time_utc` of the log; `fps` is the median rate. Episodes of a split are consecutive.
+LeRobot has no agreed schema for touch yet (its proposals use point sets), so the features are ordinary ones:
 
 | feature | type | meaning |
 | --- | --- | --- |
-| observation.images.gelsight | image | the picture as its file |
+| observation.images.gelsight | image | the image, as its original file |
 | observation.forces | float32 (3 * rows * cols,) | N per cell, force along gel x, y, z: reshape to (3, rows, cols) |
 | observation.state | float32 (7,) | pose of the indenter: x0, y0, z0, dx, dy, dz in mm, rotation in degrees |
 | observation.wrench | float32 (3,) | total force of the label along gel x, y, z, N |
 | sample_id, indenter, sensor_id, split | string | as in samples.csv |
 
-Forces are flat, because readers of the layout other than LeRobot's own take features of one dimension only.
+Forces are flat, because readers other than LeRobot's own support only features of one dimension.
 """
 
 import json
@@ -31,10 +31,10 @@ from gelforge.records.samplefile import TRAINING, DatasetSample
 from gelforge.records.table import read_table
 
 VERSION = "v3.0"
-SLOWEST = 1  # frames a second of a dataset without frames
+SLOWEST = 1  # frames a second, at least; also where no episode has two frames
 CHUNK_FILES = 1000  # files a chunk folder holds at most
-MOST_PICTURES = 1000  # that give the ranges of all: LeRobot itself takes as many of about 10 000
-FILE_BYTES = 100e6  # of data a file holds at most, about
+MOST_PICTURES = 1000  # images sampled for the statistics; LeRobot itself samples as many of about 10 000
+FILE_BYTES = 100e6  # approximate size at which a data file is closed
 NAMES = ("sample_id", "indenter", "sensor_id", "split")
 PICTURE, FORCES, STATE, WRENCH = (
     "observation.images.gelsight",
@@ -107,12 +107,12 @@ def schema(samples: Samples):
 
 
 def cells_of(samples: Samples) -> int:
-    """Numbers of a force map: three components of all cells."""
+    """Number of values of a force map: three components of all cells."""
     return 3 * samples.grid[0] * samples.grid[1]
 
 
 def sequence(length: int) -> dict:
-    """A list of fixed length in the words of `datasets`."""
+    """A float32 list of fixed length, as `datasets` describes it."""
     return {"feature": {"dtype": "float32", "_type": "Value"}, "length": length, "_type": "List"}
 
 
@@ -134,14 +134,14 @@ def write(folder: Path, samples: Samples) -> None:
 
 
 def in_order_of_splits(samples: Samples) -> list[list[int]]:
-    """Episodes as rows of samples, those of a split together, train first."""
+    """Episodes as lists of sample indices, grouped by split, train first."""
     presses = samples.frames_of_presses
     order = sorted({samples.rows[rows[0]]["split"] for rows in presses}, key=lambda split: (split != TRAINING, split))
     return [rows for split in order for rows in presses if samples.rows[rows[0]]["split"] == split]
 
 
 def times_of(samples: Samples, episodes: list[list[int]]) -> list[list[float]]:
-    """Seconds of each frame since the first one of its episode, by the log; BadInput where they are not known."""
+    """Seconds of each frame since the first one of its episode, by the log; BadInput where missing or not rising."""
     log = samples.data / "log.csv"
     known = {row["sample_id"]: row.get("time_utc", "") for row in read_table(log, "restore it")}
     found = []
@@ -158,15 +158,15 @@ def times_of(samples: Samples, episodes: list[list[int]]) -> list[list[float]]:
         for at in range(1, len(seconds)):
             if seconds[at] <= seconds[at - 1]:
                 raise BadInput(
-                    f"{log}: time_utc of {names[at]} is {texts[at]}, of the frame before it, {names[at - 1]}, {texts[at - 1]}; LeRobot"
-                    f" needs frames in the order of their times: {HOW_TIMES}"
+                    f"{log}: time_utc of {names[at]} is {texts[at]}, not after {texts[at - 1]} of the frame before it, {names[at - 1]}; LeRobot"
+                    f" needs frames in order of time, without repeats: {HOW_TIMES}"
                 )
         found.append(seconds)
     return found
 
 
 def usual_rate(times: list[list[float]]) -> int:
-    """Frames a second, by the median step between frames; SLOWEST where no episode has two."""
+    """Frames a second, by the median step between frames, at least SLOWEST; SLOWEST where no episode has two."""
     steps = np.concatenate([np.diff(each) for each in times])
     return max(SLOWEST, round(1 / float(np.median(steps)))) if len(steps) else SLOWEST
 
@@ -186,7 +186,7 @@ def write_data(
         if held:
             path = folder / DATA_PATH.format(chunk_index=number // CHUNK_FILES, file_index=number % CHUNK_FILES)
             path.parent.mkdir(parents=True, exist_ok=True)
-            # Pictures are compressed already; a dictionary of them would be their copy.
+            # Images are compressed already, and a dictionary would only duplicate them.
             compression = {**dict.fromkeys(leaves(form), "snappy"), f"{PICTURE}.bytes": "none"}
             pq.write_table(as_table(held, form), path, compression=compression, use_dictionary=list(NAMES))
             held, size, number = [], 0, number + 1
@@ -212,7 +212,7 @@ def leaves(form) -> list[str]:
 
 
 def as_table(held: list, form):
-    """Frames as a table of one data file."""
+    """The frames of one data file as a table."""
     import pyarrow as pa
 
     samples = [sample for sample, *_ in held]
@@ -237,12 +237,12 @@ def as_table(held: list, form):
 
 
 def pose(sample: DatasetSample) -> list[float]:
-    """Pose and path of a press, in the order of POSE."""
+    """Pose and path of a press, ordered as POSE."""
     return [getattr(sample.press, name) for name in POSE]
 
 
 def fixed(rows: list):
-    """Rows of one length as a column of lists of that length."""
+    """Rows of equal length as a column of fixed-size lists."""
     import pyarrow as pa
 
     values = np.array(rows, np.float32)
@@ -250,7 +250,7 @@ def fixed(rows: list):
 
 
 def write_episodes(folder: Path, episodes: list[list[int]], placed: list[tuple[int, int]]) -> None:
-    """meta/episodes: where each episode lies."""
+    """Write meta/episodes: the rows and the data file of each episode."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -269,7 +269,7 @@ def write_episodes(folder: Path, episodes: list[list[int]], placed: list[tuple[i
 
 
 def write_tasks(folder: Path) -> None:
-    """meta/tasks.parquet: a pandas table whose index is the task's words."""
+    """Write meta/tasks.parquet: a pandas table indexed by the text of the task."""
     import pyarrow as pa
     import pyarrow.parquet as pq
 
@@ -284,12 +284,12 @@ def write_tasks(folder: Path) -> None:
 
 
 def stats(samples: Samples) -> dict:
-    """meta/stats.json: ranges of the numbers, as LeRobot normalises by; none of a feature that the dataset does not know."""
+    """meta/stats.json: statistics for LeRobot's normalisation; features with an unknown component are left out."""
     return {PICTURE: picture_stats(samples), **number_stats(samples)}
 
 
 def picture_stats(samples: Samples) -> dict:
-    """Ranges of the images' levels, 0 to 1, each (3, 1, 1) by colour, from at most MOST_PICTURES of them, evenly spread."""
+    """Statistics of image levels, 0 to 1, each (3, 1, 1) by colour, of at most MOST_PICTURES evenly spaced images."""
     rows = np.unique(np.linspace(0, len(samples) - 1, min(len(samples), MOST_PICTURES)).round().astype(int)).tolist()
     low, high, sums, squares, pixels = np.full(3, np.inf), np.full(3, -np.inf), np.zeros(3), np.zeros(3), 0
     for at in rows:
@@ -303,7 +303,7 @@ def picture_stats(samples: Samples) -> dict:
 
 
 def number_stats(samples: Samples) -> dict:
-    """Ranges of forces, poses and wrenches."""
+    """Statistics of forces, poses and wrenches."""
     forces = samples.labels
     shape = forces.shape[1:]
     sums, squares, low, high = np.zeros(shape), np.zeros(shape), np.full(shape, np.inf), np.full(shape, -np.inf)
@@ -325,7 +325,7 @@ def number_stats(samples: Samples) -> dict:
 
 
 def ranges(values: np.ndarray) -> dict:
-    """Smallest, largest, mean and deviation of each column, each with a number somewhere."""
+    """Minimum, maximum, mean and standard deviation of each column; every column must hold at least one number."""
     found: dict[str, Any] = {"min": np.nanmin, "max": np.nanmax, "mean": np.nanmean, "std": np.nanstd}
     return {name: of(values, axis=0).tolist() for name, of in found.items()}
 

@@ -1,8 +1,8 @@
 """MCAP with messages of ROS 2, as Foxglove opens it (https://mcap.dev, profile ros2).
 
 Topics of each sensor are those of `ros.sensor_messages` and /SENSOR/sample (std_msgs/String, the row of samples.csv as
-JSON). Samples are a second apart from a start that is the same in every file, because a label has no time of its own.
-The first message, on /facts, says what the numbers mean.
+JSON). Samples are one second apart, from the same start in every file, because a label has no time of its own.
+The first message, on /facts, states units, frame and calibration.
 """
 
 import json
@@ -21,7 +21,7 @@ def text(said: str) -> Any:
 
 
 def messages(sample: Sample, token: str, time: int) -> list[ros.Message]:
-    """Messages of one sample; token: its sensor in the names of topics and frames."""
+    """Messages of one sample; token: name of its sensor in topics and frames."""
     form = sample.media_type.removeprefix("image/")
     row = (f"/{token}/sample", text(json.dumps(sample.cells)))
     return [*ros.sensor_messages(token, time, sample.picture, form, sample.total(), sample.label), row]

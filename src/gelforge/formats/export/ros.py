@@ -1,6 +1,6 @@
-"""Messages of ROS 2 that recordings and live views hold: one sensor's topics, by rosbags' types, in MCAP by its own library.
+"""ROS 2 messages of recordings and live views, in rosbags' types, and a writer of MCAP by MCAP's own library.
 
-Topics are /SENSOR/… (its name as ROS 2 allows it): `image/compressed` (sensor_msgs/CompressedImage), `wrench`
+Topics are /SENSOR/… (see `topic_tokens`): `image/compressed` (sensor_msgs/CompressedImage), `wrench`
 (geometry_msgs/WrenchStamped, total force in the gel frame, no torque), `forces/normal`, `forces/along_x` and
 `forces/along_y` (sensor_msgs/Image, 32FC1, N per cell).
 """
@@ -12,7 +12,7 @@ from typing import IO, Any
 
 import numpy as np
 
-MAPS = ("along_x", "along_y", "normal")  # of force along each axis of the gel
+MAPS = ("along_x", "along_y", "normal")  # force along gel x, y, z
 
 Message = tuple[str, Any]  # topic, message of rosbags' types
 
@@ -31,7 +31,7 @@ def message(kind: str, **fields: Any) -> Any:
 
 
 def schema(kind: str) -> str:
-    """Definition of PACKAGE/msg/NAME with those of all types in it, as MCAP and Foxglove want it (ros2msg)."""
+    """Definition of PACKAGE/msg/NAME and of all types in it, as MCAP and Foxglove require it (ros2msg)."""
     return _types().generate_msgdef(kind, ros_version=2)[0]
 
 
@@ -41,12 +41,12 @@ def encode(said: Any) -> bytes:
 
 
 class RosWriter:
-    """Writes messages as MCAP of profile ros2; `finish` makes it whole."""
+    """Writes messages as MCAP of profile ros2; `finish` completes the file."""
 
     def __init__(self, stream: IO[bytes], chunk_bytes: int):
         from mcap.writer import CompressionType, Writer
 
-        # Pictures are compressed already; LZ4 takes the maps, which are mostly zero, in no time.
+        # Images are compressed already; LZ4 is fast, and enough for maps that are mostly zero.
         self.writer = Writer(stream, chunk_size=chunk_bytes, compression=CompressionType.LZ4)
         self.writer.start(profile="ros2", library="gelforge")
         self.schemas: dict[str, int] = {}
@@ -62,7 +62,7 @@ class RosWriter:
         self.writer.add_message(self.channels[topic], log_time=time_ns, data=encode(said), publish_time=time_ns)
 
     def finish(self) -> None:
-        """Write what is held, and the index."""
+        """Write what is buffered, and the index."""
         self.writer.finish()
 
 
@@ -85,10 +85,11 @@ def wrench(stamp: Any, force: Sequence[float]) -> Any:
 def sensor_messages(
     token: str, time: int, picture: bytes, form: str, total: Sequence[float], label: np.ndarray
 ) -> list[Message]:
-    """Picture, total force and force maps of one frame.
+    """Image, total force and force maps of one frame as messages.
 
-    token: the sensor in names of topics and frames (`topic_tokens`). time: ns since 1970. picture: a file of format
-    `form` (jpeg, png). total: (3,) N along gel x, y, z. label: (3, rows, cols) N per cell along the same.
+    token: name of the sensor in topics and frames (`topic_tokens`). time: ns since 1970. picture: bytes of an image
+    file of format `form` (jpeg, png). total: (3,) N along gel x, y, z. label: (3, rows, cols) N per cell along the
+    same axes.
     """
     top, stamp = f"/{token}", header(time, f"{token}_gel")
     data = np.frombuffer(picture, np.uint8)
@@ -110,9 +111,10 @@ LONGEST_TOKEN = 100  # characters; a whole topic name may have 247 (rmw_validate
 
 
 def topic_tokens(names: Iterable[str]) -> dict[str, str]:
-    """Each name as a token of a ROS 2 topic, no two alike: letters, digits and single underscores, no digit first.
+    """A distinct token of a ROS 2 topic for each name: letters, digits and single underscores, a letter first.
 
-    A legal name stays as it is, and a name keeps its token whatever names follow it.
+    A legal name is its own token, whatever the other names. The token of an illegal name depends on the legal names
+    and on the illegal names before it: "a b" is a_b, or a_b_2 where a_b is a name, too.
     """
     names = list(dict.fromkeys(names))
     tokens = {name: name for name in names if _token(name) == name}

@@ -1,4 +1,4 @@
-"""A dataset of stage 60 as every export reads it, with the facts that give its numbers a meaning."""
+"""A dataset of stage 60, as every export reads it, with the units, frame and calibration of its numbers."""
 
 import json
 import math
@@ -25,7 +25,11 @@ FRAME = "gel: origin on the apex of the undeformed gel, x the short side, y the 
 
 @dataclass(frozen=True)
 class Sample:
-    """One image with its label: row of samples.csv as text and as record, encoded picture and its type, forces (3, rows, cols) N per cell."""
+    """One image with its label.
+
+    row, record: its row of samples.csv as text and parsed. picture, media_type: the encoded image. label: (3, rows,
+    cols) N per cell.
+    """
 
     row: dict[str, str]
     record: DatasetSample
@@ -39,7 +43,7 @@ class Sample:
 
     @property
     def cells(self) -> dict[str, str | float | None]:
-        """The row with its numbers as numbers; None for one that is not known."""
+        """The row with numbers parsed, None where unknown."""
         numbers = {name: value for name, value in self.record.numbers().items() if name in self.row}
         return self.row | {name: None if math.isnan(value) else value for name, value in numbers.items()}
 
@@ -50,9 +54,9 @@ class Sample:
 
 @dataclass(frozen=True)
 class Samples:
-    """All samples of a dataset, and what is true of all of them.
+    """All samples of a dataset, and what they share.
 
-    data: data/DATASET, whose pictures are carried over as they are. dataset: 60_dataset/RES. sensors: sensors.json.
+    data: data/DATASET, whose images are copied unchanged. dataset: 60_dataset/RES. sensors: sensors.json.
     """
 
     data: Path
@@ -65,7 +69,7 @@ class Samples:
 
     @classmethod
     def open(cls, data: Path, dataset: Path, sensors: Path) -> "Samples":
-        """Open a dataset; BadInput where it is missing, or no picture belongs to it."""
+        """Open a dataset; BadInput where it is missing, inconsistent or without images."""
         hint = command_for("dataset", dataset)
         for name in ("samples.csv", "labels.npy", "dataset.json"):
             if not (dataset / name).exists():
@@ -85,24 +89,30 @@ class Samples:
         return (self.sample(at) for at in range(len(self)))
 
     def sample(self, at: int) -> Sample:
-        """One sample; BadInput where its picture is not there."""
+        """One sample; BadInput where its image is missing, or lies outside the dataset's folder."""
         row = self.rows[at]
         path = self.data / row["image"]
         if not stays_inside(self.data, row["image"]):
-            raise BadInput(f"{self.data}/log.csv: image {row['image']!r} leads out of the dataset's folder")
+            raise BadInput(
+                f"{self.data}/log.csv: image {row['image']!r} points outside the dataset's folder; give a path inside it"
+            )
         media_type = SUFFIXES.get(path.suffix.lower())
         if media_type is None or file_fault(path):
-            raise BadInput(f"{path}: no picture of sample {row['sample_id']} there as PNG or JPEG; restore it")
+            raise BadInput(f"{path}: is not a readable PNG or JPEG of sample {row['sample_id']}; restore it")
         return Sample(row, self.records[at], path.read_bytes(), media_type, np.asarray(self.labels[at]))
 
     def least_bytes(self) -> int:
-        """Bytes of all pictures, which every format carries as they are; those that are missing count as none."""
+        """Total size in bytes of the image files, which every format copies unchanged; missing ones count as 0."""
         paths = (self.data / row["image"] for row in self.rows)
         return sum(path.stat().st_size for path in paths if path.is_file())
 
     @cached_property
     def frames_of_presses(self) -> list[list[int]]:
-        """Rows of each press in their order, presses in that of their first row: rows that share a press_id, and each other row alone."""
+        """Row indices of each press, presses in order of their first row.
+
+        Rows of one split and sensor that share a press_id are one press; a row without a press_id is a press of its
+        own.
+        """
         found: dict[tuple, list[int]] = {}
         for at, row in enumerate(self.rows):
             name = row.get("press_id", "")

@@ -24,7 +24,7 @@ function drawCurve() {
   const low = Math.min(-1, ...all), high = Math.max(0, ...all), first = history[0].time_s, span = Math.max(history.at(-1).time_s - first, 1e-3);
   const X = (t) => 50 + (width - 60) * (t - first) / span, Y = (v) => height - 24 - (height - 34) * (v - low) / (high - low);
   c.fillStyle = FLAGGED;
-  history.forEach((e, k) => {  // half way to the frames beside it
+  history.forEach((e, k) => {  // shade half way to the neighbouring frames
     const edge = (at) => X((e.time_s + (history[at] || e).time_s) / 2);
     if (e.flag) c.fillRect(Math.floor(edge(k - 1)), Y(high), Math.ceil(edge(k + 1)) - Math.floor(edge(k - 1)), Y(low) - Y(high));
   });
@@ -52,13 +52,13 @@ async function show(event) {
   const recent = history.slice(-30), span = recent.at(-1).time_s - recent[0].time_s;
   el("rate").textContent = span > 0 ? fixed((recent.length - 1) / span, 1) : "–";
   el("flag").className = event.flag ? "on" : "";
-  el("flag").textContent = event.flag ? event.reason : event.edge_peak >= BEYOND ? "the image cuts a contact off: the forces are those of the part that it shows" : "nothing seems wrong with the image";
+  el("flag").textContent = event.flag ? event.reason : event.edge_peak >= BEYOND ? "the image crops a contact: the forces are those of the visible part" : "nothing seems wrong with the image";
   el("band").textContent = event.half_width ? "band: 90 % prediction interval of each force" : "";
   el("state").textContent = `frame ${event.frame}, ${fixed(event.time_s, 1)} s, ${fixed(event.ms, 1)} ms a frame`;
   drawCurve();
   document.body.dataset.frame = event.frame;
 }
-// Frames come faster than some machines draw: the latest is drawn, those between are left out.
+// Frames may come faster than they are drawn: draw the latest and skip those between.
 async function take(event) {
   latest = event;
   if (drawing) return;

@@ -1,4 +1,4 @@
-"""Reader of CalculiX' .dat files: nodal tables, whole and finite or refused by name."""
+"""Reader of nodal tables in CalculiX' .dat files; incomplete or non-finite tables are refused by name."""
 
 import re
 from dataclasses import dataclass
@@ -10,11 +10,11 @@ _SHORT_EXPONENT = re.compile(r"(\d)([+-]\d{3})(?=\s|$)")  # Fortran drops the E 
 
 
 class DatError(Exception):
-    """A .dat file that does not hold what the deck asked for; the message names the table."""
+    """A .dat file without the output that the deck asked for; the message names the table."""
 
 
 class Unfinished(DatError):
-    """The job printed nothing, or stopped before the end of its step: CalculiX found no equilibrium."""
+    """The job printed nothing or stopped before the end of its step: CalculiX found no equilibrium."""
 
 
 @dataclass(frozen=True)
@@ -29,7 +29,7 @@ class Table:
 
 
 def read_dat(text: str) -> list[Table]:
-    """All nodal tables of a .dat file in order. A row that is cut or no number raises DatError."""
+    """All nodal tables of a .dat file in order. A truncated row or a non-number raises DatError."""
     heads = list(_HEAD.finditer(text))
     ends = [head.start() for head in heads[1:]] + [len(text)] * bool(heads)
     return [_table(head, text[head.end() : end]) for head, end in zip(heads, ends, strict=True)]
@@ -41,23 +41,25 @@ def _table(head: re.Match[str], body: str) -> Table:
     where = f"table `{quantity}` of set {set_name} at time {head[3]}"
     touching = next((word for word in words if word.count(".") > 1), None)
     if touching:
-        raise DatError(f"{where} has columns that run together ({touching}): this build of CalculiX cannot be read")
-    # without the line's end the last number may lack its exponent, and read as another one
+        raise DatError(
+            f"{where} has no space between two columns ({touching}): the output of this build of CalculiX cannot be read"
+        )
+    # without a final newline, the last number may lack its exponent and be misread
     if len(words) % 4 or not body.endswith("\n"):
         raise DatError(f"{where} ends inside a row: the file is truncated")
     try:
         rows = np.array(words, dtype=float).reshape(-1, 4)
         time = float(head[3])
     except ValueError as error:
-        raise DatError(f"{where} holds something that is no number ({error})") from error
+        raise DatError(f"{where} holds a value that is not a number ({error})") from error
     return Table(quantity, set_name, time, rows[:, 0].astype(np.int64), rows[:, 1:])
 
 
 def last_table(tables: list[Table], quantity: str, set_name: str, nodes: np.ndarray, time: float = 1.0) -> np.ndarray:
-    """Values (n, 3) of the last table of `quantity` for `set_name`, in the order of `nodes` (n,), counted from 1.
+    """Values (n, 3) of the last table of `quantity` for `set_name`, in the order of `nodes` (n,), one-based.
 
     Decks with several increments or steps print one table each; only the one at `time` is the
-    result, so a job that stopped early is refused, as are missing rows and values that are not finite.
+    result. A job that stopped early raises Unfinished; missing rows or non-finite values raise DatError.
     """
     found = [t for t in tables if t.quantity == quantity and t.set_name == set_name]
     where = f"table `{quantity}` of set {set_name}"

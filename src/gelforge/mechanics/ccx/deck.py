@@ -6,19 +6,19 @@ from gelforge.mechanics.material import REFERENCE_C10, Material
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 
 MATERIAL_NAME = "GEL"
-# CalculiX' solvers of linear systems. Near the solution, where the kinematics leave it, conjugate gradients cost
-# a third of a factorisation, ordering included; from rest only the latter is sure.
+# CalculiX' linear solvers. From the in-process state, which is near the solution, conjugate gradients cost a third of
+# a factorisation with its ordering; from zero displacement only factorisation is reliable.
 DIRECT, ITERATIVE = "SPOOLES", "ITERATIVE SCALING"
-# Displacements in decks. Conjugate gradients stop at a share of the residual that they begin with: rounding at the eighth
-# digit leaves a rough one, which is gone in half the iterations that the smooth rest of Newton's method would take.
+# Format of displacements. Conjugate gradients stop at a fraction of their initial residual. Rounding to eight digits
+# makes it rough, and it vanishes in half the iterations of the smooth residual that Newton's method leaves.
 PLACE = ".7e"
-INCREMENT = 0.25  # of the load, the first where a start from the kinematics fails
-# How a state is looked for, in turn: whether from the kinematics' displacements, the first load increment, the linear solver.
+INCREMENT = 0.25  # first load increment if a start from the in-process state fails
+# Attempts, in turn: whether to start from the in-process displacements, the first load increment, the linear solver.
 ATTEMPTS = ((True, 1.0, ITERATIVE), (True, 1.0, DIRECT), (False, INCREMENT, DIRECT), (False, INCREMENT / 10, DIRECT))
 
 
 def mesh_lines(mesh: GelMesh) -> list[str]:
-    """Nodes, elements and node sets of a C3D10 mesh; CalculiX counts from 1."""
+    """Nodes, elements and node sets of a C3D10 mesh, one-based as in CalculiX."""
     lines = ["*NODE, NSET=NALL"]
     lines += [f"{i},{x:.9e},{y:.9e},{z:.9e}" for i, (x, y, z) in enumerate(mesh.nodes.tolist(), 1)]
     lines.append("*ELEMENT, TYPE=C3D10, ELSET=EGEL")
@@ -32,7 +32,7 @@ def mesh_lines(mesh: GelMesh) -> list[str]:
 
 
 def material_lines(material: Material) -> list[str]:
-    """Neo-Hooke at REFERENCE_C10 and the material's Poisson's ratio (CalculiX manual, *HYPERELASTIC)."""
+    """Neo-Hookean material with REFERENCE_C10 and the given Poisson's ratio (CalculiX manual, *HYPERELASTIC)."""
     return [
         f"*MATERIAL, NAME={MATERIAL_NAME}",
         "*HYPERELASTIC, NEO HOOKE",
@@ -41,7 +41,7 @@ def material_lines(material: Material) -> list[str]:
 
 
 def start_lines(start: np.ndarray) -> list[str]:
-    """The displacement (n, 3) mm that Newton's method starts from."""
+    """The displacement (n, 3) mm from which Newton's method starts."""
     lines = ["*INITIAL CONDITIONS, TYPE=DISPLACEMENT"]
     for i, u in enumerate(start.tolist(), 1):
         lines += [f"{i},1,{u[0]:{PLACE}}", f"{i},2,{u[1]:{PLACE}}", f"{i},3,{u[2]:{PLACE}}"]
@@ -53,9 +53,9 @@ def press_deck(
 ) -> str:
     """Deck of one equilibrium without contact.
 
-    prescribed: (k,) nodes, counted from 0, led to their displacements in `start` (n, 3) mm. nu: Poisson's ratio. attempt: which of ATTEMPTS.
-    residual: largest nodal residual over the mean nodal force. Prints U and RF of the top's nodes, RF of the base, U of all. RF of a
-    prescribed node is the force that holds it.
+    prescribed: (k,) nodes, zero-based, moved to their displacements in `start` (n, 3) mm. nu: Poisson's ratio.
+    attempt: index into ATTEMPTS. residual: largest nodal residual over the mean nodal force. The deck prints U and RF
+    of the top's nodes, RF of the base, and U of all nodes. RF of a prescribed node is the force that holds it.
     """
     from_start, increment, solver = ATTEMPTS[attempt]
     lines = [*mesh_lines(mesh), *material_lines(Material(nu)), "*BOUNDARY", "NBASE,1,3"]

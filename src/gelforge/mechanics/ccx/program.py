@@ -1,4 +1,4 @@
-"""Running CalculiX as a child that cannot outlive its parent."""
+"""Run CalculiX as a child process that cannot outlive its parent."""
 
 import os
 import re
@@ -16,17 +16,17 @@ from gelforge.flow.files import need_room
 from gelforge.flow.jobs import die_with_parent
 from gelforge.records.status import Status
 
-_ENOUGH_BYTES = 1 << 20  # less than this left on the disk counts as full
-BANNER = "CalculiX Version"  # the first words of each run
-LOOK_S = 0.05  # between two looks at the memory of a run
-OVERDUE = -signal.SIGALRM  # return code of a run that was stopped because it took too long
+_ENOUGH_BYTES = 1 << 20  # a disk with less free space counts as full
+BANNER = "CalculiX Version"  # printed at the start of each run
+LOOK_S = 0.05  # sampling interval of the memory of a run
+OVERDUE = -signal.SIGALRM  # return code of a run that was stopped after its time limit
 
 
 def ccx_program() -> str | None:
     """Path of the CalculiX program, or None.
 
-    It is the one that the environment variable CCX names; else `ccx` on PATH; else the one that envs/ccx.sh has conda
-    install inside the virtual environment.
+    The one named by the environment variable CCX, if that is set; else `ccx` on PATH; else the one that envs/ccx.sh
+    installs with conda inside the virtual environment.
     """
     if named := os.environ.get("CCX"):
         return shutil.which(named)
@@ -34,7 +34,7 @@ def ccx_program() -> str | None:
 
 
 def need_ccx() -> str:
-    """Path of CalculiX; BadInput where there is none."""
+    """Path of the CalculiX program; raises BadInput if there is none."""
     program = ccx_program()
     if program is None:
         raise BadInput(f"ccx: {Status.SOLVER_MISSING.value}")
@@ -43,7 +43,7 @@ def need_ccx() -> str:
 
 @dataclass(frozen=True)
 class Job:
-    """A finished run: returncode, log (stdout), seconds, its own peak resident memory, MiB."""
+    """A finished run: return code, log (stdout), seconds, peak resident memory of the process, MiB."""
 
     returncode: int
     log: str
@@ -57,7 +57,7 @@ class Job:
 
     @property
     def version(self) -> str:
-        """What the program calls its version, such as 2.20; empty where it did not say."""
+        """The version that the program prints, such as 2.20; empty if it printed none."""
         found = re.search(rf"{BANNER}\s+([^\s,]+)", self.log)
         return found[1] if found else ""
 
@@ -67,7 +67,9 @@ class Job:
             if "*ERROR" in line:
                 return " ".join(" ".join(lines[start : start + 3]).split())[:200]
         if self.returncode == OVERDUE:
-            return f"stopped after {self.seconds:.3g} s; raise timeout_s in [fea], or the limit of the chart that it is for"
+            return (
+                f"stopped after {self.seconds:.3g} s; raise timeout_s in [fea], or limit_s in [pareto] or [stability]"
+            )
         if self.returncode < 0:
             return f"stopped by {signal.Signals(-self.returncode).name}"
         return f"exit code {self.returncode} without a message"
@@ -76,9 +78,8 @@ class Job:
 def run_ccx(name: str, folder: Path | str, timeout_s: float) -> Job:
     """Run the deck `name`.inp in `folder` with one thread; a run past `timeout_s` is stopped.
 
-    The .dat that an earlier run of that name left is removed first: a run that ends before it writes one has no answer.
-    A full disk raises OSError and a program that does not even print its name BadInput, because every other sample would fail
-    for it too.
+    The .dat of an earlier run of that name is removed first, so that it cannot be taken for this run's. A full disk
+    raises OSError, and a program that does not even print its name BadInput: every other sample would fail, too.
     """
     program = need_ccx()
     folder = Path(folder)
@@ -103,17 +104,15 @@ def run_ccx(name: str, folder: Path | str, timeout_s: float) -> Job:
     said = log_path.read_text(errors="replace")
     if returncode >= 0 and BANNER not in said:
         words = " ".join(said.split())[:200] or "nothing"
-        raise BadInput(
-            f"{program}: no CalculiX that works here; it ended with code {returncode} and printed: {words}"
-        )
+        raise BadInput(f"{program} is not a working CalculiX: it ended with code {returncode} and printed: {words}")
     return Job(returncode, said, time.perf_counter() - started, peak)
 
 
 def _ended(child: subprocess.Popen, timeout_s: float) -> tuple[int, float]:
     """Return code of a program once it has ended, and its peak resident memory, MiB; TimeoutExpired after timeout_s.
 
-    The memory is that of LOOK_S before its end at the latest: what the system counts of children is the largest of all of them, and of
-    each at least what this process held when it started it.
+    The memory is sampled every LOOK_S: the operating system's own count is the maximum over all children, and at
+    least the memory of this process when it started them.
     """
     peak, until = 0.0, time.monotonic() + timeout_s
     while True:
@@ -126,7 +125,7 @@ def _ended(child: subprocess.Popen, timeout_s: float) -> tuple[int, float]:
 
 
 def _peak_so_far(pid: int) -> float:
-    """Largest resident memory of a running process so far, MiB; 0 of one that has ended."""
+    """Peak resident memory of a running process so far, MiB; 0 if it has ended."""
     try:
         found = re.search(r"VmHWM:\s+(\d+) kB", Path(f"/proc/{pid}/status").read_text())
     except OSError:

@@ -1,4 +1,4 @@
-"""Points at which contact is integrated on the faces of hexahedra (four nodes) and second-order tetrahedra (six)."""
+"""Integration points of contact on the faces of hexahedra (four nodes) and second-order tetrahedra (six nodes)."""
 
 import numpy as np
 
@@ -25,7 +25,7 @@ def shapes(bary: np.ndarray) -> np.ndarray:
 
 
 def slopes(bary: np.ndarray) -> np.ndarray:
-    """Derivatives of `shapes` by the second and third barycentric coordinate: (q, 6, 2)."""
+    """Derivatives of `shapes` with respect to the second and third barycentric coordinate: (q, 6, 2)."""
     a, b, c = bary.T
     zero = np.zeros_like(a)
     db = np.column_stack([1 - 4 * a, 4 * b - 1, zero, 4 * (a - b), 4 * c, -4 * c])
@@ -34,7 +34,7 @@ def slopes(bary: np.ndarray) -> np.ndarray:
 
 
 def bilinear(place: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Four shape functions (q, 4) at places (q, 2) on [-1, 1]^2, and their slopes (q, 4, 2)."""
+    """Four shape functions (q, 4) at local coordinates (q, 2) on [-1, 1]^2, and their derivatives (q, 4, 2)."""
     signs = np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]], float)
     along = 1 + place[:, None, :] * signs
     return along.prod(axis=2) / 4, signs * along[..., ::-1] / 4
@@ -48,9 +48,9 @@ def gauss_points(order: int) -> tuple[np.ndarray, np.ndarray]:
 
 
 def face_rule(nodes: int, order: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Shape functions (q, k), their slopes (q, k, 2) and weights (q,) at the points of a face of k nodes.
+    """Shape functions (q, k), derivatives (q, k, 2) and weights (q,) at the integration points of a face of k nodes.
 
-    A face of four nodes has order x order Gauss points, one of six the twelve points of `dunavant12`.
+    A face of four nodes has order x order Gauss points; a face of six has the twelve points of `dunavant12`.
     """
     if nodes == 6:
         bary, weight = dunavant12()

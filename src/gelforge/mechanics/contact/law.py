@@ -1,4 +1,4 @@
-"""What holds sideways between gel and indenter: the contact laws, and the laws by name."""
+"""Contact laws, which limit the tangential traction between gel and indenter, by name."""
 
 from dataclasses import dataclass
 from typing import ClassVar
@@ -10,10 +10,10 @@ from gelforge.errors import BadInput
 
 @dataclass(frozen=True)
 class ContactLaw:
-    """A law of the tangential traction; along the normal the indenter only presses.
+    """A law of the tangential traction; along the normal the indenter can push but not pull.
 
-    sticks: whether points are held where they first touched. slips: whether points may move along the indenter.
-    coefficient: the number of a law that has one (`has_coefficient`); it is part of the key of a solve.
+    sticks: whether points stick where they first touched. slips: whether points may move along the indenter.
+    coefficient: of friction, for laws with `has_coefficient`; it is part of the key of a solve.
     """
 
     name: ClassVar[str]
@@ -24,25 +24,26 @@ class ContactLaw:
 
     @property
     def frictional(self) -> bool:
-        """Whether points stick until they slip: a force then depends on all of a point's path, not on its end alone."""
+        """Whether points stick and may slip: the force then depends on a point's whole path, not on its end alone."""
         return self.sticks and self.slips
 
     def slip_limit(self, depth: np.ndarray, stiffness: float) -> tuple[np.ndarray, np.ndarray]:  # noqa: ARG002
         """Tangential traction (...) MPa at which sticking points slip, and its derivative (...) by depth, MPa/mm.
 
-        depth: (...) mm inside the indenter; depth times stiffness, MPa/mm, is the pressure. None slip unless a law says so.
+        depth: (...) mm inside the indenter; depth times stiffness, MPa/mm, is the pressure. By default the limit is
+        infinite.
         """
         return np.full_like(depth, np.inf), np.zeros_like(depth)
 
 
 class Holding(ContactLaw):
-    """Stands for a law with friction in an iteration in which no sticking point may slip."""
+    """Replaces a law with friction in Newton iterations in which no sticking point may slip."""
 
     name, sticks, slips = "holding", True, True
 
 
 class Coulomb(ContactLaw):
-    """Dry friction: points stick until the tangential traction reaches the coefficient of friction times the pressure."""
+    """Dry friction: points slip once the tangential traction reaches the friction coefficient times the pressure."""
 
     name, sticks, slips, has_coefficient = "coulomb", True, True, True
 
@@ -53,7 +54,7 @@ class Coulomb(ContactLaw):
 
 
 class Frictionless(ContactLaw):
-    """Points slide freely: the indenter only presses."""
+    """Points slide freely: no tangential traction."""
 
     name, sticks, slips = "frictionless", False, True
 
@@ -64,7 +65,7 @@ class Frictionless(ContactLaw):
 
 
 class NoSlip(ContactLaw):
-    """Each point of the gel sticks where it first touched until it is pulled off: the assumption of FEATS' paper."""
+    """Each point sticks where it first touched until it is pulled off (assumption of the FEATS paper)."""
 
     name, sticks, slips = "no_slip", True, False
 
@@ -73,7 +74,7 @@ LAWS: dict[str, type[ContactLaw]] = {law.name: law for law in (Coulomb, Friction
 
 
 def contact_law(name: str, coefficient: float = 0.0) -> ContactLaw:
-    """The law of that name; an unknown one raises BadInput."""
+    """Return the law of that name; an unknown name raises BadInput."""
     if name not in LAWS:
         *others, last = LAWS
         raise BadInput(f"interface law {name!r} is unknown; choose {', '.join(others)} or {last}")

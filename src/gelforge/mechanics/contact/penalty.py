@@ -1,8 +1,8 @@
 """Penalty contact between a rigid indenter and a gel surface, at integration points of the surface faces.
 
-Within a load step points that touch for the first time feel a normal penalty only; those that touched
-earlier stick to a point that travels with the indenter. So a step is a smooth problem but for new
-touches. A law with friction limits the tangential traction of sticking points, by the pressure of the
+Within a load step, points that touch for the first time feel a normal penalty only; points that touched
+earlier stick to a point that travels with the indenter. A step is thus a smooth problem apart from new
+touches. A law with friction limits the tangential traction of sticking points by the pressure of the
 same iterate (return mapping).
 """
 
@@ -21,7 +21,7 @@ from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.pose import Pose
 
 FREE, TOUCHING, STICK = 0, 1, 2
-STEP = 1e-6  # mm that points are moved by for the differences of their tractions
+STEP = 1e-6  # mm, finite-difference step of `curved`
 _CHANGING = ("status", "stick_point", "normal", "goal", "fading", "multiplier", "carried")
 
 
@@ -31,12 +31,12 @@ class ContactState:
 
     face: (m,) index into mesh.faces. shape: (m, k) weights of the face's nodes. reference: (m, 3)
     undeformed position. weights: (m,) mm^2. status: (m,) FREE, TOUCHING or STICK.
-    stick_point: (m, 3) what a sticking point is bound to, in the indenter's frame (nan elsewhere).
+    stick_point: (m, 3) point of the indenter's frame that a sticking point is bound to (nan elsewhere).
     normal: (m, 3) the indenter's outward normal there, in its frame.
     position: (m, 3) deformed. traction: (m, 3) on the gel.
-    multiplier: (m, 3) tangential traction of sticking points at no stretch (laws with friction only).
-    goal: (m, 3) where stick points are on their way to; carried: (m, 3) what multipliers are on their way to;
-    fading: (m, 3) what is left of the traction of released points (at the end of a path nothing is pending).
+    multiplier: (m, 3) tangential traction of sticking points at zero elastic slip (laws with friction only).
+    goal, carried: (m, 3) values that stick_point and multiplier approach as pending changes are carried out;
+    fading: (m, 3) remaining traction of released points (at the end of a path nothing is pending).
     """
 
     face: np.ndarray
@@ -54,11 +54,11 @@ class ContactState:
     traction: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
 
     def snapshot(self) -> dict:
-        """Copies of all that changes along a path, for `restore`."""
+        """Copies of all arrays that change along a path, for `restore`."""
         return {name: getattr(self, name).copy() for name in _CHANGING}
 
     def restore(self, kept: dict) -> None:
-        """Back to a snapshot."""
+        """Return to a snapshot."""
         for name, array in kept.items():
             setattr(self, name, array.copy())
 
@@ -78,7 +78,7 @@ class ContactState:
 
 
 def contact_points(mesh: GelMesh, order: int, faces: np.ndarray | None = None) -> ContactState:
-    """Free points of `face_rule` on the chosen faces of a mesh (all by default)."""
+    """Integration points of `face_rule`, all FREE, on the chosen faces of a mesh (all by default)."""
     faces = np.arange(len(mesh.faces)) if faces is None else faces
     shape, slope, weight = face_rule(mesh.faces.shape[1], order)
     corners = mesh.nodes[mesh.faces[faces]]
@@ -103,7 +103,7 @@ def contact_points(mesh: GelMesh, order: int, faces: np.ndarray | None = None) -
 
 @dataclass(frozen=True)
 class Skew:
-    """Stiffness that is not symmetric: point (s,) index, block (s, 3, 3) MPa/mm."""
+    """Non-symmetric part of the contact stiffness: point (s,) index, block (s, 3, 3) MPa/mm."""
 
     point: np.ndarray
     block: np.ndarray
@@ -113,8 +113,8 @@ class Skew:
 class Tractions:
     """Tractions of the points in contact, linearised: point (p,) index, traction (p, 3), stiffness (p, 3, 3).
 
-    gap: (p,) signed distance where known (nan for points that stick without slip). stiffness is
-    symmetric; what friction adds to it as the pressure grows is in `slip`.
+    gap: (p,) signed distance where known (nan for points of a law without slip that stick). stiffness is
+    symmetric; the dependence of friction on pressure is in `slip`.
     """
 
     point: np.ndarray
@@ -163,7 +163,7 @@ def curved(
     penalty: Penalty,
     candidates: np.ndarray,
 ) -> Skew:
-    """What `tractions` lack of the exact stiffness, by differences over STEP mm: friction and the indenter's curvature."""
+    """Exact stiffness less that of `tractions`: friction and indenter curvature, by differences over STEP mm."""
     point = tractions.point
     here = _scattered(tractions, len(x))
     block = np.empty((len(x), 3, 3))
@@ -183,14 +183,14 @@ def _scattered(tractions: Tractions, count: int) -> np.ndarray:
 
 
 def _stuck(state: ContactState, x: np.ndarray, pose: Pose, stiffness: float, points: np.ndarray) -> _Parts:
-    """Penalties in all directions towards the stick points."""
+    """Penalty in all directions towards the stick points."""
     traction = stiffness * (pose.to_gel(state.stick_point[points]) - x[points])
     block = np.broadcast_to(stiffness * np.eye(3), (len(points), 3, 3))
     return points, traction, block, np.full(len(points), np.nan)
 
 
 def _faded(state: ContactState) -> _Parts:
-    """Dead loads that are left of released points."""
+    """Dead loads: the fading tractions of released points."""
     points = np.flatnonzero(np.any(state.fading, axis=1))
     return points, state.fading[points], np.zeros((len(points), 3, 3)), np.full(len(points), np.nan)
 
@@ -206,8 +206,8 @@ def _pressed(
 ) -> tuple[_Parts, Skew]:
     """Normal penalty, and for sticking points a tangential one that yields at the law's limit.
 
-    The indenter's curvature is left out of the stiffness (see `curved`): far from equilibrium it costs more
-    iterations than it saves, because normals of filleted edges jump in curvature.
+    The stiffness leaves out the indenter's curvature (see `curved`): far from equilibrium it costs more
+    iterations than it saves, because curvature jumps at filleted edges.
     """
     n = pose.turn(normal)
     stiffness = penalty.normal * n[:, :, None] * n[:, None, :]
@@ -228,12 +228,12 @@ def _friction(
     distance: np.ndarray,
     n: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, Skew]:
-    """Tangential traction of penalties that yield at the law's limit, its symmetric slope, and the slip.
+    """Tangential traction of a penalty that yields at the law's limit, its symmetric tangent, and its slip part.
 
-    Augmented Lagrangian (Simo, Laursen 1992, Comput. Struct. 42, 97-116): multipliers take over what the
-    penalties hold, so that points which stick end where they touched, however soft the penalties are. The return
-    mapping: Wriggers, Computational Contact Mechanics (2006), section 6.3.2; its tangent, section 9.2: along
-    the slip the traction follows the limit.
+    Augmented Lagrangian (Simo, Laursen 1992, Comput. Struct. 42, 97-116): multipliers take over the traction of
+    the penalties, so sticking points end where they touched, however soft the penalties are. Return mapping:
+    Wriggers, Computational Contact Mechanics (2006), section 6.3.2; its tangent, section 9.2: along the slip
+    the traction follows the limit.
     """
     trial = state.multiplier[points] + penalty.tangential * (pose.to_gel(state.stick_point[points]) - x[points])
     trial -= np.einsum("pi,pi->p", trial, n)[:, None] * n
@@ -249,7 +249,7 @@ def _friction(
 
 
 class FacePlaces:
-    """Where the contact stiffness of every surface face goes in the matrix."""
+    """Positions in the matrix of the contact stiffness of every surface face."""
 
     def __init__(self, mesh: GelMesh, pattern: Pattern):
         self.nodes = np.ascontiguousarray(mesh.faces, np.int32)
@@ -272,7 +272,7 @@ class FacePlaces:
         )
 
     def skew_product(self, state: ContactState, skew: Skew) -> Callable[[np.ndarray, np.ndarray], None]:
-        """Function that adds the matrix of `skew` times x (unknowns,) to y (unknowns,)."""
+        """Return a function that adds the matrix of `skew` times x (unknowns,) to y (unknowns,)."""
         rows = self.rows[state.face[skew.point]]
         shape, block = state.shape[skew.point], skew.block * state.weights[skew.point, None, None]
         return lambda x, y: _add_skew(rows, shape, block, x, y)

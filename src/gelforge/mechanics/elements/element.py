@@ -1,4 +1,4 @@
-"""Finite elements, by the kind of mesh that they serve: nodes, integration points, and the kernels of their formulation."""
+"""Finite elements by kind of mesh: nodes, integration points, and the kernels of their formulation."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -10,15 +10,15 @@ from gelforge.mechanics.elements.kernels import Kernels, batched, displacement, 
 from gelforge.mechanics.mesh.stepped import Cells
 from gelforge.mechanics.mesh.tetmesh import GAUSS, gradients
 
-# From nodes (n, 3) mm and cells to gradients (e, points, k, 3) of the shape functions and weights (e, points) mm^3.
+# Takes nodes (n, 3) mm and cells; gives shape function gradients (e, points, k, 3) and weights (e, points) mm^3.
 Reference = Callable[[np.ndarray, Cells], tuple[np.ndarray, np.ndarray]]
 
 
 @dataclass(frozen=True)
 class ElementSet:
-    """e elements of one kind, of k nodes, undeformed, in b batches of `width`; the last batch repeats its last element.
+    """e undeformed elements of k nodes, in b batches of `width`; the last batch is filled with its last element.
 
-    elements: (e, k) nodes. nodes: (b, k, width) the same by batches. gradients: (b, points, k, 3, width).
+    elements: (e, k) nodes. nodes: (b, k, width) the same in batches. gradients: (b, points, k, 3, width).
     weights: (b, points, width) mm^3.
     """
 
@@ -29,7 +29,7 @@ class ElementSet:
     weights: np.ndarray
 
     def internal_forces(self, u: np.ndarray, shear: float, bulk: float, forces: np.ndarray) -> float:
-        """Add the nodal forces dE/du to `forces` (n, 3); returns the smallest J (not above 0: inverted, forces mean nothing).
+        """Add the nodal forces dE/du to `forces` (n, 3); returns the smallest J (not above 0: inverted, invalid).
 
         u: (n, 3) displacement mm. shear, bulk: moduli MPa (2 C10 and 2 / D1).
         """
@@ -40,16 +40,16 @@ class ElementSet:
         self, u: np.ndarray, shear: float, bulk: float, geometric_stiffness: float,
         base: np.ndarray, width: np.ndarray, values: np.ndarray,
     ) -> None:  # fmt: skip
-        """Add d2E/du2 to the upper-triangle `values` at the places (base, width) of `pattern.block_places`.
+        """Add d2E/du2 to the upper-triangle `values` at the positions (base, width) of `pattern.block_places`.
 
-        geometric_stiffness: share that is kept of what the pressure adds to the stiffness, 1 in the exact tangent. Blocks
-        are computed in single precision, as they are factorised.
+        geometric_stiffness: fraction of the pressure's geometric stiffness that is kept, 1 in the exact tangent.
+        Blocks are computed in single precision, in which they are factorised, too.
         """
         count, single = len(self.elements), (np.float32(shear), np.float32(bulk), np.float32(geometric_stiffness))
         self.kernels.tangent(u, self.nodes, self.gradients, self.weights, count, *single, base, width, values)
 
     def smallest_ratios(self, u: np.ndarray) -> np.ndarray:
-        """The smallest volume ratio J within each element (e,) at displacements u (n, 3) mm; below 0 it is inverted."""
+        """Smallest volume ratio J within each element (e,) at displacements u (n, 3) mm; 0 or below: inverted."""
         smallest = np.empty((len(self.nodes), self.kernels.width))
         self.kernels.ratios(u, self.nodes, self.gradients, self.weights, smallest)
         return smallest.ravel()[: len(self.elements)]
@@ -57,7 +57,7 @@ class ElementSet:
 
 @dataclass(frozen=True)
 class FiniteElement:
-    """An element of a Neo-Hookean solid. kind: that of the meshes it serves. nodes: of one element."""
+    """Element of a Neo-Hookean solid. kind: of its meshes. nodes: per element."""
 
     kind: str
     nodes: int
@@ -65,15 +65,15 @@ class FiniteElement:
     reference: Reference
 
     def on(self, nodes: np.ndarray, cells: Cells) -> ElementSet:
-        """The elements of cells on nodes (n, 3) mm."""
+        """The elements of `cells` on nodes (n, 3) mm."""
         of, values = np.ascontiguousarray(cells.nodes, np.int32), self.reference(nodes, cells)
         return ElementSet(self.kernels, of, *(batched(each, self.kernels.width) for each in (of, *values)))
 
 
 def isoparametric(local: np.ndarray, parts: float) -> Reference:
-    """Reference of an element whose points weigh the same: each the Jacobian's determinant there over `parts`.
+    """Reference of an element with equal quadrature weights: each is the Jacobian's determinant divided by `parts`.
 
-    local: (points, k, 3) derivatives of the shape functions by the element's own coordinates.
+    local: (points, k, 3) derivatives of the shape functions with respect to the element's local coordinates.
     """
 
     def reference(nodes: np.ndarray, cells: Cells) -> tuple[np.ndarray, np.ndarray]:
@@ -89,7 +89,7 @@ CORNERS = np.array(
 
 
 def local_gradients() -> np.ndarray:
-    """Derivatives (8 points, 8 nodes, 3) of a hexahedron's shape functions by the coordinates on [-1, 1]^3."""
+    """Derivatives (8 points, 8 nodes, 3) of a hexahedron's shape functions with respect to [-1, 1]^3."""
     points = CORNERS / np.sqrt(3.0)
     local = np.empty((8, 8, 3))
     for axis in range(3):
@@ -104,7 +104,7 @@ def local_gradients() -> np.ndarray:
 
 
 def hexahedral(nodes: np.ndarray, cells: Cells) -> tuple[np.ndarray, np.ndarray]:
-    """Gradients (e, 8, 8, 3) and weights (e, 8) of hexahedra on nodes (n, 3) mm; an inverted one raises ValueError."""
+    """Gradients (e, 8, 8, 3) and weights (e, 8) of hexahedra on nodes (n, 3) mm; ValueError if one is inverted."""
     corners = np.ascontiguousarray(cells.corners, np.int32)
     slopes, weights = _reference(np.ascontiguousarray(nodes, np.float64), corners, local_gradients())
     if weights.min() <= 0.0:
@@ -143,8 +143,8 @@ def _reference(nodes: np.ndarray, elements: np.ndarray, local: np.ndarray) -> tu
 
 
 ELEMENTS = {element.kind: element for element in (
-    # eight-node hexahedron with mean dilatation (Q1P0), for a nearly incompressible solid: 2 x 2 x 2 points
+    # eight-node hexahedron with mean dilatation (Q1P0) for nearly incompressible solids, 2 x 2 x 2 points
     FiniteElement("hex8", 8, mean_dilatation(8, points=8, width=32), hexahedral),
-    # ten-node tetrahedron as CalculiX' C3D10: displacement only, four integration points
+    # ten-node tetrahedron like CalculiX' C3D10: pure displacement formulation, four integration points
     FiniteElement("tet10", 10, displacement(10, points=4, width=16), isoparametric(gradients(GAUSS), parts=24.0)),
 )}  # fmt: skip

@@ -1,16 +1,16 @@
-"""Kernels of elements of a Neo-Hookean solid: nodal forces, tangents and volume ratios, of two formulations.
+"""Kernels of elements of a Neo-Hookean solid, in two formulations: nodal forces, tangents and volume ratios.
 
-Energy per volume of the undeformed body W = C10 (J^(-2/3) tr(F^T F) - 3) + (J - 1)^2 / D1. `displacement` integrates all of
-it at the points. `mean_dilatation` takes the volumetric part at the element's mean volume ratio (Q1P0: Simo, Taylor, Pister
-1985, Comput. Methods Appl. Mech. Eng. 51, 177-208), so that elements do not lock as nu goes to 1/2:
+Energy per undeformed volume: W = C10 (J^(-2/3) tr(F^T F) - 3) + (J - 1)^2 / D1. `displacement` integrates all of it
+at the integration points. `mean_dilatation` evaluates the volumetric part at the element's mean volume ratio (Q1P0:
+Simo, Taylor, Pister 1985, Comput. Methods Appl. Mech. Eng. 51, 177-208), so that elements do not lock near nu = 1/2:
 
     E = sum_g w_g C10 (J_g^(-2/3) tr(F_g^T F_g) - 3) + V (theta - 1)^2 / D1,  theta = (1/V) sum_g w_g J_g.
 
-Forces and tangents are exact derivatives of one energy, hence tangents are symmetric.
+Forces and tangents are exact derivatives of one energy, so tangents are symmetric.
 
-Kernels work on `width` elements at once, side by side in the last axis of every array (SIMD). Compilers use vector
-instructions only where they see that arrays do not overlap, which they do for arrays of constant shape made in the kernel
-itself: what a point needs is copied there first.
+Kernels work on `width` elements at once, along the last axis of every array (SIMD). The compiler vectorises only if
+it can see that arrays do not overlap, as for arrays of constant shape made in the kernel: so each integration point's
+data are copied there first.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,7 @@ from numba import njit
 
 from gelforge.mechanics.linear.pattern import add_entries
 
-# How numba compiles them: sums in any order, but nan and infinity stay what they are, because solvers look for them.
+# Options for numba: sums may be reordered, but nan and infinity are preserved, because solvers test for them.
 FAST: dict[str, Any] = {
     "cache": True,
     "nogil": True,
@@ -32,28 +32,29 @@ FAST: dict[str, Any] = {
 
 
 def batched(values: np.ndarray, width: int) -> np.ndarray:
-    """Values (n, ...) of n > 0 elements as batches (b, ..., width); the last batch repeats the last element.
+    """Values (n, ...) of n > 0 elements as batches (b, ..., width); the last batch is filled with its last element.
 
-    So kernels work on whole batches; they add up what is of the first n alone.
+    Kernels compute whole batches, but assemble the first n elements only.
     """
     which = np.minimum(np.arange(-(-len(values) // width) * width), len(values) - 1)
     return np.ascontiguousarray(np.moveaxis(values[which].reshape(-1, width, *values.shape[1:]), 1, -1))
 
 
-# Rows of `near`, by node: gradients of its shape function in the reference and in space, and F times the first.
-# Rows of `point`: of an integration point, and sums over those of an element.
+# Rows of `near`, by node: reference gradient and spatial gradient of its shape function, and F times the reference
+# one. Rows of `point`: quantities of an integration point, and sums over all points of an element.
 _WEIGHT, _RATIO, _SQUARES, _VOLUME, _SUM_VOLUME, _SUM_DEFORMED, _PRESSURE, _ALPHA, _BETA, _DIAGONAL = range(10)
 _ROWS = 10
 
 
 @dataclass(frozen=True)
 class Kernels:
-    """Kernels of elements of n nodes and g points, `width` at once, in b batches of which the first `count` elements count.
+    """Kernels of elements of n nodes and g points, in b batches of `width`; the first `count` elements count.
 
     All take u (nodes, 3) mm, nodes (b, n, width), gradients (b, g, n, 3, width), weights (b, g, width); then
-    forces: count, shear, bulk MPa, forces (nodes, 3) that are added to; returns the smallest J.
-    tangent: count, shear, bulk, geometric_stiffness in single precision, base, width, values of `pattern.block_places`.
-    ratios: smallest J of each element (b, width), which is filled.
+    forces: count, shear, bulk MPa, forces (nodes, 3) to add to; returns the smallest J.
+    tangent: count, shear, bulk, geometric_stiffness in single precision, base and width of `pattern.block_places`,
+    and the matrix values to add to.
+    ratios: array (b, width) to fill with the smallest J of each element.
     """
 
     width: int
@@ -64,7 +65,7 @@ class Kernels:
 
 @njit(inline="always")
 def _clear(rows: np.ndarray) -> None:
-    """Set rows (k, width) to zero; said as `rows[:] = 0` the compiler would no longer know their shape."""
+    """Set rows (k, width) to zero; written as `rows[:] = 0`, the compiler would lose track of their shape."""
     for i in range(rows.shape[0]):
         for lane in range(rows.shape[1]):
             rows[i, lane] = 0.0
@@ -93,7 +94,7 @@ def _kinematics(
     near: np.ndarray,
     point: np.ndarray,
 ) -> None:
-    """Fill near (n, 9, width) and of point (rows, width) what belongs to point g. f, inverse: (9, width) room."""
+    """Fill near (n, 9, width) and point (rows, width) with kinematics of point g; f, inverse (9, width): scratch."""
     for a in range(near.shape[0]):
         for i in range(3):
             for lane in range(near.shape[2]):
@@ -107,7 +108,7 @@ def _kinematics(
 
 @njit(inline="always")
 def _deform(moved: np.ndarray, near: np.ndarray, f: np.ndarray) -> None:
-    """Fill f (9, width), the deformation gradient at a point, row by row."""
+    """Fill f (9, width) with the deformation gradient at a point, row-major."""
     for i in range(9):
         for lane in range(near.shape[2]):
             f[i, lane] = 1.0 if i % 4 == 0 else 0.0
@@ -128,7 +129,7 @@ def _deform(moved: np.ndarray, near: np.ndarray, f: np.ndarray) -> None:
 
 @njit(inline="always")
 def _invert(f: np.ndarray, inverse: np.ndarray, point: np.ndarray) -> None:
-    """Fill inverse (9, width), transposed, and what the point has of F: J, the sum of its squares, and its volume."""
+    """Fill inverse (9, width) with F^-T, and in point: J, the sum of squares of F, and the deformed volume."""
     for lane in range(f.shape[1]):
         f0, f1, f2 = f[0, lane], f[1, lane], f[2, lane]
         f3, f4, f5 = f[3, lane], f[4, lane], f[5, lane]
@@ -153,7 +154,7 @@ def _invert(f: np.ndarray, inverse: np.ndarray, point: np.ndarray) -> None:
 
 @njit(inline="always")
 def _push(f: np.ndarray, inverse: np.ndarray, near: np.ndarray) -> None:
-    """Fill of near (n, 9, width) the gradients in space, and F times those in the reference."""
+    """Fill near (n, 9, width) with the spatial gradients and with F times the reference gradients."""
     for a in range(near.shape[0]):
         for lane in range(near.shape[2]):
             x, y, z = near[a, 0, lane], near[a, 1, lane], near[a, 2, lane]
@@ -167,7 +168,7 @@ def _push(f: np.ndarray, inverse: np.ndarray, near: np.ndarray) -> None:
 
 @njit(inline="always")
 def _add_to_element(near: np.ndarray, point: np.ndarray, mean: np.ndarray) -> None:
-    """Add a point's share to the volumes of its elements and to their derivative `mean` (3 n, width)."""
+    """Add a point's part of its elements' volumes, and of the deformed volume's derivative `mean` (3 n, width)."""
     for lane in range(near.shape[2]):
         point[_SUM_VOLUME, lane] += point[_WEIGHT, lane]
         point[_SUM_DEFORMED, lane] += point[_VOLUME, lane]
@@ -181,7 +182,7 @@ def _add_to_element(near: np.ndarray, point: np.ndarray, mean: np.ndarray) -> No
 
 @njit(inline="always")
 def _begin_blocks(n: int, point: np.ndarray, mean: np.ndarray, blocks: np.ndarray) -> None:
-    """Set blocks (pairs, 9, width) to the mean volume's rank-one term, K / V dV (x) dV."""
+    """Set blocks (pairs, 9, width) to the rank-one term of the mean dilatation, K / V dV (x) dV."""
     pair = 0
     for a in range(n):
         for b in range(a, n):
@@ -215,7 +216,7 @@ def _scale(near: np.ndarray, point: np.ndarray) -> None:
 
 @njit(inline="always")
 def _weigh_mean(shear: float, near: np.ndarray, point: np.ndarray) -> None:
-    """Fill in a point's coefficients of `_add_point` under the pressure of the element's mean dilatation."""
+    """Fill in the coefficients of `_add_point` at a point; the pressure is that of the element's mean dilatation."""
     third, two = np.float32(1.0 / 3.0), np.float32(2.0)
     for lane in range(near.shape[2]):
         point[_ALPHA, lane] = shear * point[_WEIGHT, lane] * point[_RATIO, lane] ** (-two * third)
@@ -229,7 +230,7 @@ def _weigh_mean(shear: float, near: np.ndarray, point: np.ndarray) -> None:
 
 @njit(inline="always")
 def _weigh_point(shear: float, bulk: float, geometric_stiffness: float, near: np.ndarray, point: np.ndarray) -> None:
-    """Fill in a point's coefficients of `_add_point` under the pressure of its own dilatation."""
+    """Fill in the coefficients of `_add_point` at a point; the pressure is that of the point's own dilatation."""
     third, two, one = np.float32(1.0 / 3.0), np.float32(2.0), np.float32(1.0)
     for lane in range(near.shape[2]):
         point[_ALPHA, lane] = shear * point[_WEIGHT, lane] * point[_RATIO, lane] ** (-two * third)
@@ -246,7 +247,7 @@ def _weigh_point(shear: float, bulk: float, geometric_stiffness: float, near: np
 def _add_point(near: np.ndarray, point: np.ndarray, blocks: np.ndarray) -> None:
     """Add a point's isochoric and geometric stiffness to the blocks of all node pairs a <= b.
 
-    With alpha = 2 C10 J^(-2/3) w, G reference and g spatial gradients and t = -2/3 alpha F G, a block is
+    With alpha = 2 C10 J^(-2/3) w, reference gradients G, spatial gradients g and t = -2/3 alpha F G, a block is
     alpha Ga.Gb I + ga (x) (t_b + diagonal gb) + t_a (x) gb + beta gb (x) ga.
     """
     pair = 0
@@ -285,7 +286,7 @@ def _add_point(near: np.ndarray, point: np.ndarray, blocks: np.ndarray) -> None:
 def _assemble(
     n: int, base: np.ndarray, width: np.ndarray, e: int, blocks: np.ndarray, lane: int, values: np.ndarray
 ) -> None:
-    """Add the blocks of element e, in lane `lane`, at their places in the matrix."""
+    """Add the blocks of element e, held in SIMD lane `lane`, to the matrix values."""
     pair = 0
     for a in range(n):
         for b in range(a, n):
@@ -317,7 +318,7 @@ def _ratios(n: int, points: int, width: int) -> Callable[..., None]:
 
 
 def mean_dilatation(n: int, points: int, width: int) -> Kernels:
-    """Kernels of elements of n nodes whose pressure is that of their mean dilatation."""
+    """Kernels of elements of n nodes with mean dilatation (constant pressure in each)."""
     pairs = n * (n + 1) // 2
 
     @njit(**FAST)
@@ -398,7 +399,7 @@ def mean_dilatation(n: int, points: int, width: int) -> Kernels:
 
 
 def displacement(n: int, points: int, width: int) -> Kernels:
-    """Kernels of elements of n nodes that integrate all of the energy at their points, as CalculiX' C3D10."""
+    """Kernels of elements of n nodes that integrate the whole energy at their points, as CalculiX' C3D10 does."""
     pairs = n * (n + 1) // 2
 
     @njit(**FAST)

@@ -1,4 +1,4 @@
-"""Sparse symmetric linear systems: one symbolic factorisation, many numerical ones."""
+"""Direct solvers for sparse symmetric systems: one symbolic factorisation, many numerical ones."""
 
 import contextlib
 import ctypes
@@ -14,14 +14,14 @@ from gelforge.errors import SolveFailed
 
 _ANALYSE, _FACTORISE, _SOLVE, _RELEASE = 11, 22, 33, -1
 _POSITIVE_DEFINITE, _INDEFINITE = 2, -2
-_NOT_POSITIVE = -4  # PARDISO's word for a pivot that is zero or, in a Cholesky factorisation, negative
+_NOT_POSITIVE = -4  # PARDISO's error code for a zero pivot or, in a Cholesky factorisation, a negative one
 
 
 def symmetric_solver(indptr: np.ndarray, indices: np.ndarray, order: np.ndarray | None = None) -> "Pardiso | SuperLU":
-    """Solver for the pattern of an upper triangle in CSR form: MKL PARDISO, or SuperLU where MKL is missing.
+    """Solver for the pattern of an upper triangle in CSR form: MKL PARDISO, or SuperLU if MKL is missing.
 
-    indptr: (n + 1,), indices: (nnz,), sorted columns, diagonal first in each row, counting from 0. order: (n,) in
-    which unknowns are eliminated, where the caller knows a good one.
+    indptr: (n + 1,), indices: (nnz,), sorted columns, diagonal first in each row, counting from 0. order: (n,)
+    fill-in reducing elimination order of the unknowns, if the caller knows one.
     """
     try:
         _mkl()
@@ -33,7 +33,7 @@ def symmetric_solver(indptr: np.ndarray, indices: np.ndarray, order: np.ndarray 
 
 @lru_cache(maxsize=1)
 def _report_superlu(why: str) -> None:
-    """Say once a process that solves take several times as long as they would with MKL."""
+    """Warn once per process that solves are several times slower than with MKL."""
     print(
         f"solving with SuperLU, because MKL's PARDISO cannot be loaded ({why}); `pip install pypardiso` (1 GB on disk) makes"
         " solves four times as fast",
@@ -44,8 +44,8 @@ def _report_superlu(why: str) -> None:
 
 @lru_cache(maxsize=1)
 def _mkl() -> Any:
-    """PARDISO's entry in mkl_rt, made once a process."""
-    # where pip puts it; pypardiso, as it is imported, looks through every folder of the environment: half a second
+    """PARDISO's entry point in mkl_rt, loaded once per process."""
+    # where pip installs it; without this, importing pypardiso searches every folder of the environment: half a second
     for library in (Path(sys.prefix) / "lib").glob("libmkl_rt.so*"):
         os.environ.setdefault("PYPARDISO_MKL_RT", str(library))
     from pypardiso.pardiso_wrapper import PyPardisoSolver
@@ -56,12 +56,12 @@ def _mkl() -> Any:
 class Pardiso:
     """MKL PARDISO for real symmetric matrices (oneMKL reference, `pardiso`, mtype 2 and -2).
 
-    Cholesky first, at a little over half the price; the tangents of deep presses are not always positive definite,
-    and where Cholesky stops the same values are factorised as indefinite. The pattern is analysed once for each,
-    `factorise` takes new values only. Factors are in single precision, 1.7 times faster: a Newton direction exact to
-    1e-6 loses no convergence, as residuals stay in double.
+    Cholesky is tried first, at a little over half the cost. Tangents of deep presses are not always positive
+    definite; if Cholesky fails, the same values are factorised as indefinite. The pattern is analysed once for each
+    kind; `factorise` takes new values only. Factors are in single precision, which is 1.7 times faster: a Newton
+    direction exact to 1e-6 loses no convergence, because residuals are in double precision.
 
-    order: (n,) permutation that eliminates unknowns, from a mesh's geometry; None: METIS finds one.
+    order: (n,) elimination order of the unknowns, from a mesh's geometry; None: METIS finds one.
     """
 
     name = "pardiso"
@@ -75,7 +75,7 @@ class Pardiso:
         self._current: _Factor | None = None
 
     def factorise(self, data: np.ndarray) -> None:
-        """Factorise the matrix with upper-triangle values `data` (nnz,); raises SolveFailed where it is singular."""
+        """Factorise the matrix with upper-triangle values `data` (nnz,); raises SolveFailed if it is singular."""
         for kind in (_POSITIVE_DEFINITE, _INDEFINITE):
             factor = self._factors.get(kind)
             if factor is None:
@@ -89,7 +89,7 @@ class Pardiso:
         raise SolveFailed(f"PARDISO cannot factorise, error {error}", {"pardiso_error": error})
 
     def solve(self, b: np.ndarray) -> np.ndarray:
-        """Solution x (n,) of the system factorised last."""
+        """Solution x (n,) of the system factorised last; raises SolveFailed if there is none."""
         b = np.asarray(b, np.float64)
         scale = float(np.abs(b).max(initial=0.0)) or 1.0
         if self._current is None:
@@ -99,7 +99,7 @@ class Pardiso:
 
 
 class _Factor:
-    """One kind of factorisation of one pattern, and the memory that the library holds for it."""
+    """One kind of factorisation of one pattern, and the memory that MKL holds for it."""
 
     def __init__(self, kind: int, indptr: np.ndarray, indices: np.ndarray, order: np.ndarray | None) -> None:
         self._library, self._kind = _mkl(), kind
@@ -113,7 +113,7 @@ class _Factor:
         self._analysed = False
 
     def factorise(self, data: np.ndarray) -> int:
-        """The library's error code, 0 where all went well."""
+        """PARDISO's error code, 0 on success."""
         self._data[:] = data
         if not self._analysed:
             error = self._call(_ANALYSE, self._none, self._none)
@@ -144,18 +144,18 @@ class _Factor:
 
     def __del__(self) -> None:
         if getattr(self, "_analysed", False):
-            # the interpreter may be half gone; nothing is lost but memory that goes with it
+            # at interpreter shutdown this may fail, but the memory is freed anyway
             with contextlib.suppress(Exception):
                 self._call(_RELEASE, self._none, self._none)
 
 
 def _pardiso_options() -> np.ndarray:
     options = np.zeros(64, np.int32)
-    options[0] = 1  # own values follow
+    options[0] = 1  # no defaults: the values below
     options[1] = 2  # nested dissection (METIS)
     options[7] = 0  # no iterative refinement: Newton refines
     options[9] = 8  # pivots below 1e-8 of the norm are perturbed
-    options[10] = 0  # no scaling, no matching: both would need values in the analysis
+    options[10] = 0  # no scaling and no matching (12): both would need values in the analysis
     options[12] = 0
     options[20] = 1  # 1x1 and 2x2 pivots
     options[27] = 1  # single precision
@@ -164,7 +164,7 @@ def _pardiso_options() -> np.ndarray:
 
 
 class SuperLU:
-    """Fallback through scipy: as `Pardiso`, but in double precision, several times slower, and nothing is reused."""
+    """Fallback from scipy: like `Pardiso`, but in double precision, several times slower, and without reuse."""
 
     name = "superlu"
 

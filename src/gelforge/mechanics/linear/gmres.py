@@ -1,4 +1,4 @@
-"""Flexible GMRES: a linear solve by an old or approximate factorisation."""
+"""Flexible GMRES: linear solves with an outdated or approximate factorisation as preconditioner."""
 
 import math
 from collections.abc import Callable
@@ -9,8 +9,8 @@ import numpy as np
 def inner(a: np.ndarray, b: np.ndarray) -> float:
     """Inner product of two vectors (n,), on one thread.
 
-    BLAS gives a vector of more than 10 000 numbers to all cores, which then wait for each other: on a busy machine that took
-    four fifths of a solve wherever nobody had set OMP_NUM_THREADS.
+    BLAS uses all cores for vectors of more than 10 000 numbers. On a busy machine without OMP_NUM_THREADS, waiting
+    for each other took four fifths of a solve.
     """
     return float(np.einsum("n,n->", a, b))
 
@@ -29,9 +29,9 @@ def gmres(
 ) -> np.ndarray | None:
     """Flexible GMRES (Saad 1993, SIAM J. Sci. Comput. 14, 461-469) without restart, from zero.
 
-    apply: the product of the matrix A with a vector, (n,) -> (n,). precondition: about that of its inverse; it may be
-    another one at each call. Returns x (n,) with |b - A x| <= tolerance |b|, or None as soon as `limit` products will not
-    suffice at this pace.
+    apply: product of the matrix A with a vector, (n,) -> (n,). precondition: approximate product with its inverse,
+    which may differ between calls. Returns x (n,) with |b - A x| <= tolerance |b|, or None as soon as the rate of
+    convergence shows that `limit` products will not suffice.
     """
     size = length_of(b)
     if size == 0.0:
@@ -54,7 +54,7 @@ def gmres(
             h[i, k], h[i + 1, k] = c * h[i, k] + s * h[i + 1, k], c * h[i + 1, k] - s * h[i, k]
         length = np.hypot(h[k, k], h[k + 1, k])
         if length == 0.0:
-            return None  # the matrix takes this direction to nothing
+            return None  # breakdown: the matrix maps this direction to zero
         rotation[k] = h[k, k] / length, h[k + 1, k] / length
         h[k, k], h[k + 1, k] = length, 0.0
         rest[k], rest[k + 1] = rotation[k, 0] * rest[k], -rotation[k, 1] * rest[k]

@@ -1,4 +1,4 @@
-"""Sparse matrices that couple the three unknowns of each free node: pattern, places of 3 x 3 blocks, products."""
+"""Sparse matrices with three unknowns per free node: pattern, positions of 3 x 3 blocks, products."""
 
 from dataclasses import dataclass
 
@@ -14,8 +14,8 @@ class Pattern:
     """Upper triangle, CSR, of the matrix that couples the 3 unknowns of every free node.
 
     indptr, indices: its pattern. first_row: (n,) first unknown of a node, or NOT_FREE.
-    start, width: (n,) place of a node's first row in the values, and length of that row.
-    rows, columns: node adjacency behind it (CSR of the upper triangle, nodes).
+    start, width: (n,) position of a node's first row in the values, and length of that row.
+    rows, columns: the underlying node adjacency (CSR of its upper triangle).
     """
 
     indptr: np.ndarray
@@ -28,7 +28,7 @@ class Pattern:
 
 
 def build_pattern(elements: np.ndarray, n_nodes: int, fixed: np.ndarray) -> Pattern:
-    """Pattern of elements (e, k) on n_nodes nodes of which `fixed` have no unknowns."""
+    """Pattern of elements (e, k) on n_nodes nodes; the nodes `fixed` have no unknowns."""
     free = np.ones(n_nodes, bool)
     free[fixed] = False
     number = np.full(n_nodes, NOT_FREE, np.int64)
@@ -68,10 +68,10 @@ def _expand(rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarr
 
 
 def block_places(pattern: Pattern, cells: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where the 3 x 3 blocks of all node pairs a <= b of cells (e, k) stand in the values.
+    """Positions in the values of the 3 x 3 blocks of all node pairs a <= b of cells (e, k).
 
-    Returns base (e, pairs) and width (e, pairs): entry (i, j) of a block stands at
-    base + i width - i (i + 1) / 2 + j. NOT_FREE where a node is fixed; a negative width says that
+    Returns base (e, pairs) and width (e, pairs): entry (i, j) of a block is at
+    base + i width - i (i + 1) / 2 + j. base is NOT_FREE if a node is fixed; a negative width means that
     the block is stored transposed.
     """
     cells = np.ascontiguousarray(cells, np.int64)
@@ -120,7 +120,7 @@ def symmetric_product(pattern: Pattern, values: np.ndarray, x: np.ndarray) -> np
 def _symmetric_product(
     rows: np.ndarray, columns: np.ndarray, indptr: np.ndarray, values: np.ndarray, x: np.ndarray
 ) -> np.ndarray:
-    """Block by block: one index is read for nine values."""
+    """Block by block, so that one index is read for nine values."""
     y = np.zeros(len(x))
     for p in range(len(rows) - 1):
         u = 3 * p
@@ -152,7 +152,7 @@ def _symmetric_product(
 
 @njit(cache=True, inline="always")
 def add_block(values: np.ndarray, base: int, width: int, block: np.ndarray, diagonal: bool) -> None:
-    """Add a 3 x 3 block at a place given by `block_places`."""
+    """Add a 3 x 3 block at a position given by `block_places`."""
     add_entries(
         values, base, width, diagonal,
         block[0, 0], block[0, 1], block[0, 2],
@@ -166,7 +166,7 @@ def add_entries(
     values: np.ndarray, base: int, width: int, diagonal: bool,
     b00: float, b01: float, b02: float, b10: float, b11: float, b12: float, b20: float, b21: float, b22: float,
 ) -> None:  # fmt: skip
-    """Add the entries of a 3 x 3 block, given row by row, at a place given by `block_places`."""
+    """Add the entries of a 3 x 3 block, given row by row, at a position given by `block_places`."""
     if base < 0:
         return
     if width < 0:

@@ -1,4 +1,4 @@
-"""A volume mesh of the gel, with the parts that contact and labels need."""
+"""A volume mesh of the gel, with the faces and nodes that contact and labels need."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,7 +13,7 @@ class GelMesh:
     """Gel mesh in the gel frame, undeformed, mm.
 
     kind: "hex8" or "tet10" (node order of CalculiX' C3D8 and C3D10).
-    nodes: (n, 3) float64. elements: (e, 8 or 10) int32, counting from 0.
+    nodes: (n, 3) float64. elements: (e, 8 or 10) int32, zero-based.
     faces: (f, 4 or 6) int32, the surface that can be touched (all but base and side walls), corner
     nodes first and counter-clockwise seen from outside, then midside nodes (01, 12, 20).
     base: (b,) int32, nodes bonded to the sensor.
@@ -32,12 +32,12 @@ class GelMesh:
 
     @cached_property
     def hanging(self) -> Hanging:
-        """The nodes that move with others."""
+        """The nodes whose motion is interpolated from others."""
         return Hanging.none()
 
     @cached_property
     def unknown(self) -> np.ndarray:
-        """Nodes (m,) that move by themselves, in the order of the nodes."""
+        """Sorted indices (m,) of the nodes that have unknowns."""
         moves = np.ones(len(self.nodes), bool)
         moves[self.base] = moves[self.hanging.nodes] = False
         return np.flatnonzero(moves)

@@ -1,4 +1,4 @@
-"""Structured hexahedral meshes of the gel: fine under one press, growing coarser away from it and with depth."""
+"""Structured hexahedral meshes of the gel: fine under one press, coarser away from it and with depth."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.stepped import Cells, Hanging, Planes, planes_of
 from gelforge.mechanics.scene import Scene
 
-SMALLEST_PART = 3  # columns either way, of a part that nested dissection cuts no further
+SMALLEST_PART = 3  # columns, in x and y, of a part that nested dissection does not divide
 
 
 @dataclass(frozen=True)
@@ -21,8 +21,8 @@ class HexMesh(GelMesh):
     """A GelMesh of hexahedra whose nodes are numbered x fastest, then y, then z from the base up.
 
     xs: (nx + 1,), ys: (ny + 1,) mesh lines before the outline's corners are rounded, mm.
-    layers: number of layers nz. planes: which lines go through each plane of nodes. `elements` are those of all lines
-    down to the base, as pictures show them; `cells` are the hexahedra that are solved.
+    layers: number of layers nz. planes: the lines that pass through each plane of nodes. `elements` are those of the
+    full grid down to the base, for plots; `cells` are the hexahedra that are solved.
     """
 
     xs: np.ndarray
@@ -32,12 +32,12 @@ class HexMesh(GelMesh):
 
     @property
     def shape(self) -> tuple[int, int, int]:
-        """Hexahedra along x, y and z, were all lines to go down to the base."""
+        """Hexahedra along x, y and z if all lines went down to the base."""
         return len(self.xs) - 1, len(self.ys) - 1, self.layers
 
     @property
     def pattern_key(self) -> tuple:
-        """What decides the sparsity pattern: the lines through each plane."""
+        """Key of the sparsity pattern: the lines through each plane determine it."""
         return tuple((x.left.tobytes(), y.left.tobytes()) for x, y in self.planes.lines)
 
     @cached_property
@@ -47,13 +47,13 @@ class HexMesh(GelMesh):
 
     @cached_property
     def hanging(self) -> Hanging:
-        """The nodes that move with wide hexahedra."""
+        """The hanging nodes, which move with the faces of wide hexahedra."""
         return self.planes.hanging()
 
     @cached_property
     def heights(self) -> np.ndarray:
         """Relative heights (nz + 1,) of the planes of nodes, 0 at the base and 1 at the top."""
-        # of a column that goes through all planes: nodes that hang lie on flat faces, a little beside their plane
+        # of a column through all planes, because hanging nodes lie on flat faces, a little off their plane
         x, y = (lines.left for lines in self.planes.lines[0])
         through = np.flatnonzero(y[:, None] & x)
         column = self.nodes[through[len(through) // 2] :: len(self.xs) * len(self.ys), 2]
@@ -62,7 +62,7 @@ class HexMesh(GelMesh):
 
 @dataclass(frozen=True)
 class FineBox:
-    """Part of the gel, seen from above, that needs small hexahedra of side about `size`; all mm."""
+    """Part of the gel, seen from above, with small hexahedra of side about `size`; all mm."""
 
     x_min: float
     x_max: float
@@ -74,9 +74,9 @@ class FineBox:
 def graded_lines(
     low: float, high: float, fine_low: float, fine_high: float, size: float, growth: float = 1.5, largest: float = 2.0
 ) -> np.ndarray:
-    """Mesh lines (n + 1,) on [low, high]: cells of about `size` on the fine part, growing outwards up to `largest`, all mm.
+    """Mesh lines (n + 1,) on [low, high]: cells of about `size` on the fine part, growing to `largest` beyond; mm.
 
-    growth: how many times as wide as its inner neighbour a cell is. BadInput where the fine part lies beside [low, high].
+    growth: width of a cell over that of its inner neighbour. BadInput if the fine part lies outside [low, high].
     """
     fine_low, fine_high = max(low, fine_low), min(high, fine_high)
     if not fine_high > fine_low:
@@ -90,7 +90,7 @@ def graded_lines(
 
 
 def _outward(distance: float, size: float, growth: float, largest: float) -> np.ndarray:
-    """Growing offsets (k,) that end exactly at `distance`, mm; size: of the cell from which they grow."""
+    """Growing offsets (k,) that end exactly at `distance`, mm; size: of the first cell's inner neighbour."""
     if distance < 0.5 * size:
         return np.array([distance]) if distance > 1e-9 else np.empty(0)
     sizes: list[float] = []
@@ -103,10 +103,10 @@ def _outward(distance: float, size: float, growth: float, largest: float) -> np.
 
 
 def dissected(cuts_x: np.ndarray, cuts_y: np.ndarray) -> np.ndarray:
-    """Order in which the columns of a grid are eliminated, x fastest in their numbers: nested dissection.
+    """Elimination order of the columns of a grid, numbered x fastest, by nested dissection.
 
-    George 1973, SIAM J. Numer. Anal. 10, 345-363: both halves before the line that parts them. cuts_x, cuts_y: (nx,),
-    (ny,) bool, the lines that may part it: a line that ended half-way down lies within wide hexahedra.
+    George 1973, SIAM J. Numer. Anal. 10, 345-363: both halves come before the line that separates them. cuts_x,
+    cuts_y: (nx,), (ny,) bool, lines that may separate: not those that end above the base, within wide hexahedra.
     """
     nx, ny = len(cuts_x), len(cuts_y)
 
@@ -127,18 +127,18 @@ def dissected(cuts_x: np.ndarray, cuts_y: np.ndarray) -> np.ndarray:
 
 
 def middle_cut(cuts: np.ndarray, low: int, high: int) -> int | None:
-    """The index in [low, high) nearest to its middle at which `cuts` (n,) allows a cut; None where none does."""
+    """The index in [low, high), nearest to the middle, at which `cuts` (n,) allows a cut; None if there is none."""
     allowed = np.flatnonzero(cuts[low:high]) + low
     return int(allowed[np.argmin(np.abs(allowed - (low + high) // 2))]) if len(allowed) else None
 
 
 def elimination_order(mesh: "HexMesh") -> np.ndarray:
-    """Order (unknowns,) for a direct solver: whole columns of nodes by nested dissection of the plane.
+    """Elimination order (unknowns,) for a direct solver: whole columns of nodes, by nested dissection of the plane.
 
-    The unknowns are 3 a node of `mesh.unknown`.
+    The unknowns are three per node of `mesh.unknown`.
     """
     plane = len(mesh.xs) * len(mesh.ys)
-    # a line that ends on the way down lies within wide hexahedra: only those that reach the base part the gel
+    # only lines that reach the base separate the gel; below the end of others lie wide hexahedra
     x, y = mesh.planes.lines[0]
     nodes = (dissected(x.left, y.left)[:, None] + plane * np.arange(mesh.layers + 1)).ravel()
     number = np.full(len(mesh.nodes), -1)
@@ -154,20 +154,20 @@ def layer_heights(layers: int, ratio: float) -> np.ndarray:
 
 
 def thinner_layers(layers: int, ratio: float, height: float, thickest: float, growth: float) -> tuple[int, float]:
-    """How many layers, and their ratio (see `layer_heights`), where the uppermost is `thickest` at most; mm.
+    """Number of layers and their ratio (see `layer_heights`) with a top layer of at most `thickest`; lengths in mm.
 
-    As given where they are thin enough on a gel of that height. Else each layer is thicker than the one above by one
-    factor, and there are more of them where that would be more than `growth`.
+    The given ones if they are thin enough on a gel of that height. Else all layers grow downwards by one factor, and
+    layers are added until that factor is at most `growth`.
     """
     heights = layer_heights(layers, ratio)
     if (1.0 - heights[-2]) * height <= thickest:
         return layers, ratio
-    thicknesses = height / thickest  # all, in units of the uppermost
+    thicknesses = height / thickest  # total height in units of the top layer
     while (growth ** np.arange(layers)).sum() < thicknesses:
         layers += 1
     roots = np.roots([*np.ones(layers - 1), 1.0 - thicknesses])
     factor = roots[np.abs(roots.imag) < 1e-9].real.max()
-    # few digits, because the ratio is part of a mesh's name
+    # rounded, because the ratio is part of a mesh's name
     return layers, round(float(factor ** (layers - 1)), 3)
 
 
@@ -180,10 +180,10 @@ def build_mesh(
     largest: float = 2.0,
     widened: Sequence[int] = (),
 ) -> HexMesh:
-    """hexahedral mesh of the gel, fine in `box`; in the lowest layers hexahedra are wider (see stepped.planes_of).
+    """Hexahedral mesh of the gel, fine in `box`; the lowest layers have wider hexahedra (see stepped.planes_of).
 
-    layers, layer_ratio: as in `layer_heights`. growth, largest: as in `graded_lines`. BadInput where the box lies beside
-    the gel.
+    layers, layer_ratio: as in `layer_heights`. growth, largest: as in `graded_lines`. Raises BadInput if the box lies
+    beside the gel.
     """
     half = gel.width / 2, gel.length / 2
     xs = graded_lines(-half[0], half[0], box.x_min, box.x_max, box.size, growth, largest)
@@ -195,9 +195,9 @@ def build_mesh(
 def mesh_on_lines(
     gel: Gel, xs: np.ndarray, ys: np.ndarray, heights: np.ndarray, planes: Planes | None = None
 ) -> HexMesh:
-    """hexahedral mesh on given lines: xs, ys in mm, heights relative from 0 at the base to 1 at the top.
+    """Hexahedral mesh on given lines: xs, ys in mm, heights relative from 0 at the base to 1 at the top.
 
-    planes: which lines go through each of the heights; all by default.
+    planes: the lines that pass through each of the heights; all by default.
     """
     x, y = np.meshgrid(xs, ys, indexing="xy")
     x, y = round_corners(x, y, gel.width / 2, gel.length / 2, gel.corner_radius)
@@ -221,10 +221,10 @@ def mesh_on_lines(
 def round_corners(
     x: np.ndarray, y: np.ndarray, half_x: float, half_y: float, radius: float
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Map places x, y (...) mm of a rectangle smoothly onto one with rounded corners (identity but for the corner squares).
+    """Map points x, y (...) mm of a rectangle to one with rounded corners (the identity outside the corner squares).
 
-    The elliptical map of the unit square onto a quarter disc, u = s sqrt(1 - t^2 / 2) (Fong 2015, Analytical
-    Methods for Squaring the Disc, arXiv:1509.06344).
+    Elliptical map of the unit square onto a quarter disc, u = s sqrt(1 - t^2 / 2) (Fong 2015, Analytical Methods for
+    Squaring the Disc, arXiv:1509.06344).
     """
     if radius <= 0.0:
         return x, y
@@ -245,21 +245,22 @@ def surface_lines(mesh: GelMesh) -> tuple[np.ndarray, np.ndarray, int]:
     return surface[surface.shape[0] // 2, :, 0], surface[:, columns // 2, 1], first
 
 
-NARROW = 0.8  # of the hexahedra across a whole contact must lie across its parts
-SMALLEST = 0.15  # mm, of hexahedra made smaller for a small contact
-# A contact under TINY mm across is looked at with POINTS points across, and at least FEWEST hexahedra are, however small:
-# three of them make the force on a cone's tip a tenth too large. MARGIN of them are small around it.
+NARROW = 0.8  # hexahedra across narrow parts of a contact, as a fraction of those required across the whole
+SMALLEST = 0.15  # mm, smallest side of hexahedra under a small contact that is not TINY
+# A contact under TINY mm across is sampled at POINTS points across, and gets FEWEST hexahedra across its longer side,
+# down to 0.01 mm each: with three, the force on a cone's tip is a tenth too large. MARGIN more surround it.
 TINY, POINTS, FEWEST, MARGIN = 1.2, 40, 6, 5
-SPACING = 0.2  # mm between the points at which other contacts are looked at
-AROUND = 0.5  # mm of small hexahedra around what is touched, whose box is rounded outwards to multiples of it
+SPACING = 0.2  # mm between the points at which other contacts are sampled
+AROUND = 0.5  # mm of small hexahedra around the touched surface; the box is rounded outwards to multiples of it
 
 
 def fine_box(scene: Scene, size: float, across: int = 0) -> FineBox:
     """Part of the gel that the press can touch, rounded outwards so that presses share meshes.
 
-    The undeformed surface inside the indenter anywhere on the path, and AROUND mm around it, less around a contact under
-    TINY mm across. Hexahedra
-    are of `size`, or smaller where the shorter side of what is touched is under `across` hexahedra, or its parts are narrow.
+    The undeformed surface that lies inside the indenter anywhere on the path, with a margin of AROUND mm, less around
+    a contact under TINY mm across. Hexahedra have side `size`, or less if fewer than `across` of them would fit
+    across the shorter side of the contact, or if its parts are narrow, down to SMALLEST; under a contact below TINY
+    down to its longer side / FEWEST, if that is less, and never below 0.01 mm. across: 0 for `size` everywhere.
     """
     smallest, around = SMALLEST, AROUND
     points, shape = touch.under_path(scene.gel, scene.indenter, scene.press, SPACING)

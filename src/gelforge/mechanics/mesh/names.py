@@ -1,6 +1,6 @@
-"""Gel meshes by their names, which hold all that they are built from: no press needs a mesh file.
+"""Gel meshes by name: a name holds everything that a mesh is built from, so no press needs a mesh file.
 
-Tetrahedra of a press: the gel, two sizes and a raster of what it touches. Hexahedra: see `hexname`.
+Tetrahedra of a press: the gel, two sizes and a raster of the contact. Hexahedra: see `hexname`.
 """
 
 import base64
@@ -21,15 +21,15 @@ from gelforge.mechanics.mesh.tetmesh import Sizes, base_tets, bisected, from_fla
 PREFIX = "tet@"
 FORM = f"{PREFIX}GEL:EDGE_MM:INSIDE_MM:PIXEL_MM:X_MIN:Y_MIN:ROWS:COLUMNS:RASTER"
 _NUMBERS = re.compile(r"[-+.0-9e]+")
-SMALLEST_MM, PIXEL_MM = 0.02, 1e-4  # edge length, and pixel; less is a mistake, not a mesh
+SMALLEST_MM, PIXEL_MM = 0.02, 1e-4  # least edge length and pixel; smaller ones are taken for a mistake
 MOST_PIXELS = 1 << 20
 
 
 @dataclass(frozen=True)
 class Contact:
-    """What a press touches, seen from above: square pixels of `pixel` mm whose first corner lies at `low` (x, y) mm.
+    """Contact of a press, seen from above: square pixels of `pixel` mm; the first one's corner is at `low` (x, y) mm.
 
-    rows, columns: pixels along x and y. bits: `numpy.packbits` of them, row by row.
+    rows, columns: number of pixels along x and y. bits: `numpy.packbits` of the pixels, row by row.
     """
 
     pixel: float
@@ -40,7 +40,7 @@ class Contact:
 
     @classmethod
     def of(cls, mask: np.ndarray, pixel: float, low: tuple[float, float]) -> "Contact":
-        """From pixels (rows, columns) of bool."""
+        """Contact of the pixels `mask` (rows, columns), bool."""
         rows, columns = mask.shape
         return cls(pixel, low, rows, columns, np.packbits(mask).tobytes())
 
@@ -53,7 +53,7 @@ class Contact:
 
 @dataclass(frozen=True)
 class TetMeshName:
-    """What `mesh` builds a gel's tetrahedra from; the gel by its name (`geometry.gel.load_gel`)."""
+    """Parameters from which `mesh` builds a gel's tetrahedra; the gel by its name (`geometry.gel.load_gel`)."""
 
     gel: str
     edge_mm: float
@@ -70,12 +70,12 @@ class TetMeshName:
 
     @classmethod
     def parse(cls, name: str) -> "TetMeshName":
-        """Read a name of the form `FORM`; any other raises BadInput."""
+        """Parse a name of the form `FORM`; any other raises BadInput."""
         gel, *texts = name.removeprefix(PREFIX).split(":")
         try:
             *texts, raster = texts
             if not all(_NUMBERS.fullmatch(text) for text in texts):
-                raise ValueError("not all of its numbers are numbers")
+                raise ValueError("its numbers cannot be read")
             edge, inside, pixel, x, y = map(float, texts[:-2])
             rows, columns = map(int, texts[-2:])
             sizes = (edge, inside, pixel)
@@ -85,16 +85,16 @@ class TetMeshName:
                 and pixel >= PIXEL_MM
                 and min(rows, columns) > 0
             ):
-                raise ValueError("its numbers make no mesh")
+                raise ValueError("its numbers are out of range")
             if rows * columns > MOST_PIXELS:
                 raise ValueError(f"its raster has more than {MOST_PIXELS} pixels")
             unpacker = zlib.decompressobj()
             bits = unpacker.decompress(base64.urlsafe_b64decode(raster + "=" * (-len(raster) % 4)), MOST_PIXELS)
             if len(bits) != -(-rows * columns // 8):
-                raise ValueError("its raster is none of so many rows and columns")
+                raise ValueError(f"its raster does not have {rows} x {columns} pixels")
         except (ValueError, binascii.Error, zlib.error) as error:
             raise BadInput(
-                f"mesh name {name!r} is none of tetrahedra, {FORM}: {error}; run make fea again"
+                f"mesh name {name!r} is not valid: {error}; the form is {FORM}; run make fea again"
             ) from error
         return cls(gel, edge, inside, Contact(pixel, (x, y), rows, columns, bits))
 
@@ -105,9 +105,9 @@ class TetMeshName:
 
 
 def load_mesh(name: str) -> GelMesh:
-    """The mesh of a name: of hexahedra within milliseconds, of tetrahedra in a fifth of a second; other names raise BadInput."""
+    """Build the mesh of a name, hexahedra in milliseconds, tetrahedra in 0.2 s; other names raise BadInput."""
     if is_hex_mesh_name(name):
         return HexMeshName.parse(name).mesh()
     if name.startswith(PREFIX):
         return TetMeshName.parse(name).mesh()
-    raise BadInput(f"mesh name {name!r} is none; run make fea again")
+    raise BadInput(f"mesh name {name!r} starts with neither hex@ nor {PREFIX}; run make fea again")

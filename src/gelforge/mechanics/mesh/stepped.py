@@ -1,11 +1,11 @@
-"""Hexahedra that are wider in the lower layers: which nodes hang between wide ones, and what each hexahedron is made of.
+"""Hexahedra that are wider in the lower layers: hanging nodes, and the nodes of each hexahedron.
 
-Near contact the displacement changes from cell to cell, deeper in the gel it no longer does, so every second mesh line ends
-on its way down, and deeper every second of the rest. A plane's nodes on lines that have ended lie within the faces of wide
-hexahedra: hanging nodes. They move as those faces do, so nothing gapes: constrained approximation (Demkowicz, Oden, Rachowicz,
-Hardy 1989, Comput. Methods Appl. Mech. Eng. 77, 79-112). A small hexahedron that stands on such a face has the face's corners as
-its lower nodes; its own lower corners move by shares of theirs. So no hexahedron is made of hanging nodes, and all are assembled
-alike.
+Displacement varies from cell to cell near contact, but not deeper in the gel. So every second mesh line ends on its
+way down, and further down every second of the rest. Nodes on a line that has ended lie within the faces of wide
+hexahedra: hanging nodes. They move with those faces, so that no gap opens: constrained approximation (Demkowicz,
+Oden, Rachowicz, Hardy 1989, Comput. Methods Appl. Mech. Eng. 77, 79-112). A small hexahedron on such a face has the
+face's corners as its lower nodes; the motion of its own lower corners is interpolated from them. So no hexahedron has
+hanging nodes, and all are assembled alike.
 """
 
 from collections.abc import Sequence
@@ -17,9 +17,9 @@ import numpy as np
 
 @dataclass(frozen=True)
 class Hanging:
-    """Nodes (h,) that move with the four nodes `masters` (h, 4), by `weights` (h, 4) that sum to one.
+    """Nodes (h,) that move with the four nodes `masters` (h, 4), with `weights` (h, 4) that sum to one.
 
-    No master hangs itself: one pass over a field sets all.
+    No master hangs itself, so one pass sets all.
     """
 
     nodes: np.ndarray
@@ -28,21 +28,21 @@ class Hanging:
 
     @classmethod
     def none(cls) -> "Hanging":
-        """No node moves with others."""
+        """No hanging nodes."""
         return cls(np.empty(0, np.int64), np.empty((0, 4), np.int64), np.empty((0, 4)))
 
     def hang(self, field: np.ndarray) -> None:
-        """Set the rows of hanging nodes of a nodal field (n, k), in place."""
+        """Interpolate the rows of hanging nodes of a nodal field (n, k), in place."""
         if len(self.nodes):
             field[self.nodes] = np.einsum("hm,hmk->hk", self.weights, field[self.masters])
 
 
 @dataclass(frozen=True)
 class Cells:
-    """The hexahedra that are solved: corners (e, 8) where they lie, and nodes (e, 8) whose motion deforms them.
+    """The hexahedra that are solved: corners (e, 8) for their geometry, and nodes (e, 8) whose motion deforms them.
 
-    Both are the same but for the hexahedra `standing` (s,) on a wider face, whose lower corner c moves by the share
-    `shares[:, c, n]` (s, 4, 4) of the motion of lower node n.
+    They differ only for hexahedra `standing` (s,) on a wider face: their lower corner c moves with the weights
+    `shares[:, c, n]` (s, 4, 4) of the lower nodes n.
     """
 
     corners: np.ndarray
@@ -52,39 +52,39 @@ class Cells:
 
     @classmethod
     def plain(cls, elements: np.ndarray) -> "Cells":
-        """Elements (e, k) of which none stands on a wider face."""
+        """Elements (e, k), none on a wider face."""
         return cls(elements, elements, np.empty(0, np.int64), np.empty((0, 4, 4)))
 
 
 def fewer_lines(lines: np.ndarray, kept: np.ndarray, low: float, high: float) -> np.ndarray:
-    """Of the indices `kept` of mesh lines, all outside of the fine part [low, high] mm and every second one in it."""
+    """Of the mesh line indices `kept`, those outside the fine part [low, high] mm and every second one within it."""
     within = kept[(lines[kept] > low - 1e-9) & (lines[kept] < high + 1e-9)]
     return np.setdiff1d(kept, within[1:-1:2])
 
 
 def face_weights(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Bilinear weights (..., 4) of a face's corners, counter-clockwise from the first, at places x, y from 0 to 1."""
+    """Bilinear weights (..., 4) of a face's corners, counter-clockwise from the first, at x, y in [0, 1]."""
     return np.stack([(1 - x) * (1 - y), x * (1 - y), x * y, (1 - x) * y], axis=-1)
 
 
 class Sparse:
-    """The lines that are left of mesh lines: the cells between them, and where any of the mesh lines lies in its cell.
+    """A subset of the mesh lines: the cells between its lines, and the position of any mesh line within its cell.
 
-    at: (k,) sorted indices of the lines that are left. left: (n,) bool, which these are.
+    at: (k,) sorted indices of the lines of the subset. left: (n,) bool, whether a mesh line belongs to it.
     """
 
     def __init__(self, lines: np.ndarray, at: np.ndarray):
-        """lines: (n,) places of all mesh lines, mm."""
+        """lines: (n,) coordinates of all mesh lines, mm."""
         self.at, self._lines = at, lines
         self.left = np.zeros(len(lines), bool)
         self.left[at] = True
 
     def cell(self, line: np.ndarray) -> np.ndarray:
-        """The cells (...) that begin at or before mesh lines, by their indices (...); the last line ends the last cell."""
+        """Indices (...) of the cells that start at or before mesh lines (...); the last line ends the last cell."""
         return np.clip(np.searchsorted(self.at, line, "right") - 1, 0, len(self.at) - 2)
 
     def place(self, line: np.ndarray, cell: np.ndarray) -> np.ndarray:
-        """Where lines lie in cells, from 0 to 1, by indices (...) of both."""
+        """Positions of lines within cells, from 0 to 1, by indices (...) of both."""
         start, end = self._lines[self.at[cell]], self._lines[self.at[cell + 1]]
         return (self._lines[line] - start) / (end - start)
 
@@ -92,8 +92,8 @@ class Sparse:
 class Planes:
     """Planes of nodes on a grid of mesh lines, from the base up.
 
-    columns: nodes of a row, which run along x. lines: of each plane those that go through it, by their places along x and
-    along y. Planes have all nodes of the grid, `size` of them; the hexahedra use those on lines that go through.
+    columns: nodes per row along x. lines: for each plane, the lines by x and by y that pass through it. Each
+    plane has all `size` nodes of the grid; hexahedra use the nodes on lines that pass through it.
     """
 
     def __init__(self, columns: int, lines: Sequence[tuple[Sparse, Sparse]]):
@@ -107,7 +107,7 @@ class Planes:
         return plane * self.size + np.stack(node, axis=-1)
 
     def hanging(self) -> Hanging:
-        """The nodes on lines that do not go through their plane; those of the base are held anyway."""
+        """The nodes on lines that do not pass through their plane, except on the base, which is fixed."""
         parts = []
         for k, (x, y) in enumerate(self.lines[1:], 1):
             j, i = np.nonzero(~(y.left[:, None] & x.left))
@@ -136,10 +136,10 @@ class Planes:
         )  # fmt: skip
 
     def _on_wider(self, plane: int, lower: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """For lower corners (q, 4), by their places in a plane of fewer lines: shares (q, 4, 4), and the nodes (q, 4)."""
+        """Weights (q, 4, 4) and lower nodes (q, 4) for lower corners (q, 4), indices in a plane with fewer lines."""
         x, y = self.lines[plane]
         i, j = lower % self.columns, lower // self.columns
-        # the first corner lies at or after the start of its wide cell, the others at or before its end
+        # the first corner decides the wide cell, because the others may lie on its end
         a, b = x.cell(i[:, :1]), y.cell(j[:, :1])
         return face_weights(x.place(i, a), y.place(j, b)), self._corners(plane, a[:, 0], b[:, 0])
 
@@ -147,9 +147,9 @@ class Planes:
 def planes_of(
     xs: np.ndarray, ys: np.ndarray, layers: int, widened: Sequence[int], box: tuple[float, float, float, float]
 ) -> Planes:
-    """Planes on mesh lines xs, ys (mm) of which, in the box (x_min, x_max, y_min, y_max), every second ends on the way down.
+    """Planes on mesh lines xs, ys (mm); in `box` (x_min, x_max, y_min, y_max) every second line ends on its way down.
 
-    widened: how many layers, counted from the base, have half of the lines; then how many of these half of those; and so on.
+    widened: number of layers, from the base up, with half of the lines; of these, number with a quarter; and so on.
     """
     x, y = np.arange(len(xs)), np.arange(len(ys))
     planes = [(Sparse(xs, x), Sparse(ys, y))] * (layers + 1)

@@ -1,7 +1,7 @@
-"""Second-order tetrahedra: one base mesh of a gel, bisected for a press at the edge of its contact, and the quality of a mesh.
+"""Second-order tetrahedra: the base mesh of a gel, its bisection at the edge of a press' contact, and mesh quality.
 
-At the edge of contact displacement goes as the root of the distance, so the force of a flat body depends on the size of
-elements there more than anywhere else.
+At the edge of contact, displacement varies as the square root of the distance, so the force of a flat body depends
+most on the element size there.
 """
 
 import itertools
@@ -18,21 +18,21 @@ from gelforge.mechanics.mesh.hexmesh import round_corners
 
 EDGES = np.array([[0, 1], [1, 2], [2, 0], [0, 3], [1, 3], [2, 3]])  # midside order of C3D10
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])  # corners, outward for a positive tetrahedron
-COARSEST_MM = 2.0  # side of a cell of the base mesh, about
-# In longest edges: how far from the edge of contact edges are shortest; how far beside the contact, and down to which depth, they
-# are those of its inside.
+COARSEST_MM = 2.0  # approximate side of a cell of the base mesh
+# In units of the longest edge wanted there: radius around the edge of contact within which edges are shortest;
+# distance beside the contact, and depth below it, within which edges are as long as inside it.
 RIM, BESIDE, DEEP = 0.25, 0.25, 0.33
-RIM_GROWTH, GROWTH = 1.0, 0.6  # mm by which they grow per mm from there
-FLAT = 1e-9  # of a gel's height within which a node of the flat box lies on its top or base
-EXACT = 256  # pixels around a contact in which distances to it are exact
-_LENGTHS = 1e8  # squared lengths in mm are compared as whole numbers of 1e-8: rounding decides nothing
+RIM_GROWTH, GROWTH = 1.0, 0.6  # growth of edge length beyond that, mm per mm
+FLAT = 1e-9  # of the gel's height: tolerance for a node of the flat box to lie on its top or base
+EXACT = 256  # width, in pixels, of the margin around a contact within which distances to it are exact
+_LENGTHS = 1e8  # squared lengths are compared as integer multiples of 1e-8 mm^2, so that rounding decides nothing
 
 
 def base_tets(gel: Gel) -> tuple[np.ndarray, np.ndarray]:
     """Nodes (n, 3) mm and tetrahedra (e, 4) of the gel's box with sharp corners and a flat top at z = 0.
 
-    Every diagonal of the top leads outwards, so that no tetrahedron has both sides of a corner, which `round_corners` makes
-    one line.
+    Every diagonal of the top leads outwards, so that no tetrahedron contains both sides of a corner, which
+    `round_corners` turns into one smooth line.
     """
     half = np.array([gel.width, gel.length]) / 2
     nx, ny = (2 * max(1, round(float(side) / COARSEST_MM)) for side in half)
@@ -42,9 +42,9 @@ def base_tets(gel: Gel) -> tuple[np.ndarray, np.ndarray]:
 
 
 def kuhn_grid(axes: Sequence[np.ndarray], middle: tuple[int, int] = (0, 0)) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes (n, 3) and tetrahedra (e, 4) of a grid with lines `axes` (x, y, z), six to a cell (Kuhn 1960).
+    """Nodes (n, 3) and tetrahedra (e, 4) of a grid with lines `axes` (x, y, z), six per cell (Kuhn 1960).
 
-    middle: number of the line along x, and along y, before which cells are mirrored.
+    middle: index of the line along x, and along y, before which cells are mirrored.
     """
     nodes = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
     _, ny, nz = (len(lines) for lines in axes)
@@ -66,8 +66,8 @@ def kuhn_grid(axes: Sequence[np.ndarray], middle: tuple[int, int] = (0, 0)) -> t
 class Sizes:
     """Longest edges wanted around a contact, mm.
 
-    away: (nx, ny), signed distance to its edge at points `pixel` apart from `low` (x, y) on, negative inside. edge, inside:
-    longest edges at its edge and inside it.
+    away: (nx, ny), signed distance to the edge of contact, negative inside, on a grid of spacing `pixel` that begins
+    at `low` (x, y). edge, inside: longest edges at the edge of contact and inside it.
     """
 
     away: np.ndarray
@@ -80,7 +80,7 @@ class Sizes:
     def at(
         cls, gel: Gel, mask: np.ndarray, pixel: float, low: tuple[float, float], edge: float, inside: float
     ) -> "Sizes":
-        """Around the pixels `mask` (rows, columns) of a contact, the first of which begins at `low` (x, y) mm."""
+        """Sizes around a contact of pixels `mask` (rows, columns); the first one's corner is at `low` (x, y) mm."""
         from scipy.ndimage import distance_transform_edt
 
         rim = [
@@ -90,16 +90,16 @@ class Sizes:
         whole = np.pad(mask, rim)
         within = distance_transform_edt(whole) if mask.any() else np.zeros(whole.shape)
         beyond = distance_transform_edt(~whole) if mask.any() else np.full(whole.shape, np.inf)
-        # between the last pixel inside and the first one outside both would be half
+        # the edge lies half a pixel from the centres of the pixels on either side of it
         away = pixel * np.where(whole, 0.5 - within, beyond - 0.5)
         x, y = (start - pixel * before[0] + pixel / 2 for start, before in zip(low, rim, strict=True))
         return cls(away, (x, y), pixel, edge, inside)
 
 
 def bisected(nodes: np.ndarray, tets: np.ndarray, sizes: Sizes) -> tuple[np.ndarray, np.ndarray]:
-    """Halve tetrahedra (e, 4) at their longest edges until these are as short as wanted and the mesh conforms.
+    """Bisect tetrahedra (e, 4) at their longest edges until these are as short as wanted and the mesh conforms.
 
-    Longest-edge bisection (Rivara 1984, Int. J. Numer. Methods Eng. 20, 745-756), under which shapes stay sound.
+    Longest-edge bisection (Rivara 1984, Int. J. Numer. Methods Eng. 20, 745-756), which does not degrade shapes.
     """
     return _bisected(
         nodes, tets.astype(np.int64), sizes.away, np.array(sizes.low), sizes.pixel, sizes.edge, sizes.inside
@@ -108,11 +108,11 @@ def bisected(nodes: np.ndarray, tets: np.ndarray, sizes: Sizes) -> tuple[np.ndar
 
 @numba.njit(cache=True)
 def _longest(x, y, z, away, low, pixel, edge, inside):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Longest edge wanted at a place of the box, mm."""
+    """Longest edge wanted at a point of the box, mm."""
     u, v = (x - low[0]) / pixel, (y - low[1]) / pixel
     i, j = min(max(round(u), 0), away.shape[0] - 1), min(max(round(v), 0), away.shape[1] - 1)
     s = away[i, j]
-    if max(abs(u - i), abs(v - j)) > 0.5:  # beside what the distances cover
+    if max(abs(u - i), abs(v - j)) > 0.5:  # outside the grid of distances
         s += pixel * np.hypot(u - i, v - j)
     at_edge = edge + RIM_GROWTH * max(np.hypot(abs(s), z) - RIM * edge, 0.0)
     around = inside + GROWTH * np.hypot(max(s - BESIDE * inside, 0.0), max(-z - DEEP * inside, 0.0))
@@ -121,7 +121,7 @@ def _longest(x, y, z, away, low, pixel, edge, inside):  # type: ignore[no-untype
 
 @numba.njit(cache=True)
 def _slot(keys, a, b):  # type: ignore[no-untyped-def]  # pragma: no cover - compiled
-    """Where the edge between nodes a and b lies in a hash table of edges, or would."""
+    """Slot of the edge between nodes a and b in a hash table of edges, occupied or free, and its key."""
     key = (min(a, b) << 32) | max(a, b)
     size = len(keys)
     # Fibonacci hashing (Knuth, The Art of Computer Programming 3, section 6.4)
@@ -136,7 +136,7 @@ def _bisected(start, first, away, low, pixel, edge, inside):  # type: ignore[no-
     nodes = np.empty((4 * len(start) + 1024, 3))
     nodes[: len(start)] = start
     count = len(start)
-    # tets: those looked at; a stack of those still to look at, with what was found sound below it
+    # sweeps over `tets` until nothing changes; one half replaces a bisected tetrahedron, the other is appended
     tets = np.empty((4 * len(first) + 1024, 4), np.int64)
     tets[: len(first)] = first
     n = len(first)
@@ -190,14 +190,14 @@ def _bisected(start, first, away, low, pixel, edge, inside):  # type: ignore[no-
                 wider[:n] = tets
                 tets = wider
             tets[n] = tets[at]
-            tets[at, best_a] = middles[slot]  # looked at again
+            tets[at, best_a] = middles[slot]  # examined again next, as `at` stays
             tets[n, best_b] = middles[slot]
             n += 1
     return nodes[:count].copy(), tets[:n].copy()
 
 
 def orient(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
-    """The same tetrahedra (e, 4), reordered so that every volume is positive."""
+    """The tetrahedra (e, 4) with nodes reordered so that every volume is positive."""
     tets = tets.copy()
     flip = signed_volumes(nodes, tets) < 0
     tets[flip, :2] = tets[flip, 1::-1]
@@ -211,10 +211,10 @@ def signed_volumes(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
 
 
 def from_flat(gel: Gel, nodes: np.ndarray, tets: np.ndarray) -> GelMesh:
-    """GelMesh of second-order tetrahedra from linear ones (e, 4) of the gel's box, whose nodes (n, 3) mm are bent onto the gel.
+    """GelMesh of second-order tetrahedra from linear ones (e, 4) of the gel's box, nodes (n, 3) mm mapped to the gel.
 
     Corners of the outline are rounded and each column is stretched between base and `gel.top`: every node of the top,
-    midsides included, lies on the exact surface, but where `straighten` had to move it.
+    midsides included, lies on the exact surface, unless `straighten` had to move it.
     """
     top, bottom = (np.abs(nodes[:, 2] - z) < FLAT * gel.height for z in (0.0, -gel.height))
     x, y = round_corners(nodes[:, 0], nodes[:, 1], gel.width / 2, gel.length / 2, gel.corner_radius)
@@ -237,7 +237,7 @@ def from_flat(gel: Gel, nodes: np.ndarray, tets: np.ndarray) -> GelMesh:
 def second_order(
     nodes: np.ndarray, tets: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, Callable[[np.ndarray], np.ndarray]]:
-    """Add midside nodes: nodes (n, 3), elements (e, 10), and what gives the midsides (m,) of corner pairs (m, 2)."""
+    """Add midside nodes: nodes (n, 3), elements (e, 10), and a function from corner pairs (m, 2) to midsides (m,)."""
 
     def keyed(pairs: np.ndarray) -> np.ndarray:
         return pairs.min(axis=-1).astype(np.int64) * len(nodes) + pairs.max(axis=-1)
@@ -252,9 +252,9 @@ def second_order(
 
 
 def straighten(nodes: np.ndarray, elements: np.ndarray, least: float = 0.1) -> None:
-    """Move midsides of elements (e, 10) whose scaled Jacobian is below `least` to the middle of their edges, in place.
+    """Move midsides of elements (e, 10) with a scaled Jacobian below `least` to the middle of their edges, in place.
 
-    Where a gel falls steeply within one edge, an edge that is bowed onto its surface inverts the element.
+    Where the gel's surface is steep within one edge, curving that edge onto the surface inverts the element.
     """
     while True:
         bowed = elements[scaled_jacobians(jacobians(nodes, elements)) < least]
@@ -265,7 +265,7 @@ def straighten(nodes: np.ndarray, elements: np.ndarray, least: float = 0.1) -> N
 
 
 def bend(gel: Gel, nodes: np.ndarray) -> np.ndarray:
-    """Heights z after each column of the flat pad is stretched between the base and `gel.top`."""
+    """Heights z of the nodes after each column of the flat box is stretched between base and `gel.top`."""
     fraction = (nodes[:, 2] + gel.height) / gel.height
     return -gel.height + fraction * (gel.top(nodes[:, 0], nodes[:, 1]) + gel.height)
 
@@ -300,12 +300,12 @@ def jacobians(nodes: np.ndarray, elements: np.ndarray) -> np.ndarray:
 
 
 def scaled_jacobians(dets: np.ndarray) -> np.ndarray:
-    """Smallest of each element's `jacobians` (e, 14) as a share of its largest (e,); 0 or less where it is inverted."""
+    """Smallest of each element's `jacobians` (e, 14) over its largest, (e,); 0 or less where it is inverted."""
     return dets.min(axis=1) / np.maximum(dets.max(axis=1), 1e-300)
 
 
 def volumes(dets: np.ndarray) -> np.ndarray:
-    """Volume of each element within its bowed edges from its `jacobians` (e, 14), (e,) mm^3, to CalculiX' integration."""
+    """Volume of each curved element, (e,) mm^3, from its `jacobians` (e, 14), by CalculiX' integration rule."""
     return dets[:, 10:].mean(axis=1) / 6.0
 
 
@@ -319,7 +319,7 @@ def analytic_volume(gel: Gel) -> float:
 
 
 def mesh_report(mesh: GelMesh, gel: Gel) -> dict:
-    """Report of a C3D10 mesh: counts, sizes (mm), scaled Jacobian, volume (mm^3) against the exact one."""
+    """Counts, sizes (mm), scaled Jacobian and volume (mm^3) of a C3D10 mesh; BadInput if an element is inverted."""
     corners = mesh.elements[:, :4]
     dets = jacobians(mesh.nodes, mesh.elements)
     own = volumes(dets)

@@ -1,4 +1,4 @@
-"""Equilibrium of one scene on one mesh while the indenter stands: Newton's method with a factorisation kept as long as it serves."""
+"""Equilibrium of one scene on one mesh at a fixed pose: Newton's method that reuses a factorisation while it pays."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
@@ -31,33 +31,33 @@ from gelforge.mechanics.pose import Pose
 from gelforge.mechanics.result import NoEquilibrium
 from gelforge.mechanics.scene import Scene
 
-# Iterations after which a step must lower the residual: the first ones look uphill, though they are right.
+# Iterations after which each step must lower the residual; good first steps may raise it.
 WARY = 3
-# Parts of a step that are tried in turn. With SHORT ones, points that every longer step carries from slipping to sticking
-# and back come to rest; but Newton's method then stops sooner where a longer step leads out.
+# Step fractions of the line search, tried in turn. SHORT stops the flipping of points that every longer step carries
+# between slip and stick, but Newton's method then gets stuck sooner where a longer step would lead out.
 PARTS = (1.0, 0.5, 0.25)
 SHORT = (*PARTS, 0.125, 0.06, 0.03, 0.015)
-# Share of the residual that is left of a linear solve: Newton hardly loses by it.
+# Relative residual of the linear solves (inexact Newton): it costs hardly any Newton iterations.
 FORCING = 3e-2
-# Residual below which the tangent is exact; farther away the curvature of fillets leads astray.
+# Residual below which the tangent is exact; above it, the curvature of fillets misleads Newton's method.
 CLOSE = 1e-3
-# Residual above which the pressure's geometric stiffness is left out, on a followed path and at an interpolated state:
-# that one has noise in its volume ratio, so large pressures of both signs, and a tangent that is indefinite with them.
+# Residual above which the tangent leaves out the pressure's geometric stiffness: along a path, and from an
+# interpolated state, whose noisy volume ratios give large pressures of both signs and an indefinite tangent.
 NOISY, NOISY_INTERPOLATED = 5e-3, 1e-3
-# Residual that is enough within a path with friction: a point at the edge of slipping may go to and fro for ever below it,
-# and no shorter load step would help.
+# Residual accepted within a path with friction: below it a point close to slipping may flip between slip and stick
+# for ever, and no shorter load step would help.
 CYCLING = 1e-3
-# Matrix products that a solve may take with an old factorisation (one costs as much as a dozen) and with its own.
+# Most matrix products per linear solve, with an old factorisation (a new one costs about a dozen) and with a new one.
 STALE, FRESH = 12, 60
 
 
 @dataclass(frozen=True)
 class Aim:
-    """What Newton's method is to reach, and how.
+    """Goal and options of one Newton solve.
 
-    tolerance: residual over the contact force. still: indenter and contact are as they were in the last equilibrium. enough:
-    residual that is taken where no number of steps meets the tolerance. parts: of a step that are tried in turn. held: no
-    sticking point slips in any step.
+    tolerance: residual over the contact force. still: indenter and contact are unchanged since the last equilibrium.
+    enough: residual accepted if the iteration limit is reached before the tolerance. parts: step fractions of the
+    line search. held: no sticking point may slip in any step.
     """
 
     tolerance: float
@@ -68,9 +68,9 @@ class Aim:
 
 
 class System:
-    """Sparsity pattern, places of blocks in the matrix, and its symbolic factorisation: all that the elements' nodes decide.
+    """Sparsity pattern, block positions and symbolic factorisation: everything that depends on connectivity alone.
 
-    values: the upper triangle of the matrix at hand; each scene that uses the system fills it anew.
+    values: upper triangle of the current matrix; scenes that share the system overwrite it.
     """
 
     def __init__(self, mesh: GelMesh):
@@ -85,12 +85,12 @@ class System:
 
 
 class Equilibrium:
-    """One scene on one mesh, and where it stands.
+    """One scene on one mesh and its current state.
 
-    u: (n, 3) mm. state: ContactState. tractions: those of the last equilibrium. candidates: points that are no part of the
-    sticking contact and may come to touch. residual: out of balance over contact force. noisy: residual above which the
-    tangent leaves out the pressure's geometric stiffness. crawls: whether a step whose usual parts all invert hexahedra
-    is taken in SHORT ones: where no load step could be shortened instead. The counters hold what all solves together took.
+    u: (n, 3) mm. state: ContactState. tractions: those of the last equilibrium. candidates: points that do not stick
+    and may come to touch. residual: out-of-balance force over contact force. noisy: residual above which the tangent
+    leaves out the pressure's geometric stiffness. crawls: whether SHORT step fractions are tried when the usual ones
+    all invert elements, for solves without a load step to shorten instead. The counters sum over all solves.
     """
 
     def __init__(self, scene: Scene, settings: PathSettings, mesh: GelMesh, system: System) -> None:
@@ -110,15 +110,15 @@ class Equilibrium:
 
     @property
     def within_path(self) -> Aim:
-        """What is asked for between the ends of a path."""
+        """Goal of the solves between the ends of a path."""
         return Aim(self.settings.tolerance, enough=CYCLING if self.law.frictional else 0.0)
 
     def points(self, u: np.ndarray) -> np.ndarray:
-        """Deformed places (m, 3) mm of the contact's points."""
+        """Deformed positions (m, 3) mm of the contact points."""
         return positions(self.state.shape, self.nodes, self.mesh.nodes + u)
 
     def newton_from(self, guesses: list[np.ndarray], pose: Pose) -> tuple[np.ndarray, int]:
-        """`newton` from the first of the guesses (n, 3) that leads to an equilibrium, within the tolerance of a path."""
+        """`newton` from the first guess (n, 3) that leads to an equilibrium, to the tolerance within a path."""
         failed = NoEquilibrium()
         for guess in guesses:
             try:
@@ -128,10 +128,10 @@ class Equilibrium:
         raise failed
 
     def newton(self, u: np.ndarray, pose: Pose, aim: Aim) -> tuple[np.ndarray, int]:
-        """Newton steps from u until the residual is what is aimed for: u (n, 3) and their number; raises NoEquilibrium.
+        """Newton's method from u until `aim` is met: u (n, 3) and the number of steps; raises NoEquilibrium.
 
-        With friction the first step holds every sticking point: points that slip from a poor guess drag others along, and
-        Newton loses its way.
+        With friction the first step holds every sticking point: from a poor guess, slipping points drag others along
+        and Newton's method goes astray.
         """
         if self.iterations > self.settings.most_in_all:
             raise NoEquilibrium(f"the path took more than {self.settings.most_in_all:g} Newton iterations")
@@ -158,7 +158,7 @@ class Equilibrium:
     def _step(
         self, u: np.ndarray, step: np.ndarray, pose: Pose, penalty: Penalty, before: float, parts: Sequence[float]
     ) -> tuple[np.ndarray, tuple[np.ndarray, Tractions]]:
-        """u less the step, or less one of its parts where that inverts elements or leaves the residual above `before`."""
+        """Subtract the step from u, or a fraction if it inverts elements or leaves the residual above `before`."""
         free, best = self.system.free, None
         for part in SHORT if self.crawls else parts:
             if part < parts[-1] and best is not None:
@@ -192,7 +192,7 @@ class Equilibrium:
         return forces, tractions
 
     def internal(self, u: np.ndarray) -> np.ndarray:
-        """Nodal forces (n, 3) N of the deformed gel; NoEquilibrium where an element is inverted."""
+        """Nodal forces (n, 3) N of the deformed gel; raises NoEquilibrium if an element is inverted."""
         forces = np.zeros_like(u)
         smallest = self.elements.internal_forces(u, *self.moduli, forces)
         if not smallest > 0.0:
@@ -202,7 +202,7 @@ class Equilibrium:
     def _direction(
         self, u: np.ndarray, pose: Pose, penalty: Penalty, forces: np.ndarray, tractions: Tractions
     ) -> np.ndarray:
-        """Newton's step (free nodes, 3) mm, to FORCING of the residual; a factorisation serves as long as GMRES is quick with it."""
+        """Newton step (free nodes, 3) mm, solved to FORCING; reuses a factorisation while GMRES is fast with it."""
         system = self.system
         system.values[:] = 0.0
         geometric_stiffness = float(self.residual <= self.noisy)
@@ -228,7 +228,7 @@ class Equilibrium:
         return step.reshape(-1, 3)
 
     def _skew(self, u: np.ndarray, pose: Pose, penalty: Penalty, tractions: Tractions) -> Skew:
-        """The stiffness beyond the symmetric one; exact close to equilibrium, where it makes Newton quadratic."""
+        """Non-symmetric stiffness; exact close to equilibrium, for quadratic convergence of Newton's method."""
         if self.residual > CLOSE:
             return tractions.slip
         x = self.points(u)

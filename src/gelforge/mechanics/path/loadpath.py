@@ -1,4 +1,4 @@
-"""The load path of a press: press, then shear, by one parameter; where its frames lie on it, and what of the gel it meets."""
+"""The load path of a press: press, then shear, with one path parameter; its frames, and the gel that it meets."""
 
 import numpy as np
 
@@ -8,12 +8,12 @@ from gelforge.mechanics.pose import Pose
 from gelforge.mechanics.scene import Scene
 from gelforge.records.frames import MOST_DEEPER_MM, MOST_FARTHER_MM
 
-ROUNDING_MM = 1e-6  # far below what an axis resolves
+ROUNDING_MM = 1e-6  # far below the resolution of an axis
 WITHIN = 1.0  # mm from the indenter's path within which a face may come into contact
 
 
 def path_pose(scene: Scene, t: float) -> Pose:
-    """Pose at path parameter t: 0 to 1 press, 1 to 2 shear; below 0 the press goes on upwards."""
+    """Pose at path parameter t: 0 to 1 press, 1 to 2 shear; below 0 the press is extended upwards."""
     return Pose(*touch.pose_at(scene.press, t))
 
 
@@ -23,27 +23,27 @@ def first_touch(scene: Scene) -> float | None:
 
 
 def reachable(scene: Scene, points: np.ndarray) -> np.ndarray:
-    """Which faces (f,), by points (f, k, 3) mm of each, come within WITHIN mm of the indenter on its path, undeformed."""
+    """Which undeformed faces (f,) of nodes (f, k, 3) mm come within WITHIN mm of the indenter on its path, bool."""
     centre = points.mean(axis=1)
     size = np.linalg.norm(points - centre[:, None], axis=2).max(axis=1)
     return touch.touched(scene.indenter, scene.press, centre, WITHIN + size)
 
 
 def gaps(scene: Scene, x: np.ndarray, pose: Pose) -> np.ndarray:
-    """Signed distances (m,) mm of places x (m, 3) to the indenter at a pose."""
+    """Signed distances (m,) mm of points x (m, 3) to the indenter at a pose."""
     return scene.indenter.distance(pose.to_indenter(x))[0]
 
 
 def frame_time(scene: Scene, last: Scene) -> float:
-    """Path parameter of the point of scene `last`'s path, down and then sideways, that is nearest to where `scene` ends.
+    """Path parameter of the point on `last`'s path, down and then sideways, that is nearest to the end of `scene`.
 
-    Its start may have been logged apart, and a frame that gives way moves a little aside while a press goes down, and a
-    little down while it goes aside. BadInput for one that ends beyond the last: the path has no state of it.
+    The logged start may differ between frames, and a compliant rig moves a little sideways during the press and a
+    little down during the shear. Raises BadInput for a frame beyond the last one: the path has no state for it.
     """
     end, way = (np.array([s.press.dx, s.press.dy]) for s in (scene, last))
     fallen = scene.press.z0 + scene.press.dz - last.press.z0
     _check_frame(last.press.dz - fallen, end, way)
-    # to eight decimals: frames that only rounding separates are one
+    # eight decimals, so that frames which differ by rounding only are one
     down = float(np.clip(np.round(fallen / last.press.dz, 8), 1e-8, 1.0))
     if not way @ way:
         return down
@@ -56,7 +56,7 @@ def frame_time(scene: Scene, last: Scene) -> float:
 def _check_frame(deeper: float, end: np.ndarray, way: np.ndarray) -> None:
     """Raise BadInput for a frame clearly beyond the last one of its press.
 
-    deeper: by how much it ends below the last one, mm. end, way: where the two end sideways, (2,) mm.
+    deeper: how far it ends below the last one, mm. end, way: sideways travel (2,) mm of the frame and the last one.
     """
     length = float(np.hypot(*way))
     farther = (float(end @ way) / length if length else float(np.hypot(*end))) - length

@@ -1,4 +1,4 @@
-"""How a path is followed, whatever the elements are."""
+"""Settings for following a load path, independent of the element type."""
 
 import math
 from dataclasses import dataclass
@@ -10,16 +10,16 @@ from gelforge.mechanics.material import REFERENCE_C10
 class PathSettings:
     """How the path of a scene is followed on one mesh; residuals are those of free nodes over the contact force.
 
-    size: side of the elements under the press, mm; a free point that is nearer to the indenter may come to touch.
+    size: side of the elements under the press, mm; free points closer to the indenter than this may come to touch.
     penalty, friction_penalty: contact stiffness along the normal and along the surface (Coulomb), times size / C10.
-    gauss: order of the contact rule on a face of four nodes: 3 x 3 points hold it flatter than it can be.
-    press_steps, shear_steps: load steps of the two legs (more where Newton asks for it).
-    tolerance, final_tolerance: residual within the path and at its end. rough: at which the end of a path that was followed on
-    other elements shows what pulls and what presses.
-    max_iterations: of Newton's method in one solve. most_in_all: of a path. max_cuts: how often a load step may be halved.
-    settle_rounds: contact iterations, in which points are released at the end of the path. pull_tolerance: share of the largest
-    pressure by which a sticking point may pull.
-    touched: how close to the indenter a path on other, wider hexahedra must have brought a point that has touched, in their widths.
+    gauss: order of the contact rule on a face of four nodes; 3 x 3 sticking points would over-constrain the face.
+    press_steps, shear_steps: load steps of the two legs (more if Newton's method fails).
+    tolerance, final_tolerance: residual within the path and at its end. rough: residual of the contact iterations
+    after a path on other elements, sufficient to see which points pull and which press.
+    max_iterations: of Newton's method in one solve. most_in_all: in a whole path. max_cuts: how often a load step may
+    be halved. settle_rounds: most contact iterations at the end of the path. pull_tolerance: tension allowed at a
+    sticking point, as a fraction of the largest pressure.
+    touched: gap up to which a point counts as having touched on a path on wider hexahedra, in widths of those.
     """
 
     size: float = 0.7

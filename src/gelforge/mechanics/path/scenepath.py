@@ -1,4 +1,4 @@
-"""One scene followed along its path: load steps, and the contact set between them."""
+"""Load path of one scene on one mesh: load steps, and updates of the contact set between them."""
 
 import copy
 from collections.abc import Callable, Sequence
@@ -18,20 +18,21 @@ from gelforge.mechanics.result import NoEquilibrium
 from gelforge.mechanics.scene import Scene
 from gelforge.records.status import Status
 
-BETWEEN = 2  # load steps at least between two frames of a press that are asked for
+BETWEEN = 2  # fewest load steps between two requested frames of a press
 EASY = 7  # Newton iterations up to which a shortened step may grow again
-SMALLEST_PART = 0.1  # of pending contact changes carried out in one solve
-REST = 0.3  # of a load step: a shorter rest of the leg is taken along with it
-# Of a slide, mm: points that first touch in a load step have no friction until it ends, and this much of travel gives them all of it.
+SMALLEST_PART = 0.1  # smallest fraction of the pending contact changes that one solve carries out
+REST = 0.3  # of a load step: if less than this remains of the leg, the step is extended to its end
+# mm at the end of a slide that are a load step of their own: points that first touch within a load step have no
+# friction until it ends, and this much travel fully mobilises it.
 DRAGGED_MM = 0.01
-BEYOND = 1.001  # of its traction is what a slipping point's multiplier wants, or rounding decides which points stick
-ACCEPTED = 1e-7  # residual over contact force that keeps base reactions within 1e-6
+BEYOND = 1.001  # a slipping point's multiplier over its traction; at 1, rounding would decide which points stick
+ACCEPTED = 1e-7  # residual over contact force that balances contact force and base reaction to 1e-6
 
 
 class StepControl:
-    """Load steps of a path's legs: halved where no equilibrium is found, doubled again after easy ones.
+    """Load step control: a step is halved if no equilibrium is found, and doubled again after easy steps.
 
-    most_cuts: how often a step may be halved. easy: most Newton iterations of an easy one.
+    most_cuts: how often a step may be halved. easy: most Newton iterations of an easy step.
     """
 
     def __init__(self, most_cuts: int, easy: int) -> None:
@@ -41,8 +42,9 @@ class StepControl:
     def follow(self, start: float, stop: float, largest: float, advance: Callable[[float, float], int]) -> None:
         """Go from path parameter `start` to exactly `stop` in steps of `largest` at most.
 
-        advance: takes one step to a path parameter, with the share of pending contact changes to carry out, and returns its
-        Newton iterations; raises NoEquilibrium, changing nothing. That of the shortest step passes through.
+        advance: called with the path parameter at the end of a step and the fraction of pending contact changes to
+        carry out; returns the step's Newton iterations, or raises NoEquilibrium and changes nothing. NoEquilibrium
+        of the shortest step is raised.
         """
         at, step, pending = start, largest, largest
         while stop - at > 1e-9:
@@ -50,7 +52,7 @@ class StepControl:
             last = stop - at - ahead < REST * ahead
             if last:
                 ahead = stop - at
-            aim = stop if last else at + ahead  # exactly the stop: states are looked up by it
+            aim = stop if last else at + ahead  # exactly `stop`, because states are looked up by it
             try:
                 used = advance(aim, min(1.0, ahead / pending))
             except NoEquilibrium:
@@ -66,10 +68,10 @@ class StepControl:
 
 @dataclass(frozen=True)
 class Verdict:
-    """What is wrong with a solved state.
+    """Contact violations of a solved state.
 
-    pulling_fraction: what touching points pull, as a share of the normal force. penetration: how deep a free point lies in the
-    indenter, mm.
+    pulling_fraction: tensile force of touching points as a fraction of the normal force. penetration: largest depth
+    of a free point inside the indenter, mm.
     """
 
     pulling_fraction: float
@@ -77,10 +79,10 @@ class Verdict:
 
 
 class ScenePath(Equilibrium):
-    """State of one scene on one mesh while its path is followed.
+    """State of one scene on one mesh along its load path.
 
-    `follow` does it all; afterwards u (n, 3), state (ContactState), tractions (those of the last
-    equilibrium) and the counters hold the end of the path, or the last equilibrium before a failure, of which `reason` tells.
+    After `follow` or `arrive`, u (n, 3), state (ContactState), tractions (those of the last equilibrium) and the
+    counters describe the end of the path, or the last equilibrium before a failure, which `reason` explains.
     """
 
     def __init__(self, scene: Scene, settings: PathSettings, mesh: GelMesh, system: System) -> None:
@@ -89,7 +91,7 @@ class ScenePath(Equilibrium):
         self.control = StepControl(settings.max_cuts, EASY)
         self.history: list[tuple[float, np.ndarray]] = []
         self.curve: list[list[float]] = []
-        self.areas: list[float] = []  # of contact at each of its steps, mm^2
+        self.areas: list[float] = []  # contact area at each load step, mm^2
         self._states = [(0.0, self.u)]
 
     # -- the path
@@ -99,7 +101,8 @@ class ScenePath(Equilibrium):
     ) -> Status:
         """Follow the path from path parameter `start` (first touch) to its end; a load step ends at each of `stops`.
 
-        at_stop: given at each of them a run whose contact was iterated there as at an end, while this one continues.
+        at_stop: called at each stop with a copy of this run whose contact was iterated as at the end of a path; this
+        run continues without those iterations.
         """
         self.t = start
         self._states = [(start, self.u)]
@@ -118,7 +121,7 @@ class ScenePath(Equilibrium):
         return self._end()
 
     def _end(self) -> Status:
-        """Contact iterations where a path or one of its frames ends."""
+        """Contact iterations at the end of a path or at one of its frames."""
         try:
             return self._iterate_contact()
         except (NoEquilibrium, SolveFailed) as error:
@@ -129,9 +132,9 @@ class ScenePath(Equilibrium):
         return Status.DIVERGED
 
     def arrive(self, path: LoadPath) -> Status:
-        """Equilibrium at the end of a path that was followed on coarser hexahedra; for laws without slip or without friction.
+        """Equilibrium at the end of a path followed on coarser hexahedra; for laws without slip or without friction.
 
-        That path may be the beginning of a longer one.
+        The path may be the first part of a longer one.
         """
         self.t, self.noisy, self.crawls = self.scene.press.end, NOISY_INTERPOLATED, True
         pose = path_pose(self.scene, self.t)
@@ -148,10 +151,10 @@ class ScenePath(Equilibrium):
         return self._end()
 
     def _iterate_arrival(self, places: np.ndarray, pose: Pose) -> None:
-        """Change each point's contact at most once either way until nothing pulls and all that presses sticks.
+        """Let each point stick and be released at most once, until no point pulls and all pressing points stick.
 
-        places: (m, 3) where points stick, in the indenter's frame. A point that was released and presses again stays
-        loose: it would change for ever.
+        places: (m, 3) where points stick, in the indenter's frame. A released point that presses again does not stick
+        again, because it could alternate for ever.
         """
         stuck = self.state.status == STICK
         for _ in range(self.settings.settle_rounds):
@@ -172,7 +175,7 @@ class ScenePath(Equilibrium):
         return found & (self.state.status != STICK)
 
     def _branch(self) -> "ScenePath":
-        """A run that continues from here by itself; both share mesh and factorisation."""
+        """A copy of this run that continues independently; both share mesh and factorisation."""
         other = copy.copy(self)
         other.state, other._states = copy.deepcopy(self.state), list(self._states)
         other.curve, other.areas = list(self.curve), list(self.areas)
@@ -185,7 +188,7 @@ class ScenePath(Equilibrium):
         return legs
 
     def _towards(self, stop: float) -> list[float]:
-        """Path parameters on the way to a stop: of a slide first where only DRAGGED_MM of it is left."""
+        """Path parameters up to a stop; with friction, a slide first ends DRAGGED_MM before it."""
         left = DRAGGED_MM / max(np.hypot(self.scene.press.dx, self.scene.press.dy), DRAGGED_MM)
         short = self.law.frictional and stop - left > max(self.t, 1.0)
         return [stop - left, stop] if short else [stop]
@@ -218,7 +221,7 @@ class ScenePath(Equilibrium):
         return used
 
     def _predict(self, t: float) -> np.ndarray | None:
-        """Displacement at t if it went on as in the step before; None where the path turns."""
+        """Displacement at t, extrapolated from the last step; None where the path turns from press to shear."""
         if not self.history:
             return None
         (t0, u0), (t1, u1) = self.history
@@ -229,7 +232,7 @@ class ScenePath(Equilibrium):
     # -- the contact set at the end of a step
 
     def _end_step(self, pose: Pose, start: tuple[np.ndarray, Pose, np.ndarray, np.ndarray]) -> None:
-        """Release what pulls; what touched for the first time in this step sticks where it touched."""
+        """Release points that pull; points that first touched in this step stick where they touched."""
         if not self.law.sticks:
             return
         if self.law.slips:
@@ -242,14 +245,14 @@ class ScenePath(Equilibrium):
     def _touch_places(
         self, new: np.ndarray, pose: Pose, x: np.ndarray, before: Pose, gap: np.ndarray, expected: np.ndarray
     ) -> np.ndarray:
-        """Where points `new` (m,) of bool first touched, in the indenter's frame (m, 3)."""
+        """Where the points `new` (m,) bool first touched, in the indenter's frame (m, 3)."""
         places = np.zeros_like(x)
         ahead = gaps(self.scene, expected[new], pose)
         places[new] = touch_places(before, pose, x[new], self.points(self.u)[new], gap[new], ahead)
         return places
 
     def stick(self, points: np.ndarray, places: np.ndarray, pose: Pose) -> None:
-        """Let points (m,) of bool stick, bound for places (m, 3) of the indenter's frame moved onto its surface."""
+        """Let points (m,) bool stick; goals are `places` (m, 3) of the indenter's frame, moved onto its surface."""
         if not points.any():
             return
         state = self.state
@@ -259,10 +262,10 @@ class ScenePath(Equilibrium):
         state.stick_point[points], state.goal[points] = here, goal
 
     def _pressing(self, pose: Pose) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Index (p,), traction (p, 3) and pressing part (p,) of sticking points; below zero they pull.
+        """Index (p,), traction (p, 3) and normal component (p,) of sticking points; a negative one pulls.
 
-        None by Coulomb's law and without friction: there a point has a traction only where it is inside the indenter,
-        which presses. So nothing pulls at their end, and no contact set is left open.
+        Empty with Coulomb friction and without friction: there only points inside the indenter have a traction, and
+        it presses. So nothing pulls at the end of such a path, and nothing has to be released.
         """
         tractions, state = self.tractions, self.state
         stuck = (state.status[tractions.point] == STICK) & np.isnan(tractions.gap)
@@ -271,7 +274,7 @@ class ScenePath(Equilibrium):
         return point, tractions.traction[stuck], push
 
     def release(self, pose: Pose) -> int:
-        """Release what pulls: its traction fades with the next changes. Returns how many."""
+        """Release points that pull; their traction fades with the next contact changes. Returns their number."""
         point, traction, push = self._pressing(pose)
         gone = push < -self.settings.pull_tolerance * push.max(initial=0.0)
         self.state.release(point[gone], traction[gone])
@@ -280,7 +283,7 @@ class ScenePath(Equilibrium):
     # -- friction
 
     def _slide(self, pose: Pose) -> None:
-        """Stick points follow what slips, multipliers the tractions; points that lost contact are released."""
+        """Move stick points along with slip, set multipliers to tractions, and release points that lost contact."""
         state, tractions = self.state, self.tractions
         pressed = np.zeros(len(state.status), bool)
         pressed[tractions.point[tractions.gap < 0.0]] = True
@@ -302,7 +305,7 @@ class ScenePath(Equilibrium):
     # -- the end of the path
 
     def _iterate_contact(self) -> Status:
-        """Equilibrium at the end of the path in which nothing pulls, to the final tolerance."""
+        """Release points until none pulls at the end of the path, then solve to the final tolerance."""
         pose = path_pose(self.scene, self.t)
         status = Status.UNSETTLED
         for _ in range(self.settings.settle_rounds):
@@ -321,10 +324,10 @@ class ScenePath(Equilibrium):
         return status
 
     def _release_in_balance(self, pose: Pose) -> None:
-        """Release what pulls in the tight equilibrium only, as long as there is one without it.
+        """Release points that pull only in the tight equilibrium, as long as an equilibrium without them exists.
 
-        Few points that are released at the edge of contact leave less out of balance than the path's tolerance, so that their
-        neighbours pull nowhere before.
+        A few points released at the edge of contact change the residual by less than the path's tolerance, so their
+        neighbours start to pull only once it is solved tightly.
         """
         for _ in range(self.settings.settle_rounds):
             kept, u = self.state.snapshot(), self.u
@@ -341,7 +344,7 @@ class ScenePath(Equilibrium):
                 return
 
     def _carry_out(self, pose: Pose) -> None:
-        """Carry out all pending contact changes at a fixed pose, in parts where one go fails."""
+        """Carry out all pending contact changes at a fixed pose, in smaller parts if one fails."""
         left, share = 1.0, 1.0
         while left > 0.0:
             share = min(share, left)
@@ -357,10 +360,10 @@ class ScenePath(Equilibrium):
                     raise
 
     def _polish(self, pose: Pose) -> None:
-        """Tight equilibrium; points that go on changing between sticking and slipping stick for one step.
+        """Equilibrium to the final tolerance. If points keep flipping between slip and stick, all stick for one step.
 
-        Where even then one flips in rounding noise, the accepted residual is enough; where several do, shorter steps help. At the
-        end of a long slide many do for ever: they keep the tractions at which they slip.
+        That retry accepts a larger residual, enough for a point that flips in rounding noise; if several flip,
+        shorter steps help. After a long slide many flip for ever: they are held at the tractions at which they slip.
         """
         final = self.settings.final_tolerance
         for parts in (PARTS, SHORT):
@@ -375,14 +378,14 @@ class ScenePath(Equilibrium):
         self.state.go(1.0)
         return self.solve_here(pose, Aim(max(final, ACCEPTED), held=True))
 
-    # -- evidence
+    # -- diagnostics
 
     def passed(self) -> tuple[list[float], list[np.ndarray]]:
-        """Path parameters and displacements (n, 3) mm of the load steps so far, the last one as it is now."""
+        """Path parameters and displacements (n, 3) mm of all load steps so far; the last one is the current state."""
         return [t for t, _ in self._states], [*(u for _, u in self._states[:-1]), self.u]
 
     def checks(self, forces: np.ndarray) -> dict:
-        """Penetration, pull and balance of the final state."""
+        """Penetration, tensile contact force and balance of the final state; forces: (n, 3) N, of the contact."""
         pose, total = path_pose(self.scene, self.t), forces.sum(axis=0)
         point, _, push = self._pressing(pose)
         size = max(float(np.linalg.norm(total)), 1e-300)
@@ -396,7 +399,7 @@ class ScenePath(Equilibrium):
         }
 
     def judge(self, u: np.ndarray) -> Verdict:
-        """What pulls and what penetrates at displacements u (n, 3) mm that another solver found for this contact."""
+        """Pulling force and penetration at displacements u (n, 3) mm that another solver found for this contact."""
         state, pose, x = self.state, path_pose(self.scene, self.t), self.points(u)
         gap = gaps(self.scene, x, pose)
         held = (state.status == STICK) & (not self.law.slips)
@@ -409,7 +412,7 @@ class ScenePath(Equilibrium):
         return Verdict(pull / max(float(abs(force.sum())), 1e-12), penetration)
 
     def _below_base(self) -> float:
-        """How deep a node lies below the base that the gel is bonded to, mm; beside it the gel's flanks may hang lower."""
+        """Largest depth of a node below the bonded base, mm, within its outline: beside it, the flanks may sag."""
         gel, x = self.scene.gel, self.mesh.nodes + self.u
         over = (np.abs(x[:, 0]) < gel.width / 2) & (np.abs(x[:, 1]) < gel.length / 2)
         return float(max(0.0, -gel.height - x[over, 2].min(initial=np.inf)))

@@ -1,9 +1,9 @@
-"""From a load path on coarse hexahedra to the end on a fine mesh: displacement, and where each surface point first touched.
+"""Transfer of a load path on coarse hexahedra to a fine mesh: displacement, and places of first touch.
 
-Nested iteration (Hackbusch, Multi-Grid Methods and Applications, 1985, section 5): the path is followed where that is
-cheap, and only its end is solved on the fine mesh. What the end needs of the path is where in the indenter's frame
-each point touched. That is read off the point's own way through the coarse path, which is smooth where points have
-not touched yet; the coarse contact points have only the coarse mesh's resolution.
+Nested iteration (Hackbusch, Multi-Grid Methods and Applications, 1985, section 5): the path is followed on a cheap
+mesh, and only its end is solved on the fine mesh. The end depends on the path only through the place in the
+indenter's frame where each point touched. It is interpolated from the point's own trajectory through the coarse
+displacements, which is smooth before touch; the coarse contact points have only the resolution of the coarse mesh.
 """
 
 from dataclasses import dataclass, replace
@@ -19,19 +19,19 @@ from gelforge.mechanics.pose import Pose, touch_fraction
 from gelforge.mechanics.result import NoEquilibrium
 from gelforge.mechanics.scene import Scene
 
-FLAT = 0.2  # volume ratio below which a hexahedron is nearly inverted: Newton's first steps would turn it over
-SMOOTHINGS = 40  # of the nodes of flat hexahedra, at most
-STUCK = 10  # smoothings after each of which the nodes of one more ring of hexahedra move, too
-# Shares of a displacement carried to tetrahedra that are tried until no element is inverted, or nearly: beside a volume
-# ratio below CREASED pressures are such that Newton's method takes twice as many steps.
+FLAT = 0.2  # volume ratio below which Newton's first steps would invert a hexahedron
+SMOOTHINGS = 40  # most smoothings of the nodes of flat hexahedra
+STUCK = 10  # after every STUCK smoothings, one more ring of hexahedra is smoothed, too
+# Fractions of a displacement carried to tetrahedra, tried until every volume ratio is above CREASED: below it,
+# pressures are so high that Newton's method takes twice as many steps.
 UNFOLDED = (1.0, 0.95, 0.9, 0.8, 0.6)
 CREASED = 0.1
-LEFT = 0.05  # widths of a coarse hexahedron beyond touch at which a point has left again
+LEFT = 0.05  # additional gap, in widths of a coarse hexahedron, at which a point that touched counts as released
 
 
 @dataclass(frozen=True)
 class LoadPath:
-    """The states of a scene along its load path: mesh, path parameters (k,), displacements (k, n, 3) mm, the first at rest.
+    """States of a scene along its load path: mesh, path parameters (k,), displacements (k, n, 3) mm, the first zero.
 
     size: side of the mesh's hexahedra under the press, mm.
     """
@@ -43,7 +43,7 @@ class LoadPath:
     size: float
 
     def until(self, t: float) -> "LoadPath":
-        """The path up to t, which must be one of its times to the last bit: a load step ends at each frame asked for."""
+        """The path up to t, which must be exactly one of its times: a load step ends at each requested frame."""
         count = self.times.index(t) + 1
         return replace(self, times=self.times[:count], states=self.states[:count])
 
@@ -53,14 +53,14 @@ class LoadPath:
 
 
 def line_weights(lines: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Weights (m, 2) and indices (m, 2) of linear interpolation on `lines` (n,) at places `at` (m,)."""
+    """Weights (m, 2) and indices (m, 2) of linear interpolation on `lines` (n,) at coordinates `at` (m,)."""
     i = np.clip(np.searchsorted(lines, at, "right") - 1, 0, len(lines) - 2)
     s = np.clip((at - lines[i]) / (lines[i + 1] - lines[i]), 0.0, 1.0)
     return np.stack([1.0 - s, s], axis=1), np.stack([i, i + 1], axis=1)
 
 
 def transferred(coarse: HexMesh, u: np.ndarray, fine: HexMesh) -> np.ndarray:
-    """Displacement (n, 3) of the fine nodes: the coarse one (m, 3), trilinear in x, y and relative height."""
+    """Displacement (n, 3) of the fine nodes, interpolated from u (m, 3): trilinear in x, y and relative height."""
     grid = u.reshape(coarse.layers + 1, len(coarse.ys), len(coarse.xs), 3)
     lines = ((coarse.heights, fine.heights), (coarse.ys, fine.ys), (coarse.xs, fine.xs))
     for axis, (old, new) in enumerate(lines):
@@ -75,10 +75,10 @@ def transferred(coarse: HexMesh, u: np.ndarray, fine: HexMesh) -> np.ndarray:
 
 
 def untangled(mesh: HexMesh, hexahedra: ElementSet, u: np.ndarray) -> np.ndarray:
-    """Displacement (n, 3) with no hexahedron (nearly) inverted: nodes of those that are move towards their neighbours' mean.
+    """Displacement (n, 3) without (nearly) inverted hexahedra: their nodes move towards the mean of their neighbours.
 
-    What is carried over may turn small hexahedra over where a wide one, sound on the whole, is bent round an edge.
-    NoEquilibrium where `SMOOTHINGS` are not enough.
+    Where a wide hexahedron bends round an edge, small hexahedra within it may be inverted though the wide one is not.
+    Raises NoEquilibrium if `SMOOTHINGS` are not enough.
     """
     fixed = np.ones(len(u), bool)
     fixed[mesh.unknown] = False
@@ -98,7 +98,7 @@ def untangled(mesh: HexMesh, hexahedra: ElementSet, u: np.ndarray) -> np.ndarray
 
 
 def _mean_of_neighbours(mesh: HexMesh, u: np.ndarray) -> np.ndarray:
-    """Mean (n, 3) of u (n, 3) over the six neighbours of each node; past the rim a node stands for its own."""
+    """Mean (n, 3) of u (n, 3) over the six neighbours of each node; beyond the boundary the node itself counts."""
     grid = np.pad(u.reshape(mesh.layers + 1, len(mesh.ys), len(mesh.xs), 3), ((1, 1), (1, 1), (1, 1), (0, 0)), "edge")
     inner = slice(1, -1)
     sides = [
@@ -109,7 +109,10 @@ def _mean_of_neighbours(mesh: HexMesh, u: np.ndarray) -> np.ndarray:
 
 
 def unfolded(elements: ElementSet, u: np.ndarray) -> np.ndarray:
-    """u (n, 3), or as much of it as leaves every element some volume: hexahedra bend in places where tetrahedra do not."""
+    """The largest of UNFOLDED times u (n, 3) that keeps all volume ratios above CREASED; NoEquilibrium if none does.
+
+    Tetrahedra may be inverted where hexahedra merely bend.
+    """
     for share in UNFOLDED:
         if elements.smallest_ratios(share * u).min() > CREASED:
             return share * u
@@ -117,7 +120,7 @@ def unfolded(elements: ElementSet, u: np.ndarray) -> np.ndarray:
 
 
 def carried(path: LoadPath, mesh: GelMesh, elements: ElementSet) -> np.ndarray:
-    """Displacement (n, 3) mm of the nodes of a finer mesh at the path's end, with no element inverted."""
+    """Displacement (n, 3) mm of the nodes of a finer mesh at the path's end, without inverted elements."""
     if isinstance(mesh, HexMesh):
         return untangled(mesh, elements, transferred(path.mesh, path.states[-1], mesh))
     u = volume_motion(path.mesh, path.states[-1], mesh.nodes, path.scene.gel)
@@ -126,14 +129,14 @@ def carried(path: LoadPath, mesh: GelMesh, elements: ElementSet) -> np.ndarray:
 
 
 def surface_motion(coarse: HexMesh, u: np.ndarray, xy: np.ndarray) -> np.ndarray:
-    """Displacement (p, 3) of points of the top surface, by their undeformed places xy (p, 2)."""
+    """Displacement (p, 3) of points of the top surface, by their undeformed positions xy (p, 2)."""
     top = u.reshape(coarse.layers + 1, len(coarse.ys), len(coarse.xs), 3)[-1]
     (wx, ix), (wy, iy) = line_weights(coarse.xs, xy[:, 0]), line_weights(coarse.ys, xy[:, 1])
     return np.einsum("pa,pb,pabi->pi", wy, wx, top[iy[:, :, None], ix[:, None, :]])
 
 
 def volume_motion(coarse: HexMesh, u: np.ndarray, points: np.ndarray, gel: Gel) -> np.ndarray:
-    """Displacement (p, 3) of points of the gel by their undeformed places (p, 3), trilinear in x, y and relative height."""
+    """Displacement (p, 3) of points (p, 3) of the undeformed gel, trilinear in x, y and relative height."""
     grid = u.reshape(coarse.layers + 1, len(coarse.ys), len(coarse.xs), 3)
     height = (points[:, 2] + gel.height) / (gel.top(points[:, 0], points[:, 1]) + gel.height)
     lines = (coarse.heights, height), (coarse.ys, points[:, 1]), (coarse.xs, points[:, 0])
@@ -143,11 +146,11 @@ def volume_motion(coarse: HexMesh, u: np.ndarray, points: np.ndarray, gel: Gel) 
 
 
 def touches(path: LoadPath, points: np.ndarray, near: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-    """Which surface points (m, 3) a path has brought into contact (m,), and where each touched (m, 3).
+    """Which surface points (m, 3) a path has brought into contact (m,) bool, and where each touched (m, 3).
 
-    near: how close to the indenter counts as touching, widths of a coarse hexahedron. Places are in the indenter's frame.
-    A point that goes on as in the step before crosses the surface at a fraction of the step: that place counts. Points
-    that have not touched get the place to which the last step would lead them.
+    near: gap that counts as touching, in widths of a coarse hexahedron. Places are in the indenter's frame, at the
+    fraction of a load step at which the motion of the step before, continued, would reach the indenter. Points that
+    have not touched get the place to which the last step leads.
     """
     touched, places = np.zeros(len(points), bool), np.empty_like(points)
     before: tuple[float, np.ndarray, Pose, np.ndarray] | None = None

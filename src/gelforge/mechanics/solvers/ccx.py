@@ -1,9 +1,9 @@
-"""Method `ccx`: CalculiX on second-order tetrahedra, contact found in process.
+"""Method `ccx`: CalculiX on second-order tetrahedra, with contact solved in process.
 
-The deck has no contact. The final state of a hyperelastic body depends on its boundary data only, so the part of the
-surface that touches has the displacement that contact gave it; CalculiX finds the equilibrium of the gel and the forces that hold it
-so. What pulls or penetrates in its state makes no valid result, and a force other than that found in process neither. Contact is integrated at twelve points of each face,
-because at nodes a footprint's edge falls between them.
+The deck has no contact. The final state of a hyperelastic body depends only on its boundary data, so the touching
+part of the surface is given the displacement found in process, and CalculiX solves for the equilibrium of the gel and
+the forces that hold it. A result is invalid if points pull or penetrate in it, or if its force differs from the one
+found in process. Contact is integrated at twelve points per face, because the edge of contact falls between nodes.
 """
 
 import time
@@ -33,30 +33,31 @@ from gelforge.mechanics.result import BALANCE, Result
 from gelforge.mechanics.scene import Scene
 from gelforge.records.status import Status
 
-AROUND = quality("label")  # whose small hexahedra show where the contact may be
-PIXELS = 64  # across the longer side of that place
-# Of edges at the edge of contact, in sides of these hexahedra, which are smaller under a narrow contact.
+AROUND = quality("label")  # its fine box bounds the area in which contact is looked for
+PIXELS = 64  # across the longer side of that box
+# Longest edges at the edge of contact, in sides of these hexahedra, which are smaller under a narrow contact.
 LONGEST = 1.5
-# Widths of a coarse hexahedron within which what lies between its points of contact touches, too; and pixels of gaps that are closed.
+# Gap, in widths of a coarse hexahedron, up to which points between its contact points count as touching, too; and
+# width in pixels of holes in the contact that are closed.
 PORES, CLOSED = 0.02, 1
-NEAR_MM = 0.5  # from the indenter: points that may come to touch within a load step
-# Residual at which the end of a path on hexahedra shows what pulls and what presses on tetrahedra: nine scenes end within
-# 0.07 % of what 1e-3 gives, in three quarters of the time; at 0.2 they end up to 1.2 % off.
+NEAR_MM = 0.5  # gap below which a free point may come to touch within a load step
+# Residual of the contact iterations on tetrahedra after a path on hexahedra. On nine scenes it changes the force by
+# at most 0.07 % against 1e-3 and takes three quarters of the time; 0.2 changes it by up to 1.2 %.
 ROUGH = 0.03
-FRICTION = 0.1  # stiffness of the springs along the indenter over that along its normal, for laws with friction
-# Share of the force by which CalculiX' may differ from that of the same equilibrium in process: they agree to 1e-8 or so.
+FRICTION = 0.1  # tangential over normal penalty stiffness, for laws with friction
+# Largest relative difference of CalculiX' force to that of the same equilibrium in process (normally about 1e-8).
 MOST_DIFFERENT = 1e-5
 
 
 @dataclass(frozen=True)
 class CcxSettings:
-    """How `ccx` works: the numbers of [fea] that concern it, with the reasons for them in workflow/params.toml.
+    """Settings of `ccx`: its keys of [fea]; workflow/params.toml gives the reasons for their values.
 
     edge_mm, inside_mm: longest edges of tetrahedra at the edge of contact, and inside it.
-    press_steps, shear_steps: load steps of the kinematics, at least. step_mm: none of the press is longer.
-    stiffness: contact penalty, multiples of C10 per mm. rounds: in which the contact at the path's end may change.
-    pull_tolerance: share of the normal force that may pull in a valid state. penetration_mm: depth that counts as touching. residual:
-    largest nodal residual over the mean nodal force. timeout_s: seconds after which a run of CalculiX is stopped.
+    press_steps, shear_steps: least load steps of the in-process path. step_mm: longest press step.
+    stiffness: contact penalty, multiples of C10 per mm. rounds: most contact iterations at the end of the path.
+    pull_tolerance, penetration_mm: limits of a valid state: tension over normal force, and penetration.
+    residual: largest nodal residual over the mean nodal force. timeout_s: time limit of a run of CalculiX, s.
     """
 
     edge_mm: float
@@ -73,11 +74,11 @@ class CcxSettings:
 
     @classmethod
     def of(cls, table: FeaTable) -> "CcxSettings":
-        """What [fea] says."""
+        """The settings of a table [fea]."""
         return cls(**{field.name: getattr(table, field.name) for field in fields(cls)})
 
     def path(self, scene: Scene, touch_at: float) -> PathSettings:
-        """How the path of a scene is followed on tetrahedra from the path parameter `touch_at` on."""
+        """Settings of the path of a scene on tetrahedra; touch_at: path parameter of the first touch."""
         travel = max(1.0 - touch_at, 0.0) * abs(scene.press.dz)
         penalty = self.stiffness * NEAR_MM
         return PathSettings(
@@ -90,10 +91,10 @@ class CcxSettings:
 def mesh_of(
     scene: Scene, path: LoadPath | None, edge_mm: float, inside_mm: float, longest: float = LONGEST
 ) -> TetMeshName:
-    """The mesh of a press: the gel's base mesh, bisected where its contact ends and inside it.
+    """The mesh of a press: the gel's base mesh, bisected at the edge of contact and inside it.
 
-    path: as followed on hexahedra, which shows what touches. None: what of the undeformed gel lies inside the indenter.
-    edge_mm, inside_mm: longest edges there; shorter where the contact is narrow, by `longest` (inf: never).
+    path: on hexahedra, to find the contact; None: contact is where the undeformed gel lies inside the indenter.
+    edge_mm, inside_mm: longest edges there; shorter if the contact is narrow, see LONGEST (longest = inf: never).
     """
     box = fine_box(scene, AROUND.size, AROUND.across)
     low, size = (
@@ -113,7 +114,7 @@ def mesh_of(
     else:
         mask = touch.touched(scene.indenter, scene.press, places).reshape(x.shape)
     mask &= scene.gel.inside(x, y)
-    if not mask.any():  # between the pixels: what lies nearest
+    if not mask.any():  # the contact lies between the pixels: take the nearest ones
         near = touch.gap(scene.indenter, scene.press, places, scene.press.end).reshape(x.shape)
         mask = near <= near.min()
     most = longest * box.size
@@ -122,16 +123,16 @@ def mesh_of(
 
 
 def _digits(number: float, count: int) -> float:
-    """A number of so many digits: what a mesh's name holds of it is all that there is."""
+    """Round to `count` significant digits, so that a mesh's name holds the number exactly."""
     return float(f"{number:.{count}g}")
 
 
 @dataclass
 class CcxResult(Result):
-    """A Result with what CalculiX' deck is written from (None where nothing was run).
+    """A Result with the data of CalculiX' deck (None if CalculiX was not run).
 
-    start: (n, 3) float32 mm, displacements that Newton's method starts from. prescribed: (k,) nodes that are led to theirs.
-    deck: the numbers that `ccx.deck.press_deck` takes beside.
+    start: (n, 3) float32 mm, displacements from which Newton's method starts. prescribed: (k,) nodes that are moved
+    to theirs. deck: the other arguments of `ccx.deck.press_deck`.
     """
 
     start: np.ndarray | None = None
@@ -140,7 +141,7 @@ class CcxResult(Result):
 
 
 class CcxSolver:
-    """Solves scenes on one tetrahedral mesh; decks and output of CalculiX lie in `folder`."""
+    """Solves scenes on one tetrahedral mesh; decks and output of CalculiX are written to `folder`."""
 
     def __init__(self, mesh: GelMesh, folder: Path | str, settings: CcxSettings) -> None:
         self.mesh, self.folder, self.settings = mesh, Path(folder), settings
@@ -156,8 +157,8 @@ class CcxSolver:
     ) -> CcxResult:
         """State at the end of the scene's path. Failure is a status, not an exception.
 
-        coarse_path: the path as followed on hexahedra, of a law without slip or without friction; only its end is then
-        solved on the tetrahedra. None, or an end that does not converge: the path is followed on the tetrahedra.
+        coarse_path: the path on hexahedra, for a law without slip or without friction; then only its end is solved on
+        the tetrahedra. If it is None, or its end does not converge, the path is followed on the tetrahedra.
         """
         began = time.perf_counter()
         s = settings or self.settings
@@ -195,11 +196,11 @@ class CcxSolver:
         return CcxResult(status, zero, zero.copy(), evidence, self.mesh)
 
     def _state(self, found: ScenePath, name: str, s: CcxSettings) -> CcxResult:
-        """CalculiX' equilibrium with the displacement of the touching surface as the path left it."""
+        """CalculiX' equilibrium with the touching surface displaced as at the end of the path."""
         touching = found.state.status != FREE
         prescribed = np.unique(found.nodes[touching])
         run = _Run(self, found.scene, name, s)
-        # what is kept of a press makes its deck again to the last digit
+        # single precision as stored, so that stored presses reproduce the deck to the last digit
         start = found.u.astype(np.float32)
         answer = run.solve(prescribed, start)
         if isinstance(answer, CcxResult):
@@ -211,15 +212,15 @@ class CcxSolver:
 
 
 def _compare(result: CcxResult, in_process: np.ndarray) -> None:
-    """Note by how much CalculiX' force differs from that of the same equilibrium in process, (3,) N; refuse it where it does."""
+    """Record the relative difference of CalculiX' force and `in_process` (3,) N; DISAGREES if it is too large."""
     off = float(np.linalg.norm(result.total - in_process)) / max(float(np.linalg.norm(in_process)), 1e-12)
     result.evidence["engine_difference"] = off
     if result.status.valid and off > MOST_DIFFERENT:
         result.status = Status.DISAGREES
         force, own = (" ".join(f"{value:.6g}" for value in total) for total in (result.total, in_process))
         result.evidence["reason"] = (
-            f"CalculiX {result.evidence['ccx_version']} gives {force} N where the same equilibrium in process gives {own} N,"
-            f" {off:.2g} of the force apart, {MOST_DIFFERENT:g} is allowed; {Status.DISAGREES.value}"
+            f"CalculiX {result.evidence['ccx_version']} gives {force} N, the solver in process {own} N for the same"
+            f" equilibrium: relative difference {off:.2g}, at most {MOST_DIFFERENT:g} is allowed; {Status.DISAGREES.value}"
         )
 
 
@@ -233,7 +234,7 @@ class Answer:
 
 
 class _Run:
-    """CalculiX on one scene, with what it cost."""
+    """CalculiX on one scene, with its cost."""
 
     def __init__(self, solver: CcxSolver, scene: Scene, name: str, settings: CcxSettings):
         self.solver, self.scene, self.name, self.settings = solver, scene, name, settings
@@ -245,9 +246,9 @@ class _Run:
         self.deck: dict[str, Any] = {}
 
     def solve(self, prescribed: np.ndarray, start: np.ndarray) -> "Answer | CcxResult":
-        """Equilibrium in which the nodes `prescribed` (k,) are displaced as in `start` (n, 3) mm; or a failed CcxResult.
+        """Equilibrium with the nodes `prescribed` (k,) displaced as in `start` (n, 3) mm, or a failed CcxResult.
 
-        Newton's method begins there; where that fails the displacements grow from rest in increments.
+        Newton's method starts there; if that fails, the displacements are increased from zero in increments.
         """
         mesh, s, folder = self.solver.mesh, self.settings, self.solver.folder
         problem = Status.DIVERGED, "no point touches"
@@ -270,7 +271,7 @@ class _Run:
         return CcxResult(problem[0], zero, zero.copy(), self._evidence() | {"reason": problem[1]}, mesh)
 
     def result(self, answer: Answer, prescribed: np.ndarray, start: np.ndarray, verdict: Verdict) -> CcxResult:
-        """The answer as a result: forces are those on the nodes `prescribed`, and valid where contact and balance are."""
+        """The result of an answer: forces act on the nodes `prescribed`; valid if contact and force balance are."""
         mesh, s = self.solver.mesh, self.settings
         forces = np.zeros_like(mesh.nodes)
         touched = np.isin(mesh.surface_nodes, prescribed)
@@ -307,5 +308,5 @@ def read_answer(path: Path, mesh: GelMesh) -> Answer:
 
 
 def status_of(error: DatError) -> Status:
-    """Status of a solve whose .dat cannot be used: it ended before its load was on, or it is no table of ours."""
+    """Status of a solve with an unusable .dat: the job ended before its full load, or the file is unreadable."""
     return Status.DIVERGED if isinstance(error, Unfinished) else Status.UNREADABLE

@@ -1,4 +1,4 @@
-"""Method on hexahedra in process: the whole contact problem in process, on hexahedra with mean dilatation."""
+"""Method on hexahedra: the whole contact problem is solved in process, on hexahedra with mean dilatation."""
 
 import time
 from collections import OrderedDict
@@ -22,22 +22,22 @@ from gelforge.mechanics.result import BALANCE, Result
 from gelforge.mechanics.scene import Scene
 from gelforge.records.status import Status
 
-# How deep the indenter may end inside the gel. Contact penalties give way by 0.02 mm at most on the scenes of the chart, by
-# half a millimetre and more where the gel is pressed through: that state is in equilibrium, but not one of the press.
+# Largest penetration of a valid result, mm. It is at most 0.02 mm on the benchmark scenes, and half a millimetre or
+# more where the gel is pressed through: such a state is in equilibrium, but is no solution of the press.
 MOST_INSIDE_MM = 0.1
-MOST_BELOW_MM = 1e-3  # that a node may end below the base the gel is bonded to
-# A shear step is no longer with friction: points that first touch within a step have none until it ends.
+MOST_BELOW_MM = 1e-3  # largest depth of a node below the bonded base
+# Longest shear step with Coulomb friction: points that first touch within a step have no friction until it ends.
 MOST_SHEAR_MM = 0.2
-KEPT = 8  # meshes, and factorisations, of those used last
-TOUCH = 1e-8  # path parameter, about what the first touch is found to: a frame nearer to it touches nothing yet
+KEPT = 8  # size of the caches of meshes and of factorisations
+TOUCH = 1e-8  # accuracy of the first touch, path parameter: a frame closer to it has no contact yet
 
 
 @dataclass
 class HexResult(Result):
-    """A Result with its mesh, the contact at Gauss points (None: nothing was solved), and what the mesh is built from.
+    """A Result with its mesh, the contact at Gauss points (None: nothing was solved), and the name of the mesh.
 
-    evidence["path"]: converged load steps [path parameter, fx, fy, fz], N: one solve is a whole force-depth curve. With
-    nested settings those of the coarse hexahedra, times what makes their end that of the fine ones.
+    evidence["path"]: converged load steps [path parameter, fx, fy, fz], N: one solve gives a whole force-depth curve.
+    With nested settings it is the curve of the coarse hexahedra, scaled to end at the force of the fine ones.
     """
 
     mesh: HexMesh | None = None
@@ -46,14 +46,14 @@ class HexResult(Result):
 
     @property
     def solved_mesh(self) -> HexMesh:
-        """The mesh of a press that was solved; ValueError where none was."""
+        """The mesh of a solved press; raises ValueError if nothing was solved."""
         if self.mesh is None:
             raise ValueError(f"nothing was solved: {self.status.value}")
         return self.mesh
 
 
 def solve_hex(scene: Scene, settings: HexSettings = HexSettings()) -> HexResult:
-    """Solve one scene with a solver of its own."""
+    """Solve one scene with a new solver."""
     return HexSolver(settings).solve(scene)
 
 
@@ -77,11 +77,11 @@ class HexSolver:
         return self.solve_frames([scene.direct])[0]
 
     def solve_frames(self, scenes: Sequence[Scene]) -> list[HexResult]:
-        """States at frames of one press, scenes in order of time along one path; one result each, all on one mesh.
+        """States at the frames of one press, scenes in order of time along one path; one result each, on one mesh.
 
-        The path is followed once. With nested settings that is on coarse hexahedra, and only its frames are solved on fine
-        ones; with Coulomb friction, whose forces depend on all of a point's slip, or where no path was found on coarse
-        hexahedra, on fine ones, and the contact of each frame is iterated where the path passes it.
+        With nested settings the path is followed once on coarse hexahedra, and only its frames are solved on fine
+        ones. With Coulomb friction, whose forces depend on the whole slip of a point, or if the coarse path fails,
+        the path is followed on the fine hexahedra, and contact is iterated at each frame that it passes.
         """
         began, start = time.perf_counter(), first_touch(scenes[-1])
         if start is None:
@@ -101,7 +101,7 @@ class HexSolver:
         return results
 
     def _passed(self, scenes: Sequence[Scene], start: float, box: FineBox) -> list[HexResult]:
-        """States at frames of one press, the contact of each iterated where the path on these hexahedra passes it."""
+        """States at the frames of one press from one path on the fine hexahedra, with contact iterations at each."""
         last, name = scenes[-1], self._mesh_name(scenes[-1].gel, box)
         mesh = self.mesh(last.gel, box)
         run = self._run(last, mesh, self.settings, box.size)
@@ -123,15 +123,14 @@ class HexSolver:
             reached = passed or end
             path = _until(reached.evidence["path"], t) if passed else reached.evidence["path"]
             seconds = (time.perf_counter() - began) / len(scenes)
-            # a result of its own, because equal frames share what was found, and what is noted of each is changed
+            # a copy, because equal frames share one result, and its evidence is changed per frame
             results.append(replace(reached, evidence=reached.evidence | {"path": path, "seconds": seconds}))
         return results
 
     def coarse_path(self, scenes: Sequence[Scene]) -> list["CoarseFrame | None"]:
-        """The path of a press on the coarse hexahedra of nested settings, as it stands at each of its frames.
+        """The path of a press on the coarse hexahedra of nested settings, up to each of its frames.
 
-        None for a frame at which nothing touches yet, and for all where the path finds no equilibrium and where settings
-        are not nested.
+        None for a frame without contact, and for all frames if the path fails or settings are not nested.
         """
         last = scenes[-1]
         none: list[CoarseFrame | None] = [None] * len(scenes)
@@ -159,7 +158,7 @@ class HexSolver:
         return found
 
     def _frame(self, scene: Scene, coarse: "CoarseFrame | None", box: FineBox, started: float) -> HexResult:
-        """State at the end of one scene: from the coarse path where there is one, else by a path of its own."""
+        """State at the end of one scene: from the coarse path if that succeeds, else by its own path."""
         start = first_touch(scene)
         if start is None:
             return self._no_contact(scene, started)
@@ -176,18 +175,18 @@ class HexSolver:
     def _arrived(
         self, scene: Scene, coarse: "CoarseFrame", box: FineBox, name: HexMeshName, started: float
     ) -> HexResult:
-        """The end of a coarse path on the fine hexahedra, and corrected by what both together say of the error."""
+        """The end of a coarse path, solved on the fine hexahedra."""
         mesh = self.mesh(scene.gel, box)
         run = self._run(scene, mesh, self.settings, box.size)
         result = _result(run, mesh, run.arrive(coarse.path), started, name)
-        # one press, one curve: the coarse hexahedra', as much smaller as their end is
+        # the coarse curve, scaled so that it ends at the fine force
         scale = float(np.linalg.norm(result.total)) / max(coarse.force, np.finfo(float).tiny)
         curve = [[t, *(scale * np.array(force)).tolist()] for t, *force in coarse.curve[:-1]]
         result.evidence |= {"path": [*curve, [float(run.t), *result.total.tolist()]]}
         return result
 
     def _extrapolate(self, scene: Scene, coarse: "CoarseFrame | None", box: FineBox, result: HexResult) -> None:
-        """Correct a result by what two sizes of hexahedra together say, and state the error that is left."""
+        """Correct a result by extrapolation from two sizes of hexahedra, and state the remaining error."""
         force = float(np.linalg.norm(result.total))
         contact, nested = result.contact, self.settings.nested
         numbers = nested.convergence if nested else None
@@ -201,7 +200,7 @@ class HexSolver:
             return
         both = Coarse(coarse.force, coarse.area)
         factor = 1.0 / (1.0 + numbers.correction(edge, both, force))
-        # reactions of the base go with the forces: what was checked for balance stays balanced. Equal frames share arrays
+        # base reactions scale with the forces, so they stay balanced; new arrays, because equal frames share them
         result.forces = factor * result.forces
         result.contact = replace(contact, traction=factor * contact.traction)
         evidence |= {
@@ -227,7 +226,7 @@ class HexSolver:
         return HexMeshName(gel.name, box, *_shape(gel, box, self.settings))
 
     def _system(self, mesh: HexMesh) -> System:
-        """Matrix and factorisation, which meshes of one pattern share."""
+        """Matrix and factorisation, shared by meshes with the same sparsity pattern."""
         return self._systems.get(mesh.pattern_key, lambda: System(mesh))
 
     def _no_contact(self, scene: Scene, started: float) -> HexResult:
@@ -245,7 +244,7 @@ class HexSolver:
 class CoarseFrame:
     """A press on coarse hexahedra up to one frame.
 
-    path: its states. curve: converged load steps [path parameter of the frame's own path, fx, fy, fz] in N.
+    path: its states. curve: converged load steps [path parameter of a press that ends at the frame, fx, fy, fz], N.
     area: of contact, mm^2. counts: iterations and factorisations of the whole path.
     """
 
@@ -261,16 +260,16 @@ class CoarseFrame:
 
 
 def _shape(gel: Gel, box: FineBox, s: HexSettings) -> tuple[int, float, float, float, tuple[int, ...]]:
-    """What `build_mesh` takes beside gel and box: layers, layer_ratio, growth, largest, widened."""
+    """Arguments of `build_mesh` after gel and box: layers, layer_ratio, growth, largest, widened."""
     layers, ratio = s.layers, s.layer_ratio
     if box.size <= s.thin_below:
         layers, ratio = thinner_layers(layers, ratio, gel.height, FLATNESS * box.size, s.steepness)
-    # as many of the upper layers as before are fine
+    # added layers become wide ones: the number of fine upper layers stays
     return layers, ratio, s.growth, s.largest, tuple(count + layers - s.layers for count in s.widened)
 
 
 def _until(curve: list[list[float]], t: float) -> list[list[float]]:
-    """The load steps up to t, by the path parameter of a press that ends there."""
+    """Load steps up to t, with the path parameters of a press that ends at t."""
     before = [row for row in curve if row[0] <= t]
     if t <= 1.0:
         return [[at / t, *force] for at, *force in before]
@@ -278,7 +277,7 @@ def _until(curve: list[list[float]], t: float) -> list[list[float]]:
 
 
 def _below_base(scene: Scene) -> str | None:
-    """Why a press that ends at or below the gel's base has no solution; None for others."""
+    """The reason to refuse a press that ends at or below the gel's base; None for other presses."""
     lowest = scene.press.z0 + scene.press.dz
     if lowest > -scene.gel.height or first_touch(scene) is None:
         return None
@@ -286,7 +285,7 @@ def _below_base(scene: Scene) -> str | None:
 
 
 class _Kept:
-    """The most recently used few of what is costly to make."""
+    """Cache of the `size` most recently used items."""
 
     def __init__(self, size: int) -> None:
         self._size = size
@@ -302,7 +301,7 @@ class _Kept:
 
 
 def _result(run: ScenePath, mesh: HexMesh, status: Status, started: float, name: HexMeshName) -> HexResult:
-    """Forces, evidence and contact state at the end of a path."""
+    """Result at the end of a path: forces, evidence and contact state."""
     evidence = _evidence(run.residual, run.iterations, run.rounds, run.steps)
     forces = np.zeros_like(run.u)
     if status is not Status.DIVERGED:
@@ -325,17 +324,17 @@ def _result(run: ScenePath, mesh: HexMesh, status: Status, started: float, name:
 
 
 def _impossible(evidence: dict) -> str | None:
-    """What no real gel does, in an equilibrium that was found all the same; None where all is well."""
+    """The reason why an equilibrium that was found is not physical; None if it is."""
     inside, below = evidence["penetration_mm"], evidence["below_base_mm"]
     if inside > MOST_INSIDE_MM:
-        return f"the indenter ends {inside:.2g} mm inside the gel, {MOST_INSIDE_MM:g} mm is allowed"
+        return f"the indenter ends {inside:.2g} mm inside the gel, at most {MOST_INSIDE_MM:g} mm is allowed"
     if below > MOST_BELOW_MM:
         return f"the gel is pressed {below:.2g} mm through its own base"
     return None
 
 
 def _refused(mesh: HexMesh, name: HexMeshName, reason: str, started: float) -> HexResult:
-    """A press that geometry alone forbids: no solve, no force."""
+    """Result for a press that its geometry rules out: nothing is solved, forces are zero."""
     zero = np.zeros_like(mesh.nodes)
     evidence = _evidence() | {"reason": f"{reason}; {Status.OUT_OF_RANGE.value}"}
     evidence["seconds"] = time.perf_counter() - started
