@@ -12,7 +12,7 @@ from gelforge.calibration.parameters import TARE, Model
 # at other friction and depth (make benchmark-calibration): of all components, of sideways forces in addition, and of
 # the normal force for presses that hardly move sideways. Without them 0.1 % of a large force would decide friction.
 ERROR = 0.013
-SIDEWAYS_ERROR, SIDEWAYS_ERROR_OF_NORMAL = 0.02, 0.002
+SIDEWAYS_ERROR, SIDEWAYS_ERROR_OF_NORMAL = 0.04, 0.002
 ERRORS = np.array([ERROR, SIDEWAYS_ERROR, SIDEWAYS_ERROR_OF_NORMAL])
 
 

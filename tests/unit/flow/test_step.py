@@ -229,7 +229,7 @@ def test_a_file_system_without_locks_is_named_and_nothing_is_made(tmp_path):
     words = ["-m", "gelforge.flow.step", target, "--", "bash", "-c", f"echo made > '{target}.part'"]
     done = without_locks(errno.ENOLCK, sys.executable, *words)
     assert done.returncode == 2 and f"no file locks here ({os.strerror(errno.ENOLCK)})" in done.stdout, done.stderr
-    assert "mount the file system with them" in done.stdout and "space" not in done.stdout
+    assert "mount the file system with locks" in done.stdout and "space" not in done.stdout
     assert not target.exists() and not target.with_name("0000.csv.part").exists()
 
 
