@@ -181,13 +181,13 @@ def coverage_figures(runs: list[dict]) -> list[Figure]:
     return figures
 
 
-def held_out(
-    readings: Readings, params: CalibrateTable, folder: Path, jobs: int
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Emulated and solved forces, each (n, 3) N, of presses at HELD_MUS, and each one's indenter, (n,) str.
+def held_out(params: CalibrateTable, folder: Path, jobs: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Emulated and solved forces, each (n, 3) N, of the demo's presses at HELD_MUS, and each one's indenter, (n,) str.
 
     The solves are by hexahedra of quality `label`, with other friction and smaller depth than those of the emulator.
     """
+    readings = read_readings("data/demo/log.csv")
+    readings = readings.take(choose_presses(readings, params.max_presses, LAW))
     catalogue = load_catalogue("workflow/indenters.toml", sorted(set(readings.indenters.tolist())))
     readings, emulator, _ = stage.emulate(readings, catalogue, params, LAW, NU, folder / "solves", jobs)
     plan = make_plan(readings, params.reach_mm, LAW, params.friction_nodes, NU)
@@ -207,14 +207,9 @@ def held_out(
 def emulator_figures(params: CalibrateTable, folder: Path, jobs: int) -> list[Figure]:
     """Error of emulated forces from press to press, as the scale that the likelihood uses.
 
-    Measured on the demo's presses, most of which slide, and on those of the synthetic session, most of which stick.
     The mean error of an indenter's presses is excluded, because the posterior has a parameter for it.
     """
-    demo = read_readings("data/demo/log.csv")
-    demo = demo.take(choose_presses(demo, params.max_presses, LAW))
-    parts = [held_out(readings, params, folder, jobs) for readings in (demo, design())]
-    emulated, solved = (np.concatenate([part[k] for part in parts]) for k in (0, 1))
-    indenters = np.concatenate([np.char.add(f"{at} ", part[2].astype(str)) for at, part in enumerate(parts)])
+    emulated, solved, indenters = held_out(params, folder, jobs)
     off = np.log(solved[:, 2] / emulated[:, 2])
     names = np.unique(indenters)
     mean = {name: off[indenters == name].mean() for name in names}

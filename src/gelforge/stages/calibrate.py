@@ -27,7 +27,7 @@ from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.records.log import rejected_rows
 from gelforge.reporting import cornerplots as plots
 
-VERSION = 14
+VERSION = 13
 MOST_BANDS = 6  # indenters in the plot of predictive bands, the first by name: more would hide each other
 
 

@@ -261,7 +261,9 @@ def test_a_second_export_leaves_no_sample_of_the_first_in_another_split(tmp_path
 def test_a_sensor_that_is_none_is_to_be_added_where_an_import_reads_it(tmp_path):
     """Not to a dataset's own file: before the import there may be no such folder."""
     asked = ["--from", str(tmp_path), "--data", str(tmp_path / "data"), "--sensor", "lab_a"]
-    with pytest.raises(BadInput, match=r"'lab_a' is not in workflow/sensors.toml, which has .*add it there") as refused:
+    with pytest.raises(
+        BadInput, match=r"'lab_a' is not in workflow/sensors.toml, which has .*add it there"
+    ) as refused:
         feats.bring_in(asked)
     assert "own sensors.toml" not in str(refused.value)
 
