@@ -171,17 +171,18 @@ def test_units_and_reports_of_one_frame_are_read(tmp_path):
 
 LINE = "0.5 <Idle|WPos:1.000,2.000,5.000|FS:0,0>\n"
 CSV = "time_s,x_mm,y_mm,z_mm\n0.00,1,2,5\n"
+COMMANDED = "line 2.*commanded positions, not measured ones"
 NO_PATHS = {  # what a path may not be, and what is said of it
     "G-code": ("0.5 G1 X1 Y2 Z5 F100\n", "line 1.*commanded positions, not measured ones"),
-    "relative": (LINE + "0.6 g91\n", "line 2.*commanded positions, not measured ones"),
-    "packed words": (LINE + "0.6 G20G90\n", "line 2.*commanded positions, not measured ones"),
-    "numbered": (LINE + "0.6 N10G20\n", "line 2.*commanded positions, not measured ones"),
-    "a jog": (LINE + "0.6 $J=G21G91X1F500\n", "line 2.*commanded positions, not measured ones"),
-    "padded": (LINE + "0.6 G020\n", "line 2.*commanded positions, not measured ones"),
-    "a moved zero": (LINE + "0.6 G92 X0\n", "line 2.*commanded positions, not measured ones"),
-    "offsets": (LINE + "0.6 G10 L20 P1 X0\n", "line 2.*commanded positions, not measured ones"),
-    "homing": (LINE + "0.6 G28\n", "line 2.*commanded positions, not measured ones"),
-    "machine moves": (LINE + "0.6 g53 z0\n", "line 2.*commanded positions, not measured ones"),
+    "relative": (LINE + "0.6 g91\n", COMMANDED),
+    "packed words": (LINE + "0.6 G20G90\n", COMMANDED),
+    "numbered": (LINE + "0.6 N10G20\n", COMMANDED),
+    "a jog": (LINE + "0.6 $J=G21G91X1F500\n", COMMANDED),
+    "padded": (LINE + "0.6 G020\n", COMMANDED),
+    "a moved zero": (LINE + "0.6 G92 X0\n", COMMANDED),
+    "offsets": (LINE + "0.6 G10 L20 P1 X0\n", COMMANDED),
+    "homing": (LINE + "0.6 G28\n", COMMANDED),
+    "machine moves": (LINE + "0.6 g53 z0\n", COMMANDED),
     "spaced": (LINE + "0.6 G 91\n", "line 2"),
     "an axis alone": (LINE + "0.6 X1.5 Z-0.5\n", "line 2"),
     "two frames": (LINE + "0.6 <Idle|MPos:1.000,2.000,5.000|FS:0,0>\n", "line 2.*one frame of coordinates"),

@@ -187,6 +187,8 @@ def test_a_plans_parameters_stand_in_the_dataset_it_writes():
     ):
         plan = replace(demo, params=table, held_out_sensors=())
         assert tomllib.loads(describe(plan))["params"] == table
+    drawn = replace(read_plan(DEMO.with_name("train.toml")), params={}, held_out_sensors=())
+    assert tomllib.loads(describe(drawn))["params"] == {"poses": {"judge_images": False}}
 
 
 def test_a_press_whose_truth_was_lost_is_repeated(tmp_path):
