@@ -16,6 +16,7 @@ from gelforge.mechanics.material import REFERENCE_C10
 DEPTHS = 161
 FRICTIONS = 33
 HALF_MU = 0.5  # the friction coefficient in the middle of the axis
+HERTZ = 1.5  # exponent of the depth of a ball in its force (Hertz 1881)
 
 
 def friction_axis(mu) -> np.ndarray:
@@ -77,22 +78,31 @@ class Emulator:
 def curve_table(curve: Curve, top: float) -> np.ndarray:
     """Force (DEPTHS, 3) on the uniform grid from 0 to `top` of one curve.
 
-    The normal force is a monotone cubic in the square root of depth, in which both a sphere's d^1.5
-    and a punch's d are smooth; shear is interpolated as its ratio to the normal force.
+    The logarithm of the normal force is a monotone cubic in that of the depth below first touch, and continues
+    straight to lighter presses than the first point: a power of depth, as under a sphere (HERTZ) and under a punch (1).
+    Shear is interpolated as its ratio to the normal force.
     """
     grid = np.linspace(0.0, top, DEPTHS)
-    touching = np.abs(curve.force[:, 2]) > 0
+    touching = curve.force[:, 2] < 0
     if not touching.any():
         return np.zeros((DEPTHS, 3))
-    first = max(int(np.argmax(touching)) - 1, -1)
-    touch = curve.depth[first] if first >= 0 else 0.0
-    depth, force = curve.depth[first + 1 :], curve.force[first + 1 :]
-    x = np.concatenate([[0.0], np.sqrt(depth - touch)])
-    fz = np.concatenate([[0.0], force[:, 2]])
-    at = np.sqrt(np.clip(grid - touch, 0.0, None))
-    normal = PchipInterpolator(x, fz)(at) if len(x) > 2 else np.interp(at, x, fz)
+    first = int(np.argmax(touching))
+    touch = curve.depth[first - 1] if first else 0.0
+    depth, force = curve.depth[first:], curve.force[first:]
+    at, normal = grid > touch, np.zeros(DEPTHS)
+    normal[at] = -power_law(grid[at] - touch, depth - touch, -force[:, 2])
     ratio = np.stack([np.interp(grid, depth, force[:, i] / force[:, 2]) for i in (0, 1)], axis=1)
     return np.column_stack([ratio * normal[:, None], normal])
+
+
+def power_law(at: np.ndarray, depth: np.ndarray, force: np.ndarray) -> np.ndarray:
+    """Force at depths `at`, mm, by PCHIP between the logarithms of points (depth, force), all positive."""
+    x, y = np.log(depth), np.log(force)
+    if len(x) == 1:
+        return force[0] * (at / depth[0]) ** HERTZ
+    between = PchipInterpolator(x, y)
+    inside = np.clip(np.log(at), x[0], x[-1])
+    return np.exp(between(inside) + between(x[0], 1) * np.minimum(np.log(at) - x[0], 0.0))
 
 
 def stuck_share(mu, ratio: float) -> np.ndarray:

@@ -13,7 +13,7 @@ from gelforge.calibration.emulator import Emulator
 from gelforge.calibration.parameters import TARE, Model, make_model
 from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.readings import Readings, check_enough, check_readings, choose_presses, read_readings
-from gelforge.calibration.sampling import Chain, Figures, Rules, sample
+from gelforge.calibration.sampling import Chain, Figures, NotConverged, Rules, sample
 from gelforge.errors import BadInput
 from gelforge.evidence import forces as evidence
 from gelforge.flow.cli import JOBS, stage
@@ -27,7 +27,7 @@ from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.records.log import rejected_rows
 from gelforge.reporting import cornerplots as plots
 
-VERSION = 13
+VERSION = 14
 MOST_BANDS = 6  # indenters in the plot of predictive bands, the first by name: more would hide each other
 
 
@@ -59,8 +59,14 @@ def model_of(readings: Readings, params: CalibrateTable, law: str) -> Model:
     return make_model(params, law, np.unique(readings.indenters).tolist(), bool(np.isfinite(observed[:, :2]).any()))
 
 
-def calibrate(readings: Readings, emulator: Emulator, params: CalibrateTable, law: str) -> Calibration:
-    """Sample the posterior under a contact law; the chain's progress goes to the log."""
+def calibrate(
+    readings: Readings, emulator: Emulator, params: CalibrateTable, law: str, logged: Readings, usual: float
+) -> tuple[Calibration, list[str]]:
+    """Sample the posterior under a contact law; return it with what the readings say about force sensor and log.
+
+    logged: all readings. usual: C10 of such gels, MPa. The chain's progress goes to the log. If it does not converge,
+    NotConverged also says what the readings say, because that is the likelier cause.
+    """
 
     def say(figures: Figures) -> None:
         print(
@@ -70,7 +76,12 @@ def calibrate(readings: Readings, emulator: Emulator, params: CalibrateTable, la
         )  # fmt: skip
 
     posterior = Posterior(emulator, model_of(readings, params, law), readings.depth, served(readings), params.tail)
-    return Calibration(readings, posterior, sample(posterior, sampling_rules(params), say))
+    try:
+        done = Calibration(readings, posterior, sample(posterior, sampling_rules(params), say))
+    except NotConverged as error:
+        seen = evidence_of(Calibration(readings, posterior, error.chain), logged, usual)
+        raise NotConverged(" ".join([*seen, str(error)]), error.chain) from None
+    return done, evidence_of(done, logged, usual)
 
 
 def refuse_beyond(posterior: Posterior, chain: Chain, reach: float, seen: Sequence[str] = ()) -> None:
@@ -271,9 +282,9 @@ def main(args: Namespace) -> None:
     known = read_indenter_tables(of.workflow, of.data, about.catalogue)
     catalogue = build_all(known, of.workflow / about.catalogue, named, of.workflow, of.surfaces)
     readings, emulator, spent = emulate(readings, catalogue, params, law, nu, work / "solves", args.jobs)
-    done = calibrate(readings, emulator, params, law)
     own = about.params.get("material", {}).get("c10")
-    seen = evidence_of(done, logged, own if isinstance(own, int | float) else REFERENCE_C10)
+    usual = own if isinstance(own, int | float) else REFERENCE_C10
+    done, seen = calibrate(readings, emulator, params, law, logged, usual)
     refuse_beyond(done.posterior, done.chain, params.reach_mm, seen)
     draw_plots(done, work)
     result = summarise(done, params, seen)

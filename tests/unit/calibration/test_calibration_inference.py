@@ -9,6 +9,7 @@ from scipy.optimize import brentq
 
 from gelforge.calibration import summary
 from gelforge.calibration.emulator import (
+    Curve,
     curve_table,
     friction_axis,
     friction_of,
@@ -43,10 +44,27 @@ RULES = Rules(taus=50, max_steps=40000, seed=5)
 DEPTH = np.linspace(0.4, 2.0, 10)
 
 
-def test_table_follows_the_curve_between_its_points():
+@pytest.mark.parametrize("power", [1.0, 1.5, 1.9])
+@pytest.mark.parametrize("points", [1, 2, 4])
+def test_table_follows_a_power_of_depth_from_the_first_touch_on(power, points):
+    """From a quarter of the first load step to the end; one point alone is taken for a ball's."""
+    touch, depth = 0.1, np.linspace(0.1, TOP, points + 1)[1:]
+    force = np.zeros((points + 1, 3))
+    force[1:, 2] = -4.0 * (depth - touch) ** power
+    table = curve_table(Curve(np.append(touch, depth), force), TOP)[:, 2]
+    grid = np.linspace(0.0, TOP, len(table))
+    assert not table[grid <= touch].any()
+    if points > 1 or power == 1.5:
+        np.testing.assert_allclose(table[grid > touch], -4.0 * (grid[grid > touch] - touch) ** power, rtol=1e-9)
+
+
+def test_table_follows_a_thin_layer_between_four_points():
+    """A ball on a layer, whose exponent grows with depth; at light presses too, where C10 and touch offset trade off."""
     grid = np.linspace(0.0, TOP, 161)
-    error = np.abs(curve_table(law_curve(0.4), TOP)[:, 2] - normal_force(grid, 0.4))
-    assert error.max() < 3e-3 * np.abs(normal_force(TOP, 0.4))  # monotone cubic through 14 points
+    curve = law_curve(0.4)
+    table = curve_table(Curve(curve.depth[1::4], curve.force[1::4]), TOP)[:, 2]
+    light = grid > 0.1 * TOP
+    np.testing.assert_allclose(table[light], normal_force(grid[light], 0.4), rtol=0.03)
 
 
 def test_compliance_is_inverted_exactly():
