@@ -1,7 +1,7 @@
 """Ensemble sampling that goes on until the chain meets convergence criteria."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,10 +21,6 @@ INDEPENDENT = 0.5  # fraction of steps that use it, after the first warm-up run
 # Vehtari, Gelman, Simpson, Carpenter, Bürkner (2021, Bayesian Analysis 16:667) advise 1.01 for four long chains.
 # With dozens of walkers each has fewer draws, and chance alone leaves as much.
 LARGEST_RHAT = 1.02
-
-
-class NotConverged(GelforgeError):
-    """A chain that cannot be trusted; the message holds the figures and the hint."""
 
 
 @dataclass(frozen=True)
@@ -71,6 +67,14 @@ class Chain:
         return flat if size is None or size >= len(flat) else flat[np.linspace(0, len(flat) - 1, size).astype(int)]
 
 
+class NotConverged(GelforgeError):
+    """A chain that cannot be trusted. The message holds the figures and the hint; `chain` is as far as it came."""
+
+    def __init__(self, message: str, chain: Chain) -> None:
+        super().__init__(message)
+        self.chain = chain
+
+
 def sample(posterior: Posterior, rules: Rules, say: Callable[[Figures], None] | None = None) -> Chain:
     """Sample until the rules are met; raise NotConverged with the figures if max_steps do not suffice.
 
@@ -104,9 +108,10 @@ def sample(posterior: Posterior, rules: Rules, say: Callable[[Figures], None] | 
         if figures.meets(rules):
             return Chain(sampler.get_chain(), figures)
         if figures.steps >= rules.max_steps:
-            values = posterior.model.values(sampler.get_chain(discard=figures.steps // 2, flat=True))
+            half = Chain(sampler.get_chain(), replace(figures, burn=figures.steps // 2))
+            values = posterior.model.values(half.flat())
             medians = {name: float(np.median(values[name])) for name in posterior.model.free}
-            raise NotConverged(complaint(figures, rules, posterior.model.beyond_priors(medians)))
+            raise NotConverged(complaint(figures, rules, posterior.model.beyond_priors(medians)), half)
 
 
 def start_points(posterior: Posterior, walkers: int, rng: np.random.Generator) -> np.ndarray:
