@@ -47,7 +47,7 @@ DEPTH = np.linspace(0.4, 2.0, 10)
 @pytest.mark.parametrize("power", [1.0, 1.5, 1.9])
 @pytest.mark.parametrize("points", [1, 2, 4])
 def test_table_follows_a_power_of_depth_from_the_first_touch_on(power, points):
-    """From a quarter of the first load step to the end; one point alone is taken for a ball's."""
+    """One point alone is continued as a ball's."""
     touch, depth = 0.1, np.linspace(0.1, TOP, points + 1)[1:]
     force = np.zeros((points + 1, 3))
     force[1:, 2] = -4.0 * (depth - touch) ** power
