@@ -124,7 +124,7 @@ def locked(target: Path) -> Iterator[int]:
         try:
             take(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            print(f"{target}: another make is making it; waiting", flush=True)
+            say(f"{target}: another make is making it; waiting")
             take(lock, fcntl.LOCK_EX)
         os.utime(lock.fileno())
         yield os.fstat(lock.fileno()).st_mtime_ns
@@ -141,7 +141,7 @@ def publish_part(target: Path, part: Path, states: dict[str, State | None], comm
     log_path = log_of(target)
     code, cost = run(command, log_path)
     if code == 0 and not part.exists():
-        print(f"{target}: the command succeeded but wrote no {part}")
+        say(f"{target}: the command succeeded but wrote no {part}")
         code = cost["exit_code"] = 1
     cost |= {"target": str(target), "inputs": states, "counts": counts_in(log_path)}
     cost["bytes"] = part.stat().st_size if code == 0 else 0
@@ -154,10 +154,7 @@ def publish_part(target: Path, part: Path, states: dict[str, State | None], comm
         return code if 0 < code < 126 else 1
     os.replace(part, target)
     show_notices(log_path)
-    print(
-        f"{target}  {cost['seconds']:.1f} s, {cost['peak_mib']:.0f} MiB{count_finished(target, cost['started'])}",
-        flush=True,
-    )
+    say(f"{target}  {cost['seconds']:.1f} s, {cost['peak_mib']:.0f} MiB{count_finished(target, cost['started'])}")
     return 0
 
 
@@ -227,22 +224,31 @@ def counts_in(log_path: Path) -> dict:
     return found if isinstance(found, dict) else {}
 
 
+def say(text: str) -> None:
+    """Print text and its end of line in one write, so that steps that end at the same time do not mix their lines.
+
+    `print` writes the end of line by itself if PYTHONUNBUFFERED is set.
+    """
+    sys.stdout.write(f"{text}\n")
+    sys.stdout.flush()
+
+
 def show_notices(log_path: Path) -> None:
     """Repeat the log's NOTICES on the terminal, because nobody reads the log of a step that succeeded."""
     if notices := [line for line in lines_of(log_path) if line.startswith(NOTICES)]:
-        print("\n".join(notices), flush=True)
+        say("\n".join(notices))
 
 
 def report_failure(target: Path, log_path: Path, code: int, interrupted: bool) -> None:
     """Print where the log is, and its last lines; for a run that a person stopped, only that it was interrupted."""
     if interrupted:
-        print(f"{target}: interrupted; the same make goes on with it", flush=True)
+        say(f"{target}: interrupted; the same make goes on with it")
         return
     shown = [
         f"FAILED {target} (exit {code}); log: {log_path}",
         *(f"  | {line}" for line in lines_of(log_path)[-TAIL_LINES:]),
     ]
-    print("\n".join(shown), flush=True)
+    say("\n".join(shown))
 
 
 def expanded(words: Iterable[str]) -> Iterator[str]:
@@ -267,10 +273,10 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return 130
     except BadInput as error:
-        print(f"{argv[0]}: {error}")
+        say(f"{argv[0]}: {error}")
         return 2
     except OSError as error:
-        print(f"{argv[0]}: {unwritable(error)}, then run make again")
+        say(f"{argv[0]}: {unwritable(error)}, then run make again")
         return 1
 
 

@@ -7,6 +7,7 @@ import os
 import re
 import shlex
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -46,6 +47,23 @@ def test_success_publishes_target_log_and_metrics(tmp_path):
     assert cost["exit_code"] == 0
     assert cost["programs"] == {name: version(name) for name in ("gelforge", "numpy", "scipy", "numba", "torch")}
     assert mirror(target, "logs", ".log") == tmp_path / "results/d/logs/30_fea/0000.log"
+
+
+@pytest.mark.parametrize("code", [0, 3])
+def test_what_a_step_says_is_one_write_so_that_lines_of_two_steps_do_not_mix(tmp_path, code):
+    """Of a socket of messages, each write is one message; Python writes at once if PYTHONUNBUFFERED is set."""
+    target = tmp_path / "results/d/50_labels/4x4/labels.json"
+    here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+    make = ["bash", "-c", f"echo note: one; echo made > {target}.part; exit {code}"]
+    wrapper = [sys.executable, "-m", "gelforge.flow.step", str(target), "--", *make]
+    with here, there:
+        done = subprocess.run(
+            wrapper, env=clean_environment() | {"PYTHONUNBUFFERED": "1"}, stdout=there, timeout=HANG, check=False
+        )
+        there.close()
+        said = [message.decode() for message in iter(lambda: here.recv(65536), b"")]
+    assert done.returncode == code and str(target) in said[-1]
+    assert all(message.endswith("\n") and message.strip() for message in said)
 
 
 def test_failure_removes_the_part_and_shows_the_log(tmp_path):
