@@ -96,14 +96,15 @@ def predictive_plot(path, bands, observed, mean, scale, ids) -> None:
             force = -mean[used, 2]
             right.plot(force, away, marker, ms=4, label=name, alpha=0.8)
             for k in np.flatnonzero(np.abs(away) > FAR):
-                right.annotate(f" {ids[used][k]} ", (force[k], away[k]), fontsize=7, ha="right", va="center")
+                side = "left" if force[k] < 0.5 * force.max() else "right"  # of the point, away from the axis
+                right.annotate(f"  {ids[used][k]}  ", (force[k], away[k]), fontsize=7, ha=side, va="center")
     right.axhspan(-1, 1, color="0.92", zorder=0)
     right.axhline(0.0, color="0.6", lw=0.6)
     right.set_ylim(*np.array([-1.0, 1.0]) * max(2.5, 1.1 * np.abs(right.get_ylim()).max()))
     right.set(
         xlabel="predicted normal force, compression (N)",
         ylabel="measured - predicted (standard deviations)",
-        title=f"residuals of {np.isfinite(observed).sum()} readings of {len(observed)} presses; grey: one standard deviation",
+        title=f"{np.isfinite(observed).sum()} readings of {len(observed)} presses; grey: one standard deviation",
     )
     right.legend(fontsize=8)
     _save(figure, path)
