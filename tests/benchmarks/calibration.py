@@ -205,14 +205,12 @@ def held_out(
     values |= {"c10": np.array([REFERENCE_C10]), "indenter": np.zeros((1, len(model.indenters)))}
     without = emulator.forces(readings.depth, values | {"mu": np.array([np.inf])})[0][0]
     yielded = HELD_COMPLIANCE * np.abs(without[:, 2])
-    asked = [
-        (mu, depth, [plan.job(i, readings.press(i, float(d)), mu) for i, d in enumerate(depth)])
-        for mu, depth in ((mu, np.round(readings.depth - yielded + offset, 2)) for mu, offset in HELD)
-    ]
-    cache.fill([job for *_, group in asked for job in group], jobs)
-    solved = [[cache.get(job)["end"] for job in group] for *_, group in asked]
-    emulated = [emulator.forces(depth, values | {"mu": np.array([mu])})[0][0] for mu, depth, _ in asked]
-    groups = [np.char.add(readings.indenters.astype(str), f" {mu}") for mu, _, _ in asked]
+    cases = [(mu, np.round(readings.depth - yielded + offset, 2)) for mu, offset in HELD]
+    asked = [[plan.job(i, readings.press(i, float(d)), mu) for i, d in enumerate(depth)] for mu, depth in cases]
+    cache.fill([job for group in asked for job in group], jobs)
+    solved = [[cache.get(job)["end"] for job in group] for group in asked]
+    emulated = [emulator.forces(depth, values | {"mu": np.array([mu])})[0][0] for mu, depth in cases]
+    groups = [np.char.add(readings.indenters.astype(str), f" {mu}") for mu, _ in cases]
     return np.concatenate(emulated), np.concatenate(solved), np.concatenate(groups)
 
 
