@@ -26,7 +26,7 @@ from gelforge.flow.files import read_toml, write_text
 from gelforge.flow.jobs import die_with_parent
 from gelforge.flow.layout import log_of
 from gelforge.flow.schema import ParameterTable, Place, parse
-from gelforge.flow.step import TAIL_LINES, redated, show_notices
+from gelforge.flow.step import TAIL_LINES, redated, say, show_notices
 from gelforge.flow.tables import Count, FromNone, Line, Whole
 
 PUBLISHED = Path("workflow/slurm.toml")
@@ -164,7 +164,7 @@ class Work:
             if self.tasks and left != []:
                 self.cancel()
         if left is None:
-            print(f"{self.stage}: interrupted, its Slurm jobs are cancelled", flush=True)
+            say(f"{self.stage}: interrupted, its Slurm jobs are cancelled")
             return 130
         return self.report(left)
 
@@ -208,10 +208,7 @@ class Work:
             if time.monotonic() >= said + SAID_EVERY_S:
                 said = time.monotonic()
                 done = len(self.tasks) - len(left)
-                print(
-                    f"{self.stage} on Slurm: {done} of {len(self.tasks)} results, {said - started:.0f} s so far",
-                    flush=True,
-                )
+                say(f"{self.stage} on Slurm: {done} of {len(self.tasks)} results, {said - started:.0f} s so far")
             if signal.sigtimedwait(STOP, LOOK_EVERY_S):
                 return None
 
@@ -265,15 +262,15 @@ class Work:
                 show_notices(log_of(task.target))
         for path in sorted({task.output.with_name("sbatch") for task in left}):
             for line in path.read_text(encoding="utf-8", errors="replace").splitlines()[-TAIL_LINES:]:
-                print(f"sbatch: {line}")
+                say(f"sbatch: {line}")
         for k, task in enumerate(left):
             log = log_of(task.target).with_suffix(".slurm.log")
             write_text(log, task.said())
             if k < LISTED:
-                print(f"FAILED {task.target}: {self.cause(task) or 'it left no result'}; log: {log}")
+                say(f"FAILED {task.target}: {self.cause(task) or 'it left no result'}; log: {log}")
             for line in task.said().splitlines()[-TAIL_LINES:] if k < SHOWN else ():
-                print(f"  | {line}")
-        print(f"{self.stage} on Slurm: {len(self.tasks) - len(left)} of {len(self.tasks)} results", flush=True)
+                say(f"  | {line}")
+        say(f"{self.stage} on Slurm: {len(self.tasks) - len(left)} of {len(self.tasks)} results")
         return max([1, *(task.sbatch.returncode for task in left)]) if left else 0
 
 
