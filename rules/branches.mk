@@ -1,28 +1,22 @@
 # Branches: calibrate, pareto, stability, the chart of networks, and shipping a network.
 
-# Posterior of C10 and of the bench's errors, from the log's forces. Solves, chain and pictures lie beside the
-# summary, which is written last. It reads the commanded paths, so a frozen calibration that moves poses does not make
-# it outdated.
+# Posterior of C10 and of the bench's errors, from the forces and the commanded paths of the log's rows. Solves, chain
+# and pictures lie beside the summary, which is written last. A log that gives no posterior gives a summary that says
+# why: the report shows it, `make calibrate` fails with it.
 POSTERIOR := $D/calibrate/summary.json
 
 calibrate: $(POSTERIOR)  ## posterior of C10, touch offset, compliance and friction from the log's force readings
+	@$(PY) -m gelforge.commands.freeze --show $D
 
-$(POSTERIOR): $(SHARDS:%=$(SHARD)/%.csv) $P/about.json $P/calibrate.json $P/indenters.json $P/sensors.json $P/gels.json | $(POSES)
+$(POSTERIOR): $(SHARDS:%=$(SHARD)/%.csv) $P/calibrate.json $P/indenters.json $P/sensors.json $P/gels.json
 	$(foretold)
 	$(HANDS_SLOTS)$(call step,gelforge.stages.calibrate $D)
 
-freeze: $(POSTERIOR)  ## write the posterior to data/DATASET/calibration.toml: labels use it until the next make freeze
+freeze: $(POSTERIOR)  ## write the posterior to data/DATASET/calibration.toml: labels follow it until the next make freeze
 	@$(PY) -m gelforge.commands.freeze $D
 
-# A second make reads the frozen values: this one has already read poses and stiffness without them.
-frozen_then = $(if $(IS_FROZEN),,@export HAS_SLOTS=yes; $(MAKE) --no-print-directory freeze && $(MAKE) --no-print-directory $1)
-
-calibrated-labels: $(if $(IS_FROZEN),labels)  ## calibrate by the log's forces, freeze the result, make labels with it
-	$(call frozen_then,labels)
-
-demo: $(if $(IS_FROZEN),report)  ## the whole flow on the demo dataset: labels, predictions of the shipped network, calibration, report
-	$(call frozen_then,report)
-	@echo "report: $D/90_report/index.html"
+demo: report  ## the whole flow on the demo dataset, from its log to a report
+	@echo "open $(REPORT) in a browser: presses, labels, the posterior, networks, and what failed"
 
 # Seconds against error of every solver, mesh density and number of load steps, on the scenes of workflow/scenes.toml:
 # half an hour. An interrupted scene resumes at its next method. References are kept in data/ and solved again if scene or

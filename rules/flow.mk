@@ -1,11 +1,14 @@
 # The stages. A rule names every file that its stage reads, because the record of its target holds their digests.
 
+# What labels follow: CALIBRATION is data/DATASET/calibration.toml if there is one, else the posterior if the dataset
+# asks for it ([material] c10 = "calibrated"), else nothing. It moves poses, scales forces and sets friction.
+
 # 10: checks each row of the log, places each indenter's surface as the CNC did.
 POSES := $(SHARDS:%=$D/10_poses/%.csv)
 
 poses: $(POSES)  ## check the log, place every indenter's surface as the CNC did
 
-$(POSES): $D/10_poses/%.csv: $(SHARD)/%.csv $(SHARD)/%.json $(SHARD)/%.pictures.json $P/poses.json
+$(POSES): $D/10_poses/%.csv: $(SHARD)/%.csv $(SHARD)/%.json $(SHARD)/%.pictures.json $P/poses.json $(CALIBRATION)
 	$(call step,gelforge.stages.poses $D $*)
 
 # Files of a shard: paths (by stage 10), bodies and sensors, images.
@@ -25,17 +28,16 @@ FEA := $(SHARDS:%=$D/30_fea/%.csv)
 
 fea: $(FEA) $(solved)  ## solve every accepted sample by finite elements
 
-$(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $(SHARD)/%.json $P/fea.json $P/gels.json | $(IMAGES_JUDGED)
+$(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $(SHARD)/%.json $P/fea.json $P/gels.json $(CALIBRATION) | $(IMAGES_JUDGED)
 	$(foretold)
 	$(call solve,gelforge.stages.fea $D $*)
 
-# 40: CALIBRATED is the posterior if [material] c10 = "calibrated": its median scales the forces, no solve is
-# repeated.
+# 40: the material's C10 scales the forces, no solve is repeated.
 FORCES := $(SHARDS:%=$D/40_forces/%.npz)
 
 forces: $(FORCES)  ## nodal contact forces of the solves, scaled to the material
 
-$(FORCES): $D/40_forces/%.npz: $D/30_fea/%.csv $P/forces.json $(CALIBRATED:%=$D/%) | $(solved)
+$(FORCES): $D/40_forces/%.npz: $D/30_fea/%.csv $P/forces.json $(CALIBRATION) | $(solved)
 	$(call step,gelforge.stages.forces $D $*)
 
 # 50: one process per resolution labels all shards, because starting one per shard would cost more than the labels.
@@ -94,10 +96,12 @@ $(CARDS): $D/80_evaluate/$(RES1)/%.card.md: $D/80_evaluate/$(RES1)/%.json $P/car
 # 90: a dataset with imported labels has no solves, and its log may have no poses. The page prints the parameters of
 # every stage. The choice of network and branches is a file, so that a changed choice is newer than the report.
 REPORT := $D/90_report/index.html
+# A network of one's own stands beside the shipped one, where that reads the dataset.
+BOTH := $(if $(filter 24x32,$(RES1)),$(if $(wildcard $(DATA)/nocontact),$(READ)))
 SOLVED := $(if $(IMPORTED),,$(POSES) $(FEA) $(FORCES) $D/50_labels/$(RES1)/labels.json $(IMAGES_JUDGED))
 
 report: $(REPORT)  ## one HTML page: presses, labels, errors, posterior, chart, failures
 
-$(REPORT): $(wildcard $P/*.json) $(CHOICE)/report.txt $(SHARDS:%=$(SHARD)/%.csv) $(USED) $(PICTURES) $(SOLVED) $(IS_FROZEN) \
-    $D/60_dataset/$(RES1)/dataset.json $D/80_evaluate/$(RES1)/$(MODEL).json $(SHOWN)
+$(REPORT): $(wildcard $P/*.json) $(CHOICE)/report.txt $(SHARDS:%=$(SHARD)/%.csv) $(USED) $(PICTURES) $(SOLVED) $(CALIBRATION) \
+    $D/60_dataset/$(RES1)/dataset.json $D/80_evaluate/$(RES1)/$(MODEL).json $(BOTH) $(SHOWN)
 	$(call step,gelforge.stages.report $D $(RES1) $(MODEL))

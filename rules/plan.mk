@@ -13,11 +13,8 @@ MODEL := $(call answered,MODEL)
 LEARNT := $(call answered,LEARNT)
 SHOWN := $(addprefix $D/,$(call answered,SHOWN))
 
-# The frozen calibration that labels use, if there is one: a small file that only `make freeze` changes.
-IS_FROZEN := $(wildcard $(DATA)/calibration.toml)
-
 # The plan's lists, empty if no plan is read.
-LISTS := SHARDS BRANCHES PARETO_SCENES MODELS TUNED CALIBRATED LEARN_ALSO IMAGES
+LISTS := SHARDS BRANCHES PARETO_SCENES MODELS TUNED CALIBRATION LEARN_ALSO IMAGES
 $(foreach v,$(LISTS),$(eval $v :=))
 
 # refuse.py removes an outdated plan; make then makes this included file again and restarts itself.

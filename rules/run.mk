@@ -2,10 +2,8 @@
 # (flow/step.py). If the command and the contents of all prerequisites match the record, the wrapper only touches the
 # target.
 
-# Jobs default to the cores of the machine; -jN on the command line takes precedence. A make below this one shares its
-# slots.
-HAS_SLOTS ?=
-ifeq ($(HAS_SLOTS)$(filter -j%,$(MAKEFLAGS)),)
+# Jobs default to the cores of the machine; -jN on the command line takes precedence.
+ifeq ($(filter -j%,$(MAKEFLAGS)),)
 MAKEFLAGS += -j$(JOBS)
 endif
 # Job slots for a program that runs several jobs itself. Only known when a recipe is expanded.

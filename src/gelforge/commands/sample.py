@@ -6,6 +6,7 @@ from argparse import Namespace
 from pathlib import Path
 
 from gelforge.errors import BadInput
+from gelforge.flow.calibration import calibrated
 from gelforge.flow.cli import RESULTS, command, option
 from gelforge.flow.files import write_text
 from gelforge.flow.layout import Layout, shard_name
@@ -46,12 +47,9 @@ def steps(work: Layout, resolution: str) -> list[tuple[str, list[str], Path]]:
     return [*found, ("labels", [root, resolution], work.labelled(resolution))]
 
 
-def require_stiffness(of: Layout) -> None:
-    """Raise BadInput, before the solve, if the forces need a calibration posterior that does not exist yet."""
-    from gelforge.stages.forces import material_c10
-
-    if not of.calibration().exists():
-        material_c10(read_parameters(of.parameters("forces")).material, of.calibration())
+def require_calibration(of: Layout) -> None:
+    """Raise BadInput, before the solve, if labels follow a calibration that does not exist yet."""
+    calibrated(read_parameters(of.parameters("forces")), of.base)
 
 
 @command(
@@ -65,7 +63,7 @@ def main(args: Namespace) -> int:
     of = Layout(args.results)
     if not args.id:
         raise BadInput(f"no sample named; say {of.command('sample ID=SAMPLE_ID')}")
-    require_stiffness(of)
+    require_calibration(of)
     work = prepared(of.sample(check_id(args.id)), find_rows(args.results, args.id))
     for stage, words, target in steps(work, args.resolution):
         print(f"== {stage}", file=sys.stderr, flush=True)

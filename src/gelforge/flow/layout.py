@@ -27,25 +27,38 @@ class Stage:
 
     folder: of its results. reads: parameter tables, or single values TABLE.KEY, that its parameter file holds.
     solves: whether it solves presses as stage 30 does, so that its results change with stage 30's version.
+    calibrated: whether it follows the dataset's calibration, where there is one.
     """
 
     folder: str
     reads: tuple[str, ...] = ()
     solves: bool = False
+    calibrated: bool = False
 
 
 STAGES = {
-    "poses": Stage(POSES, ("poses",)),
+    "poses": Stage(POSES, ("poses",), calibrated=True),
     "images": Stage(IMAGES, ("poses.images", "poses.judge_images")),
-    "fea": Stage(FEA, ("fea", "interface", "material.nu")),
-    "forces": Stage(FORCES, ("material",)),
+    "fea": Stage(FEA, ("fea", "interface", "material.nu"), calibrated=True),
+    "forces": Stage(FORCES, ("material",), calibrated=True),
     "labels": Stage(LABELS, ("labels",)),
     "dataset": Stage(DATASET, ("dataset", "poses.images", "poses.judge_images")),
     "train": Stage(TRAIN, ("train",)),
     "evaluate": Stage(EVALUATE, ("evaluate",)),
     "card": Stage(EVALUATE),
     "report": Stage(REPORT, ("report",)),
-    "calibrate": Stage(CALIBRATE, ("calibrate", "material.nu", "interface.law"), solves=True),
+    "calibrate": Stage(
+        CALIBRATE,
+        (
+            "calibrate",
+            "material.nu",
+            "material.c10",
+            "interface.law",
+            "poses.deepest_share",
+            "poses.farthest_shear_mm",
+        ),
+        solves=True,
+    ),
     "pareto": Stage(PARETO, ("pareto", "fea", "material.nu")),
     "stability": Stage(STABILITY, ("stability", "fea"), solves=True),
     "pareto_models": Stage(PARETO_MODELS),

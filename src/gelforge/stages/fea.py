@@ -11,6 +11,7 @@ import numpy as np
 from tqdm import tqdm
 
 from gelforge.errors import BadInput
+from gelforge.flow.calibration import calibrated
 from gelforge.flow.cli import stage
 from gelforge.flow.files import digest_of, digest_of_value, publish, read_json, record_of, write_json
 from gelforge.flow.layout import Layout
@@ -212,7 +213,7 @@ def read_shard(of: Layout, shard: str) -> tuple[StageParameters, dict, list[Pose
     """Inputs of stage 30 for a shard: parameters, catalogues, presses, and their bodies by name."""
     tables = {name: read_json(of.parameters(name)) for name in ("sensors", "indenters")}
     presses = read_poses(of.poses(shard))
-    read = read_parameters(of.parameters("fea"))
+    read = calibrated(read_parameters(of.parameters("fea")), of.base)
     return read, tables, presses, bodies_of(presses, tables["indenters"], of.workflow, of.surfaces)
 
 

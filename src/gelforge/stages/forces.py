@@ -9,9 +9,10 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.calibration import calibrated
 from gelforge.flow.cli import stage
-from gelforge.flow.files import DAMAGED, read_json, record_of
-from gelforge.flow.layout import Layout, command_for
+from gelforge.flow.files import DAMAGED, record_of
+from gelforge.flow.layout import Layout
 from gelforge.flow.params import read_parameters
 from gelforge.flow.tables import MaterialTable
 from gelforge.mechanics.material import REFERENCE_C10
@@ -56,24 +57,10 @@ def read_sample(solve: Solved, folder: Path) -> tuple[SampleForces, str]:
     return found, ""
 
 
-def material_c10(material: MaterialTable, calibration: Path) -> tuple[float, dict]:
-    """C10 in MPa and its intervals: from [material], or from the summary `calibration` if c10 = "calibrated"."""
-    if not isinstance(material.c10, str):
-        known = {name: getattr(material, name) for name in INTERVALS}
-        return float(material.c10), {name: list(pair) for name, pair in known.items() if pair is not None}
-    if not calibration.exists():
-        command = command_for("calibrate", calibration)
-        raise BadInput(
-            f'[material] c10 = "calibrated" needs {calibration}, which is not there; run `{command}` first'
-        )
-    try:
-        found = read_json(calibration)["c10"]
-        intervals = {f"c10_{name}": found[name] for name in ("interval68", "interval95")}
-        return float(found["median"]), intervals
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise BadInput(
-            f"{calibration}: holds no c10 with median and intervals ({error!r}); run `{command_for('calibrate', calibration)}`"
-        ) from error
+def material_c10(material: MaterialTable) -> tuple[float, dict]:
+    """C10 in MPa, and its intervals if it was calibrated."""
+    known = {name: getattr(material, name) for name in INTERVALS}
+    return float(material.c10), {name: list(pair) for name, pair in known.items() if pair is not None}
 
 
 def refuse_corrupt(table: Path, solves: list[Solved]) -> None:
@@ -98,8 +85,8 @@ def refuse_corrupt(table: Path, solves: list[Solved]) -> None:
 @stage(Layout.forces)
 def main(args: Namespace) -> None:
     of = args.of
-    params = read_parameters(of.parameters("forces"))
-    c10, intervals = material_c10(params.material, of.calibration())
+    params = calibrated(read_parameters(of.parameters("forces")), of.base)
+    c10, intervals = material_c10(params.material)
     samples: list[SampleForces] = []
     lost: Counter[str] = Counter()
     table = of.fea(args.shard)

@@ -16,6 +16,7 @@ from types import MappingProxyType
 from gelforge.errors import BadInput, printable
 from gelforge.evidence.settings import check_dataset
 from gelforge.flow import params as config
+from gelforge.flow.calibration import calibration_of, refuse_twice
 from gelforge.flow.cli import option, stage
 from gelforge.flow.files import (
     State,
@@ -223,11 +224,16 @@ def write_beside(of: Layout, found: Mapping[str, str]) -> None:
         write_if_changed(of.beside(kind), canonical(digests_of_kind))
 
 
-def write_parameters(params: Params, workflow: Path, out: Path, tables: dict[str, dict], scenes: dict) -> None:
-    """Write the parameters of every stage, and the catalogue entries that this dataset uses, without comments."""
+def write_parameters(
+    params: Params, workflow: Path, out: Path, tables: dict[str, dict], scenes: dict, calibration: str = ""
+) -> None:
+    """Write the parameters of every stage, and the catalogue entries that this dataset uses, without comments.
+
+    calibration: path of the one that labels follow, "" for none.
+    """
     source = Path(__file__).parent
     for name in STAGES:
-        made = config.written_for(params, name, config.stage_version(source, name))
+        made = config.written_for(params, name, config.stage_version(source, name), calibration)
         write_if_changed(out / "params" / f"{name}.json", canonical(made))
     for name, entries in tables.items():
         write_if_changed(out / "params" / f"{name}.json", canonical(entries))
@@ -365,6 +371,9 @@ def main(args: Namespace) -> None:
     params = config.load_params(workflow, dataset_toml)
     if args.ccx is None or args.ccx.read_text(encoding="utf-8").strip() == "none":
         params = without_ccx(params, dataset_toml)
+    found = calibration_of(params, dataset_toml, of.calibration())
+    refuse_twice(dataset.params, dataset_toml, found)
+    calibration = [] if found is None else [str(found.relative_to(of.base))]
     rows = logged_rows(of.log, dataset.sensor)
     sensors = config.read_sensor_tables(workflow, data)
     indenters = config.read_indenter_tables(workflow, data, dataset.catalogue)
@@ -384,13 +393,13 @@ def main(args: Namespace) -> None:
         "PARETO_SCENES": [*scenes],
         **network_lists(models),
         "LEARNER": ["pair_24_mirrored" if (data / "nocontact").is_dir() else "unet"],
-        "CALIBRATED": [SHOWN_OF["calibrate"]] if params.material.c10 == "calibrated" else [],
+        "CALIBRATION": calibration,
         "REPORT_MODEL": reported_model(dataset_toml, params, models, pressed(rows)),
         "LEARN_ALSO": [*params.train.also],
         "IMAGES": ["yes"] if pictures and params.poses.images else [],
     }
     text = "".join(make_list(name, values) for name, values in lists.items())
-    write_parameters(params, workflow, of.folder(PLAN), tables, scenes)
+    write_parameters(params, workflow, of.folder(PLAN), tables, scenes, "".join(calibration))
     write_beside(of, digests(states, files_beside(data)))
     about = {"sensor": dataset.sensor, "gel": dataset.gel, "catalogue": dataset.catalogue}
     write_if_changed(of.parameters("about"), canonical(about))
