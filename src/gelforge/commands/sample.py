@@ -9,13 +9,12 @@ from gelforge.errors import BadInput
 from gelforge.flow.calibration import calibrated
 from gelforge.flow.cli import RESULTS, command, option
 from gelforge.flow.files import write_text
-from gelforge.flow.layout import Layout, shard_name
+from gelforge.flow.layout import Layout
 from gelforge.flow.params import read_parameters
+from gelforge.records.finder import ONLY
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses, read_shard, shard_text
 from gelforge.records.press import RawRow, check_id
-
-ONLY = shard_name(0)  # the only shard of the sample's folder
 
 
 def find_rows(results: Path, sample_id: str) -> list[RawRow]:
@@ -33,9 +32,11 @@ def find_rows(results: Path, sample_id: str) -> list[RawRow]:
 
 def prepared(work: Layout, rows: list[RawRow]) -> Layout:
     """Fill the folder `work` with rows as its only shard, and with a copy of the dataset's stage parameters."""
+    of = Layout(work.dataset_root)
     write_text(work.shard(ONLY), shard_text(rows))
+    shutil.copy(of.used(of.shard_of(rows[0].cells["sample_id"])), work.used(ONLY))
     shutil.rmtree(work.params, ignore_errors=True)
-    shutil.copytree(Layout(work.dataset_root).params, work.params)
+    shutil.copytree(of.params, work.params)
     return work
 
 
@@ -44,7 +45,7 @@ def steps(work: Layout, resolution: str) -> list[tuple[str, list[str], Path]]:
     of_shard = {"poses": work.poses, "fea": work.fea, "forces": work.forces}
     root = str(work.root)
     found = [(name, [root, ONLY], target(ONLY)) for name, target in of_shard.items()]
-    return [*found, ("labels", [root, resolution], work.labelled(resolution))]
+    return [*found, ("labels", [root, resolution, ONLY], work.labels(resolution, ONLY))]
 
 
 def require_calibration(of: Layout) -> None:

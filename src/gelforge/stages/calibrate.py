@@ -287,7 +287,7 @@ def calibrated_log(of: Layout, read: StageParameters, folder: Path, jobs: int) -
     readings = logged.take(choose_presses(logged, params.max_presses, law))
     model_of(readings, params, law)  # refuses too few readings before anything is solved
     catalogue = {name: bodies[name] for name in sorted(set(readings.indenters.tolist()))}
-    readings, emulator, spent = emulate(readings, catalogue, params, law, nu, folder / "solves", jobs)
+    readings, emulator, spent = emulate(readings, catalogue, params, law, nu, of.solves, jobs)
     usual = REFERENCE_C10 if isinstance(read.material.c10, str) else float(read.material.c10)
     done, seen = calibrate(readings, emulator, params, law, logged, usual)
     refuse_beyond(done.posterior, done.chain, params.reach_mm, seen)

@@ -194,7 +194,8 @@ def judge(rows: list[RawRow], file: str, data: Path, tables: dict, params: Poses
 
 def name_and_image_faults(sample: LoggedPress, file: str, data: Path, tables: dict, params: PosesTable):
     """Rejections of a press that names an unknown sensor or indenter, or an image that cannot be used."""
-    wrong = unknown_names(sample, file, tables["sensors"], tables["indenters"])
+    known = tables.get("known", tables)  # all names of the catalogues, where the shard has one that is in none
+    wrong = unknown_names(sample, file, known["sensors"], known["indenters"])
     if not params.images:
         return wrong
     size = None
@@ -292,7 +293,7 @@ def main(args: Namespace) -> None:
     of, log = args.of, str(args.of.log)
     use_gels_of(of.workflow)
     params = calibrated(read_parameters(of.parameters("poses")), of.base).poses
-    tables = {name: read_json(of.parameters(name)) for name in ("sensors", "indenters")}
+    tables = read_json(of.used(args.shard))
     rows = read_shard(of.shard(args.shard))
     bodies = Bodies(tables["indenters"], of.workflow, of.surfaces)
     good, rejections = judge(rows, log, of.data, tables, params, bodies)

@@ -11,7 +11,7 @@ import numpy as np
 from tqdm import tqdm
 
 from gelforge.flow.calibration import calibrated, read_found
-from gelforge.flow.cli import option, stage
+from gelforge.flow.cli import stage
 from gelforge.flow.files import listed, read_csv, read_json, write_text
 from gelforge.flow.layout import PARETO, Layout
 from gelforge.flow.params import read_parameters
@@ -38,6 +38,7 @@ from gelforge.sweeps import verification
 
 VERSION = 6
 ABSENT = "not installed"
+NO_MODEL = "none"  # of a page of a dataset without images
 FOLDED = ("trace.png",)  # plots shown folded, for readers who check a result
 PACKAGES = (
     "gelforge", "numpy", "scipy", "torch", "pymeshlab", "pyvista", "emcee", "opencv-contrib-python-headless",
@@ -197,7 +198,7 @@ def failures_section(results: Path, solved: dict[str, Solved]) -> Section:
 def read_verified(results: Path) -> list[verification.Verified]:
     """Verified presses of the planned shards."""
     of = Layout(results)
-    return verification.read_verified([of.solves(name) for name in of.names()])
+    return verification.read_verified([of.checked(name) for name in of.names()])
 
 
 def verified_section(records: list[verification.Verified]) -> Section:
@@ -241,6 +242,8 @@ def branch_section(results: Path, title: str, folder: str, what: str, shipped: P
 def network_section(results: Path, resolution: str, model: str) -> Section:
     """Errors of the trained network, and its learning curve."""
     section = Section("Network")
+    if model == NO_MODEL:
+        return section.text("No images in the log, so no network: the flow ends at labels.", absent=True)
     path = Layout(results).evaluation(resolution, model)
     if not path.exists():
         return section.text(f"Not made: {Layout(results).command('evaluate')}.", absent=True)
@@ -351,7 +354,8 @@ def sections_of(explorer: Explorer, model: str, solved: dict[str, Solved]) -> li
     """Sections of the page below the explorer."""
     results, resolution = explorer.results, explorer.resolution
     verified = read_verified(results)
-    doubts = read_json(Layout(results).dataset_table(resolution)).get("doubts_of_forces", [])
+    table = Layout(results).dataset_table(resolution)
+    doubts = [] if model == NO_MODEL else read_json(table).get("doubts_of_forces", [])
     return [
         network_section(results, resolution, model),
         force_section(results, explorer.rows, doubts),
@@ -378,7 +382,7 @@ def lead_of(rows: list[dict], resolution: str, samples: int) -> str:
     return f"{labelled} of {len(rows)} presses labelled by finite elements at {resolution} cells a picture."
 
 
-@stage(Layout.report, option("resolution", metavar="RESOLUTION"), option("model", metavar="MODEL"))
+@stage(Layout.report)
 def main(args: Namespace) -> None:
     of, results, resolution, model = args.of, args.results, args.resolution, args.model
     verification.refuse_beyond(read_verified(results))
