@@ -1,6 +1,6 @@
 """A module's command line: its arguments and options, its `main`, and the exit of its process.
 
-A stage names the method of `Layout` that gives the path of its result, whose parameters become the stage's arguments:
+A stage names the file of `Layout` that it writes; the words of that name become the stage's arguments:
 
     @stage(Layout.fea)
     def main(args):  # python -m gelforge.stages.fea results/demo 0000
@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from gelforge.errors import GelforgeError, printable, unwritable
-from gelforge.flow.layout import Layout
+from gelforge.flow.layout import File, Layout
 
 # Errors of a disk or a folder that cannot be written to; they are no fault of the program.
 UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT)
@@ -145,14 +145,12 @@ def command(*options: Option) -> Callable[[Callable[[argparse.Namespace], int | 
     return lambda run: Command(run, options)
 
 
-def stage(
-    target: Callable[..., Path], *options: Option
-) -> Callable[[Callable[[argparse.Namespace], int | None]], Command]:
-    """Give a function `main(args)` a stage's command line: results/DATASET, the parameters of `target`, and options.
+def stage(target: File, *options: Option) -> Callable[[Callable[[argparse.Namespace], int | None]], Command]:
+    """Give a function `main(args)` a stage's command line: results/DATASET, the words of `target`, and options.
 
-    target: a method of `Layout`. args.of is the Layout, args.out the file to write: the target, or TARGET.part.
+    target: a file of `Layout`. args.of is the Layout, args.out the file to write: the target, or TARGET.part.
     """
-    words = list(inspect.signature(target).parameters)[1:]
+    words = target.words
 
     def give(run: Callable[[argparse.Namespace], int | None]) -> Command:
         @wraps(run)
