@@ -38,6 +38,7 @@ EXTRAS = {
     **dict.fromkeys(("foxglove", "mcap", "rosbags"), "live"),
     "huggingface_hub": "hub",
 }  # fmt: skip
+GELS = "GELFORGE_GELS"  # environment variable with the file of the user's gels (`geometry.gel`)
 # Errors of a name that no file can have.
 UNNAMEABLE = (errno.ENAMETOOLONG, errno.ELOOP)
 
@@ -156,6 +157,8 @@ def stage(target: File, *options: Option) -> Callable[[Callable[[argparse.Namesp
         @wraps(run)
         def at_place(args: argparse.Namespace) -> int | None:
             args.of = Layout(args.results)
+            if (gels := args.of.workflow / "gels.toml").exists():
+                os.environ[GELS] = str(gels.absolute())
             args.out = target(args.of, *(getattr(args, word) for word in words))
             args.out.parent.mkdir(parents=True, exist_ok=True)
             if args.part:

@@ -17,7 +17,7 @@ from gelforge.flow.layout import Layout
 from gelforge.flow.params import StageParameters, read_parameters
 from gelforge.flow.schema import altered
 from gelforge.flow.tables import IN_PROCESS
-from gelforge.geometry.gel import load_gel, use_gels_of
+from gelforge.geometry.gel import load_gel
 from gelforge.geometry.indenters import bodies_of
 from gelforge.labelling.sensor import sensor_of
 from gelforge.mechanics.material import Material
@@ -182,7 +182,6 @@ def read_shard(of: Layout, shard: str) -> tuple[StageParameters, dict, list[Pose
 @stage(Layout.fea)
 def main(args: Namespace) -> None:
     of = args.of
-    use_gels_of(of.workflow)
     params, tables, presses, bodies = read_shard(of, args.shard)
     solves = run_shard(presses, params, tables, bodies, SolveStore(of.solves), of.checked(args.shard))
     write_solves(args.out, solves)

@@ -379,12 +379,10 @@ CCX = option(
 
 @stage(Layout.plan, CCX)
 def main(args: Namespace) -> None:
-    from gelforge.geometry.gel import use_gels_of
     from gelforge.sweeps.scenes import read_tables
 
     of = args.of
     data, workflow = of.data, of.workflow
-    use_gels_of(workflow)
     dataset_toml = data / "dataset.toml"
     dataset = config.read_dataset_file(dataset_toml)
     known = (record_of(metrics_of(of.plan())) or {}).get("inputs", {})
