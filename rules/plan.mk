@@ -34,7 +34,7 @@ $(PLANNED): $(PLAN_INPUTS) $(wildcard $(CCX_FOUND)) | $(SETUP) $(CCX_FOUND)
 
 # A file of the plan that was removed is written again.
 $D/00_plan/%: | $(PLANNED)
-	@$(PY) -m gelforge.stages.plan $D --ccx $(CCX_FOUND) >/dev/null
+	@test -e $@ || $(PY) -m gelforge.stages.plan $D --ccx $(CCX_FOUND) >/dev/null
 
 # A file that the plan read and that is gone: the plan is made again without it.
 $(filter-out $(wildcard $(PLANNED_FROM)),$(PLANNED_FROM)):

@@ -10,7 +10,7 @@ GOALS := $(or $(MAKECMDGOALS),help)
 DATASET := $(if $(filter feats-fetch,$(GOALS)),feats,demo)
 RES := 24x32
 EXECUTOR := local
-JOBS := $(shell nproc)
+JOBS := $(shell env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc)
 SOLVES := results/solves
 
 GIVEN := $(foreach v,$(.VARIABLES),$(if $(filter command,$(firstword $(origin $v))),$v))

@@ -2,13 +2,14 @@
 
 import re
 import shutil
+import subprocess
 from collections import Counter
 from itertools import pairwise
 
 import pytest
 
 from gelforge.flow.files import read_json
-from tests.support.sandbox import link_project, make
+from tests.support.sandbox import clean_environment, link_project, make
 
 # Four presses in four shards; labels follow their own calibration; there are no images, so the page ends at labels.
 SETTINGS = """
@@ -87,3 +88,43 @@ def test_steps_of_a_goal_overlap_and_its_output_is_clean(project):
         "poses", "images", "fea", "forces", "labels", "dataset", "train", "evaluate", "report", "demo", "calibrate", "pareto", "stability",
         "pareto-models", "export", "feats-export",
     }  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_stage_reads_its_prerequisites_and_nothing_else(root, project, tmp_path):
+    """Each target of the flow, made again in a folder that holds its prerequisites and the store of solves alone."""
+    assert make(project, "-j2", "demo").returncode == 0
+    results = project / "results/demo"
+    made = [
+        results / "metrics" / name
+        for name in ("calibrate/summary", "10_poses/0001", "30_fea/0001", "40_forces/0001", "50_labels/24x32/0001")
+    ]
+    for record in (read_json(path.with_suffix(".json")) for path in made):
+        alone = tmp_path / record["target"].replace("/", "-")
+        for name in ("src", ".venv"):
+            alone.mkdir(exist_ok=True)
+            (alone / name).symlink_to(root / name)
+        for name in record["inputs"]:
+            (alone / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(project / name, alone / name)
+        shutil.copytree(project / "results/solves", alone / "results/solves")
+        words = [word for word in record["command"] if word != "--part"]
+        environment = clean_environment() | {"PYTHONPATH": str(root / "src")}
+        done = subprocess.run(words, cwd=alone, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, (record["target"], done.stderr)
+        ours = alone / record["target"]
+        if ours.suffix != ".json":  # a summary says how many solves were new
+            assert ours.read_bytes() == (project / record["target"]).read_bytes(), record["target"]
+
+
+@pytest.mark.slow
+def test_each_file_of_the_results_that_is_gone_is_healed_by_one_make(project):
+    """And nothing else is made for it."""
+    assert make(project, "-j2", "demo").returncode == 0
+    results = project / "results/demo"
+    for name in ("00_plan/plan.mk", "00_plan/params/fea.json", "00_plan/shards/0002.csv", "calibrate/summary.json", "10_poses/0001.csv",
+                 "30_fea/0003.csv", "40_forces/0000.npz", "50_labels/24x32/0002.npz"):  # fmt: skip
+        (results / name).unlink()
+        done = make(project, "-j2", "demo")
+        assert done.returncode == 0 and (results / name).exists(), done.stdout
+        assert "flow.step" not in make(project, "-n", "demo").stdout, name

@@ -14,7 +14,7 @@ ONLY = shard_name(0)  # the only shard of a sample that `make sample` took throu
 
 
 @dataclass(frozen=True)
-class Sample:
+class FoundSample:
     """A sample of the log: the layout and the shard of its files, and what stages know of it.
 
     of: of its dataset, or of `make sample`. rejected: why stage 10 rejected its row, and what to do. imported: file of
@@ -43,7 +43,7 @@ class Sample:
             )
 
 
-def find(results: Path, name: str, resolution: str = "") -> Sample:
+def find(results: Path, name: str, resolution: str = "") -> FoundSample:
     """A sample of results/DATASET; BadInput if the log has none of that name.
 
     resolution: of labels. The files of its shard count if it was solved there, else those of `make sample`.
@@ -58,5 +58,5 @@ def find(results: Path, name: str, resolution: str = "") -> Sample:
         rows = read_csv(table) if table.exists() else []
         if row := next((row for row in rows if row.get("sample_id") == name), None):
             key = row.get("key") or ""
-            return Sample(name, layout, at, rejected, imported, key, SolveStore(of.solves).record(key))
-    return Sample(name, of, shard, rejected, imported, "", None)
+            return FoundSample(name, layout, at, rejected, imported, key, SolveStore(of.solves).record(key))
+    return FoundSample(name, of, shard, rejected, imported, "", None)
