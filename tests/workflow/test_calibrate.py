@@ -6,6 +6,7 @@ import shutil
 import numpy as np
 import pytest
 
+from gelforge.calibration.readings import read_readings
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, read_toml, write_json
 from gelforge.flow.layout import Layout
@@ -49,7 +50,7 @@ def done(root, tmp_path_factory):
 
 def test_log_holds_the_measured_points(root, reference):
     measured = np.loadtxt(reference / "feats" / "force_depth_sphere15mm.csv", delimiter=",", skiprows=2)
-    readings = calibrate.read_readings(root / "data" / "feats_sphere15" / "log.csv")
+    readings = read_readings(root / "data" / "feats_sphere15" / "log.csv")
     np.testing.assert_allclose(readings.depth, measured[:, 0])
     np.testing.assert_allclose(readings.force[:, 2], -measured[:, 1])
 

@@ -232,6 +232,7 @@ def test_unusable_priors(table, message):
 def planned(tmp_path, *rows, **poses):
     """The layout of a dataset with these rows in one shard, and the parameters of calibrate."""
     of = Layout(place_workflow(tmp_path) / "results/lab")
+    of.shards.mkdir(parents=True)
     write_lines(of.shard("0000"), *rows)
     write_json(of.parameters("sensors"), read_toml(tmp_path / "workflow/sensors.toml"))
     indenters = read_toml(tmp_path / "workflow/indenters.toml")
