@@ -32,7 +32,7 @@ PARETO_FILES := $(PARETO_SCENES:%=$D/pareto/scenes/%.json)
 
 pareto: $D/pareto/pareto.json  ## speed against accuracy of the mechanics: chart, CSV, JSON (half an hour; resumes)
 
-$(PARETO_FILES): $D/pareto/scenes/%.json: $P/pareto.json $P/scenes/%.json $P/sensors.json $P/gels.json $(KEPT_REFERENCES)
+$(PARETO_FILES): $D/pareto/scenes/%.json: $P/pareto.json $P/scenes/%.json $P/sensors.json $P/gels.json $(CHARTED_GELS:%=$(MESH)) $(KEPT_REFERENCES)
 	$(foretold)
 	$(call step,gelforge.stages.pareto scene $D $*)
 
@@ -52,7 +52,7 @@ STABILITY_FILES := $(STABILITY_ROWS:%=$D/stability/rows/%.json)
 
 stability: $D/stability/map.json  ## where the mechanics converge, fail or lose accuracy: map, CSV (an hour or two; resumes)
 
-$(STABILITY_FILES): $D/stability/rows/%.json: $P/stability.json $P/gels.json
+$(STABILITY_FILES): $D/stability/rows/%.json: $P/stability.json $P/gels.json $(CHARTED_GELS:%=$(MESH))
 	$(foretold)
 	$(call step,gelforge.stages.stability row $D $*)
 

@@ -20,12 +20,21 @@ images: $(IMAGES_JUDGED)  ## compare the images of the log with its poses and no
 $D/15_images/images.json: $(POSES) $(USED) $(PICTURES) $(BESIDE)/nocontact.json $P/images.json $P/gels.json
 	$(HANDS_SLOTS)$(call step,gelforge.stages.images $D)
 
+# 20: tetrahedra of each gel, which stage 30 bisects for each press. Stages that read meshes of presses read these, too.
+MESH = $D/20_meshes/%.npz
+MESHED := $(MESHED_GELS:%=$(MESH))
+
+meshes: $(GELS:%=$(MESH))  ## tetrahedra of each gel, with a .vtu to look at
+
+$(sort $(GELS:%=$(MESH)) $(CHARTED_GELS:%=$(MESH))): $(MESH): $P/meshes.json $P/gels.json
+	$(call step,gelforge.stages.meshes $D $*)
+
 # 30: finite elements; a solve with unchanged inputs is not repeated.
 FEA := $(SHARDS:%=$D/30_fea/%.csv)
 
 fea: $(FEA) $(solved)  ## solve every accepted sample by finite elements
 
-$(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $(SHARD)/%.json $P/fea.json $P/gels.json | $(IMAGES_JUDGED)
+$(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $(SHARD)/%.json $P/fea.json $P/gels.json $(MESHED) | $(IMAGES_JUDGED)
 	$(foretold)
 	$(call solve,gelforge.stages.fea $D $*)
 
@@ -35,7 +44,7 @@ FORCES := $(SHARDS:%=$D/40_forces/%.npz)
 
 forces: $(FORCES)  ## nodal contact forces of the solves, scaled to the material
 
-$(FORCES): $D/40_forces/%.npz: $D/30_fea/%.csv $P/forces.json $(CALIBRATED:%=$D/%) | $(solved)
+$(FORCES): $D/40_forces/%.npz: $D/30_fea/%.csv $P/forces.json $(MESHED) $(CALIBRATED:%=$D/%) | $(solved)
 	$(call step,gelforge.stages.forces $D $*)
 
 # 50: one process per resolution labels all shards, because starting one per shard would cost more than the labels.
@@ -43,7 +52,7 @@ LABELS := $(RES:%=$D/50_labels/%/labels.json)
 
 labels: $(LABELS)  ## force per grid cell: make labels RES="12x16 24x32 48x64"
 
-$(LABELS): $D/50_labels/%/labels.json: $(FORCES) $(POSES) $D/00_plan/shards.csv $P/labels.json $P/sensors.json $P/gels.json
+$(LABELS): $D/50_labels/%/labels.json: $(FORCES) $(MESHED) $(POSES) $D/00_plan/shards.csv $P/labels.json $P/sensors.json $P/gels.json
 	$(call step,gelforge.stages.labels $D $*)
 
 # 60: arrays ready for training, one folder per resolution. Imported labels (data/DATASET/labels) need no earlier
@@ -94,7 +103,7 @@ $(CARDS): $D/80_evaluate/$(RES1)/%.card.md: $D/80_evaluate/$(RES1)/%.json $P/car
 # 90: a dataset with imported labels has no solves, and its log may have no poses. The page prints the parameters of
 # every stage. The choice of network and branches is a file, so that a changed choice is newer than the report.
 REPORT := $D/90_report/index.html
-SOLVED := $(if $(IMPORTED),,$(POSES) $(FEA) $(FORCES) $D/50_labels/$(RES1)/labels.json $(IMAGES_JUDGED))
+SOLVED := $(if $(IMPORTED),,$(POSES) $(MESHED) $(FEA) $(FORCES) $D/50_labels/$(RES1)/labels.json $(IMAGES_JUDGED))
 
 report: $(REPORT)  ## one HTML page: presses, labels, errors, posterior, chart, failures
 

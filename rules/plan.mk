@@ -17,7 +17,7 @@ SHOWN := $(addprefix $D/,$(call answered,SHOWN))
 IS_FROZEN := $(wildcard $(DATA)/calibration.toml)
 
 # The plan's lists, empty if no plan is read.
-LISTS := SHARDS BRANCHES PARETO_SCENES MODELS TUNED CALIBRATED LEARN_ALSO IMAGES
+LISTS := SHARDS BRANCHES PARETO_SCENES MODELS TUNED CALIBRATED LEARN_ALSO IMAGES GELS MESHED_GELS CHARTED_GELS
 $(foreach v,$(LISTS),$(eval $v :=))
 
 # refuse.py removes an outdated plan; make then makes this included file again and restarts itself.

@@ -12,6 +12,7 @@ from gelforge.stages import fea
 from gelforge.stages.report import verified_section
 from gelforge.sweeps import verification
 from gelforge.sweeps.verification import Verified
+from tests.support.meshed import place_mesh
 from tests.support.parameters import write_stage
 
 HEADER = "sample_id,sensor_id,gel_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg\n"
@@ -24,6 +25,7 @@ def folder(root, tmp_path):
     sensor = read_toml(root / "workflow" / "sensors.toml")["gelsight_mini"]
     write_json(of.parameters("sensors"), {"gelsight_mini": sensor})
     write_json(of.parameters("indenters"), {"ball": {"kind": "sphere", "diameter": 15, "height": 10}})
+    place_mesh(of)
     write_text(of.poses("0000"), HEADER + "s0,gelsight_mini,g,ball,0,0,0,0,0,-0.4,0\n")
     return of.root
 

@@ -13,7 +13,7 @@ from pathlib import Path
 from gelforge.errors import BadInput
 from gelforge.flow.files import names_in
 
-PLAN, POSES, IMAGES, FEA, FORCES = "00_plan", "10_poses", "15_images", "30_fea", "40_forces"
+PLAN, POSES, IMAGES, MESHES, FEA, FORCES = "00_plan", "10_poses", "15_images", "20_meshes", "30_fea", "40_forces"
 LABELS, DATASET, TRAIN, EVALUATE, REPORT = "50_labels", "60_dataset", "70_train", "80_evaluate", "90_report"
 CALIBRATE, PARETO, PARETO_MODELS, STABILITY = "calibrate", "pareto", "pareto_models", "stability"
 LOGS, METRICS = "logs", "metrics"
@@ -37,6 +37,7 @@ class Stage:
 STAGES = {
     "poses": Stage(POSES, ("poses",)),
     "images": Stage(IMAGES, ("poses.images", "poses.judge_images")),
+    "meshes": Stage(MESHES),
     "fea": Stage(FEA, ("fea", "interface", "material.nu")),
     "forces": Stage(FORCES, ("material",)),
     "labels": Stage(LABELS, ("labels",)),
@@ -230,6 +231,15 @@ class Layout:
     def images(self) -> Path:
         """What stage 15 found in the images of the log."""
         return self.root / IMAGES / "images.json"
+
+    @property
+    def meshes(self) -> Path:
+        """Folder of the gels' base meshes; samples share those of their dataset."""
+        return self.dataset_root / MESHES
+
+    def mesh(self, gel: str) -> Path:
+        """Base mesh of a gel."""
+        return self.meshes / f"{gel}.npz"
 
     def fea(self, shard: str) -> Path:
         """Table of a shard's solves."""

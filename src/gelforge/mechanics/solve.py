@@ -15,9 +15,10 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of_value
 from gelforge.flow.tables import IN_PROCESS, METHODS, TAKEN, FeaTable
-from gelforge.geometry.gel import gel_shape, load_gel
+from gelforge.geometry.gel import Gel, gel_shape, load_gel
 from gelforge.mechanics.ccx.program import need_ccx
 from gelforge.mechanics.hexsettings import HexSettings, quality
+from gelforge.mechanics.mesh.basemesh import base_of
 from gelforge.mechanics.path.transfer import LoadPath
 from gelforge.mechanics.result import Result, Solve
 from gelforge.mechanics.scene import Scene
@@ -195,11 +196,11 @@ def hexahedra_key(settings: HexSettings) -> list:
     return ["hex", asdict(settings)]
 
 
-def settings_of(method: str, fea: FeaTable) -> list:
-    """Settings of [fea] that change the result of a method."""
+def settings_of(method: str, fea: FeaTable, gel: Gel) -> list:
+    """Settings of [fea] that change the result of a method, with the digest of the gel's base mesh if it needs one."""
     if method in IN_PROCESS:
         return hexahedra_key(quality(method))
     if method == "auto":
-        return [method, fea.tolerance, *(settings_of(one, fea) for one in TAKEN)]
+        return [method, fea.tolerance, *(settings_of(one, fea, gel) for one in TAKEN)]
     ccx = {f.name: getattr(fea, f.name) for f in fields(CcxSettings) if f.name not in NO_RESULT}
-    return [method, ccx, asdict(quality(GUIDE))]
+    return [method, base_of(gel).digest, ccx, asdict(quality(GUIDE))]

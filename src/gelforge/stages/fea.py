@@ -21,6 +21,7 @@ from gelforge.geometry.gel import load_gel, use_gels_of
 from gelforge.geometry.indenters import bodies_of
 from gelforge.labelling.sensor import sensor_of
 from gelforge.mechanics.material import Material
+from gelforge.mechanics.mesh.basemesh import use_meshes_of
 from gelforge.mechanics.mesh.names import load_mesh
 from gelforge.mechanics.result import Result
 from gelforge.mechanics.scene import Interface, Scene
@@ -55,7 +56,7 @@ def shape_of(press: PosedPress, tables: dict) -> dict:
 
 def press_keys(frames: list[PosedPress], scenes: list[Scene], params: StageParameters, tables: dict) -> list[str]:
     """Key of the solve of each frame of a press."""
-    how = settings_of(params.fea.method, params.fea)
+    how = settings_of(params.fea.method, params.fea, scenes[0].gel)
     return [solve_key(scenes, shape_of(frame, tables), how, params.version, at) for at, frame in enumerate(frames)]
 
 
@@ -220,6 +221,7 @@ def read_shard(of: Layout, shard: str) -> tuple[StageParameters, dict, list[Pose
 def main(args: Namespace) -> None:
     of = args.of
     use_gels_of(of.workflow)
+    use_meshes_of(of.meshes)
     params, tables, presses, bodies = read_shard(of, args.shard)
     solves = run_shard(presses, params, tables, bodies, of.solves(args.shard))
     write_solves(args.out, solves)

@@ -15,6 +15,7 @@ from gelforge.flow.layout import Layout, command_for
 from gelforge.flow.params import read_parameters
 from gelforge.flow.tables import MaterialTable
 from gelforge.mechanics.material import REFERENCE_C10
+from gelforge.mechanics.mesh.basemesh import use_meshes_of
 from gelforge.mechanics.mesh.names import load_mesh
 from gelforge.records.arrays import in_short
 from gelforge.records.forcefile import INTERVALS, SampleForces, write_forces
@@ -98,6 +99,7 @@ def refuse_corrupt(table: Path, solves: list[Solved]) -> None:
 @stage(Layout.forces)
 def main(args: Namespace) -> None:
     of = args.of
+    use_meshes_of(of.meshes)
     params = read_parameters(of.parameters("forces"))
     c10, intervals = material_c10(params.material, of.calibration())
     samples: list[SampleForces] = []

@@ -19,6 +19,7 @@ from gelforge.labelling.cellsurface import SurfaceMap, surface_map, traction
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import Operator, assemble
 from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors
+from gelforge.mechanics.mesh.basemesh import use_meshes_of
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.names import load_mesh
 from gelforge.records.forcefile import ForceFile
@@ -302,6 +303,7 @@ def report(summary: dict, largest_share: float) -> None:
 
 @stage(Layout.labelled)
 def main(args: Namespace) -> None:
+    use_meshes_of(args.of.meshes)
     params = read_parameters(args.of.parameters("labels")).labels
     summary = label_folder(args.of, Grid.parse(args.resolution), args.out.parent, params.channels)
     write_json(args.out, summary)

@@ -351,7 +351,7 @@ CCX = option(
 
 @stage(Layout.plan, CCX)
 def main(args: Namespace) -> None:
-    from gelforge.geometry.gel import use_gels_of
+    from gelforge.geometry.gel import USUAL_GEL, is_gel, use_gels_of
     from gelforge.sweeps.scenes import read_tables
 
     of = args.of
@@ -378,6 +378,8 @@ def main(args: Namespace) -> None:
     check_dataset(dataset_toml, dataset, params, used(sensors, named(rows, "sensor_id")), sensors, indenters, models)
     seen_by = used(sensors, named(rows, "sensor_id") | {params.pareto.sensor})
     gels = own_shapes(gels_of(seen_by))
+    logged_gels = sorted({str(gel) for gel in gels_of(used(sensors, named(rows, "sensor_id"))) if is_gel(gel)})
+    sensors_charted = used(sensors, {params.pareto.sensor})
     tables = {"sensors": seen_by, "indenters": with_content(bodies, workflow), "gels": gels}
     lists: dict[str, list[str]] = {
         "BRANCHES": [SHOWN_OF[name] for name in params.report.branches],
@@ -387,6 +389,10 @@ def main(args: Namespace) -> None:
         "CALIBRATED": [SHOWN_OF["calibrate"]] if params.material.c10 == "calibrated" else [],
         "REPORT_MODEL": reported_model(dataset_toml, params, models, pressed(rows)),
         "LEARN_ALSO": [*params.train.also],
+        "GELS": logged_gels,
+        # the gels whose meshes stage 30 needs, and those of the charts
+        "MESHED_GELS": [] if params.fea.method in IN_PROCESS else logged_gels,
+        "CHARTED_GELS": sorted({USUAL_GEL, *map(str, filter(None, gels_of({**sensors_charted, **scenes})))}),
         "IMAGES": ["yes"] if pictures and params.poses.images else [],
     }
     text = "".join(make_list(name, values) for name, values in lists.items())

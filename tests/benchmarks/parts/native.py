@@ -20,8 +20,9 @@ from gelforge.mechanics.ccx.dat import DatError, last_table, read_dat
 from gelforge.mechanics.ccx.deck import material_lines, mesh_lines
 from gelforge.mechanics.ccx.program import OVERDUE, run_ccx
 from gelforge.mechanics.elements.element import ELEMENTS
+from gelforge.mechanics.mesh.basemesh import base_of
 from gelforge.mechanics.mesh.gelmesh import GelMesh
-from gelforge.mechanics.mesh.tetmesh import FACES, Sizes, base_tets, bisected, from_flat, orient
+from gelforge.mechanics.mesh.tetmesh import FACES, Sizes, bisected, from_flat, orient
 from gelforge.mechanics.path.loadpath import first_touch
 from gelforge.mechanics.result import Result
 from gelforge.mechanics.scene import Scene
@@ -161,5 +162,6 @@ def prepared(scene: Scene, size: float, limit_s: float, work: Path) -> Callable[
     even = Sizes.at(
         gel, np.ones((1, 1), bool), max(gel.width, gel.length), (-gel.width / 2, -gel.length / 2), size, size
     )
-    mesh = from_flat(gel, *bisected(*base_tets(gel), even))
+    base = base_of(gel)
+    mesh = from_flat(gel, *bisected(base.nodes, base.tets, even))
     return lambda: (solve_native(scene, mesh, work / "native", limit_s), mesh)
