@@ -58,7 +58,7 @@ class ChartBench:
             return [asdict(hex_settings(method))]
         if method.solver == REFERENCE:  # with elements of twice the size: the reference itself has a key of its own
             return [plain(p.pareto.reference), *ccx_settings(p, gel)]
-        if method.name in ("auto", "ccx"):
+        if method.name in ("auto", "ccx", "ccx-contact"):
             return [settings_of(method.name, p.fea, gel)]
         return ccx_settings(p, gel)
 
