@@ -63,7 +63,7 @@ def test_a_verified_press_has_a_difference_and_limits(folder, ccx):
 @pytest.mark.slow
 def test_calculix_own_contact_checks_ccx_without_friction(folder, ccx):
     """Three solves: of the press, which sticks, and of its end without friction, whose contact CalculiX finds once."""
-    (found,) = solve(folder, 1.0, method="ccx", contact_mm=0.9)
+    (found,) = solve(folder, 1.0, method="ccx")
     assert (found.method, found.second, found.reason) == ("ccx", "ccx-contact", "")
     assert 0 < found.total < 0.03 and not found.beyond
     assert sorted(read_json(path)["method"] for path in Layout(folder).solves.glob("*.json")) == [
@@ -72,7 +72,7 @@ def test_calculix_own_contact_checks_ccx_without_friction(folder, ccx):
         "ccx-contact",
     ]
     times = kept(folder)
-    assert solve(folder, 1.0, method="ccx", contact_mm=0.9) == [found] and kept(folder) == times
+    assert solve(folder, 1.0, method="ccx") == [found] and kept(folder) == times
 
 
 def made(name: str, total: float, cells: float) -> Verified:

@@ -32,7 +32,7 @@ BY_CALCULIX = (
     "the same presses on other elements and another mesh, with the equilibrium of CalculiX; both methods find the contact by the same"
     " algorithm, so this checks elements, meshes and equilibrium, not the contact law",
 )
-HARD = 1000.0  # contact penalty of a check by CalculiX' own contact, multiples of C10 per mm
+HARD, HARD_MM = 1000.0, 0.7  # contact penalty, multiples of C10 per mm, and edges of a check by CalculiX' own contact
 
 
 @dataclass(frozen=True)
@@ -91,7 +91,9 @@ def check_of(method: str, scenes: list[Scene], fea: FeaTable) -> Check:
     second, _ = SECOND.get(method, BY_CALCULIX)
     if second == "ccx-contact":
         end = [replace(scenes[-1], interface=Interface("frictionless")).direct]
-        return Check(end, altered(fea, method=method), altered(fea, method=second, contact_stiffness=HARD))
+        return Check(
+            end, altered(fea, method=method), altered(fea, method=second, contact_stiffness=HARD, contact_mm=HARD_MM)
+        )
     return Check(scenes, None, altered(fea, method=second))
 
 
