@@ -109,6 +109,7 @@ def solve(
     friction: float | None = None,
     method: str = "draft",
     gels: Path | str | None = None,
+    meshes: Path | str | None = None,
 ) -> SolvedPress:
     """Press an indenter into a gel, down and then sideways, by finite elements in process.
 
@@ -125,6 +126,8 @@ def solve(
         method: "draft", "label" or "fine": hexahedra, fast to slow; "ccx": CalculiX, which must be installed; "auto":
             the first of draft, label, ccx that states an error within 4 %, else the one that states the least.
         gels: file with your own gels, such as workflow/gels.toml; `gel` may then name one of them.
+        meshes: folder in which the mesh of each gel is kept for "ccx" and "auto", so that it is made once and results
+            repeat; None: it is made once in each process, by pytetwild, whose meshes differ from run to run.
 
     Returns:
         The state at the end of the path: a mesh, and forces in N and displacements in mm of its nodes.
@@ -152,13 +155,14 @@ def solve(
             "two each for at and shear, along gel x and y, and a depth of 0 mm or more, positive into the gel"
         )
     from gelforge.flow.params import load_params
+    from gelforge.mechanics.mesh.basemesh import meshes_in
     from gelforge.mechanics.mesh.names import load_mesh
     from gelforge.mechanics.solve import Solvers
 
     body = _body(indenter)
     interface = Interface() if friction is None else Interface.of_friction(float(friction))
     press = Press(at[0], at[1], 0.0, shear[0], shear[1], -depth, rot_deg)
-    with gels_from(gels), TemporaryDirectory() as workdir:
+    with gels_from(gels), meshes_in(meshes), TemporaryDirectory() as workdir:
         solvers = Solvers(workdir, load_params(PARAMETERS).fea)
         result = solvers.solve(Scene(load_gel(gel), Material(nu), body, press, interface), method)
         if not (result.status.valid and result.evidence.get("mesh")):

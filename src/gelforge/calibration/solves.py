@@ -203,7 +203,7 @@ class SolveCache:
         if job.indenter not in self._shapes:
             self._shapes[job.indenter] = surface_digest(self.catalogue[job.indenter])
         scene, how = scene_of(job, self.catalogue[job.indenter]), hexahedra_key(self.settings)
-        return self.folder / f"{solve_key([scene], self._shapes[job.indenter], how, self.version)[:20]}.json"
+        return self.folder / f"{solve_key([scene], self._shapes[job.indenter], how, self.version)}.curve.json"
 
     def fill(self, jobs: list[SolveJob], workers: int = 1) -> None:
         """Solve the jobs that have no file yet, on `workers` processes."""
