@@ -135,3 +135,19 @@ def ccx() -> str:
     if not found:
         pytest.skip("CalculiX (ccx) is not on PATH; make setup installs it where it may")
     return found
+
+
+# Constants that say how much is read, written or cut at a time: results do not depend on them.
+BLOCKS = (
+    "gelforge.learning.data.CHUNK", "gelforge.labelling.clip.PAIRS_AT_ONCE", "gelforge.formats.export.hdf5.BLOCK",
+    "gelforge.formats.export.lerobot.BLOCK", "gelforge.formats.export.lerobot.FILE_BYTES",
+    "gelforge.formats.export.lerobot.CHUNK_FILES", "gelforge.records.rowfile.LET_GO", "gelforge.stages.images.CHUNK",
+    "gelforge.stages.labels.BLOCK_BYTES",
+)  # fmt: skip
+
+
+@pytest.fixture(params=[1, 3, None], ids=["blocks of one", "blocks of three", "one block"])
+def block(request, monkeypatch) -> None:
+    """What is done in blocks is done one by one, in threes, or all at once, in this process."""
+    for name in BLOCKS if request.param else ():
+        monkeypatch.setattr(name, request.param)

@@ -126,3 +126,19 @@ def test_a_pair_is_the_image_and_a_difference_that_forgets_the_no_contact_image(
     both = network_input(pictures, norm)
     torch.testing.assert_close(both[:, 3:], network_input(brighter, norm)[:, 3:])
     torch.testing.assert_close(both[:, :3], network_input(pictures[:, :3], norm))
+
+
+def test_a_u_net_of_symmetric_kernels_sees_a_mirrored_press_mirrored():
+    """Its unpadded convolutions, up-convolutions and crops treat all four sides alike."""
+    torch.manual_seed(3)
+    # the last convolution leaves 32 x 48 of 48 x 64 pixels: a grid of as many cells resizes nothing
+    net = build({"kind": "unet", "widths": [4, 8]}, (48, 64), (32, 48))
+    with torch.no_grad():
+        for name, value in net.named_parameters():
+            if value.dim() == 4:
+                value.copy_((value + value.flip(2) + value.flip(3) + value.flip(2, 3)) / 4)
+        image = torch.rand(1, 3, 48, 64)
+        found = net(image)
+        for axis in (2, 3):
+            torch.testing.assert_close(net(image.flip(axis)), found.flip(axis), atol=1e-5, rtol=1e-4)
+        assert not torch.allclose(found, found.flip(3), atol=1e-3)
