@@ -134,7 +134,7 @@ def test_a_u_net_of_symmetric_kernels_sees_a_mirrored_press_mirrored():
     # the last convolution leaves 32 x 48 of 48 x 64 pixels: a grid of as many cells resizes nothing
     net = build({"kind": "unet", "widths": [4, 8]}, (48, 64), (32, 48))
     with torch.no_grad():
-        for name, value in net.named_parameters():
+        for value in net.parameters():
             if value.dim() == 4:
                 value.copy_((value + value.flip(2) + value.flip(3) + value.flip(2, 3)) / 4)
         image = torch.rand(1, 3, 48, 64)

@@ -357,3 +357,17 @@ def test_rows_go_to_standard_output_and_nothing_else_does(film, capfd):
     assert live.main(["--video", str(film), "--csv", "-", "--frames", "15"]) == 0
     found = list(csv.DictReader(capfd.readouterr().out.splitlines()))
     assert [int(row["frame"]) for row in found] == list(range(SETTLING, 15))
+
+
+def test_each_row_on_a_pipe_can_be_read_as_soon_as_it_is_measured(monkeypatch):
+    """A program that reads them must not wait for a buffer to fill."""
+    there, here = os.pipe()
+    with open(there, encoding="utf-8") as reading_end, open(here, "w", encoding="utf-8", buffering=1 << 20) as pipe:
+        monkeypatch.setattr(sys, "stdout", pipe)
+        os.set_blocking(there, False)
+        table, rows = CsvTable(Path("-")), []
+        for number in (1, 2, 3):
+            table.send(reading(number))
+            rows += list(csv.reader(reading_end))
+            assert rows[-1][0] == str(number)
+        assert rows[0][0] == "frame" and len(rows) == 4
