@@ -7,10 +7,10 @@ import pytest
 
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
-from gelforge.mechanics.material import Material
-from gelforge.mechanics.scene import Scene
 from gelforge.mechanics import solve
+from gelforge.mechanics.material import Material
 from gelforge.mechanics.result import Result
+from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solve import Solvers
 from gelforge.records.press import Press
 from gelforge.records.status import Status

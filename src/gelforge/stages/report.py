@@ -35,7 +35,7 @@ from gelforge.reporting.parts import PART, forget_parts, in_parts, place_parts
 from gelforge.reporting.presses import as_columns, press_rows
 from gelforge.sweeps import verification
 
-VERSION = 5
+VERSION = 6
 ABSENT = "not installed"
 FOLDED = ("trace.png",)  # plots shown folded, for readers who check a result
 PACKAGES = (
@@ -59,7 +59,7 @@ def read_presses(results: Path) -> list[tuple[str, PosedPress]]:
 def read_solved(results: Path) -> dict[str, Solved]:
     """Solves in the existing tables of the planned shards, by sample_id.
 
-    If a shard's file of forces exists, status and total are those of that file, with forces scaled to the material.
+    If a shard's file of forces exists, status, total and stated errors are those of that file, scaled to the material.
     """
     of = Layout(results)
     found: dict[str, Solved] = {}
@@ -70,22 +70,25 @@ def read_solved(results: Path) -> dict[str, Solved]:
 
 
 def with_forces(solves: list[Solved], path: Path) -> list[Solved]:
-    """Solves with status and total from a shard's file of forces; unchanged if that is missing."""
+    """Solves with status, total and errors from a shard's file of forces; unchanged if that is missing."""
     if not path.exists():
         return solves
     with ForceFile(path) as shard:
-        known = dict(
-            zip(shard.sample_id.tolist(), zip(shard.status.tolist(), shard.total.tolist(), strict=True), strict=True)
-        )
+        ids, status, total = shard.sample_id.tolist(), shard.status.tolist(), shard.total.tolist()
+        errors = {name: shard.numbers[name].tolist() for name in ("error_n", "cells_error_n")}
+    known = {
+        name: (status[at], total[at], {key: of[at] for key, of in errors.items()}) for at, name in enumerate(ids)
+    }
     return [_with_force(solve, *known[solve.sample_id]) if solve.sample_id in known else solve for solve in solves]
 
 
-def _with_force(solve: Solved, status: str, total: list[float]) -> Solved:
+def _with_force(solve: Solved, status: str, total: list[float], errors: dict[str, float]) -> Solved:
     if not solve.status.valid:
         return solve
     lost = "" if status in VALID else Status[status].value
     x, y, z = total
-    return replace(solve, status=Status[status], reason=lost or solve.reason, total=(x, y, z))
+    evidence = {**solve.evidence, **errors}
+    return replace(solve, status=Status[status], reason=lost or solve.reason, total=(x, y, z), evidence=evidence)
 
 
 def calibration_section(results: Path) -> Section:
