@@ -143,3 +143,11 @@ def test_presses_share_a_curve_where_the_gel_meets_them_alike():
     plan = make_plan(readings, 0.1, "no_slip", [0.5], 0.475)
     assert plan.leader.tolist() == [1, 1, 2, 3, 1, 5, 6]
     np.testing.assert_allclose(plan.top, [1.1, 1.1, 0.8, 0.9, 1.1, 0.7, 0.5])
+
+
+def test_a_press_slides_whichever_way_it_is_dragged():
+    readings = make_readings([0.5, 0.5, 0.5, 0.5], np.full(4, -1.0))
+    readings.pose[:, 3:5] = [[0.8, 0.0], [0.0, -0.8], [0.4, 0.4], [0.3, 0.3]]
+    np.testing.assert_allclose(readings.travel, [0.8, 0.8, np.hypot(0.4, 0.4), np.hypot(0.3, 0.3)])
+    plan = make_plan(readings, 0.1, "coulomb", [0.25, 0.6], 0.475)
+    assert [len(nodes) for nodes in plan.nodes] == [3, 3, 3, 2] and plan.slides.tolist() == [True, True, True, False]

@@ -142,3 +142,14 @@ def test_a_u_net_of_symmetric_kernels_sees_a_mirrored_press_mirrored():
         for axis in (2, 3):
             torch.testing.assert_close(net(image.flip(axis)), found.flip(axis), atol=1e-5, rtol=1e-4)
         assert not torch.allclose(found, found.flip(3), atol=1e-3)
+
+
+def test_every_cell_of_a_light_net_knows_of_the_whole_image():
+    """Its global means carry a change in one corner to the opposite one, which no convolution reaches."""
+    torch.manual_seed(5)
+    net = build({"kind": "grid", "width": 8, "blocks": 1}, (240, 320), (24, 32)).eval()
+    image = torch.rand(1, 6, 240, 320)
+    changed = image.clone()
+    changed[..., :20, :20] += 1.0
+    with torch.inference_mode():
+        assert (net(changed) - net(image)).abs()[..., -1, -1].max() > 1e-6

@@ -40,4 +40,7 @@ def test_the_bend_is_that_all_around_the_contact(monkeypatch, order):
     whole = edge_of(half_pressed("x"), BLOCK, HERE, 0.4, 4.0)
     assert 0.2 < whole.bend < 1.8
     assert found.bend == pytest.approx(whole.bend, rel=0.06)
+    turned = half_pressed("x")
+    turned.position = turned.position[:, [1, 0, 2]]
+    assert edge_of(turned, BLOCK, HERE, 0.4, 4.0).bend == pytest.approx(whole.bend, rel=0.02)
     assert found.area == pytest.approx(whole.area) and found.near == pytest.approx(whole.near)
