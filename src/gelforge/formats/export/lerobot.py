@@ -35,6 +35,7 @@ SLOWEST = 1  # frames a second, at least; also where no episode has two frames
 CHUNK_FILES = 1000  # files a chunk folder holds at most
 MOST_PICTURES = 1000  # images sampled for the statistics; LeRobot itself samples as many of about 10 000
 FILE_BYTES = 100e6  # approximate size at which a data file is closed
+BLOCK = 256  # labels read at a time for the statistics
 NAMES = ("sample_id", "indenter", "sensor_id", "split")
 PATH = (*POSE, *TILT)
 PICTURE, FORCES, STATE, WRENCH = (
@@ -308,8 +309,8 @@ def number_stats(samples: Samples) -> dict:
     forces = samples.labels
     shape = forces.shape[1:]
     sums, squares, low, high = np.zeros(shape), np.zeros(shape), np.full(shape, np.inf), np.full(shape, -np.inf)
-    for start in range(0, len(forces), 256):
-        block = np.asarray(forces[start : start + 256], np.float64)
+    for start in range(0, len(forces), BLOCK):
+        block = np.asarray(forces[start : start + BLOCK], np.float64)
         sums, squares = sums + block.sum(0), squares + (block**2).sum(0)
         low, high = np.minimum(low, block.min(0)), np.maximum(high, block.max(0))
     mean = sums / len(forces)
