@@ -29,7 +29,7 @@ PARETO_FILES := $(PARETO_SCENES:%=$D/pareto/scenes/%.json)
 .PHONY: pareto
 pareto: $D/pareto/pareto.json  ## speed against accuracy of the mechanics: chart, CSV, JSON (half an hour; resumes)
 
-$(PARETO_FILES): $D/pareto/scenes/%.json: $P/pareto.json $P/scenes/%.json $P/chart.json $P/gels.json $(KEPT_REFERENCES)
+$(PARETO_FILES): $D/pareto/scenes/%.json: $P/pareto.json $P/scenes/%.json $P/chart.json $P/gels.json $(CHARTED_GELS:%=$(MESH)) $(KEPT_REFERENCES)
 	$(call step,gelforge.stages.pareto scene $D $*)
 
 $D/pareto/pareto.json: $(PARETO_FILES) $P/pareto.json $P/scenes.json
@@ -51,7 +51,7 @@ STABILITY_FILES := $(STABILITY_ROWS:%=$D/stability/rows/%.json)
 .PHONY: stability
 stability: $D/stability/map.json  ## where the mechanics converge, fail or lose accuracy: map, CSV (an hour or two; resumes)
 
-$(STABILITY_FILES): $D/stability/rows/%.json: $P/stability.json $P/gels.json
+$(STABILITY_FILES): $D/stability/rows/%.json: $P/stability.json $P/gels.json $(CHARTED_GELS:%=$(MESH))
 	$(call step,gelforge.stages.stability row $D $*)
 
 $D/stability/map.json: $(STABILITY_FILES)

@@ -25,13 +25,23 @@ images: $(IMAGES_JUDGED)  ## compare the images of the log with its poses and no
 $D/15_images/images.json: $(POSES) $(USED) $(PICTURES) $(BESIDE)/nocontact.json $P/images.json $P/gels.json
 	$(HANDS_SLOTS)$(call step,gelforge.stages.images $D)
 
+# 20: tetrahedra of each gel, which stage 30 bisects for each press. Stages that read meshes of presses read these, too.
+MESH = $D/20_meshes/%.npz
+MESHED := $(MESHED_GELS:%=$(MESH))
+
+.PHONY: meshes
+meshes: $(GELS:%=$(MESH))  ## tetrahedra of each gel, with a .vtu to look at
+
+$(sort $(GELS:%=$(MESH)) $(CHARTED_GELS:%=$(MESH))): $(MESH): $P/meshes.json $P/gels.json
+	$(call step,gelforge.stages.meshes $D $*)
+
 # 30: finite elements. Solves are kept in one store by a key of their inputs, so that none is made twice.
 FEA := $(SHARDS:%=$D/30_fea/%.csv)
 
 .PHONY: fea
 fea: $(FEA)  ## solve every accepted sample by finite elements
 
-$(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $(SHARD)/%.json $P/fea.json $(CALIBRATION) | $(IMAGES_JUDGED)
+$(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $(SHARD)/%.json $P/fea.json $(MESHED) $(CALIBRATION) | $(IMAGES_JUDGED)
 	$(call step,gelforge.stages.fea $D $*)
 
 # 40: the material's C10 scales the forces, no solve is repeated.
@@ -40,7 +50,7 @@ FORCES := $(SHARDS:%=$D/40_forces/%.npz)
 .PHONY: forces
 forces: $(FORCES)  ## nodal contact forces of the solves, scaled to the material
 
-$(FORCES): $D/40_forces/%.npz: $D/30_fea/%.csv $P/forces.json $(CALIBRATION)
+$(FORCES): $D/40_forces/%.npz: $D/30_fea/%.csv $P/forces.json $(MESHED) $(CALIBRATION)
 	$(call step,gelforge.stages.forces $D $*)
 
 # 50: force per cell of an image grid, a file per shard and resolution.
@@ -50,7 +60,7 @@ LABELS := $(foreach r,$(RES),$(SHARDS:%=$D/50_labels/$r/%.npz))
 labels: $(LABELS)  ## force per grid cell: make labels RES="12x16 24x32 48x64"
 
 define labelled_at
-$(SHARDS:%=$D/50_labels/$1/%.npz): $D/50_labels/$1/%.npz: $D/40_forces/%.npz $D/10_poses/%.csv $(SHARD)/%.json $P/labels.json
+$(SHARDS:%=$D/50_labels/$1/%.npz): $D/50_labels/$1/%.npz: $D/40_forces/%.npz $D/10_poses/%.csv $(SHARD)/%.json $P/labels.json $(MESHED)
 	$$(call step,gelforge.stages.labels $D $1 $$*)
 endef
 $(foreach r,$(RES),$(eval $(call labelled_at,$r)))
@@ -111,7 +121,7 @@ SHOWN := $(sort $(BRANCHES:%=$D/%) $(wildcard $D/calibrate/summary.json $D/paret
 # A network of one's own stands beside the shipped one, where that reads the dataset.
 BOTH := $(if $(filter $(SHIPPED_RES),$(RES1)),$(if $(wildcard $(DATA)/nocontact),shipped))
 JUDGED := $(if $(filter none,$(PAGE_NET)),,$D/60_dataset/$(RES1)/dataset.json $(patsubst %,$D/80_evaluate/$(RES1)/%.json,$(sort $(NET) $(BOTH))))
-SOLVED := $(if $(IMPORTED),,$(POSES) $(FEA) $(FORCES) $(SHARDS:%=$D/50_labels/$(RES1)/%.npz) $(IMAGES_JUDGED))
+SOLVED := $(if $(IMPORTED),,$(POSES) $(MESHED) $(FEA) $(FORCES) $(SHARDS:%=$D/50_labels/$(RES1)/%.npz) $(IMAGES_JUDGED))
 
 .PHONY: report
 report: $(REPORT)  ## one HTML page: presses, labels, errors, posterior, chart, failures

@@ -14,7 +14,7 @@ OF_RESULTS := status provenance
 NEEDS_PLAN := $(filter-out $(NO_PLAN) $(if $(wildcard $(DATA)/log.csv),,$(if $(wildcard $D/.),$(OF_RESULTS))),$(GOALS))
 
 # The plan's lists, empty if no plan is read. PLANNED_FROM: files that it read because others name them, such as images.
-LISTS := SHARDS BRANCHES PARETO_SCENES MODELS TUNED NEED_NOCONTACT LEARNER REPORT_MODEL CALIBRATION LEARN_ALSO IMAGES PLANNED_FROM
+LISTS := SHARDS BRANCHES PARETO_SCENES MODELS TUNED NEED_NOCONTACT LEARNER REPORT_MODEL CALIBRATION LEARN_ALSO IMAGES GELS MESHED_GELS CHARTED_GELS PLANNED_FROM
 $(foreach v,$(LISTS),$(eval $v :=))
 
 ifneq ($(NEEDS_PLAN),)

@@ -13,6 +13,7 @@ from gelforge.flow.layout import DECK, Layout
 from gelforge.geometry.gel import use_gels_of
 from gelforge.mechanics.ccx.deck import press_deck
 from gelforge.mechanics.material import REFERENCE_C10
+from gelforge.mechanics.mesh.basemesh import use_meshes_of
 from gelforge.mechanics.mesh.names import load_mesh
 from gelforge.records.finder import find
 from gelforge.records.forcefile import ForceFile
@@ -81,8 +82,10 @@ def hand_out(results: Path, sample_id: str, out: Path) -> None:
 def main(args: Namespace) -> None:
     if not args.id:
         raise BadInput(f"no sample named; say {Layout(args.results).command('deck ID=SAMPLE_ID')}")
-    use_gels_of(Layout(args.results).workflow)
-    out = Layout(args.results).folder(DECK) / check_id(args.id)
+    of = Layout(args.results)
+    use_gels_of(of.workflow)
+    use_meshes_of(of.meshes)
+    out = of.folder(DECK) / check_id(args.id)
     hand_out(args.results, args.id, out)
     print(f"deck: {out}")
 

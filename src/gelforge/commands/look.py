@@ -19,6 +19,7 @@ from gelforge.geometry.stlfile import read_stl
 from gelforge.geometry.triangles import Mesh, write_stl
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors
+from gelforge.mechanics.mesh.basemesh import use_meshes_of
 from gelforge.mechanics.mesh.names import load_mesh
 from gelforge.records.finder import ONLY, find
 from gelforge.records.forcefile import ForceFile
@@ -184,6 +185,7 @@ def main(args: Namespace) -> None:
 
     check_id(args.id)
     use_gels_of(args.workflow)
+    use_meshes_of(Layout(args.results).meshes)
     sensors, out = load_sensors(args.sensors), args.out or args.results / LOOK
     paths, indenter = {}, out / f"{args.id}-indenter.stl"
     for resolution in map(str, map(Grid.parse, args.resolution)):

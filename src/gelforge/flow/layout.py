@@ -16,7 +16,7 @@ from typing import Any, overload
 from gelforge.errors import BadInput
 from gelforge.flow.files import names_in
 
-PLAN, POSES, IMAGES, FEA, FORCES = "00_plan", "10_poses", "15_images", "30_fea", "40_forces"
+PLAN, POSES, IMAGES, MESHES, FEA, FORCES = "00_plan", "10_poses", "15_images", "20_meshes", "30_fea", "40_forces"
 LABELS, DATASET, TRAIN, EVALUATE, REPORT = "50_labels", "60_dataset", "70_train", "80_evaluate", "90_report"
 CALIBRATE, PARETO, PARETO_MODELS, STABILITY = "calibrate", "pareto", "pareto_models", "stability"
 LOGS, METRICS = "logs", "metrics"
@@ -42,6 +42,7 @@ class Stage:
 STAGES = {
     "poses": Stage(POSES, ("poses",), calibrated=True),
     "images": Stage(IMAGES, ("poses.images", "poses.judge_images")),
+    "meshes": Stage(MESHES),
     "fea": Stage(FEA, ("fea", "interface", "material.nu"), calibrated=True),
     "forces": Stage(FORCES, ("material",), calibrated=True),
     "labels": Stage(LABELS, ("labels",)),
@@ -232,6 +233,8 @@ class Layout:
     poses = File(f"{POSES}/{{shard}}.csv")
     rejected = File(f"{POSES}/{{shard}}.rejected.csv")
     images = File(f"{IMAGES}/images.json")
+    meshes = Folder(MESHES, shared=True)  # of the gels' base meshes
+    mesh = File(f"{MESHES}/{{gel}}.npz", shared=True)
     fea = File(f"{FEA}/{{shard}}.csv")  # how each press was solved, and the key of its solve
     checked = File(f"{FEA}/{{shard}}")  # folder of presses that a second method verified
     forces = File(f"{FORCES}/{{shard}}.npz")

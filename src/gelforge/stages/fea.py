@@ -13,17 +13,17 @@ from gelforge.errors import BadInput
 from gelforge.flow.calibration import calibrated
 from gelforge.flow.cli import stage
 from gelforge.flow.files import digest_of_value, read_json
-from gelforge.flow.layout import Layout
+from gelforge.flow.layout import POSES, Layout
 from gelforge.flow.params import StageParameters, read_parameters
-from gelforge.flow.schema import altered
-from gelforge.flow.tables import IN_PROCESS
+from gelforge.flow.tables import FeaTable
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.indenters import bodies_of
 from gelforge.labelling.sensor import sensor_of
 from gelforge.mechanics.material import Material
+from gelforge.mechanics.mesh.basemesh import use_meshes_of
 from gelforge.mechanics.mesh.names import load_mesh
 from gelforge.mechanics.result import Result
-from gelforge.mechanics.scene import Interface, Scene
+from gelforge.mechanics.scene import Interface, PosedFile, Scene
 from gelforge.mechanics.solve import Solvers, settings_of, solve_key
 from gelforge.mechanics.solvers.ccx import CcxResult
 from gelforge.records.frames import presses_of
@@ -37,12 +37,15 @@ from gelforge.sweeps import verification
 VERSION = 18
 
 
-def scene_of(press: PosedPress, bodies: dict, sensors: dict, params: StageParameters) -> Scene:
-    """The scene of one press of a pose table."""
+def scene_of(
+    press: PosedPress, bodies: dict, sensors: dict, params: StageParameters, poses: Path | None = None
+) -> Scene:
+    """The scene of one press of a pose table; poses: folder of stage 10, with the posed surfaces."""
     interface = Interface(params.interface.law, params.interface.mu)
     gel = load_gel(sensors[press.sensor_id]["gel"])
     material = Material(nu=params.material.nu)
-    return Scene(gel, material, bodies[press.indenter], press.press, interface)
+    posed = PosedFile(poses / press.stl, press.press) if poses and press.stl else None
+    return Scene(gel, material, bodies[press.indenter], press.press, interface, posed)
 
 
 # Keys of an indenter's table that do not affect its shape. A file's name is one; its content counts by `sha256`.
@@ -56,7 +59,7 @@ def shape_of(press: PosedPress, tables: dict) -> dict:
 
 def press_keys(frames: list[PosedPress], scenes: list[Scene], params: StageParameters, tables: dict) -> list[str]:
     """Key of the solve of each frame of a press."""
-    how = settings_of(params.fea.method, params.fea)
+    how = settings_of(params.fea.method, params.fea, scenes[0].gel)
     return [solve_key(scenes, shape_of(frame, tables), how, params.version, at) for at, frame in enumerate(frames)]
 
 
@@ -97,18 +100,24 @@ def solved(record: dict, press: PosedPress) -> Solved:
 
 
 def run_shard(
-    presses: list[PosedPress], params: StageParameters, tables: dict, bodies: dict, store: SolveStore, checked: Path
+    presses: list[PosedPress],
+    params: StageParameters,
+    tables: dict,
+    bodies: dict,
+    store: SolveStore,
+    checked: Path,
+    poses: Path,
 ) -> list[Solved]:
     """Solve the presses of a shard that the store lacks, frames of a press together; return rows in their order.
 
-    checked: folder of the presses that were verified by a second method.
+    checked: folder of the presses that were verified by a second method. poses: folder of stage 10.
     """
     records: dict[str, dict] = {}
     store.folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".work-", dir=store.folder) as work:
         solvers = Solvers(work, params.fea)
         for frames in tqdm(presses_of(presses), f"fea {checked.name}"):
-            scenes = [scene_of(press, bodies, tables["sensors"], params) for press in frames]
+            scenes = [scene_of(press, bodies, tables["sensors"], params, poses) for press in frames]
             keys = press_keys(frames, scenes, params, tables)
             try:
                 found = run_press(keys, scenes, solvers, store)
@@ -118,9 +127,7 @@ def run_shard(
                     " run make again; it resumes at this sample"
                 ) from error
             records |= {press.sample_id: record for press, record in zip(frames, found, strict=True)}
-            by_ccx = altered(params, fea=altered(params.fea, method="ccx"))
-            twin = press_keys(frames, scenes, by_ccx, tables)[-1]
-            verify_press(frames[-1], (keys[-1], twin), scenes, found[-1], solvers, tables["sensors"], store, checked)
+            verify_press(frames[-1], scenes, found[-1], solvers, params, tables, store, checked)
     return [solved(records[press.sample_id], press) for press in presses]
 
 
@@ -134,41 +141,54 @@ def run_press(keys: list[str], scenes: list[Scene], solvers: Solvers, store: Sol
     return [record for record in records if record is not None]
 
 
-def verify_press(press: PosedPress, keys: tuple[str, str], scenes: list[Scene], record: dict, solvers: Solvers,
-                 sensors: dict, store: SolveStore, checked: Path) -> None:  # fmt: skip
-    """Solve a press by CalculiX, too, if "auto" solved it without CalculiX and [fea] verify selects it.
+def verify_press(press: PosedPress, scenes: list[Scene], record: dict, solvers: Solvers, params: StageParameters,
+                 tables: dict, store: SolveStore, checked: Path) -> None:  # fmt: skip
+    """Solve the last frame of a press by a second method, too, if [fea] verify selects it (`verification.SECOND`).
 
-    press, keys, record: of the last frame; the second key is that of CalculiX' solve. The difference is
-    ID.verify.json in the folder `checked`.
+    record: of that frame. Its scenes are those of the press, or, if CalculiX itself is to find the contact, its end
+    without friction, solved by both methods. The difference is ID.verify.json in the folder `checked`.
     """
     path = checked / f"{press.sample_id}{verification.ENDING}"
-    automatic = solvers.settings.method == "auto" and Status[record["status"]].valid
-    solvable = automatic and record["method"] in IN_PROCESS and not record["evidence"]["failed_attempts"]
-    if not (solvable and verification.chosen(press.sample_id, solvers.settings.verify)):
+    solvable = Status[record["status"]] is Status.OK and not record["evidence"]["failed_attempts"]
+    if not (solvable and verification.chosen(press.sample_id, params.fea.verify)):
         path.unlink(missing_ok=True)
         return
+    check = verification.check_of(record["method"], scenes, params.fea)
+    shape = shape_of(press, tables)
+
+    def key_of(fea: FeaTable) -> str:
+        how = settings_of(fea.method, fea, check.scenes[-1].gel)
+        return solve_key(check.scenes, shape, how, params.version)
+
+    keys = [record["key"] if check.first is None else key_of(check.first), key_of(check.second)]
     key = digest_of_value(keys)
-    right = finished(store, keys[1], solvers.settings.timeout_s)
-    if right and (kept := verification.kept_verified(path)) and kept.key == key:
+    known = [finished(store, each, params.fea.timeout_s) for each in keys]
+    if all(known) and (kept := verification.kept_verified(path)) and kept.key == key:
         return
     path.unlink(missing_ok=True)
-    right = right or publish_solve(solvers.solve_frames(scenes, "ccx")[-1], keys[1], store)
-    about = (key, press.sample_id, record["method"])
-    sensor = sensor_of(SENSOR_TABLES, press.sensor_id, sensors[press.sensor_id])
-    if right["method"] != "ccx" or not right["sha256"]:
-        reason = (
-            right["reason"] or "; ".join(right["evidence"].get("failed_attempts", [])) or "CalculiX found no solution"
-        )
-        found = verification.compare(about, [], reason, None)
-    else:
-        pairs, errors = [], []
-        for of in (record, right):
-            with np.load(store.arrays(of["key"]), allow_pickle=False) as file:
-                force = file["force"]
-            pairs.append((force.sum(axis=0), verification.surface_cells(load_mesh(of["mesh"]), force, sensor)))
-            errors.append((of["evidence"]["error_n"], of["evidence"]["cells_error_n"]))
-        found = verification.compare(about, errors, *pairs)
-    verification.write_verified(path, found)
+    pair = []
+    for each, found, fea in zip(keys, known, (check.first, check.second), strict=True):
+        if found is None:
+            own = Solvers(solvers.workdir, fea or params.fea)
+            found = publish_solve(own.solve_frames(check.scenes, own.settings.method)[-1], each, store)
+        pair.append(found)
+    about = (key, press.sample_id, record["method"], check.second.method)
+    for found, method in zip(pair, (record["method"], check.second.method), strict=True):
+        if found["method"] != method or not found["sha256"]:
+            reason = (
+                found["reason"]
+                or "; ".join(found["evidence"].get("failed_attempts", []))
+                or f"{method} found no solution"
+            )
+            verification.write_verified(path, verification.compare(about, [], reason, None))
+            return
+    sensor, compared, errors = sensor_of(SENSOR_TABLES, press.sensor_id, tables["sensors"][press.sensor_id]), [], []
+    for found in pair:
+        with np.load(store.arrays(found["key"]), allow_pickle=False) as file:
+            force = file["force"]
+        compared.append((force.sum(axis=0), verification.surface_cells(load_mesh(found["mesh"]), force, sensor)))
+        errors.append((found["evidence"]["error_n"], found["evidence"]["cells_error_n"]))
+    verification.write_verified(path, verification.compare(about, errors, *compared))
 
 
 def read_shard(of: Layout, shard: str) -> tuple[StageParameters, dict, list[PosedPress], dict]:
@@ -182,8 +202,11 @@ def read_shard(of: Layout, shard: str) -> tuple[StageParameters, dict, list[Pose
 @stage(Layout.fea)
 def main(args: Namespace) -> None:
     of = args.of
+    use_meshes_of(of.meshes)
     params, tables, presses, bodies = read_shard(of, args.shard)
-    solves = run_shard(presses, params, tables, bodies, SolveStore(of.solves), of.checked(args.shard))
+    solves = run_shard(
+        presses, params, tables, bodies, SolveStore(of.solves), of.checked(args.shard), of.folder(POSES)
+    )
     write_solves(args.out, solves)
     for solve in solves:
         if not solve.status.valid:

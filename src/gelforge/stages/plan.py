@@ -158,6 +158,13 @@ def own_shapes(names: Iterable[object]) -> dict[str, dict]:
     return {name: gel_shape(gel) for name, gel in own_gels(names).items()}
 
 
+def meshable(names: Iterable[object]) -> list[str]:
+    """The names that are gels, sorted; a row with another one is rejected later."""
+    from gelforge.geometry.gel import is_gel
+
+    return sorted({name for name in names if is_gel(name)})
+
+
 def gels_of(tables: Mapping[str, object]) -> list[object]:
     """The gels that tables of sensors or scenes name."""
     return [table.get("gel") for table in tables.values() if isinstance(table, dict)]
@@ -360,14 +367,16 @@ def without_ccx(params: config.Params, dataset_toml: Path) -> config.Params:
     """
     method = params.fea.method
     if method in IN_PROCESS:
-        return params
+        if params.fea.verify:
+            print("CalculiX (ccx) was not found: no press is verified by a second method.", flush=True)
+        return replace(params, fea=replace(params.fea, verify=0.0))
     if "method" in config.read_dataset_file(dataset_toml).params.get("fea", {}) and method != "auto":
         raise BadInput(
             f"{dataset_toml}: [params.fea] method = {method!r} needs CalculiX (ccx), which was not found; install it"
             ' and run `rm .venv/ccx.path` and `make setup`, or write method = "label"'
         )
     print(f"CalculiX (ccx) was not found: method label is used instead of {method}.", flush=True)
-    return replace(params, fea=replace(params.fea, method="label"))
+    return replace(params, fea=replace(params.fea, method="label", verify=0.0))
 
 
 # Result of a branch that the report shows, relative to results/DATASET.
@@ -379,6 +388,7 @@ CCX = option(
 
 @stage(Layout.plan, CCX)
 def main(args: Namespace) -> None:
+    from gelforge.geometry.gel import USUAL_GEL
     from gelforge.sweeps.scenes import read_tables
 
     of = args.of
@@ -411,6 +421,7 @@ def main(args: Namespace) -> None:
         "gels": own_shapes(gels_of(seen_by)),
         "chart": used(sensors, {params.pareto.sensor}),
     }
+    logged_gels = meshable(gels_of(seen_by))
     lists: dict[str, list[str]] = {
         "BRANCHES": [SHOWN_OF[name] for name in params.report.branches],
         "PARETO_SCENES": [*scenes],
@@ -419,6 +430,10 @@ def main(args: Namespace) -> None:
         "CALIBRATION": calibration,
         "REPORT_MODEL": reported_model(dataset_toml, params, models, pressed(rows)),
         "LEARN_ALSO": [*params.train.also],
+        "GELS": logged_gels,
+        # gels whose meshes stage 30 needs, and those of the charts
+        "MESHED_GELS": [] if params.fea.method in IN_PROCESS and not params.fea.verify else logged_gels,
+        "CHARTED_GELS": meshable({USUAL_GEL, *gels_of({**tables["chart"], **scenes})}),
         "IMAGES": ["yes"] if pictures and params.poses.images else [],
         "PLANNED_FROM": followed([*map(str, read)], of.log),
     }

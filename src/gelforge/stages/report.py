@@ -21,6 +21,7 @@ from gelforge.geometry.gel import load_gel
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.ccx.program import ccx_program
+from gelforge.mechanics.mesh.basemesh import use_meshes_of
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.log import read_poses
 from gelforge.records.predictionfile import read_predictions
@@ -202,12 +203,14 @@ def read_verified(results: Path) -> list[verification.Verified]:
 
 
 def verified_section(records: list[verification.Verified]) -> Section:
-    """Presses that CalculiX solved, too, and the differences between both solves."""
-    section = Section("Verified by CalculiX")
+    """Presses that a second method solved, too, the differences between both solves, and what they show."""
+    section = Section("Verified by a second method")
     section.text(
-        "Differences between the method that was chosen and CalculiX, over CalculiX' total force. The limit is the sum of"
-        " the errors that both solves state of themselves."
+        "Differences between the method of the labels and a second one, over the second one's total force. The limit is the sum"
+        " of the errors that both solves state of themselves."
     ).table(*verification.table(records))
+    for pair in sorted({(record.method, record.second) for record in records}):
+        section.text(verification.meaning(*pair))
     for record in records:
         if record.reason:
             section.text(f"{record.sample_id}: not verified: {record.reason}")
@@ -391,6 +394,7 @@ def lead_of(rows: list[dict], resolution: str, samples: int) -> str:
 @stage(Layout.report)
 def main(args: Namespace) -> None:
     of, results, resolution, model = args.of, args.results, args.resolution, args.model
+    use_meshes_of(of.meshes)
     verification.refuse_beyond(read_verified(results))
     solved = read_solved(results)
     gels = {name: sensor.gel for name, sensor in load_sensors(of.parameters("sensors")).items()}
