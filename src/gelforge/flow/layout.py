@@ -60,6 +60,7 @@ STAGES = {
             "interface.law",
             "poses.deepest_share",
             "poses.farthest_shear_mm",
+            "poses.tilt_deg",
         ),
         solves=True,
     ),
