@@ -18,8 +18,9 @@ from gelforge.live.reading import readings
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.reading.forcereading import interval_text
 from gelforge.reading.markers import markers_in
-from gelforge.reading.predictor import Predictor, load_for_use
+from gelforge.reading.model import load_model
 from gelforge.reading.profile import Gain, make_profile, write_profile
+from gelforge.reading.reader import Reader
 from gelforge.records.film import numbered
 from gelforge.records.image import read_image, write_png
 from gelforge.records.log import read_presses
@@ -183,7 +184,7 @@ def test_the_same_image_gives_the_same_answer_everywhere(root, tmp_path):
     paths = [tmp_path / f"{number}.png" for number in range(len(images))]
     for path, image in zip(paths, images, strict=True):
         write_png(path, image)
-    reader, predictor = gelforge.Reader(nocontact=rest), Predictor(load_for_use(None), rest)
+    reader, predictor = gelforge.Reader(nocontact=rest), Reader(rest, model=load_model(None))
     expected = [reader(image).cells for image in images]
     assert len(list(predict.predict_files(paths, predictor, tmp_path / "out"))) == len(paths)
     np.testing.assert_array_equal([np.load(tmp_path / "out" / f"{path.stem}.npy") for path in paths], expected)
@@ -200,7 +201,7 @@ def test_the_same_image_gives_the_same_answer_everywhere(root, tmp_path):
 def test_a_profile_scales_what_is_read(root, tmp_path):
     rest = read_image(root / "data/demo/nocontact/mini_a.png")
     image = read_image(sorted(root.glob("data/demo/images/*.png"))[3])
-    about = load_for_use(None).metadata
+    about = load_model(None).metadata
     write_profile(
         tmp_path / "mine.toml", make_profile("mine", rest, markers_in(rest).pitch, Gain(1.25, 1.1, 1.4, 3), about)
     )

@@ -16,7 +16,7 @@ from gelforge.reporting import feats_tables
 from gelforge.reporting.errortables import tables
 from gelforge.reporting.networkcharts import draw_predictions
 
-VERSION = 19
+VERSION = 20
 
 
 def keep_predictions(path, data, model, predictions: dict) -> None:
@@ -24,7 +24,7 @@ def keep_predictions(path, data, model, predictions: dict) -> None:
 
     predictions: those that exist already, from `evaluate`.
     """
-    from gelforge.learning.fitting import predict_rows
+    from gelforge.learning.predictions import predict_rows
 
     learnt = data.splits[TRAINING]
     parts = list(predictions.values())
@@ -53,8 +53,7 @@ def paper_table(result: dict) -> str:
 def main(args: Namespace) -> None:
     from gelforge.learning.data import open_data
     from gelforge.learning.evaluate import evaluate
-    from gelforge.reading.model import load_model
-    from gelforge.reading.predictor import SHIPPED
+    from gelforge.reading.model import SHIPPED, load_model
 
     of = args.of
     data = open_data(of.dataset(args.resolution))

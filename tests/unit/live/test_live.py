@@ -22,10 +22,11 @@ from mcap_ros2.decoder import DecoderFactory
 
 from gelforge.commands import live
 from gelforge.errors import BadInput
-from gelforge.live.reading import APART, StartInDoubt
+from gelforge.live.reading import APART, StartInDoubt, readings
 from gelforge.live.recording import CsvTable, McapRecording
 from gelforge.live.topics import RosMessages
-from gelforge.reading.predictor import Predictor, load_for_use
+from gelforge.reading.model import load_model
+from gelforge.reading.reader import Reader
 from gelforge.records.film import Film, open_source
 from gelforge.records.image import decode
 from gelforge.records.nocontactimage import SETTLING
@@ -76,7 +77,7 @@ def recorded(path):
 def outputs(stack, **asked):
     args = Namespace(**{"web": False, "foxglove": False, "record": None, "csv": None, "host": "127.0.0.1", "port": 0,
                         "sensor": None, "profile": None} | asked)  # fmt: skip
-    return live.Outputs(args, "film", stack)
+    return live.outputs_of(args, "film", stack)
 
 
 @contextmanager
@@ -124,7 +125,7 @@ def test_all_outputs_of_one_run_hold_the_same(film, tmp_path, chromium):
     assert f"16 frames read; {sum(row['flag'] == 'True' for row in rows)} flagged" in "".join(said)
     (path,) = (tmp_path / "kept").iterdir()
     kept, types = recorded(path)
-    known = load_for_use(None).metadata.get("intervals", {}).get("total")
+    known = load_model(None).metadata.get("intervals", {}).get("total")
     expected = {f"/gelforge/{name}": kind for name, kind in TYPES.items() if known or "wrench/" not in name}
     assert types == expected == {topic: channel["schemaName"] for topic, channel in client.channels.items()}
     by_place = {(topic, time): repr(message) for topic, time, message in kept}
@@ -145,12 +146,12 @@ def test_one_odd_frame_before_its_end_does_not_spoil_a_film(root, frames, in_dou
     light, rest, deep = (
         np.ascontiguousarray(cv2.imread(str(root / "data/demo" / name))[..., ::-1]) for name in names
     )
-    predictor, shown = Predictor(load_for_use(None), light), {"rest": rest, "deep": deep}
+    predictor, shown = Reader(light, model=load_model(None)), {"rest": rest, "deep": deep}
     start = StartInDoubt(predictor, "f.avi")
 
     def read():
         for number, name in enumerate(frames.split()):
-            start.look(10 * number, shown[name], float(predictor.predict(shown[name]).total[2]))
+            start.look(10 * number, shown[name], float(predictor(shown[name]).total[2]))
         start.end()
 
     if in_doubt:
@@ -264,12 +265,12 @@ from argparse import Namespace
 from contextlib import ExitStack
 from pathlib import Path
 import numpy as np
-from gelforge.commands.live import Outputs
+from gelforge.commands.live import outputs_of
 from tests.support.readings import reading
 from tests.support.refused import refused
 noise = np.random.default_rng(0).integers(0, 255, (240, 320, 3), np.uint8)
 with ExitStack() as stack:
-    to = Outputs(Namespace(host="127.0.0.1", port=0, sensor=None, profile=None, foxglove=False, {asked}), "film", stack)
+    to = outputs_of(Namespace(host="127.0.0.1", port=0, sensor=None, profile=None, foxglove=False, {asked}), "film", stack)
     print(to.send(reading(k, image=noise) for k in range(4000)), to.fault)
     to.end("over")
 """
@@ -304,13 +305,11 @@ def test_a_table_that_cannot_be_opened_changes_nothing(tmp_path):
 
 def shown(film, tmp_path, asked):
     """What `show` raises for a film in a camera's place, after three frames."""
-    args = Namespace(camera=0, frames=asked, csv=tmp_path / "live.csv", web=False, foxglove=False, record=None,
-                     sensor=None, profile=None)  # fmt: skip
-    with open_source(film, None) as (capture, _):
+    with open_source(film, None) as (capture, _), ExitStack() as stack:
         source = Film(capture, 0, "camera 0", 3, camera=True)
         seen = list(source)
-        predictor = Predictor(load_for_use(None, None), cv2.cvtColor(seen[0].image, cv2.COLOR_BGR2RGB))
-        live.show(args, predictor, seen, source, "camera 0", threading.Event())
+        reader = Reader(cv2.cvtColor(seen[0].image, cv2.COLOR_BGR2RGB))
+        live.show(outputs(stack, csv=tmp_path / "live.csv"), readings(reader, seen), source, threading.Event(), asked)
 
 
 def test_a_camera_that_stops_is_reported_and_what_it_gave_is_kept(film, tmp_path):
