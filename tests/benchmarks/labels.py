@@ -16,9 +16,11 @@ from gelforge.flow.cli import command, option, positive
 from gelforge.flow.files import read_json, read_toml, write_csv, write_json
 from gelforge.flow.layout import Layout
 from gelforge.formats.featsfile import read_npy
+from gelforge.geometry.gel import Gel
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import CORNERS, assemble
 from gelforge.labelling.sensor import load_sensors
+from gelforge.mechanics.mesh.basemesh import base_of
 from gelforge.mechanics.mesh.names import Contact, TetMeshName
 from gelforge.reading.markers import markers_in
 from gelforge.records.forcefile import SampleForces, write_forces
@@ -138,7 +140,9 @@ def speed(sensors, rng) -> list[Figure]:
 
 def write_shards(folder: Path, rng, samples: int) -> None:
     """Write forces and poses of `samples` presses on tetrahedra of 0.5 mm."""
-    even = TetMeshName("gelsight_mini", 0.5, 0.5, Contact.of(np.ones((1, 1), bool), 26.0, (-13.0, -13.0)))
+    even = TetMeshName(
+        "gelsight_mini", base_of(Gel()).digest, 0.5, 0.5, Contact.of(np.ones((1, 1), bool), 26.0, (-13.0, -13.0))
+    )
     mesh = even.mesh()
     surface = mesh.surface_nodes.astype(np.int32)
     stock = [f[surface] for f in bumps(mesh, rng, 40, (6, 8))]

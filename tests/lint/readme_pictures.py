@@ -186,7 +186,7 @@ def view_of(body, solved) -> np.ndarray:
     return image
 
 
-METHODS = {"draft": "#4292c6", "label": "#084594", "fine": "#9ecae1", "ccx": "#d1603d", "ccx-native": "#7a7a7a",
+METHODS = {"draft": "#4292c6", "label": "#084594", "fine": "#9ecae1", "ccx": "#d1603d", "ccx-contact": "#7a7a7a",
            "reference": "#111111"}  # fmt: skip
 
 

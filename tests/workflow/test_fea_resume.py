@@ -22,6 +22,7 @@ from gelforge.records.forcefile import ForceFile
 from gelforge.records.solvetable import read_solves
 from gelforge.stages import fea, forces
 from gelforge.stages.report import failures_section
+from tests.support.meshed import place_mesh
 from tests.support.parameters import write_stage
 from tests.support.waiting import HANG, wait_until
 
@@ -39,6 +40,7 @@ def folder(tmp_path):
     write_stage(of.params, "forces", material={"c10": 0.145})
     write_json(of.parameters("sensors"), {"cam": {"gel": GEL.name}})
     write_json(of.parameters("indenters"), {"ball": {"kind": "sphere", "diameter": 15, "height": 10}})
+    place_mesh(of)
     lay_presses(of.root, ROWS)
     return of.root
 

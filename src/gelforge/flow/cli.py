@@ -30,6 +30,7 @@ UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT
 # Extra of pyproject.toml that installs a package, by the name under which it is imported.
 EXTRAS = {
     **dict.fromkeys(("scipy", "numba", "pydantic", "annotated_types"), "solve"),
+    "pytetwild": "mesh",
     "matplotlib": "plot",
     **dict.fromkeys(("pymeshlab", "pyvista", "vtk", "vtkmodules"), "stl"),
     **dict.fromkeys(("pypardiso", "emcee", "arviz_stats", "corner", "jinja2"), "flow"),

@@ -6,14 +6,13 @@ module imports only the standard library, because every step of a run imports it
 
 import csv
 import os
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import names_in
 
-PLAN, POSES, IMAGES, FEA, FORCES = "00_plan", "10_poses", "15_images", "30_fea", "40_forces"
+PLAN, POSES, IMAGES, MESHES, FEA, FORCES = "00_plan", "10_poses", "15_images", "20_meshes", "30_fea", "40_forces"
 LABELS, DATASET, TRAIN, EVALUATE, REPORT = "50_labels", "60_dataset", "70_train", "80_evaluate", "90_report"
 CALIBRATE, PARETO, PARETO_MODELS, STABILITY = "calibrate", "pareto", "pareto_models", "stability"
 LOGS, METRICS = "logs", "metrics"
@@ -27,25 +26,39 @@ class Stage:
 
     folder: of its results. reads: parameter tables, or single values TABLE.KEY, that its parameter file holds.
     solves: whether it solves presses as stage 30 does, so that its results change with stage 30's version.
+    calibrated: whether it follows the dataset's calibration, where there is one.
     """
 
     folder: str
     reads: tuple[str, ...] = ()
     solves: bool = False
+    calibrated: bool = False
 
 
 STAGES = {
-    "poses": Stage(POSES, ("poses",)),
+    "poses": Stage(POSES, ("poses",), calibrated=True),
     "images": Stage(IMAGES, ("poses.images", "poses.judge_images")),
-    "fea": Stage(FEA, ("fea", "interface", "material.nu")),
-    "forces": Stage(FORCES, ("material",)),
+    "meshes": Stage(MESHES),
+    "fea": Stage(FEA, ("fea", "interface", "material.nu"), calibrated=True),
+    "forces": Stage(FORCES, ("material",), calibrated=True),
     "labels": Stage(LABELS, ("labels",)),
     "dataset": Stage(DATASET, ("dataset", "poses.images", "poses.judge_images")),
     "train": Stage(TRAIN, ("train",)),
     "evaluate": Stage(EVALUATE, ("evaluate",)),
     "card": Stage(EVALUATE),
     "report": Stage(REPORT, ("report",)),
-    "calibrate": Stage(CALIBRATE, ("calibrate", "material.nu", "interface.law"), solves=True),
+    "calibrate": Stage(
+        CALIBRATE,
+        (
+            "calibrate",
+            "material.nu",
+            "material.c10",
+            "interface.law",
+            "poses.deepest_share",
+            "poses.farthest_shear_mm",
+        ),
+        solves=True,
+    ),
     "pareto": Stage(PARETO, ("pareto", "fea", "material.nu")),
     "stability": Stage(STABILITY, ("stability", "fea"), solves=True),
     "pareto_models": Stage(PARETO_MODELS),
@@ -62,12 +75,7 @@ FOLDERS = (
     LOOK,
     DECK,
 )
-# Stages that write one file per shard: name of their parameters, folder of their inputs, suffix of their outputs.
-OF_SHARDS = {
-    POSES: ("poses", f"{PLAN}/shards", ".csv"),
-    FEA: ("fea", POSES, ".csv"),
-    FORCES: ("forces", FEA, ".npz"),
-}
+OF_SHARDS = (POSES, FEA, FORCES, LABELS)  # stages that write one file per shard
 SHARD_DIGITS = 4
 LOGGED = "logged"  # column of the shard table: 1 for a sample of the log, 0 for one whose row is gone from the log
 
@@ -82,11 +90,11 @@ def planned_shards(folder: Path) -> list[str]:
     return [name.removesuffix(".csv") for name in names_in(folder, ".csv")]
 
 
-def written(path: str) -> int:
-    """When a file was last written, ns since 1970; 0 if it does not exist."""
-    with suppress(OSError):
-        return os.stat(path).st_mtime_ns
-    return 0
+def place_in(target: Path) -> str:
+    """Which of the planned shards a stage's file is of, as "  [3 of 8]"; "" for others."""
+    root = dataset_folder(target)
+    names = planned_shards(Layout(root).shards) if root and target.relative_to(root).parts[0] in OF_SHARDS else []
+    return f"  [{names.index(target.stem) + 1} of {len(names)}]" if target.stem in names else ""
 
 
 def mirror(target: Path, kind: str, suffix: str) -> Path:
@@ -184,10 +192,6 @@ class Layout:
         """Parameters of a stage, or the catalogue entries that the dataset uses (sensors, indenters, gels)."""
         return self.params / f"{name}.json"
 
-    def choice(self, name: str) -> Path:
-        """What a result shows that depends on choices on the command line, one word per line."""
-        return self.root / PLAN / "choices" / f"{name}.txt"
-
     @property
     def surfaces(self) -> Path:
         """Folder of the measured surfaces of STL files, by a digest of their content."""
@@ -231,17 +235,27 @@ class Layout:
         """What stage 15 found in the images of the log."""
         return self.root / IMAGES / "images.json"
 
+    @property
+    def meshes(self) -> Path:
+        """Folder of the gels' base meshes; samples share those of their dataset."""
+        return self.dataset_root / MESHES
+
+    def mesh(self, gel: str) -> Path:
+        """Base mesh of a gel."""
+        return self.meshes / f"{gel}.npz"
+
     def fea(self, shard: str) -> Path:
         """Table of a shard's solves."""
         return self.root / FEA / f"{shard}.csv"
 
-    def solves(self, shard: str) -> Path:
-        """Folder of a shard's solves."""
-        return self.root / FEA / shard
+    @property
+    def solves(self) -> Path:
+        """Folder of all solves, by key: of all datasets, or the one that SOLVES=folder names."""
+        return Path(os.environ.get("GELFORGE_SOLVES") or self.dataset_root.parent / "solves")
 
-    def solve(self, shard: str, sample_id: str) -> Path:
-        """Record of one solve."""
-        return self.solves(shard) / f"{sample_id}.json"
+    def checked(self, shard: str) -> Path:
+        """Folder of a shard's presses that a second method verified."""
+        return self.root / FEA / shard
 
     def forces(self, shard: str) -> Path:
         """Nodal forces of a shard."""
@@ -250,10 +264,6 @@ class Layout:
     def labels(self, resolution: str, shard: str) -> Path:
         """Labels of a shard."""
         return self.root / LABELS / resolution / f"{shard}.npz"
-
-    def labelled(self, resolution: str) -> Path:
-        """Summary that is written when all shards are labelled."""
-        return self.root / LABELS / resolution / "labels.json"
 
     def dataset(self, resolution: str) -> Path:
         """Folder of the arrays to train on."""
@@ -284,9 +294,9 @@ class Layout:
         """Plot of a network's learning curve."""
         return self.root / TRAIN / resolution / f"{model}.curve.png"
 
-    def report(self) -> Path:
-        """The report page."""
-        return self.root / REPORT / "index.html"
+    def report(self, resolution: str, model: str) -> Path:
+        """The report page of a grid and a network, "none" for a dataset without images."""
+        return self.root / REPORT / f"{resolution}-{model}.html"
 
     def calibration(self) -> Path:
         """Summary of the posterior; samples and pilots share that of their dataset."""
@@ -322,11 +332,6 @@ class Layout:
         return self.root / LOGS
 
     @property
-    def counter(self) -> Path:
-        """Count of the targets of each stage that the last run of make made."""
-        return self.logs / "counter.json"
-
-    @property
     def metrics(self) -> Path:
         """Folder of all records."""
         return self.root / METRICS
@@ -334,17 +339,6 @@ class Layout:
     def names(self) -> list[str]:
         """Sorted names of the planned shards."""
         return planned_shards(self.shards)
-
-    def outdated(self, stage: str) -> list[str]:
-        """Shards whose file of a stage (one of OF_SHARDS) is missing or older than its parameters or its input."""
-        params, source, suffix = OF_SHARDS[stage]
-        since = written(f"{self.parameters(params)}")
-        return [
-            name
-            for name in self.names()
-            if written(f"{self.root}/{stage}/{name}{suffix}")
-            < max(since, written(f"{self.root}/{source}/{name}.csv"), 1)
-        ]
 
     def shard_of(self, sample_id: str) -> str:
         """Name of the planned shard that holds a sample; BadInput if none does."""

@@ -15,7 +15,7 @@ from tqdm import tqdm
 from gelforge.errors import BadInput
 from gelforge.evidence.forces import LogForces
 from gelforge.evidence.images import row_list
-from gelforge.evidence.labels import of_labels
+from gelforge.evidence.labels import of_labels, refuse_unseen
 from gelforge.evidence.logimages import LogImages
 from gelforge.flow.cli import stage
 from gelforge.flow.files import alone, digest_of, listed, publish, read_json, write_csv, write_json
@@ -412,6 +412,8 @@ def build(args: Namespace) -> dict:
     if not found:
         raise BadInput(nothing_left(of, left_out))
     presses = [each.press for each in found]
+    inside, outside = (np.array([getattr(each, name)[2] for each in found]) for name in ("total", "outside"))
+    refuse_unseen([press.sensor_id for press in presses], inside, np.nan_to_num(outside), of.parameters("sensors"))
     size = image_size(presses, load_sensors(of.parameters("sensors")), str(of.log))
     rests = share_pictures(folder, of.data, presses, size)
     # all presses of the log are split, those without label too, so that one that is solved later moves no other

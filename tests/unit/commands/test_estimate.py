@@ -146,3 +146,9 @@ def test_a_long_stage_says_before_it_begins_what_is_left_of_it(tmp_path):
     ] == [True] * 2
     write_json(of.stability_row("depth"), {})
     assert "9 of 10 files" in ahead(of, Path("stability/rows/shear.json"), 2)
+
+
+def test_a_press_that_is_dragged_costs_as_much_whichever_way():
+    ways = [{"dx_mm": "0.3"}, {"dx_mm": "-0.3"}, {"dy_mm": "0.3"}, {"dx_mm": "0.1", "dy_mm": "-0.2"}]
+    straight = weights(rows_of(4))
+    assert straight == 4.0 and {weights(rows_of(4, **way)) for way in ways} == {DRAGGED * straight}

@@ -32,7 +32,7 @@ ESCAPES = "a\x1b[2Jb\n\u202ec"
 
 def test_a_table_that_lost_all_its_bytes_is_not_one_without_rows(tmp_path):
     (tmp_path / "0000.csv").write_bytes(b"")
-    for read in (read_solves, read_samples, log.rejected_rows):
+    for read in (read_solves, read_samples):
         refused("0000.csv: is empty", read, tmp_path / "0000.csv")
 
 

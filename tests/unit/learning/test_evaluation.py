@@ -13,6 +13,7 @@ from gelforge.learning.data import concatenate, groups_of, open_data, press_keys
 from gelforge.learning.evaluate import (
     FEWEST_DRAWN,
     another_of_each,
+    contact_table,
     error_table,
     evaluate,
     known_rows,
@@ -53,6 +54,86 @@ def test_evaluation_holds_what_is_asked(data, models, name):
     assert all(len(row) == len(table["columns"]) for table in shown for row in table["rows"])
     # the page says whose they are: the shipped network is not called there as it was when it was trained
     assert not any(result["model"] in table["title"] for table in shown)
+
+
+@pytest.fixture(scope="module")
+def ten(tmp_path_factory):
+    """Eighty presses, of which ten test; each has a part of its force outside the picture."""
+    folder = write_dataset(tmp_path_factory.mktemp("ten") / "6x8", 80, IMAGE, GRID, seed=4)
+    rows, rng = read_csv(folder / "samples.csv"), np.random.default_rng(6)
+    for row in rows:
+        for axis in ("fx_n", "fy_n", "fz_n"):
+            outside = rng.normal(0.0, 0.3)
+            row |= {f"outside_{axis}": outside, f"true_{axis}": float(row[axis]) * 1.1 + outside}
+            row[f"measured_{axis}"] = float(row[axis]) + rng.normal(0.0, 0.2)
+    write_csv(folder / "samples.csv", list(rows[0]), rows)
+    return open_data(folder)
+
+
+def test_every_figure_of_ten_presses_is_that_of_a_calculation_by_hand(ten, models):
+    """From the predictions and the table as text, by numpy alone."""
+    result, predictions = evaluate(ten, models["pair"].model, EVALUATE)
+    rows, forces = predictions["test"]
+    found, texts = result["splits"]["test"], read_csv(ten.folder / "samples.csv")
+    assert len(rows) == 10 == found["n"] == found["presses"]
+    label, train = np.load(ten.folder / "labels.npy").astype(float), ten.splits["train"]
+
+    def column(name: str, of=rows) -> np.ndarray:
+        return np.array([[float(texts[row][f"{name}{axis}_n"]) for axis in CHANNELS] for row in of])
+
+    total, read = label.sum((2, 3)), forces.astype(float).sum((2, 3))
+    error, spread = read - total[rows], np.ptp(total[train], axis=0)
+    cells = np.array([[np.mean([abs(a - b) for a, b in zip(one[k].flat, label[row][k].flat)]) for k in range(3)]
+                      for one, row in zip(forces.astype(float), rows)])  # fmt: skip
+    means = np.array([image.reshape(-1, 3).mean(0) for image in np.load(ten.folder / "images.npy")])
+    fit = np.linalg.lstsq(np.c_[means[train], np.ones(len(train))], total[train], rcond=None)[0]
+    guesses = {"constant_guess": np.median(total[train], axis=0) + np.zeros((10, 3)),
+               "linear_on_image_means": np.c_[means[rows], np.ones(10)] @ fit}  # fmt: skip
+    for k, axis in enumerate(CHANNELS):
+        sizes = sorted(abs(value) for value in error[:, k])
+        mean = sum(sizes) / 10
+        by_hand = {"mae": mean, "std": np.sqrt(sum((size - mean) ** 2 for size in sizes) / 10), "bias": sum(error[:, k]) / 10,
+                   "rms": np.sqrt(sum(size**2 for size in sizes) / 10), "mae_percent_of_range": 100 * mean / spread[k]}  # fmt: skip
+        assert {name: found["total"][axis][name] for name in by_hand} == pytest.approx(by_hand, rel=1e-5)
+        assert sizes[0] < found["total"][axis]["mae_low"] < mean < found["total"][axis]["mae_high"] < sizes[-1]
+        each = cells[:, k]
+        assert found["cell"][axis] == pytest.approx({"mae": each.mean(), "std": each.std()}, rel=1e-5)
+        for name, guess in guesses.items():
+            off = np.abs(guess - total[rows])[:, k].mean()
+            assert found["controls"][name][axis] == pytest.approx(off, rel=1e-5)
+        for kind, what in (("sensor", "measured_"), ("truth", "true_")):
+            known = column(what)[:, k] - column("outside_")[:, k]
+            against = found["against"][kind]
+            for who, values in (("network", read[:, k]), ("labels", total[rows, k])):
+                off = values - known
+                assert against[who][axis]["bias"] == pytest.approx(off.mean(), rel=1e-4)
+                assert against[who][axis]["std"] == pytest.approx(np.abs(off).std(), rel=1e-4)
+            through_zero = (known * total[rows, k]).sum() / (known * known).sum()
+            assert against["labels_over"][axis] == pytest.approx(through_zero, rel=1e-5)
+    groups = {
+        "per_indenter": [texts[row]["indenter"] for row in rows],
+        "per_sensor": [texts[row]["sensor_id"] for row in rows],
+        "per_force": [next(name for name, most in (("00.0-05.0 N", 5), ("05.0-20.0 N", 20), ("20.0+ N", np.inf))
+                           if abs(total[row, 2]) < most) for row in rows],
+    }  # fmt: skip
+    for kind, names in groups.items():
+        assert set(found[kind]) == set(names)
+        for name, table in found[kind].items():
+            mine = error[[one == name for one in names]]
+            assert table["n"] == len(mine)
+            for k, axis in enumerate(CHANNELS):
+                expected = {"mae": np.abs(mine[:, k]).mean(), "bias": mine[:, k].mean()}
+                assert table[axis] == pytest.approx(expected, rel=1e-5)
+
+
+def test_errors_of_contacts_are_those_of_two_bumps_by_hand():
+    """Two contacts of 6 and 4 N, predicted with 5 and 5 N: a mean error of 1 N, of 1/6 and 1/4 of their forces."""
+    label, predicted = np.zeros((2, 3, 12, 20)), np.zeros((2, 3, 12, 20))
+    label[:, 2, 4:6, 3:5], label[:, 2, 4:6, 14:16] = -1.5, -1.0
+    predicted[:, 2, 4:6, 3:5], predicted[:, 2, 4:6, 14:16] = -1.25, -1.25
+    label[1, 2, :, 10:] = 0.0  # a press with one contact counts nothing
+    found = contact_table(label, predicted)
+    assert found == pytest.approx({"n": 2, "mae": 1.0, "percent": 100 * (1 / 6 + 1 / 4) / 2})
 
 
 def test_sensor_and_truth_are_compared_on_the_right_axis(data, models):

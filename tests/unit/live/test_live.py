@@ -25,9 +25,10 @@ from gelforge.errors import BadInput
 from gelforge.live.reading import APART, StartInDoubt, readings
 from gelforge.live.recording import CsvTable, McapRecording
 from gelforge.live.topics import RosMessages
+from gelforge.live.weigh import Moment
 from gelforge.reading.model import load_model
 from gelforge.reading.reader import Reader
-from gelforge.records.film import Film, open_source
+from gelforge.records.film import Film, Frame, open_source
 from gelforge.records.image import decode
 from gelforge.records.nocontactimage import SETTLING
 from tests.support.browser import needs_browser, wait_for
@@ -186,7 +187,9 @@ def test_a_message_says_what_was_read():
         for end in ("", "/high", "/low")
     )
     assert force == pytest.approx(read.found.cells.sum((1, 2), dtype=np.float64))
-    assert high - low == pytest.approx([0.2, 0.4, 0.6])
+    assert high - low == pytest.approx([0.2, 0.4, 0.6]) and (low + high) / 2 == pytest.approx(force)
+    stamp = found[f"{top}/wrench"].header.stamp
+    assert (stamp.sec, stamp.nanosec) == (10**9, 30_000_000)
     cells = found[f"{top}/forces/normal"].data.view("<f4").reshape(4, 5)
     assert np.array_equal(cells, read.found.cells[2])
     assert np.abs(decode(bytes(found[f"{top}/image/compressed"].data), "it").astype(int) - 90).max() <= 2
@@ -356,3 +359,25 @@ def test_rows_go_to_standard_output_and_nothing_else_does(film, capfd):
     assert live.main(["--video", str(film), "--csv", "-", "--frames", "15"]) == 0
     found = list(csv.DictReader(capfd.readouterr().out.splitlines()))
     assert [int(row["frame"]) for row in found] == list(range(SETTLING, 15))
+
+
+def test_each_row_on_a_pipe_can_be_read_as_soon_as_it_is_measured(monkeypatch):
+    """A program that reads them must not wait for a buffer to fill."""
+    there, here = os.pipe()
+    with open(there, encoding="utf-8") as reading_end, open(here, "w", encoding="utf-8", buffering=1 << 20) as pipe:
+        monkeypatch.setattr(sys, "stdout", pipe)
+        os.set_blocking(there, False)
+        table, rows = CsvTable(Path("-")), []
+        for number in (1, 2, 3):
+            table.send(reading(number))
+            rows += list(csv.reader(reading_end))
+            assert rows[-1][0] == str(number)
+        assert rows[0][0] == "frame" and len(rows) == 4
+
+
+def test_a_weighed_picture_is_the_mean_of_its_frames_in_its_own_colours():
+    moment, image = Moment(), np.zeros((4, 6, 3), np.uint8)
+    image[..., 0], image[..., 2] = 200, 40  # blue and red, as OpenCV orders them
+    for more in (0, 1, 5):
+        moment.frames.append(Frame(0, 0.0, image + np.uint8(more)))
+    assert np.array_equal(moment.picture()[0, 0], [42, 2, 202])

@@ -16,7 +16,6 @@ from gelforge.records import log
 from gelforge.records.image import bad_image, read_image
 from gelforge.records.press import COLUMNS, RawRow
 from gelforge.records.press import parse as parse_row
-from gelforge.stages.calibrate import load_rejected
 from gelforge.stages.plan import write_shards
 from tests.support.press_records import log_line, write_lines
 from tests.support.refused import refused
@@ -237,8 +236,7 @@ def test_every_reader_of_a_log_counts_its_lines(tmp_path):
     assert [(row.row, row.cells["sample_id"]) for row in rows] == [(2, "s1"), (4, "s2"), (5, "s3")]
     wrong = [r for row in rows for r in parse_row(row, "log.csv")[1]]
     assert [(r.row, r.sample_id) for r in wrong] == [(4, "s2")]
-    log.write_rejections(tmp_path / "0000.rejected.csv", wrong)
-    readings = read_readings(path, load_rejected(tmp_path, ["0000"]))
+    readings = read_readings(path, {r.row for r in wrong})
     assert readings.ids.tolist() == ["s1", "s3"] and readings.rows.tolist() == [2, 5]
     noted = [log_line(sample_id="a") + ',"two\nlines"', log_line(sample_id="b") + ","]
     path = write_lines(tmp_path / "log.csv", *noted, columns=(*COLUMNS, "notes"))
