@@ -12,6 +12,7 @@ import threading
 import urllib.request
 from argparse import Namespace
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -381,3 +382,45 @@ def test_a_weighed_picture_is_the_mean_of_its_frames_in_its_own_colours():
     for more in (0, 1, 5):
         moment.frames.append(Frame(0, 0.0, image + np.uint8(more)))
     assert np.array_equal(moment.picture()[0, 0], [42, 2, 202])
+
+
+def test_a_frame_that_repeats_the_one_before_is_flagged(root):
+    """A camera that hangs gives its last frame again and again: a free gel was read with the force of a while ago."""
+    rest, pressed = (
+        cv2.imread(str(root / "data/demo" / name)) for name in ("nocontact/mini_a.png", "images/demo-000001.png")
+    )
+    frames = [Frame(k, 0.04 * k, image) for k, image in enumerate([rest, pressed, pressed, pressed, rest])]
+    found = [one.found for one in readings(Reader(np.ascontiguousarray(rest[..., ::-1])), frames)]
+    assert ["identical to the one before" in one.reason for one in found] == [False, False, True, True, False]
+    assert np.array_equal(found[1].cells, found[2].cells)
+
+
+def test_the_start_of_a_stream_is_judged_once(root):
+    """It was asked for ever, at four times the price of a frame, and could end an hour's recording."""
+    rest, pressed = (
+        cv2.imread(str(root / "data/demo" / name))[..., ::-1]
+        for name in ("nocontact/mini_a.png", "images/demo-000001.png")
+    )
+    start, asked = StartInDoubt(Reader(np.ascontiguousarray(rest)), "film"), []
+    for number in range(0, 100, 5):
+        start.look(number, np.ascontiguousarray(pressed), -10.0)
+        asked.append(start.asked)
+    assert asked[:4] == [1, 2, 3, 3] and asked[-1] == 3
+
+
+def test_each_of_the_frames_that_are_weighed_must_be_good():
+    """The last one alone was asked."""
+    moment = Moment()
+    for number in range(5):
+        moment.found.append(replace(reading(5), frame=number))
+    assert moment.fault() == ""
+    moment.found[1] = replace(moment.found[1], found=replace(moment.found[1].found, reason="torn"))
+    assert moment.fault() == "torn"
+
+
+def test_a_frame_is_encoded_once_for_all_outputs(monkeypatch):
+    count = []
+    monkeypatch.setattr("gelforge.live.reading.encode_jpeg", lambda *given: count.append(1) or b"jpeg")
+    one = reading(3)
+    one.event(), RosMessages("a", 0)(one), RosMessages("b", 0)(one)
+    assert len(count) == 1
