@@ -153,3 +153,68 @@ def draw_change(rng, bench, late=0.0, rate=None) -> Other:
     depth = np.interp(at, bench.times, bench.depth)
     change = size * (depth + 0.0) ** power + np.abs(rng.normal(0.4, rng.uniform(0.02, 0.2), len(at)))
     return Other(at + late, change, at)
+
+
+@dataclass
+class Outcome:
+    """What `align` makes of a simulated session: a refusal or notes, and the largest errors of its rows, N and mm."""
+
+    refusal: str
+    notes: list
+    force_n: float
+    depth_mm: float
+    rows: int
+
+    @property
+    def doubts(self) -> list:
+        """Notes on faults of the recordings."""
+        marks = ("contradicted by", "end of its range", "height at which force begins", "repeat the one before")
+        return [note for note in self.notes if any(mark in note for mark in marks)]
+
+
+def aligned(rng, fault="", shift="", film="", presses=None) -> Outcome:
+    """Simulate a session with a fault of the gauge, the path or the film ("repeats", "stands still"), and align it."""
+    from pathlib import Path
+    from types import SimpleNamespace
+
+    from gelforge.errors import BadInput
+    from gelforge.formats.align import Recording
+    from gelforge.formats.benchfiles import Images
+    from gelforge.formats.benchlog import Setup, align
+
+    bench = draw_bench(rng, presses)
+    gauge, (path, error), change = (
+        draw_gauge(rng, bench, fault),
+        draw_path(rng, bench, shift),
+        draw_change(rng, bench),
+    )
+    values, true = change.values.copy(), change.true
+    if film:
+        shown = np.arange(len(values))
+        if film == "repeats":
+            shown[rng.random(len(shown)) < 0.2] -= 1
+        else:
+            begin = rng.choice(bench.presses[:, 0]) + rng.uniform(0.0, 0.5)
+            frozen = (true > begin) & (true < begin + rng.uniform(0.5, 2.0))
+            shown[frozen] = np.flatnonzero(frozen)[0]
+        values = values[np.maximum(shown, 0)]
+    small = (100.0 + values[:, None, None, None] + np.zeros((1, 2, 2, 3))).astype(np.float32)
+    images = Images(Path("film"), [str(k) for k in range(len(values))], change.times, small)
+    columns = [
+        -path.values * 0 + path.values,
+        *(np.interp(path.true, bench.times, bench.at[:, k]) for k in (0, 1)),
+        -path.values,
+        0.0 * path.values,
+    ]
+    try:
+        found = align(
+            Recording("gauge", gauge.times, np.column_stack([gauge.force, -gauge.force])), ("fz_n",),
+            Recording("path", path.times, np.column_stack(columns)), images,
+            Setup(SimpleNamespace(name="sensor", gel="gel"), "ball", "gel"), 0.1, 1,
+        )  # fmt: skip
+    except BadInput as refusal:
+        return Outcome(str(refusal), [], 0.0, 0.0, 0)
+    moments = np.array([true[at if not film else max(int(shown[at]), 0)] for at in found.rows])
+    force = np.interp(moments, bench.times, bench.force) + np.array([row.fz_n for row in found.rows.values()])
+    depth = np.interp(moments, bench.times, bench.height) - np.array([row.dz_mm for row in found.rows.values()])
+    return Outcome("", found.notes, float(np.abs(force).max()), float(np.abs(depth).max()), len(found.rows))

@@ -195,7 +195,6 @@ def _beyond_range(
 
 def _repeated(
     images: Images,
-    change: Recording,
     places: np.ndarray,
     at: np.ndarray,
     spans: list[tuple[float, float]],

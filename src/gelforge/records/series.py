@@ -24,7 +24,10 @@ GAP_S, MARGIN_S = 0.3, 0.2  # a longer gap ends a part of a recording; time at i
 MOVING = 0.6  # fraction of the ends of parts at which force moves, above which the gauge is triggered
 STEP_S = 0.04  # of averaged series
 MOST_LAG_S, LAG_STEP_S = 1.5, 0.02  # search for the lag of force behind pictures
-LAGS_S = 0.06  # largest lag of forces and pictures on one clock
+LAGS_S, LAGS_GAIN = (
+    0.06,
+    1.5,
+)  # largest lag of forces and pictures on one clock; deviations without and with it, above which it is certain
 WIDTHS_S = (0.0, 0.16, 0.32, 0.48, 0.64, 0.96, 1.28, 1.6)  # lengths of a moving average
 LEAST_WIDTH_S, LEAST_GAIN = 0.45, 1.03  # shortest average that is named; ratio of the deviations without and with it
 KNOTS = 6  # of the piecewise linear force over depth
@@ -142,13 +145,19 @@ def triggered(times: np.ndarray, values: np.ndarray) -> bool:
 class Lag:
     """What best explains force by another series: force lags by `seconds` and is averaged over `width` seconds.
 
-    gain: standard deviation left at no lag (or no averaging) over that at the best.
+    gain: standard deviation left at no lag (or no averaging) over that at the best. left: that at the best; of the
+    lag behind pictures, at none, as a fraction of that of force.
     """
 
     seconds: float
     width: float
     gain: float
     left: float
+
+    @property
+    def of_clocks(self) -> bool:
+        """Whether it shows that forces and pictures have different clocks."""
+        return abs(self.seconds) > LAGS_S and self.gain > LAGS_GAIN and self.left > LAGS_LEFT
 
 
 def averaging(
@@ -288,7 +297,7 @@ def lag_of_pictures(
         return None
     best, plain = int(left.argmin()), float(left[len(lags) // 2])
     return Lag(
-        float(lags[best]), 0.0, float(np.sqrt(plain / max(left[best], 1e-12))), float(np.sqrt(left[best] / total))
+        float(lags[best]), 0.0, float(np.sqrt(plain / max(left[best], 1e-12))), float(np.sqrt(plain / total))
     )
 
 

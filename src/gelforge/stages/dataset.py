@@ -1,7 +1,6 @@
 """Stage 60: images and labels as arrays for training, with splits without leaks."""
 
 import hashlib
-import os
 import sys
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
@@ -17,7 +16,17 @@ from gelforge.evidence.images import row_list
 from gelforge.evidence.labels import of_labels
 from gelforge.evidence.logimages import LogImages
 from gelforge.flow.cli import stage
-from gelforge.flow.files import alone, digest_of, listed, publish, read_json, write_csv, write_json, write_text
+from gelforge.flow.files import (
+    alone,
+    digest_of,
+    link_or_copy,
+    listed,
+    publish,
+    read_json,
+    write_csv,
+    write_json,
+    write_text,
+)
 from gelforge.flow.layout import Layout
 from gelforge.flow.params import read_parameters
 from gelforge.flow.tables import DatasetTable
@@ -134,6 +143,8 @@ def write_nocontact(path, data: Path, names: list[str], size: tuple[int, int]) -
 def share_images(folder: Path, data: Path, presses: list[PressRecord], size) -> None:
     """Put images.npy into `folder` as a hard link to one copy that all resolutions of the dataset share.
 
+    On a file system without links it is a copy of its own.
+
     Resolutions may be made in parallel: the first writes the copy, and the others wait for it.
     """
     with alone(folder.parent / "images"):
@@ -156,7 +167,7 @@ def _share_images(folder: Path, data: Path, presses: list[PressRecord], size) ->
         write_image_array(shared, data, presses, size)
         write_text(noted, digest_of(shared))
     with publish(folder / "images.npy") as part:
-        os.link(shared, part)
+        link_or_copy(shared, part)
     for other in folder.parent.glob("images-*.npy"):
         if other.stat().st_nlink == 1:
             other.unlink(missing_ok=True)
