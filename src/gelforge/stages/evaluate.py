@@ -25,7 +25,7 @@ def keep_predictions(path, data, model, predictions: dict) -> None:
 
     predictions: those that exist already, from `evaluate`.
     """
-    from gelforge.learning.fitting import predict_rows
+    from gelforge.learning.predictions import predict_rows
 
     learnt = data.splits[TRAINING]
     parts = list(predictions.values())
@@ -54,8 +54,7 @@ def paper_table(result: dict) -> str:
 def main(args: Namespace) -> None:
     from gelforge.learning.data import open_data
     from gelforge.learning.evaluate import evaluate
-    from gelforge.reading.model import load_model
-    from gelforge.reading.predictor import SHIPPED
+    from gelforge.reading.model import SHIPPED, load_model
 
     of = args.of
     data = open_data(of.dataset(args.resolution))
