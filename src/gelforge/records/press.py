@@ -228,7 +228,9 @@ class Rejection:
 
 def with_tilt(press: LoggedPress, tilt_deg: Sequence[float]) -> LoggedPress:
     """A press with a tilt about gel x and y, degrees, where its record has none."""
-    stated = {name: tilt for name, tilt in zip(TILT, tilt_deg, strict=True) if tilt and getattr(press, name) is None}
+    stated: dict[str, Any] = {
+        name: tilt for name, tilt in zip(TILT, tilt_deg, strict=True) if tilt and getattr(press, name) is None
+    }
     return replace(press, **stated) if stated else press
 
 

@@ -296,9 +296,7 @@ def lag_of_pictures(
     if not used or not total:
         return None
     best, plain = int(left.argmin()), float(left[len(lags) // 2])
-    return Lag(
-        float(lags[best]), 0.0, float(np.sqrt(plain / max(left[best], 1e-12))), float(np.sqrt(plain / total))
-    )
+    return Lag(float(lags[best]), 0.0, float(np.sqrt(plain / max(left[best], 1e-12))), float(np.sqrt(plain / total)))
 
 
 def equal_largest(measured: np.ndarray, predicted: np.ndarray) -> str | None:
