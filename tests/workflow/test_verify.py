@@ -23,8 +23,8 @@ def folder(root, tmp_path):
     """Inputs of stage 30: one press of a ball."""
     of = Layout(tmp_path / "results/lab")
     sensor = read_toml(root / "workflow" / "sensors.toml")["gelsight_mini"]
-    write_json(of.parameters("sensors"), {"gelsight_mini": sensor})
-    write_json(of.parameters("indenters"), {"ball": {"kind": "sphere", "diameter": 15, "height": 10}})
+    ball = {"kind": "sphere", "diameter": 15, "height": 10}
+    write_json(of.used("0000"), {"sensors": {"gelsight_mini": sensor}, "indenters": {"ball": ball}})
     place_mesh(of)
     write_text(of.poses("0000"), HEADER + "s0,gelsight_mini,g,ball,0,0,0,0,0,-0.4,0\n")
     return of.root
