@@ -82,10 +82,6 @@ $(foreach r,$(RES),$(eval $(call collected_at,$r)))
 # 70: a model is a table of workflow/models.toml; RES names the grid.
 SHIPPED := src/gelforge/reading/weights/default
 TRAINED := $(MODELS:%=$D/70_train/$(RES1)/%.onnx)
-# Other datasets to train on as well ([train] also). Each is made by its own run of make.
-LEARNT_WITH := $(foreach name,$(LEARN_ALSO),results/$(name)/60_dataset/$(if $(wildcard data/$(name)/labels/1x1.npz),1x1,$(RES1))/dataset.json)
-$(foreach file,$(filter-out $(wildcard $(LEARNT_WITH)),$(LEARNT_WITH)),$(if $(TRAINS)$(call asks,evaluate report demo pareto-models),$(error \
-    $(file) is missing, and [train] also asks for it: make DATASET=$(word 2,$(subst /, ,$(file))) RES=$(word 4,$(subst /, ,$(file))) dataset)))
 
 .PHONY: train
 train: $D/70_train/$(RES1)/$(LEARNT).onnx  ## train one network, write it as ONNX: make train MODEL=pair_16 RES=24x32

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_json, read_toml, write_json, write_text
+from gelforge.flow.files import read_json, read_toml, write_text
 from gelforge.flow.layout import Layout
 from gelforge.stages import fea
 from gelforge.stages.report import verified_section
 from gelforge.sweeps import verification
 from gelforge.sweeps.verification import Verified
 from tests.support.meshed import place_mesh
-from tests.support.parameters import write_stage
+from tests.support.parameters import write_stage, write_used
 
 HEADER = "sample_id,sensor_id,gel_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg\n"
 
@@ -24,7 +24,7 @@ def folder(root, tmp_path):
     of = Layout(tmp_path / "results/lab")
     sensor = read_toml(root / "workflow" / "sensors.toml")["gelsight_mini"]
     ball = {"kind": "sphere", "diameter": 15, "height": 10}
-    write_json(of.used("0000"), {"sensors": {"gelsight_mini": sensor}, "indenters": {"ball": ball}})
+    write_used(of, sensors={"gelsight_mini": sensor}, indenters={"ball": ball})
     place_mesh(of)
     write_text(of.poses("0000"), HEADER + "s0,gelsight_mini,g,ball,0,0,0,0,0,-0.4,0\n")
     return of.root

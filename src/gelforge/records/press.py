@@ -51,6 +51,12 @@ ROW_FAULTS = {
         "the row has more cells than the header has columns",
         "quote cells that hold a comma, write decimals with a point, and end rows as the header ends",
     ),
+    "fewer_cells": (
+        "sample_id",
+        "the row has fewer cells than the header has columns",
+        "complete it, or remove it if its writing was cut off: a number that was cut is another number; leave a cell empty by"
+        " its comma",
+    ),
     "second_header": (
         "sample_id",
         "the row is a header again",

@@ -21,7 +21,6 @@ from gelforge.flow.files import read_json, write_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.params import StageParameters, altered, read_parameters
 from gelforge.flow.tables import CalibrateSolverTable, CalibrateTable
-from gelforge.geometry.gel import use_gels_of
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.records.log import read_shard
@@ -303,7 +302,6 @@ def calibrated_log(of: Layout, read: StageParameters, folder: Path, jobs: int) -
 @stage(Layout.calibration, JOBS)
 def main(args: Namespace) -> None:
     of = args.of
-    use_gels_of(of.workflow)
     read = read_parameters(of.parameters("calibrate"))
     try:
         result, said = calibrated_log(of, read, args.out.parent, args.jobs)

@@ -21,7 +21,7 @@ from gelforge.flow.layout import Layout, beside
 from gelforge.flow.params import read_parameters
 from gelforge.flow.tables import PosesTable
 from gelforge.geometry import touch
-from gelforge.geometry.gel import Gel, load_gel, use_gels_of
+from gelforge.geometry.gel import Gel, load_gel
 from gelforge.geometry.sampled import INCH_MM, METRE_MM, size_of
 from gelforge.geometry.triangles import cropped
 from gelforge.labelling.sensor import sensor_of
@@ -291,7 +291,6 @@ def write_shard(good, rejections, out: Path, params: PosesTable) -> None:
 @stage(Layout.poses)
 def main(args: Namespace) -> None:
     of, log = args.of, str(args.of.log)
-    use_gels_of(of.workflow)
     params = calibrated(read_parameters(of.parameters("poses")), of.base).poses
     tables = read_json(of.used(args.shard))
     rows = read_shard(of.shard(args.shard))
