@@ -41,7 +41,7 @@ FEA := $(SHARDS:%=$D/30_fea/%.csv)
 .PHONY: fea
 fea: $(FEA)  ## solve every accepted sample by finite elements
 
-$(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $(SHARD)/%.json $P/fea.json $P/gels.json $(MESHED) $(CALIBRATION) | $(IMAGES_JUDGED)
+$(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $(SHARD)/%.json $P/fea.json $(MESHED) $(CALIBRATION) | $(IMAGES_JUDGED)
 	$(call step,gelforge.stages.fea $D $*)
 
 # 40: the material's C10 scales the forces, no solve is repeated.
@@ -60,7 +60,7 @@ LABELS := $(foreach r,$(RES),$(SHARDS:%=$D/50_labels/$r/%.npz))
 labels: $(LABELS)  ## force per grid cell: make labels RES="12x16 24x32 48x64"
 
 define labelled_at
-$(SHARDS:%=$D/50_labels/$1/%.npz): $D/50_labels/$1/%.npz: $D/40_forces/%.npz $D/10_poses/%.csv $(SHARD)/%.json $P/labels.json $P/gels.json $(MESHED)
+$(SHARDS:%=$D/50_labels/$1/%.npz): $D/50_labels/$1/%.npz: $D/40_forces/%.npz $D/10_poses/%.csv $(SHARD)/%.json $P/labels.json $(MESHED)
 	$$(call step,gelforge.stages.labels $D $1 $$*)
 endef
 $(foreach r,$(RES),$(eval $(call labelled_at,$r)))

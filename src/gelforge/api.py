@@ -103,6 +103,7 @@ def solve(
     at: tuple[float, float] = (0.0, 0.0),
     shear: tuple[float, float] = (0.0, 0.0),
     rot_deg: float = 0.0,
+    tilt: tuple[float, float] = (0.0, 0.0),
     gel: str = "gelsight_mini",
     c10: float = REFERENCE_C10,
     nu: float = 0.475,
@@ -119,6 +120,7 @@ def solve(
         at: x, y of the tip in the gel frame before shear, mm.
         shear: x, y of the sideways motion at that depth, mm.
         rot_deg: rotation of the indenter about z, degrees.
+        tilt: after that, right-handed rotations about the tip, first about gel x, then about gel y, degrees.
         gel: name of a gel; NAME-3.6mm is the same gel with that thickness at its apex.
         c10: stiffness of the neo-Hookean gel, MPa.
         nu: its Poisson's ratio, from 0 to below 0.5.
@@ -148,11 +150,11 @@ def solve(
         raise BadInput(
             f"gelforge.solve: friction = {friction!r}: give a coefficient of 0 or more, or None for points that stick"
         )
-    pairs = np.shape(at) == np.shape(shear) == (2,)
-    if not (pairs and _finite(depth, *at, *shear, rot_deg) and depth >= 0.0):
+    pairs = np.shape(at) == np.shape(shear) == np.shape(tilt) == (2,)
+    if not (pairs and _finite(depth, *at, *shear, rot_deg, *tilt) and depth >= 0.0):
         raise BadInput(
-            f"gelforge.solve: depth = {depth!r}, at = {at!r}, shear = {shear!r}, rot_deg = {rot_deg!r}: give finite numbers: "
-            "two each for at and shear, along gel x and y, and a depth of 0 mm or more, positive into the gel"
+            f"gelforge.solve: depth = {depth!r}, at = {at!r}, shear = {shear!r}, rot_deg = {rot_deg!r}, tilt = {tilt!r}: give finite"
+            " numbers: two each for at, shear and tilt, along gel x and y, and a depth of 0 mm or more, positive into the gel"
         )
     from gelforge.flow.params import load_params
     from gelforge.mechanics.mesh.basemesh import meshes_in
@@ -161,7 +163,7 @@ def solve(
 
     body = _body(indenter)
     interface = Interface() if friction is None else Interface.of_friction(float(friction))
-    press = Press(at[0], at[1], 0.0, shear[0], shear[1], -depth, rot_deg)
+    press = Press(at[0], at[1], 0.0, shear[0], shear[1], -depth, rot_deg, *map(float, tilt))
     with gels_from(gels), meshes_in(meshes), TemporaryDirectory() as workdir:
         solvers = Solvers(workdir, load_params(PARAMETERS).fea)
         result = solvers.solve(Scene(load_gel(gel), Material(nu), body, press, interface), method)

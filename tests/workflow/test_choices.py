@@ -286,3 +286,38 @@ def test_a_file_beside_the_makefile_takes_the_place_of_no_module_of_python(own):
     for goal in ("poses", "status"):
         done = make(own, goal, "DATASET=tiny")
         assert done.returncode == 0 and "stray" not in done.stdout, done.stdout
+
+
+def test_a_dry_run_before_set_up_installs_nothing(own):
+    """It installed 5 GB and system packages, because make makes what it includes even with -n."""
+    (own / ".venv").unlink()
+    for flag in ("-n", "-q", "-t"):
+        done = make(own, flag, "labels", "DATASET=tiny")
+        assert done.returncode and "not set up yet: run make setup" in done.stdout
+    assert make(own, "help").returncode == 0 and not (own / ".venv").exists()
+
+
+def test_a_misspelt_choice_is_refused_and_the_environment_is_none(own):
+    """`make DATSET=mylab` made the demo; a MODEL left over in a shell changed what was trained."""
+    for word in ("DATSET=tiny", "CHARTED=unet", "JOB=3", "PY=python"):
+        done = make(own, "-n", "labels", word)
+        assert done.returncode and f"{word}: no such choice; there are DATASET RES" in done.stdout
+    said = make(own, "-n", "train", "DATASET=tiny", environment={"MODEL": "pair_8", "RES": "1x1", "JOBS": "x"}).stdout
+    assert "70_train/24x32/unet.onnx" in said
+
+
+def test_results_of_the_project_itself_are_no_dataset(own):
+    """`make clean-all DATASET=benchmarks` removed tracked files."""
+    write_text(own / "results/benchmarks/kept.json", "{}")
+    for name in ("benchmarks", "readme", "solves"):
+        assert "holds no dataset" in make(own, "clean-all", f"DATASET={name}").stdout
+    assert (own / "results/benchmarks/kept.json").exists()
+
+
+def test_a_network_that_was_added_after_the_plan_is_known(own):
+    """A check by the outdated plan would refuse it."""
+    path = own / "workflow/models.toml"
+    write_text(path, path.read_text(encoding="utf-8") + '\n[new]\nkind = "unet"\nwidths = [4, 8]\n')
+    assert "70_train/24x32/new.onnx" in make(own, "-n", "train", "DATASET=tiny", "MODEL=new").stdout
+    refused = make(own, "-n", "train", "DATASET=tiny", "MODEL=newer")
+    assert refused.returncode and "MODEL=newer: no such network" in refused.stdout

@@ -21,7 +21,7 @@ SLIDES = 1.0  # travel over depth above which a contact slides as a whole at any
 class Readings:
     """n presses with a force reading each.
 
-    rows: (n,) line numbers in the log. ids, indenters, gels: (n,) str. pose: (n, 7) in the order of POSE.
+    rows: (n,) line numbers in the log. ids, indenters, gels: (n,) str. pose: (n, 9) in the order of POSE and TILT.
     force: (n, 3) N on the gel; nan where a sideways component was not logged.
     """
 
@@ -59,8 +59,8 @@ class Readings:
 
     def press(self, i: int, depth: float) -> Press:
         """Path of press i to another depth, with its own sideways travel."""
-        x0, y0, z0, dx, dy, _, rot = (float(v) for v in self.pose[i])
-        return Press(x0, y0, z0, dx, dy, -depth, rot)
+        x0, y0, z0, dx, dy, _, *turns = (float(v) for v in self.pose[i])
+        return Press(x0, y0, z0, dx, dy, -depth, *turns)
 
     def name(self, index) -> str:
         """Rows for an error message, at most five."""
@@ -119,9 +119,10 @@ def readings_of(
 
 
 def path_of(press: LoggedPress) -> list[float]:
-    """A press's pose and path in the order of POSE; sideways travel within the error of the axes (NEAR_MM) is 0."""
+    """Pose, path and tilt of a press, by POSE and TILT; sideways travel within the error of the axes (NEAR_MM) is 0."""
     sideways = np.hypot(press.dx_mm, press.dy_mm) > NEAR_MM
-    return [float(getattr(press, column)) if sideways or column not in ("dx_mm", "dy_mm") else 0.0 for column in POSE]
+    path = [float(getattr(press, column)) if sideways or column not in ("dx_mm", "dy_mm") else 0.0 for column in POSE]
+    return [*path, *press.tilt]
 
 
 def check_readings(readings: Readings) -> None:

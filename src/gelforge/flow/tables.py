@@ -270,6 +270,9 @@ class PosesTable(ParameterTable):
     touch_offset_mm: Annotated[Number, Within(-10.0, 10.0, "mm")]
     compliance_mm_per_n: Annotated[Number, Within(0.0, 1.0, "mm/N")]
     shear_compliance_mm_per_n: Annotated[Number, Within(0.0, 1.0, "mm/N")]
+    tilt_deg: tuple[
+        Annotated[Number, Within(-30.0, 30.0, "degrees")], Annotated[Number, Within(-30.0, 30.0, "degrees")]
+    ]
     images: bool
     judge_images: bool
     deepest_share: Annotated[Number, Within(TINY, 1.0)]

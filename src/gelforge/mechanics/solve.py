@@ -63,7 +63,7 @@ class Solvers:
     def solve_frames(self, scenes: Sequence[Scene], method: str) -> list[Result]:
         """Solve the frames of one press, scenes in order of time along one path; one result each, as from `solve`.
 
-        Without Coulomb friction, the path is followed once for all of them, on coarse hexahedra ("fine": on its own).
+        The path is followed once for all of them, on coarse hexahedra ("fine": on its own).
         """
         if method not in METHODS:
             raise BadInput(f"method = {method!r} is unknown; choose one of {', '.join(METHODS)}")
@@ -115,13 +115,11 @@ class Solvers:
             found = self._solve_hex(scenes, method)
             return [[(method, _answer(each)), (f"{method}, smaller load steps", smaller)] for each in found]
         tries: list[list[tuple[str, Solve]]] = []
-        # with Coulomb friction a force depends on a point's whole slip, so the path is followed on the tetrahedra
-        slips = scenes[-1].interface.contact.frictional
         for frame in self.guide.coarse_path(scenes):
             shown = frame.path if frame else None
             solve = partial(self._solve_ccx, shown=shown)
             tries.append([
-                ("ccx", partial(solve, coarse_path=None if slips else shown)), ("ccx, smaller load steps", partial(solve, steps=3)),
+                ("ccx", partial(solve, coarse_path=shown)), ("ccx, smaller load steps", partial(solve, steps=3)),
                 ("ccx, more contact rounds", partial(solve, steps=3, rounds=3)),
                 (GUIDE, lambda scene: self._solve_hex([scene], GUIDE)[0]),
             ])  # fmt: skip

@@ -37,6 +37,7 @@ from gelforge.records.log import (
 from gelforge.records.press import (
     COLUMNS,
     SENSOR_TABLES,
+    TILT,
     LoggedPress,
     PosedPress,
     RawRow,
@@ -69,6 +70,7 @@ def yielded(sample: LoggedPress, file: str, params: PosesTable) -> tuple[LoggedP
     given = {name: c * (getattr(sample, f"f{name[1]}_n") or 0.0)
            for name, c in (("dx_mm", sideways), ("dy_mm", sideways), ("dz_mm", normal))}  # fmt: skip
     moved = {name: getattr(sample, name) - shift for name, shift in given.items() if shift}
+    moved |= {name: tilt for name, tilt in zip(TILT, params.tilt_deg) if tilt and getattr(sample, name) is None}
     if params.touch_offset_mm:
         moved["z0_mm"] = sample.z0_mm - params.touch_offset_mm
     if moved.get("dz_mm", sample.dz_mm) >= 0.0:
@@ -132,6 +134,7 @@ def geometric_faults(sample: LoggedPress, file: str, body, gel: Gel, params: Pos
         hint = f"it moves {sideways:.3g} mm; check the unit, or raise farthest_shear_mm = {farthest:g} in [poses]"
         return [reject(sample, file, column, "the indenter moves too far sideways", hint)]
     depth, limit = -(press.z0 + press.dz), params.deepest_share * gel.height
+    depth += lowered(body, press)
     if depth > limit:
         hint = f"the tip ends {depth:.3g} mm below the apex, {limit:.3g} are allowed; check z0_mm and dz_mm"
         return [reject(sample, file, "dz_mm", "the press is deeper than the gel allows", hint)]
@@ -149,9 +152,17 @@ def geometric_faults(sample: LoggedPress, file: str, body, gel: Gel, params: Pos
     return []
 
 
-def reachable_height(press, params: PosesTable) -> float:
-    """Height above the tip, mm, up to which the gel can touch the indenter, rounded up so that crops are shared."""
+def lowered(body, press) -> float:
+    """How much lower than its tip the lowest point of a tilted indenter is, mm; 0 for one that stands upright."""
+    return float(-(body.surface()[0] @ press.pose(1.0, 1.0)[0][2]).min()) if press.tilted else 0.0
+
+
+def reachable_height(body, press, params: PosesTable) -> float:
+    """Height above the tip along the body's axis, mm, up to which the gel can touch it, rounded up to share crops."""
     reach = -(press.z0 + press.dz) + params.bulge_mm
+    if press.tilted:  # the side that is tilted down lies deeper by up to radius times the sine of the tilt
+        cosine = press.pose(1.0, 1.0)[0][2, 2]
+        reach = (reach + body.radius() * float(np.sqrt(1.0 - cosine**2))) / cosine
     return float(max(1, np.ceil(reach / params.band_mm)) * params.band_mm)
 
 
@@ -159,7 +170,7 @@ def write_posed(path, body, press, params: PosesTable) -> None:
     """Write the reachable part of an indenter at the first position of its path as STL in the gel frame."""
     from gelforge.geometry.triangles import write_stl
 
-    vertices, faces = cropped(body, reachable_height(press, params))
+    vertices, faces = cropped(body, reachable_height(body, press, params))
     with publish(path) as part:
         write_stl(part, posed_points(press, vertices), faces)
 

@@ -125,3 +125,9 @@ def test_a_training_is_counted_by_its_images_and_epochs(tmp_path, root):
     write_dataset(Layout(of.root.parent / "other").dataset("24x32"), n=45, image=(24, 32), grid=(6, 8))
     assert training(of, "24x32", "unet", 55).cpu - START == pytest.approx(once)
     refused("no-such", training, of, "24x32", "no-such", 100)
+
+
+def test_a_press_that_is_dragged_costs_as_much_whichever_way():
+    ways = [{"dx_mm": "0.3"}, {"dx_mm": "-0.3"}, {"dy_mm": "0.3"}, {"dx_mm": "0.1", "dy_mm": "-0.2"}]
+    straight = weights(rows_of(4))
+    assert straight == 4.0 and {weights(rows_of(4, **way)) for way in ways} == {DRAGGED * straight}

@@ -158,8 +158,8 @@ class CcxSolver:
     ) -> CcxResult:
         """State at the end of the scene's path. Failure is a status, not an exception.
 
-        coarse_path: the path on hexahedra, for a law without slip or without friction; then only its end is solved on
-        the tetrahedra. If it is None, or its end does not converge, the path is followed on the tetrahedra.
+        coarse_path: the path on hexahedra; then only its end is solved on the tetrahedra. If it is None, or its end does
+        not converge, the path is followed on the tetrahedra.
         """
         began = time.perf_counter()
         s = settings or self.settings

@@ -460,7 +460,8 @@ async function indenterBody(i) {
   shape.setAttribute("position", new THREE.BufferAttribute(points, 3)); shape.setIndex([...faces]);
   const flat = shape.toNonIndexed(); flat.computeVertexNormals();
   const body = new THREE.Mesh(flat, new THREE.MeshLambertMaterial({ color: 0xaab4c0, transparent: true, opacity: 0.28, side: THREE.DoubleSide, depthWrite: false }));
-  body.rotation.z = COLUMNS.rot_deg[i] * Math.PI / 180;
+  const radians = (name) => (COLUMNS[name][i] || 0) * Math.PI / 180;
+  body.rotation.set(radians("tilt_x_deg"), radians("tilt_y_deg"), radians("rot_deg"), "YXZ");
   body.position.set(COLUMNS.x0_mm[i] + COLUMNS.dx_mm[i], COLUMNS.y0_mm[i] + COLUMNS.dy_mm[i], COLUMNS.z0_mm[i] + COLUMNS.dz_mm[i]);
   return [body];
 }
