@@ -103,9 +103,10 @@ def pytest_runtest_call(item):
 
 @pytest.fixture(autouse=True)
 def in_project(monkeypatch):
-    """Every test starts in the project's folder, wherever the one before it went, and with the project's gels."""
+    """Every test starts in the project's folder, wherever the one before it went, and with the project's gels and no folder of meshes."""
     monkeypatch.chdir(ROOT)
     monkeypatch.setenv("GELFORGE_GELS", str(ROOT / "workflow" / "gels.toml"))
+    monkeypatch.delenv("GELFORGE_MESHES", raising=False)
 
 
 @pytest.fixture(scope="session")

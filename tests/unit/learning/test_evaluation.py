@@ -9,19 +9,22 @@ import pytest
 
 from gelforge.flow.files import read_csv, read_json, write_csv, write_json
 from gelforge.flow.layout import Layout
-from gelforge.learning.data import calibration_rows, open_data, press_keys, split_validation
+from gelforge.learning.data import concatenate, groups_of, open_data, press_keys
 from gelforge.learning.evaluate import (
     FEWEST_DRAWN,
     another_of_each,
     contact_table,
     error_table,
     evaluate,
+    known_rows,
     learnt_sensors,
     slope,
     what_errs_alike,
 )
-from gelforge.learning.fitting import predict_rows
-from gelforge.reading.predictor import Predictor
+from gelforge.learning.pictures import write_pairs
+from gelforge.learning.predictions import predict_rows
+from gelforge.learning.start import Start
+from gelforge.reading.reader import Reader
 from gelforge.records.axes import CHANNELS
 from gelforge.records.predictionfile import read_predictions
 from gelforge.reporting.errortables import tables
@@ -149,7 +152,7 @@ def test_evaluation_is_of_what_predict_gives(data, models):
     rows = data.splits["test"]
     names = data.names("sensor_id")[rows]
     forces = [
-        Predictor(model, data.nocontact[name]).predict(np.asarray(data.images[row])).total
+        Reader(data.nocontact[name], model=model)(np.asarray(data.images[row])).total
         for row, name in zip(rows, names, strict=True)
     ]
     error = np.array(forces) - data.totals(rows)
@@ -322,21 +325,24 @@ def seen_by_three(tmp_path_factory):
     for n, row in enumerate(row for row in rows if row["split"] == "test_unseen_sensor"):
         row["sensor_id"] = "mini1" if n % 2 == 0 else "mini2"
     write_csv(folder / "samples.csv", list(rows[0]), rows)
-    rest = np.load(folder / "nocontact.npy")
-    np.save(folder / "nocontact.npy", np.concatenate([rest] * 3))
     reported = read_json(folder / "dataset.json") | {"nocontact": ["mini0", "mini1", "mini2"]}
     write_json(folder / "dataset.json", reported)
+    rest, images = np.load(folder / "nocontact.npy")[0], np.load(folder / "images.npy")
+    write_pairs(folder, images, [row["sensor_id"] for row in rows], dict.fromkeys(reported["nocontact"], rest))
     return open_data(folder)
 
 
 def test_intervals_are_set_and_judged_on_presses_and_sensors_that_chose_nothing(seen_by_three):
-    """Half of validation chooses epoch and scale, the other half and the first of the unseen sensors set the size."""
+    """Half of validation chooses epoch and scale, the other half and a half of the unseen sensors set the size."""
     data = seen_by_three
-    (chose, others), size_on = split_validation(data), calibration_rows(data)
-    assert len(chose) and len(others) and not set(data.presses(chose)) & set(data.presses(size_on))
-    assert set(others) <= set(size_on.tolist()) and set(data.names("sensor_id")[size_on]) == {"mini0", "mini1"}
+    groups = groups_of(data, data)
+    chose, size_on = groups.choose, groups.calibrate
+    assert len(chose) and len(size_on)
+    parts = [set(press_keys(data, rows).tolist()) for rows in (groups.train, chose, size_on, data.splits["test"])]
+    assert sum(map(len, parts)) == len(set.union(*parts))  # no press in two of them
     model = train(data, "pair", MODELS["pair"], with_values(SETTINGS, epochs=1)).model
-    assert model.metadata["intervals"]["sensors"] == ["mini0", "mini1"]
+    sensors = set(data.names("sensor_id")[size_on])
+    assert model.metadata["intervals"]["sensors"] == sorted(sensors)
 
     def held(rows):
         found = predict_rows(model, data, rows)
@@ -345,6 +351,33 @@ def test_intervals_are_set_and_judged_on_presses_and_sensors_that_chose_nothing(
     assert (held(size_on).mean(axis=0) >= 0.89).all()
     rows = data.splits["test_unseen_sensor"]
     others = ~np.isin(press_keys(data, rows), model.metadata["intervals"]["presses"])
-    assert 0 < others.sum() < len(rows)
+    assert others.any()
     split = evaluate(data, model, EVALUATE)[0]["splits"]["test_unseen_sensor"]
     assert list(split["held"].values()) == pytest.approx(held(rows)[others].mean(axis=0).tolist())
+
+
+def test_groups_of_presses_stay_where_they_are_alone_and_joined(seen_by_three):
+    """Presses of two datasets together chose what was then measured by 15 of 20 of them."""
+    own = seen_by_three
+    other = replace(own, info=own.info | {"name": "other"}, table=[
+        replace(one, press=replace(one.press, x0_mm=one.press.x0_mm + 50.0, sample_id=f"q{at}")) for at, one in enumerate(own.table)
+    ])  # fmt: skip
+    alone, both = groups_of(own, own), groups_of(own, concatenate(own, [other]))
+    assert np.array_equal(alone.calibrate, both.calibrate)
+    assert np.array_equal(alone.choose, both.choose[both.choose < len(own.table)])
+    joined = concatenate(own, [other])
+    used = press_keys(joined, np.concatenate([both.train, both.choose]))
+    assert not np.isin(press_keys(joined, both.calibrate), used).any()
+
+
+def test_a_press_that_the_start_of_a_network_learnt_from_is_not_tested(seen_by_three):
+    """A fine-tuned network is judged on presses that neither it nor the network that it began as has learnt from."""
+    data = seen_by_three
+    first = train(data, "pair", MODELS["pair"], with_values(SETTINGS, epochs=1))
+    swapped = replace(data, splits=data.splits | {"train": data.splits["test"], "test": data.splits["train"]})
+    further = train(
+        swapped, "pair", MODELS["pair"], with_values(SETTINGS, epochs=1), start=Start(first.net, first.metadata)
+    )
+    known = known_rows(further.model, data)
+    assert known[data.splits["train"]].all() and known[data.splits["test"]].all()
+    assert "test" not in evaluate(swapped, further.model, EVALUATE)[0]["splits"]

@@ -7,9 +7,10 @@ import pytest
 import torch
 
 from gelforge.learning.augment import augment, mirror_together, misplace_nocontact, narrow_views, shift_together
+from gelforge.learning.batches import PIECE, generator
 from gelforge.learning.data import open_data, scales
 from gelforge.learning.nets import network_input
-from gelforge.learning.train import PIECE, generator, initial_net
+from gelforge.learning.train import initial_net
 from gelforge.records.axes import CHANNELS
 from gelforge.stages.train import train
 from tests.support.parameters import with_values
@@ -59,6 +60,16 @@ def plain_loss(output, labels, label_scale, total_scale, s):
     return loss
 
 
+def as_used(net, shown, norm, s) -> torch.Tensor:
+    """What a reader takes of a network: of one that learnt from mirrored images the mean with the rotated image."""
+    with torch.inference_mode():
+        found = net(network_input(tensor(shown), norm))
+        if not s.mirrored_share:
+            return found
+        rotated = net(network_input(tensor(shown[:, ::-1, ::-1]), norm)).flip(2, 3)
+        return (found + rotated * torch.tensor([-1.0, -1.0, 1.0]).view(1, 3, 1, 1)) / 2
+
+
 def plain_run(data, s) -> tuple[list[dict], dict]:
     """The curve, and the weights of its best epoch, of a training written down from its description."""
     norm, rows = scales(data), data.splits["train"]
@@ -99,8 +110,10 @@ def plain_run(data, s) -> tuple[list[dict], dict]:
         if sums is not None:
             kept.load_state_dict({name: value / steps for name, value in sums.items()}, strict=False)
         judges = data.splits["val"]
-        with torch.inference_mode():
-            found = kept.eval()(network_input(tensor(data.seen(judges, True)), norm)) * label_scale
+        shown = data.seen(judges, True)
+        at_rest = np.concatenate([shown[..., 3:]] * 2, axis=3)
+        found = as_used(kept.eval(), shown, norm, s) - as_used(kept, at_rest, norm, s)
+        found = found * label_scale
         errors = np.abs(found.double().sum((2, 3)).numpy() - data.labels[judges].sum((2, 3), dtype=float)).mean(0)
         score = float((errors / norm["total"]).mean())
         curve.append({"loss": np.mean(losses), "val_score": score} | {

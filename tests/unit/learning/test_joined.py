@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from gelforge.learning.data import concatenate, data_version, open_data, press_keys, scales
 from gelforge.learning.evaluate import evaluate, known_rows
-from gelforge.learning.train import predict_rows
+from gelforge.learning.predictions import predict_rows
 from gelforge.records.rowfile import ChainedRows
 from gelforge.stages.train import train
 from tests.support.parameters import with_values
@@ -101,7 +101,7 @@ def test_a_network_reads_both_that_it_learnt_from_and_says_so(datasets):
     totals = of_totals(turned, "other")
     alone, both, summed = (train(own, "small", SMALL, settings, also=also) for also in ((), [turned], [totals]))
     rows = other.splits["train"]
-    read = [predict_rows(one.net, turned, rows, one.metadata["normalisation"]) for one in (alone, both, summed)]
+    read = [predict_rows(one.model, turned, rows).forces for one in (alone, both, summed)]
     errors = [np.abs(forces.sum((2, 3)) - turned.totals(rows)).mean() for forces in read]
     assert max(errors[1:]) < 0.8 * errors[0]
     refused("total_weight = 0: only totals are known of other", train, own, "small", SMALL,
