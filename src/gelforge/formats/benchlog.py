@@ -184,6 +184,8 @@ def _beyond_range(
     depth = np.interp(gauge.times, height[0], -height[1])
     for number, values in enumerate(gauge.values.T):
         for way in (values, -values):
+            if number and np.array_equal(np.abs(way), np.abs(gauge.values[:, 0])):
+                continue  # the normal force, of which compression is the negative
             found = series.at_end(way, depth if number == 0 and way is values else None)
             if found.any():
                 bad |= np.interp(at, gauge.times, found.astype(float)) > 0.0
