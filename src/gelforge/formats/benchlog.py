@@ -88,8 +88,8 @@ def align(
     presses, alike = presses_of(gauge.values[:, 0], touch), 0
     height = clocks["path"].to_gauge(path.times), -path.values[:, 0]
     spans = [(float(gauge.times[press.start]), float(gauge.times[press.stop - 1])) for press in presses]
-    _check_average(gauge, height, spans)
     _check_shift(gauge, path, clocks["path"], spans, touch, bench, notes)
+    _check_average(gauge, height, spans)
     bad = _beyond_range(raw, height, at, notes) | _repeated(images, places, at, spans, notes)
     for number, press in enumerate(presses, 1):
         began, ended = gauge.times[press.start], gauge.times[press.stop - 1]

@@ -369,12 +369,3 @@ def repeats(small: np.ndarray, states: np.ndarray, pressed: np.ndarray) -> np.nd
             first = k
         again[k] = first < k and np.linalg.norm(states[k] - states[first]) > least
     return again
-    usual = float(np.median(change[moves & (change > 0.0)])) if (moves & (change > 0.0)).any() else 0.0
-    again[1:] = moves & (change <= SAME * usual)
-    last = 0  # a run of equal pictures shows the moment of its first
-    for k in range(1, len(small)):
-        if both[k - 1] and change[k - 1] <= SAME * usual and again[k - 1]:
-            again[k] = bool(np.linalg.norm(states[k] - states[last]) > LEAST_MOVE * np.nanmax(step))
-        elif not again[k]:
-            last = k
-    return again
