@@ -25,7 +25,8 @@ from gelforge.records.log import read_presses
 from tests.support.figures import Figure, publish_figures
 
 if TYPE_CHECKING:
-    from gelforge.reading.predictor import Predictor
+    from gelforge.reading.model import Model
+    from gelforge.reading.reader import Reader
 
 IMAGE, GRID = (240, 320), (24, 32)
 BASELINE, LIGHT = "unet", "pair_24_mirrored"
@@ -58,13 +59,12 @@ def load_workflow() -> tuple[dict, TrainTable]:
 
 def speed_figures(models: dict, seconds: float) -> list[Figure]:
     """Speed-up of the shipped network over the U-net, with one and two threads."""
-    from gelforge.learning.fitting import time_predictors
+    from gelforge.learning.predictions import time_models
 
     image = np.random.default_rng(0).integers(0, 256, (*IMAGE, 3), np.uint8)
     figures = []
     for threads in (1, 2):
-        predictors = {name: untrained(models[name], threads) for name in (BASELINE, SHIPS)}
-        timed = time_predictors(predictors, image, seconds)
+        timed = time_models({name: untrained(models[name], threads) for name in (BASELINE, SHIPS)}, image, seconds)
         ms = {name: timed[name]["median_ms"] for name in timed}
         spread = {name: f"{timed[name]['p10_ms']:.1f} to {timed[name]['p90_ms']:.1f}" for name in timed}
         figures.append(
@@ -91,15 +91,15 @@ def chain_figure(seconds: float) -> Figure:
     """
     import cv2
 
-    pairs = [(predictor, image, predictor.prepare(image)) for predictor, image in demo_pairs()]
+    pairs = [(predictor, image, predictor.compare(image)) for predictor, image in demo_pairs()]
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     whole, alone = [], []
     try:
         ends = time.perf_counter() + seconds
         while time.perf_counter() < ends:
-            whole += [seconds_of(predictor.predict, image) for predictor, image, _ in pairs]
-            alone += [seconds_of(predictor.raw, seen) for predictor, _, seen in pairs]
+            whole += [seconds_of(predictor, image) for predictor, image, _ in pairs]
+            alone += [seconds_of(predictor.forces, seen) for predictor, _, seen in pairs]
     finally:
         cv2.setNumThreads(threads)
     ms = [1e3 * float(np.quantile(times, 0.1)) for times in (whole, alone)]
@@ -107,14 +107,15 @@ def chain_figure(seconds: float) -> Figure:
     return Figure("all that predict does over its network alone, 1 thread", ms[0] / ms[1], "<=", 1.6, "times", note)
 
 
-def demo_pairs() -> list[tuple["Predictor", np.ndarray]]:
+def demo_pairs() -> list[tuple["Reader", np.ndarray]]:
     """The shipped predictor and the image (h, w, 3) uint8 of every press of the demo."""
-    from gelforge.reading.predictor import Predictor, load_for_use
+    from gelforge.reading.model import load_model
+    from gelforge.reading.reader import Reader
 
-    model, folder = load_for_use(None), Path("data/demo")
+    model, folder = load_model(None), Path("data/demo")
     presses = read_presses(folder / "log.csv")
     beside = {
-        name: Predictor(model, read_image(folder / f"nocontact/{name}.png"))
+        name: Reader(read_image(folder / f"nocontact/{name}.png"), model=model)
         for name in {press.sensor_id for press in presses}
     }
     return [(beside[press.sensor_id], read_image(folder / press.image)) for press in presses]
@@ -127,17 +128,16 @@ def seconds_of(work: Callable[..., object], *given: object) -> float:
     return time.perf_counter() - started
 
 
-def untrained(model: dict, threads: int) -> "Predictor":
+def untrained(model: dict, threads: int) -> "Model":
     """A network with random weights and unit scales, for timing."""
     from gelforge.learning.export import export
     from gelforge.learning.nets import build
-    from gelforge.reading.model import model_of
-    from gelforge.reading.predictor import Predictor, load_for_use
+    from gelforge.reading.model import load_model, model_of, on_device
 
     norm = {"image_mean": [0.4] * 3, "image_std": [0.2] * 3, "label": [1.0] * 3}
-    metadata = load_for_use(None).metadata | {"model": model, "normalisation": norm, "tta": False}
+    metadata = load_model(None).metadata | {"model": model, "normalisation": norm, "tta": False}
     graph = export(build(model, IMAGE, GRID).eval(), metadata)
-    return Predictor(model_of(metadata, graph), np.zeros((*IMAGE, 3), np.uint8), threads=threads)
+    return on_device(model_of(metadata, graph), "cpu", threads)
 
 
 def train_apart(dataset: Path, name: str, settings: TrainTable, folder: Path):

@@ -18,6 +18,7 @@ from gelforge.flow.files import digest_of_value, publish, read_json, write_csv, 
 from gelforge.flow.layout import Layout, beside
 from gelforge.flow.params import StageParameters, read_parameters
 from gelforge.mechanics.ccx.program import need_ccx
+from gelforge.mechanics.mesh.basemesh import use_meshes_of
 from gelforge.records.status import VALID
 from gelforge.sweeps.cases import FINEST, ROWS, SERIES, Case, factor_of, row_cases
 from gelforge.sweeps.deviation import total_error
@@ -38,7 +39,7 @@ def case_key(case: Case, params: StageParameters) -> str:
     if case.solver in ("hex", FINEST):
         parts.append(asdict(hex_settings(case_method(case, params))))
     else:
-        parts += ccx_settings(params)
+        parts += ccx_settings(params, case.scene.gel)
     return digest_of_value(parts)
 
 
@@ -154,6 +155,7 @@ def solve(args: Namespace) -> None:
         raise BadInput(f"no row {args.row!r} of cases; there are {', '.join(ROWS)}")
     params = read_parameters(of.parameters("stability"))
     need_ccx()
+    use_meshes_of(of.meshes)
     records = solve_row(args.row, params, args.out.parents[1] / "cases")
     judged = judge_row(args.row, records, params)
     write_json(args.out, {"row": args.row, "judged": judged, "evidence": [r.get("evidence", {}) for r in records]})
