@@ -1,9 +1,11 @@
 """Files are published whole: what another process, a kill or a power cut may find."""
 
+import errno
 import os
 
 import pytest
 
+from gelforge.flow import files
 from gelforge.flow.files import publish, write_json, write_text
 
 
@@ -39,3 +41,18 @@ def test_a_writer_that_fails_leaves_what_was_there(tmp_path):
         part.write_text("half")
         raise ValueError("half-way")
     assert path.read_text() == "before" and [one.name for one in tmp_path.iterdir()] == ["result.txt"]
+
+
+def test_where_a_link_is_refused_the_file_is_copied(tmp_path, monkeypatch):
+    """exFAT, SMB and s3fs have no hard links: stage 60 always failed."""
+    (tmp_path / "a").write_text("content")
+    files.link_or_copy(tmp_path / "a", tmp_path / "b")
+    assert (tmp_path / "b").stat().st_ino == (tmp_path / "a").stat().st_ino
+
+    def refused(*_args, **_named):
+        raise OSError(errno.EPERM, "Operation not permitted")
+
+    monkeypatch.setattr(os, "link", refused)
+    files.link_or_copy(tmp_path / "a", tmp_path / "c")
+    assert (tmp_path / "c").read_text() == "content"
+    assert (tmp_path / "c").stat().st_ino != (tmp_path / "a").stat().st_ino
