@@ -51,7 +51,7 @@ def draw_bench(rng, presses=None, fine=False) -> Bench:
     force = elastic - part * low_passed(elastic, tau)
     places = rng.uniform(-3.0, 3.0, (count, 2))
     at = np.zeros((len(times), 2))
-    for k, (a, b) in enumerate(spans):
+    for k, (a, _b) in enumerate(spans):
         at[(times >= (0.0 if k == 0 else 0.5 * (spans[k - 1][1] + a))) & (times <= knots[-1])] = places[k]
     return Bench(times, height, force, np.array(spans), places, at)
 
@@ -183,25 +183,25 @@ def aligned(rng, fault="", shift="", film="", presses=None) -> Outcome:
     from gelforge.formats.benchlog import Setup, align
 
     bench = draw_bench(rng, presses)
-    gauge, (path, error), change = (
+    gauge, (path, _), change = (
         draw_gauge(rng, bench, fault),
         draw_path(rng, bench, shift),
         draw_change(rng, bench),
     )
-    values, true = change.values.copy(), change.true
-    if film:
-        shown = np.arange(len(values))
-        if film == "repeats":
-            shown[rng.random(len(shown)) < 0.2] -= 1
-        else:
-            begin = rng.choice(bench.presses[:, 0]) + rng.uniform(0.0, 0.5)
-            frozen = (true > begin) & (true < begin + rng.uniform(0.5, 2.0))
-            shown[frozen] = np.flatnonzero(frozen)[0]
-        values = values[np.maximum(shown, 0)]
-    small = (100.0 + values[:, None, None, None] + np.zeros((1, 2, 2, 3))).astype(np.float32)
-    images = Images(Path("film"), [str(k) for k in range(len(values))], change.times, small)
+    true, shown = change.true, np.arange(len(change.true))
+    small = (100.0 + change.values[:, None, None, None] + rng.normal(0.0, 0.3, (len(true), 6, 8, 3))).astype(
+        np.float32
+    )
+    if film == "repeats":
+        shown[1:][rng.random(len(shown) - 1) < 0.2] -= 1
+    elif film:
+        begin = rng.choice(bench.presses[:, 0]) + rng.uniform(0.0, 0.5)
+        frozen = np.flatnonzero((true > begin) & (true < begin + rng.uniform(0.5, 2.0)))
+        shown[frozen] = frozen[0]
+    small = small[shown]
+    images = Images(Path("film"), [str(k) for k in range(len(true))], change.times, small)
     columns = [
-        -path.values * 0 + path.values,
+        path.values,
         *(np.interp(path.true, bench.times, bench.at[:, k]) for k in (0, 1)),
         -path.values,
         0.0 * path.values,
@@ -214,7 +214,7 @@ def aligned(rng, fault="", shift="", film="", presses=None) -> Outcome:
         )  # fmt: skip
     except BadInput as refusal:
         return Outcome(str(refusal), [], 0.0, 0.0, 0)
-    moments = np.array([true[at if not film else max(int(shown[at]), 0)] for at in found.rows])
+    moments = np.array([true[shown[at]] for at in found.rows])
     force = np.interp(moments, bench.times, bench.force) + np.array([row.fz_n for row in found.rows.values()])
     depth = np.interp(moments, bench.times, bench.height) - np.array([row.dz_mm for row in found.rows.values()])
     return Outcome("", found.notes, float(np.abs(force).max()), float(np.abs(depth).max()), len(found.rows))

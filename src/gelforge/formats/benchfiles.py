@@ -52,7 +52,6 @@ STRANGE = (
         r"[\d.:TZ+ -]+ <(Alarm|Home|Check|Door|Sleep)",
         "in this state the machine resets its zero or does not move: remove the line",
     ),
-    (r"<.*[MW]Pos:-?\d+\.\d{4}", "four decimals mean inches ($13=1): set $13=0 and log again"),
     (
         r"(\d{1,2}:)?\d{1,2}:\d\d(\.\d+)?\s.*<",
         "a time of day: write seconds, or date and time as 2026-09-01T12:00:00.000",
@@ -65,6 +64,7 @@ STRANGE = (
         r".*(\bok\b|error:|ALARM:|\[MSG:|\$\d+=)",
         "an answer of the controller's console: only reports are read: remove other lines, or begin them with #",
     ),
+    (r"<.*[MW]Pos:-?\d+\.\d{4}", "four decimals mean inches ($13=1): set $13=0 and log again"),
     (r"<.*[MW]Pos", "this is not a report `TIME <STATE|WPos:x,y,z|...>` with its time in s first"),
     M114,
     (

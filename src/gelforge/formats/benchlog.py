@@ -88,8 +88,8 @@ def align(
     presses, alike = presses_of(gauge.values[:, 0], touch), 0
     height = clocks["path"].to_gauge(path.times), -path.values[:, 0]
     spans = [(float(gauge.times[press.start]), float(gauge.times[press.stop - 1])) for press in presses]
-    _check_average(gauge, height, spans)
     _check_shift(gauge, path, clocks["path"], spans, touch, bench, notes)
+    _check_average(gauge, height, spans)
     bad = _beyond_range(raw, height, at, notes) | _repeated(images, places, at, spans, notes)
     for number, press in enumerate(presses, 1):
         began, ended = gauge.times[press.start], gauge.times[press.stop - 1]
@@ -184,6 +184,8 @@ def _beyond_range(
     depth = np.interp(gauge.times, height[0], -height[1])
     for number, values in enumerate(gauge.values.T):
         for way in (values, -values):
+            if number and np.array_equal(np.abs(way), np.abs(gauge.values[:, 0])):
+                continue  # the normal force, of which compression is the negative
             found = series.at_end(way, depth if number == 0 and way is values else None)
             if found.any():
                 bad |= np.interp(at, gauge.times, found.astype(float)) > 0.0

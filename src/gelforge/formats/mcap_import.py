@@ -327,7 +327,7 @@ def lag_of(
     contacts = [
         run
         for run in series.runs(force >= touch, times)
-        if 0 < run.start and run.stop < len(times) and times[run.stop - 1] - times[run.start] > LEAST_CONTACT_S
+        if run.start > 0 and run.stop < len(times) and times[run.stop - 1] - times[run.start] > LEAST_CONTACT_S
     ]
     where = np.searchsorted(shown.index, seen.index)
     where = np.minimum(where, len(shown.index) - 1)

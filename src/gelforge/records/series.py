@@ -24,6 +24,7 @@ GAP_S, MARGIN_S = 0.3, 0.2  # a longer gap ends a part of a recording; time at i
 MOVING = 0.6  # fraction of the ends of parts at which force moves, above which the gauge is triggered
 STEP_S = 0.04  # of averaged series
 MOST_LAG_S, LAG_STEP_S = 1.5, 0.02  # search for the lag of force behind pictures
+LAGS_LEFT = 0.1  # fraction of the deviation of forces that pictures of another time leave unexplained at least
 LAGS_S, LAGS_GAIN = (
     0.06,
     1.5,
@@ -352,20 +353,19 @@ def repeats(small: np.ndarray, states: np.ndarray, pressed: np.ndarray) -> np.nd
         return again
     change = np.array(
         [
-            np.abs(b.astype(np.float32) - a).mean() if here else np.nan
-            for a, b, here in zip(flat[:-1], flat[1:], both, strict=True)
+            np.abs(after.astype(np.float32) - before).mean() if here else np.nan
+            for before, after, here in zip(flat[:-1], flat[1:], both, strict=True)
         ]
     )
     step = np.linalg.norm(np.diff(states, axis=0), axis=1)
-    moves = both & (step > LEAST_MOVE * np.nanmax(np.where(both, step, np.nan)))
-    if moves.sum() < FEWEST:
+    least = LEAST_MOVE * float(np.quantile(step[both], 0.9))
+    moved = both & (step > least) & (change > 0.0)
+    if moved.sum() < FEWEST:
         return again
-    usual = float(np.median(change[moves & (change > 0.0)])) if (moves & (change > 0.0)).any() else 0.0
-    again[1:] = moves & (change <= SAME * usual)
-    last = 0  # a run of equal pictures shows the moment of its first
+    equal = both & (change <= SAME * float(np.median(change[moved])))
+    first = 0  # equal pictures show the moment of the first of them
     for k in range(1, len(small)):
-        if both[k - 1] and change[k - 1] <= SAME * usual and again[k - 1]:
-            again[k] = bool(np.linalg.norm(states[k] - states[last]) > LEAST_MOVE * np.nanmax(step))
-        elif not again[k]:
-            last = k
+        if not equal[k - 1]:
+            first = k
+        again[k] = first < k and np.linalg.norm(states[k] - states[first]) > least
     return again
