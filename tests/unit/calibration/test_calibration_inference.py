@@ -19,7 +19,7 @@ from gelforge.calibration.emulator import (
     stuck_share,
 )
 from gelforge.calibration.kernel import sideways_left
-from gelforge.calibration.parameters import FrictionPrior, BenchModel, Prior, make_model, prior_of
+from gelforge.calibration.parameters import BenchModel, FrictionPrior, Prior, make_model, prior_of
 from gelforge.calibration.posterior import ERROR, SIDEWAYS_ERROR, SIDEWAYS_ERROR_OF_NORMAL, Posterior, tare_of
 from gelforge.calibration.readings import bisection_order, choose_presses, read_readings, slides
 from gelforge.calibration.sampling import TAIL, Chain, Figures, Rules, independent_draws, sample
