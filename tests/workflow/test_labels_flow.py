@@ -102,6 +102,7 @@ def test_pictures_and_a_dataset_of_the_export_follow(folder):
     )
 
 
+@pytest.mark.slow
 def test_a_dataset_follows_what_lies_beside_its_log(folder):
     """A split or a picture that comes, goes, or is replaced by an older one makes the dataset anew, nothing else does."""
     target, data = {"results/made/60_dataset/4x4/dataset.json"}, folder / "data/made"
