@@ -2,8 +2,8 @@
 
 CHALLENGE: the folder that `make fea-challenge` writes. OUT: a submission for its score.py. Runs in Debian's own Python
 with python3-getfem and python3-scipy, without gelforge. Hexahedra have 20 nodes. Contact uses multipliers that are
-linear on their faces and GetFEM's augmented Lagrangian friction operator, with a friction coefficient of 10 as stick;
-the body is given by its signed distance. A point sticks to the body where its motion, extrapolated from the last load
+linear on their faces and GetFEM's augmented Lagrangian friction operator, with the scene's coefficient of friction `mu`,
+or 10 as stick; the body is given by its signed distance. A point sticks to the body where its motion, extrapolated from the last load
 step, closes the gap: plain incremental stick also counts motion before touch, so that the force depends on the number
 of load steps.
 """
@@ -31,6 +31,8 @@ EDGES_MM = {
     "triple_triangle": (0.5, 0.5),
     "cuboid_sharp": (0.5, 0.5),
     "punch": (0.25, 0.25),
+    "ball_dragged": (0.5, 0.5),
+    "cuboid_slipping": (0.35, 0.9),
 }
 # Width in mm of the strip of small hexahedra along the footprint's sides, and growth of size per distance from it.
 RIM, RIM_GROWTH = 0.6, 0.4
@@ -252,7 +254,13 @@ class PressedGel:
         self.model = model = gf.Model("real")
         model.add_fem_variable("u", displacement)
         model.add_filtered_fem_variable("t", self.traction, 1)
-        numbers = {"c10": challenge["c10_mpa"], "d1": challenge["d1_per_mpa"], "r": AUGMENTATION, "f": FRICTION}
+        self.mu = scene.get("mu")
+        numbers = {
+            "c10": challenge["c10_mpa"],
+            "d1": challenge["d1_per_mpa"],
+            "r": AUGMENTATION,
+            "f": self.mu or FRICTION,
+        }
         for name, value in numbers.items():
             model.add_initialized_data(name, [value])
         self.scalar, self.vector = gf.MeshImData(contact, 1), gf.MeshImData(contact, 1, [3])
@@ -305,8 +313,8 @@ class PressedGel:
     def follow(self) -> None:
         """Move the body along its legs, and halve a load step if Newton's iterations do not converge.
 
-        Places are in the body's frame. Points in contact keep their stick points; all others get the one where they
-        would meet the body.
+        Places are in the body's frame. Points in contact keep their stick points, or take them along where they slip; all
+        others get the one where they would meet the body.
         """
         before = self.places() - self.body.at
         anchor, held = before.copy(), np.zeros(len(before), bool)
@@ -332,10 +340,21 @@ class PressedGel:
                 now = self.places() - self.body.at
                 speed, rate = (now - before) / step, (self.model.from_variables() - kept) / step
                 before, held = now, self.pressed()
+                if self.mu:
+                    slips = held & self.slips()
+                    anchor[slips] = now[slips]
 
     def pressed(self) -> np.ndarray:
         """Which points (n,) are in contact with the body."""
         return self.model.interpolation("r*gap0-t.normal0", self.scalar, 1).ravel() < 0
+
+    def slips(self) -> np.ndarray:
+        """Which points (n,) pull at the limit of friction."""
+        pull = self.model.interpolation("t-r*(X+u-anchor)", self.vector, 1).reshape(-1, 3)
+        normal = np.reshape(self.model.variable("normal0"), (-1, 3))
+        pressure = -self.model.interpolation("r*gap0-t.normal0", self.scalar, 1).ravel()
+        along = np.linalg.norm(pull - (pull * normal).sum(axis=1)[:, None] * normal, axis=1)
+        return along > self.mu * pressure
 
     def touch(self, places: np.ndarray, moved: np.ndarray) -> np.ndarray:
         """Fraction (n,) of a motion in the body's frame at which each point's gap closes, at most 1."""
