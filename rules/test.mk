@@ -49,7 +49,7 @@ BENCHMARKS := $(patsubst tests/benchmarks/%.py,benchmark-%,$(filter-out %/__init
 $(BENCHMARKS): benchmark-%: $(SETUP) $(CCX_FOUND)
 	@$(PY_HERE) -m tests.benchmarks.$* --out results/benchmarks/$*.json
 
-benchmark-tables: $(SETUP)  ## write figures of results/benchmarks/ into README and guide, name what changed
+benchmark-tables: $(SETUP)  ## write figures of results/benchmarks/ into README, name what changed
 	@$(PY_HERE) -m tests.lint.tables
 
 real-check: $(SETUP)  ## run benchmark-real; real images with their predictions: results/real-check/index.html

@@ -1,16 +1,14 @@
-"""Tables of measured figures in README.md and the guide, rendered from the JSON of the benchmarks: make benchmark-tables."""
+"""Tables of measured figures in README.md, rendered from the JSON of the benchmarks: make benchmark-tables."""
 
 import re
-from pathlib import Path
 
 from gelforge.flow.files import read_json, write_text
 from tests.support.figures import ROOT, digest_of_sources
 
-PAGES = ("README.md", "workflow/guide/benchmarks.md")
+PAGE = "README.md"
 KEPT = ROOT / "results" / "benchmarks"
 BLOCK = re.compile(r"(<!-- figures: (.+?) -->\n)(.*?)(<!-- end of figures -->)", re.DOTALL)
 FIELD = re.compile(r"\{(\w+): (.+?)\|(\.\d[fg])\}")  # {benchmark: name of a figure|format}
-SIGN = {"<=": "at most ", ">=": "at least ", "==": ""}
 
 # Tables of chosen figures: what stands between { and } is taken from the JSON.
 CHOSEN = {
@@ -53,34 +51,11 @@ def chosen(text: str) -> str:
     return FIELD.sub(value, text).strip()
 
 
-def whole(name: str) -> str:
-    """All figures of a benchmark, a table a run."""
-    runs: dict[str, list[dict]] = {}
-    for figure in read_figures(name):
-        run = f"{figure['measured']}, commit `{figure['commit']}`, {figure['machine']}:"
-        runs.setdefault(run, []).append(figure)
-    head = "| figure | measured | goal | note |\n| --- | --- | --- | --- |"
-    return (
-        "\n\n".join("\n".join([run, "", head, *map(row, figures)]) for run, figures in runs.items())
-        or "No figures are kept."
-    )
-
-
-def row(figure: dict) -> str:
-    """A figure as a row: a goal that is missed is said to be."""
-    goal = f"{SIGN[figure['compare']]}{figure['goal']:.3g}" if figure["compare"] else ""
-    goal += "" if figure["met"] or not goal else ", **missed**"
-    return f"| {figure['name']} | {number(figure, '.3g')} {figure['unit']} | {goal} | {figure['note']} |".replace(
-        "  ", " "
-    )
-
-
 def rendered(text: str) -> str:
     """A page with its tables made anew."""
 
     def block(found: re.Match) -> str:
-        made = chosen(CHOSEN[found[2]]) if found[2] in CHOSEN else whole(found[2])
-        return f"{found[1]}{made}\n{found[4]}"
+        return f"{found[1]}{chosen(CHOSEN[found[2]])}\n{found[4]}"
 
     return BLOCK.sub(block, text)
 
@@ -92,7 +67,5 @@ def outdated() -> list[str]:
 
 
 if __name__ == "__main__":
-    for page in PAGES:
-        path = Path(page)
-        write_text(path, rendered(path.read_text(encoding="utf-8")))
+    write_text(ROOT / PAGE, rendered((ROOT / PAGE).read_text(encoding="utf-8")))
     print("measured on other sources than today's:", ", ".join(outdated()) or "none")
