@@ -197,6 +197,7 @@ class Press:
         self.axial[basis.get_dofs(elements=True).all(["u^2"])] = 1.0
         self.u, self.held = np.zeros(basis.N), np.full((len(self.reference), 2), np.nan)
         self.depth, self.hardness = 0.0, 1.0
+        self.analysed = False
         self.way = np.zeros(len(self.reference))  # of stick points that slip: 1 or -1 along the tangent
         self.linear = PyPardisoSolver(mtype=11 if self.coulomb else -2)  # unsymmetric, or symmetric and indefinite
 
@@ -311,9 +312,9 @@ class Press:
         if self.mu > 0.0:
             self.hardness = 1.0
             try:
-                return self.newton(u, depth, small)
+                return self.newton(u, depth, small, 8 if self.coulomb else 15)
             except Unsolved:
-                if self.mu == np.inf:
+                if not self.coulomb:
                     raise
         for self.hardness in (1e-3, 1e-2, 1e-1):
             u = self.newton(u, depth, 1e-3)
@@ -326,7 +327,7 @@ class Press:
         for _ in range(most):
             out, tangent = self.residual(u, depth)
             matrix = tangent[free][:, free]
-            step = self.linear.solve(matrix if self.coulomb else sp.triu(matrix, format="csr"), out[free])
+            step = self.solve(matrix if self.coulomb else sp.triu(matrix, format="csr"), out[free])
             part = 1.0
             while part > 0.01:
                 trial = u.copy()
@@ -341,6 +342,12 @@ class Press:
             if part == 1.0 and not turned and np.abs(step).max() < small * depth:
                 return u
         raise Unsolved(f"no equilibrium at a depth of {depth:.4g} mm")
+
+    def solve(self, matrix: sp.csr_matrix, right: np.ndarray) -> np.ndarray:
+        """Solution of a linear system whose non-zero places are the same every time: they are analysed once."""
+        self.linear.set_phase(23 if self.analysed else 13)
+        self.analysed = True
+        return self.linear._call_pardiso(matrix, right)
 
     def advance(self, depth: float, before: tuple[np.ndarray, float] | None) -> None:
         """One load step. before: u and depth one step earlier, from which the motion is extrapolated."""

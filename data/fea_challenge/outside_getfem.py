@@ -405,7 +405,8 @@ class PressedGel:
 
 def main() -> None:
     """Write a submission of the named scenes, or of all; scenes that exist already are kept."""
-    folder, out, names = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3:] or EDGES_MM
+    folder, out = Path(sys.argv[1]), Path(sys.argv[2])
+    names = sys.argv[3:] or [name for name in EDGES_MM if (folder / "scenes" / name).exists()]
     out.mkdir(parents=True, exist_ok=True)
     gf.util_trace_level(0)
     for name in names:
