@@ -31,8 +31,8 @@ EDGES_MM = {
     "triple_triangle": (0.5, 0.5),
     "cuboid_sharp": (0.5, 0.5),
     "punch": (0.25, 0.25),
-    "ball_dragged": (0.5, 0.5),
-    "cuboid_slipping": (0.35, 0.9),
+    "ball_dragged": (0.7, 0.7),
+    "cuboid_slipping": (0.45, 1.2),
 }
 # Width in mm of the strip of small hexahedra along the footprint's sides, and growth of size per distance from it.
 RIM, RIM_GROWTH = 0.6, 0.4
@@ -42,6 +42,7 @@ MARGIN = 0.7  # mm of small hexahedra beside the footprint
 STEP = 0.125  # mm of travel in a load step
 FRICTION, AUGMENTATION = 10.0, 5.0  # -, N/mm^3
 RESIDUAL = 1e-5  # largest nodal residual, N
+PARTS = (1.0, 0.5, 0.25, 0.1, 0.03)  # of a Newton step that are tried under friction
 PENALTY = 1e5  # N/mm^3, of the condition on planes of symmetry
 SUBCELLS = 8  # per side of a face; forces are written at their centres
 DEFORMED = "(Id(3)+Grad_u)"
@@ -291,14 +292,18 @@ class PressedGel:
         """Current places of the integration points of the contact, (n, 3) mm."""
         return self.model.interpolation("X+u", self.vector, 1).reshape(-1, 3)
 
+    def see_body(self) -> None:
+        """Tell the model where the body is at the current places of the integration points."""
+        places = self.places()
+        self.model.set_variable("place0", places.ravel())
+        self.model.set_variable("gap0", self.body.distance(places))
+        self.model.set_variable("normal0", self.body.normal(places).ravel())
+        self.model.set_variable("curve0", self.body.curvature(places).ravel())
+
     def equilibrium(self, most: int = 25) -> bool:
         """Newton's iterations with the body at rest; False if they do not converge."""
         for iteration in range(most):
-            places = self.places()
-            self.model.set_variable("place0", places.ravel())
-            self.model.set_variable("gap0", self.body.distance(places))
-            self.model.set_variable("normal0", self.body.normal(places).ravel())
-            self.model.set_variable("curve0", self.body.curvature(places).ravel())
+            self.see_body()
             self.model.assembly("build_all")
             residual = self.model.rhs()
             size = abs(residual).max()
@@ -306,9 +311,21 @@ class PressedGel:
                 return False
             if iteration and size < RESIDUAL:
                 return True
-            change = gf.linsolve_mumps(self.model.tangent_matrix(), residual)
-            self.model.to_variables(self.model.from_variables() + np.asarray(change).ravel())
+            change = np.asarray(gf.linsolve_mumps(self.model.tangent_matrix(), residual)).ravel()
+            start = self.model.from_variables()
+            self.model.to_variables(start + change)
+            if self.mu:
+                self.shorten(start, change, np.linalg.norm(residual))
         return False
+
+    def shorten(self, start: np.ndarray, change: np.ndarray, size: float) -> None:
+        """Shorten a step until the residual is less than `size`: points that slip and stick by turns need that."""
+        for part in PARTS:
+            self.model.to_variables(start + part * change)
+            self.see_body()
+            self.model.assembly("build_rhs")
+            if np.linalg.norm(self.model.rhs()) < (1 - 1e-3 * part) * size:
+                return
 
     def follow(self) -> None:
         """Move the body along its legs, and halve a load step if Newton's iterations do not converge.
