@@ -15,9 +15,7 @@ include rules/branches.mk
 include rules/tools.mk
 include rules/test.mk
 
-# Targets that `make help` lists are not files.
-.PHONY: $(shell sed -nE 's/^([a-z][a-zA-Z0-9_-]*):.*  ## .*/\1/p' Makefile rules/*.mk)
-
+.PHONY: help
 help:  ## this list
-	@echo 'make TARGET [DATASET=$(DATASET)] [RES="$(RES)"] [MODEL=NAME] [JOBS=n] [EXECUTOR=local|slurm] [SLURM_PROFILE=FILE.toml]'
+	@echo 'make TARGET [DATASET=$(DATASET)] [RES="$(RES)"] [MODEL=NAME] [JOBS=n] [EXECUTOR=local|slurm] [SLURM_PROFILE=FILE.toml] [SOLVES=folder]'
 	@sed -nE 's/^([a-z][a-zA-Z0-9_-]*):.*  ## (.*)/  \1\t\2/p' Makefile rules/*.mk | expand -t 24

@@ -1,11 +1,15 @@
 # The stages. A rule names every file that its stage reads, because the record of its target holds their digests.
 
+# What labels follow: CALIBRATION is data/DATASET/calibration.toml if there is one, else the posterior if the dataset
+# asks for it ([material] c10 = "calibrated"), else nothing. It moves poses, scales forces and sets friction.
+
 # 10: checks each row of the log, places each indenter's surface as the CNC did.
 POSES := $(SHARDS:%=$D/10_poses/%.csv)
 
+.PHONY: poses
 poses: $(POSES)  ## check the log, place every indenter's surface as the CNC did
 
-$(POSES): $D/10_poses/%.csv: $(SHARD)/%.csv $(SHARD)/%.json $(SHARD)/%.pictures.json $P/poses.json
+$(POSES): $D/10_poses/%.csv: $(SHARD)/%.csv $(SHARD)/%.json $(SHARD)/%.pictures.json $P/poses.json $(CALIBRATION)
 	$(call step,gelforge.stages.poses $D $*)
 
 # Files of a shard: paths (by stage 10), bodies and sensors, images.
@@ -15,89 +19,112 @@ PICTURES := $(SHARDS:%=$(SHARD)/%.pictures.json)
 # 15: checks that the images of the whole log show what its rows describe, before anything is solved.
 IMAGES_JUDGED := $(if $(IMPORTED),,$(if $(IMAGES),$D/15_images/images.json))
 
+.PHONY: images
 images: $(IMAGES_JUDGED)  ## compare the images of the log with its poses and no-contact images
 
 $D/15_images/images.json: $(POSES) $(USED) $(PICTURES) $(BESIDE)/nocontact.json $P/images.json $P/gels.json
 	$(HANDS_SLOTS)$(call step,gelforge.stages.images $D)
 
-# 30: finite elements; a solve with unchanged inputs is not repeated.
+# 20: tetrahedra of each gel, which stage 30 bisects for each press. Stages that read meshes of presses read these, too.
+MESH = $D/20_meshes/%.npz
+MESHED := $(MESHED_GELS:%=$(MESH))
+
+.PHONY: meshes
+meshes: $(GELS:%=$(MESH))  ## tetrahedra of each gel, with a .vtu to look at
+
+$(sort $(GELS:%=$(MESH)) $(CHARTED_GELS:%=$(MESH))): $(MESH): $P/meshes.json $P/gels.json
+	$(call step,gelforge.stages.meshes $D $*)
+
+# 30: finite elements. Solves are kept in one store by a key of their inputs, so that none is made twice.
 FEA := $(SHARDS:%=$D/30_fea/%.csv)
 
-fea: $(FEA) $(solved)  ## solve every accepted sample by finite elements
+.PHONY: fea
+fea: $(FEA)  ## solve every accepted sample by finite elements
 
-$(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $(SHARD)/%.json $P/fea.json $P/gels.json | $(IMAGES_JUDGED)
-	$(foretold)
-	$(call solve,gelforge.stages.fea $D $*)
+$(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $(SHARD)/%.json $P/fea.json $(MESHED) $(CALIBRATION) | $(IMAGES_JUDGED)
+	$(call step,gelforge.stages.fea $D $*)
 
-# 40: CALIBRATED is the posterior if [material] c10 = "calibrated": its median scales the forces, no solve is
-# repeated.
+# 40: the material's C10 scales the forces, no solve is repeated.
 FORCES := $(SHARDS:%=$D/40_forces/%.npz)
 
+.PHONY: forces
 forces: $(FORCES)  ## nodal contact forces of the solves, scaled to the material
 
-$(FORCES): $D/40_forces/%.npz: $D/30_fea/%.csv $P/forces.json $(CALIBRATED:%=$D/%) | $(solved)
+$(FORCES): $D/40_forces/%.npz: $D/30_fea/%.csv $P/forces.json $(MESHED) $(CALIBRATION)
 	$(call step,gelforge.stages.forces $D $*)
 
-# 50: one process per resolution labels all shards, because starting one per shard would cost more than the labels.
-LABELS := $(RES:%=$D/50_labels/%/labels.json)
+# 50: force per cell of an image grid, a file per shard and resolution.
+LABELS := $(foreach r,$(RES),$(SHARDS:%=$D/50_labels/$r/%.npz))
 
+.PHONY: labels
 labels: $(LABELS)  ## force per grid cell: make labels RES="12x16 24x32 48x64"
 
-$(LABELS): $D/50_labels/%/labels.json: $(FORCES) $(POSES) $D/00_plan/shards.csv $P/labels.json $P/sensors.json $P/gels.json
-	$(call step,gelforge.stages.labels $D $*)
+define labelled_at
+$(SHARDS:%=$D/50_labels/$1/%.npz): $D/50_labels/$1/%.npz: $D/40_forces/%.npz $D/10_poses/%.csv $(SHARD)/%.json $P/labels.json $(MESHED)
+	$$(call step,gelforge.stages.labels $D $1 $$*)
+endef
+$(foreach r,$(RES),$(eval $(call labelled_at,$r)))
 
 # 60: arrays ready for training, one folder per resolution. Imported labels (data/DATASET/labels) need no earlier
 # stage.
 DATASETS := $(RES:%=$D/60_dataset/%/dataset.json)
-LABEL_SOURCE := $(if $(IMPORTED),$(BESIDE)/%.json $(SHARDS:%=$(SHARD)/%.csv),$D/50_labels/%/labels.json $(POSES) $(IMAGES_JUDGED))
 
+.PHONY: dataset
 dataset: $(DATASETS)  ## images and labels, split without leaks, with normalisation
 
-$(DATASETS): $D/60_dataset/%/dataset.json: $(LABEL_SOURCE) $(PICTURES) $(BESIDE)/nocontact.json $(BESIDE)/rows.json \
-    $P/dataset.json $P/indenters.json $P/sensors.json
-	$(call step,gelforge.stages.dataset $D $*)
+define collected_at
+$D/60_dataset/$1/dataset.json: $(if $(IMPORTED),$(BESIDE)/$1.json $(SHARDS:%=$(SHARD)/%.csv),$(SHARDS:%=$D/50_labels/$1/%.npz) $(POSES) \
+    $(IMAGES_JUDGED)) $(PICTURES) $(BESIDE)/nocontact.json $(BESIDE)/rows.json $P/dataset.json $P/indenters.json $P/sensors.json
+	$$(call step,gelforge.stages.dataset $D $1)
+endef
+$(foreach r,$(RES),$(eval $(call collected_at,$r)))
 
 # 70: a model is a table of workflow/models.toml; RES names the grid.
 SHIPPED := src/gelforge/reading/weights/default
-# Models that fine-tune the shipped network (TUNED) are for one dataset and have the grid of that network: made by
-# name only.
-LEARNABLE := $(filter-out $(TUNED),$(MODELS))
 TRAINED := $(MODELS:%=$D/70_train/$(RES1)/%.onnx)
-# Other datasets to train on as well ([train] also). Each is made by its own run of make.
-LEARNT_WITH := $(foreach name,$(LEARN_ALSO),results/$(name)/60_dataset/$(if $(wildcard data/$(name)/labels/1x1.npz),1x1,$(RES1))/dataset.json)
 
+.PHONY: train
 train: $D/70_train/$(RES1)/$(LEARNT).onnx  ## train one network, write it as ONNX: make train MODEL=pair_16 RES=24x32
 
 $(TRAINED): $D/70_train/$(RES1)/%.onnx: $D/60_dataset/$(RES1)/dataset.json $P/models/%.json $P/train.json $(LEARNT_WITH)
-	$(foretold)
-	$(call train,gelforge.stages.train $D $(RES1) $*)
+	$(call step,gelforge.stages.train $D $(RES1) $*)
 
 $(TUNED:%=$D/70_train/$(RES1)/%.onnx): $(SHIPPED).safetensors
 
+ifeq ($(EXECUTOR),slurm)
+$(FEA) $(TRAINED): LAUNCHED := $(ON_CLUSTER)
+endif
+
 # 80: errors of a network, and its model card; also of the shipped network, on a dataset that it was not trained on.
-EVALUATED := $(MODELS:%=$D/80_evaluate/$(RES1)/%.json)
-READ := $D/80_evaluate/$(RES1)/shipped.json
-CARDS := $(EVALUATED:.json=.card.md) $(READ:.json=.card.md)
+NETWORKS := $(MODELS) shipped
+EVALUATED := $(NETWORKS:%=$D/80_evaluate/$(RES1)/%.json)
 
-evaluate:  ## errors of one network against labels, baselines and force sensors; its card
-evaluate: $D/80_evaluate/$(RES1)/$(MODEL).json $D/80_evaluate/$(RES1)/$(MODEL).card.md
+.PHONY: evaluate
+evaluate: $D/80_evaluate/$(RES1)/$(NET).json $D/80_evaluate/$(RES1)/$(NET).card.md  ## errors of one network against labels, baselines and force sensors; its card
 
-$(EVALUATED): $D/80_evaluate/$(RES1)/%.json: $D/70_train/$(RES1)/%.onnx
-$(READ) $(READ:.json=.card.md): $(SHIPPED).onnx
-$(EVALUATED) $(READ): $D/80_evaluate/$(RES1)/%.json: $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
+$(MODELS:%=$D/80_evaluate/$(RES1)/%.json): $D/80_evaluate/$(RES1)/%.json: $D/70_train/$(RES1)/%.onnx
+$D/80_evaluate/$(RES1)/shipped.json: $(SHIPPED).onnx
+$(EVALUATED): $D/80_evaluate/$(RES1)/%.json: $D/60_dataset/$(RES1)/dataset.json $P/evaluate.json
 	$(call step,gelforge.stages.evaluate $D $(RES1) $*)
 
-$(EVALUATED:.json=.card.md): $D/80_evaluate/$(RES1)/%.card.md: $D/70_train/$(RES1)/%.onnx
-$(CARDS): $D/80_evaluate/$(RES1)/%.card.md: $D/80_evaluate/$(RES1)/%.json $P/card.json
+$(MODELS:%=$D/80_evaluate/$(RES1)/%.card.md): $D/80_evaluate/$(RES1)/%.card.md: $D/70_train/$(RES1)/%.onnx
+$D/80_evaluate/$(RES1)/shipped.card.md: $(SHIPPED).onnx
+$(EVALUATED:.json=.card.md): $D/80_evaluate/$(RES1)/%.card.md: $D/80_evaluate/$(RES1)/%.json $P/card.json
 	$(call step,gelforge.stages.card $D $(RES1) $*)
 
-# 90: a dataset with imported labels has no solves, and its log may have no poses. The page prints the parameters of
-# every stage. The choice of network and branches is a file, so that a changed choice is newer than the report.
-REPORT := $D/90_report/index.html
-SOLVED := $(if $(IMPORTED),,$(POSES) $(FEA) $(FORCES) $D/50_labels/$(RES1)/labels.json $(IMAGES_JUDGED))
+# 90: a page for each grid and network. A dataset with imported labels has no solves; one without images, or with too
+# few of them, has no network: its page ends at labels and calibration. Branches are shown if [report] names them, or
+# if they were made.
+PAGE_NET := $(if $(IMPORTED)$(IMAGES),$(NET),none)
+REPORT := $D/90_report/$(RES1)-$(PAGE_NET).html
+SHOWN := $(sort $(BRANCHES:%=$D/%) $(wildcard $D/calibrate/summary.json $D/pareto/pareto.json))
+# A network of one's own stands beside the shipped one, where that reads the dataset.
+BOTH := $(if $(filter $(SHIPPED_RES),$(RES1)),$(if $(wildcard $(DATA)/nocontact),shipped))
+JUDGED := $(if $(filter none,$(PAGE_NET)),,$D/60_dataset/$(RES1)/dataset.json $(patsubst %,$D/80_evaluate/$(RES1)/%.json,$(sort $(NET) $(BOTH))))
+SOLVED := $(if $(IMPORTED),,$(POSES) $(MESHED) $(FEA) $(FORCES) $(SHARDS:%=$D/50_labels/$(RES1)/%.npz) $(IMAGES_JUDGED))
 
+.PHONY: report
 report: $(REPORT)  ## one HTML page: presses, labels, errors, posterior, chart, failures
 
-$(REPORT): $(wildcard $P/*.json) $(CHOICE)/report.txt $(SHARDS:%=$(SHARD)/%.csv) $(USED) $(PICTURES) $(SOLVED) $(IS_FROZEN) \
-    $D/60_dataset/$(RES1)/dataset.json $D/80_evaluate/$(RES1)/$(MODEL).json $(SHOWN)
-	$(call step,gelforge.stages.report $D $(RES1) $(MODEL))
+$(REPORT): $(wildcard $P/*.json) $(SHARDS:%=$(SHARD)/%.csv) $(USED) $(PICTURES) $(SOLVED) $(CALIBRATION) $(JUDGED) $(SHOWN)
+	$(call step,gelforge.stages.report $D $(RES1) $(PAGE_NET))

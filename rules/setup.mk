@@ -1,20 +1,44 @@
-# Set-up: a virtual environment from exact versions, and CalculiX. Choices on the command line are checked before make
-# uses them.
+# Set-up: a virtual environment from exact versions, and CalculiX; and what a user may set on the command line.
 PY := .venv/bin/python
 
-# flow/refuse.py reads the command line of this make, refuses what cannot be done, and prints words: NAME=WORD for
-# each choice, and `plan` if a dataset is needed. Text that passes it needs no quoting except for blanks.
-ANSWER := $(shell exec env PYTHONPATH=src $(if $(wildcard $(PY)),$(PY) -S -P,python3 -S -P) -m gelforge.flow.refuse)
-$(if $(filter-out 0,$(.SHELLSTATUS)),$(error $(or $(ANSWER),Python 3.11 or newer is needed as python3)))
-answered = $(patsubst $1=%,%,$(filter $1=%,$(ANSWER)))
+# make DATASET=mylab RES="24x32 48x64" labels. Training, evaluation and report take the first resolution. Values come
+# from the command line alone: the environment and a misspelt name would change results without a word.
+CHOICES := DATASET RES MODEL EXECUTOR JOBS SOLVES ID FORMAT SENSOR LIKE FROM TOPICS SPLIT PLAN POINTS IMAGE REFERENCE TESTS \
+    MARKED SLURM_PROFILE
+$(foreach v,$(CHOICES),$(eval $v :=))
+GOALS := $(or $(MAKECMDGOALS),help)
+DATASET := $(if $(filter feats-fetch,$(GOALS)),feats,demo)
+RES := 24x32
+EXECUTOR := local
+JOBS := $(shell env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc)
+SOLVES := results/solves
 
-# What a user may set: make DATASET=mylab RES="24x32 48x64" labels. Training, evaluation and report take the first
-# resolution.
-DATASET := $(call answered,DATASET)
-RES := $(call answered,RES)
+GIVEN := $(foreach v,$(.VARIABLES),$(if $(filter command,$(firstword $(origin $v))),$v))
+UNKNOWN := $(filter-out $(CHOICES) -%,$(GIVEN))
+$(if $(UNKNOWN),$(error $(firstword $(UNKNOWN))=$(value $(firstword $(UNKNOWN))): no such choice; there are $(CHOICES)))
+
+# Those of -n, -q and -t that make was given: it then runs nothing.
+ONLY_SHOWN := $(strip $(foreach f,n q t,$(findstring $f,$(firstword -$(MAKEFLAGS)))))
+
+# Names become folders and words of a shell: `odd` is what is left of a choice's text without the characters allowed.
+comma := ,
+DIGITS := 0 1 2 3 4 5 6 7 8 9
+LETTERS := a b c d e f g h i j k l m n o p q r s t u v w x y z A B C D E F G H I J K L M N O P Q R S T U V W X Y Z _ - . $(DIGITS)
+left = $(if $2,$(call left,$(subst $(firstword $2),,$1),$(wordlist 2,$(words $2),$2)),$1)
+odd = $(strip $(if $(strip $(value $1)),$(call left,$(value $1),$2),empty))
+# A text with one of these would be code for make or for the shell; make expands what it hands to its commands.
+$(foreach v,$(CHOICES),$(foreach c,' " ` \ $$,$(if $(findstring $c,$(value $v)),$(error $v=$(value $v): give text without $c))))
+$(foreach v,DATASET EXECUTOR $(if $(MODEL),MODEL) $(if $(FORMAT),FORMAT),$(if $(call odd,$v,$(LETTERS))$(filter . .. -%,$(value $v)),$(error $v=$(value $v): give one name of \
+    letters, digits, _ - and .)))
+misshapen = $(strip $(foreach r,$(RES),$(if $(filter 0%,$(subst x, ,$r))$(findstring xx,$r)$(filter-out 2,$(words $(subst x, ,$r))),$r)))
+$(if $(or $(call odd,RES,$(DIGITS) x),$(misshapen)),$(error RES=$(value RES): give resolutions as ROWSxCOLUMNS, such as \
+    RES="12x16 24x32"))
 RES1 := $(firstword $(RES))
-EXECUTOR := $(call answered,EXECUTOR)
-JOBS := $(call answered,JOBS)
+$(if $(call odd,JOBS,$(DIGITS)),$(error JOBS=$(value JOBS): give a number of jobs))
+$(if $(filter local slurm,$(EXECUTOR)),,$(error EXECUTOR=$(EXECUTOR): give local or slurm))
+$(if $(filter benchmarks readme solves,$(DATASET)),$(error DATASET=$(DATASET): results/$(DATASET) holds no dataset; name a folder of data/))
+$(if $(and $(filter clean-%,$(GOALS)),$(filter-out clean-%,$(GOALS))),$(error clean together with another goal: say make \
+    $(filter clean-%,$(GOALS)) first, then make $(filter-out clean-%,$(GOALS))))
 
 # The code of this checkout, even if the environment was made in another one.
 export PYTHONPATH := $(CURDIR)/src
@@ -22,9 +46,9 @@ export PYTHONPATH := $(CURDIR)/src
 export PYTHONSAFEPATH := 1
 # Tests are imported from this folder.
 PY_HERE := PYTHONSAFEPATH= $(PY)
-# The file of gels, for all processes of this make; and the run of make that a finished target belongs to.
+# The file of gels, and the store of solves, for all processes of this make.
 export GELFORGE_GELS := $(CURDIR)/workflow/gels.toml
-export GELFORGE_RUN := $(call answered,RUN)
+export GELFORGE_SOLVES = $(value SOLVES)
 # One solver thread per job: make's slots are the parallelism.
 export OMP_NUM_THREADS ?= 1
 export MKL_NUM_THREADS ?= 1
@@ -42,6 +66,7 @@ $(error .venv was made for $(VENV_HOME), not for this folder: it was moved or co
     Run `rm -rf .venv && make setup`)
 endif
 
+.PHONY: setup
 setup: $(SETUP) $(CCX_FOUND)  ## virtual environment and CalculiX, inside the project; only system packages go outside
 
 $(SETUP): $(if $(VENV_IS_LINK),,envs/requirements.lock pyproject.toml envs/venv.sh)

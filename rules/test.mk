@@ -1,6 +1,4 @@
 # Tests, and benchmarks against goals.
-TESTS ?= tests
-MARKED ?=
 # A test process that dies is not restarted, because the others would wait for it forever.
 PYTEST = $(PY_HERE) -m pytest -n $(SLOTS) --dist worksteal --max-worker-restart=0 --durations=20
 
@@ -18,28 +16,34 @@ test test-all benchmark-face benchmark-slurm: $(CHROMIUM_FOUND) $(SLURM_FOUND)
 # LeRobot's package needs other versions than ours. Downloads take minutes, so tests use it only if it is installed.
 LEROBOT_READY := .venv-lerobot/ready
 
+.PHONY: lerobot-env
 lerobot-env: $(LEROBOT_READY)  ## an environment with LeRobot, in which tests open an export by its own factory
 
 $(LEROBOT_READY): envs/lerobot.sh envs/lerobot.lock | $(SETUP)
 	@envs/lerobot.sh $@
 
+.PHONY: test
 test: $(SETUP) $(CCX_FOUND)  ## the tests of every change, in minutes: all but the slow ones
-	@$(PYTEST) -m 'not slow' $(TESTS)
+	@$(PYTEST) -m 'not slow' $(or $(value TESTS),tests)
 
+.PHONY: test-all
 test-all: $(SETUP) $(CCX_FOUND)  ## all tests, in half an hour; MARKED=slow: those that `make test` leaves out
-	@$(PYTEST) $(if $(MARKED),-m '$(MARKED)') $(TESTS)
+	@$(PYTEST) $(if $(value MARKED),-m '$(value MARKED)') $(or $(value TESTS),tests)
 
+.PHONY: lint
 lint: $(SETUP)  ## check style, names, types and imports of the code, and that generated files are up to date
 	@$(PY) -m ruff check
 	@$(PY) -m ruff format --check
 	@$(PY) -m mypy
 	@$(PY_HERE) -m tests.lint.checks
 
+.PHONY: format
 format: $(SETUP)  ## format the code, and write what is generated: tables of figures, parameters.md, digests of stages
 	@$(PY) -m ruff check --fix
 	@$(PY) -m ruff format
 	@$(PY_HERE) -m tests.lint.checks --fix
 
+.PHONY: lock
 lock: $(SETUP)  ## write envs/requirements.lock from the installed packages
 	@$(PY) -m pip freeze --exclude-editable | sed 's/+cpu$$//' > envs/.requirements.part
 	@mv envs/.requirements.part envs/requirements.lock
@@ -49,11 +53,14 @@ BENCHMARKS := $(patsubst tests/benchmarks/%.py,benchmark-%,$(filter-out %/__init
 $(BENCHMARKS): benchmark-%: $(SETUP) $(CCX_FOUND)
 	@$(PY_HERE) -m tests.benchmarks $* --out results/benchmarks/$*.json
 
+.PHONY: benchmark-tables
 benchmark-tables: $(SETUP)  ## write figures of results/benchmarks/ into README, name what changed
 	@$(PY_HERE) -m tests.lint.tables
 
+.PHONY: real-check
 real-check: $(SETUP)  ## run benchmark-real; real images with their predictions: results/real-check/index.html
 	@$(PY_HERE) -m tests.benchmarks.real $(AT_REFERENCE) --page results/real-check/index.html
 
+.PHONY: benchmark-X
 benchmark-X:  ## measure a group of figures; make benchmark-X lists the names that X may take
 	@echo "$(BENCHMARKS)"

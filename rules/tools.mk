@@ -1,75 +1,87 @@
-# Tools for a dataset, for recordings and for the virtual rig. Text from the command line is quoted; refuse.py refuses
-# quotes in it.
+# Tools for a dataset, for recordings and for the virtual rig. Text from the command line is quoted.
+.PHONY: status
 status: | $(SETUP)  ## samples done, failed with reasons and pending, per stage
 	@$(PY) -m gelforge.commands.status $D
 
-sample: | $(SETUP)  ## run one sample through all stages and show its log: make sample ID=…
+.PHONY: sample
+sample: $(MESHED) $(CALIBRATION) | $(SETUP)  ## run one sample through all stages and show its log: make sample ID=…
 	@$(PY) -m gelforge.commands.sample $D --id '$(value ID)' --resolution $(RES1)
 
+.PHONY: provenance
 provenance: | $(SETUP)  ## every file, parameter and cost behind one label: make provenance ID=…
 	@$(PY) -m gelforge.commands.provenance $D --id '$(value ID)' --resolution $(RES1)
 
+.PHONY: deck
 deck: | $(SETUP)  ## CalculiX' deck of one sample, written again from its solve: make deck ID=…
 	@$(PY) -m gelforge.commands.deck $D --id '$(value ID)'
 
+.PHONY: look
 look: | $(SETUP)  ## pictures of one sample, its gel (.vtu) and its indenter (.stl): make look ID=… RES="24x32 48x64"
 	@$(PY) -m gelforge.commands.look --data $(DATA) --results $D --sensors $P/sensors.json --id '$(value ID)' --resolution $(RES)
 
+.PHONY: estimate
 estimate: | $(SETUP)  ## core hours, disk and time of make report (labels and calibrate for a log without images) before it starts
-	@$(PY) -m gelforge.commands.estimate $D --resolution $(RES1) --model $(MODEL) --cores $(SLOTS)
+	@$(PY) -m gelforge.commands.estimate $D --resolution $(RES1) --model $(NET) --cores $(SLOTS)
 
 # Removes the folder, logs and metrics of a stage.
 clean-%:
-	rm -rf $(foreach of,$D $D/logs $D/metrics,$(wildcard $(of)/[0-9][0-9]_$*) $(of)/$*)
+	@$(if $(wildcard $D/[0-9][0-9]_$* $D/$*),rm -rf $(foreach of,$D $D/logs $D/metrics,$(wildcard $(of)/[0-9][0-9]_$*) $(of)/$*),echo \
+	    "$D: has no results of a stage $*")
 
+.PHONY: docs
 docs: $(SETUP)  ## the guide and the Python interface as a site: build/docs/index.html
 	@$(PY) -m mkdocs build --strict --quiet
 	@echo build/docs/index.html
 
+.PHONY: clean-STAGE
 clean-STAGE:  ## remove a stage's artifacts, logs and metrics (clean-fea, clean-labels …)
 	@echo "STAGE is the name of a stage or branch, such as fea"
 
+.PHONY: clean-all
 clean-all:  ## remove all results of this dataset
 	rm -rf $D
 
 # -- import and export
 
+.PHONY: export
 export: $D/60_dataset/$(RES1)/dataset.json  ## export the dataset: FORMAT=mcap, lerobot or hdf5
 	@$(PY) -m gelforge.commands.export --data $(DATA) --dataset $(<D) --sensors $P/sensors.json --format '$(value FORMAT)'
 
+.PHONY: mcap-import
 mcap-import: $(SETUP)  ## import recordings as images with total force: make mcap-import FROM=folder TOPICS=topics.toml
 	@$(PY) -m gelforge.commands.mcap --from '$(value FROM)' --topics '$(value TOPICS)' --data $(DATA)
 
 EXPORTED := $(RES:%=$D/feats/%/normalization_gelforge.npy)
 
+.PHONY: feats-fetch
 feats-fetch: $(SETUP)  ## import FEATS' published dataset to data/feats, all of it or SPLIT="train val", from the hub or a copy FROM=folder
 	@$(PY) -m gelforge.commands.feats fetch --from '$(value FROM)' --split '$(value SPLIT)' --downloads downloads/feats --data $(DATA)
 
-feats-import: SENSOR ?= feats_mini
+.PHONY: feats-import
 feats-import: $(SETUP)  ## import FEATS' .npy files: make feats-import FROM=folder DATASET=name SENSOR=name
-	@$(PY) -m gelforge.commands.feats import --from '$(value FROM)' --data $(DATA) --sensor $(SENSOR)
+	@$(PY) -m gelforge.commands.feats import --from '$(value FROM)' --data $(DATA) --sensor '$(or $(value SENSOR),feats_mini)'
 
+.PHONY: feats-export
 feats-export: $(EXPORTED)  ## write labels in FEATS' layout, with its normalisation file
 
 $(EXPORTED): $D/feats/%/normalization_gelforge.npy: $D/60_dataset/%/dataset.json
 	$(call step,gelforge.commands.feats export $D $*)
 
-LIKE ?= gelsight_mini
-
+.PHONY: projection
 projection: $(SETUP)  ## fit a sensor: make projection SENSOR=name POINTS=points.csv and/or IMAGE=nocontact.png
-	@$(PY) -m gelforge.commands.projection --sensor '$(value SENSOR)' --like '$(value LIKE)' \
+	@$(PY) -m gelforge.commands.projection --sensor '$(value SENSOR)' --like '$(or $(value LIKE),gelsight_mini)' \
 	    $(if $(value POINTS),--points '$(value POINTS)') $(if $(value IMAGE),--image '$(value IMAGE)')
 
 # -- the virtual rig writes data/DATASET by a plan, resumes where it stopped, and appends presses when a plan grows.
 # Images that were removed, for example to give sensors another appearance, are drawn again from kept surfaces.
-PLAN ?= workflow/rig/demo.toml
-
+.PHONY: rig
 rig: $(SETUP)  ## simulate the presses of a plan, write them to data/: make rig PLAN=workflow/rig/train.toml
-	@$(PY) -m gelforge.stages.rig --plan '$(PLAN)' --data data --jobs $(SLOTS)
+	@$(PY) -m gelforge.stages.rig --plan '$(or $(value PLAN),workflow/rig/demo.toml)' --data data --jobs $(SLOTS)
 
-# The folder of real images, if it is not GELFORGE_REFERENCE (tests/support/figures.py).
+# The folder of real images, if it is not GELFORGE_REFERENCE of the environment (tests/support/figures.py).
 AT_REFERENCE = $(if $(value REFERENCE),--reference '$(value REFERENCE)')
 
+.PHONY: rig-check
 rig-check: $(SETUP)  ## run benchmark-rig; images of the rig beside real ones: results/rig-check/index.html
 	@$(PY_HERE) -m tests.benchmarks.rig $(AT_REFERENCE) --page results/rig-check/index.html
 
@@ -77,6 +89,7 @@ rig-check: $(SETUP)  ## run benchmark-rig; images of the rig beside real ones: r
 # drawn.
 README_PICTURES := $(addprefix results/readme/,press.png real.png exact.png)
 
+.PHONY: readme-pictures
 readme-pictures: $(README_PICTURES)  ## draw the pictures of README and guide: a press, real images beside force maps, charts
 
 results/readme/press.png: workflow/indenters.toml workflow/rig/sensors.toml

@@ -3,6 +3,7 @@
 import os
 import signal
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -59,11 +60,53 @@ def pytest_runtest_makereport(item):
         report.outcome, report.longrepr = "failed", f"{reason} (--strict-tools)"
 
 
+# Processor seconds that a test without the mark `slow` may take, on a processor that counts to COUNT in COUNTED of them.
+LONGEST, COUNT, COUNTED = 8.0, 2_000_000, 0.04
+SLOW = {"slow", "slurm"}
+
+
+def processor_seconds() -> float:
+    """User and system time of this process and of the children that it waited for."""
+    return sum(os.times()[:4])
+
+
+def slower() -> float:
+    """How many times as long as COUNTED this processor counts to COUNT, 1 at least."""
+    times = []
+    for _ in range(5):
+        began = time.process_time()
+        sum(range(COUNT))
+        times.append(time.process_time() - began)
+    return max(1.0, min(times) / COUNTED)
+
+
+def compiled_since(moment: float) -> bool:
+    """Whether numba has written compiled code since then, as in a fresh clone: a test is not to blame for that."""
+    return any(path.stat().st_mtime >= moment for path in (ROOT / "src").rglob("*.nbi"))
+
+
+@pytest.hookimpl(wrapper=True)
+def pytest_runtest_call(item):
+    """A test over LONGEST that is not marked as slow fails: `make test` stays short."""
+    began, moment = processor_seconds(), time.time()
+    result = yield
+    spent = processor_seconds() - began
+    marked = SLOW & {mark.name for mark in item.iter_markers()}
+    if spent > LONGEST and not marked and spent > (limit := LONGEST * slower()) and not compiled_since(moment):
+        pytest.fail(
+            f"took {spent:.1f} s of processor time, at most {limit:.1f} s are allowed: test the same law for less, or mark it"
+            " as slow",
+            pytrace=False,
+        )
+    return result
+
+
 @pytest.fixture(autouse=True)
 def in_project(monkeypatch):
-    """Every test starts in the project's folder, wherever the one before it went, and with the project's gels."""
+    """Every test starts in the project's folder, wherever the one before it went, and with the project's gels and no folder of meshes."""
     monkeypatch.chdir(ROOT)
     monkeypatch.setenv("GELFORGE_GELS", str(ROOT / "workflow" / "gels.toml"))
+    monkeypatch.delenv("GELFORGE_MESHES", raising=False)
 
 
 @pytest.fixture(scope="session")
@@ -135,3 +178,19 @@ def ccx() -> str:
     if not found:
         pytest.skip("CalculiX (ccx) is not on PATH; make setup installs it where it may")
     return found
+
+
+# Constants that say how much is read, written or cut at a time: results do not depend on them.
+BLOCKS = (
+    "gelforge.learning.data.CHUNK", "gelforge.labelling.clip.PAIRS_AT_ONCE", "gelforge.formats.export.hdf5.BLOCK",
+    "gelforge.formats.export.lerobot.BLOCK", "gelforge.formats.export.lerobot.FILE_BYTES",
+    "gelforge.formats.export.lerobot.CHUNK_FILES", "gelforge.records.rowfile.LET_GO", "gelforge.stages.images.CHUNK",
+    "gelforge.stages.labels.BLOCK_BYTES",
+)  # fmt: skip
+
+
+@pytest.fixture(params=[1, 3, None], ids=["blocks of one", "blocks of three", "one block"])
+def block(request, monkeypatch) -> None:
+    """What is done in blocks is done one by one, in threes, or all at once, in this process."""
+    for name in BLOCKS if request.param else ():
+        monkeypatch.setattr(name, request.param)

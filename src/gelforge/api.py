@@ -103,12 +103,14 @@ def solve(
     at: tuple[float, float] = (0.0, 0.0),
     shear: tuple[float, float] = (0.0, 0.0),
     rot_deg: float = 0.0,
+    tilt: tuple[float, float] = (0.0, 0.0),
     gel: str = "gelsight_mini",
     c10: float = REFERENCE_C10,
     nu: float = 0.475,
     friction: float | None = None,
     method: str = "draft",
     gels: Path | str | None = None,
+    meshes: Path | str | None = None,
 ) -> SolvedPress:
     """Press an indenter into a gel, down and then sideways, by finite elements in process.
 
@@ -118,6 +120,7 @@ def solve(
         at: x, y of the tip in the gel frame before shear, mm.
         shear: x, y of the sideways motion at that depth, mm.
         rot_deg: rotation of the indenter about z, degrees.
+        tilt: after that, right-handed rotations about the tip, first about gel x, then about gel y, degrees.
         gel: name of a gel; NAME-3.6mm is the same gel with that thickness at its apex.
         c10: stiffness of the neo-Hookean gel, MPa.
         nu: its Poisson's ratio, from 0 to below 0.5.
@@ -125,6 +128,8 @@ def solve(
         method: "draft", "label" or "fine": hexahedra, fast to slow; "ccx": CalculiX, which must be installed; "auto":
             the first of draft, label, ccx that states an error within 4 %, else the one that states the least.
         gels: file with your own gels, such as workflow/gels.toml; `gel` may then name one of them.
+        meshes: folder in which the mesh of each gel is kept for "ccx" and "auto", so that it is made once and results
+            repeat; None: it is made once in each process, by pytetwild, whose meshes differ from run to run.
 
     Returns:
         The state at the end of the path: a mesh, and forces in N and displacements in mm of its nodes.
@@ -145,20 +150,21 @@ def solve(
         raise BadInput(
             f"gelforge.solve: friction = {friction!r}: give a coefficient of 0 or more, or None for points that stick"
         )
-    pairs = np.shape(at) == np.shape(shear) == (2,)
-    if not (pairs and _finite(depth, *at, *shear, rot_deg) and depth >= 0.0):
+    pairs = np.shape(at) == np.shape(shear) == np.shape(tilt) == (2,)
+    if not (pairs and _finite(depth, *at, *shear, rot_deg, *tilt) and depth >= 0.0):
         raise BadInput(
-            f"gelforge.solve: depth = {depth!r}, at = {at!r}, shear = {shear!r}, rot_deg = {rot_deg!r}: give finite numbers: "
-            "two each for at and shear, along gel x and y, and a depth of 0 mm or more, positive into the gel"
+            f"gelforge.solve: depth = {depth!r}, at = {at!r}, shear = {shear!r}, rot_deg = {rot_deg!r}, tilt = {tilt!r}: give finite"
+            " numbers: two each for at, shear and tilt, along gel x and y, and a depth of 0 mm or more, positive into the gel"
         )
     from gelforge.flow.params import load_params
+    from gelforge.mechanics.mesh.basemesh import meshes_in
     from gelforge.mechanics.mesh.names import load_mesh
     from gelforge.mechanics.solve import Solvers
 
     body = _body(indenter)
     interface = Interface() if friction is None else Interface.of_friction(float(friction))
-    press = Press(at[0], at[1], 0.0, shear[0], shear[1], -depth, rot_deg)
-    with gels_from(gels), TemporaryDirectory() as workdir:
+    press = Press(at[0], at[1], 0.0, shear[0], shear[1], -depth, rot_deg, *map(float, tilt))
+    with gels_from(gels), meshes_in(meshes), TemporaryDirectory() as workdir:
         solvers = Solvers(workdir, load_params(PARAMETERS).fea)
         result = solvers.solve(Scene(load_gel(gel), Material(nu), body, press, interface), method)
         if not (result.status.valid and result.evidence.get("mesh")):

@@ -1,8 +1,9 @@
 """Whether the tests notice single faults that are planted in the code: `make benchmark-faults`.
 
 faults.toml lists them: a file, a text that occurs in it once, its replacement, and the tests that must then fail.
-Each is planted alone in a copy of the project. Method: mutation testing (DeMillo, Lipton, Sayward, "Hints on test
-data selection", Computer 1978), with faults chosen by hand.
+Faults of different packages whose tests lie in different files are planted at once in a copy of the project; a fault
+is caught where one of its own tests fails, and passes without the faults. Method: mutation testing (DeMillo, Lipton,
+Sayward, "Hints on test data selection", Computer 1978), with faults chosen by hand.
 """
 
 import os
@@ -12,7 +13,8 @@ import sys
 import tempfile
 import tomllib
 from argparse import Namespace
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -45,9 +47,22 @@ class Fault:
         parts = Path(self.file).parts
         return parts[2] if len(parts) > 3 else parts[0]
 
+    @property
+    def test_files(self) -> set[str]:
+        """Files of its tests."""
+        return {test.partition("::")[0] for test in self.tests}
+
+    def compiled(self, root: Path = ROOT) -> bool:
+        """Whether its file is compiled by numba."""
+        return b"njit" in (root / self.file).read_bytes()
+
+    def names(self, test: str) -> bool:
+        """Whether a test, as pytest names it, is one of its own."""
+        return any(test == own or test.startswith((f"{own}::", f"{own}[")) for own in self.tests)
+
     def key(self, root: Path = ROOT) -> str:
         """Digest of what the outcome depends on most: the fault, the file it is planted in, and its tests' files."""
-        files = sorted({self.file, *(test.partition("::")[0] for test in self.tests)})
+        files = sorted({self.file, *self.test_files})
         texts = [(root / file).read_text(encoding="utf-8") for file in files]
         return digest_of_value([self.name, self.old, self.new, self.tests, texts])
 
@@ -88,13 +103,30 @@ def copied(folder: Path) -> Path:
     return folder
 
 
-def tested(project: Path, tests: tuple[str, ...], compiled: Path) -> subprocess.CompletedProcess:
-    """Run tests until the first failure. compiled: folder for numba's compiled code."""
+def grouped(faults: list[Fault], root: Path = ROOT) -> list[list[Fault]]:
+    """Faults by what is planted at once: one of each package, whose tests share no file.
+
+    Compiled files are planted apart from others, because then all is compiled anew.
+    """
+    groups: list[list[Fault]] = []
+    for fault in faults:
+        for group in groups:
+            same = any(fault.room == one.room or fault.test_files & one.test_files for one in group)
+            if not same and fault.compiled(root) == group[0].compiled(root):
+                group.append(fault)
+                break
+        else:
+            groups.append([fault])
+    return groups
+
+
+def tested(project: Path, tests: Collection[str], compiled: Path) -> subprocess.CompletedProcess:
+    """Run tests. compiled: folder for numba's compiled code."""
     environment = {
         **clean_environment(), "PYTHONPATH": str(project / "src"), "NUMBA_CACHE_DIR": str(compiled),
         "GELFORGE_REFERENCE": str(PUBLISHED_DATA.resolve()),
     }  # fmt: skip
-    words = ["-x", "-q", "-m", "", "-p", "no:cacheprovider", "--tb=line", f"--timeout={SECONDS}"]
+    words = ["-q", "-m", "", "-p", "no:cacheprovider", "--tb=line", f"--timeout={SECONDS}"]
     return subprocess.run(
         [sys.executable, "-m", "pytest", *words, *tests],
         cwd=project,
@@ -105,34 +137,59 @@ def tested(project: Path, tests: tuple[str, ...], compiled: Path) -> subprocess.
     )
 
 
-def outcome(fault: Fault, project: Path, moment: int) -> str:
-    """Plant a fault in a copy, run its tests, remove it: whether it is noticed, or why it could not be judged.
+def failures(done: subprocess.CompletedProcess) -> dict[str, str]:
+    """Names of the tests that failed, each with pytest's words."""
+    lines = [line.partition(" ")[2] for line in done.stdout.splitlines() if line.startswith(("FAILED ", "ERROR "))]
+    return {name: words for name, _, words in (line.partition(" - ") for line in lines)}
 
-    moment: a unique time stamp for the file, by which Python sees that its compiled code is outdated. Numba does not
-    see that compiled code calls a changed function, so all is compiled anew.
+
+@contextmanager
+def planted(group: list[Fault], project: Path, moment: int) -> Iterator[None]:
+    """Plant faults in a copy, and remove them at the end.
+
+    moment: a unique time stamp for the files, by which Python sees that its compiled code is outdated.
     """
-    path = project / fault.file
-    whole, times = path.read_bytes(), path.stat()
-    path.write_text(whole.decode().replace(fault.old, fault.new), encoding="utf-8")
-    os.utime(path, (moment, moment))
-    compiled = project.parent / ("anew" if b"njit" in whole else "compiled")
-    shutil.rmtree(project.parent / "anew", ignore_errors=True)
+    whole = {fault.file: ((project / fault.file).read_bytes(), (project / fault.file).stat()) for fault in group}
     try:
-        done = tested(project, fault.tests, compiled)
+        for fault in group:
+            path = project / fault.file
+            path.write_text(whole[fault.file][0].decode().replace(fault.old, fault.new), encoding="utf-8")
+            os.utime(path, (moment, moment))
+        yield
     finally:
-        path.write_bytes(whole)
-        os.utime(path, ns=(times.st_atime_ns, times.st_mtime_ns))
-    if done.returncode == PASSED:
-        return SURVIVES
-    failed = [line for line in done.stdout.splitlines() if line.startswith(("FAILED ", "ERROR "))]
-    if done.returncode != FAILED or not failed:
-        return f"{UNJUDGED}: {done.stdout[-1000:]}"
-    name = failed[0].partition(" ")[2].partition(" - ")[0]
-    # a test that also fails without the fault has noticed nothing
-    sound = tested(project, (name,), project.parent / "compiled").returncode == PASSED
-    if not sound:
-        return f"{UNJUDGED}: {name} fails without the fault, too"
-    return TIMED_OUT if "from pytest-timeout" in done.stdout else CAUGHT
+        for name, (content, times) in whole.items():
+            (project / name).write_bytes(content)
+            os.utime(project / name, ns=(times.st_atime_ns, times.st_mtime_ns))
+
+
+def outcomes(group: list[Fault], project: Path, moment: int) -> Iterator[tuple[Fault, str]]:
+    """Whether each fault of a group is noticed, or why it could not be judged. moment: as for `planted`."""
+    # numba does not see that compiled code calls a changed function
+    anew = group[0].compiled(project)
+    compiled = project.parent / ("anew" if anew else "compiled")
+    shutil.rmtree(project.parent / "anew", ignore_errors=True)
+    with planted(group, project, moment):
+        done = tested(project, sorted({test for fault in group for test in fault.tests}), compiled)
+    failed = failures(done)
+    if done.returncode not in (PASSED, FAILED):  # as where a file cannot be imported: which fault is to blame?
+        for at, fault in enumerate(group):
+            if len(group) == 1:
+                yield fault, f"{UNJUDGED}: {done.stdout[-1000:]}"
+            else:
+                yield from outcomes([fault], project, moment + at + 1)
+        return
+    # a test that also fails without the faults has noticed nothing
+    unsound = failures(tested(project, sorted(failed), project.parent / "compiled")) if failed else {}
+    for fault in group:
+        mine = {name: words for name, words in failed.items() if fault.names(name)}
+        noticed = {name: words for name, words in mine.items() if name not in unsound}
+        if noticed:
+            late = all("from pytest-timeout" in words for words in noticed.values())
+            yield fault, TIMED_OUT if late else CAUGHT
+        elif mine:
+            yield fault, f"{UNJUDGED}: {', '.join(mine)} fail without the fault, too"
+        else:
+            yield fault, SURVIVES
 
 
 @command(
@@ -143,27 +200,28 @@ def outcome(fault: Fault, project: Path, moment: int) -> str:
            help="outcomes of earlier runs, which count while a fault, its file and its tests are the same"),
 )  # fmt: skip
 def main(args: Namespace) -> int:
-    """Plant every fault alone, and print those that survive."""
+    """Plant every fault, and print those that survive."""
     every = listed(args.list)
     if wrong := list(misfits(every)):
         print(*(f"{args.list.name}: {said}" for said in wrong), sep="\n")
         return 1
     faults = [fault for fault in every if args.only in fault.name or args.only in fault.file]
     kept = {key: said for key, said in (record_of(args.kept) or {}).items() if not said.startswith(UNJUDGED)}
+    for fault in faults:
+        if fault.key() in kept:
+            print(f"{kept[fault.key()]:10}  {fault.file}: {fault.name}", flush=True)
     with tempfile.TemporaryDirectory(prefix="gelforge-faults-") as folder:
         project = copied(Path(folder) / "project")
-        for at, fault in enumerate(faults):
-            key = fault.key()
-            if key not in kept:
-                said = outcome(fault, project, 1_000_000_000 + at)
-                kept = (record_of(args.kept) or {}) | {key: said}
-                write_json(args.kept, kept)
-            print(f"{kept[key].partition(': ')[0]:10}  {fault.file}: {fault.name}", flush=True)
-    outcomes = {fault.name: kept[fault.key()] for fault in faults}
-    print(*(f"{name}: {said}" for name, said in outcomes.items() if said.startswith(UNJUDGED)), sep="\n")
-    noticed = sum(said in (CAUGHT, TIMED_OUT) for said in outcomes.values())
-    waits = [name for name, said in outcomes.items() if said == TIMED_OUT]
-    survivors = [name for name, said in outcomes.items() if said not in (CAUGHT, TIMED_OUT)]
+        for at, group in enumerate(grouped([fault for fault in faults if fault.key() not in kept])):
+            for fault, said in outcomes(group, project, 1_000_000_000 + 100 * at):
+                kept = (record_of(args.kept) or {}) | kept | {fault.key(): said}
+                print(f"{said.partition(': ')[0]:10}  {fault.file}: {fault.name}", flush=True)
+            write_json(args.kept, kept)
+    found = {fault.name: kept[fault.key()] for fault in faults}
+    print(*(f"{name}: {said}" for name, said in found.items() if said.startswith(UNJUDGED)), sep="\n")
+    noticed = sum(said in (CAUGHT, TIMED_OUT) for said in found.values())
+    waits = [name for name, said in found.items() if said == TIMED_OUT]
+    survivors = [name for name, said in found.items() if said not in (CAUGHT, TIMED_OUT)]
     note = f"{noticed} of {len(faults)}, {len(waits)} of them because a test waits for ever; survivors: {survivors or 'none'}"
     fraction = 100.0 * noticed / max(len(faults), 1)
     publish_figures(

@@ -18,7 +18,7 @@ from tqdm import tqdm
 from gelforge.errors import BadInput
 from gelforge.flow import params as config
 from gelforge.flow.cli import command, option
-from gelforge.flow.files import canonical, digest_of_value, read_json, write_json
+from gelforge.flow.files import canonical, read_json, write_json
 from gelforge.flow.params import StageParameters
 from gelforge.geometry.gel import USUAL_GEL, Gel, load_gel
 from gelforge.geometry.indenters import load_catalogue
@@ -44,7 +44,6 @@ from gelforge.sweeps.trial import (
     solve_isolated,
 )
 from tests.benchmarks.parts import fea_cost as cost
-from tests.benchmarks.parts.native import prepared
 from tests.support.figures import PUBLISHED_DATA, Figure, publish_figures
 
 # By depth of FEATS' deck: scene, and required speed-up of `ccx` and `label` over the deck.
@@ -52,8 +51,7 @@ SPEED = {1.0: ("sphere_1mm", 15.0, 100.0), 2.0: ("sphere_2mm", 30.0, 100.0)}
 # Largest median and worst errors over the scenes in %, of total force and of cells.
 GOALS = {"ccx": ((None, None), (3.8, 7.0)), "label": ((0.3, 1.5), (4.5, 8.0)), "draft": ((None, None), (None, None))}
 METHODS = (*map(method_of, GOALS), LARGE_REFERENCE)
-# CalculiX' own contact: its name here, size of tetrahedra, and limit of processor time.
-NATIVE, NATIVE_MM, NATIVE_S = "FEATS' contact", 1.4, 600.0
+NATIVE = "FEATS' contact"  # name of `ccx-contact` in the figures
 ENVELOPE = 200
 # Round, flat, sharp and sheared scenes.
 FRAMED = ("sphere_1mm", "cuboid_round", "cuboid_shear", "pyramid", "punch", "cylinder")
@@ -188,25 +186,14 @@ def stated_figures(found: dict) -> list[Figure]:
 
 
 def solve_native(bench: ChartBench, scenes: dict[str, NamedScene]) -> list[Figure]:
-    """Errors of CalculiX' own contact on meshes of FEATS' size."""
+    """Errors of CalculiX' own contact with FEATS' penalty on meshes of FEATS' size, as [fea] has them."""
     records = []
     for scene in tqdm(scenes.values(), "native", len(scenes)):
-        record = native_record(bench, scene)
+        record = measure(bench, scene, method_of("ccx-contact"))
         records.append(
             record | {"errors": errors(record, measure(bench, scene, LARGE_REFERENCE)), "scene": scene.name}
         )
     return error_figures(NATIVE, records)
-
-
-def native_record(bench: ChartBench, scene: NamedScene) -> dict:
-    """The record of a scene solved by CalculiX' own contact, stored or new."""
-    path, key = bench.records / scene.name / "native.json", digest_of_value([scene.table, NATIVE_MM, 1])
-    record = kept(path, key, NATIVE_S)
-    if record is None:
-        make = partial(prepared, scene.scene, NATIVE_MM, NATIVE_S)
-        record = {"key": key} | solve_isolated(make, bench.sensor, NATIVE_S, path.parent)
-        write_json(path, record)
-    return record
 
 
 def _faster(what: str, deck: dict, record: dict, goal: float) -> Figure:

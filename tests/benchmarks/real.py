@@ -21,10 +21,10 @@ from gelforge.errors import BadInput
 from gelforge.flow.cli import command, option
 from gelforge.formats.featsfile import read_npy
 from gelforge.reading.forcereading import ForceReading
-from gelforge.reading.interval import half_widths, real_width
-from gelforge.reading.model import ForceModel, fingerprint
-from gelforge.reading.predictor import Predictor, load_for_use
+from gelforge.reading.interval import half_widths, magnitudes, real_sideways, real_width
+from gelforge.reading.model import Model, fingerprint, load_model
 from gelforge.reading.profile import fit_gain
+from gelforge.reading.reader import Reader
 from gelforge.records.image import read_image
 from tests.benchmarks.parts.ball_presses import BACKGROUND, read_presses
 from tests.benchmarks.parts.balls import FOLDER as BALLS
@@ -95,7 +95,8 @@ def newton_figures(own: list[np.ndarray], of_feats: np.ndarray, normal: list[np.
     median, other = (float(np.exp(np.median(logarithms))) / newtons for newtons in NEWTONS)
     note = f"{len(logarithms)} presses; with {NEWTONS[1]:.2f} N a cell {other:.2f}"
     nine = float(np.quantile(np.abs(np.exp(np.median(logarithms) - logarithms) - 1.0), 0.9))
-    area = np.array([(one > FOOT * one.max()).sum() for one in normal])
+    # cells under the label box belong to no map: they would count as pressed
+    area = np.array([((one > FOOT * one[SEEN].max()) & SEEN).sum() for one in normal])
     trend = float(np.corrcoef(logarithms, np.log(area))[0, 1])
     return [
         Figure("totals over FEATS' maps, deviation of the logarithm", float(logarithms.std()), "<=", 0.29, "", f"{len(logarithms)} presses"),
@@ -152,6 +153,17 @@ def interval_figures(
     return figures, {"unprofiled": round(max(unprofiled.values()), 3), "profiled": round(max(profiled.values()), 3)}
 
 
+def sideways_width(model: Model, read: Sequence[ForceReading]) -> float:
+    """The fraction of a force's magnitude by which intervals of sideways force must widen on real sensors.
+
+    read: of presses straight down on real sensors, whose sideways force is zero.
+    """
+    own = {**model.metadata, "intervals": {**model.metadata["intervals"], "real": {}}}
+    half = np.array([widths[:2] for one in read if (widths := half_widths(own, one.total)) is not None])
+    aside, whole = np.array([one.total[:2] for one in read]), magnitudes(np.array([one.total for one in read]))
+    return real_sideways(aside, whole, half) if len(half) == len(read) else 0.0
+
+
 def aside_figures(kind: str, read: Sequence[ForceReading], known: np.ndarray | None = None) -> list[Figure]:
     """Predicted tangential forces: the largest error, and the coverage of their intervals.
 
@@ -172,7 +184,7 @@ def aside_figures(kind: str, read: Sequence[ForceReading], known: np.ndarray | N
 
 
 def evidence_of(
-    model: ForceModel, read: Sequence[ForceReading], forces: np.ndarray, seen: np.ndarray | slice = np.s_[:]
+    model: Model, read: Sequence[ForceReading], forces: np.ndarray, seen: np.ndarray | slice = np.s_[:]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Predicted normal force, known one, and half the width of the network's own interval, (n,) N each.
 
@@ -185,12 +197,12 @@ def evidence_of(
 
 
 def feats_figures(
-    reference: Path, model: ForceModel, nocontact: np.ndarray
+    reference: Path, model: Model, nocontact: np.ndarray
 ) -> tuple[list[Figure], tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Figures of FEATS' presses, and their `evidence_of` intervals."""
-    folder, predictor = reference / "feats/images", Predictor(model, nocontact)
+    folder, predictor = reference / "feats/images", Reader(nocontact, model=model)
     presses = feats_maps(folder / "demo.gif", nocontact)
-    read = [predictor.predict(image) for image, _ in presses]
+    read = [predictor(image) for image, _ in presses]
     own = [-one.cells[2] for one in read]
     with np.load(folder / "demo_maps.npz") as stored:
         sums, *aside = (stored[axis][:, SEEN].sum(axis=1, dtype=float) for axis in "zyx")  # FEATS' x is gel y
@@ -206,20 +218,20 @@ def feats_figures(
 
 
 def real_ball_figures(
-    folder: Path, model: ForceModel
-) -> tuple[list[Figure], tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Figures of the presses of a ball, and their `evidence_of` intervals."""
+    folder: Path, model: Model
+) -> tuple[list[Figure], tuple[np.ndarray, np.ndarray, np.ndarray], list[ForceReading]]:
+    """Figures of the presses of a ball, which are straight down, their `evidence_of` intervals, and what is read."""
     background = read_image(folder / BACKGROUND)
     presses = read_presses(folder, PX_PER_MM)
-    predictor = Predictor(model, background)
-    read = [predictor.predict(press.image) for press in presses]
+    predictor = Reader(background, model=model)
+    read = [predictor(press.image) for press in presses]
     series = Series("real balls", model, background, [press.image for press in presses[::EACH]], read[::EACH])
     figures = [
-        *ball_figures(presses, read, np.array([found_radius(predictor.prepare(press.image)) for press in presses])),
+        *ball_figures(presses, read, np.array([found_radius(predictor.compare(press.image)) for press in presses])),
         *aside_figures("real balls", read),
         *spoilt_figures(series),
     ]
-    return figures, evidence_of(model, read, np.array([press.force for press in presses]))
+    return figures, evidence_of(model, read, np.array([press.force for press in presses])), read
 
 
 def ranks_alike(maps: list[tuple[np.ndarray, np.ndarray]]) -> float:
@@ -253,10 +265,15 @@ def tube_figures(own: list[np.ndarray]) -> list[Figure]:
     return [Figure("tube of 10 and 7 mm: diameter of the ring read, error", off, "<=", 3.0, "%", note)]
 
 
-def cuboid_figures(reference: Path, model: ForceModel, nocontact: np.ndarray) -> list[Figure]:
-    """A 10 mm cuboid pressed straight: tangential over normal force, and the fraction predicted inside its square."""
+def read_cuboid(reference: Path, model: Model, nocontact: np.ndarray) -> ForceReading:
+    """What is read of a 10 mm cuboid that is pressed straight down."""
     image = read_image(reference / "feats/images/cuboid_10-2-284.png")[..., :3]
-    cells = Predictor(model, nocontact).predict(image).cells
+    return Reader(nocontact, model=model)(image)
+
+
+def cuboid_figures(cuboid: ForceReading) -> list[Figure]:
+    """A 10 mm cuboid pressed straight: tangential over normal force, and the fraction predicted inside its square."""
+    cells = cuboid.cells
     normal, sideways = -cells[2].sum(), float(np.hypot(*cells[:2].sum((1, 2))))
     within = 100 * float(cells[2][SQUARE].sum() / cells[2].sum())
     return [
@@ -284,7 +301,7 @@ def need_pictures(reference: Path) -> None:
 )
 def main(args: Namespace) -> None:
     need_pictures(args.reference)
-    model = load_for_use(args.model)
+    model = load_model(args.model)
     films = sorted((args.reference / "gripper_videos").glob("*.avi"))
     nocontact = read_npy(args.reference / "feats/images/nocontact_train_sensor.npy")["gs_img"]
     figures = []
@@ -296,16 +313,21 @@ def main(args: Namespace) -> None:
         found, evidence["FEATS' presses"] = feats_figures(args.reference, model, nocontact)
         figures += found
     if "balls" in args.parts:
-        found, evidence["real balls"] = real_ball_figures(args.reference / BALLS, model)
+        found, evidence["real balls"], straight = real_ball_figures(args.reference / BALLS, model)
         figures += found
     if "drawn" in args.parts:
         figures += motion_figures(model)
     if "cuboid" in args.parts:
-        figures += cuboid_figures(args.reference, model, nocontact)
+        cuboid = read_cuboid(args.reference, model, nocontact)
+        figures += cuboid_figures(cuboid)
     told = {}
-    if {"maps", "balls"} <= set(args.parts):
+    if {"maps", "balls", "cuboid"} <= set(args.parts):
         intervals, real = interval_figures(evidence)
-        figures, told = [*figures, *intervals], {"real": real}
+        straight = [*straight, cuboid]  # both are pressed straight down
+        figures, told = (
+            [*figures, *intervals],
+            {"real": real | {"sideways": round(sideways_width(model, straight), 3)}},
+        )
     publish_figures(args.out, figures, fingerprint(model.metadata), **told)
     if args.page and len(args.parts) == len(PARTS):
         from tests.benchmarks.parts.real_page import write_page

@@ -14,7 +14,7 @@ import numpy as np
 
 from gelforge.flow.cli import command, option
 from gelforge.learning.data import Data, open_data
-from gelforge.learning.train import predict_rows
+from gelforge.learning.predictions import predict_rows
 from gelforge.stages.train import train
 from tests.support.figures import Figure, publish_figures
 from tests.support.parameters import with_values
@@ -48,7 +48,7 @@ def main(args: Namespace) -> None:
         errors, likeness = {}, {}
         for name, also in {"nothing": [], "totals": [of_totals(other)], "maps": [other]}.items():
             made = train(own, "small", MODEL, settings, also=also)
-            forces = predict_rows(made.net, other, rows, made.metadata["normalisation"])
+            forces = predict_rows(made.model, other, rows).forces
             errors[name] = float(np.abs((forces.sum((2, 3), dtype=float) - other.totals(rows))[:, 2]).mean())
             pairs = zip(forces[:, 2], other.labels[rows][:, 2], strict=True)
             likeness[name] = float(np.median([np.corrcoef(a.ravel(), b.ravel())[0, 1] for a, b in pairs]))

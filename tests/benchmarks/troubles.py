@@ -14,6 +14,7 @@ from pathlib import Path
 
 import numpy as np
 
+from gelforge.evidence.logimages import LogPairs
 from gelforge.flow.cli import command, option
 from gelforge.flow.files import read_csv, read_toml, write_csv, write_text
 from gelforge.geometry.gel import USUAL_GEL, load_gel
@@ -23,8 +24,7 @@ from gelforge.mechanics.ccx.program import need_ccx
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solvers.hex import HexSolver
-from gelforge.reading.faults import log_image_fault, nocontact_fault
-from gelforge.reading.pair import NoContact
+from gelforge.reading.faults import Asked, nocontact_fault, pair_fault
 from gelforge.records.film import numbered
 from gelforge.records.image import read_image, write_png
 from gelforge.records.nocontactimage import SETTLING, find_nocontact
@@ -304,10 +304,12 @@ def alarms_of_films(reference: Path) -> tuple[int, list[str]]:
     for path in films:
         images = frames_of(path)
         nocontact, _ = find_nocontact(numbered(images), str(path))
-        rest = NoContact(nocontact, nocontact.shape[:2], None)
+        compare = LogPairs(nocontact)
         chosen = np.linspace(SETTLING, len(images) - 1, FRAMES).astype(int)
-        faults = [log_image_fault(rest.lit(images[at])) for at in chosen]
-        said += [f"{path.name}: {fault}" for fault in {nocontact_fault(rest, {}), *faults} if fault]
+        faults = [pair_fault(compare(images[at]), Asked.LOG) for at in chosen]
+        said += [
+            f"{path.name}: {fault}" for fault in {nocontact_fault(compare.nocontact, Asked.LOG), *faults} if fault
+        ]
     return len(films), said
 
 

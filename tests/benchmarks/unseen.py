@@ -24,9 +24,9 @@ from gelforge.mechanics.material import REFERENCE_C10, Material
 from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.reading.interval import half_widths
-from gelforge.reading.model import ForceModel, fingerprint
-from gelforge.reading.predictor import Predictor, load_for_use
+from gelforge.reading.model import Model, fingerprint, load_model
 from gelforge.reading.profile import fit_gain
+from gelforge.reading.reader import Reader
 from gelforge.records.axes import CHANNELS
 from gelforge.stages.rig import units_of
 from gelforge.sweeps.trial import cells_of
@@ -110,9 +110,9 @@ def see(bench: Bench, order: Order, cameras: dict[str, Renderer], sensors: dict[
     return found
 
 
-def totals(predictor: Predictor, image: np.ndarray) -> np.ndarray:
+def totals(predictor: Reader, image: np.ndarray) -> np.ndarray:
     """Predicted total force (3,) N of an image."""
-    return predictor.predict(image).total
+    return predictor(image).total
 
 
 def error_figures(units: Units, read: np.ndarray) -> list[Figure]:
@@ -129,7 +129,7 @@ def error_figures(units: Units, read: np.ndarray) -> list[Figure]:
     ]  # fmt: skip
 
 
-def interval_figure(units: Units, model: ForceModel, read: np.ndarray) -> list[Figure]:
+def interval_figure(units: Units, model: Model, read: np.ndarray) -> list[Figure]:
     """Coverage of the intervals of total force, on units that did not set these intervals."""
     known = model.metadata.get("intervals", {})
     if "total" not in known:
@@ -168,7 +168,7 @@ SUFFERED: dict[str, Callable[[np.ndarray], np.ndarray]] = {
 }
 
 
-def sensitivity_figures(units: Units, readers: dict[str, Predictor], read: np.ndarray) -> list[Figure]:
+def sensitivity_figures(units: Units, readers: dict[str, Reader], read: np.ndarray) -> list[Figure]:
     """Effect of changes of light and place: predicted force on no-contact images, change of force on pressed ones."""
     figures = []
     for what, suffer in SUFFERED.items():
@@ -192,14 +192,14 @@ def change_figure(name: str, units: Units, read: np.ndarray, after: np.ndarray) 
 # -- an hour of drifting light
 
 
-def drift_figure(units: Units, readers: dict[str, Predictor]) -> Figure:
+def drift_figure(units: Units, readers: dict[str, Reader]) -> Figure:
     """Force on no-contact frames, as 90 % quantile over an hour in which each colour's light drifts."""
     worst = {}
     for k, (name, camera) in enumerate(units.cameras.items()):
         rng, found = np.random.default_rng([9, k]), []
         still = Renderer(replace(camera.appearance, drift=None), camera.projection, camera.gel)
         rest = still.image(rng=rng)
-        one = Predictor(readers[name].model, rest)
+        one = Reader(rest, model=readers[name].model)
         phase, period = rng.uniform(0, 2 * np.pi, (2, 3)), rng.uniform(60, 400, (2, 3))
         for frame in range(0, HOUR, 12):
             wave = np.sin(2 * np.pi * frame / period + phase) - np.sin(phase)
@@ -265,15 +265,13 @@ def gain_figures(left: list[dict]) -> list[Figure]:
 # -- the flag
 
 
-def faulty_pairs(
-    units: Units, readers: dict[str, Predictor]
-) -> Iterator[tuple[str, Predictor, np.ndarray, np.ndarray]]:
+def faulty_pairs(units: Units, readers: dict[str, Reader]) -> Iterator[tuple[str, Reader, np.ndarray, np.ndarray]]:
     """Name of a fault, predictor with its no-contact image, image, true total (3,) N, for each press and fault."""
     names = list(readers)
     for k, seen in enumerate(tqdm(units.seen, "presses with faults")):
         rest = readers[seen.unit]
         other = readers[names[(names.index(seen.unit) + 1 + k % (len(names) - 1)) % len(names)]]
-        touched = Predictor(rest.model, units.seen[(k + len(names) * 5) % len(units.seen)].image)
+        touched = Reader(units.seen[(k + len(names) * 5) % len(units.seen)].image, model=rest.model)
         yield "none", rest, seen.image, seen.total
         yield "another unit's no-contact image", other, seen.image, seen.total
         yield "contact in the no-contact image", touched, seen.image, seen.total
@@ -287,11 +285,11 @@ def faulty_pairs(
         yield "mirrored", rest, np.ascontiguousarray(seen.image[:, ::-1]), seen.total
 
 
-def flag_figures(units: Units, readers: dict[str, Predictor]) -> list[Figure]:
+def flag_figures(units: Units, readers: dict[str, Reader]) -> list[Figure]:
     """Fraction of wrongly predicted pairs that are flagged, by fault, and fraction of good pairs that are flagged."""
     found: dict[str, list[tuple[float, bool]]] = {}
     for fault, reader, image, true in faulty_pairs(units, readers):
-        read = reader.predict(np.ascontiguousarray(image))
+        read = reader(np.ascontiguousarray(image))
         off = np.abs(read.total - true) / [RANGE[name] for name in CHANNELS]
         found.setdefault(fault, []).append((float(off.max()), read.flag))
     bad = [flag for pairs in found.values() for off, flag in pairs if off > WRONG]
@@ -314,8 +312,8 @@ def flag_figures(units: Units, readers: dict[str, Predictor]) -> list[Figure]:
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:
-    model, units = load_for_use(args.model), press_units(args.plan, args.presses, args.units)
-    readers = {name: Predictor(model, picture) for name, picture in units.nocontact.items()}
+    model, units = load_model(args.model), press_units(args.plan, args.presses, args.units)
+    readers = {name: Reader(picture, model=model) for name, picture in units.nocontact.items()}
     read = np.array([totals(readers[seen.unit], seen.image) for seen in units.seen])
     left = readings_left(units, read)
     figures = error_figures(units, read) + interval_figure(units, model, read)

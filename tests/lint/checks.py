@@ -57,7 +57,7 @@ ROOMS: dict[str, dict[str, set[str]]] = {
     },
 }
 FOR_ALL = {"mechanics"}  # folders whose modules above the rooms may be used in them
-TORCH = {"nets.py", "augment.py", "train.py", "recipe.py", "export.py"}  # of learning
+TORCH = {"nets.py", "augment.py", "batches.py", "start.py", "train.py", "export.py"}  # of learning
 # What one module alone may do or say; besides, a picture in grey, and a surface coloured by how far it moved.
 HOMES = {
     "draws with matplotlib": {"reporting/canvas.py"},

@@ -51,22 +51,22 @@ def hardest_frame(film: Path, model):
     """
     import cv2
 
-    from gelforge.reading.predictor import Predictor
+    from gelforge.reading.reader import Reader
     from gelforge.records.film import frames, numbered, open_source
     from gelforge.records.nocontactimage import find_nocontact
 
     with open_source(film, None) as (source, announced):
         seen = (cv2.cvtColor(frame, cv2.COLOR_BGR2RGB) for frame in frames(source, announced, str(film), None))
         picture, at_rest_and_after = find_nocontact(numbered(seen), str(film))
-        predictor = Predictor(model, picture)
-        read = [(*predictor.predict_shown(frame.image), frame.image) for frame in at_rest_and_after]
-    frame = predictor.prepare.frame
+        predictor = Reader(picture, model=model)
+        read = [(found := predictor(frame.image), found.image, frame.image) for frame in at_rest_and_after]
+    frame = predictor.frame
     found, shown, image = max((one for one in read if not one[0].flag), key=lambda one: -one[0].cells[2].sum())
     grey = np.repeat(image.mean(axis=2, keepdims=True).astype(np.uint8), 3, axis=2)
     return (
         shown[frame.shown],
         found.cells[(slice(None), *frame.cells_shown(found.cells.shape[1:]))],
-        predictor.predict(grey).reason,
+        predictor(grey).reason,
     )
 
 
@@ -74,11 +74,11 @@ def real(args: Namespace) -> None:
     """Frames of real sensors above the force maps that the shipped network reads in them, in one scale, and one that lost its colours."""
     import textwrap
 
-    from gelforge.reading.predictor import load_for_use
+    from gelforge.reading.model import load_model
     from gelforge.reporting.canvas import canvas_with_axes, to_png
     from gelforge.reporting.forcemaps import draw_pressure
 
-    model = load_for_use(None)
+    model = load_model(None)
     films = [args.reference / "gripper_videos" / name for name in FILMS]
     shown = [hardest_frame(film, model) for film in films]
     figure, axes = canvas_with_axes(2, len(shown) + 1, 3.1 * (len(shown) + 1) + 0.8, 4.9)
@@ -186,7 +186,7 @@ def view_of(body, solved) -> np.ndarray:
     return image
 
 
-METHODS = {"draft": "#4292c6", "label": "#084594", "fine": "#9ecae1", "ccx": "#d1603d", "ccx-native": "#7a7a7a",
+METHODS = {"draft": "#4292c6", "label": "#084594", "fine": "#9ecae1", "ccx": "#d1603d", "ccx-contact": "#7a7a7a",
            "reference": "#111111"}  # fmt: skip
 
 

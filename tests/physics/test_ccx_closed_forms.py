@@ -10,8 +10,8 @@ from gelforge.mechanics.ccx.program import run_ccx
 from gelforge.mechanics.elements.element import ELEMENTS
 from gelforge.mechanics.material import REFERENCE_C10, Material
 from gelforge.mechanics.mesh.gelmesh import GelMesh
-from gelforge.mechanics.mesh.tetmesh import kuhn_grid, second_order
-from tests.support.blocks import boundary_faces
+from gelforge.mechanics.mesh.tetmesh import second_order
+from tests.support.blocks import boundary_faces, kuhn_grid
 
 MATERIAL = Material()
 SIDE = np.linspace(0.0, 1.0, 3)

@@ -9,7 +9,8 @@ from gelforge.mechanics.linear.factorisation import SuperLU, symmetric_solver
 from gelforge.mechanics.linear.pattern import block_places, build_pattern, symmetric_product
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.mesh.stepped import Cells
-from gelforge.mechanics.mesh.tetmesh import kuhn_grid, second_order
+from gelforge.mechanics.mesh.tetmesh import second_order
+from tests.support.blocks import kuhn_grid
 
 EXACT = 1e-10  # relative; homogeneous fields lie in the element's space, so only rounding is left
 

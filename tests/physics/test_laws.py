@@ -76,6 +76,19 @@ def test_a_turned_press_takes_the_turned_force(draft):
         assert np.linalg.norm(found.total - right) < allowed
 
 
+def test_a_slide_along_y_is_a_slide_along_x():
+    """Far enough for several load steps with friction: the pad is square, so both take as many and the same force."""
+    solver = HexSolver(replace(COARSE, shear_steps=1))
+    along_x, along_y, back = (
+        solver.solve(press(WIDE, 0.4, shear, law=Interface("coulomb", 0.3)))
+        for shear in ((0.7, 0.0), (0.0, 0.7), (-0.7, 0.0))
+    )
+    assert along_x.evidence["load_steps"] == along_y.evidence["load_steps"]
+    (x, y, z), size = along_x.total, 1e-3 * force(along_x)
+    assert np.linalg.norm(along_y.total - [y, x, z]) < size and np.linalg.norm(back.total - [-x, y, z]) < size
+    assert x > 0.2 * abs(z)
+
+
 @pytest.mark.parametrize("shear", [(0.0, 0.0), (0.1, 0.05)])
 def test_base_and_contact_balance_in_force_and_moment(shear):
     scene = press(BLOCK, shear=shear)

@@ -14,6 +14,7 @@ from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.records.press import Press
 from gelforge.virtualrig.bench import SETTINGS, Bench, frames_along
 from gelforge.virtualrig.rigplan import orders, read_plan
+from tests.support.surface_values import base_reactions
 
 
 @pytest.fixture(scope="module")
@@ -104,3 +105,58 @@ def test_the_frames_of_a_straight_press_are_all_of_its_way_down(plan, root):
     order = replace(orders(plan)[0], indenter="sphere_15", x=0.0, y=0.0, depth=0.3, shear=(0.0, 0.0))
     ends = [pressing.real.dz for pressing in bench.press(order)]
     assert len(ends) == 5 and (np.diff(ends) < -0.05).all()
+
+
+@pytest.fixture(scope="module")
+def dragged(plan, root):
+    """A bench that yields, without noise or play, whose press goes down and sideways; its order and what it reports."""
+    truth = replace(
+        plan.truth, friction=np.inf, compliance_mm_per_n=0.006, shear_compliance_mm_per_n=0.02, force_noise_n=0.0,
+        moment_noise_nm=0.0, force_bias_n=(0.3, -0.2, 0.1), drift_n=0.0, touch_offset_mm=0.05, touch_scatter_mm=0.0,
+    )  # fmt: skip
+    bench = Bench(replace(plan, truth=truth), load_catalogue(root / "workflow/indenters.toml", ["sphere_15"]), Gel())
+    order = replace(
+        orders(plan)[0], indenter="sphere_15", x=2.0, y=-3.0, depth=1.0, rot_deg=20.0, shear=(-0.15, 0.25), max_force_n=100.0
+    )  # fmt: skip
+    return truth, order, bench.press(order)[-1]
+
+
+def test_force_and_moment_of_the_bench_are_what_the_base_of_the_gel_bears(dragged):
+    """About the apex, by the stresses in the bonded gel: no contact force and no arm of one goes into them."""
+    truth, _, pressed = dragged
+    result, scale = pressed.result, truth.c10_mpa / REFERENCE_C10 * pressed.result.evidence["extrapolated"]
+    mesh = result.solved_mesh
+    held = scale * base_reactions(mesh, result.displacement, Material(nu=truth.nu))
+    np.testing.assert_allclose(pressed.force, -held.sum(axis=0), atol=1e-4 * np.linalg.norm(pressed.force))
+    moment = -1e-3 * np.cross(mesh.nodes[mesh.base], held).sum(axis=0)
+    np.testing.assert_allclose(pressed.moment, moment, atol=1e-4 * np.linalg.norm(moment))
+    np.testing.assert_allclose(pressed.read_force - pressed.force, truth.force_bias_n, atol=1e-12)
+    np.testing.assert_array_equal(pressed.read_moment, pressed.moment)
+    # on a gel that is pressed down and dragged to -x and +y
+    assert pressed.force[2] < 0.0 and pressed.force[0] < -0.2 and pressed.force[1] > 0.2
+
+
+def test_the_frame_takes_of_each_axis_what_its_spring_gives_way(dragged):
+    """The tip falls short of what is commanded by force times compliance: one along z, another along x and y."""
+    truth, order, pressed = dragged
+    log, real = pressed.log, pressed.real
+    springs = np.array([truth.shear_compliance_mm_per_n] * 2 + [truth.compliance_mm_per_n])
+    given_way = np.array([log.dx - real.dx, log.dy - real.dy, log.dz - real.dz])
+    np.testing.assert_allclose(given_way, springs * pressed.force, atol=1e-12)
+    assert (np.sign(given_way) == [-1, 1, -1]).all() and abs(given_way[1]) > 0.01
+    assert (log.x0, log.y0, log.z0, real.z0) == (order.x, order.y, 0.0, truth.touch_offset_mm)
+
+
+def test_a_stiff_bench_logs_at_every_frame_what_was_ordered(plan, root):
+    """Whatever the play of its axes: a motor knows its own steps. No axis errs before it has moved."""
+    stiff = replace(plan, frames=4, truth=replace(
+        plan.truth, friction=np.inf, cnc_um=100.0, shear_compliance_mm_per_n=0.0, touch_scatter_mm=0.0))  # fmt: skip
+    bench = Bench(stiff, load_catalogue(root / "workflow/indenters.toml", ["sphere_15"]), Gel())
+    order = replace(
+        orders(plan)[0], indenter="sphere_15", x=0.5, y=-1.0, depth=0.6, rot_deg=0.0, shear=(0.1, -0.3), max_force_n=100.0
+    )  # fmt: skip
+    frames = bench.press(order)
+    ways = np.array([[each.log.dx, each.log.dy, each.log.dz] for each in frames])
+    np.testing.assert_allclose(ways, [[0, 0, -0.3], [0, 0, -0.6], [0.05, -0.15, -0.6], [0.1, -0.3, -0.6]], atol=1e-12)
+    real = np.array([[each.real.dx, each.real.dy, each.real.dz] for each in frames])
+    assert not real[:2, :2].any() and 1e-3 < np.abs(real[-1] - ways[-1]).max() < 0.1

@@ -1,4 +1,7 @@
-"""Symmetric tetrahedral gel meshes, and boxes of triangles."""
+"""Grids of tetrahedra, symmetric gel meshes of them, and boxes of triangles."""
+
+import itertools
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -6,7 +9,7 @@ from gelforge.geometry.gel import Gel
 from gelforge.geometry.triangles import Mesh, volume
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.tetmesh import FACES as OF_TET
-from gelforge.mechanics.mesh.tetmesh import from_flat, kuhn_grid
+from gelforge.mechanics.mesh.tetmesh import from_flat, orient
 
 FACES = np.array(
     [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
@@ -14,6 +17,18 @@ FACES = np.array(
 )  # fmt: skip
 # Corners with x and y exchanged: faces split along their other diagonals.
 MIRRORED = np.array([0, 2, 1, 3, 4, 6, 5, 7])
+
+
+def kuhn_grid(axes: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes (n, 3) and tetrahedra (e, 4) of a grid with lines `axes` (x, y, z), six per cell (Kuhn 1960)."""
+    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
+    _, ny, nz = (len(lines) for lines in axes)
+    inner = np.stack(np.meshgrid(*(np.arange(len(lines) - 1) for lines in axes), indexing="ij"), -1).reshape(-1, 3)
+    tets = []
+    for order in itertools.permutations(range(3)):
+        steps = np.cumsum([np.zeros(3, int), *np.eye(3, dtype=int)[list(order)]], axis=0)
+        tets.append(np.column_stack([(inner + step) @ [ny * nz, nz, 1] for step in steps]))
+    return nodes, orient(nodes, np.concatenate(tets))
 
 
 def symmetric_block(gel: Gel, size: float, layers: int) -> GelMesh:

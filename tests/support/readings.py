@@ -13,7 +13,7 @@ def reading(number: int, flag: bool = False, image: np.ndarray = GREY, **changes
     forces = np.zeros((3, 4, 5), np.float32)
     forces[:, 1, 1] = 0.0, 0.0, -number
     said = {
-        "half_width": np.array([0.1, 0.2, 0.3]), "reason": "dark" if flag else "", "edge_peak": 0.0,
+        "half_width": np.array([0.1, 0.2, 0.3]), "reason": "dark" if flag else "", "edge_peak": 0.0, "image": image,
     }  # fmt: skip
     found = ForceReading(cells=forces, total=forces.sum((1, 2), dtype=np.float64), **(said | changes))
-    return Reading(number, 0.01 * number, found, ms=3.0, image=image)
+    return Reading(number, 0.01 * number, found, ms=3.0)

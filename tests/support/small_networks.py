@@ -1,7 +1,7 @@
 """Small networks of every family, trained on a synthetic dataset, for tests of evaluation and use."""
 
 from gelforge.learning.data import open_data
-from gelforge.learning.recipe import save_trained
+from gelforge.learning.train import save_trained
 from gelforge.stages.train import train
 from tests.support.parameters import parameters, with_values
 from tests.support.synthetic_presses import SETTINGS, write_dataset

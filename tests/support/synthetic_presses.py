@@ -1,12 +1,13 @@
 """Small datasets of stage 60 whose images follow from their labels by an invented law that a network can learn."""
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
 
 import numpy as np
 
 from gelforge.flow.files import write_csv, write_json
 from gelforge.flow.tables import TrainingTable
+from gelforge.learning.pictures import write_pairs
 from gelforge.records.press import FORCE
 from tests.support.parameters import parameters
 
@@ -69,7 +70,12 @@ def write_dataset(folder, n=48, image=(240, 320), grid=(24, 32), seed=0, **senso
             }
         )
     write_csv(folder / "samples.csv", list(rows[0]), rows)
-    np.save(folder / "nocontact.npy", draw_press(rng, image, grid, strength=0.0)[0][None])
+    write_pairs(
+        folder,
+        np.load(folder / "images.npy"),
+        ["mini0"] * n,
+        {"mini0": draw_press(rng, image, grid, strength=0.0)[0]},
+    )
     about = {"name": "made up", "sensor": "mini0", "nocontact": ["mini0"], "grid": list(grid)}
     write_json(folder / "dataset.json", about)
     return folder
@@ -82,3 +88,14 @@ TRAIN = parameters(
     },
 ).train  # fmt: skip
 SETTINGS = TrainingTable(**{field.name: getattr(TRAIN, field.name) for field in fields(TrainingTable)})
+
+
+def with_pictures(data, images, nocontact, folder):
+    """A dataset (learning.data.Data) with other images and no-contact images by name, compared as stage 60 does.
+
+    folder: empty one for its arrays.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    write_pairs(folder, images, data.names("sensor_id").tolist(), nocontact)
+    pairs, rests, beside = (np.load(folder / f"{name}.npy") for name in ("pairs", "nocontact", "beside"))
+    return replace(data, images=images, pairs=pairs, rests=rests, beside=beside, nocontact=nocontact)

@@ -43,9 +43,9 @@ def trained(folder):
 @pytest.fixture(scope="session")
 def shipped():
     """The network that comes with gelforge."""
-    from gelforge.reading.predictor import load_for_use
+    from gelforge.reading.model import load_model
 
-    return load_for_use(None)
+    return load_model(None)
 
 
 @pytest.fixture(scope="session")

@@ -1,8 +1,10 @@
 """What a Python program uses of gelforge: each example of five lines runs, and importing costs nothing."""
 
+import pickle
 import re
 import subprocess
 import sys
+from concurrent.futures import ThreadPoolExecutor
 
 import cv2
 import numpy as np
@@ -18,8 +20,10 @@ from gelforge.live.reading import readings
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.reading.forcereading import interval_text
 from gelforge.reading.markers import markers_in
-from gelforge.reading.predictor import Predictor, load_for_use
+from gelforge.reading.model import load_model
 from gelforge.reading.profile import Gain, make_profile, write_profile
+from gelforge.reading.reader import Reader
+from gelforge.reading.wear import painted_over
 from gelforge.records.film import numbered
 from gelforge.records.image import read_image, write_png
 from gelforge.records.log import read_presses
@@ -183,7 +187,7 @@ def test_the_same_image_gives_the_same_answer_everywhere(root, tmp_path):
     paths = [tmp_path / f"{number}.png" for number in range(len(images))]
     for path, image in zip(paths, images, strict=True):
         write_png(path, image)
-    reader, predictor = gelforge.Reader(nocontact=rest), Predictor(load_for_use(None), rest)
+    reader, predictor = gelforge.Reader(nocontact=rest), Reader(rest, model=load_model(None))
     expected = [reader(image).cells for image in images]
     assert len(list(predict.predict_files(paths, predictor, tmp_path / "out"))) == len(paths)
     np.testing.assert_array_equal([np.load(tmp_path / "out" / f"{path.stem}.npy") for path in paths], expected)
@@ -200,7 +204,7 @@ def test_the_same_image_gives_the_same_answer_everywhere(root, tmp_path):
 def test_a_profile_scales_what_is_read(root, tmp_path):
     rest = read_image(root / "data/demo/nocontact/mini_a.png")
     image = read_image(sorted(root.glob("data/demo/images/*.png"))[3])
-    about = load_for_use(None).metadata
+    about = load_model(None).metadata
     write_profile(
         tmp_path / "mine.toml", make_profile("mine", rest, markers_in(rest).pitch, Gain(1.25, 1.1, 1.4, 3), about)
     )
@@ -250,3 +254,31 @@ def test_names_complete_before_they_are_loaded():
         [sys.executable, "-c", "import gelforge; print(*dir(gelforge))"], capture_output=True, check=True
     )
     assert done.stdout.decode().split() == sorted(gelforge.__all__)
+
+
+def test_a_reader_is_pickled_and_shared_by_threads(root):
+    """Processes of a data loader and threads of a robot read what one reader reads alone, wear included."""
+    rest = read_image(root / "data/demo/nocontact/mini_a.png")
+    markers = markers_in(rest)
+    images = []
+    for k, path in enumerate(sorted(root.glob("data/demo/images/*.png"))[:6]):
+        # each image lacks other markers, so that more no-contact images are needed than are kept
+        lost = markers.points[[k, k + 9, 2 * k + 20]] - 0.5
+        images.append(painted_over(read_image(path), lost, markers.diameter))
+    reader = gelforge.Reader(nocontact=rest)
+    alone = [reader(image).cells for image in images]
+    again = pickle.loads(pickle.dumps(reader))
+    assert np.array_equal(again(images[0]).cells, alone[0])
+    with ThreadPoolExecutor(4) as pool:
+        found = list(pool.map(again, images * 2))
+    assert all(np.array_equal(one.cells, cells) for one, cells in zip(found, alone * 2, strict=True))
+
+
+def test_readers_of_one_model_share_its_graph(root):
+    """A graph for each of 229 sensors took 4.3 GB."""
+    model = load_model(None)
+    readers = [
+        gelforge.Reader(nocontact=read_image(path), model=model)
+        for path in sorted(root.glob("data/demo/nocontact/*.png"))
+    ]
+    assert len(readers) > 1 and all(reader.model.graph is model.graph for reader in readers)

@@ -26,7 +26,7 @@ LEFT_OUT = {
     "fea": "solves with CalculiX, FEATS' deck for hours: tests/physics/test_ccx_contact.py and test_ccx_closed_forms.py",
     "calibration": "an emulator takes minutes: tests/workflow/test_calibrate.py",
     "edge_order": "solves every press of known force on hexahedra: tests/physics/test_laws.py",
-    "faults": "plants a hundred faults, for an hour: tests/unit/test_repository.py",
+    "faults": "plants 155 faults, for more than half an hour: tests/unit/test_repository.py",
     "exact": "solves every press of known force by every method: tests/physics/test_axisymmetric.py",
     "goodlogs": "fits thousands of simulated logs: tests/unit/evidence/test_forces.py",
     "troubles": "labels the demo: tests/unit/evidence and tests/unit/stages/test_images.py",

@@ -1,12 +1,11 @@
-"""make calibrated-labels: calibrates, freezes what it found, and labels with it; afterwards only make freeze changes it."""
+"""Labels that follow their log's calibration in one make: calibrate, poses, solves, forces; `make freeze` holds it."""
 
 import shutil
 
 import numpy as np
 import pytest
 
-from gelforge.flow.files import read_json, write_json
-from gelforge.flow.params import read_frozen
+from gelforge.flow.calibration import read_found
 from gelforge.records.forcefile import ForceFile
 from tests.support.sandbox import link_project, make
 
@@ -15,6 +14,8 @@ sensor = "gelsight_mini"
 gel = "gelsight_mini"
 [params.poses]
 images = false
+[params.material]
+c10 = "calibrated"
 [params.fea]
 method = "draft"
 tolerance = 0.2
@@ -46,26 +47,29 @@ def say(project, *words):
 
 
 @pytest.mark.slow
-def test_labels_follow_the_calibration_and_only_freezing_changes_it(project):
+def test_labels_follow_the_posterior_and_hold_still_once_it_is_frozen(project):
     frozen, forces = project / "data/ball/calibration.toml", project / "results/ball/40_forces/0000.npz"
     summary = project / "results/ball/calibrate/summary.json"
-    say(project, "calibrated-labels")
-    found, label = read_frozen(frozen), ForceFile(forces)
+    said = say(project, "labels")
+    assert "jobserver" not in said and said.count("10_poses/0000.csv") == 1 and not frozen.exists()
+    found, label = read_found(summary), ForceFile(forces)
     assert len(found.presses) == 4 and label.c10 == found.params["material"]["c10"] != 0.0725
     assert label.intervals["c10_interval95"] == pytest.approx(found.params["material"]["c10_interval95"])
     # what was found is what the log says: labels meet the force sensor on coarse elements, too
     ratio = label.total[:, 2] / [-1.6503, -5.9641, -13.5257, -23.2532]
     assert np.all(np.abs(ratio - 1.0) < 0.15)
-    # poses that it moved make the posterior no other; one that is other changes no label
-    text, before = frozen.read_text(), forces.stat().st_mtime_ns
-    posterior = summary.stat().st_mtime_ns
-    say(project, "calibrate", "calibrated-labels")
-    assert summary.stat().st_mtime_ns == posterior
-    reported = read_json(summary)
-    write_json(summary, reported | {"c10": reported["c10"] | {"median": 0.05}})
-    say(project, "calibrated-labels")
-    assert frozen.read_text() == text and forces.stat().st_mtime_ns == before
+    # a shallower limit rejects a press: the posterior follows, and no goal but freeze writes into data/
+    toml = project / "data/ball/dataset.toml"
+    toml.write_text(SETTINGS.replace("images = false", "images = false\ndeepest_share = 0.4"))
+    say(project, "calibrate")
+    assert len(read_found(summary).presses) == 3
     say(project, "freeze")
-    assert read_frozen(frozen).params["material"]["c10"] == 0.05
-    say(project, "calibrated-labels")
-    assert ForceFile(forces).c10 == 0.05
+    held = frozen.read_text()
+    assert read_found(frozen) == read_found(summary)
+    toml.write_text(SETTINGS)
+    say(project, "labels")
+    assert len(read_found(summary).presses) == 3  # labels do not need the posterior any more
+    assert frozen.read_text() == held and ForceFile(forces).c10 == read_found(frozen).params["material"]["c10"]
+    frozen.unlink()
+    say(project, "labels")
+    assert ForceFile(forces).c10 == label.c10

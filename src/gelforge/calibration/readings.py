@@ -1,6 +1,6 @@
 """Force readings of a raw log, and the faults that would make a calibration meaningless."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
@@ -8,12 +8,11 @@ from types import MappingProxyType
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.layout import Layout
 from gelforge.geometry.gel import USUAL_GEL
 from gelforge.mechanics.contact.law import Coulomb, NoSlip
 from gelforge.records.frames import NEAR_MM, presses_of
 from gelforge.records.log import read_log
-from gelforge.records.press import FORCE, POSE, LoggedPress, Press, parse
+from gelforge.records.press import FORCE, POSE, LoggedPress, Press, RawRow, parse, with_tilt
 
 SLIDES = 1.0  # travel over depth above which a contact slides as a whole at any usual friction
 
@@ -22,7 +21,7 @@ SLIDES = 1.0  # travel over depth above which a contact slides as a whole at any
 class Readings:
     """n presses with a force reading each.
 
-    rows: (n,) line numbers in the log. ids, indenters, gels: (n,) str. pose: (n, 7) in the order of POSE.
+    rows: (n,) line numbers in the log. ids, indenters, gels: (n,) str. pose: (n, 9) in the order of POSE and TILT.
     force: (n, 3) N on the gel; nan where a sideways component was not logged.
     """
 
@@ -60,8 +59,8 @@ class Readings:
 
     def press(self, i: int, depth: float) -> Press:
         """Path of press i to another depth, with its own sideways travel."""
-        x0, y0, z0, dx, dy, _, rot = (float(v) for v in self.pose[i])
-        return Press(x0, y0, z0, dx, dy, -depth, rot)
+        x0, y0, z0, dx, dy, _, *turns = (float(v) for v in self.pose[i])
+        return Press(x0, y0, z0, dx, dy, -depth, *turns)
 
     def name(self, index) -> str:
         """Rows for an error message, at most five."""
@@ -73,16 +72,28 @@ class Readings:
 NEEDED = ("indenter", *POSE, *FORCE)
 
 
-def read_readings(log, known_bad: Collection[int] = (), gels: Mapping[str, str] = MappingProxyType({})) -> Readings:
-    """Read every press of a raw log that has a normal force; rows without one are skipped.
+def read_readings(
+    log: Path | str, known_bad: Collection[int] = (), gels: Mapping[str, str] = MappingProxyType({})
+) -> Readings:
+    """Readings of a raw log; see `readings_of`."""
+    return readings_of(read_log(log), str(log), known_bad, gels)
+
+
+def readings_of(
+    rows: Sequence[RawRow],
+    log: str,
+    known_bad: Collection[int] = (),
+    gels: Mapping[str, str] = MappingProxyType({}),
+    tilt_deg: Sequence[float] = (0.0, 0.0),
+) -> Readings:
+    """Every press of a log's rows that has a normal force; rows without one are skipped.
 
     Rows of several sensors that saw one press and are otherwise equal make one reading. Of the frames of a press only
     the last is used.
-    known_bad: lines of the log that stage 10 rejected. gels: name of the gel by sensor, "" for rows that name no
-    sensor; USUAL_GEL for all others. Sideways forces may be empty. A log in which no row has a force, or a value that
+    known_bad: lines of the log that are rejected. gels: name of the gel by sensor, "" for rows that name no
+    sensor; USUAL_GEL for all others. tilt_deg: of the bench, for rows that state none. Sideways forces may be empty. A log in which no row has a force, or a value that
     is no number, raises BadInput.
     """
-    rows = read_log(log)
     missing = [column for column in ("indenter", *POSE, "fz_n") if column not in rows[0].cells]
     if missing:
         raise BadInput(f"{log}: column {missing[0]} is missing; seen: {', '.join(rows[0].cells)}")
@@ -91,36 +102,32 @@ def read_readings(log, known_bad: Collection[int] = (), gels: Mapping[str, str] 
     for raw in rows:
         if raw.row in known_bad or not raw.cells["fz_n"]:
             continue
-        press, wrong = parse(raw, str(log), [column for column in NEEDED if column in raw.cells])
+        press, wrong = parse(raw, log, [column for column in NEEDED if column in raw.cells])
         if press is None:
             first = wrong[0]
             raise BadInput(
                 f"{log}: row {first.row}, column {first.column}: {first.value!r}: {first.reason}; {first.hint}"
             )
+        press = with_tilt(press, tilt_deg)
         same = tuple(raw.cells.get(c) for c in ("time_utc", "indenter", *POSE, *FORCE))
         if seen_by.setdefault(same, press.sensor_id) == press.sensor_id:
             presses.append(press)
     # frames of one press share its touch error: with more than one it would be treated as independent
     presses = [frames[-1] for frames in presses_of(presses)]
     if not presses:
-        rejected = [raw.row for raw in rows if raw.row in known_bad and raw.cells["fz_n"]]
-        if rejected:
-            raise BadInput(
-                f"{log}: all {len(rejected)} rows with a normal force (fz_n) were rejected; correct them,"
-                f" `{Layout(Path('results', Path(log).parent.name)).command('status')}` says why"
-            )
         raise BadInput(f"{log}: no row has a normal force (fz_n); calibration needs a force sensor's readings")
     return Readings(
-        str(log), np.array([p.row for p in presses]), np.array([p.sample_id for p in presses]),
+        log, np.array([p.row for p in presses]), np.array([p.sample_id for p in presses]),
         np.array([p.indenter for p in presses]), np.array([path_of(p) for p in presses]),
         np.array([p.force for p in presses]), np.array([gels.get(p.sensor_id, USUAL_GEL) for p in presses]),
     )  # fmt: skip
 
 
 def path_of(press: LoggedPress) -> list[float]:
-    """A press's pose and path in the order of POSE; sideways travel within the error of the axes (NEAR_MM) is 0."""
+    """Pose, path and tilt of a press, by POSE and TILT; sideways travel within the error of the axes (NEAR_MM) is 0."""
     sideways = np.hypot(press.dx_mm, press.dy_mm) > NEAR_MM
-    return [float(getattr(press, column)) if sideways or column not in ("dx_mm", "dy_mm") else 0.0 for column in POSE]
+    path = [float(getattr(press, column)) if sideways or column not in ("dx_mm", "dy_mm") else 0.0 for column in POSE]
+    return [*path, *press.tilt]
 
 
 def check_readings(readings: Readings) -> None:

@@ -93,7 +93,7 @@ def make_plan(readings: Readings, reach: float, law: str, friction_nodes, nu: fl
         if not readings.sheared[i]:
             # Rounding z0 to 0.1 um is finer than the play of a CNC (0.25 um in the virtual rig's plans); 5 um sideways
             # change the force by less than a sensor resolves.
-            place = *np.round(readings.pose[i, [0, 1, 6]], 2), round(readings.pose[i, 2], 4)
+            place = *np.round(readings.pose[i, [0, 1, 6, 7, 8]], 2), round(readings.pose[i, 2], 4)
             key = (readings.indenters[i], readings.gels[i], *place)
             leader[i] = groups.setdefault(key, int(i))
     few, many = ([*friction_nodes[:count], np.inf] for count in (1, None))
@@ -203,7 +203,7 @@ class SolveCache:
         if job.indenter not in self._shapes:
             self._shapes[job.indenter] = surface_digest(self.catalogue[job.indenter])
         scene, how = scene_of(job, self.catalogue[job.indenter]), hexahedra_key(self.settings)
-        return self.folder / f"{solve_key([scene], self._shapes[job.indenter], how, self.version)[:20]}.json"
+        return self.folder / f"{solve_key([scene], self._shapes[job.indenter], how, self.version)}.curve.json"
 
     def fill(self, jobs: list[SolveJob], workers: int = 1) -> None:
         """Solve the jobs that have no file yet, on `workers` processes."""

@@ -8,33 +8,22 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.cli import RESULTS, command, option
-from gelforge.flow.files import record_of, write_text
-from gelforge.flow.layout import DECK, Layout, shard_name
-from gelforge.flow.runs import refuse_rejected
+from gelforge.flow.files import write_text
+from gelforge.flow.layout import DECK, Layout
 from gelforge.geometry.gel import use_gels_of
 from gelforge.mechanics.ccx.deck import press_deck
 from gelforge.mechanics.material import REFERENCE_C10
+from gelforge.mechanics.mesh.basemesh import use_meshes_of
 from gelforge.mechanics.mesh.names import load_mesh
+from gelforge.records.finder import find
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.press import check_id
-from gelforge.records.solvetable import corrupt
 
 README = """\
 `ccx {name}` in this folder solves press {name} of dataset {dataset} with stock CalculiX (mm, N, MPa), in the frame of the gel.
 Its nodal forces on the gel are the last table "forces" of set NTOP in {name}.dat, together {total} N along x, y, z at C10 = {reference:g} MPa.
 {labels}
 """
-
-
-def solve_of(results: Path, sample_id: str) -> tuple[dict, Path, Path]:
-    """Record of a sample's solve, the folder of solves, and the file of forces: of its shard, or of `make sample`."""
-    of = Layout(results)
-    shard = of.shard_of(sample_id)
-    refuse_rejected(results, shard, sample_id)
-    for own, name in ((of, shard), (of.sample(sample_id), shard_name(0))):
-        if record := record_of(own.solve(name, sample_id)):
-            return record, own.solves(name), own.forces(name)
-    raise BadInput(f"sample {sample_id} was not solved yet; run {of.command(f'sample ID={sample_id}')}")
 
 
 def of_labels(forces: Path) -> str:
@@ -52,17 +41,20 @@ def of_labels(forces: Path) -> str:
 
 def hand_out(results: Path, sample_id: str, out: Path) -> None:
     """Write deck and README of a sample to the folder `out`; BadInput where it has no deck."""
-    record, folder, forces = solve_of(results, sample_id)
+    of, found = Layout(results), find(results, sample_id)
+    found.refuse_rejected()
+    if not found.key:
+        raise BadInput(f"sample {sample_id} was not solved yet; run {of.command(f'sample ID={sample_id}')}")
+    record = found.record
+    if record is None:
+        again = f"remove {found.of.fea(found.shard)} and run {of.command('fea')}, which solves the press again"
+        raise BadInput(f"{found.arrays}: missing or changed since it was written; {again}")
     if not record.get("deck"):
         how = record.get("reason") or f"it was solved by {record['method']}, without CalculiX"
         raise BadInput(
-            f'sample {sample_id} has no deck: {how}; with [params.fea] method = "ccx" there is one, run'
-            f" {Layout(results).command('fea')}"
+            f'sample {sample_id} has no deck: {how}; with [params.fea] method = "ccx" there is one, run {of.command("fea")}'
         )
-    if lost := corrupt(folder, record):
-        again = f"remove {folder}.csv and run {Layout(results).command('fea')}, which solves the press again"
-        raise BadInput(f"{lost[0]}: missing or changed since it was written; {again}")
-    with np.load(folder / record["files"][0], allow_pickle=False) as kept:
+    with np.load(found.arrays, allow_pickle=False) as kept:
         mesh, start = load_mesh(record["mesh"]), kept["start"]
         if len(start) != len(mesh.nodes):
             raise BadInput(
@@ -74,7 +66,11 @@ def hand_out(results: Path, sample_id: str, out: Path) -> None:
     write_text(out / f"{sample_id}.inp", text)
     total = " ".join(f"{force:.6g}" for force in np.asarray(record["total"]))
     readme = README.format(
-        name=sample_id, dataset=results.name, total=total, reference=REFERENCE_C10, labels=of_labels(forces)
+        name=sample_id,
+        dataset=results.name,
+        total=total,
+        reference=REFERENCE_C10,
+        labels=of_labels(found.of.forces(found.shard)),
     )
     write_text(out / "README", readme)
 
@@ -86,8 +82,10 @@ def hand_out(results: Path, sample_id: str, out: Path) -> None:
 def main(args: Namespace) -> None:
     if not args.id:
         raise BadInput(f"no sample named; say {Layout(args.results).command('deck ID=SAMPLE_ID')}")
-    use_gels_of(Layout(args.results).workflow)
-    out = Layout(args.results).folder(DECK) / check_id(args.id)
+    of = Layout(args.results)
+    use_gels_of(of.workflow)
+    use_meshes_of(of.meshes)
+    out = of.folder(DECK) / check_id(args.id)
     hand_out(args.results, args.id, out)
     print(f"deck: {out}")
 

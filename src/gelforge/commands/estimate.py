@@ -10,7 +10,6 @@ import math
 import os
 from argparse import Namespace
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 
@@ -29,7 +28,6 @@ from gelforge.records.networkkind import kind_of
 from gelforge.records.press import RawRow, parse
 from gelforge.records.samplefile import read_samples
 from gelforge.stages.train import resolve
-from gelforge.sweeps.cases import ROWS
 
 # Processor seconds of a press straight down, by method, and the ratio of a sheared press to a straight one.
 MEASURED = {"draft": 0.6, "label": 1.4, "fine": 27.0, "ccx": 8.7, "auto": 2.0}
@@ -46,7 +44,6 @@ EACH = {
     layout.REPORT: 0.02,
 }
 START, CALIBRATE_ONCE = 3.0, 70.0
-OF_FILE = {layout.PARETO: 130.0, layout.STABILITY: 700.0}  # processor seconds of a scene, and of a row of the map
 BYTES = {layout.POSES: 2e4, layout.FEA: 2e5, layout.FORCES: 5e4}  # of a row
 OF_SHARDS = (layout.POSES, layout.FEA, layout.FORCES)
 
@@ -162,34 +159,6 @@ def estimated(of: Layout, resolution: str, model: str, rows: list[RawRow], cores
     return [*costs, of_rows(layout.EVALUATE, cells / 2), of_rows(layout.REPORT, 4e4)]
 
 
-def ahead(of: Layout, target: Path, cores: int) -> str:
-    """One line on the cost of the long stage of `target`, a path below results/DATASET; empty if all is current."""
-    stage, name = target.parts[0], target.parts[1]
-    cpu, source, spread = START, "table", cores
-    if stage == layout.FEA:
-        shards = of.outdated(stage)
-        rows = [row for shard in shards for row in read_shard(of.shard(shard))]
-        each, source = press_seconds(of)
-        cpu, spread = each * weights(rows) + START * len(shards), len(shards)
-        what = f"{len(rows)} rows by {solved_by(of)[0]}"
-    elif stage == layout.CALIBRATE:
-        cpu, what = CALIBRATE_ONCE, "solves and a chain"
-    elif stage == layout.TRAIN:
-        images = len(read_samples(of.dataset(name) / "samples.csv"))
-        cpu, spread, what = training(of, name, target.stem, images).cpu, 1, f"{images} images"
-    else:
-        if stage == layout.PARETO:
-            files = [of.chart_scene(name) for name in read_json(of.parameters("scenes"))]
-        else:
-            files = [of.stability_row(row) for row in ROWS]
-        asked = layout.written(str(of.parameters(stage)))
-        spread = sum(layout.written(str(path)) < asked for path in files)
-        cpu, what = OF_FILE[stage] * spread, f"{spread} of {len(files)} files"
-    if not spread:
-        return ""
-    return f"{of.root / stage} begins: {what}, about {duration(cpu / min(cores, spread))} if nothing is reused ({source})"
-
-
 def size(count: float) -> str:
     """Bytes as text with a unit and three digits; values that would round to 1000 take the next unit."""
     power = next((p for p in range(5) if float(f"{count / 1000**p:.3g}") < 1000), 5)
@@ -201,14 +170,9 @@ def size(count: float) -> str:
     option("--resolution", default="24x32"),
     option("--model", default=SHIPPED, help="network of the run; `shipped` is not trained"),
     option("--cores", type=positive, default=os.cpu_count(), help="cores that the run may use"),
-    option("--ahead", type=Path, default=None, help="print one line on the cost of this target's stage"),
 )
 def main(args: Namespace) -> None:
     of = Layout(args.results)
-    if args.ahead:
-        if said := ahead(of, args.ahead, args.cores):
-            print(said)
-        return
     rows = planned_rows(of)
     if not rows:
         raise BadInput(f"{of.log}: no row is left to solve; {of.command('poses')} says why each was rejected")

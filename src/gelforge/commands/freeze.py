@@ -2,25 +2,22 @@
 
 from argparse import Namespace
 
-from gelforge.errors import BadInput
-from gelforge.flow.cli import RESULTS, command
-from gelforge.flow.files import read_json
+from gelforge.flow.calibration import FROZEN, read_posterior, write_frozen
+from gelforge.flow.cli import RESULTS, command, option
 from gelforge.flow.layout import Layout
-from gelforge.flow.params import FROZEN, frozen_of, write_frozen
 
 
-@command(RESULTS)
+@command(RESULTS, option("--show", action="store_true", default=False, help="print what was found, write nothing"))
 def main(args: Namespace) -> None:
     of = Layout(args.results)
-    path, out = of.calibration(), of.data / FROZEN
-    try:
-        summary = read_json(path)
-    except (OSError, ValueError) as error:
-        raise BadInput(f"{path}: cannot be read ({error}); run {of.command('calibrate')}") from error
-    found = frozen_of(of.data.name, summary)
-    write_frozen(out, found)
+    found = read_posterior(of.calibration())
     values = ", ".join(f"{key} = {value}" for table in found.params.values() for key, value in table.items())
-    print(f"{out}: {found.name}: {values}")
+    if args.show:
+        print(f"{of.calibration()}: {values}")
+        return
+    path = of.data / FROZEN
+    write_frozen(path, found)
+    print(f"{path}: {found.name}: {values}")
 
 
 if __name__ == "__main__":

@@ -25,40 +25,36 @@ from gelforge.live.reading import Reading, StartInDoubt, readings
 from gelforge.live.recording import CsvTable, McapRecording
 from gelforge.live.topics import RosMessages
 from gelforge.live.webpage import PageServer
-from gelforge.records.film import Film, open_source, source_name
+from gelforge.reading.model import Model, load_model, require_sensor
+from gelforge.reading.profile import files_of
+from gelforge.reading.reader import Reader
+from gelforge.records.film import Film, Frame, open_source, source_name
+from gelforge.records.image import read_image
 from gelforge.records.nocontactimage import FEWEST, find_nocontact
 from gelforge.records.regular import refuse_to_replace
 
 
 class Outputs:
-    """Destinations of readings: files, and servers with viewers. fault: the first error, or None."""
+    """Destinations of readings: files, and servers with viewers. fault: the first error, or None.
 
-    def __init__(self, args: Namespace, name: str, stack: ExitStack):
-        messages = RosMessages(args.sensor or (args.profile.stem if args.profile else "gelforge"))
+    stack: ends what it is given.
+    """
+
+    def __init__(self, stack: ExitStack) -> None:
         self.fault: BadInput | None = None
         self.servers: list = []
         self.files: list = []
-        if args.web:
-            self._serve(PageServer(args.host, args.port), stack)
-        if args.foxglove:
-            from gelforge.live.foxglove import FoxgloveServer
+        self._stack = stack
 
-            # two servers cannot listen on one port
-            self._serve(FoxgloveServer(args.host, args.port + bool(args.web and args.port), messages), stack)
-        if args.record:
-            self._keep(McapRecording(args.record, messages), stack)
-        if args.csv:
-            self._keep(CsvTable(args.csv), stack)
-        for server in self.servers:
-            report(f"{server.url} shows {name}; Ctrl-C ends")
-
-    def _serve(self, server, stack: ExitStack) -> None:
+    def serve(self, server) -> None:
+        """Send readings to the viewers of a server, too."""
         self.servers.append(server)
-        stack.callback(server.stop)
+        self._stack.callback(server.stop)
 
-    def _keep(self, file, stack: ExitStack) -> None:
+    def keep(self, file) -> None:
+        """Write readings to a file, too."""
         self.files.append(file)
-        stack.callback(file.drop)
+        self._stack.callback(file.drop)
 
     def send(self, found: Iterable[Reading]) -> int:
         """Send readings to all outputs until they end or no output is left; return how many were sent."""
@@ -128,8 +124,6 @@ def until(over: threading.Event, items: Iterable) -> Iterator:
 
 def refuse_unusable(args: Namespace) -> None:
     """BadInput where input or output is missing, or an output would overwrite an input."""
-    from gelforge.reading.profile import files_of
-
     if (args.video is None) == (args.camera is None):
         raise BadInput("give either --video FILE or --camera NUMBER")
     if not (args.web or args.foxglove or args.record or args.csv):
@@ -149,63 +143,62 @@ def need_frames(asked: int | None) -> None:
         )
 
 
-def predictor_of(args: Namespace, model, picture: np.ndarray | None, seen, name: str) -> tuple:
-    """A predictor (reading.predictor) with the no-contact image, and the frames to read (records.film.Frame).
+def outputs_of(args: Namespace, name: str, stack: ExitStack) -> Outputs:
+    """The outputs that are asked for, of a film or camera `name`."""
+    messages = RosMessages(args.sensor or (args.profile.stem if args.profile else "gelforge"))
+    outputs = Outputs(stack)
+    if args.web:
+        outputs.serve(PageServer(args.host, args.port))
+    if args.foxglove:
+        from gelforge.live.foxglove import FoxgloveServer
 
-    picture: the given no-contact image (h, w, 3) RGB, or None. Then it is the profile's; without a profile, and if
-    the network needs one, it is found in the frames. BadInput where a found one is unusable.
-    """
+        # two servers cannot listen on one port
+        outputs.serve(FoxgloveServer(args.host, args.port + bool(args.web and args.port), messages))
+    if args.record:
+        outputs.keep(McapRecording(args.record, messages))
+    if args.csv:
+        outputs.keep(CsvTable(args.csv))
+    for server in outputs.servers:
+        report(f"{server.url} shows {name}; Ctrl-C ends")
+    return outputs
+
+
+def found_picture(seen: Iterable[Frame], name: str) -> tuple[np.ndarray, Iterator[Frame]]:
+    """The no-contact image (h, w, 3) uint8 RGB found at the start of a stream, and the frames from there on."""
     import cv2
 
-    from gelforge.reading.predictor import Predictor
-    from gelforge.reading.profile import with_profile
+    picture, seen = find_nocontact(seen, name)
+    first = next(seen)
+    report(f"{name}: frames skipped before the no-contact image: {first.number}")
+    return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), itertools.chain([first], seen)
 
-    found = picture is None and not args.profile and model.needs_nocontact
-    if found:
-        need_frames(args.frames)
-        picture, seen = find_nocontact(seen, name)
-        first = next(seen)
-        report(f"{name}: frames skipped before the no-contact image: {first.number}")
-        seen = itertools.chain([first], seen)
-        picture = cv2.cvtColor(picture, cv2.COLOR_BGR2RGB)
-    picture, gain = with_profile(args.profile, picture, model.metadata)
-    predictor = Predictor(model, picture, gain, args.device, args.threads)
-    if found and predictor.fault:
+
+def reader_beside(picture: np.ndarray, model: Model, name: str) -> Reader:
+    """A reader with a no-contact image that was found in a stream; BadInput where that is unusable."""
+    reader = Reader(picture, model=model)
+    if reader.fault:
         raise BadInput(
-            f"{name}: {predictor.fault}. Start it while nothing touches the sensor, or give a no-contact image with --nocontact"
+            f"{name}: {reader.fault}. Start it while nothing touches the sensor, or give a no-contact image with --nocontact"
         )
-    if predictor.text:
-        report(f"{name}: {predictor.text}")
-    return predictor, seen
+    return reader
 
 
-def show(
-    args: Namespace,
-    predictor,
-    frames,
-    film: Film,
-    name: str,
-    over: threading.Event,
-    start: StartInDoubt | None = None,
-) -> None:
-    """Send readings of frames to all outputs until frames end or `over` is set, and serve viewers until it is set.
+def show(outputs: Outputs, found: Iterable[Reading], film: Film, over: threading.Event, frames: int | None) -> None:
+    """Send readings to all outputs until they end or `over` is set, and serve viewers until it is set.
 
-    Raises BadInput at the end if an output failed, or a camera stopped early.
+    frames: how many are asked for; None: all. Raises BadInput at the end if an output failed, or a camera stopped early.
     """
-    with ExitStack() as stack:
-        outputs = Outputs(args, name, stack)
-        paced = bool(outputs.servers) and not film.camera
-        count = outputs.send(until(over, readings(predictor, frames, paced, start)))
-        asked = over.is_set() or (args.frames is not None and film.taken >= args.frames)
-        if film.camera and not asked and not outputs.fault:
-            outputs.fault = BadInput(
-                f"{name}: stopped after {film.taken} frames; check that it is plugged in, and start again"
-            )
-        outputs.end(f"{name}: ended after {count} frames")
-        if outputs.servers:
-            over.wait()  # viewers keep the last frame
-        if outputs.fault:
-            raise outputs.fault
+    count = outputs.send(until(over, found))
+    asked = over.is_set() or (frames is not None and film.taken >= frames)
+    if film.camera and not asked and not outputs.fault:
+        outputs.fault = BadInput(
+            f"{film.name}: stopped after {film.taken} frames; check that it is plugged in, and start again"
+        )
+    outputs.end(f"{film.name}: ended after {count} frames")
+    if outputs.servers:
+        over.wait()  # viewers keep the last frame
+    if outputs.fault:
+        raise outputs.fault
 
 
 @command(
@@ -227,18 +220,26 @@ def show(
 )  # fmt: skip
 def main(args: Namespace) -> None:
     refuse_unusable(args)
-    from gelforge.reading.predictor import load_for_use
-    from gelforge.records.image import read_image
-
-    model = load_for_use(args.model, args.sensor)
+    model = load_model(args.model, args.device, args.threads)
+    require_sensor(model, args.sensor)
     picture = read_image(args.nocontact) if args.nocontact else None
-    name = source_name(args.video, args.camera)
+    name, start = source_name(args.video, args.camera), None
     with open_source(args.video, args.camera, args.mode) as (capture, announced):
         film = Film(capture, announced, name, args.frames, args.camera is not None, args.video)
-        predictor, seen = predictor_of(args, model, picture, film, name)
-        with stopping() as over:
-            start = None if args.nocontact or args.profile else StartInDoubt(predictor, name)
-            show(args, predictor, seen, film, name, over, start)
+        seen: Iterable[Frame] = film
+        if picture is None and not args.profile and model.needs_nocontact:
+            need_frames(args.frames)
+            picture, seen = found_picture(film, name)
+            reader = reader_beside(picture, model, name)
+            start = StartInDoubt(reader, name)
+        else:
+            reader = Reader(picture, args.profile, model)
+        if reader.text:
+            report(f"{name}: {reader.text}")
+        with stopping() as over, ExitStack() as stack:
+            outputs = outputs_of(args, name, stack)
+            paced = bool(outputs.servers) and not film.camera
+            show(outputs, readings(reader, seen, paced, start), film, over, args.frames)
 
 
 if __name__ == "__main__":

@@ -10,8 +10,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.cli import command, option
 from gelforge.flow.files import publish, read_json
-from gelforge.flow.layout import LOOK, Layout, command_for, shard_name
-from gelforge.flow.runs import imported_labels, refuse_rejected
+from gelforge.flow.layout import LOOK, Layout, command_for
 from gelforge.geometry.gel import load_gel, use_gels_of
 from gelforge.geometry.indenters import build
 from gelforge.geometry.sampled import notes_of
@@ -20,7 +19,9 @@ from gelforge.geometry.stlfile import read_stl
 from gelforge.geometry.triangles import Mesh, write_stl
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors
+from gelforge.mechanics.mesh.basemesh import use_meshes_of
 from gelforge.mechanics.mesh.names import load_mesh
+from gelforge.records.finder import ONLY, find
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.image import read_logged_image
 from gelforge.records.labelfile import read_labels
@@ -48,26 +49,17 @@ class Pictured:
 
 def shard_paths(results: Path, sample_id: str, resolution: str) -> dict[str, Path]:
     """Files of a sample's shard, or of `make sample` where the shard has no label of it; BadInput where none has."""
-    of = Layout(results)
-    shard = of.shard_of(sample_id)
-    if imported := imported_labels(results, resolution):
+    of, found = Layout(results), find(results, sample_id, resolution)
+    if found.imported:
         raise BadInput(
-            f"the label of {sample_id} came with the dataset, in {imported}: a press that was not solved here has no deformed gel to"
-            f" look at; {of.command('report')} shows a network's prediction from its image"
+            f"the label of {sample_id} came with the dataset, in {found.imported}: a press that was not solved here has no deformed"
+            f" gel to look at; {of.command('report')} shows a network's prediction from its image"
         )
-    refuse_rejected(results, shard, sample_id)
-    for own, name in ((of, shard), (of.sample(sample_id), shard_name(0))):
-        paths = {
-            "poses": own.poses(name),
-            "forces": own.forces(name),
-            "labels": own.labels(resolution, name),
-        }
+    found.refuse_rejected()
+    for own, name in ((found.of, found.shard), (of.sample(sample_id), ONLY)):
+        paths = {"poses": own.poses(name), "forces": own.forces(name), "labels": own.labels(resolution, name)}
         # the shard's labels may be older than a row that was added to the log
-        if (
-            paths["labels"].exists()
-            and paths["forces"].exists()
-            and sample_id in read_labels(paths["labels"]).sample_id
-        ):
+        if all(paths[kind].exists() for kind in paths) and sample_id in read_labels(paths["labels"]).sample_id:
             return paths
     one, all_of_them = (of.command(f"{goal} RES={resolution}") for goal in (f"sample ID={sample_id}", "labels"))
     raise BadInput(f"sample {sample_id} has no label at {resolution} yet; run {one}, or {all_of_them}")
@@ -84,7 +76,7 @@ def load(data: Path, paths: dict, sample_id: str, sensors: dict, resolution: str
         )
     if not found.status[at].valid:
         raise BadInput(
-            f"sample {sample_id} has no valid state ({found.status[at].name}); the reason is in 30_fea/SHARD/{sample_id}.json"
+            f"sample {sample_id} has no valid state ({found.status[at].name}); {command_for('provenance ID=' + sample_id, paths['poses'])} says why"
         )
     sensor = find_sensor(sensors, press.sensor_id, str(paths["poses"]))
     image = read_logged_image(data, press.image, sensor.image) if press.image else None
@@ -193,6 +185,7 @@ def main(args: Namespace) -> None:
 
     check_id(args.id)
     use_gels_of(args.workflow)
+    use_meshes_of(Layout(args.results).meshes)
     sensors, out = load_sensors(args.sensors), args.out or args.results / LOOK
     paths, indenter = {}, out / f"{args.id}-indenter.stl"
     for resolution in map(str, map(Grid.parse, args.resolution)):

@@ -21,8 +21,9 @@ from gelforge.errors import BadInput, printable
 from gelforge.flow.cli import command, option
 from gelforge.flow.files import publish
 from gelforge.reading.forcereading import TOTAL_COLUMNS, ForceReading, goes_beyond, interval_text, total_columns
-from gelforge.reading.predictor import Predictor, load_for_use
-from gelforge.reading.profile import files_of, with_profile
+from gelforge.reading.model import load_model, require_sensor
+from gelforge.reading.profile import files_of
+from gelforge.reading.reader import Reader
 from gelforge.records.axes import CHANNELS
 from gelforge.records.image import read_image
 from gelforge.records.regular import FOLDER, file_fault, refuse_to_replace
@@ -74,9 +75,7 @@ def need_folder(out: Path) -> None:
         raise BadInput(f"--out {out}: cannot be written into ({error.strerror}); name another folder") from error
 
 
-def predict_files(
-    paths: Sequence[Path], predictor: Predictor, out: Path, read: Sequence[Path] = ()
-) -> Iterator[dict]:
+def predict_files(paths: Sequence[Path], reader: Reader, out: Path, read: Sequence[Path] = ()) -> Iterator[dict]:
     """Predict image files and write their maps below `out`, one after another; yield each one's row of totals.csv.
 
     All images are checked before anything is written, and read again one by one, because memory may not hold them
@@ -95,14 +94,14 @@ def predict_files(
     try:
         for path, name in zip(paths, names, strict=True):
             image = read_image(path)
-            found, shown = predictor.predict_shown(image)
+            found = reader(image)
             row = totals_row(printable(path), printable(name), found)
             # the maps of an image and its row are written together or, where the disk is full, not at all
             with publish(out / f"{name}.npy") as cells, publish(out / f"{name}.png") as drawn:
                 np.save(cells, found.cells)
                 flag = f" | FLAGGED: {found.reason}" if found.flag else ""
                 title = f"{printable(name)}{flag}"
-                write_maps(drawn, shown, found.cells, title)
+                write_maps(drawn, found.image, found.cells, title)
                 table.add(row)
             yield row
     finally:
@@ -138,13 +137,13 @@ def main(args: Namespace) -> None:
         if path.suffix.lower() in FILMS:
             raise BadInput(f"{path}: is a film; `gelforge live --video {path} --csv readings.csv` reads it")
     picture = read_image(args.nocontact) if args.nocontact else None
-    model = load_for_use(args.model, args.sensor)
-    picture, gain = with_profile(args.profile, picture, model.metadata)
-    predictor = Predictor(model, picture, gain, args.device, args.threads)
-    if predictor.text:
-        print(predictor.text)
+    model = load_model(args.model, args.device, args.threads)
+    require_sensor(model, args.sensor)
+    reader = Reader(picture, args.profile, model)
+    if reader.text:
+        print(reader.text)
     kept = [*filter(None, [args.nocontact]), *files_of(args.profile)]
-    for row in predict_files(args.images, predictor, args.out, kept):
+    for row in predict_files(args.images, reader, args.out, kept):
         print(line_of(row), flush=True)
     print(f"maps and totals.csv in {args.out}")
 

@@ -8,40 +8,41 @@ from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.flow.cli import RESULTS, command, option
-from gelforge.flow.files import record_of
+from gelforge.flow.files import digest_of
 from gelforge.flow.layout import FEA, Layout
 from gelforge.flow.runs import (
     Step,
     concerning,
-    imported_labels,
     pose_of,
-    rejections_of,
     steps_of_label,
     steps_to,
 )
+from gelforge.records.finder import find
 
 
 def provenance(results: Path, sample_id: str, resolution: str) -> dict:
     """The provenance of a label: its sample's solve and the steps in order of execution; or why there is none."""
-    of = Layout(results)
+    of, found = Layout(results), find(results, sample_id, resolution)
     shard = of.shard_of(sample_id)
-    imported = imported_labels(results, resolution)
-    rejected = [] if imported else rejections_of(results, shard, sample_id)
-    if imported:  # this project made no pose, solve or force for it
+    if found.imported:  # this project made no pose, solve or force for it
         steps = []
-    elif rejected:  # later stages of its shard do not contain it
+    elif found.rejected:  # later stages of its shard do not contain it
         steps = list(steps_to(results, str(of.poses(shard)), shard))
     else:
         steps = steps_of_label(results, shard, resolution)
     pose = pose_of(results, shard, sample_id)
     steps = [replace(step, parameters=concerning(step.parameters, pose)) for step in steps]
-    solve = record_of(of.solve(shard, sample_id)) or {}
+    posed = of.poses(shard).parent / pose.get("stl", "") if pose.get("stl") else None
+    record = found.record if found.of.root == of.root else None
     return {
         "sample_id": sample_id,
         "shard": shard,
-        "imported": str(imported or ""),
-        "rejected": rejected,
-        "solve": {} if rejected else solve,
+        "imported": str(found.imported or ""),
+        "rejected": found.rejected,
+        "solve": {}
+        if found.rejected or record is None
+        else record | {"file": str(found.arrays) if record["sha256"] else ""},
+        "stl": {"file": str(posed), "sha256": digest_of(posed)} if posed and posed.is_file() else {},
         "steps": [asdict(s) for s in steps],
     }
 
@@ -62,22 +63,24 @@ def lines(found: dict, results: Path) -> list[str]:
         text += [f"    parameters {name} {json.dumps(values)}" for name, values in step.parameters.items()]
         text.append(f"    by {', '.join(f'{name} {version}' for name, version in sorted(step.programs.items()))}")
         if Path(step.target).is_relative_to(Layout(results).folder(FEA)) and found["solve"]:
-            text += solve_lines(found["solve"], step.target)
+            text += solve_lines(found["solve"])
+    if found["stl"]:
+        text.append(f"posed indenter: {found['stl']['file']}, SHA-256 {found['stl']['sha256'][:12]}")
     if not found["steps"]:
         text.append("no stage has run for it yet")
     return text
 
 
-def solve_lines(solve: dict, target: str) -> list[str]:
+def solve_lines(solve: dict) -> list[str]:
     """Lines on the sample's own solve."""
     evidence = solve.get("evidence", {})
     cost = f"{evidence.get('seconds', 0.0):.1f} s"
     cost += f", {evidence['peak_mib']:.0f} MiB" if evidence.get("peak_mib") else ""
     why = f" ({solve['reason']})" if solve.get("reason") else ""
-    files = ", ".join(f"{Path(target).with_suffix('')}/{name}" for name in solve.get("files", []))
     return [
         f"    this sample: {solve['status']}{why}, {solve['method']} on mesh {solve['mesh']}, {cost}",
-        f"    its files: {files or 'none'}",
+        f"    its file in the store: {solve['file'] or 'none'} {solve['sha256'][:12]}",
+        *([f"    CalculiX {evidence['ccx_version']}"] if evidence.get("ccx_version") else []),
     ]
 
 

@@ -6,15 +6,15 @@ from argparse import Namespace
 from pathlib import Path
 
 from gelforge.errors import BadInput
+from gelforge.flow.calibration import calibrated
 from gelforge.flow.cli import RESULTS, command, option
 from gelforge.flow.files import write_text
-from gelforge.flow.layout import Layout, shard_name
+from gelforge.flow.layout import Layout
 from gelforge.flow.params import read_parameters
+from gelforge.records.finder import ONLY
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses, read_shard, shard_text
 from gelforge.records.press import RawRow, check_id
-
-ONLY = shard_name(0)  # the only shard of the sample's folder
 
 
 def find_rows(results: Path, sample_id: str) -> list[RawRow]:
@@ -32,9 +32,11 @@ def find_rows(results: Path, sample_id: str) -> list[RawRow]:
 
 def prepared(work: Layout, rows: list[RawRow]) -> Layout:
     """Fill the folder `work` with rows as its only shard, and with a copy of the dataset's stage parameters."""
+    of = Layout(work.dataset_root)
     write_text(work.shard(ONLY), shard_text(rows))
+    shutil.copy(of.used(of.shard_of(rows[0].cells["sample_id"])), work.used(ONLY))
     shutil.rmtree(work.params, ignore_errors=True)
-    shutil.copytree(Layout(work.dataset_root).params, work.params)
+    shutil.copytree(of.params, work.params)
     return work
 
 
@@ -43,15 +45,12 @@ def steps(work: Layout, resolution: str) -> list[tuple[str, list[str], Path]]:
     of_shard = {"poses": work.poses, "fea": work.fea, "forces": work.forces}
     root = str(work.root)
     found = [(name, [root, ONLY], target(ONLY)) for name, target in of_shard.items()]
-    return [*found, ("labels", [root, resolution], work.labelled(resolution))]
+    return [*found, ("labels", [root, resolution, ONLY], work.labels(resolution, ONLY))]
 
 
-def require_stiffness(of: Layout) -> None:
-    """Raise BadInput, before the solve, if the forces need a calibration posterior that does not exist yet."""
-    from gelforge.stages.forces import material_c10
-
-    if not of.calibration().exists():
-        material_c10(read_parameters(of.parameters("forces")).material, of.calibration())
+def require_calibration(of: Layout) -> None:
+    """Raise BadInput, before the solve, if labels follow a calibration that does not exist yet."""
+    calibrated(read_parameters(of.parameters("forces")), of.base)
 
 
 @command(
@@ -65,7 +64,7 @@ def main(args: Namespace) -> int:
     of = Layout(args.results)
     if not args.id:
         raise BadInput(f"no sample named; say {of.command('sample ID=SAMPLE_ID')}")
-    require_stiffness(of)
+    require_calibration(of)
     work = prepared(of.sample(check_id(args.id)), find_rows(args.results, args.id))
     for stage, words, target in steps(work, args.resolution):
         print(f"== {stage}", file=sys.stderr, flush=True)

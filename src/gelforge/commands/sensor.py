@@ -27,8 +27,7 @@ from gelforge.flow.cli import command, option
 from gelforge.reading.forcereading import goes_beyond, interval_digits
 from gelforge.reading.frame import reduced
 from gelforge.reading.markers import markers_in
-from gelforge.reading.model import ForceModel
-from gelforge.reading.predictor import Predictor, load_for_use
+from gelforge.reading.model import Model, load_model
 from gelforge.reading.profile import (
     Gain,
     check_readings,
@@ -38,6 +37,7 @@ from gelforge.reading.profile import (
     odd_readings,
     write_profile,
 )
+from gelforge.reading.reader import Reader
 from gelforge.records.film import Film, open_source, source_name
 from gelforge.records.image import read_image
 from gelforge.records.nocontactimage import find_nocontact, nocontact_of
@@ -48,12 +48,12 @@ from gelforge.records.table import filled_rows
 ASKED = "give the columns image and force_n, a row for each press"
 
 
-def gain_of(readings: Path, predictor: Predictor) -> Gain:
+def gain_of(readings: Path, reader: Reader) -> Gain:
     """Fit the force factor to a table of readings; BadInput names the row that cannot be used."""
     rows = filled_rows(readings, ("image", "force_n"), "readings", ASKED)
     pictures = _pictures(readings, rows)
     measured = np.array([_force(name, row["force_n"]) for name, (_, row) in zip(pictures, rows, strict=True)])
-    read, whole = _normals(predictor, pictures)
+    read, whole = _normals(reader, pictures)
     if not whole.any():
         raise BadInput(
             f"{readings}: none of {len(whole)} images shows the whole contact; press a smaller body, or nearer to the middle"
@@ -109,7 +109,7 @@ def nocontact_picture(
     return nocontact_of(video, camera, mode), source_name(video, camera)
 
 
-def _normals(predictor: Predictor, pictures: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+def _normals(reader: Reader, pictures: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     """Predict compression (n,) in N from images by name, and decide which of them (n,) bool show the whole contact.
 
     The others are named on the terminal. So are images that `predict` would flag; they still count, because some
@@ -117,7 +117,7 @@ def _normals(predictor: Predictor, pictures: dict[str, np.ndarray]) -> tuple[np.
     """
     read, whole = [], []
     for name, picture in pictures.items():
-        found = predictor.predict(picture)
+        found = reader(picture)
         read.append(-float(found.total[2]))
         whole.append(not goes_beyond(found.edge_peak))
         if found.flag:
@@ -174,7 +174,7 @@ def weigh(args: Namespace, out: Path) -> tuple[np.ndarray, Gain, dict]:
         raise BadInput(
             f"{folder} exists already, from an earlier weighing; remove it, or give another --name or --out"
         )
-    model, name = load_for_use(args.model), source_name(args.video, args.camera)
+    model, name = load_model(args.model), source_name(args.video, args.camera)
     with open_source(args.video, args.camera, args.mode) as (capture, announced):
         frames = iter(Film(capture, announced, name, None, args.camera is not None, args.video))
         if args.nocontact:
@@ -182,9 +182,9 @@ def weigh(args: Namespace, out: Path) -> tuple[np.ndarray, Gain, dict]:
         else:
             found, frames = find_nocontact(frames, name)
             picture = cv2.cvtColor(found, cv2.COLOR_BGR2RGB)
-        predictor = predictor_beside(model, picture, name)
+        reader = reader_beside(model, picture, name)
         folder.mkdir(parents=True)
-        weighing, page = Weighing(folder, predictor), PageServer("127.0.0.1", 0)
+        weighing, page = Weighing(folder, reader), PageServer("127.0.0.1", 0)
         print(f"{page.url} shows {name}; {HELP}", flush=True)
         try:
             (weigh_film if args.camera is None else weigh_camera)(weighing, frames, page.send)
@@ -193,17 +193,17 @@ def weigh(args: Namespace, out: Path) -> tuple[np.ndarray, Gain, dict]:
     if not weighing.names:
         folder.rmdir()
         raise BadInput(f"{name}: no press was weighed, so nothing is written; {HELP}")
-    return reduced(picture), gain_of(folder / "readings.csv", predictor), model.metadata
+    return reduced(picture), gain_of(folder / "readings.csv", reader), model.metadata
 
 
-def predictor_beside(model: ForceModel, picture: np.ndarray, source: str) -> Predictor:
-    """A predictor with a no-contact image (h, w, 3); BadInput where the image is unusable."""
-    predictor = Predictor(model, reduced(picture))
-    if predictor.text:
-        print(f"{source}: {predictor.text}", file=sys.stderr)
-    if predictor.fault:
-        raise BadInput(f"{source}: {predictor.fault}; take a sharp one while nothing touches the sensor")
-    return predictor
+def reader_beside(model: Model, picture: np.ndarray, source: str) -> Reader:
+    """A reader with a no-contact image (h, w, 3); BadInput where the image is unusable."""
+    reader = Reader(reduced(picture), model=model)
+    if reader.text:
+        print(f"{source}: {reader.text}", file=sys.stderr)
+    if reader.fault:
+        raise BadInput(f"{source}: {reader.fault}; take a sharp one while nothing touches the sensor")
+    return reader
 
 
 @command(
@@ -227,10 +227,10 @@ def main(args: Namespace) -> None:
         picture, gain, metadata = weigh(args, out)
     else:
         picture, source = nocontact_picture(args.nocontact, args.video, args.camera, args.mode)
-        model = load_for_use(args.model)
+        model = load_model(args.model)
         picture, metadata = reduced(picture), model.metadata
-        predictor = predictor_beside(model, picture, source)
-        gain = gain_of(args.readings, predictor) if args.readings else Gain()
+        reader = reader_beside(model, picture, source)
+        gain = gain_of(args.readings, reader) if args.readings else Gain()
     profile = make_profile(name, picture, markers_in(picture).pitch, gain, metadata)
     write_profile(out, profile)
     what = "reading" if gain.readings == 1 else "readings"

@@ -1,6 +1,5 @@
 """Samples of a dataset that are done, failed (with reasons) and pending, by stage, from the records of targets."""
 
-import time
 from argparse import Namespace
 from collections import Counter
 from collections.abc import Collection
@@ -16,7 +15,6 @@ from gelforge.flow.runs import (
     causes,
     changes,
     duration,
-    in_words,
     last_runs,
     last_words_of,
     stages,
@@ -59,10 +57,11 @@ def whole_lines(results: Path, broken: Collection[str]) -> list[str]:
     """Results of the stages that work on all samples at once, or the command that makes them."""
     text = []
     for kind, pattern, target in (
+        (layout.IMAGES, "images.json", "images"),
         (layout.DATASET, "*/dataset.json", "dataset"),
         (layout.TRAIN, "*/*.onnx", "train"),
         (layout.EVALUATE, "*/*.json", "evaluate"),
-        (layout.REPORT, "index.html", "report"),
+        (layout.REPORT, "*.html", "report"),
         (layout.CALIBRATE, "summary.json", "calibrate"),
         (layout.PARETO, "*.json", "pareto"),
     ):
@@ -107,16 +106,6 @@ def cost_lines(results: Path, known: list[LastRun]) -> list[str]:
     return [head, *(f"{of['name']:20s} {duration(of['cpu_seconds']):>12s} {of['peak_mib']:12.0f}" for of in found)]
 
 
-def counter_lines(results: Path) -> list[str]:
-    """Progress of the last run in its latest stage of shards."""
-    path = Layout(results).counter
-    stages_of = (record_of(path) or {}).get("stages")
-    if not stages_of:
-        return []
-    written, stage = path.stat().st_mtime, [*stages_of][-1]
-    return [f"last run: {stage} {in_words(stages_of[stage], written)}, {duration(time.time() - written)} ago"]
-
-
 @command(RESULTS)
 def main(args: Namespace) -> None:
     results, known = args.results, last_runs(args.results)
@@ -126,7 +115,6 @@ def main(args: Namespace) -> None:
         *outdated_lines(asked),
         *failed_lines(results, asked),
         *cost_lines(results, known),
-        *counter_lines(results),
     ]
     print("\n".join(map(printable, text)))
 

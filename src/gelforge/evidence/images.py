@@ -16,7 +16,7 @@ import numpy as np
 
 from gelforge.evidence.imprints import COLS, ROWS, Seen
 from gelforge.evidence.placement import BETTER, FEWEST, FITS, OFTEN, gains, moved_map, other_axes, projection
-from gelforge.reading.faults import likeness
+from gelforge.reading.picture import likeness
 
 # Limits of the imprints. The likeness of measured and expected imprints is 0.79 to 0.97 in the rig's presses (median
 # 0.91), 0.9 to 0.97 in real presses of a ball. Contacts lie within 0.2 mm of their poses in the median; imprints are

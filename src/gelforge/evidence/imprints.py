@@ -15,9 +15,9 @@ from gelforge.geometry import touch
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.solids import Indenter
 from gelforge.labelling.sensor import Sensor
-from gelforge.reading.faults import likeness
 from gelforge.reading.markers import dark_spots
-from gelforge.reading.pair import Prepared
+from gelforge.reading.pair import Pair
+from gelforge.reading.picture import likeness
 from gelforge.records.press import Press
 
 ROWS, COLS = 30, 40
@@ -32,12 +32,12 @@ SHOWN = 3.0  # levels of change that an imprint has at least
 MADE = 0.2
 
 
-def imprint(seen: Prepared) -> np.ndarray:
+def imprint(pair: Pair) -> np.ndarray:
     """Change of colour (30, 40) of an image against its no-contact image, after photometric normalisation."""
     import cv2
 
-    assert seen.nocontact is not None
-    half, rest = _half(seen.lit), _half(seen.nocontact.picture)
+    assert pair.nocontact is not None
+    half, rest = _half(pair.lit.image), _half(pair.nocontact.picture.image)
     change = cv2.transform(cv2.absdiff(half, rest), np.full((1, 3), 1 / 3, np.float32)).astype(np.float32)
     gel = _between_markers(half) * _between_markers(rest)
     mean = cv2.GaussianBlur(change * gel, (0, 0), SMOOTH) / (cv2.GaussianBlur(gel, (0, 0), SMOOTH) + 1e-3)

@@ -7,9 +7,11 @@ factors of indenters are fitted first, with priors of their usual sizes, and rep
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
+from pathlib import Path
 
 import numpy as np
 
+from gelforge.errors import BadInput
 from gelforge.evidence.forces import (
     FEWEST,
     LEAST_N,
@@ -323,3 +325,25 @@ def _other_thickness(log: LogForces, felt: np.ndarray, bench: Fit) -> str | None
         f" indenters do not explain: most likely the gel is {'thinner' if power > 0 else 'thicker'} than its table says;"
         f" check its thickness, and the column `gel_id`.{other}"
     )
+
+
+UNSEEN = 0.5  # an image does not show a press if more than this fraction of its normal force lies outside
+LEAST_PRESSES = 10  # of a sensor before the projection is judged
+
+
+def refuse_unseen(sensors: Sequence[str], inside: np.ndarray, outside: np.ndarray, where: Path) -> None:
+    """Raise BadInput if most presses of a sensor lie mostly outside its images: its projection or the log is wrong.
+
+    sensors: of n presses. inside, outside: (n,) N, normal force within the image and beyond it. where: file of sensors.
+    """
+    bears = (inside + outside) != 0.0
+    beyond = np.abs(outside) > UNSEEN * np.abs(inside + outside)
+    for name in sorted(set(sensors)):
+        own = bears & (np.array(sensors) == name)
+        count, lost = int(own.sum()), int((own & beyond).sum())
+        if count >= LEAST_PRESSES and 2 * lost > count:
+            raise BadInput(
+                f"{where}: by the projection of sensor {name}, {lost} of its {count} samples have most of their normal force"
+                f" outside its images: measure the projection again with make projection SENSOR={name} (workflow/README.md),"
+                " or correct x0_mm and y0_mm of the log"
+            )

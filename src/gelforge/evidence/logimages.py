@@ -9,11 +9,14 @@ from gelforge.errors import BadInput
 from gelforge.evidence.imprints import Seen, Window, imprint
 from gelforge.geometry.solids import Indenter
 from gelforge.labelling.sensor import Sensor
-from gelforge.reading.faults import log_image_fault, nocontact_fault, rim_signs
-from gelforge.reading.pair import NoContact, Prepared
+from gelforge.reading.faults import Asked, nocontact_fault, pair_fault
+from gelforge.reading.frame import ImageFrame
+from gelforge.reading.markers import shifted_back
+from gelforge.reading.pair import NoContact, Pair
 from gelforge.records.image import read_image, read_logged_image
 from gelforge.records.press import PosedPress, PressRecord
 
+WIDTH = 320  # px at which images are judged: what a network of Minis reads
 KEEP = "or set judge_images = false under [params.poses] in dataset.toml to use the images as they are"
 
 
@@ -28,12 +31,41 @@ def read_nocontact(data: Path, name: str, size: tuple[int, int]) -> np.ndarray |
     return read_image(path, size, "restore it, or remove it") if path.exists() else None
 
 
-def rim_of(seen: Prepared) -> np.ndarray:
-    """Median motion of the rim's markers, in pitches, and fraction of them that is lost or looks different, (2,)."""
-    assert seen.nocontact is not None
-    markers = seen.nocontact.markers
-    signs = rim_signs(markers, seen.tracks)
-    return np.array([signs.rim_px / max(markers.printed.pitch, 1.0), signs.rim_lost])
+def rim_of(pair: Pair) -> np.ndarray:
+    """Median motion of the rim's markers, in pitches, and fraction of them that is lost or looks different, (2,).
+
+    As in the camera's image: registration of the gel is taken back.
+    """
+    assert pair.nocontact is not None
+    markers = pair.nocontact.markers
+    if not markers.rim.any():
+        return np.zeros(2)
+    moved = np.hypot(*(pair.tracks.motion[markers.rim & pair.tracks.found] + pair.shift).T)
+    lost = float(pair.tracks.unlike[markers.rim].mean())
+    return np.array([float(np.median(moved)) / max(markers.printed.pitch, 1.0) if len(moved) else 0.0, lost])
+
+
+class LogPairs:
+    """Compares images of a log with the no-contact image of their sensor, as a reader does (`reading.pair`).
+
+    nocontact: (h, w, 3) uint8 RGB. Images wider than WIDTH are reduced to it, at which faults are judged.
+    """
+
+    def __init__(self, nocontact: np.ndarray) -> None:
+        height, width = nocontact.shape[:2]
+        scale = min(1.0, WIDTH / width)
+        self._frame = ImageFrame((max(1, round(scale * height)), max(1, round(scale * width))), (height, width))
+        self.nocontact = NoContact(self._frame(nocontact), self._frame.size)
+
+    def __call__(self, image: np.ndarray) -> Pair:
+        """An image (h, w, 3) uint8 RGB beside the no-contact image."""
+        return self.nocontact.compare(self._frame(image))
+
+    def where_it_is(self, pair: Pair) -> Pair:
+        """The same pair without registration of the gel, so that a contact is where the camera saw it."""
+        if not pair.shift.any():
+            return pair
+        return self.nocontact.under_its_light(shifted_back(pair.image.image, -pair.shift))
 
 
 class LogImages:
@@ -45,50 +77,48 @@ class LogImages:
 
     def __init__(self, data: Path, sensors: Mapping[str, Sensor]) -> None:
         self.data, self.sensors = data, sensors
-        self._known: dict[str, tuple[NoContact, Window] | None] = {}
+        self._known: dict[str, tuple[LogPairs, Window] | None] = {}
 
-    def _of(self, name: str) -> tuple[NoContact, Window] | None:
+    def _of(self, name: str) -> tuple[LogPairs, Window] | None:
         if name not in self._known:
             self._known[name] = self._read(name)
         return self._known[name]
 
-    def _read(self, name: str) -> tuple[NoContact, Window] | None:
+    def _read(self, name: str) -> tuple[LogPairs, Window] | None:
         sensor = self.sensors.get(name)
         picture = None if sensor is None else read_nocontact(self.data, name, sensor.image)
         if picture is None or sensor is None:
             return None
-        nocontact = NoContact(picture, picture.shape[:2], None)
-        fault = nocontact_fault(nocontact, {})
+        compare = LogPairs(picture)
+        fault = nocontact_fault(compare.nocontact, Asked.LOG)
         if fault:
             raise BadInput(f"{nocontact_path(self.data, name)}: {fault}. Record it anew, {KEEP}")
-        return nocontact, Window(sensor)
+        return compare, Window(sensor)
 
     def fault(self, press: PressRecord) -> str:
         """Why the image of a press is not of its sensor; empty where it may be, or there is no no-contact image."""
         known = self._of(press.sensor_id)
         if known is None or not press.image:
             return ""
-        nocontact, window = known
-        return log_image_fault(nocontact.lit(read_logged_image(self.data, press.image, window.sensor.image)))
+        compare, window = known
+        return pair_fault(compare(read_logged_image(self.data, press.image, window.sensor.image)), Asked.LOG)
 
     def see(self, press: PosedPress, body: Indenter) -> Seen | None:
         """What is kept of the image of a press, with its fault; None without an image or a no-contact image."""
         known = self._of(press.sensor_id)
         if known is None or not press.image:
             return None
-        nocontact, window = known
-        image = read_logged_image(self.data, press.image, window.sensor.image)
-        path = press.press
-        seen = nocontact.lit(image)
+        compare, window = known
+        pair, path = compare(read_logged_image(self.data, press.image, window.sensor.image)), press.press
         return Seen(
             row=press.row,
             sample_id=press.sample_id,
             sensor=press.sensor_id,
             indenter=press.indenter,
-            fault=log_image_fault(seen),
-            measured=imprint(seen),
+            fault=pair_fault(pair, Asked.LOG),
+            measured=imprint(compare.where_it_is(pair)),
             expected=window.expected(body, path),
             centre=window.place(path),
             mm=window.mm,
-            rim=rim_of(seen),
+            rim=rim_of(pair),
         )

@@ -6,7 +6,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from gelforge.evidence.imprints import COLS, ROWS, Seen
-from gelforge.reading.faults import FLIPS, likeness
+from gelforge.reading.measures import FLIPS
+from gelforge.reading.picture import likeness
 
 # Of the rig's presses, contacts lie within 0.2 mm of their poses in the median.
 FEWEST = 6  # images of a sensor that are judged together

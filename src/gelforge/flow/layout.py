@@ -6,14 +6,17 @@ module imports only the standard library, because every step of a run imports it
 
 import csv
 import os
-from contextlib import suppress
+import re
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any, overload
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import names_in
 
-PLAN, POSES, IMAGES, FEA, FORCES = "00_plan", "10_poses", "15_images", "30_fea", "40_forces"
+PLAN, POSES, IMAGES, MESHES, FEA, FORCES = "00_plan", "10_poses", "15_images", "20_meshes", "30_fea", "40_forces"
 LABELS, DATASET, TRAIN, EVALUATE, REPORT = "50_labels", "60_dataset", "70_train", "80_evaluate", "90_report"
 CALIBRATE, PARETO, PARETO_MODELS, STABILITY = "calibrate", "pareto", "pareto_models", "stability"
 LOGS, METRICS = "logs", "metrics"
@@ -27,25 +30,40 @@ class Stage:
 
     folder: of its results. reads: parameter tables, or single values TABLE.KEY, that its parameter file holds.
     solves: whether it solves presses as stage 30 does, so that its results change with stage 30's version.
+    calibrated: whether it follows the dataset's calibration, where there is one.
     """
 
     folder: str
     reads: tuple[str, ...] = ()
     solves: bool = False
+    calibrated: bool = False
 
 
 STAGES = {
-    "poses": Stage(POSES, ("poses",)),
+    "poses": Stage(POSES, ("poses",), calibrated=True),
     "images": Stage(IMAGES, ("poses.images", "poses.judge_images")),
-    "fea": Stage(FEA, ("fea", "interface", "material.nu")),
-    "forces": Stage(FORCES, ("material",)),
+    "meshes": Stage(MESHES),
+    "fea": Stage(FEA, ("fea", "interface", "material.nu"), calibrated=True),
+    "forces": Stage(FORCES, ("material",), calibrated=True),
     "labels": Stage(LABELS, ("labels",)),
     "dataset": Stage(DATASET, ("dataset", "poses.images", "poses.judge_images")),
     "train": Stage(TRAIN, ("train",)),
     "evaluate": Stage(EVALUATE, ("evaluate",)),
     "card": Stage(EVALUATE),
     "report": Stage(REPORT, ("report",)),
-    "calibrate": Stage(CALIBRATE, ("calibrate", "material.nu", "interface.law"), solves=True),
+    "calibrate": Stage(
+        CALIBRATE,
+        (
+            "calibrate",
+            "material.nu",
+            "material.c10",
+            "interface.law",
+            "poses.deepest_share",
+            "poses.farthest_shear_mm",
+            "poses.tilt_deg",
+        ),
+        solves=True,
+    ),
     "pareto": Stage(PARETO, ("pareto", "fea", "material.nu")),
     "stability": Stage(STABILITY, ("stability", "fea"), solves=True),
     "pareto_models": Stage(PARETO_MODELS),
@@ -62,12 +80,7 @@ FOLDERS = (
     LOOK,
     DECK,
 )
-# Stages that write one file per shard: name of their parameters, folder of their inputs, suffix of their outputs.
-OF_SHARDS = {
-    POSES: ("poses", f"{PLAN}/shards", ".csv"),
-    FEA: ("fea", POSES, ".csv"),
-    FORCES: ("forces", FEA, ".npz"),
-}
+OF_SHARDS = (POSES, FEA, FORCES, LABELS)  # stages that write one file per shard
 SHARD_DIGITS = 4
 LOGGED = "logged"  # column of the shard table: 1 for a sample of the log, 0 for one whose row is gone from the log
 
@@ -82,11 +95,11 @@ def planned_shards(folder: Path) -> list[str]:
     return [name.removesuffix(".csv") for name in names_in(folder, ".csv")]
 
 
-def written(path: str) -> int:
-    """When a file was last written, ns since 1970; 0 if it does not exist."""
-    with suppress(OSError):
-        return os.stat(path).st_mtime_ns
-    return 0
+def place_in(target: Path) -> str:
+    """Which of the planned shards a stage's file is of, as "  [3 of 8]"; "" for others."""
+    root = dataset_folder(target)
+    names = planned_shards(Layout(root).shards) if root and target.relative_to(root).parts[0] in OF_SHARDS else []
+    return f"  [{names.index(target.stem) + 1} of {len(names)}]" if target.stem in names else ""
 
 
 def mirror(target: Path, kind: str, suffix: str) -> Path:
@@ -125,6 +138,38 @@ def log_of(target: Path) -> Path:
 def metrics_of(target: Path) -> Path:
     """The record of a target: what it read and what it cost."""
     return mirror(target, METRICS, ".json")
+
+
+class File:
+    """A file below results/DATASET by the pattern of its name: `of.fea("0000")` is results/DATASET/30_fea/0000.csv.
+
+    shared: it is that of the dataset also for a sample that `make sample` took through all stages.
+    """
+
+    def __init__(self, pattern: str, shared: bool = False) -> None:
+        self.pattern, self.shared = pattern, shared
+        self.words = re.findall(r"{(\w+)}", pattern)
+
+    def __call__(self, of: "Layout", *words: str) -> Path:
+        """The path for the words of the pattern, in their order."""
+        if len(words) != len(self.words):
+            raise TypeError(f"{self.pattern}: give {', '.join(self.words) or 'no words'}, not {words}")
+        root = of.dataset_root if self.shared else of.root
+        return root / self.pattern.format(**dict(zip(self.words, words, strict=True)))
+
+    @overload
+    def __get__(self, of: None, owner: type) -> "File": ...
+    @overload
+    def __get__(self, of: "Layout", owner: type) -> Callable[..., Path]: ...
+    def __get__(self, of: "Layout | None", owner: type) -> "File | Callable[..., Path]":
+        return self if of is None else partial(self, of)
+
+
+class Folder(File):
+    """A path below results/DATASET whose name holds no words: `of.params`."""
+
+    def __get__(self, of: Any, owner: type) -> Any:
+        return self if of is None else self(of)
 
 
 @dataclass(frozen=True)
@@ -171,180 +216,63 @@ class Layout:
         """Folder of the references of the chart's scenes, which all datasets share."""
         return self.base / "data" / "fea_challenge"
 
-    def plan(self) -> Path:
-        """Lists of words, such as shards, that make reads."""
-        return self.root / PLAN / "plan.mk"
+    # -- files and folders, by the words that their names hold
+
+    plan = File(f"{PLAN}/plan.mk")  # lists of words, such as shards, that make reads
+    params = Folder(f"{PLAN}/params")  # parameters of each stage, NAME.json
+    parameters = File(f"{PLAN}/params/{{name}}.json")  # of a stage, or catalogue entries that the dataset uses
+    shards = Folder(f"{PLAN}/shards")
+    shard_table = Folder(f"{PLAN}/shards.csv")  # the shard of every sample
+    shard = File(f"{PLAN}/shards/{{shard}}.csv")  # raw rows
+    used = File(f"{PLAN}/shards/{{shard}}.json")  # catalogue entries that a shard uses: sensors, indenters, gels
+    pictures = File(
+        f"{PLAN}/shards/{{shard}}.pictures.json"
+    )  # digests of its pictures, and rows with that of another press
+    beside = File(
+        f"{PLAN}/beside/{{name}}.json"
+    )  # digests of files beside the log: nocontact, rows, imported labels of a resolution
+    poses = File(f"{POSES}/{{shard}}.csv")
+    rejected = File(f"{POSES}/{{shard}}.rejected.csv")
+    images = File(f"{IMAGES}/images.json")
+    meshes = Folder(MESHES, shared=True)  # base meshes of gels
+    mesh = File(f"{MESHES}/{{gel}}.npz", shared=True)
+    fea = File(f"{FEA}/{{shard}}.csv")  # how each press was solved, and the key of its solve
+    checked = File(f"{FEA}/{{shard}}")  # folder of presses that a second method verified
+    forces = File(f"{FORCES}/{{shard}}.npz")
+    labels = File(f"{LABELS}/{{resolution}}/{{shard}}.npz")
+    dataset = File(f"{DATASET}/{{resolution}}")  # folder of the arrays to train on
+    dataset_table = File(f"{DATASET}/{{resolution}}/dataset.json")  # what the arrays hold, written after them
+    network = File(f"{TRAIN}/{{resolution}}/{{model}}.onnx")  # weights and learning curve lie beside it
+    curve = File(f"{TRAIN}/{{resolution}}/{{model}}.curve.png")
+    evaluation = File(f"{EVALUATE}/{{resolution}}/{{model}}.json")  # plots, card and predictions lie beside it
+    card = File(f"{EVALUATE}/{{resolution}}/{{model}}.card.md")
+    report = File(f"{REPORT}/{{resolution}}-{{model}}.html")  # of a dataset without images the model is "none"
+    chart_scene = File(f"{PARETO}/scenes/{{name}}.json")
+    chart = File(f"{PARETO}/pareto.json")
+    network_chart = File(f"{PARETO_MODELS}/{{resolution}}.json")
+    stability_row = File(f"{STABILITY}/rows/{{row}}.json")
+    stability_map = File(f"{STABILITY}/map.json")
+    feats = File(f"{FEATS}/{{resolution}}/normalization_gelforge.npy")  # written after the labels
+    calibration = File(f"{CALIBRATE}/summary.json", shared=True)  # samples follow the posterior of their dataset
+    surfaces = Folder(
+        f"{PLAN}/{SURFACES}", shared=True
+    )  # measured surfaces of STL files, by a digest of their content
+    logs = Folder(LOGS)
+    metrics = Folder(METRICS)
 
     @property
-    def params(self) -> Path:
-        """Folder of each stage's parameters, NAME.json."""
-        return self.root / PLAN / "params"
-
-    def parameters(self, name: str) -> Path:
-        """Parameters of a stage, or the catalogue entries that the dataset uses (sensors, indenters, gels)."""
-        return self.params / f"{name}.json"
-
-    def choice(self, name: str) -> Path:
-        """What a result shows that depends on choices on the command line, one word per line."""
-        return self.root / PLAN / "choices" / f"{name}.txt"
-
-    @property
-    def surfaces(self) -> Path:
-        """Folder of the measured surfaces of STL files, by a digest of their content."""
-        return self.dataset_root / PLAN / SURFACES
-
-    @property
-    def shards(self) -> Path:
-        """Folder of the planned shards' raw rows."""
-        return self.root / PLAN / "shards"
-
-    @property
-    def shard_table(self) -> Path:
-        """Table that gives the shard of every sample."""
-        return self.root / PLAN / "shards.csv"
-
-    def shard(self, name: str) -> Path:
-        """Raw rows of a shard."""
-        return self.shards / f"{name}.csv"
-
-    def used(self, name: str) -> Path:
-        """The catalogue entries that a shard uses: its sensors, indenters and gels."""
-        return self.shards / f"{name}.json"
-
-    def pictures(self, name: str) -> Path:
-        """Digests of a shard's pictures, and its rows whose picture is also that of another press."""
-        return self.shards / f"{name}.pictures.json"
-
-    def beside(self, name: str) -> Path:
-        """Digests of files that lie beside the log: nocontact, rows (splits and truth), or imported labels of a resolution."""
-        return self.root / PLAN / "beside" / f"{name}.json"
-
-    def poses(self, shard: str) -> Path:
-        """Pose table of a shard."""
-        return self.root / POSES / f"{shard}.csv"
-
-    def rejected(self, shard: str) -> Path:
-        """Rows of a shard that stage 10 rejected."""
-        return self.root / POSES / f"{shard}.rejected.csv"
-
-    def images(self) -> Path:
-        """What stage 15 found in the images of the log."""
-        return self.root / IMAGES / "images.json"
-
-    def fea(self, shard: str) -> Path:
-        """Table of a shard's solves."""
-        return self.root / FEA / f"{shard}.csv"
-
-    def solves(self, shard: str) -> Path:
-        """Folder of a shard's solves."""
-        return self.root / FEA / shard
-
-    def solve(self, shard: str, sample_id: str) -> Path:
-        """Record of one solve."""
-        return self.solves(shard) / f"{sample_id}.json"
-
-    def forces(self, shard: str) -> Path:
-        """Nodal forces of a shard."""
-        return self.root / FORCES / f"{shard}.npz"
-
-    def labels(self, resolution: str, shard: str) -> Path:
-        """Labels of a shard."""
-        return self.root / LABELS / resolution / f"{shard}.npz"
-
-    def labelled(self, resolution: str) -> Path:
-        """Summary that is written when all shards are labelled."""
-        return self.root / LABELS / resolution / "labels.json"
-
-    def dataset(self, resolution: str) -> Path:
-        """Folder of the arrays to train on."""
-        return self.root / DATASET / resolution
+    def solves(self) -> Path:
+        """Folder of all solves, by key: of all datasets, or the one that SOLVES=folder names."""
+        return Path(os.environ.get("GELFORGE_SOLVES") or self.dataset_root.parent / "solves")
 
     def lesson(self, resolution: str) -> Path:
         """Arrays that another dataset's network learns from, too: `dataset`, at 1x1 if total forces were imported."""
         only_totals = (self.data / "labels/1x1.npz").exists()
         return self.dataset("1x1" if only_totals else resolution)
 
-    def dataset_table(self, resolution: str) -> Path:
-        """What the arrays of a resolution hold, written after them."""
-        return self.dataset(resolution) / "dataset.json"
-
-    def network(self, resolution: str, model: str) -> Path:
-        """A trained network; its weights and its learning curve lie beside it with the same stem."""
-        return self.root / TRAIN / resolution / f"{model}.onnx"
-
-    def evaluation(self, resolution: str, model: str) -> Path:
-        """Errors of a network; its plots, card and predictions lie beside it with the same stem."""
-        return self.root / EVALUATE / resolution / f"{model}.json"
-
-    def card(self, resolution: str, model: str) -> Path:
-        """The model card of a network."""
-        return self.root / EVALUATE / resolution / f"{model}.card.md"
-
-    def curve(self, resolution: str, model: str) -> Path:
-        """Plot of a network's learning curve."""
-        return self.root / TRAIN / resolution / f"{model}.curve.png"
-
-    def report(self) -> Path:
-        """The report page."""
-        return self.root / REPORT / "index.html"
-
-    def calibration(self) -> Path:
-        """Summary of the posterior; samples and pilots share that of their dataset."""
-        return self.dataset_root / CALIBRATE / "summary.json"
-
-    def chart_scene(self, name: str) -> Path:
-        """A scene solved by every method."""
-        return self.root / PARETO / "scenes" / f"{name}.json"
-
-    def chart(self) -> Path:
-        """The chart of all scenes and methods."""
-        return self.root / PARETO / "pareto.json"
-
-    def network_chart(self, resolution: str) -> Path:
-        """The chart of networks."""
-        return self.root / PARETO_MODELS / f"{resolution}.json"
-
-    def stability_row(self, row: str) -> Path:
-        """The cases of one factor of the branch stability."""
-        return self.root / STABILITY / "rows" / f"{row}.json"
-
-    def stability_map(self) -> Path:
-        """All cases of the branch stability."""
-        return self.root / STABILITY / "map.json"
-
-    def feats(self, resolution: str) -> Path:
-        """The normalisation file of labels in FEATS' layout, written after them."""
-        return self.root / FEATS / resolution / "normalization_gelforge.npy"
-
-    @property
-    def logs(self) -> Path:
-        """Folder of all logs."""
-        return self.root / LOGS
-
-    @property
-    def counter(self) -> Path:
-        """Count of the targets of each stage that the last run of make made."""
-        return self.logs / "counter.json"
-
-    @property
-    def metrics(self) -> Path:
-        """Folder of all records."""
-        return self.root / METRICS
-
     def names(self) -> list[str]:
         """Sorted names of the planned shards."""
         return planned_shards(self.shards)
-
-    def outdated(self, stage: str) -> list[str]:
-        """Shards whose file of a stage (one of OF_SHARDS) is missing or older than its parameters or its input."""
-        params, source, suffix = OF_SHARDS[stage]
-        since = written(f"{self.parameters(params)}")
-        return [
-            name
-            for name in self.names()
-            if written(f"{self.root}/{stage}/{name}{suffix}")
-            < max(since, written(f"{self.root}/{source}/{name}.csv"), 1)
-        ]
 
     def shard_of(self, sample_id: str) -> str:
         """Name of the planned shard that holds a sample; BadInput if none does."""

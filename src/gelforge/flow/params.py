@@ -1,20 +1,17 @@
-"""Parameters: workflow/params.toml, overridden by a dataset's values and frozen calibration, and each stage's part.
+"""Parameters: workflow/params.toml, overridden by a dataset's values, and each stage's part.
 
 make runs a stage again when its own parameter file changes, and for no other change of workflow/params.toml. Keys of
 solves are digests of the content of these files, so a value is written as it was given: 2 stays 2, and 2.0 stays 2.0.
 """
 
-import hashlib
-import json
 import os
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass, fields
 from pathlib import Path
 from typing import Any
 
 from gelforge.errors import BadInput, nearest
-from gelforge.flow.files import digest_of, read_json, read_toml, write_text
+from gelforge.flow.files import digest_of, read_json, read_toml
 from gelforge.flow.layout import STAGES
 from gelforge.flow.schema import Place, altered, parse, plain, structured
 from gelforge.flow.tables import Params
@@ -23,16 +20,15 @@ __all__ = ["Params", "altered", "plain", "read_toml"]  # imported from here, too
 
 
 def load_params(workflow: Path | str, dataset_toml: Path | str | None = None) -> Params:
-    """Read workflow/params.toml, overridden by the [params.*] tables of a dataset and its frozen calibration.
+    """Read workflow/params.toml, overridden by the [params.*] tables of a dataset.
+
+    What a calibration found is read by the stages that follow it (`flow.calibration`).
 
     BadInput is raised for an unknown table or key, a value of another type, a number out of its bounds or not finite,
     a word that is none of the choices, and values that contradict each other.
     """
-    given = with_frozen(read_dataset_file(dataset_toml).params, Path(dataset_toml)) if dataset_toml else {}
-    params = overlaid(workflow, given, str(dataset_toml or ""))
-    if dataset_toml:
-        check_law(params.interface.law, Path(dataset_toml))
-    return params
+    given = read_dataset_file(dataset_toml).params if dataset_toml else {}
+    return overlaid(workflow, given, str(dataset_toml or ""))
 
 
 def overlaid(workflow: Path | str, given: dict[str, Any], where: str) -> Params:
@@ -141,111 +137,17 @@ def with_content(indenters: dict, folder: Path) -> dict:
     }
 
 
-# -- frozen calibration: data/DATASET/calibration.toml overrides workflow/params.toml as a dataset's own tables do
-
-FROZEN = "calibration.toml"  # in data/DATASET/, beside dataset.toml
-KINDS = {"name": str, "law": str, "presses": list, "params": dict}
-# Decimals that are kept: fewer than any posterior resolves, so that another processor freezes the same values.
-DIGITS = {"c10": 4, "touch_offset_mm": 3, "compliance_mm_per_n": 4, "shear_compliance_mm_per_n": 4, "mu": 2}
-BENCH = {
-    "touch_offset_mm": "offset",
-    "compliance_mm_per_n": "compliance",
-    "shear_compliance_mm_per_n": "shear_compliance",
-}
-
-
-@dataclass(frozen=True)
-class Frozen:
-    """A frozen calibration.
-
-    law: of the contact. presses: sample_ids that it used. params: tables that override those of params.toml.
-    """
-
-    name: str
-    law: str
-    presses: tuple[str, ...]
-    params: dict[str, dict[str, Any]]
-
-
-def frozen_of(dataset: str, summary: Mapping[str, Any]) -> Frozen:
-    """The part of a calibration's summary.json that is frozen."""
-    c10, bench = summary["c10"], summary["bench"]
-    material = {"c10": round(c10["median"], DIGITS["c10"])} | {
-        f"c10_{name}": [round(value, DIGITS["c10"]) for value in c10[name]] for name in ("interval68", "interval95")
-    }
-    poses = {key: round(bench[name], DIGITS[key]) + 0.0 for key, name in BENCH.items()}
-    params = {"material": material, "poses": poses}
-    if "mu" in summary["parameters"]:
-        params["interface"] = {"mu": round(summary["parameters"]["mu"]["median"], DIGITS["mu"])}
-    digest = hashlib.sha256(repr(params).encode()).hexdigest()[:6]
-    return Frozen(f"{dataset}-{digest}", summary["law"], tuple(summary["used"]), params)
-
-
-def write_frozen(path: Path, found: Frozen) -> None:
-    """Write the file, whole or not at all."""
-    command = f"make freeze DATASET={path.parent.name}"
-    lines = [
-        f"# What `make calibrate` found from the force readings of the log, rounded. Labels follow it; only `{command}` changes it.",
-        f"name = {json.dumps(found.name)}",
-        f"law = {json.dumps(found.law)}  # contact law, the same as that of the labels",
-        f"presses = {json.dumps(found.presses)}  # presses of the calibration",
-    ]
-    for table, values in found.params.items():
-        lines += ["", f"[params.{table}]", *(f"{key} = {value}" for key, value in values.items())]
-    write_text(path, "\n".join(lines) + "\n")
-
-
-def read_frozen(path: Path) -> Frozen | None:
-    """The frozen calibration; None if the file is missing, BadInput if it is not a frozen calibration."""
-    if not path.exists():
-        return None
-    hint = f"run make freeze DATASET={path.parent.name}, or remove it"
-    try:
-        given = read_toml(path)
-    except BadInput as error:
-        raise BadInput(f"{error}; {hint}") from error
-    if given.keys() != KINDS.keys() or not all(isinstance(given[key], kind) for key, kind in KINDS.items()):
-        raise BadInput(f"{path}: is not a frozen calibration, which has the keys {', '.join(KINDS)}; {hint}")
-    tables = {"material": {"c10", "c10_interval68", "c10_interval95"}, "poses": set(BENCH), "interface": {"mu"}}
-    for table, values in given["params"].items():
-        if not isinstance(values, dict) or values.keys() - tables.get(table, set()):
-            raise BadInput(
-                f"{path}: [params.{table}] has a key that calibration does not set; set it in dataset.toml; {hint}"
-            )
-    return Frozen(given["name"], given["law"], tuple(str(name) for name in given["presses"]), given["params"])
-
-
-def with_frozen(given: dict[str, Any], dataset_toml: Path) -> dict[str, Any]:
-    """A dataset's own [params.*] and those of its frozen calibration; a value that both set raises BadInput."""
-    path = dataset_toml.parent / FROZEN
-    found = read_frozen(path)
-    if found is None:
-        return given
-    twice = [f"[params.{table}] {key}" for table, values in found.params.items() for key in values
-             if key in (given.get(table) or {})]  # fmt: skip
-    if twice:
-        raise BadInput(f"{dataset_toml}: {twice[0]} is also set by {path}; remove it here, or remove that file")
-    return given | {table: {**given.get(table, {}), **values} for table, values in found.params.items()}
-
-
-def check_law(law: str, dataset_toml: Path) -> None:
-    """Refuse a frozen calibration of another contact law than the labels': its C10 and bench depend on the law."""
-    path = dataset_toml.parent / FROZEN
-    found = read_frozen(path)
-    if found is not None and found.law != law:
-        raise BadInput(
-            f'{path}: was found under the law "{found.law}", but [interface] law = "{law}": labels would mix two laws; '
-            f"remove this file and run make calibrated-labels DATASET={path.parent.name}, or set the law back"
-        )
-
-
 # -- the parameters of each stage
 
 
 class StageParameters(Params):
-    """Parameters of a stage: the tables and keys that it reads (`flow.layout.STAGES`), and its results' version."""
+    """Parameters of a stage: the tables and keys that it reads (`flow.layout.STAGES`), and its results' version.
+
+    calibration: path of the calibration that the stage follows, relative to the project, if any.
+    """
 
     version: int
+    calibration: str | None = None
 
 
 def stage_version(folder: Path, name: str) -> int:
@@ -260,10 +162,12 @@ def stage_version(folder: Path, name: str) -> int:
     return int(found.group(1)) + (stage_version(folder, "fea") if STAGES[name].solves else 0)
 
 
-def written_for(params: Params, name: str, version: int) -> dict[str, Any]:
-    """The parameters that are written for a stage, as JSON values."""
+def written_for(params: Params, name: str, version: int, calibration: str = "") -> dict[str, Any]:
+    """The parameters that are written for a stage, as JSON values. calibration: path of the one that labels follow."""
     every: dict[str, Any] = plain(params)
     found: dict[str, Any] = {"version": version}
+    if calibration and STAGES[name].calibrated:
+        found["calibration"] = calibration
     for words in STAGES[name].reads:
         table, _, key = words.partition(".")
         if not key:

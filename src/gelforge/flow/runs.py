@@ -5,19 +5,16 @@ standard library: an answer takes a fraction of a second for 15 000 samples.
 """
 
 import csv
-import fcntl
 import json
 import os
-import sys
-import time
 from collections.abc import Collection, Iterable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from gelforge.errors import BadInput, printable
-from gelforge.flow.files import below, changed, last_line, read_csv, record_of, states_of, take
+from gelforge.errors import printable
+from gelforge.flow.files import below, changed, last_line, read_csv, record_of, states_of
 from gelforge.flow.layout import OF_SHARDS, PLAN, Layout, dataset_folder, metrics_of
 
 PROGRAMS = ("gelforge", "numpy", "scipy", "numba", "torch")  # on which the results depend
@@ -31,39 +28,6 @@ ASKED: dict[str, type | tuple[type, ...]] = {  # keys of a record that are read,
     "started": (int, float),
     **dict.fromkeys(COST, (int, float)),
 }
-
-
-def count_finished(target: Path, started: float) -> str:
-    """Progress in this run of make of a stage with one file per shard, as "  [3 of 8, 5 min left]"; "" for others.
-
-    One file of the dataset holds the count. A stage's first target counts the outdated shards, which are its total.
-    """
-    root, run = dataset_folder(target), os.environ.get("GELFORGE_RUN", "")
-    if root is None or target.relative_to(root).parts[0] not in OF_SHARDS:
-        return ""
-    of, stage = Layout(root), target.relative_to(root).parts[0]
-    with of.counter.open("a+", encoding="utf-8") as file:
-        take(file, fcntl.LOCK_EX)
-        file.seek(0)
-        known: dict[str, Any] = {}
-        with suppress(ValueError):
-            known = json.loads(file.read())
-        if known.get("run") != run:
-            known = {"run": run, "stages": {}}
-        found = known["stages"].pop(stage, None) or {"done": 0, "of": len(of.outdated(stage)) + 1, "since": started}
-        found["done"] += 1
-        found["of"] = max(found["of"], found["done"])
-        known["stages"][stage] = found  # the latest one last
-        file.truncate(0)
-        file.write(json.dumps(known))
-    return f"  [{in_words(found)}]"
-
-
-def in_words(counter: Mapping[str, Any], now: float | None = None) -> str:
-    """Progress of a run in words, from its counter."""
-    left = counter["of"] - counter["done"]
-    each = ((time.time() if now is None else now) - counter["since"]) / counter["done"]
-    return f"{counter['done']} of {counter['of']}" + (f", {duration(left * each)} left" if left else "")
 
 
 def duration(seconds: float) -> str:
@@ -191,18 +155,13 @@ def last_words_of(results: Path, run: LastRun) -> tuple[str, Path]:
 
 
 def installed(programs: Iterable[str] = PROGRAMS) -> dict[str, str]:
-    """Version of each installed program, by its name at PyPI, read from the name of its folder *.dist-info."""
-    wanted = {program.replace("-", "_"): program for program in programs}
-    found: dict[str, str] = {}
-    for place in sys.path:
-        try:
-            names = os.listdir(place)
-        except OSError:
-            continue
-        for name in names:
-            program, _, version = name.removesuffix(".dist-info").partition("-")
-            if name.endswith(".dist-info") and program in wanted:
-                found.setdefault(wanted[program], version)
+    """Version of each installed program, by its name at PyPI."""
+    from importlib.metadata import PackageNotFoundError, version
+
+    found = {}
+    for program in programs:
+        with suppress(PackageNotFoundError):
+            found[program] = version(program)
     return found
 
 
@@ -232,7 +191,7 @@ def belongs(path: str, results: Path, shards: Collection[str], shard: str) -> bo
 def steps_of_label(results: Path, shard: str, resolution: str) -> list[Step]:
     """The steps that led to a shard's labels, in order, each once; if labels are missing, the steps made so far."""
     of = Layout(results)
-    paths = (of.poses(shard), of.fea(shard), of.forces(shard), of.labelled(resolution))
+    paths = (of.poses(shard), of.images(), of.fea(shard), of.forces(shard), of.labels(resolution, shard))
     return list({step.target: step for path in paths for step in steps_to(results, str(path), shard)}.values())
 
 
@@ -243,12 +202,6 @@ def pose_of(results: Path, shard: str, sample_id: str) -> dict:
         return {}
     with table.open(newline="", encoding="utf-8") as stream:
         return next((row for row in csv.DictReader(stream) if row["sample_id"] == sample_id), {})
-
-
-def imported_labels(results: Path, resolution: str) -> Path | None:
-    """Path of a resolution's labels if they were imported in place of solves; None if the dataset solves its own."""
-    folder = Path("data") / results.name / "labels"
-    return folder / f"{resolution}.npz" if folder.is_dir() else None
 
 
 def rejections_of(results: Path, shard: str, sample_id: str) -> list[str]:
@@ -267,15 +220,6 @@ def rejections_of(results: Path, shard: str, sample_id: str) -> list[str]:
         )
         for cells in wrong
     ]
-
-
-def refuse_rejected(results: Path, shard: str, sample_id: str) -> None:
-    """BadInput with the reasons if stage 10 rejected a sample's row of the log."""
-    if rejected := rejections_of(results, shard, sample_id):
-        command = Layout(results).command("labels")
-        raise BadInput(
-            f"sample {sample_id} was rejected and gets no label: {'. '.join(rejected)}; then run {command}"
-        )
 
 
 def concerning(parameters: dict[str, dict], pose: dict) -> dict[str, dict]:

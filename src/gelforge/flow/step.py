@@ -2,13 +2,15 @@
 
 `python -m gelforge.flow.step TARGET INPUT… -- COMMAND…`: COMMAND writes TARGET.part, which is renamed on success. If
 the command and the contents of all inputs are those of the target's record, nothing runs, and the target gets a new
-date, because make compares only dates. An input @FILE stands for the paths that FILE lists.
+date, because make compares only dates. An input @FILE stands for the paths that FILE lists. GELFORGE_LAUNCHER of the
+environment stands in front of the command that is run, as on a cluster (`flow/slurm.py`), and is no part of the record.
 """
 
 import fcntl
 import json
 import os
 import resource
+import shlex
 import shutil
 import signal
 import subprocess
@@ -22,8 +24,8 @@ from types import FrameType
 from gelforge.errors import BadInput, unwritable
 from gelforge.flow.files import State, changed, digest_of, record_of, states_of, take, write_json
 from gelforge.flow.jobs import adopt_orphans, die_with_parent, handed_on
-from gelforge.flow.layout import log_of, metrics_of
-from gelforge.flow.runs import count_finished, installed
+from gelforge.flow.layout import dataset_folder, log_of, metrics_of, place_in
+from gelforge.flow.runs import installed
 
 TAIL_LINES = 20
 LEFT_BEHIND_S = 2.0  # how long to wait for orphaned processes
@@ -36,32 +38,32 @@ def record_at(target: Path) -> dict:
     return record if isinstance(record.get("inputs"), dict) else {}
 
 
-def fresh(target: Path, inputs: Sequence[str], command: list[str]) -> dict[str, State | None] | None:
-    """States of the inputs if a target is what its command would make of them; None if it is not, or may not be."""
+def cause(target: Path, inputs: Sequence[str], command: list[str]) -> tuple[str, dict[str, State | None]]:
+    """Why a target is not what its command would make of its inputs, "" if it is; and the states of the inputs."""
     record = record_at(target)
     known = record.get("inputs", {})
-    if record.get("exit_code") != 0 or record["command"] != command or known.keys() != set(inputs):
-        return None
-    if not target.is_file() or record["sha256"] != digest_of(target) or any(lost_beside(target)):
-        return None
-    now = states_of(inputs, known)
-    return None if changed(known, now) else now
+    # digests of results are computed again, because they tell of files that changed without a new date
+    now = states_of(inputs, {path: state for path, state in known.items() if dataset_folder(Path(path)) is None})
+    if not record:
+        return "it was not made yet", now
+    if record.get("exit_code") != 0:
+        return "its last run did not succeed", now
+    if not target.is_file() or any(lost_beside(target)):
+        return "it is missing, or a file beside it is", now
+    if record["sha256"] != digest_of(target):
+        return "it changed since it was made", now
+    if gone := sorted(known.keys() - set(inputs)):
+        return f"{named(gone)} is no prerequisite any more", now
+    if new := [path for path in inputs if path not in known]:
+        return f"{named(new)} is a new prerequisite", now
+    if different := changed(known, now):
+        return f"{named(different)} changed", now
+    return ("" if record["command"] == command else "its command changed"), now
 
 
-def is_redated(target: Path, inputs: Sequence[str], command: list[str], begun: int) -> bool:
-    """Set a target's date to `begun`, ns, if it is what its command would make; return whether it is."""
-    states = fresh(target, inputs, command)
-    if states is None:
-        return False
-    write_json(metrics_of(target), record_at(target) | {"inputs": states})
-    date(target, states, begun)
-    return True
-
-
-def redated(target: Path, words: Iterable[str], command: list[str]) -> bool:
-    """Whether a target is what its command would make of these inputs, as `build` checks; it then gets a new date."""
-    with locked(target) as begun:
-        return is_redated(target, list(dict.fromkeys(expanded(words))), command, begun)
+def named(paths: Sequence[str]) -> str:
+    """The first of some paths, and how many more there are."""
+    return f"{paths[0]}{f' (and {len(paths) - 1} more)' if len(paths) > 1 else ''}"
 
 
 def beside(path: Path) -> dict[Path, str]:
@@ -101,11 +103,15 @@ def build(target: Path, inputs: list[str], command: list[str]) -> int:
     """Make one target, or give it a new date; return the exit code."""
     with locked(target) as begun:
         # a second make that waited here finds the work of the first one done
-        if is_redated(target, inputs, command, begun):
+        why, states = cause(target, inputs, command)
+        if not why:
+            write_json(metrics_of(target), record_at(target) | {"inputs": states})
+            date(target, states, begun)
             return 0
-        states = states_of(inputs, {})
         for path, now in states.items():
             refuse_corrupt(Path(path), now)
+        if record_at(target):
+            say(f"{target}: made again, because {why}")
         part = Path(f"{target}.part")
         try:
             return publish_part(target, part, states, command, begun)
@@ -154,7 +160,7 @@ def publish_part(target: Path, part: Path, states: dict[str, State | None], comm
         return code if 0 < code < 126 else 1
     os.replace(part, target)
     show_notices(log_path)
-    say(f"{target}  {cost['seconds']:.1f} s, {cost['peak_mib']:.0f} MiB{count_finished(target, cost['started'])}")
+    say(f"{target}  {cost['seconds']:.1f} s, {cost['peak_mib']:.0f} MiB{place_in(target)}")
     return 0
 
 
@@ -167,7 +173,12 @@ def run(command: list[str], log_path: Path) -> tuple[int, dict]:
         log.write(f"$ {' '.join(command)}\n")
         log.flush()
         child = subprocess.Popen(
-            command, stdout=log, stderr=subprocess.STDOUT, preexec_fn=die_with_parent, env=environment, pass_fds=slots
+            [*shlex.split(environment.pop("GELFORGE_LAUNCHER", "")), *command],
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            preexec_fn=die_with_parent,
+            env=environment,
+            pass_fds=slots,
         )
         stopped = pass_on_stops(child)
         code = child.wait()

@@ -32,7 +32,7 @@ Name = Annotated[str, Rule(re.compile(NAME).fullmatch, NAMED)]
 Names = tuple[Name, ...]
 Line = Annotated[str, Rule(str.isprintable, "text of one line")]
 Law = Literal["no_slip", "coulomb", "frictionless"]
-Method = Literal["draft", "label", "fine", "ccx", "auto"]
+Method = Literal["draft", "label", "fine", "ccx", "ccx-contact", "auto"]
 METHODS = get_args(Method)
 IN_PROCESS = ("draft", "label", "fine")  # qualities of hexahedra: they need neither CalculiX nor tetrahedral meshes
 # Methods that "auto" tries in turn, until one states an error within [fea] tolerance.
@@ -270,6 +270,9 @@ class PosesTable(ParameterTable):
     touch_offset_mm: Annotated[Number, Within(-10.0, 10.0, "mm")]
     compliance_mm_per_n: Annotated[Number, Within(0.0, 1.0, "mm/N")]
     shear_compliance_mm_per_n: Annotated[Number, Within(0.0, 1.0, "mm/N")]
+    tilt_deg: tuple[
+        Annotated[Number, Within(-30.0, 30.0, "degrees")], Annotated[Number, Within(-30.0, 30.0, "degrees")]
+    ]
     images: bool
     judge_images: bool
     deepest_share: Annotated[Number, Within(TINY, 1.0)]
@@ -309,6 +312,8 @@ class FeaTable(ParameterTable):
     rounds: Steps
     pull_tolerance: Annotated[Number, Within(TINY, 1.0)]
     penetration_mm: Annotated[Number, Within(TINY, 1.0, "mm")]
+    contact_mm: Size
+    contact_stiffness: Positive
     residual: Annotated[Number, Within(TINY, 1.0)]
     timeout_s: Seconds
 

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -10,16 +10,19 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
 from gelforge.flow.layout import command_for
-from gelforge.reading.pair import Change, NoContact, Prepared
+from gelforge.learning.pictures import PICTURES
+from gelforge.learning.split import drawn
 from gelforge.records.press import PressRecord
 from gelforge.records.rowfile import ChainedRows, RowFile, Rows, map_array
 from gelforge.records.samplefile import TRAINING, UNSEEN_BOTH, UNSEEN_SENSOR, VALIDATION, DatasetSample, read_samples
 
-FILES = ("images.npy", "labels.npy", "nocontact.npy", "samples.csv", "dataset.json")
+FILES = (*PICTURES, "labels.npy", "samples.csv", "dataset.json")
 ONE_CELL = (1, 1)  # the grid of a label that is the total force alone
 LEAST_TOTAL = 0.01  # least scale of a component's total force, as a fraction of the largest component's
 CHUNK = 256  # rows read at a time
+AGAIN = "make the dataset again"
 FEWEST_EACH = 9  # fewest validation presses for model selection, and as many for calibrating intervals
+HALVES = 1  # seed of the hash that parts validation presses and unseen sensors
 # Fewest samples for batch statistics (train) and for an error (val).
 SMALLEST = {TRAINING: 4, VALIDATION: 1}
 
@@ -28,7 +31,7 @@ SMALLEST = {TRAINING: 4, VALIDATION: 1}
 class Data:
     """One dataset of stage 60, its arrays on disk.
 
-    images (n, height, width, 3) uint8 RGB; labels (n, 3, rows, cols) float32 N per cell along
+    images, pairs (n, height, width, 3) uint8 RGB, rests (m, height, width, 3) and beside (n,): learning.pictures; labels (n, 3, rows, cols) float32 N per cell along
     gel x, y, z; table has one record per sample; splits gives row numbers by name; nocontact
     has the no-contact image (height, width, 3) uint8 RGB of each sensor that has one; maps (n,) bool: whether a row's
     label is a map, not only a known total.
@@ -36,16 +39,15 @@ class Data:
 
     folder: Path
     images: np.ndarray | Rows
+    pairs: np.ndarray | Rows
+    rests: np.ndarray | Rows
+    beside: np.ndarray
     labels: np.ndarray | Rows
     table: list[DatasetSample]
     splits: dict[str, np.ndarray]
     info: dict
     nocontact: dict[str, np.ndarray]
     maps: np.ndarray
-    # Caches: sensors by name, and by row the change that was taken back of its image, so that each is found only
-    # once.
-    _sensors: dict[str, NoContact] = field(default_factory=dict, init=False, repr=False, compare=False)
-    _changes: dict[int, Change] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @property
     def name(self) -> str:
@@ -70,10 +72,6 @@ class Data:
         """One column of samples.csv as text (n,)."""
         return np.array([sample.text(column) for sample in self.table])
 
-    def nocontact_of(self, rows) -> np.ndarray:
-        """No-contact images (k, height, width, 3) uint8 RGB of the sensors of some rows."""
-        return np.stack([self.nocontact[name] for name in self.require_nocontact(rows)])
-
     def require_nocontact(self, rows) -> list[str]:
         """Names of the sensors of some rows (k,); BadInput where one has no no-contact image."""
         names = [self.table[row].press.sensor_id for row in rows]
@@ -89,8 +87,7 @@ class Data:
     def seen(self, rows, pair: bool) -> np.ndarray:
         """Images of some rows as a network reads them, uint8 (k, height, width, 3).
 
-        With `pair` (k, height, width, 6): each image, normalised to the light of its no-contact image, then the
-        latter.
+        With `pair` (k, height, width, 6): each image beside its no-contact image, as stage 60 compared them.
         Raises BadInput as `require_nocontact`.
         """
         import cv2
@@ -98,30 +95,14 @@ class Data:
         if not pair:
             return self.images[rows]
         self.require_nocontact(rows)
-        pairs = [self.prepared(int(row), image) for row, image in zip(rows, self.images[rows], strict=True)]
+        both = zip(self.pairs[rows], self.rests[self.beside[rows]], strict=True)
         # OpenCV puts channels side by side several times faster than numpy
-        return np.stack([cv2.merge([one.lit, one.feature("nocontact")[0]]) for one in pairs])
-
-    def sensor(self, name: str) -> NoContact:
-        """A sensor while nothing touches it, in the frame in which it was logged."""
-        if name not in self._sensors:
-            self._sensors[name] = NoContact(self.nocontact[name], self.image_size, None)
-        return self._sensors[name]
-
-    def prepared(self, row: int, image: np.ndarray) -> Prepared:
-        """The image (height, width, 3) of a row as prediction prepares it, in the frame in which it was logged."""
-        found = self.sensor(self.table[row].press.sensor_id).prepared(image, change=self._changes.get(row))
-        if found.change is not None:
-            self._changes[row] = found.change
-        return found
+        return np.stack([cv2.merge([image, rest]) for image, rest in both])
 
     def presses(self, rows) -> np.ndarray:
         """Identity of the press of some rows, (k,): several images may show one; a row without group is its own."""
-        return np.array([self.table[row].group or f"row {row}" for row in rows])
-
-    def unaltered(self, rows: np.ndarray) -> np.ndarray:
-        """Those of some rows whose image and no-contact image no virtual rig has altered (wear, another light)."""
-        return rows[np.array([not self.table[row].altered for row in rows], bool)]
+        samples = (self.table[row] for row in rows)
+        return np.array([one.group or f"{one.press.sensor_id} {one.press.sample_id}" for one in samples])
 
     def totals(self, rows) -> np.ndarray:
         """Total force of the labels of some rows, (k, 3) float64 N."""
@@ -138,17 +119,21 @@ def open_data(folder) -> Data:
         if not (folder / name).exists():
             command = command_for("dataset", folder)
             raise BadInput(f"{folder}: {name} is missing; make it with `{command}`, RES being the grid you want")
-    images = RowFile(folder / "images.npy")
-    labels, pictures = (map_array(folder / f"{name}.npy") for name in ("labels", "nocontact"))
+    images, pairs, rests = (RowFile(folder / f"{name}.npy") for name in ("images", "pairs", "nocontact"))
+    labels, beside = (map_array(folder / f"{name}.npy") for name in ("labels", "beside"))
     table = read_samples(folder / "samples.csv")
     info = read_json(folder / "dataset.json")
     check_shapes(folder, images, labels, table, info)
+    check_pairs(folder, images, pairs, rests, beside)
     check_finite(folder, labels, table)
     split = np.array([sample.split for sample in table])
     splits = {str(name): np.flatnonzero(split == name) for name in np.unique(split)}
-    nocontact = match_pictures(folder, info, pictures, images)
+    names = info.get("nocontact", [])
+    if len(names) > len(rests):
+        raise BadInput(f"{folder}/nocontact.npy: holds {len(rests)} images for {len(names)} sensors; {AGAIN}")
+    nocontact = {name: rests[at] for at, name in enumerate(names)}
     maps = np.full(len(table), labels.shape[2:] != ONE_CELL)
-    return Data(folder, images, labels, table, splits, info, nocontact, maps)
+    return Data(folder, images, pairs, rests, np.array(beside), labels, table, splits, info, nocontact, maps)
 
 
 def check_shapes(folder, images, labels, table, info) -> None:
@@ -172,15 +157,18 @@ def check_shapes(folder, images, labels, table, info) -> None:
         )
 
 
-def match_pictures(folder, info, pictures, images) -> dict[str, np.ndarray]:
-    """No-contact images of sensors by name; BadInput if they do not fit their names or the images."""
-    names = info.get("nocontact", [])
-    if pictures.dtype != np.uint8 or pictures.shape != (len(names), *images.shape[1:]):
+def check_pairs(folder, images, pairs, rests, beside) -> None:
+    """Raise BadInput where the pictures of pairs do not fit the images."""
+    shapes = {"pairs": (pairs, images.shape), "nocontact": (rests, (len(rests), *images.shape[1:]))}
+    for name, (array, shape) in shapes.items():
+        if array.dtype != np.uint8 or array.shape != shape:
+            raise BadInput(f"{folder}/{name}.npy: expected uint8 {shape}, got {array.dtype} {array.shape}; {AGAIN}")
+    if beside.shape != images.shape[:1] or not np.issubdtype(beside.dtype, np.integer):
         raise BadInput(
-            f"{folder}/nocontact.npy: expected uint8 {(len(names), *images.shape[1:])}, got {pictures.dtype} "
-            f"{pictures.shape}; make the dataset again"
+            f"{folder}/beside.npy: expected integers ({len(images)},), got {beside.dtype} {beside.shape}; {AGAIN}"
         )
-    return {name: np.array(picture) for name, picture in zip(names, pictures, strict=True)}
+    if len(beside) and not -1 <= beside.min() <= beside.max() < len(rests):
+        raise BadInput(f"{folder}/beside.npy: names an image that nocontact.npy lacks; {AGAIN}")
 
 
 def check_finite(folder, labels, table) -> None:
@@ -207,29 +195,41 @@ def require_splits(data: Data) -> None:
             )
 
 
-def split_validation(data: Data) -> tuple[np.ndarray, np.ndarray]:
-    """Rows of validation for selection (the epoch, how intervals grow), and held-out rows, which select nothing.
+@dataclass(frozen=True)
+class Groups:
+    """Rows of a dataset by what they decide in a training; they have no press in common, and tests are the other splits.
 
-    Presses alternate between the two; fewer than 2 FEWEST_EACH presses all serve selection.
+    train: the weights. choose: the epoch, and how intervals grow. calibrate: the size of intervals.
     """
-    rows = data.splits[VALIDATION]
-    presses, of_row = np.unique(data.presses(rows), return_inverse=True)
-    if len(presses) < 2 * FEWEST_EACH:
-        return rows, rows[:0]
-    chooses = of_row.ravel() % 2 == 0
-    return rows[chooses], rows[~chooses]
+
+    train: np.ndarray
+    choose: np.ndarray
+    calibrate: np.ndarray
 
 
-def calibration_rows(data: Data) -> np.ndarray:
-    """Rows of presses and sensors that selected nothing, on which the size of intervals is calibrated.
+def groups_of(own: Data, learnt: Data) -> Groups:
+    """The groups of rows of `learnt`, all that a network learns from, whose first rows are `own`.
 
-    The held-out half of validation, and half of the unseen sensors; the other half checks the coverage of intervals.
+    Validation presses choose or calibrate by a hash of their group, so that a press that is added moves no other, alone or
+    joined with other datasets. With fewer than 2 FEWEST_EACH validation presses in `own` all choose. Presses of `own`'s
+    unseen sensors, of half of them by a hash, calibrate as well. A press that another dataset trains or chooses on
+    calibrates nothing.
     """
-    rows = np.concatenate([data.splits.get(name, np.zeros(0, int)) for name in (UNSEEN_SENSOR, UNSEEN_BOTH)])
-    names = data.names("sensor_id")
-    known = sorted(set(names[rows].tolist()))
-    unseen = rows[np.isin(names[rows], known[: (len(known) + 1) // 2])]
-    return np.union1d(unseen, split_validation(data)[1])
+    train, rows = learnt.splits[TRAINING], learnt.splits[VALIDATION]
+    halves = len(np.unique(own.presses(own.splits[VALIDATION]))) >= 2 * FEWEST_EACH
+    second = np.array([halves and drawn(_bare(learnt.table[row]), HALVES) >= 0.5 for row in rows], bool)
+    choose, calibrate = rows[~second], rows[second & (rows < len(own.table))]
+    unseen = np.concatenate([own.splits.get(name, np.zeros(0, int)) for name in (UNSEEN_SENSOR, UNSEEN_BOTH)])
+    sensors = np.array([drawn(name, HALVES) < 0.5 for name in own.names("sensor_id")[unseen]], bool)
+    calibrate = np.union1d(calibrate, unseen[sensors])
+    used = np.unique(press_keys(learnt, np.concatenate([train, choose])))
+    of_sensors = np.isin(calibrate, unseen)  # these test the sensor, whoever else saw the press
+    return Groups(train, choose, calibrate[of_sensors | ~np.isin(press_keys(learnt, calibrate), used)])
+
+
+def _bare(sample: DatasetSample) -> str:
+    """Name of the group of a sample in its own dataset."""
+    return (sample.group or sample.press.sample_id).rsplit("/", 1)[-1]
 
 
 def press_keys(data: Data, rows) -> np.ndarray:
@@ -252,7 +252,7 @@ def _press_key(dataset: str, press: PressRecord) -> str:
 def data_version(data: Data) -> str:
     """Fingerprint of a dataset: of its tables and labels, its no-contact images and every 64th image."""
     digest = hashlib.sha256()
-    for name in ("samples.csv", "dataset.json", "nocontact.npy"):
+    for name in ("samples.csv", "dataset.json", "nocontact.npy", "beside.npy"):
         digest.update((data.folder / name).read_bytes())
     for start in range(0, len(data.labels), CHUNK):
         digest.update(np.ascontiguousarray(data.labels[start : start + CHUNK]).tobytes())
@@ -311,20 +311,24 @@ def concatenate(own: Data, others: Sequence[Data]) -> Data:
         if other.name in [own.name, *(one.name for one in others[:at])]:
             raise BadInput(f"{other.folder}: dataset {other.name} is given twice to learn from; name each once")
     table, splits, pictures = list(own.table), dict(own.splits), dict(own.nocontact)
+    rests, beside = [own.rests], [own.beside]
     for other in others:
         for name in (TRAINING, VALIDATION):
             mine = splits.get(name, np.zeros(0, int))
             splits[name] = np.concatenate([mine, len(table) + other.splits.get(name, np.zeros(0, int))])
         table += [carrying(other.name, sample) for sample in other.table]
+        beside.append(np.where(other.beside < 0, -1, other.beside + sum(map(len, rests))))
+        rests.append(other.rests)
         pictures |= {f"{other.name}/{name}": picture for name, picture in other.nocontact.items()}
     every = [own, *others]
-    images = ChainedRows([one.images for one in every])
+    images, pairs = (ChainedRows([getattr(one, name) for one in every]) for name in ("images", "pairs"))
     labels = ChainedRows([one.labels if one.grid == own.grid else spread(one.labels, own.grid) for one in every])
     maps = np.concatenate([one.maps for one in every])
     info = own.info | {"name": ", ".join(one.name for one in every)}
     return replace(
-        own, images=images, labels=labels, table=table, splits=splits, info=info, nocontact=pictures, maps=maps
-    )
+        own, images=images, pairs=pairs, rests=ChainedRows(rests), beside=np.concatenate(beside), labels=labels,
+        table=table, splits=splits, info=info, nocontact=pictures, maps=maps,
+    )  # fmt: skip
 
 
 def spread(totals, grid: tuple[int, int]) -> np.ndarray:

@@ -8,11 +8,11 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.tables import EvaluateTable
 from gelforge.learning.data import Data, press_keys
-from gelforge.learning.fitting import Predicted, predict_rows, require_fit
-from gelforge.reading.model import ForceModel, datasets_of
+from gelforge.learning.predictions import Predicted, predict_rows, require_fit
+from gelforge.reading.model import Model, datasets_of
 from gelforge.records.axes import CHANNELS
 from gelforge.records.press import FORCE
-from gelforge.records.samplefile import TRAINING
+from gelforge.records.samplefile import TRAINING, UNSEEN_BOTH, UNSEEN_SENSOR
 
 CONFIDENCE = 0.95
 LEAST_CELL = 0.02  # fraction of the strongest cell's normal force below which a cell belongs to no contact
@@ -236,7 +236,7 @@ def controls(
     }
 
 
-def known_rows(model: ForceModel, data: Data) -> np.ndarray:
+def known_rows(model: Model, data: Data) -> np.ndarray:
     """Which rows of a dataset, (n,) bool, show presses that a model learnt from, in this dataset or another.
 
     Presses are identified one by one, so a dataset that has grown may hold both kinds.
@@ -247,7 +247,7 @@ def known_rows(model: ForceModel, data: Data) -> np.ndarray:
     return np.isin(press_keys(data, range(len(data.table))), sorted(pressed))
 
 
-def learnt_sensors(model: ForceModel, data: Data) -> set[str]:
+def learnt_sensors(model: Model, data: Data) -> set[str]:
     """Sensors in the training split of a dataset whose presses, all or some of them, a model learnt from."""
     training = data.splits.get(TRAINING, np.zeros(0, int))
     seen = training[known_rows(model, data)[training]]
@@ -269,7 +269,7 @@ def evaluate_split(
     data: Data,
     rows: np.ndarray,
     predicted: Predicted,
-    model: ForceModel,
+    model: Model,
     settings: EvaluateTable,
     lesson: Lesson,
     rng,
@@ -313,7 +313,7 @@ def evaluate_split(
 
 
 def held(
-    data: Data, rows: np.ndarray, predicted: Predicted, error: np.ndarray, model: ForceModel
+    data: Data, rows: np.ndarray, predicted: Predicted, error: np.ndarray, model: Model
 ) -> dict[str, float] | None:
     """Coverage by channel of the intervals of totals, on presses that did not calibrate them.
 
@@ -346,8 +346,18 @@ def judged_splits(data: Data, learnt: bool) -> dict[str, np.ndarray]:
     raise BadInput(f"{data.folder}: has splits {', '.join(splits) or 'none'}; an evaluation needs {lacks}")
 
 
+def unlearnt(splits: dict[str, np.ndarray], known: np.ndarray) -> dict[str, np.ndarray]:
+    """Rows by split without presses that a network, or the one that it began as, learnt from, known (n,) bool.
+
+    All rows of unseen sensors stay, because these test the sensor, whoever else saw the press; so does `train` where it
+    is evaluated for want of another split.
+    """
+    kept = (TRAINING, UNSEEN_SENSOR, UNSEEN_BOTH)
+    return {name: rows if name in kept else rows[~known[rows]] for name, rows in splits.items()}
+
+
 def evaluate(
-    data: Data, model: ForceModel, settings: EvaluateTable, called: str = ""
+    data: Data, model: Model, settings: EvaluateTable, called: str = ""
 ) -> tuple[dict[str, Any], dict[str, tuple]]:
     """Evaluate a model, as `predict` uses it, on the splits of a dataset that `judged_splits` names.
 
@@ -355,7 +365,9 @@ def evaluate(
     `require_fit`.
     """
     require_fit(model, data, called)
+    known = known_rows(model, data)
     splits = judged_splits(data, learnt=bool(learnt_sensors(model, data)))
+    splits = {name: rows for name, rows in unlearnt(splits, known).items() if len(rows)}
     rng = np.random.default_rng(settings.seed)
     lesson = Lesson.of(data)
     metadata = model.metadata
@@ -367,7 +379,7 @@ def evaluate(
         "grid": list(data.grid),
         "dataset": next((one for one in lessons if one["name"] == data.name), metadata["data"]) | {"pressed": None},
         "lessons": {one["name"]: one["samples"].get(TRAINING, 0) for one in lessons},
-        "knows": bool(known_rows(model, data).any()),
+        "knows": bool(known.any()),
         "judged_on": data.name,
         "fewest_drawn": FEWEST_DRAWN,
         "best_epoch": metadata["best_epoch"],

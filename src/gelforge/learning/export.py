@@ -22,12 +22,11 @@ from torch import nn
 
 from gelforge.errors import BadInput, GelforgeError
 from gelforge.learning.nets import build, network_input
-from gelforge.reading.model import KEY, Graph
+from gelforge.reading.model import KEY, OUTPUT, Graph
 from gelforge.records.networkkind import kind_of
 from gelforge.records.regular import file_fault
 
 OPSET = 17
-OUTPUT = "forces"
 SAMPLES = 3  # images on which a graph is compared with torch
 # Largest difference of a force per cell from torch's, as a fraction of the range of all forces per cell of these
 # images. The order of summation, which differs between engines, alone causes some 3e-6.
@@ -93,7 +92,7 @@ def largest_difference(module: nn.Module, graph: bytes, pictures: dict[str, np.n
     """Largest difference between graph and torch on images (n, h, w, 3) by input, as fraction of the force range."""
     with torch.inference_mode():
         required = module(*(torch.from_numpy(one) for one in pictures.values())).numpy()
-    found = Graph(graph, "exported")(pictures)[OUTPUT]
+    found = Graph(graph, "exported")(pictures)
     return float(np.abs(found - required).max() / (float(np.ptp(required)) or 1.0))
 
 

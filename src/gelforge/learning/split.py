@@ -101,14 +101,14 @@ def split_presses(
     chosen: dict[int, str] = {}
     for at in np.flatnonzero(split == "").tolist():
         if group[at] not in chosen:
-            drawn = int(np.searchsorted(bounds, _drawn(presses[at].sample_id, settings.seed), side="right"))
-            chosen[group[at]] = names[min(len(chosen) if len(chosen) < len(names) else drawn, len(names) - 1)]
+            by_hash = int(np.searchsorted(bounds, drawn(presses[at].sample_id, settings.seed), side="right"))
+            chosen[group[at]] = names[min(len(chosen) if len(chosen) < len(names) else by_hash, len(names) - 1)]
         split[at] = chosen[group[at]]
     return split.astype(str), group
 
 
-def _drawn(name: str, seed: int) -> float:
-    """Number from 0 to 1 by hash of a name and a seed."""
+def drawn(name: str, seed: int) -> float:
+    """Number from 0 to below 1 by hash of a name and a seed."""
     digest = hashlib.blake2b(f"{seed} {name}".encode(), digest_size=8).digest()
     return int.from_bytes(digest, "big") / 2**64
 

@@ -1,152 +1,230 @@
-"""Training of one network: its batches, loss, epochs and checkpoints.
+"""Training of a network, from datasets to its ONNX file.
 
-Training is seeded, a resumed training gives the same curve, and validation selects the best epoch. `fit` runs the
-loop `training_epochs`. The end of the file checks that a network can be fine-tuned from another one.
+`make_model` is the whole way. Training is seeded, and a resumed training gives the same curve. `training_epochs` is the
+loop, `phase_of` its schedule, and `Training.finish` the choice of the weights. Presses that choose the epoch, presses that
+calibrate intervals and presses of the tests are three groups without a common press (`learning.data.groups_of`).
 """
 
 import copy
 import io
+import json
+import resource
 import time
-from collections.abc import Generator, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Generator, Sequence
 from contextlib import closing
-from math import ceil
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import torch
+from torch import nn
 from torch.nn import functional as F
 from torch.optim.swa_utils import AveragedModel
 from tqdm import tqdm
 
 from gelforge.errors import BadInput, GelforgeError
 from gelforge.flow.files import publish
+from gelforge.flow.layout import beside
+from gelforge.flow.params import plain
 from gelforge.flow.tables import TrainingTable
-from gelforge.learning.augment import augment, mirror_together, misplace_nocontact, narrow_views, shift_together
-from gelforge.learning.data import ONE_CELL, Data
-from gelforge.learning.nets import begin_as, build, network_input
-from gelforge.reading.frame import at_scale
-from gelforge.reading.markers import markers_in
+from gelforge.learning.batches import batches_from, epoch_steps, generator, prefetched
+from gelforge.learning.data import (
+    ONE_CELL,
+    Data,
+    concatenate,
+    data_version,
+    groups_of,
+    press_keys,
+    require_splits,
+    scales,
+)
+from gelforge.learning.export import Exported, export, save_weights
+from gelforge.learning.nets import begin_as, build, parameter_count
+from gelforge.learning.predictions import intervals_of, learnt_names
+from gelforge.learning.start import Start, require_judges, scales_before
+from gelforge.reading.frame import Learnt, learnt_from
+from gelforge.reading.model import Model, model_of, save_model
 from gelforge.records.axes import CHANNELS
+from gelforge.records.networkkind import kind_of
 from gelforge.records.samplefile import TRAINING, VALIDATION
-
-STREAMS = {"order": 0, "augment": 1, "weights": 2, "shift": 3, "mirror": 4, "seat": 5, "view": 6}
-VARIED = ("augment", "shift", "mirror", "seat", "view")  # streams for the images of an epoch
-
-# Images prepared at a time. Arrays of a whole batch take tens of MB, and clearing new memory for them takes more than
-# half of the time; arrays of a few images are reused and stay in the processor's cache.
-PIECE = 4
-
-
-def generator(seed: int, stream: str, *numbers: int) -> torch.Generator:
-    """A torch generator that depends only on a seed, its purpose (a key of STREAMS) and numbers such as the epoch.
-
-    A resumed training therefore draws the same values as an uninterrupted one, and no generator state is stored.
-    """
-    words = np.random.SeedSequence([seed, STREAMS[stream], *numbers]).generate_state(2, np.uint32)
-    return torch.Generator().manual_seed(int(words[0]) << 31 | int(words[1]) >> 1)
-
-
-def epoch_order(rows: np.ndarray, seed: int, epoch: int, most: int = 0) -> np.ndarray:
-    """The training rows of one epoch (from 0) in the order in which they are seen.
-
-    rows: (n,) of a dataset. most: rows in an epoch; if fewer than n, consecutive epochs share a pass over all rows,
-    so that every row is seen once before any is seen again. 0: an epoch is a pass.
-    """
-    size = min(most or len(rows), len(rows))
-    first, last = epoch * size, (epoch + 1) * size
-    through = range(first // len(rows), (last - 1) // len(rows) + 1)
-    order = [torch.randperm(len(rows), generator=generator(seed, "order", number)).numpy() for number in through]
-    begin = first % len(rows)
-    return rows[np.concatenate(order)[begin : begin + size]]
-
-
-def images_to_tensor(images) -> torch.Tensor:
-    """Images (n, h, w, channels) uint8 to a contiguous float tensor (n, channels, h, w) in 0..1.
-
-    Channels move to the front while they are bytes, which is four times faster than as floats.
-    """
-    return torch.from_numpy(np.require(images, requirements=["C", "W"])).permute(0, 3, 1, 2).contiguous() / 255
-
-
-def target(labels, norm: dict) -> torch.Tensor:
-    """Training target (n, 3, rows, cols): labels in N over the label scale of `norm`."""
-    return torch.from_numpy(np.require(labels, requirements=["C", "W"])) / torch.tensor(norm["label"]).float().view(
-        1, 3, 1, 1
-    )
-
-
-def training_batches(data, norm: dict, settings: TrainingTable, epoch: int, pair: bool):
-    """Yield (input, target, maps) of one epoch, augmented, in the network's units.
-
-    Shapes (k, 3 or 6, h, w), (k, 3, rows, cols) and (k,) bool: whether a target is a map or only a known total.
-    """
-    order = epoch_order(data.splits[TRAINING], settings.seed, epoch, settings.epoch_images)
-    draws = {stream: generator(settings.seed, stream, epoch) for stream in VARIED}
-    mirrors = epoch < settings.mirrored_share * settings.epochs
-    for start in range(0, len(order), settings.batch):
-        # Sorted rows read the file forwards; the order inside a batch changes nothing but rounding.
-        rows = np.sort(order[start : start + settings.batch])
-        pieces = [rows[first : first + PIECE] for first in range(0, len(rows), PIECE)]
-        varied = [_varied(data, piece, pair, settings, mirrors, draws) for piece in pieces]
-        yield (
-            torch.cat([network_input(pictures, norm) for pictures, _ in varied]),
-            torch.cat([target(labels, norm) for _, labels in varied]),
-            torch.from_numpy(data.maps[rows]),
-        )
-
-
-def _varied(data, rows: np.ndarray, pair: bool, settings: TrainingTable, mirrors: bool, draws: dict):
-    """Augmented images (k, channels, h, w) in 0..1 and labels (k, 3, rows, cols) N of some rows."""
-    pictures, labels = data.seen(rows, pair), data.labels[rows]
-    if pair:
-        pictures, labels, narrow = narrow_views(pictures, labels, data.maps[rows], settings.augment, draws["view"])
-        pictures = misplace_nocontact(pictures, narrow, settings.augment, draws["seat"])
-    if settings.shift_cells:
-        pictures, labels = shift_together(pictures, labels, settings.shift_cells, draws["shift"])
-    if mirrors:
-        pictures, labels = mirror_together(pictures, labels, draws["mirror"])
-    return augment(images_to_tensor(pictures), settings.augment, draws["augment"]), labels
-
-
-def epoch_steps(data, settings: TrainingTable) -> int:
-    """Batches of an epoch."""
-    count = len(data.splits[TRAINING])
-    return ceil(min(settings.epoch_images or count, count) / settings.batch)
-
-
-def batches_from(data, norm: dict, settings: TrainingTable, first: int, pair: bool):
-    """Yield the batches of `training_batches` for all epochs from the `first` one on (counted from 0)."""
-    for epoch in range(first, settings.epochs):
-        yield from training_batches(data, norm, settings, epoch, pair)
-
-
-def prefetched(batches: Iterator) -> Generator:
-    """The same batches; a thread prepares the next one while the current one is used.
-
-    A step with torch's DataLoader and a worker process takes 10 to 40 % longer, because it copies each batch.
-    """
-    # By default a new thread uses OpenMP's own thread count; one is enough here and keeps the order of sums fixed.
-    with ThreadPoolExecutor(1, initializer=torch.set_num_threads, initargs=(1,)) as pool:
-        ahead = pool.submit(next, batches, None)
-        while (batch := ahead.result()) is not None:
-            ahead = pool.submit(next, batches, None)
-            yield batch
-
 
 # Fine-tuning: interpolations between initial weights (0) and learnt weights (1) that validation compares with both.
 FRACTIONS = (0.25, 0.5, 0.75)
-# Validation presses; weights selected by a single one had five times the errors of the initial weights on others.
-FEWEST_JUDGES = 5
-FARTHER = 0.05  # fraction by which a new sensor's marker pitch (px) may lie outside the range that a network learnt
 
 
-def initial_net(model: dict, image, grid, seed: int):
-    """Build a network whose weights depend on `seed` alone; torch's own generator is left as it was."""
-    with torch.random.fork_rng(devices=[]):
-        torch.manual_seed(generator(seed, "weights").initial_seed())
-        return build(model, image, grid)
+# From data to a model.
+
+
+@dataclass(frozen=True)
+class Recipe:
+    """What is trained and how: a table of workflow/models.toml, its name, settings and VERSION of stages/train.py."""
+
+    name: str
+    model: dict[str, Any]
+    settings: TrainingTable
+    version: int
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A trained network, and the model made from it."""
+
+    net: nn.Module
+    model: Model
+
+    @property
+    def metadata(self) -> dict[str, Any]:
+        """The model's metadata."""
+        return self.model.metadata
+
+
+def make_model(
+    data: Data,
+    recipe: Recipe,
+    checkpoint: Path | None = None,
+    start: Start | None = None,
+    also: Sequence[Data] = (),
+) -> Trained:
+    """Train the network of a recipe; return it with its metadata, curve and cost inside.
+
+    checkpoint: file for resuming, or None. start: the network to fine-tune; None: weights drawn from `seed`. also:
+    other datasets whose training and validation presses it learns from as well; intervals are set on `data` alone.
+    Raises BadInput for a dataset that no network can learn from, that `start` cannot be fine-tuned on, or that does
+    not match the others.
+    """
+    learnt = joined(data, also, recipe)
+    groups = groups_of(data, learnt)
+    torch.set_num_threads(recipe.settings.threads)
+    metadata = describe([data, *also], learnt, recipe, start)
+    choosing = replace(learnt, splits=learnt.splits | {VALIDATION: groups.choose})
+    training = begin(choosing, recipe, metadata, start)
+    fit(training, choosing, checkpoint, identity(metadata))
+    began = time.perf_counter()
+    metadata |= {
+        "normalisation": training.norm,
+        "curve": training.curve,
+        "best_epoch": training.best_epoch,
+        "parameters": parameter_count(training.net),
+    }
+    if start is not None:
+        metadata |= {"start": metadata["start"] | {"fraction": training.fraction}}
+    net = training.net.cpu()
+    model = model_of(metadata, export(net, metadata))
+    intervals = intervals_of(model, data, groups)
+    seconds = training.cost["seconds"] + time.perf_counter() - began
+    peak_gib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
+    cost = {"cost": training.cost | {"seconds": seconds, "peak_gib": peak_gib}}
+    return Trained(net, replace(model, metadata=model.metadata | intervals | cost))
+
+
+def joined(data: Data, also: Sequence[Data], recipe: Recipe) -> Data:
+    """All that a network learns from as one dataset; BadInput for what it cannot learn from."""
+    for one in (data, *also):
+        require_splits(one)
+    learnt = concatenate(data, also)
+    if recipe.settings.total_weight == 0 and learnt.grid != ONE_CELL and not learnt.maps.all():
+        names = ", ".join(one.name for one in also if not one.maps.all())
+        raise BadInput(
+            f"[train] total_weight = 0: only totals are known of {names}, and with this weight they are ignored; set it to 1.0"
+        )
+    if kind_of(recipe.model).pair:
+        # name a sensor without no-contact image before hours of training
+        learnt.require_nocontact(range(len(learnt.table)))
+    return learnt
+
+
+def describe(every: Sequence[Data], learnt: Data, recipe: Recipe, start: Start | None) -> dict[str, Any]:
+    """Provenance of a network for its model file, and how its cameras see the gel (`frame`).
+
+    every: datasets that it learns from, the one that it is evaluated on first; learnt: all of them as one.
+    """
+    data, *others = every
+    model, settings = recipe.model, recipe.settings
+    pair = kind_of(model).pair
+    before = None if start is None else start.metadata
+    return {
+        "name": recipe.name,
+        "model": model,
+        "train": plain(settings),
+        "version": recipe.version,
+        "torch": torch.__version__,
+        "image": list(data.image_size),
+        "grid": list(data.grid),
+        "channels": list(CHANNELS),
+        "known_sensors": names_in(every, "sensor_id"),
+        "sensors": sorted({*names_in(every, "sensor_id", TRAINING), *(before["sensors"] if before else ())}),
+        "indenters": names_in(every, "indenter", TRAINING),
+        "threads_used": torch.get_num_threads(),
+        "device": device_of(settings.device),
+        "start": start.table() if start else {},
+        # a fine-tuned network keeps what its start learnt from mirrored images
+        "tta": pair and (settings.mirrored_share > 0 or bool(before and before["tta"])),
+        "data": taken_from(data, list(data.splits)),
+        "also": [taken_from(other, (TRAINING, VALIDATION)) for other in others],
+    } | ({"frame": frame_of(learnt, before).table()} if pair else {})
+
+
+def frame_of(learnt: Data, before: dict[str, Any] | None) -> Learnt:
+    """How the cameras of the training rows show the gel, together with those that a start's metadata know."""
+    pictures = (learnt.nocontact[name] for name in learnt_names(learnt))
+    return learnt_from(pictures, None if before is None else Learnt.of(before["frame"]))
+
+
+def save_trained(path: Path, trained: Trained) -> None:
+    """Write weights for fine-tuning beside `path`, then the model to exactly `path`, which the caller publishes."""
+    with publish(beside(path, ".safetensors")) as part:
+        save_weights(part, trained.net, trained.metadata)
+    save_model(path, trained.model)
+
+
+def identity(metadata: dict[str, Any]) -> str:
+    """Text that is equal for two trainings if and only if they must give the same curve."""
+    keys = (
+        "name", "model", "train", "image", "grid", "data", "also", "threads_used", "device", "version", "torch",
+        "start",
+    )  # fmt: skip
+    return json.dumps({key: metadata[key] for key in keys}, sort_keys=True)
+
+
+def taken_from(data: Data, names: Sequence[str]) -> dict[str, Any]:
+    """What a model file states about a dataset that it learnt from; names: the splits it was given."""
+    rows = data.splits[TRAINING]
+    return {
+        "name": data.name,
+        "version": data_version(data),
+        "simulated": bool(np.isfinite(data.column("true_fz_n")).any()),
+        "samples": {name: len(data.splits[name]) for name in sorted(names) if name in data.splits},
+        "presses": len(np.unique(data.presses(rows))),
+        "units": len(set(data.names("sensor_id")[rows].tolist())),
+        "pressed": sorted(set(press_keys(data, rows).tolist())),
+    }
+
+
+def names_in(every: Sequence[Data], column: str, split: str = "") -> list[str]:
+    """Distinct texts in a column of samples.csv over some datasets, sorted; split: only of samples in this split."""
+    rows = [one.splits[split] if split else slice(None) for one in every]
+    return sorted({name for one, mine in zip(every, rows, strict=True) for name in one.names(column)[mine].tolist()})
+
+
+def begin(data: Data, recipe: Recipe, metadata: dict[str, Any], start: Start | None) -> "Training":
+    """A new training, with the scales that its initial weights expect.
+
+    Fine-tuning never ends with a larger validation error than it began with (`Training.finish`). Raises BadInput as
+    `scales`, `scales_before` and `require_judges`.
+    """
+    norm = scales(data)
+    if start is not None:
+        norm = scales_before(start.metadata, recipe.model, data, norm)
+        require_judges(start.metadata, data)
+    how = metadata["image"], metadata["grid"], metadata["device"], metadata["tta"]
+    training = Training(recipe.model, recipe.settings, norm, *how)
+    if start is not None:
+        training.go_on_from(start.net.state_dict(), data)
+    return training
+
+
+# Loss, errors and schedule.
 
 
 def loss_of(output, target, maps, scale, total_scale, settings: TrainingTable):
@@ -167,31 +245,61 @@ def loss_of(output, target, maps, scale, total_scale, settings: TrainingTable):
     return loss
 
 
-def predict_rows(net, data, rows, norm: dict, batch: int = 8, device: str = "cpu") -> np.ndarray:
-    """Predict forces (k, 3, rows, cols) in N per cell for some rows of a dataset; `net` is put in evaluation mode."""
-    scale = torch.tensor(norm["label"], device=device).float().view(1, 3, 1, 1)
-    net.eval()
-    parts = []
+def read_totals(exported: Exported, data: Data, rows: np.ndarray, batch: int, device: str) -> np.ndarray:
+    """Total forces (k, 3) N of some rows, by the module that becomes the graph, with tare, as a reader predicts them."""
+
+    def totals(pictures: Sequence[np.ndarray]) -> np.ndarray:
+        given = (torch.from_numpy(np.ascontiguousarray(one)).to(device) for one in pictures)
+        return np.asarray(exported(*given).cpu().numpy().sum((2, 3), dtype=np.float64))
+
+    parts, exported = [np.zeros((0, 3))], exported.eval()
+    pair, rests = exported.net.pair, data.beside[rows]
+    at_rest: dict[int, np.ndarray] = {}
     with torch.inference_mode():
+        for number in np.unique(rests).tolist() if pair else ():
+            at_rest[number] = totals([data.rests[[number]]] * 2)[0]
         for start in range(0, len(rows), batch):
-            pictures = images_to_tensor(data.seen(rows[start : start + batch], net.pair)).to(device)
-            parts.append((net(network_input(pictures, norm)) * scale).cpu().numpy())
-    return np.concatenate(parts) if parts else np.zeros((0, 3, 1, 1), np.float32)
+            some = np.s_[start : start + batch]
+            if not pair:
+                parts.append(totals([data.images[rows[some]]]))
+                continue
+            tare = np.stack([at_rest[number] for number in rests[some].tolist()])
+            parts.append(totals([data.pairs[rows[some]], data.rests[rests[some]]]) - tare)
+    return np.concatenate(parts)
 
 
-def validate(net, data, norm: dict, batch: int, device: str) -> dict:
+def validate(exported: Exported, data: Data, batch: int, device: str) -> dict[str, float]:
     """Validation errors of an epoch: mean absolute error of total force by component, their sum, N, and val_score.
 
     val_score selects the epoch: the mean of the three errors, each over the scale of its component's total, so that
     shear counts as much as normal force.
     """
     rows = data.splits[VALIDATION]
-    error = predict_rows(net, data, rows, norm, batch, device).sum((2, 3), dtype=np.float64) - data.totals(rows)
-    mae = np.abs(error).mean(0)
+    mae = np.abs(read_totals(exported, data, rows, batch, device) - data.totals(rows)).mean(0)
     return {f"val_{name}": float(value) for name, value in zip(CHANNELS, mae, strict=True)} | {
         "val_total": float(mae.sum()),
-        "val_score": float((mae / norm["total"]).mean()),
+        "val_score": float((mae / exported.norm["total"]).mean()),
     }
+
+
+class Phase(NamedTuple):
+    """What an epoch does: whether batch normalisation keeps its statistics, and whether weights are averaged."""
+
+    frozen: bool
+    averaged: bool
+
+
+def phase_of(epoch: int, settings: TrainingTable) -> Phase:
+    """The phase of an epoch (from 0).
+
+    In the last `frozen_share` of the epochs batch normalisation keeps its statistics. In the last `averaged_share`
+    the weights are averaged over the steps (Izmailov et al. 2018), and their mean is validated. Images are mirrored in
+    the first `mirrored_share` (`learning.batches`), and the learning rate decays to zero along half a cosine.
+    """
+    frozen, averaged = (
+        epoch >= (1 - share) * settings.epochs for share in (settings.frozen_share, settings.averaged_share)
+    )
+    return Phase(frozen, averaged)
 
 
 def device_of(asked: str) -> str:
@@ -217,11 +325,18 @@ def between(first: dict, last: dict, fraction: float) -> dict:
     }
 
 
+def initial_net(model: dict, image, grid, seed: int):
+    """Build a network whose weights depend on `seed` alone; torch's own generator is left as it was."""
+    with torch.random.fork_rng(devices=[]):
+        torch.manual_seed(generator(seed, "weights").initial_seed())
+        return build(model, image, grid)
+
+
 class Training:
     """A network with all state that is needed to resume its training."""
 
-    def __init__(self, model: dict, settings: TrainingTable, norm: dict, image, grid, device: str):
-        self.settings, self.norm, self.device = settings, norm, device
+    def __init__(self, model: dict, settings: TrainingTable, norm: dict, image, grid, device: str, tta: bool = False):
+        self.settings, self.norm, self.device, self.tta = settings, norm, device, tta
         # with channels last in memory, convolutions on a CPU are a third faster
         self.net = initial_net(model, image, grid, settings.seed).to(device, memory_format=torch.channels_last)
         self.optimiser = torch.optim.Adam(self.net.parameters(), lr=settings.learning_rate)
@@ -244,7 +359,8 @@ class Training:
 
     def validated(self, net, data) -> dict:
         """Validation errors of a network that uses the scales of this one."""
-        return validate(net, data, self.norm, self.settings.batch, self.device)
+        exported = Exported(net, {"normalisation": self.norm, "tta": self.tta}).to(self.device)
+        return validate(exported, data, self.settings.batch, self.device)
 
     def finish(self, data) -> None:
         """Load the best epoch's weights; after fine-tuning, an interpolation between these and the initial weights.
@@ -308,22 +424,16 @@ class Training:
         return True
 
 
-def training_epochs(training: Training, data) -> Generator[dict]:
-    """Train through the remaining epochs; yield the curve's new row after each.
-
-    In the last `frozen_share` of the epochs batch normalisation keeps its statistics. In the last `averaged_share`
-    the weights are averaged over the steps (Izmailov et al. 2018), and their mean is validated.
-    """
+def training_epochs(training: Training, data: Data) -> Generator[dict[str, Any]]:
+    """Train through the remaining epochs; yield the curve's new row after each."""
     settings, norm, net, cost, device = training.settings, training.norm, training.net, training.cost, training.device
     scale, total = (torch.tensor(norm[key], device=device).float() for key in ("label", "total"))
     first = len(training.curve)
     with closing(prefetched(batches_from(data, norm, settings, first, net.pair))) as batches:
         for epoch in range(first, settings.epochs):
-            started = time.perf_counter()
-            frozen = epoch >= (1 - settings.frozen_share) * settings.epochs
-            averaged = epoch >= (1 - settings.averaged_share) * settings.epochs
+            started, phase = time.perf_counter(), phase_of(epoch, settings)
             net.train()
-            for layer in normalisations(net) if frozen else ():
+            for layer in normalisations(net) if phase.frozen else ():
                 layer.eval()
 
             losses: list[float] = []
@@ -335,7 +445,7 @@ def training_epochs(training: Training, data) -> Generator[dict]:
                 loss = loss_of(net(images), target, maps, scale, total, settings)
                 loss.backward()
                 training.optimiser.step()
-                if averaged:
+                if phase.averaged:
                     training.mean = training.mean or AveragedModel(net)
                     training.mean.update_parameters(net)
                 losses.append(loss.item())
@@ -381,69 +491,3 @@ def fit(training: Training, data, checkpoint=None, identity: str = "", epochs: i
                 training.save(checkpoint, identity)
                 saved = time.monotonic()
     training.finish(data)
-
-
-def scales_before(
-    metadata: dict[str, Any], model: dict[str, Any], data: Data, norm: dict[str, Any]
-) -> dict[str, Any]:
-    """Scales for fine-tuning: those that the initial weights expect, with the larger force range of the two datasets.
-
-    metadata: of the network that is fine-tuned. model: table of the new one in workflow/models.toml. norm: scales of
-    the new dataset. Raises BadInput as `require_alike`.
-    """
-    require_alike(metadata, model, data)
-    ranges = zip(metadata["normalisation"]["range"], norm["range"], strict=True)
-    return metadata["normalisation"] | {"range": [max(pair) for pair in ranges]}
-
-
-def require_alike(metadata: dict[str, Any], model: dict[str, Any], data: Data) -> None:
-    """Raise BadInput if two networks differ in architecture, or the dataset in grid, image size or scale of the gel.
-
-    metadata: of the network that is fine-tuned. model: table of the new one, which may be a light net of more blocks.
-    """
-    before, name = metadata["model"], metadata["name"]
-    differ = sorted(key for key in before.keys() | model.keys() if before.get(key) != model.get(key))
-    both = before.keys() == model.keys()
-    if both and differ == ["blocks"] and model["kind"] == "grid" and before["blocks"] < model["blocks"]:
-        differ = []  # a light net can be made deeper
-    if differ:
-        values = ", ".join(f"{key} = {model.get(key)!r} here and {before.get(key)!r} in {name}" for key in differ)
-        raise BadInput(
-            f"it cannot be fine-tuned from {name}, which is another network: {values}; give the same values"
-        )
-    if [list(data.grid), list(data.image_size)] != [metadata["grid"], metadata["image"]]:
-        (rows, cols), (high, wide) = metadata["grid"], metadata["image"]
-        (of_rows, of_cols), (height, width) = data.grid, data.image_size
-        raise BadInput(
-            f"it cannot be fine-tuned from {name}: that writes a grid of {rows}x{cols} from images of {wide} x {high}, the dataset"
-            f" has {of_rows}x{of_cols} and {width} x {height}; choose another MODEL"
-        )
-    require_scale(metadata, data)
-
-
-def require_judges(metadata: dict[str, Any], data: Data) -> None:
-    """Raise BadInput for too few validation presses to show whether fine-tuning improves a network."""
-    count = len(np.unique(data.presses(data.splits[VALIDATION])))
-    if count < FEWEST_JUDGES:
-        raise BadInput(
-            f"{data.folder}: validation has {count} of its presses; at least {FEWEST_JUDGES} are needed to show whether"
-            f" fine-tuning improves {metadata['name']}: raise [params.dataset] validation, to 0.25 for a few dozen presses, or log"
-            " more"
-        )
-
-
-def require_scale(metadata: dict[str, Any], data: Data) -> None:
-    """Raise BadInput if a sensor's marker pitch lies outside the range that a network learnt, widened by FARTHER.
-
-    A fine-tuned network learns pitches just outside that range and then reads images of that scale without zoom.
-    """
-    if not metadata["frame"]["pitch_px"]:
-        return
-    low, high = metadata["frame"]["pitch_px"]
-    for name, picture in sorted(data.nocontact.items()):
-        pitch = markers_in(picture).pitch
-        if not at_scale(pitch, ((1 - FARTHER) * low, (1 + FARTHER) * high)):
-            raise BadInput(
-                f"the markers of sensor {name} are {pitch:.1f} px apart, those that {metadata['name']} learnt from {low:.1f} to"
-                f" {high:.1f} px: it cannot be fine-tuned from another scale; choose another MODEL"
-            )

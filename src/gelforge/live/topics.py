@@ -8,8 +8,6 @@ import time
 
 from gelforge.formats.export import ros
 from gelforge.live.reading import Reading
-from gelforge.records.image import encode_jpeg
-from gelforge.reporting.parts import JPEG_QUALITY
 
 OK, WARN = 0, 1  # levels of a DiagnosticStatus
 
@@ -27,8 +25,7 @@ class RosMessages:
     def __call__(self, reading: Reading) -> tuple[int, list[ros.Message]]:
         """Time in ns since 1970, and the messages of a reading."""
         stamp, force = self.start_ns + round(1e9 * reading.time_s), reading.found
-        picture = encode_jpeg(reading.image, JPEG_QUALITY)
-        found = ros.sensor_messages(self.token, stamp, picture, "jpeg", force.total.tolist(), force.cells)
+        found = ros.sensor_messages(self.token, stamp, reading.jpeg, "jpeg", force.total.tolist(), force.cells)
         top, header = f"/{self.token}", ros.header(stamp, f"{self.token}_gel")
         if force.half_width is not None:
             for name, ends in (("low", force.total - force.half_width), ("high", force.total + force.half_width)):

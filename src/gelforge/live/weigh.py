@@ -17,8 +17,8 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import write_csv
 from gelforge.live.reading import Reading, readings
 from gelforge.reading.forcereading import goes_beyond, interval_text
-from gelforge.reading.predictor import Predictor
 from gelforge.reading.profile import LEAST_N, check_readings, fit_gain, odd_readings
+from gelforge.reading.reader import Reader
 from gelforge.records.film import Frame
 from gelforge.records.image import write_png
 from gelforge.records.press import parse_number
@@ -51,9 +51,9 @@ class Moment:
         """Why the frames cannot be weighed; empty where they can."""
         if moves := self.unsteady():
             return moves
-        if goes_beyond(self.found[-1].found.edge_peak):
+        if any(goes_beyond(one.found.edge_peak) for one in self.found):
             return "the image shows only a part of the contact: press nearer to the middle"
-        return self.found[-1].found.reason
+        return next((one.found.reason for one in self.found if one.found.flag), "")
 
     def picture(self) -> np.ndarray:
         """The mean of the frames (h, w, 3) uint8 RGB, which has less noise than any of them."""
@@ -61,7 +61,7 @@ class Moment:
         return np.ascontiguousarray(np.rint(mean).astype(np.uint8)[..., ::-1])
 
 
-def watched(predictor: Predictor, frames: Iterable[Frame], moment: Moment) -> Iterator[Reading]:
+def watched(reader: Reader, frames: Iterable[Frame], moment: Moment) -> Iterator[Reading]:
     """Readings of frames, each kept in `moment` as it comes."""
 
     def kept() -> Iterator[Frame]:
@@ -69,7 +69,7 @@ def watched(predictor: Predictor, frames: Iterable[Frame], moment: Moment) -> It
             moment.frames.append(frame)
             yield frame
 
-    for reading in readings(predictor, kept()):
+    for reading in readings(reader, kept()):
         moment.found.append(reading)
         yield reading
 
@@ -77,8 +77,8 @@ def watched(predictor: Predictor, frames: Iterable[Frame], moment: Moment) -> It
 class Weighing:
     """Pictures of presses and their measured forces, written to a folder as they come."""
 
-    def __init__(self, folder: Path, predictor: Predictor) -> None:
-        self.folder, self.predictor = folder, predictor
+    def __init__(self, folder: Path, reader: Reader) -> None:
+        self.folder, self.reader = folder, reader
         self.names: list[str] = []
         self.measured: list[float] = []
         self.read: list[float] = []
@@ -94,7 +94,7 @@ class Weighing:
         if value is None or value <= 0.0:
             raise BadInput(f"{grams!r}: give the scale's grams as a number above 0")
         picture, name = moment.picture(), f"{len(self.names) + 1:02d}.png"
-        force, read = value / GRAMS, -float(self.predictor.predict(picture).total[2])
+        force, read = value / GRAMS, -float(self.reader(picture).total[2])
         check_readings([name], np.array([force]), np.array([read]))
         write_png(self.folder / name, picture)
         self.names.append(name)
@@ -151,7 +151,7 @@ def typed() -> Iterator[str]:
 def weigh_film(weighing: Weighing, frames: Iterable[Frame], send: Callable[[Reading], None]) -> None:
     """Play a film, stop at each press that is held, and ask for its grams."""
     moment, lines, asked = Moment(), typed(), False
-    for reading in watched(weighing.predictor, frames, moment):
+    for reading in watched(weighing.reader, frames, moment):
         send(reading)
         held = not moment.unsteady()
         if held and not asked:
@@ -176,7 +176,7 @@ def weigh_camera(weighing: Weighing, frames: Iterable[Frame], send: Callable[[Re
 
     def go_on() -> None:
         try:
-            for reading in watched(weighing.predictor, frames, fresh):
+            for reading in watched(weighing.reader, frames, fresh):
                 with lock:
                     moment.frames, moment.found = deque(fresh.frames, HELD), deque(fresh.found, HELD)
                 send(reading)

@@ -1,6 +1,7 @@
 """Input of a solver: one press, from the gel to the contact law."""
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -32,14 +33,23 @@ class Interface:
 
 
 @dataclass(frozen=True)
+class PosedFile:
+    """STL of an indenter's surface in the gel frame at the beginning of a press, as stage 10 writes it."""
+
+    path: Path
+    press: Press
+
+
+@dataclass(frozen=True)
 class Scene:
-    """One press: all input that a solver may use."""
+    """One press: all input that a solver may use. posed: file of the indenter's surface, if there is one."""
 
     gel: Gel
     material: Material
     indenter: Indenter
     press: Press
     interface: Interface = Interface()
+    posed: PosedFile | None = None
 
     @property
     def direct(self) -> "Scene":

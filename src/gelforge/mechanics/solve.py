@@ -15,13 +15,17 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of_value
 from gelforge.flow.tables import IN_PROCESS, METHODS, TAKEN, FeaTable
-from gelforge.geometry.gel import gel_shape, load_gel
+from gelforge.geometry.gel import Gel, gel_shape, load_gel
 from gelforge.mechanics.ccx.program import need_ccx
 from gelforge.mechanics.hexsettings import HexSettings, quality
+from gelforge.mechanics.mesh.basemesh import base_of
 from gelforge.mechanics.path.transfer import LoadPath
 from gelforge.mechanics.result import Result, Solve
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver, mesh_of
+from gelforge.mechanics.solvers.ccxcontact import CELLS_ERROR as CONTACT_CELLS
+from gelforge.mechanics.solvers.ccxcontact import ERROR as CONTACT_ERROR
+from gelforge.mechanics.solvers.ccxcontact import INCREMENTS, ContactSettings, solve_contact
 from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.records.status import Status
 
@@ -43,6 +47,7 @@ class Solvers:
     def __init__(self, workdir: Path | str, settings: FeaTable) -> None:
         self.workdir, self.settings = Path(workdir), settings
         self.ccx = CcxSettings.of(settings)
+        self.contact = ContactSettings.of(settings)
         self.guide = HexSolver(quality(GUIDE))
         self._hex: dict[tuple[str, int], HexSolver] = {}
 
@@ -58,7 +63,7 @@ class Solvers:
     def solve_frames(self, scenes: Sequence[Scene], method: str) -> list[Result]:
         """Solve the frames of one press, scenes in order of time along one path; one result each, as from `solve`.
 
-        Without Coulomb friction, the path is followed once for all of them, on coarse hexahedra ("fine": on its own).
+        The path is followed once for all of them, on coarse hexahedra ("fine": on its own).
         """
         if method not in METHODS:
             raise BadInput(f"method = {method!r} is unknown; choose one of {', '.join(METHODS)}")
@@ -98,18 +103,23 @@ class Solvers:
 
         Fallbacks are smaller load steps, more contact iterations, and hexahedra in place of CalculiX.
         """
+        if method == "ccx-contact":
+            tried = ("ccx-contact", INCREMENTS[0]), ("ccx-contact, smaller increments", INCREMENTS[1])
+            return [
+                [*((name, partial(self._solve_contact, increment=first)) for name, first in tried),
+                 (GUIDE, lambda scene: self._solve_hex([scene], GUIDE)[0])]
+                for _ in scenes
+            ]  # fmt: skip
         if method in IN_PROCESS:
             smaller: Solve = lambda scene: self._solve_hex([scene], method, FINER)[0]  # noqa: E731
             found = self._solve_hex(scenes, method)
             return [[(method, _answer(each)), (f"{method}, smaller load steps", smaller)] for each in found]
         tries: list[list[tuple[str, Solve]]] = []
-        # with Coulomb friction a force depends on a point's whole slip, so the path is followed on the tetrahedra
-        slips = scenes[-1].interface.contact.frictional
         for frame in self.guide.coarse_path(scenes):
             shown = frame.path if frame else None
             solve = partial(self._solve_ccx, shown=shown)
             tries.append([
-                ("ccx", partial(solve, coarse_path=None if slips else shown)), ("ccx, smaller load steps", partial(solve, steps=3)),
+                ("ccx", partial(solve, coarse_path=shown)), ("ccx, smaller load steps", partial(solve, steps=3)),
                 ("ccx, more contact rounds", partial(solve, steps=3, rounds=3)),
                 (GUIDE, lambda scene: self._solve_hex([scene], GUIDE)[0]),
             ])  # fmt: skip
@@ -157,6 +167,17 @@ class Solvers:
         }
         return result
 
+    def _solve_contact(self, scene: Scene, increment: float) -> Result:
+        """Solve by CalculiX' own contact on a mesh with even edges under the indenter."""
+        size = self.contact.contact_mm
+        mesh = mesh_of(scene, None, size, size, np.inf)
+        result = solve_contact(scene, mesh.mesh(), self.workdir, self.contact, increment)
+        force = float(np.linalg.norm(result.total))
+        result.evidence |= {
+            "mesh": mesh.name, "method": "ccx-contact", "error_n": CONTACT_ERROR * force, "cells_error_n": CONTACT_CELLS * force,
+        }  # fmt: skip
+        return result
+
     def _solve_hex(self, scenes: Sequence[Scene], method: str, finer: int = 1) -> list[Result]:
         """Solve on hexahedra refined under the press; evidence["mesh"] is the name of the mesh."""
         if (method, finer) not in self._hex:
@@ -195,11 +216,14 @@ def hexahedra_key(settings: HexSettings) -> list:
     return ["hex", asdict(settings)]
 
 
-def settings_of(method: str, fea: FeaTable) -> list:
-    """Settings of [fea] that change the result of a method."""
+def settings_of(method: str, fea: FeaTable, gel: Gel) -> list:
+    """Settings of [fea] that change the result of a method, with the digest of the gel's base mesh if it needs one."""
     if method in IN_PROCESS:
         return hexahedra_key(quality(method))
     if method == "auto":
-        return [method, fea.tolerance, *(settings_of(one, fea) for one in TAKEN)]
+        return [method, fea.tolerance, *(settings_of(one, fea, gel) for one in TAKEN)]
+    if method == "ccx-contact":
+        own = {f.name: getattr(fea, f.name) for f in fields(ContactSettings) if f.name not in NO_RESULT}
+        return [method, base_of(gel).digest, own, asdict(quality(GUIDE))]
     ccx = {f.name: getattr(fea, f.name) for f in fields(CcxSettings) if f.name not in NO_RESULT}
-    return [method, ccx, asdict(quality(GUIDE))]
+    return [method, base_of(gel).digest, ccx, asdict(quality(GUIDE))]

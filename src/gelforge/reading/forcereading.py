@@ -34,6 +34,7 @@ class ForceReading:
         edge_peak: largest normal force of a cell at the edge of what the picture shows, over the largest of all; above
             0.2 the contact is cropped by the image and the total is too low. NaN where the map has fewer than three rows
             or columns.
+        image: (h, w, 3) uint8, the picture below the cells, as the network reads it.
         vanished: number of markers that only one of image and no-contact image shows; both are compared without them.
     """
 
@@ -42,6 +43,7 @@ class ForceReading:
     half_width: np.ndarray | None
     reason: str
     edge_peak: float
+    image: np.ndarray
     vanished: int = 0
 
     @property

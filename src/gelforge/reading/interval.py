@@ -114,6 +114,17 @@ def real_width(read: np.ndarray, force: np.ndarray, half: np.ndarray) -> float:
     return float(np.sort(lacking)[min(rank, len(read) - 1)])
 
 
+def real_sideways(aside: np.ndarray, magnitude: np.ndarray, half: np.ndarray) -> float:
+    """The least fraction of a force's magnitude that widens intervals of sideways force to cover HOLDS of real presses.
+
+    It is added to the half widths in quadrature. aside, half: (n, 2) N, predicted sideways forces of presses straight down, and
+    the half widths of the network itself; magnitude: (n,) N. Each press counts once, by the worse of its two components.
+    """
+    lacking = np.sqrt(np.maximum(aside**2 - half**2, 0.0)).max(axis=1) / np.maximum(magnitude, 1e-9)
+    rank = math.ceil(HOLDS * (len(aside) + 1)) - 1
+    return float(np.sort(lacking)[min(rank, len(aside) - 1)])
+
+
 def half_widths(metadata: dict[str, Any], totals: np.ndarray, gain: Gain = AS_READ) -> np.ndarray | None:
     """Half widths (3,) N at total forces (3,) N; None where unknown.
 

@@ -6,7 +6,6 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from gelforge.errors import BadInput
-from gelforge.reading.faults import LIMITS
 from gelforge.records.axes import CHANNELS
 from gelforge.records.networkkind import KINDS, kind_of
 
@@ -72,7 +71,6 @@ def _moments(value: Any) -> bool:
 
 
 TABLE = "a table", lambda value: isinstance(value, dict)
-NUMBER = "a number", lambda value: _numbers([value], 1)
 POSITIVE = "three numbers above 0", lambda value: _numbers(value, 3, 0)
 SIDES = f"whole numbers to {MOST_SIDE}"
 
@@ -94,7 +92,6 @@ PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "normalisation.image_mean": ("three numbers", lambda value: _numbers(value, 3)),
     "normalisation.image_std": POSITIVE,
     "normalisation.label": POSITIVE,
-    "limits": TABLE,
     "answer": (
         "the numbers that its graph answers to a picture",
         lambda value: _numbers(value, None) and bool(value),
@@ -103,9 +100,7 @@ PARTS: dict[str, tuple[str, Callable[[Any], bool]]] = {
 # Optional entries.
 OPTIONAL: dict[str, tuple[str, Callable[[Any], bool]]] = {
     "frame": ("the view of the cameras that it learnt from", _frame),
-    "elastic": ("three numbers (reading.elastic)", lambda value: _numbers(value, 3)),
     "intervals": ("a table of three numbers from 0 on, by component", _intervals),
-    **{f"limits.{name}": NUMBER for name in LIMITS},
 }
 
 

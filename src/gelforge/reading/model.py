@@ -1,11 +1,12 @@
 """Model files: an ONNX graph with its metadata as JSON in `metadata_props`. Loading one executes no code from it.
 
-The graph's inputs are named after what `reading.pair` prepares, its output is `forces`.
+The graph's inputs are named after the pictures of `reading.pair`, its output is `forces`.
 """
 
 import hashlib
 import json
 import math
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -28,41 +29,49 @@ DEVICES = tuple(PROVIDERS)
 # Parts of the answer to the test image, along rows and columns; devices and orders of summation change it by less
 # than this fraction of its largest value.
 ANSWERED, AGREES = 3, 0.01
+INPUTS, OUTPUT = ("image", "nocontact"), "forces"  # allowed names of a graph's inputs, and its output
+COLOURED = 3.0 / 255  # least range of the mean colours (0 to 1) of colour images
+SHIPPED = Path(__file__).with_name("weights") / "default.onnx"
 QUIET = 3  # least severity that onnxruntime prints: errors
 
 
+def onnxruntime() -> Any:
+    """The package onnxruntime, imported without its telemetry, which writes an id to the home folder and looks up a host."""
+    os.environ.setdefault("ORT_DISABLE_TELEMETRY", "1")
+    import onnxruntime
+
+    return onnxruntime
+
+
 class Graph:
-    """A graph that is ready to run.
+    """A graph that is ready to run, by several threads at once; a pickle of it loads it anew.
 
     content: of an ONNX file, BadInput if it cannot be loaded. where: its name in errors. device: one of DEVICES;
-    BadInput where this computer's onnxruntime lacks it. threads: per image. optimise: whether to optimise the graph,
-    which takes some time.
+    BadInput where this computer's onnxruntime lacks it. threads: per image.
     """
 
-    def __init__(
-        self, content: bytes, where: str, device: str = "cpu", threads: int = 1, optimise: bool = True
-    ) -> None:
-        import onnxruntime
-
-        options = onnxruntime.SessionOptions()
+    def __init__(self, content: bytes, where: str, device: str = "cpu", threads: int = 1) -> None:
+        engine = onnxruntime()
+        options = engine.SessionOptions()
         options.intra_op_num_threads, options.log_severity_level = threads, QUIET
-        if not optimise:
-            options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_DISABLE_ALL
         provider = provider_of(device)
         try:
-            self._session = onnxruntime.InferenceSession(content, options, providers=[provider])
+            self._session = engine.InferenceSession(content, options, providers=[provider])
         except Exception as error:  # onnxruntime raises a dozen exception types for an invalid graph
             raise BadInput(
                 f"{where}: not an ONNX graph that can be loaded ({type(error).__name__}); the file is corrupt, of another kind, or"
-                f" newer than this onnxruntime ({onnxruntime.__version__}): copy or train it again, or update onnxruntime"
+                f" newer than this onnxruntime ({engine.__version__}): copy or train it again, or update onnxruntime"
             ) from None
+        self.content, self._how = content, (where, device, threads)
         self.inputs = tuple(one.name for one in self._session.get_inputs())
-        self.outputs = tuple(one.name for one in self._session.get_outputs())
 
-    def __call__(self, given: Mapping[str, np.ndarray]) -> dict[str, np.ndarray]:
-        """Run the graph: arrays by output name from arrays by input name; other arrays are ignored."""
-        found = self._session.run(None, {name: given[name] for name in self.inputs})
-        return dict(zip(self.outputs, found, strict=True))
+    def __call__(self, given: Mapping[str, np.ndarray]) -> np.ndarray:
+        """Forces (n, 3, rows, cols) N per cell from images (n, h, w, 3) uint8 by input name; other images are ignored."""
+        (forces,) = self._session.run([OUTPUT], {name: given[name] for name in self.inputs})
+        return np.asarray(forces)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        return Graph, (self.content, *self._how)
 
     @property
     def properties(self) -> dict[str, str]:
@@ -72,9 +81,8 @@ class Graph:
 
 def provider_of(device: str) -> str:
     """onnxruntime's name of a device; BadInput where the device is unknown or not available."""
-    import onnxruntime
-
-    there = [name for name, provider in PROVIDERS.items() if provider in onnxruntime.get_available_providers()]
+    available = onnxruntime().get_available_providers()
+    there = [name for name, provider in PROVIDERS.items() if provider in available]
     if device not in there:
         raise BadInput(
             f"--device {device}: this onnxruntime runs on {', '.join(there)}; name one of these, or install a build of"
@@ -84,22 +92,39 @@ def provider_of(device: str) -> str:
 
 
 @dataclass(frozen=True)
-class ForceModel:
-    """A model to predict with: its metadata, and its ONNX graph without them."""
+class Model:
+    """A network that is ready to run, shared by the readers of all sensors: its metadata and its graph."""
 
     metadata: dict[str, Any]
-    graph: bytes
+    graph: Graph
 
     @property
     def needs_nocontact(self) -> bool:
         """Whether it compares an image with a no-contact image of the same sensor."""
         return kind_of(self.metadata["model"]).pair
 
+    @property
+    def size(self) -> tuple[int, int]:
+        """Rows and columns of the images that it reads."""
+        rows, cols = self.metadata["image"]
+        return rows, cols
 
-def model_of(metadata: dict[str, Any], graph: bytes) -> ForceModel:
+    @property
+    def coloured(self) -> bool:
+        """Whether it learnt from images with colour."""
+        return bool(np.ptp(self.metadata["normalisation"]["image_mean"]) > COLOURED)
+
+
+def on_device(model: Model, device: str, threads: int) -> Model:
+    """The same model on another device, or with another number of threads per image."""
+    return Model(model.metadata, Graph(model.graph.content, f"model {model.metadata['name']}", device, threads))
+
+
+def model_of(metadata: dict[str, Any], graph: bytes) -> Model:
     """Make a model of a graph; its metadata get the graph's digest and its answer to a test image (`answer_of`)."""
-    answer = answer_of(Graph(graph, "the graph", optimise=False), metadata["image"])
-    return ForceModel(metadata | {"format": FORMAT, "sha256": digest_of_graph(graph), "answer": answer}, graph)
+    running = Graph(graph, "the graph")
+    answer = answer_of(running, metadata["image"])
+    return Model(metadata | {"format": FORMAT, "sha256": digest_of_graph(graph), "answer": answer}, running)
 
 
 def answer_of(graph: Graph, size: Sequence[int]) -> list[float]:
@@ -112,7 +137,7 @@ def answer_of(graph: Graph, size: Sequence[int]) -> list[float]:
         name: (90 + (u * (3 + at) + v * (5 - at) + 37 * colour) % 97).astype(np.uint8)[None]
         for at, name in enumerate(graph.inputs)
     }
-    (forces,) = graph(given)["forces"]
+    (forces,) = graph(given)
     parts = [
         part for rows in np.array_split(forces, ANSWERED, axis=1) for part in np.array_split(rows, ANSWERED, axis=2)
     ]
@@ -124,10 +149,8 @@ def check_runtime(graph: Graph, metadata: Mapping[str, Any]) -> None:
     found, known = np.array(answer_of(graph, metadata["image"])), np.array(metadata["answer"], float)
     off = float(np.abs(found - known).max() / np.abs(known).max()) if found.shape == known.shape else math.inf
     if not off <= AGREES:  # NaN is no agreement
-        import onnxruntime
-
         raise BadInput(
-            f"model {metadata['name']}: this computer's onnxruntime ({onnxruntime.__version__}) does not reproduce the model's forces for its test"
+            f"model {metadata['name']}: this computer's onnxruntime ({onnxruntime().__version__}) does not reproduce the model's forces for its test"
             f" image, they differ by up to {off:.0%} of the largest: install another version of onnxruntime, or choose --device cpu"
         )
 
@@ -137,23 +160,27 @@ def digest_of_graph(graph: bytes) -> str:
     return hashlib.sha256(graph).hexdigest()
 
 
-def save_model(path: Path, model: ForceModel) -> None:
+def save_model(path: Path, model: Model) -> None:
     """Write a model to exactly `path`; the caller publishes it."""
     text = json.dumps(model.metadata, sort_keys=True, allow_nan=False)
-    Path(path).write_bytes(model.graph + property_of(text))
+    Path(path).write_bytes(model.graph.content + property_of(text))
 
 
-def load_model(path: Path | str) -> ForceModel:
-    """Read a model and check its metadata and the digest of its graph.
+def load_model(path: Path | str | None, device: str = "cpu", threads: int = 1) -> Model:
+    """Read a model, None: the shipped one; check its metadata, the digest of its graph, and that the graph runs here.
 
     Raises BadInput for a file that is missing, cut short, changed, or of another kind or format.
     """
-    path = Path(path)
+    if path is None and not SHIPPED.exists():
+        raise BadInput(
+            "no model came with this copy of gelforge: train one with `make train` and name it with --model"
+        )
+    path = Path(path or SHIPPED)
     if path.suffix == ".safetensors":
         raise BadInput(f"{path}: holds weights for further training; name {path.with_suffix('.onnx')} beside it")
-    hint = f"train one with `{command_for('train MODEL=…', path)}`"
-    content = read_bytes(path, hint, MOST_BYTES)
-    text = Graph(content, str(path), optimise=False).properties.get(KEY, "")
+    content = read_bytes(path, f"train one with `{command_for('train MODEL=…', path)}`", MOST_BYTES)
+    graph = Graph(content, str(path), device, threads)
+    text = graph.properties.get(KEY, "")
     try:
         metadata = json.loads(text)
     except (ValueError, RecursionError) as error:
@@ -162,12 +189,17 @@ def load_model(path: Path | str) -> ForceModel:
         seen = metadata.get("format") if isinstance(metadata, dict) else type(metadata).__name__
         raise BadInput(f"{path}: not a gelforge model of format {FORMAT} (its format is {seen}); train it again")
     check_metadata(metadata, str(path))
-    graph = content.removesuffix(property_of(text))
-    if metadata["sha256"] != digest_of_graph(graph):
+    graph.content = content.removesuffix(property_of(text))
+    if metadata["sha256"] != digest_of_graph(graph.content):
         raise BadInput(
             f"{path}: its graph is not the one that was trained, the file is corrupt: copy it or train it again"
         )
-    return ForceModel(metadata, graph)
+    if not set(graph.inputs) <= set(INPUTS):
+        raise BadInput(
+            f"{path}: the graph has the inputs {', '.join(graph.inputs)}, but only {' and '.join(INPUTS)} are known; train it again"
+        )
+    check_runtime(graph, metadata)
+    return Model(metadata, graph)
 
 
 def property_of(text: str) -> bytes:
@@ -188,8 +220,8 @@ def _varint(value: int) -> bytes:
 
 
 def datasets_of(metadata: dict[str, Any]) -> list[dict[str, Any]]:
-    """The metadata of each dataset that a model was trained on, its own first."""
-    return [metadata["data"], *metadata["also"]]
+    """The metadata of each dataset that a model learnt from, its own first, those of the network that it began as last."""
+    return [metadata["data"], *metadata["also"], *metadata.get("start", {}).get("learnt", [])]
 
 
 def fingerprint(metadata: dict[str, Any]) -> str:
@@ -198,11 +230,11 @@ def fingerprint(metadata: dict[str, Any]) -> str:
     return digest
 
 
-def require_sensor(model: ForceModel, required: set[str]) -> None:
-    """Raise BadInput if the dataset of a single-image model has none of the sensors `required`."""
-    known = model.metadata["known_sensors"]
-    if not model.needs_nocontact and required.isdisjoint(known):
+def require_sensor(model: Model, *required: str | None) -> None:
+    """Raise BadInput if a single-image model is for none of the sensors `required`; None asks for nothing."""
+    known, named = model.metadata["known_sensors"], {name for name in required if name}
+    if named and not model.needs_nocontact and named.isdisjoint(known):
         raise BadInput(
             f"model {model.metadata['name']} was made for sensors {', '.join(known)}, not for "
-            f"{', '.join(sorted(required))}: use a model trained on a dataset with that sensor"
+            f"{', '.join(sorted(named))}: use a model trained on a dataset with that sensor"
         )

@@ -1,4 +1,8 @@
-"""The Python interface: predicts forces in images of one sensor."""
+"""The Python interface: predicts forces in images of one sensor.
+
+`predict`, `live`, `sensor`, training, evaluation and all benchmarks read by the lines of `Reader.__call__`. No state
+carries over from one image to the next, so the same image gives the same result everywhere.
+"""
 
 from collections.abc import Iterable, Iterator
 from pathlib import Path
@@ -7,9 +11,13 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.reading.forcereading import ForceReading
-from gelforge.reading.predictor import Predictor, load_for_use
-from gelforge.reading.profile import with_profile
+from gelforge.reading.faults import Asked, nocontact_fault, pair_fault, pull_fault
+from gelforge.reading.forcereading import ForceReading, edge_peak
+from gelforge.reading.frame import ImageFrame, Learnt
+from gelforge.reading.interval import half_widths
+from gelforge.reading.model import Model, load_model
+from gelforge.reading.pair import NoContact, Pair, alone
+from gelforge.reading.profile import AS_READ, Gain, with_profile
 
 
 def predict(
@@ -35,15 +43,19 @@ def predict(
 
 
 class Reader:
-    """Predicts forces from images of one sensor, NumPy in and out.
+    """Predicts forces from images of one sensor, NumPy in and out. It can be pickled, and used by several threads.
 
     Args:
         nocontact: picture (h, w, 3) uint8 RGB of the sensor while nothing touches it; may be left out with a profile,
             which holds one.
         profile: path of a profile that `gelforge sensor` wrote; its factor multiplies the forces.
-        model: path of a model; None: the shipped one.
-        device: "cpu", or "cuda" where onnxruntime has it.
-        threads: per image.
+        model: path of a model; None: the shipped one. A model that `load_model` returned is shared by its readers.
+        device: "cpu", or "cuda" where onnxruntime has it; of a model that is loaded here.
+        threads: per image; of a model that is loaded here.
+
+    Attributes:
+        fault: what is wrong with the no-contact image, empty for nothing.
+        text: what is done to images, in one line, empty for nothing.
 
     Raises:
         BadInput: images that are not of this sensor, or a file that is no profile or no model.
@@ -57,10 +69,24 @@ class Reader:
         device: str = "cpu",
         threads: int = 1,
     ):
+        require_opencv()
+        loaded = model if isinstance(model, Model) else load_model(model, device, threads)
         picture = None if nocontact is None else check_image(nocontact)
-        path, loaded = None if profile is None else Path(profile), load_for_use(model)
-        picture, gain = with_profile(path, picture, loaded.metadata)
-        self._predictor = Predictor(loaded, picture, gain, device, threads)
+        self._set(loaded, *with_profile(None if profile is None else Path(profile), picture, loaded.metadata))
+
+    def _set(self, model: Model, picture: np.ndarray | None, gain: Gain) -> None:
+        self.model, self.gain, self._given = model, gain, picture
+        self.frame, self.nocontact, self.fault = ImageFrame(model.size, model.size), None, ""
+        if model.needs_nocontact:
+            if picture is None:
+                raise BadInput(
+                    "this network compares an image with a no-contact image of the same sensor:"
+                    " give it with --nocontact NOCONTACT or --profile FILE (in Python nocontact=, and profile= of Reader)"
+                )
+            self.nocontact = NoContact(picture, model.size, Learnt.of(model.metadata["frame"]), model.coloured)
+            self.frame = self.nocontact.frame
+            self.fault = nocontact_fault(self.nocontact, Asked.READER)
+        self.text = self.frame.text
 
     def __call__(self, image: np.ndarray) -> ForceReading:
         """Predict one image; nothing carries over from one to the next.
@@ -74,7 +100,39 @@ class Reader:
         Raises:
             BadInput: anything that is no such image.
         """
-        return self._predictor.predict(check_image(image))
+        pair = self.compare(image)
+        cells = (self.forces(pair) - self.rest(pair)) * np.float32(self.gain.value)
+        total = cells.sum((1, 2), dtype=float)
+        return ForceReading(
+            cells=cells,
+            total=total,
+            half_width=half_widths(self.model.metadata, total, self.gain),
+            reason=self.fault or pair_fault(pair, Asked.READER) or pull_fault(float(total[2])),
+            edge_peak=edge_peak(cells, self.frame.cells_shown(cells.shape[1:])),
+            image=pair.image.image,
+            vanished=pair.vanished,
+        )
+
+    def compare(self, image: np.ndarray) -> Pair:
+        """Turn, crop and resize an image (h, w, 3) uint8 RGB as in training, and compare it with the no-contact image."""
+        given = check_image(image)
+        framed = self.frame(given)
+        if self.nocontact is None:
+            return alone(framed, given.shape, self.model.coloured)
+        return self.nocontact.compare(framed, given.shape)
+
+    def forces(self, pair: Pair) -> np.ndarray:
+        """Forces (3, rows, cols) N that the network reads in a pair, without tare and factor."""
+        return np.asarray(self.model.graph(pair.features())[0])
+
+    def rest(self, pair: Pair) -> np.ndarray:
+        """Forces (3, rows, cols) N that the network reads in the no-contact image of a pair itself (tare); 0 without one."""
+        nocontact = pair.nocontact
+        if nocontact is None:
+            return np.zeros((3, 1, 1), np.float32)
+        if nocontact.rest is None:
+            nocontact.rest = self.forces(nocontact.itself())
+        return nocontact.rest
 
     def stream(self, images: Iterable[np.ndarray]) -> Iterator[ForceReading]:
         """Predict images as they come from a camera: the same as one by one.
@@ -104,6 +162,16 @@ class Reader:
         """
         return [self(image) for image in images]
 
+    def __reduce__(self) -> tuple[Any, ...]:
+        return reader_with, (self.model, self._given, self.gain)
+
+
+def reader_with(model: Model, picture: np.ndarray | None, gain: Gain = AS_READ) -> Reader:
+    """A reader with a known factor on forces."""
+    reader = Reader.__new__(Reader)
+    reader._set(model, picture, gain)
+    return reader
+
 
 def check_image(image: np.ndarray) -> np.ndarray:
     """An image (h, w, 3) uint8; anything else raises BadInput."""
@@ -111,3 +179,20 @@ def check_image(image: np.ndarray) -> np.ndarray:
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or not image.size:
         raise BadInput(f"an image of shape {image.shape} and type {image.dtype}: give (height, width, 3) uint8 RGB")
     return image
+
+
+def require_opencv() -> None:
+    """Raise BadInput where OpenCV is missing or incomplete."""
+    try:
+        import cv2
+
+        missing = [name for name in ("resize", "calcOpticalFlowPyrLK", "imdecode") if not hasattr(cv2, name)]
+        fault = f"it lacks {', '.join(missing)}" if missing else ""
+    except ImportError as error:
+        fault = str(error)
+    if fault:
+        raise BadInput(
+            f"OpenCV cannot be used ({fault}): most likely two of its packages are installed, or one for desktops on a computer without a"
+            " display; run `pip uninstall -y opencv-python opencv-contrib-python opencv-python-headless opencv-contrib-python-headless`, then"
+            " `pip install opencv-contrib-python-headless`"
+        )

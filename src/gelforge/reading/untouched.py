@@ -95,10 +95,3 @@ def touch_of(nocontact: np.ndarray, markers: MarkerTracker, shown: tuple[slice, 
     """How much a no-contact image looks as if something touched the gel; above 1 something does."""
     signs = touch_signs(nocontact, markers, shown)
     return min(signs.uneven / UNEVEN, signs.coloured / COLOURED)
-
-
-def touch_fault(nocontact: np.ndarray, markers: MarkerTracker, shown: tuple[slice, slice], most: float) -> str:
-    """Fault of a no-contact image in which `touch_of` exceeds `most`; empty where it does not."""
-    if touch_of(nocontact, markers, shown) <= most:
-        return ""
-    return "something seems to touch the gel in the no-contact image, or dirt lies on it: between its markers the light is uneven"

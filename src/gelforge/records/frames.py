@@ -6,7 +6,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from gelforge.records.press import PressRecord, RawRow, Rejection, reject
+from gelforge.records.press import TILT, PressRecord, RawRow, Rejection, reject
 
 Record = TypeVar("Record", bound=PressRecord | RawRow)
 
@@ -20,7 +20,7 @@ NEAR_DEPTH_MM = 0.05
 MOST_DEEPER_MM = NEAR_DEPTH_MM + 2.0 * NEAR_MM
 MOST_FARTHER_MM = NEAR_MM
 SAME = ("indenter", "sensor_id", "gel_id")
-PLACE = {"x0_mm": NEAR_MM, "y0_mm": NEAR_MM, "z0_mm": NEAR_MM, "rot_deg": NEAR_DEG}
+PLACE = {"x0_mm": NEAR_MM, "y0_mm": NEAR_MM, "z0_mm": NEAR_MM, **dict.fromkeys(("rot_deg", *TILT), NEAR_DEG)}
 
 
 def presses_of(records: Sequence[Record]) -> list[list[Record]]:
@@ -58,7 +58,7 @@ def _differs(first: PressRecord, frame: PressRecord) -> tuple[str, str] | None:
         if getattr(first, column) != getattr(frame, column):
             return column, "differs from the first row of its press_id"
     for column, near in PLACE.items():
-        if abs(getattr(first, column) - getattr(frame, column)) > near:
+        if abs((getattr(first, column) or 0.0) - (getattr(frame, column) or 0.0)) > near:
             return column, "differs from the first row of its press_id"
     return None
 

@@ -30,7 +30,7 @@ from gelforge.records.press import (
     reject,
 )
 from gelforge.records.regular import read_text
-from gelforge.records.table import other_separator, read_table, write_table
+from gelforge.records.table import other_separator, write_table
 
 P = TypeVar("P", bound=PressRecord)
 
@@ -143,6 +143,8 @@ def _row(line: int, cells: list[str], places: dict[str, int], header: list[str])
         fault = "second_header"
     elif len(cells) > len(header):
         fault = "more_cells"
+    elif len(cells) < len(header):
+        fault = "fewer_cells"
     return RawRow(int(number) if number.isdigit() else line, text, fault)
 
 
@@ -218,14 +220,3 @@ def unknown_names(press: PressRecord, file: str, sensors: Iterable[str], indente
 def write_rejections(path: str | Path, rejections: Iterable[Rejection]) -> None:
     """Write rejections as CSV, whole or not at all."""
     write_csv(path, REJECTION_COLUMNS, [asdict(r) for r in rejections])
-
-
-def rejected_rows(path: str | Path, but: str = "") -> set[int]:
-    """Lines of the log in a table of rejections, without rejections for column `but`."""
-    found, hint = set(), f"delete it and run {command_for('poses', path)}"
-    for cells in read_table(path, hint):
-        if not cells.get("row", "").isdigit() or "column" not in cells:
-            raise BadInput(f"{path}: is not a table of rejected rows; {hint}")
-        if cells["column"] != but:
-            found.add(int(cells["row"]))
-    return found

@@ -18,12 +18,13 @@ if TYPE_CHECKING:  # commands that only read logs need no arrays: importing nump
     import numpy as np
 
 POSE = ("x0_mm", "y0_mm", "z0_mm", "dx_mm", "dy_mm", "dz_mm", "rot_deg")
+TILT = ("tilt_x_deg", "tilt_y_deg")  # an empty cell: the tilt of [poses], which is 0 where none is set
 MOST_NAMED = 5  # most images named in one message, and most presses named for an image
 FORCE = ("fx_n", "fy_n", "fz_n")
 MOMENT = ("mx_nm", "my_nm", "mz_nm")
 FORCES = (*FORCE, *MOMENT)
 COLUMNS = ("sample_id", "time_utc", "sensor_id", "gel_id", "indenter", *POSE, *FORCES, "image")
-OPTIONAL = ("press_id",)
+OPTIONAL = ("press_id", *TILT)
 KNOWN = (*COLUMNS, *OPTIONAL)
 # Files with the tables of the sensors and indenters that rows name.
 SENSOR_TABLES = "workflow/sensors.toml or the dataset's own sensors.toml"
@@ -35,6 +36,7 @@ ID_RULE = "1 to 100 characters, each a letter, a digit or one of . - _, beginnin
 LARGEST = {
     **dict.fromkeys(POSE, 1000.0),
     "rot_deg": 3600.0,
+    **dict.fromkeys(TILT, 30.0),
     **dict.fromkeys(FORCE, 500.0),
     **dict.fromkeys(MOMENT, 20.0),
 }
@@ -51,6 +53,12 @@ ROW_FAULTS = {
         "the row has more cells than the header has columns",
         "quote cells that hold a comma, write decimals with a point, and end rows as the header ends",
     ),
+    "fewer_cells": (
+        "sample_id",
+        "the row has fewer cells than the header has columns",
+        "complete it, or remove it if its writing was cut off: a number that was cut is another number; leave a cell empty by"
+        " its comma",
+    ),
     "second_header": (
         "sample_id",
         "the row is a header again",
@@ -65,7 +73,8 @@ class Press:
     """Pose and path of one press in the gel frame, mm and degrees.
 
     The tip touches the plane z = z0 at (x0, y0), turned by `rot_deg` about z; then it moves down
-    to dz (negative), then sideways by (dx, dy) at that depth.
+    to dz (negative), then sideways by (dx, dy) at that depth. A tilted indenter is then also turned about its tip, by
+    `tilt_x_deg` about the gel's x and after that by `tilt_y_deg` about the gel's y, both right-handed.
     """
 
     x0: float
@@ -75,6 +84,8 @@ class Press:
     dy: float
     dz: float
     rot_deg: float = 0.0
+    tilt_x_deg: float = 0.0
+    tilt_y_deg: float = 0.0
 
     def pose(self, press: float, shear: float) -> "tuple[np.ndarray, np.ndarray]":
         """Rotation (3, 3) and translation (3,) mm of the indenter frame at fractions of the way down and sideways."""
@@ -83,8 +94,18 @@ class Press:
         angle = np.deg2rad(self.rot_deg)
         c, s = np.cos(angle), np.sin(angle)
         rotation = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        if self.tilted:
+            (cx, cy), (sx, sy) = (of(np.deg2rad([self.tilt_x_deg, self.tilt_y_deg])) for of in (np.cos, np.sin))
+            about_x = np.array([[1.0, 0.0, 0.0], [0.0, cx, -sx], [0.0, sx, cx]])
+            about_y = np.array([[cy, 0.0, sy], [0.0, 1.0, 0.0], [-sy, 0.0, cy]])
+            rotation = about_y @ about_x @ rotation
         travel = np.array([shear * self.dx, shear * self.dy, press * self.dz])
         return rotation, np.array([self.x0, self.y0, self.z0]) + travel
+
+    @property
+    def tilted(self) -> bool:
+        """Whether the indenter's axis differs from the gel's z axis."""
+        return bool(self.tilt_x_deg or self.tilt_y_deg)
 
     @property
     def end(self) -> float:
@@ -101,7 +122,8 @@ class Press:
 class PressRecord:
     """What the log says of one press; a force that was not measured is None, a pose that was not logged NaN.
 
-    press_id: shared by the frames of one press (`records.frames`); empty where the row is the only one.
+    press_id: shared by the frames of one press (`records.frames`); empty where the row is the only one. tilt_x_deg,
+    tilt_y_deg: None where the row has none.
     """
 
     row: int
@@ -124,11 +146,18 @@ class PressRecord:
     mz_nm: float | None
     image: str
     press_id: str = ""
+    tilt_x_deg: float | None = None
+    tilt_y_deg: float | None = None
 
     @property
     def press(self) -> Press:
         """Pose and path."""
-        return Press(self.x0_mm, self.y0_mm, self.z0_mm, self.dx_mm, self.dy_mm, self.dz_mm, self.rot_deg)
+        return Press(*(getattr(self, name) for name in POSE), *self.tilt)
+
+    @property
+    def tilt(self) -> tuple[float, float]:
+        """Tilt about gel x and y, degrees; 0 where the record has none."""
+        return self.tilt_x_deg or 0.0, self.tilt_y_deg or 0.0
 
     @property
     def posed(self) -> bool:
@@ -195,6 +224,14 @@ class Rejection:
         """What is wrong where, and what to do."""
         where = f"{self.file}, row {self.row}, {self.sample_id or 'no sample_id'}"
         return printable(f"{where}: {self.column} = {self.value!r}: {self.reason}; {self.hint}")
+
+
+def with_tilt(press: LoggedPress, tilt_deg: Sequence[float]) -> LoggedPress:
+    """A press with a tilt about gel x and y, degrees, where its record has none."""
+    stated: dict[str, Any] = {
+        name: tilt for name, tilt in zip(TILT, tilt_deg, strict=True) if tilt and getattr(press, name) is None
+    }
+    return replace(press, **stated) if stated else press
 
 
 MOST_ROWS = 5  # of one reason that are listed by number
@@ -301,7 +338,7 @@ def judge_cell(name: str, text: str | None) -> tuple[str | float | None, tuple[s
         if name == "image":
             hint = "add a column image to the log, or set [params.poses] images = false in the dataset's dataset.toml"
         return _nothing(name), None if name in OPTIONAL else (ABSENT, hint)
-    if name in POSE or name in FORCES:
+    if name in POSE or name in FORCES or name in TILT:
         value, fault = _number_cell(name, text)
         return (_nothing(name) if value is None else value), fault
     fault = _word_fault(name, text)
@@ -309,16 +346,16 @@ def judge_cell(name: str, text: str | None) -> tuple[str | float | None, tuple[s
 
 
 def _nothing(name: str) -> str | float | None:
-    return math.nan if name in POSE else None if name in FORCES else ""
+    return math.nan if name in POSE else None if name in FORCES or name in TILT else ""
 
 
 def _number_cell(name: str, text: str) -> tuple[float | None, tuple[str, str] | None]:
     if not text:
         every = "every press needs its full pose and path; write 0 where nothing moves"
-        return None, None if name in FORCES else ("the cell is empty", every)
+        return None, None if name in FORCES or name in TILT else ("the cell is empty", every)
     value = parse_number(text)
     if value is None:
-        empty = ", or leave the cell empty" if name in FORCES else ""
+        empty = ", or leave the cell empty" if name in FORCES or name in TILT else ""
         return None, ("not a finite number", f"write plain decimals with a point, like -1.25{empty}")
     if fault := size_fault(name, value):
         return None, fault
@@ -329,7 +366,7 @@ def _number_cell(name: str, text: str) -> tuple[float | None, tuple[str, str] | 
 
 
 def size_fault(name: str, value: float) -> tuple[str, str] | None:
-    """Reason and hint for a number in a column of POSE or FORCES that is too large for our units, else None."""
+    """Reason and hint for a number in a column of POSE, TILT or FORCES that is too large for our units, else None."""
     return (
         (f"larger than {LARGEST[name]:g}", "check the unit: mm, degrees, N and N m")
         if abs(value) > LARGEST[name]

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.records.press import FORCE, KNOWN, POSE, PressRecord, RawRow, parse, parse_number
+from gelforge.records.press import FORCE, KNOWN, POSE, TILT, PressRecord, RawRow, parse, parse_number
 from gelforge.records.table import read_table, write_table
 
 # Names of the splits of a dataset: FEATS' own, and tests on indenters and sensors that training never saw.
@@ -44,6 +44,7 @@ class DatasetSample:
     def numbers(self) -> dict[str, float]:
         """Every number of the row by column, NaN if unknown."""
         found = {name: float(getattr(self.press, name)) for name in POSE}
+        found |= dict(zip(TILT, self.press.tilt, strict=True))
         true = [parse_number(self.truth.get(name, "")) for name in FORCE]
         for at, name in enumerate(FORCE):
             found |= {name: float(self.total[at]), f"outside_{name}": float(self.outside[at])}
@@ -59,7 +60,7 @@ class DatasetSample:
     def cells(self) -> dict[str, Any]:
         """One row of the table."""
         own = self.press.cells()
-        row: dict[str, Any] = {name: own[name] for name in (*NAMES, *POSE, "image", "press_id")}
+        row: dict[str, Any] = {name: own[name] for name in (*NAMES, *POSE, *TILT, "image", "press_id")}
         for at, name in enumerate(FORCE):
             row[name] = _rounded(self.total[at])
             row[f"outside_{name}"] = _rounded(self.outside[at])

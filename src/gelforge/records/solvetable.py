@@ -4,10 +4,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import digest_of
 from gelforge.flow.layout import command_for
 from gelforge.records.press import FORCE, parse_number
 from gelforge.records.status import Status
@@ -18,7 +16,7 @@ EVIDENCE = (
     "equilibrium_residual", "base_mismatch", "penetration_mm", "pulling_fraction", "engine_difference", "extrapolated", "error_n",
     "cells_error_n",
 )  # fmt: skip
-NAMES = ("sample_id", "status", "reason", "method", "mesh", "file")
+NAMES = ("sample_id", "status", "reason", "method", "mesh", "key")
 COLUMNS = (*NAMES, *FORCE, *EVIDENCE)
 
 
@@ -26,8 +24,8 @@ COLUMNS = (*NAMES, *FORCE, *EVIDENCE)
 class Solved:
     """How one press was solved.
 
-    total: force on the gel, (3,) N at the reference C10. file: its output, relative to the table's folder, empty if
-    there is none. evidence: diagnostics of the solve, cells by the names of EVIDENCE.
+    total: force on the gel, (3,) N at the reference C10. key: of its record in the store of solves. evidence:
+    diagnostics of the solve, cells by the names of EVIDENCE.
     """
 
     sample_id: str
@@ -35,7 +33,7 @@ class Solved:
     reason: str
     method: str
     mesh: str
-    file: str
+    key: str
     total: tuple[float, float, float]
     evidence: dict[str, object]
     press_id: str = ""
@@ -76,10 +74,3 @@ def read_solves(path: str | Path) -> list[Solved]:
         found.append(Solved(**names, status=Status[state], total=(x, y, z), evidence=evidence,
                             press_id=row.get("press_id") or ""))  # fmt: skip
     return found
-
-
-def corrupt(folder: Path, record: dict[str, Any]) -> list[Path]:
-    """Files of a sample's record that are missing or whose SHA-256 differs from the record's."""
-    digests = record.get("sha256", {})
-    paths = [folder / name for name in record["files"]]
-    return [path for path in paths if not path.is_file() or digest_of(path) != digests.get(path.name)]

@@ -16,8 +16,11 @@ from gelforge.records.regular import read_text
 
 def write_table(path: str | Path, columns: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> None:
     """Write a table, whole or not at all; OPTIONAL columns only if a row has a value in them."""
-    names = [*columns, *(name for name in OPTIONAL if any(row[name] for row in rows))]
-    write_csv(path, names, [{name: row[name] for name in names} for row in rows])
+    filled = [name for name in OPTIONAL if any(row.get(name) for row in rows)]
+    cells = [
+        {**{name: row[name] for name in columns}, **{name: row.get(name, "") for name in filled}} for row in rows
+    ]
+    write_csv(path, [*columns, *filled], cells)
 
 
 class GrowingTable:

@@ -14,6 +14,7 @@ from gelforge.geometry.stlfile import read_stl
 from gelforge.mechanics.mesh.names import load_mesh
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import read_labels
+from gelforge.records.press import POSE, TILT, Press
 from gelforge.records.rowfile import map_array
 from gelforge.reporting.parts import MICRON, arrows, jpeg, pack
 
@@ -103,10 +104,8 @@ class Explorer:
     def indenter(self, row: dict) -> dict:
         """Simplified surface of the indenter of a press, in the indenter's own frame: packed points and faces."""
         points, faces = few_faces(*read_stl(Layout(self.results).folder(POSES) / row["stl"]))
-        turn = -np.deg2rad(row["rot_deg"])
-        c, s = np.cos(turn), np.sin(turn)
-        away = points - [row["x0_mm"], row["y0_mm"], row["z0_mm"]]
-        own = away @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]).T
+        rotation, tip = Press(*(row[name] for name in (*POSE, *TILT))).pose(0.0, 0.0)
+        own = (points - tip) @ rotation
         return pack({"points": (own, MICRON), "faces": (faces, 1)})
 
 

@@ -78,10 +78,8 @@ def spreads(material: MaterialTable, summary: Mapping[str, Any], calibrate: Cali
         numbers = getattr(priors, name).numbers
         return float(found[name]["median"] if name in found else numbers.get("median", 0.0))
 
-    c10 = material.c10 if isinstance(material.c10, float) else float(summary.get("c10", {}).get("median", 1.0))
-    known = summary.get("c10", {}) if isinstance(material.c10, str) else {}
-    pair68 = material.c10_interval68 or known.get("interval68", (c10, c10))
-    pair95 = material.c10_interval95 or known.get("interval95", (c10, c10))
+    c10 = float(material.c10)
+    pair68, pair95 = material.c10_interval68 or (c10, c10), material.c10_interval95 or (c10, c10)
     mesh = [float(getattr(priors, name).numbers.get("spread", 0.0)) for name in ("discretisation", "indenter")]
     return Spreads(
         c10=(pair68[1] - pair68[0]) / (2 * c10), low=pair95[0] / c10, high=pair95[1] / c10,

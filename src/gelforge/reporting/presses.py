@@ -5,13 +5,14 @@ from typing import Any
 import numpy as np
 
 from gelforge.records.axes import CHANNELS
-from gelforge.records.press import POSE, PosedPress
+from gelforge.records.press import POSE, TILT, PosedPress
 from gelforge.records.samplefile import DatasetSample
 from gelforge.records.solvetable import Solved
 
 TEXTS = ("indenter", "sensor", "gel", "split", "status", "reason", "method", "mesh", "group", "shard")
 NUMBERS = (
     *POSE,
+    *TILT,
     *(f"{kind}_{axis}" for kind in ("label", "network", "measured") for axis in CHANNELS),
     "error_n",
     "seconds",
@@ -71,7 +72,7 @@ def _press(
     if solve:
         row |= {name: getattr(solve, name) for name in ("reason", "method", "mesh")}
         row |= {name: solve.number(name) for name in ("seconds", "peak_mib")}
-    row |= {name: getattr(press, name) for name in (*POSE, "stl")}
+    row |= {name: getattr(press, name) for name in (*POSE, "stl")} | dict(zip(TILT, press.tilt, strict=True))
     # Forces of the label, or of the solve for a press without an image, which is not in the dataset.
     known = sample.total if sample else solve.total if solve and solve.status.valid else np.full(3, np.nan)
     outside = np.nan_to_num(sample.outside) if sample else np.zeros(3)
@@ -79,9 +80,8 @@ def _press(
     for at, axis in enumerate(CHANNELS):
         row[f"measured_{axis}"], row[f"label_{axis}"] = press.force[at], known[at]
         row[f"network_{axis}"] = np.nan if total is None else total[at]
-    if solve:  # error_n is stated at the reference C10, and proportional to C10
-        stiffer = np.linalg.norm(known + outside) / max(float(np.linalg.norm(solve.total)), np.finfo(float).tiny)
-        row["error_n"] = solve.number("error_n") * stiffer
+    if solve:
+        row["error_n"] = solve.number("error_n")
     return row
 
 

@@ -12,22 +12,22 @@ from gelforge.calibration import summary
 from gelforge.calibration.emulator import Emulator
 from gelforge.calibration.parameters import TARE, Model, make_model
 from gelforge.calibration.posterior import Posterior
-from gelforge.calibration.readings import Readings, check_enough, check_readings, choose_presses, read_readings
+from gelforge.calibration.readings import Readings, check_enough, check_readings, choose_presses, readings_of
 from gelforge.calibration.sampling import Chain, Figures, NotConverged, Rules, sample
-from gelforge.errors import BadInput
+from gelforge.errors import BadInput, SolveFailed
 from gelforge.evidence import forces as evidence
 from gelforge.flow.cli import JOBS, stage
-from gelforge.flow.files import write_json
-from gelforge.flow.layout import POSES, Layout
-from gelforge.flow.params import DatasetFile, read_dataset_file, read_indenter_tables, read_parameters
+from gelforge.flow.files import read_json, write_json
+from gelforge.flow.layout import Layout
+from gelforge.flow.params import StageParameters, altered, read_parameters
 from gelforge.flow.tables import CalibrateSolverTable, CalibrateTable
-from gelforge.geometry.gel import use_gels_of
-from gelforge.labelling.sensor import Sensor, load_sensors
+from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.material import REFERENCE_C10
-from gelforge.records.log import rejected_rows
+from gelforge.records.log import read_shard
 from gelforge.reporting import cornerplots as plots
+from gelforge.stages.poses import Bodies, judge
 
-VERSION = 14
+VERSION = 15
 MOST_BANDS = 6  # indenters in the plot of predictive bands, the first by name: more would hide each other
 
 
@@ -251,52 +251,65 @@ def say_spent(spent: dict) -> str:
     return text + "."
 
 
-def load_rejected(poses: Path, shards: list[str]) -> set:
-    """Rows of the log that stage 10 rejected, except for their image, which calibration does not need."""
-    tables = [path for name in shards if (path := poses / f"{name}.rejected.csv").exists()]
-    return {row for path in tables for row in rejected_rows(path, but="image")}
+def logged_readings(of: Layout, read: StageParameters, bodies: Bodies) -> Readings:
+    """Readings of the log's rows that stage 10 would take without a calibration, by their commanded paths.
+
+    A row is judged as stage 10 judges it, but for its image and what a calibration may move. Readings that no force
+    sensor and press can have produced raise BadInput.
+    """
+    log, sensors = str(of.log), read_json(of.parameters("sensors"))
+    rows = [row for shard in of.names() for row in read_shard(of.shard(shard))]
+    rows.sort(key=lambda row: row.row)
+    nothing = dict.fromkeys(("touch_offset_mm", "compliance_mm_per_n", "shear_compliance_mm_per_n"), 0.0)
+    checks = altered(read.poses, **nothing, images=False)
+    tables = {"sensors": sensors, "indenters": bodies.catalogue}
+    _, rejected = judge(rows, log, of.data, tables, checks, bodies)
+    gels = {name: sensor.gel for name, sensor in load_sensors(of.parameters("sensors")).items()}
+    # a whole log with inverted signs is refused by that name, so rows that pull are taken out afterwards
+    bad = {one.row for one in rejected if one.column != "fz_n"}
+    if rejected and not {row.row for row in rows if row.cells.get("fz_n")} - bad:
+        raise BadInput(f"{log}: every row with a normal force (fz_n) is rejected, the first: {rejected[0].text}")
+    readings = readings_of(rows, log, bad, gels, read.poses.tilt_deg)
+    check_readings(readings)
+    pulling = {one.row for one in rejected} - bad
+    return readings.take(~np.isin(readings.rows, sorted(pulling)))
 
 
-def gels_of(sensors: dict[str, Sensor], of: DatasetFile) -> dict[str, str]:
-    """Names of the gels by sensor; the key "" is for rows that name no sensor."""
-    gels = {name: sensor.gel for name, sensor in sensors.items()}
-    return gels | ({"": gels[of.sensor]} if of.sensor in gels else {})
+def calibrated_log(of: Layout, read: StageParameters, folder: Path, jobs: int) -> tuple[dict, list[str]]:
+    """Contents of summary.json for a dataset, and what to print besides; plots go to `folder`.
+
+    Raises GelforgeError if the log's readings give no posterior.
+    """
+    params, law, nu = read.calibrate, read.interface.law, float(read.material.nu)
+    bodies = Bodies(read_json(of.parameters("indenters")), of.workflow, of.surfaces)
+    logged = logged_readings(of, read, bodies)
+    readings = logged.take(choose_presses(logged, params.max_presses, law))
+    model_of(readings, params, law)  # refuses too few readings before anything is solved
+    catalogue = {name: bodies[name] for name in sorted(set(readings.indenters.tolist()))}
+    readings, emulator, spent = emulate(readings, catalogue, params, law, nu, of.solves, jobs)
+    usual = REFERENCE_C10 if isinstance(read.material.c10, str) else float(read.material.c10)
+    done, seen = calibrate(readings, emulator, params, law, logged, usual)
+    refuse_beyond(done.posterior, done.chain, params.reach_mm, seen)
+    draw_plots(done, folder)
+    result = summarise(done, params, seen)
+    result["solves_spent"] = spent
+    result["presses_logged"] = len(logged)
+    said = [f"note: {line}" if line in seen else line for line in result["sentences"]]
+    said += [say_spent(spent), *(f"left out: {row['sample_id']}: {row['reason']}" for row in spent["unsolved"])]
+    return result, [*said, *(f"outlier: {row}" for row in result["outliers"])]
 
 
 @stage(Layout.calibration, JOBS)
 def main(args: Namespace) -> None:
-    from gelforge.geometry.indenters import build_all
-
-    of, work = args.of, args.out.parent
-    use_gels_of(of.workflow)
-    tables = read_parameters(of.parameters("calibrate"))
-    params, law, nu = tables.calibrate, tables.interface.law, float(tables.material.nu)
-
-    about = read_dataset_file(of.data / "dataset.toml")
-    gels = gels_of(load_sensors(of.parameters("sensors")), about)
-    logged = read_readings(of.log, load_rejected(of.folder(POSES), of.names()), gels)
-    check_readings(logged)
-    readings = logged.take(choose_presses(logged, params.max_presses, law))
-    model_of(readings, params, law)  # refuses too few readings before anything is solved
-    named = sorted(set(readings.indenters.tolist()))
-    known = read_indenter_tables(of.workflow, of.data, about.catalogue)
-    catalogue = build_all(known, of.workflow / about.catalogue, named, of.workflow, of.surfaces)
-    readings, emulator, spent = emulate(readings, catalogue, params, law, nu, work / "solves", args.jobs)
-    own = about.params.get("material", {}).get("c10")
-    usual = own if isinstance(own, int | float) else REFERENCE_C10
-    done, seen = calibrate(readings, emulator, params, law, logged, usual)
-    refuse_beyond(done.posterior, done.chain, params.reach_mm, seen)
-    draw_plots(done, work)
-    result = summarise(done, params, seen)
-    result["solves_spent"] = spent
-    result["presses_logged"] = len(logged)
+    of = args.of
+    read = read_parameters(of.parameters("calibrate"))
+    try:
+        result, said = calibrated_log(of, read, args.out.parent, args.jobs)
+    except (BadInput, SolveFailed, NotConverged) as error:
+        # what the log does not tell is a result: the report shows it, and nothing runs again until something changes
+        result, said = {"failed": str(error)}, [f"note: no calibration: {error}"]
     write_json(args.out, result)
-    print("\n".join(f"note: {line}" if line in result["evidence"] else line for line in result["sentences"]))
-    print(say_spent(spent))
-    for row in spent["unsolved"]:
-        print(f"left out: {row['sample_id']}: {row['reason']}")
-    for row in result["outliers"]:
-        print(f"outlier: {row}")
+    print("\n".join(said))
 
 
 if __name__ == "__main__":

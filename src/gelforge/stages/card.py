@@ -3,6 +3,7 @@
 from argparse import Namespace
 from pathlib import Path
 
+from gelforge.errors import BadInput
 from gelforge.flow.cli import option, stage
 from gelforge.flow.files import read_json, write_text
 from gelforge.flow.layout import Layout
@@ -26,21 +27,22 @@ SHIP = option(
 
 @stage(Layout.card, MEASURED, SHIP)
 def main(args: Namespace) -> None:
-    from gelforge.reading.model import ForceModel, fingerprint, load_model, save_model
-    from gelforge.reading.predictor import SHIPPED
+    from gelforge.reading.model import SHIPPED, Model, fingerprint, load_model, save_model
 
     of = args.of
     network = SHIPPED if args.model == SHIPS else of.network(args.resolution, args.model)
     model = load_model(network)
     metadata = model.metadata
     evaluation = read_json(of.evaluation(args.resolution, args.model))
+    if "failed" in evaluation:
+        raise BadInput(evaluation["failed"])
     measured = [read_json(path) for path in args.measured]
     own = [found for found in measured if found.get("model") and found["model"] == fingerprint(metadata)]
     for found in own:
         if "real" in found and metadata.get("intervals"):
             metadata = metadata | {"intervals": metadata["intervals"] | {"real": found["real"]}}
     if args.ship:
-        save_model(args.ship, ForceModel(metadata, model.graph))
+        save_model(args.ship, Model(metadata, model.graph))
     figures, readings = ([row for found in own for row in found.get(name, [])] for name in ("figures", "readings"))
     write_text(args.out, write_card(metadata, evaluation, figures, readings))
 

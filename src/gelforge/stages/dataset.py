@@ -1,7 +1,7 @@
 """Stage 60: images and labels as arrays for training, with splits without leaks."""
 
 import hashlib
-import os
+import shutil
 import sys
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
@@ -14,16 +14,17 @@ from tqdm import tqdm
 from gelforge.errors import BadInput
 from gelforge.evidence.forces import LogForces
 from gelforge.evidence.images import row_list
-from gelforge.evidence.labels import of_labels
+from gelforge.evidence.labels import of_labels, refuse_unseen
 from gelforge.evidence.logimages import LogImages
 from gelforge.flow.cli import stage
-from gelforge.flow.files import alone, digest_of, listed, publish, read_json, write_csv, write_json, write_text
+from gelforge.flow.files import alone, digest_of, link_or_copy, listed, publish, read_json, write_csv, write_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.params import read_parameters
 from gelforge.flow.tables import DatasetTable
 from gelforge.geometry.indenters import fold
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import find_sensor, load_sensors
+from gelforge.learning.pictures import PICTURES, write_pairs
 from gelforge.learning.split import split_presses
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.records.image import read_logged_image
@@ -35,7 +36,7 @@ from gelforge.records.samplefile import DatasetSample, write_samples
 from gelforge.records.status import Status
 from gelforge.records.table import numbered_rows, read_table
 
-VERSION = 9
+VERSION = 10
 NO_IMAGE = "no image in the log"
 WRONG_IMAGE = "its image is not of this press"
 
@@ -109,77 +110,93 @@ def unseen_indenters(catalogue: dict, settings: DatasetTable) -> set[str]:
     return marked | set(settings.unseen_indenters)
 
 
-def write_image_array(path, data: Path, presses: list[PressRecord], size: tuple[int, int]) -> None:
-    """Write the images of presses as uint8 (n, height, width, 3) RGB, whole or not at all.
+def share_pictures(folder: Path, data: Path, presses: list[PressRecord], size: tuple[int, int]) -> list[str]:
+    """Put the files of `learning.pictures` into `folder`, from one copy that all resolutions of the dataset share.
 
-    size is (width, height). A missing, unreadable or differently sized image raises BadInput.
+    size: (width, height) of the images. Returns the sensors that have a no-contact image. Resolutions may be made in
+    parallel: the first writes the copy, and the others wait for it.
     """
-    with publish(path) as part:
-        images = (read_logged_image(data, press.image, size) for press in tqdm(presses, "images"))
-        write_rows(part, np.uint8, (len(presses), size[1], size[0], 3), images)
+    with alone(folder.parent / "pictures"):
+        return _share_pictures(folder, data, presses, size)
 
 
-def write_nocontact(path, data: Path, names: list[str], size: tuple[int, int]) -> list[str]:
-    """Write the no-contact images, nocontact/NAME.png, as uint8 (k, height, width, 3) RGB.
-
-    Returns the k of `names` that have one; only a network that reads pairs of images needs them.
-    """
-    there = [name for name in names if (data / "nocontact" / f"{name}.png").exists()]
-    pictures = [read_logged_image(data, f"nocontact/{name}.png", size, "restore it, or remove it") for name in there]
-    with publish(path) as part, part.open("wb") as stream:
-        np.save(stream, np.array(pictures, np.uint8).reshape(len(there), size[1], size[0], 3))
-    return there
-
-
-def share_images(folder: Path, data: Path, presses: list[PressRecord], size) -> None:
-    """Put images.npy into `folder` as a hard link to one copy that all resolutions of the dataset share.
-
-    Resolutions may be made in parallel: the first writes the copy, and the others wait for it.
-    """
-    with alone(folder.parent / "images"):
-        _share_images(folder, data, presses, size)
-
-
-def _share_images(folder: Path, data: Path, presses: list[PressRecord], size) -> None:
-    for left in folder.parent.glob(".images-*.part.npy"):
-        left.unlink()  # left by a make that was killed: a running writer would hold the lock
-    digest = hashlib.sha256(str(size).encode())
-    for press in presses:
-        path = data / press.image
+def _share_pictures(folder: Path, data: Path, presses: list[PressRecord], size: tuple[int, int]) -> list[str]:
+    sensors = sorted({press.sensor_id for press in presses})
+    rests = [name for name in sensors if (data / "nocontact" / f"{name}.png").exists()]
+    digest = hashlib.sha256(f"{VERSION} {size}".encode())
+    named = [(press.sample_id, press.image) for press in presses] + [
+        (name, f"nocontact/{name}.png") for name in rests
+    ]
+    for name, image in named:
+        path = data / image
         state = path.stat() if path.exists() else None
         stamp = f"{state.st_mtime_ns} {state.st_size}" if state else "absent"
-        digest.update(f"{press.sample_id} {press.image} {stamp}\n".encode())
-    shared = folder.parent / f"images-{digest.hexdigest()[:16]}.npy"
-    noted = shared.with_suffix(".sha256")
-    # a copy that has become corrupt must not be linked again
-    if not (shared.exists() and noted.exists() and noted.read_text(encoding="utf-8") == digest_of(shared)):
-        write_image_array(shared, data, presses, size)
-        write_text(noted, digest_of(shared))
-    with publish(folder / "images.npy") as part:
-        os.link(shared, part)
-    for other in folder.parent.glob("images-*.npy"):
-        if other.stat().st_nlink == 1:
-            other.unlink(missing_ok=True)
-            other.with_suffix(".sha256").unlink(missing_ok=True)
+        digest.update(f"{name} {image} {stamp}\n".encode())
+    shared = folder.parent / f"pictures-{digest.hexdigest()[:16]}"
+    for left in folder.parent.glob("pictures-*/"):
+        if left != shared:  # of other images, or left by a make that was killed
+            shutil.rmtree(left)
+    noted = shared / "sha256.json"
+    # a copy that has become corrupt must not be used again
+    if not (noted.exists() and read_json(noted) == {name: digest_of(shared / name) for name in PICTURES}):
+        shutil.rmtree(shared, ignore_errors=True)
+        shared.mkdir()
+        write_pictures(shared, data, presses, rests, size)
+        write_json(noted, {name: digest_of(shared / name) for name in PICTURES})
+    for name in PICTURES:
+        with publish(folder / name) as part:
+            link_or_copy(shared / name, part)
+    return rests
 
 
-def repeated_pictures(path: Path, presses: list[PressRecord], where: str) -> list[list[int]]:
-    """Groups of presses, by number, whose images are equal in every pixel; a note reports them.
+def write_pictures(
+    folder: Path, data: Path, presses: list[PressRecord], rests: list[str], size: tuple[int, int]
+) -> None:
+    """Write the files of `learning.pictures`; rests: names of sensors with a no-contact image.
 
-    path: the array of all images. Labels of such presses contradict each other, and across splits one would leak.
+    A missing, unreadable or differently sized image raises BadInput.
+    """
+    images = (read_logged_image(data, press.image, size) for press in tqdm(presses, "images"))
+    write_rows(folder / "images.npy", np.uint8, (len(presses), size[1], size[0], 3), images)
+    pictures = {
+        name: read_logged_image(data, f"nocontact/{name}.png", size, "restore it, or remove it") for name in rests
+    }
+    shown = RowFile(folder / "images.npy")
+    write_pairs(folder, shown, [press.sensor_id for press in tqdm(presses, "pairs")], pictures)
+
+
+def repeated_pictures(
+    path: Path, presses: list[PressRecord], every: list, data: Path, size: tuple[int, int], where: str
+) -> list[list[int]]:
+    """Groups of `every` press of the log, by number, whose images are equal in every pixel; a note reports them.
+
+    path: the array of the images of `presses`, which have labels; the images of others lie in `data`. Labels of such
+    presses contradict each other, and across splits one would leak.
     """
     images = RowFile(path)
-    found = repeats(
-        presses, [hashlib.blake2b(images[at].tobytes(), digest_size=16).digest() for at in range(len(images))]
-    )
-    if not found:
-        return found
-    text, hint = describe_repeats(where, presses, found), "give each press its own picture, or remove its row"
-    print(
-        f"note: {text}; all presses of one picture go to one split. Did the camera freeze? If so, {hint}",
-        file=sys.stderr,
-    )
+    known = {press.sample_id: _digest_of(images[at]) for at, press in enumerate(presses)}
+    digests = [known.get(press.sample_id) or _digest_of_file(data, press, size) for press in every]
+    found = repeats(every, digests)
+    labelled = repeats(presses, [known[press.sample_id] for press in presses])
+    if labelled:
+        text, hint = describe_repeats(where, presses, labelled), "give each press its own picture, or remove its row"
+        print(
+            f"note: {text}; all presses of one picture go to one split. Did the camera freeze? If so, {hint}",
+            file=sys.stderr,
+        )
     return found
+
+
+def _digest_of(image: np.ndarray) -> bytes:
+    return hashlib.blake2b(image.tobytes(), digest_size=16).digest()
+
+
+def _digest_of_file(data: Path, press: PressRecord, size: tuple[int, int]) -> bytes:
+    """Digest of the image of a press without label; of its name where it has none, as no other press shows that."""
+    try:
+        return _digest_of(read_logged_image(data, press.image, size))
+    except BadInput:
+        return press.sample_id.encode()
 
 
 def write_label_array(path, shards, places, grid: Grid, name: str = "label") -> None:
@@ -338,6 +355,19 @@ def refuse_torn_presses(path: Path, presses: list, splits: np.ndarray) -> None:
             )
 
 
+def group_names(presses: Sequence[PressRecord], groups: np.ndarray) -> np.ndarray:
+    """Names (n,) of groups (n,): the sample_id of the first press of each, which no later press changes."""
+    _, first, number = np.unique(groups, return_index=True, return_inverse=True)
+    return np.array([press.sample_id for press in presses])[first][number.ravel()]
+
+
+def among(groups: list[list[int]], places: list[int]) -> list[list[int]]:
+    """Groups of numbers of all presses as groups of those at `places`; single ones are left out."""
+    number = {place: at for at, place in enumerate(places)}
+    found = [[number[one] for one in members if one in number] for members in groups]
+    return [members for members in found if len(members) > 1]
+
+
 def nothing_left(of: Layout, left_out: dict) -> str:
     """Why no sample has both a label and an image, and what to do."""
     if left_out.keys() == {NO_IMAGE}:
@@ -373,14 +403,21 @@ def build(args: Namespace) -> dict:
     if not found:
         raise BadInput(nothing_left(of, left_out))
     presses = [each.press for each in found]
+    inside, outside = (np.array([getattr(each, name)[2] for each in found]) for name in ("total", "outside"))
+    refuse_unseen([press.sensor_id for press in presses], inside, np.nan_to_num(outside), of.parameters("sensors"))
     size = image_size(presses, load_sensors(of.parameters("sensors")), str(of.log))
-    share_images(folder, of.data, presses, size)
-    repeated = repeated_pictures(folder / "images.npy", presses, str(of.log))
+    rests = share_pictures(folder, of.data, presses, size)
+    # all presses of the log are split, those without label too, so that one that is solved later moves no other
+    every = [press for _, each in shards for press in each]
+    repeated = repeated_pictures(folder / "images.npy", presses, every, of.data, size, str(of.log))
     catalogue = {
         name: table for name, table in read_json(of.parameters("indenters")).items() if isinstance(table, dict)
     }
     folds = {name: fold(table) for name, table in catalogue.items()}
-    splits, groups = split_presses(presses, unseen_indenters(catalogue, settings), folds, settings, repeated)
+    splits, groups = split_presses(every, unseen_indenters(catalogue, settings), folds, settings, repeated)
+    place = {press.sample_id: at for at, press in enumerate(every)}
+    mine = np.array([place[press.sample_id] for press in presses])
+    splits, groups, repeated = splits[mine], group_names(every, groups)[mine], among(repeated, mine.tolist())
     splits = published_splits(of.data, presses, splits, repeated)
     write_label_array(folder / "labels.npy", shards, places, grid)
     write_fields(folder, shards, places, grid)
@@ -397,7 +434,7 @@ def build(args: Namespace) -> dict:
     about["doubts_of_forces"] = doubts_of_forces(found, material)
     for doubt in about["doubts_of_forces"]:
         print(f"note: {of.log}: {doubt}", file=sys.stderr)
-    return about | {"nocontact": write_nocontact(folder / "nocontact.npy", of.data, about["sensors"], size)}
+    return about | {"nocontact": rests}
 
 
 @stage(Layout.dataset_table)

@@ -4,6 +4,7 @@ from argparse import Namespace
 
 import numpy as np
 
+from gelforge.errors import BadInput
 from gelforge.flow.cli import stage
 from gelforge.flow.files import publish, write_json
 from gelforge.flow.layout import Layout, beside
@@ -16,7 +17,7 @@ from gelforge.reporting import feats_tables
 from gelforge.reporting.errortables import tables
 from gelforge.reporting.networkcharts import draw_predictions
 
-VERSION = 19
+VERSION = 20
 
 
 def keep_predictions(path, data, model, predictions: dict) -> None:
@@ -24,7 +25,7 @@ def keep_predictions(path, data, model, predictions: dict) -> None:
 
     predictions: those that exist already, from `evaluate`.
     """
-    from gelforge.learning.fitting import predict_rows
+    from gelforge.learning.predictions import predict_rows
 
     learnt = data.splits[TRAINING]
     parts = list(predictions.values())
@@ -53,15 +54,22 @@ def paper_table(result: dict) -> str:
 def main(args: Namespace) -> None:
     from gelforge.learning.data import open_data
     from gelforge.learning.evaluate import evaluate
-    from gelforge.reading.model import load_model
-    from gelforge.reading.predictor import SHIPPED
+    from gelforge.reading.model import SHIPPED, load_model
 
     of = args.of
     data = open_data(of.dataset(args.resolution))
     shipped = args.model == SHIPS
     model = load_model(SHIPPED if shipped else of.network(args.resolution, args.model))
     settings = read_parameters(of.parameters("evaluate")).evaluate
-    result, predictions = evaluate(data, model, settings, "the shipped network" if shipped else "")
+    try:
+        result, predictions = evaluate(data, model, settings, "the shipped network" if shipped else "")
+    except BadInput as error:
+        # that a network does not fit a dataset is a result: the report shows it, and the card is refused with it
+        print(f"note: not evaluated: {error}")
+        for ending in (".png", ".predictions.npz"):
+            beside(args.out, ending).unlink(missing_ok=True)
+        write_json(args.out, {"failed": str(error)})
+        return
     if feats_tables.SENSOR in data.info.get("sensors", ()):
         result["published"] = {
             name: feats_tables.published_errors(predictions[name][1], np.asarray(data.labels[predictions[name][0]]))

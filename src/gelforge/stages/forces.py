@@ -9,28 +9,30 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.calibration import calibrated
 from gelforge.flow.cli import stage
-from gelforge.flow.files import DAMAGED, read_json, record_of
-from gelforge.flow.layout import Layout, command_for
+from gelforge.flow.files import DAMAGED
+from gelforge.flow.layout import Layout
 from gelforge.flow.params import read_parameters
 from gelforge.flow.tables import MaterialTable
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.mechanics.mesh.names import load_mesh
 from gelforge.records.arrays import in_short
 from gelforge.records.forcefile import INTERVALS, SampleForces, write_forces
-from gelforge.records.solvetable import Solved, corrupt, read_solves
+from gelforge.records.solvestore import SolveStore
+from gelforge.records.solvetable import Solved, read_solves
 from gelforge.records.status import Status
 
 VERSION = 3
 
 
-def read_sample(solve: Solved, folder: Path) -> tuple[SampleForces, str]:
+def read_sample(solve: Solved, store: SolveStore) -> tuple[SampleForces, str]:
     """Forces of one row of 30_fea's table at the reference C10, and the reason if there are none."""
     status, reason = solve.status, solve.reason
     if not status.valid:
         return SampleForces.failed(solve.sample_id, status.name, solve.mesh, solve.press_id), reason
     mesh = load_mesh(solve.mesh)
-    path = folder / solve.file
+    path = store.arrays(solve.key)
     reason = ""
     try:
         with np.load(path, allow_pickle=False) as file:
@@ -56,57 +58,39 @@ def read_sample(solve: Solved, folder: Path) -> tuple[SampleForces, str]:
     return found, ""
 
 
-def material_c10(material: MaterialTable, calibration: Path) -> tuple[float, dict]:
-    """C10 in MPa and its intervals: from [material], or from the summary `calibration` if c10 = "calibrated"."""
-    if not isinstance(material.c10, str):
-        known = {name: getattr(material, name) for name in INTERVALS}
-        return float(material.c10), {name: list(pair) for name, pair in known.items() if pair is not None}
-    if not calibration.exists():
-        command = command_for("calibrate", calibration)
-        raise BadInput(
-            f'[material] c10 = "calibrated" needs {calibration}, which is not there; run `{command}` first'
-        )
-    try:
-        found = read_json(calibration)["c10"]
-        intervals = {f"c10_{name}": found[name] for name in ("interval68", "interval95")}
-        return float(found["median"]), intervals
-    except (OSError, ValueError, KeyError, TypeError) as error:
-        raise BadInput(
-            f"{calibration}: holds no c10 with median and intervals ({error!r}); run `{command_for('calibrate', calibration)}`"
-        ) from error
+def material_c10(material: MaterialTable) -> tuple[float, dict]:
+    """C10 in MPa, and its intervals if it was calibrated."""
+    known = {name: getattr(material, name) for name in INTERVALS}
+    return float(material.c10), {name: list(pair) for name, pair in known.items() if pair is not None}
 
 
-def refuse_corrupt(table: Path, solves: list[Solved]) -> None:
-    """Remove the shard's table and raise BadInput if files of a solved sample are missing or changed.
+def refuse_lost(table: Path, solves: list[Solved], store: SolveStore) -> None:
+    """Remove the shard's table and raise BadInput if the store lacks solves that it lists.
 
-    Without its table the shard is outdated: the next make solves the corrupt samples and keeps the rest.
+    Without its table the shard is outdated: the next make solves what is lacking and keeps the rest.
     """
-    folder = table.parent / table.name.split(".")[0]
-    lost = []
-    for solve in solves:
-        if solve.status.valid:
-            record = record_of(folder / f"{solve.sample_id}.json")
-            lost += [folder / f"{solve.sample_id}.json"] if record is None else corrupt(folder, record)
+    lost = [solve.key for solve in solves if store.record(solve.key) is None]
     if lost:
         table.unlink()
         raise BadInput(
-            f"{lost[0]}{f' and {len(lost) - 1} more' if len(lost) > 1 else ''}: missing or changed since it was written;"
-            f" {table} was removed, so run make again: it solves what is corrupt and keeps the rest"
+            f"{store.folder}: {lost[0]}{f' and {len(lost) - 1} more' if len(lost) > 1 else ''}: missing or changed since it"
+            f" was written; {table} was removed, so run make again: it solves what is lacking and keeps the rest"
         )
 
 
 @stage(Layout.forces)
 def main(args: Namespace) -> None:
     of = args.of
-    params = read_parameters(of.parameters("forces"))
-    c10, intervals = material_c10(params.material, of.calibration())
+    params = calibrated(read_parameters(of.parameters("forces")), of.base)
+    c10, intervals = material_c10(params.material)
     samples: list[SampleForces] = []
     lost: Counter[str] = Counter()
     table = of.fea(args.shard)
     solves = list(read_solves(table))
-    refuse_corrupt(table, solves)
+    store = SolveStore(of.solves)
+    refuse_lost(table, solves, store)
     for solve in solves:
-        sample, reason = read_sample(solve, table.parent)
+        sample, reason = read_sample(solve, store)
         if solve.status.valid and reason:  # stage 30 reported the others
             print(f"failed: {sample.sample_id}: {sample.status}, {reason}")
             lost[f"{sample.status}: {Status[sample.status].value}"] += 1

@@ -1,24 +1,21 @@
-"""Stage 50: labels, the force in each cell of an image grid, from the nodal forces of all shards."""
+"""Stage 50: labels of a shard, the force in each cell of an image grid, from nodal forces."""
 
 import json
 from argparse import Namespace
-from collections import Counter
 from collections.abc import Callable
 from functools import lru_cache, partial
-from pathlib import Path
 
 import numpy as np
-from tqdm import tqdm
 
 from gelforge.errors import BadInput
 from gelforge.flow.cli import stage
-from gelforge.flow.files import digest_of, digest_of_value, read_csv, read_json, record_of, write_json
-from gelforge.flow.layout import POSES, Layout, command_for
+from gelforge.flow.files import read_json
+from gelforge.flow.layout import Layout, command_for
 from gelforge.flow.params import read_parameters
 from gelforge.labelling.cellsurface import SurfaceMap, surface_map, traction
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import Operator, assemble
-from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors
+from gelforge.labelling.sensor import Sensor, find_sensor, sensors_of
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.names import load_mesh
 from gelforge.records.forcefile import ForceFile
@@ -26,11 +23,9 @@ from gelforge.records.labelfile import Stream, to_float32, write_labels
 from gelforge.records.log import read_poses
 from gelforge.records.status import Status
 
-VERSION = 3
+VERSION = 4
 OPERATORS_KEPT = 64  # operators in memory
 BLOCK_BYTES = 64 * 2**20  # of float64 cells held at a time
-UNSEEN = 0.5  # an image does not show a press if more than this fraction of its normal force lies outside
-LEAST_PRESSES = 10  # of a sensor before the projection is judged
 
 
 def bin_samples(forces: ForceFile, members, operator: Operator) -> tuple[np.ndarray, np.ndarray]:
@@ -178,7 +173,7 @@ def label_shard(forces_path, poses_path, find: Finder, grid: Grid, out, channels
         ]
         fields = field_streams(forces, maps, grid, channels)
         write_labels(out, blocks, (len(forces), 3, *grid.shape), {**others, **forces.intervals}, fields)
-        return summarise(forces, outside, sensor_of)
+        return summarise(forces, outside)
 
 
 def sensors_of_samples(poses_path) -> dict[str, str]:
@@ -201,20 +196,12 @@ def _first_bad(forces: ForceFile) -> str:
     return str(forces.sample_id[np.searchsorted(forces.ptr, row, side="right") - 1])
 
 
-def summarise(forces: ForceFile, outside: np.ndarray, sensor_of: dict[str, str]) -> dict:
-    """Counts of a shard and the sample with the largest fraction of its normal force outside the image.
-
-    seen: per sensor, how many samples have most of their normal force inside its image, and how many outside.
-    """
+def summarise(forces: ForceFile, outside: np.ndarray) -> dict:
+    """Counts of a shard, and the sample with the largest fraction of its normal force outside the image."""
     fraction = np.abs(outside[:, 2]) / np.maximum(np.abs(forces.total[:, 2]), 1e-12)
     fraction = np.where(np.isfinite(fraction), fraction, 0.0)
     worst = int(fraction.argmax()) if len(fraction) else None
-    bears = forces.total[:, 2] != 0.0
-    counts: dict[str, list[int]] = {}
-    for name, part in zip(forces.sample_id[bears].tolist(), fraction[bears], strict=True):
-        counts.setdefault(sensor_of[name], [0, 0])[int(part > UNSEEN)] += 1
     return {
-        "seen": [[sensor, *count] for sensor, count in sorted(counts.items())],
         "samples": len(forces),
         "failed": int(np.isnan(outside[:, 0]).sum()),
         "worst_sample": "" if worst is None else str(forces.sample_id[worst]),
@@ -222,91 +209,19 @@ def summarise(forces: ForceFile, outside: np.ndarray, sensor_of: dict[str, str])
     }
 
 
-def label_folder(of: Layout, grid: Grid, folder: Path, channels) -> dict:
-    """Label every shard whose labels in `folder` were made from other inputs; return the contents of labels.json.
-
-    The labels.json of the previous run holds a digest of the inputs of each shard's labels.
-    """
-    tables = [read_json(of.parameters(name)) for name in ("sensors", "gels", "labels")]
-    find = Finder(load_sensors(of.parameters("sensors")), grid, str(of.folder(POSES)))
-    shards = of.names()
-    if not shards:
-        raise BadInput(f"{of.shards}: holds no shards; run make, which plans them")
-    require_good(of.folder(POSES), shards)
-    before = (record_of(of.labelled(str(grid))) or {}).get("made", {})
-    made: dict[str, dict] = {}
-    for shard in tqdm(shards, f"labels {grid}"):
-        forces, poses, out = of.forces(shard), of.poses(shard), folder / f"{shard}.npz"
-        key = digest_of_value([digest_of(forces), sensors_of_samples(poses), tables])
-        known = before.get(shard, {})
-        if known.get("key") != key or not out.is_file() or digest_of(out) != known["sha256"]:
-            known = label_shard(forces, poses, find, grid, out, channels)
-            known |= {"key": key, "sha256": digest_of(out)}
-        made[shard] = known
-    seen: Counter[tuple[str, bool]] = Counter()
-    for found in made.values():
-        for sensor, inside, beyond in found["seen"]:
-            seen.update({(sensor, True): inside, (sensor, False): beyond})
-    require_seen(seen, of.parameters("sensors"))
-    worst = max(made.values(), key=lambda found: found["worst_outside_share"])
-    return {
-        "resolution": str(grid),
-        "shards": len(shards),
-        "samples": sum(found["samples"] for found in made.values()),
-        "failed": sum(found["failed"] for found in made.values()),
-        **{key: worst[key] for key in ("worst_sample", "worst_outside_share")},
-        "made": made,
-        "sha256": {f"{shard}.npz": found["sha256"] for shard, found in made.items()},
-    }
-
-
-def require_good(poses: Path, shards: list[str]) -> None:
-    """Raise BadInput if stage 10 rejected all rows of all shards. poses: folder 10_poses."""
-    if any(read_csv(poses / f"{shard}.csv") for shard in shards):
-        return
-    tables = [poses / f"{shard}.rejected.csv" for shard in shards]
-    found = [row for table in tables if table.exists() for row in read_csv(table)]
-    if not found:
-        return
-    say = "and those beside it say" if len(tables) > 1 else "says"
-    raise BadInput(
-        f"none of the {len({row['row'] for row in found})} rows of {found[0]['file']} is good:"
-        f" {tables[0]} {say} what is wrong with each; correct the log and run make again"
-    )
-
-
-def require_seen(seen: Counter[tuple[str, bool]], where) -> None:
-    """Raise BadInput if most presses of a sensor lie mostly outside its images: its projection or the log is wrong.
-
-    seen: counts of samples (`summarise`). where: file of the sensors.
-    """
-    for name in sorted({sensor for sensor, _ in seen}):
-        inside, outside = seen[name, True], seen[name, False]
-        if inside + outside >= LEAST_PRESSES and outside > inside:
-            raise BadInput(
-                f"{where}: by the projection of sensor {name}, {outside} of its {inside + outside} samples have most of"
-                f" their normal force outside its images: measure the projection again with make projection SENSOR={name}"
-                " (workflow/README.md), or correct x0_mm and y0_mm of the log"
-            )
-
-
-def report(summary: dict, largest_share: float) -> None:
-    """Print how many samples were labelled and, if above `largest_share`, the largest fraction of force outside."""
-    print(f"labels {summary['resolution']}: {summary['samples'] - summary['failed']} of {summary['samples']} samples")
-    if summary["worst_outside_share"] > largest_share:
-        print(
-            f"note: up to {summary['worst_outside_share']:.1%} of the force of a press ({summary['worst_sample']}) lies outside the"
-            " image; labels leave it out, the array `outside` holds it"
-        )
-
-
-@stage(Layout.labelled)
+@stage(Layout.labels)
 def main(args: Namespace) -> None:
-    params = read_parameters(args.of.parameters("labels")).labels
-    summary = label_folder(args.of, Grid.parse(args.resolution), args.out.parent, params.channels)
-    write_json(args.out, summary)
-    report(summary, params.largest_outside_share)
-    print(json.dumps({"done": summary["samples"] - summary["failed"]}))
+    of = args.of
+    params = read_parameters(of.parameters("labels")).labels
+    grid, forces, poses = Grid.parse(args.resolution), of.forces(args.shard), of.poses(args.shard)
+    find = Finder(sensors_of(read_json(of.used(args.shard))["sensors"], str(of.used(args.shard))), grid, str(poses))
+    found = label_shard(forces, poses, find, grid, args.out, params.channels)
+    if found["worst_outside_share"] > params.largest_outside_share:
+        print(
+            f"note: up to {found['worst_outside_share']:.1%} of the force of a press ({found['worst_sample']}) lies outside"
+            " the image; labels leave it out, the array `outside` holds it"
+        )
+    print(json.dumps({"done": found["samples"] - found["failed"], "failed": {}}))
 
 
 if __name__ == "__main__":

@@ -161,7 +161,7 @@ def asked(args: Namespace) -> ChartedScene:
     """The scene that a command line names."""
     of = args.of
     params = read_parameters(of.parameters("pareto"))
-    bench = load_bench(params, load_sensors(of.parameters("sensors")), args.out.parent, of.references)
+    bench = load_bench(params, load_sensors(of.parameters("chart")), args.out.parent, of.references)
     return ChartedScene(params, planned_scene(of, args.name, params), bench)
 
 

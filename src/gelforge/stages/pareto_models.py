@@ -76,22 +76,20 @@ def choose(rows: list[dict]) -> dict | None:
 
 
 def measure(models: dict, image, seconds: float) -> dict[str, dict[str, dict]]:
-    """Latency of models by name (reading.model.ForceModel), with one and two CPU threads, and on CUDA if present.
+    """Latency of models by name (reading.model.Model), with one and two CPU threads, and on CUDA if present.
 
     image: (h, w, 3) uint8, also used as the no-contact image, whose content does not affect the time.
     """
-    import onnxruntime
-
-    from gelforge.learning.fitting import time_predictors
-    from gelforge.reading.predictor import Predictor
+    from gelforge.learning.predictions import time_models
+    from gelforge.reading.model import on_device, onnxruntime
 
     runs = {"cpu1": ("cpu", 1), "cpu2": ("cpu", 2)}
-    if "CUDAExecutionProvider" in onnxruntime.get_available_providers():
+    if "CUDAExecutionProvider" in onnxruntime().get_available_providers():
         runs["cuda"] = ("cuda", 1)
-    timed = {}
-    for run, (device, threads) in runs.items():
-        predictors = {name: Predictor(model, image, device=device, threads=threads) for name, model in models.items()}
-        timed[run] = time_predictors(predictors, image, seconds)
+    timed = {
+        run: time_models({name: on_device(model, *how) for name, model in models.items()}, image, seconds)
+        for run, how in runs.items()
+    }
     return {name: {run: timed[run][name] for run in runs} for name in models}
 
 
@@ -112,6 +110,9 @@ def main(args: Namespace) -> None:
 
     of, resolution = args.of, args.resolution
     evaluations = {name: read_json(of.evaluation(resolution, name)) for name in args.models}
+    for name, found in evaluations.items():
+        if "failed" in found:
+            raise BadInput(f"{name}: {found['failed']}")
     models = {name: load_model(of.network(resolution, name)) for name in args.models}
     image = np.asarray(open_data(of.dataset(resolution)).images[0])
     latencies = measure(models, image, SECONDS)

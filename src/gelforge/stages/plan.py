@@ -1,14 +1,15 @@
 """Stage 00: the shards of a dataset, and the parameters of each stage in a file of their own.
 
-If an input of the plan changed (`flow/refuse.py`), make runs this stage and reads its rules again, so that `make -n`
-knows the new plan. Output files are written only if their content changes.
+The plan is a makefile that make includes: if one of its prerequisites is newer, make runs this stage and reads its
+rules again, so that `make -n` knows the new plan. Files are written only if their content changes.
 """
 
 import json
 import os
 import re
+import stat
 from argparse import Namespace
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -16,6 +17,7 @@ from types import MappingProxyType
 from gelforge.errors import BadInput, printable
 from gelforge.evidence.settings import check_dataset
 from gelforge.flow import params as config
+from gelforge.flow.calibration import calibration_of, refuse_twice
 from gelforge.flow.cli import option, stage
 from gelforge.flow.files import (
     State,
@@ -34,11 +36,18 @@ from gelforge.records.log import read_log, shard_text
 from gelforge.records.press import RawRow, repeats
 from gelforge.records.table import read_table
 
+FIRST_SHARDS, LATER = 32, 8  # the first shards are small, to fill the cores; later ones hold this many times as much
+
+
+def room(shard: int, size: int) -> int:
+    """How many samples a shard may hold."""
+    return size if shard < FIRST_SHARDS else LATER * size
+
 
 def assign_shards(
     ids: list[str], known: dict[str, int], size: int, press_of: dict[str, str] | None = None
 ) -> dict[str, int]:
-    """Return the shard of each id: that of `known`, or for new ids the last shard until it is full.
+    """Return the shard of each id: that of `known`, or for new ids the last shard until it is full (`room`).
 
     A sample keeps its shard, so appending to a log leaves every full shard as it is. Samples of one press (`press_of`,
     by id) are solved together: all go to the shard of the first one, however full, even if they had other shards when
@@ -61,7 +70,7 @@ def assign_shards(
         if press in homes:
             shards[name] = homes[press]
         else:
-            last += counts.get(last, 0) >= size
+            last += counts.get(last, 0) >= room(last, size)
             shards[name] = last
         if press:
             homes.setdefault(press, shards[name])
@@ -97,10 +106,12 @@ def write_shards(
     size: int,
     pictures: Mapping[str, str],
     tables: Mapping[str, dict] = MappingProxyType({}),
+    every: Mapping[str, dict] = MappingProxyType({}),
 ) -> list[str]:
     """Write each shard's raw rows, catalogue entries and digests of images, and the shard table; return shard names.
 
-    pictures: digests by the name that rows give them. Only what sharding needs is checked here, the rest by stage 10.
+    pictures: digests by the name that rows give them. every: whole catalogues, whose names are kept for a shard that
+    names another, so that stage 10 can tell the nearest. Only what sharding needs is checked here, the rest by stage 10.
     """
     known = known_shards(of.shard_table)
     ids = [row.cells["sample_id"] for row in rows]
@@ -117,6 +128,8 @@ def write_shards(
         # only the entries that this shard uses, so that a change of others does not rerun it
         entries = {kind: used(table, named(members, COLUMN_OF[kind])) for kind, table in tables.items()}
         entries["gels"] = own_shapes(gels_of(entries.get("sensors", {})))
+        if any(named(members, COLUMN_OF[kind]) - table.keys() for kind, table in every.items()):
+            entries["known"] = {kind: sorted(table) for kind, table in every.items()}
         seen = {
             "images": {name: pictures[name] for name in sorted(named(members, "image")) if name in pictures},
             "repeated": {str(row.row): repeated[row.row] for row in members if row.row in repeated},
@@ -143,6 +156,13 @@ def own_shapes(names: Iterable[object]) -> dict[str, dict]:
     from gelforge.geometry.gel import gel_shape, own_gels
 
     return {name: gel_shape(gel) for name, gel in own_gels(names).items()}
+
+
+def meshable(names: Iterable[object]) -> list[str]:
+    """The names that are gels, sorted; a row with another one is rejected later."""
+    from gelforge.geometry.gel import is_gel
+
+    return sorted({name for name in names if is_gel(name)})
 
 
 def gels_of(tables: Mapping[str, object]) -> list[object]:
@@ -223,14 +243,20 @@ def write_beside(of: Layout, found: Mapping[str, str]) -> None:
         write_if_changed(of.beside(kind), canonical(digests_of_kind))
 
 
-def write_parameters(params: Params, workflow: Path, out: Path, tables: dict[str, dict], scenes: dict) -> None:
-    """Write the parameters of every stage, and the catalogue entries that this dataset uses, without comments."""
+def write_parameters(
+    params: Params, workflow: Path, out: Path, tables: dict[str, dict], scenes: dict, calibration: str = ""
+) -> None:
+    """Write the parameters of every stage, and the catalogue entries that this dataset uses, without comments.
+
+    calibration: path of the one that labels follow, "" for none.
+    """
     source = Path(__file__).parent
     for name in STAGES:
-        made = config.written_for(params, name, config.stage_version(source, name))
+        made = config.written_for(params, name, config.stage_version(source, name), calibration)
         write_if_changed(out / "params" / f"{name}.json", canonical(made))
     for name, entries in tables.items():
         write_if_changed(out / "params" / f"{name}.json", canonical(entries))
+    write_if_changed(out / "params" / "networks.json", canonical(sorted(networks(workflow))))
     # One file per network, so that a new network retrains no other.
     for name, table in networks(workflow).items():
         write_if_changed(out / "params" / "models" / f"{name}.json", canonical({name: table}))
@@ -298,14 +324,23 @@ def pressed(rows: list[RawRow]) -> int:
     return len({row.press_id or f"row {row.row}" for row in rows if row.cells.get("image")})
 
 
-def plan_files(data: Path, workflow: Path, catalogue: str) -> list[Path]:
-    """Files that a plan is made from, including missing ones: tables, the log, files beside it, and the code."""
-    tables = ("params", "models", "scenes", "sensors", "gels", "indenters")
-    own = ("log.csv", "dataset.toml", "sensors.toml", "indenters.toml", "calibration.toml")
-    beside = ("nocontact", "labels", "splits.csv", "truth/presses.csv", "truth/pictures.csv")
-    found = [*(data / name for name in (*own, *beside)), *files_beside(data).values()]
-    found += [*(workflow / f"{name}.toml" for name in tables), workflow / catalogue]
-    return list(dict.fromkeys([*found, *listed(Path(__file__).parents[1], "*.py", below=True)]))
+def followed(paths: Sequence[str], log: Path) -> list[str]:
+    """Those of the files that others name, such as images, which make can watch: that exist, by names without blanks.
+
+    Says which others it cannot watch.
+    """
+    there = [
+        path for path in dict.fromkeys(paths) if os.access(path, os.F_OK) and not stat.S_ISDIR(os.stat(path).st_mode)
+    ]
+    lost = [path for path in there if not _WORD.fullmatch(path)]
+    if lost:
+        more = f" and {len(lost) - 1} more" if len(lost) > 1 else ""
+        print(
+            f"note: {printable(lost[0])[:200]}{more}: make watches no file of such a name; touch {log} after it changed"
+        )
+    watched = [path for path in there if _WORD.fullmatch(path)]
+    folders = {os.path.dirname(path) for path in paths}  # whose date tells of a file that was absent
+    return [*watched, *sorted(each for each in folders if _WORD.fullmatch(each) and os.access(each, os.F_OK))]
 
 
 def gel_files(workflow: Path) -> list[Path]:
@@ -332,14 +367,16 @@ def without_ccx(params: config.Params, dataset_toml: Path) -> config.Params:
     """
     method = params.fea.method
     if method in IN_PROCESS:
-        return params
+        if params.fea.verify:
+            print("CalculiX (ccx) was not found: no press is verified by a second method.", flush=True)
+        return replace(params, fea=replace(params.fea, verify=0.0))
     if "method" in config.read_dataset_file(dataset_toml).params.get("fea", {}) and method != "auto":
         raise BadInput(
             f"{dataset_toml}: [params.fea] method = {method!r} needs CalculiX (ccx), which was not found; install it"
             ' and run `rm .venv/ccx.path` and `make setup`, or write method = "label"'
         )
     print(f"CalculiX (ccx) was not found: method label is used instead of {method}.", flush=True)
-    return replace(params, fea=replace(params.fea, method="label"))
+    return replace(params, fea=replace(params.fea, method="label", verify=0.0))
 
 
 # Result of a branch that the report shows, relative to results/DATASET.
@@ -351,20 +388,20 @@ CCX = option(
 
 @stage(Layout.plan, CCX)
 def main(args: Namespace) -> None:
-    from gelforge.geometry.gel import use_gels_of
+    from gelforge.geometry.gel import USUAL_GEL
     from gelforge.sweeps.scenes import read_tables
 
     of = args.of
     data, workflow = of.data, of.workflow
-    use_gels_of(workflow)
     dataset_toml = data / "dataset.toml"
     dataset = config.read_dataset_file(dataset_toml)
     known = (record_of(metrics_of(of.plan())) or {}).get("inputs", {})
-    # take states before reading files, so that the next make sees a change in between
-    states = states_of([*filter(None, [args.ccx]), *plan_files(data, workflow, dataset.catalogue)], known)
     params = config.load_params(workflow, dataset_toml)
     if args.ccx is None or args.ccx.read_text(encoding="utf-8").strip() == "none":
         params = without_ccx(params, dataset_toml)
+    found = calibration_of(params, dataset_toml, of.calibration())
+    refuse_twice(dataset.params, dataset_toml, found)
+    calibration = [] if found is None else [str(found.relative_to(of.base))]
     rows = logged_rows(of.log, dataset.sensor)
     sensors = config.read_sensor_tables(workflow, data)
     indenters = config.read_indenter_tables(workflow, data, dataset.catalogue)
@@ -374,33 +411,40 @@ def main(args: Namespace) -> None:
     bodies = used(indenters, named(rows, "indenter"))
     read: list[Path | str] = [*stl_files(bodies, workflow).values(), *shapes, *gel_files(workflow)]
     read += [f"{data}/{name}" for name in sorted(named(rows, "image")) if name]
-    states |= states_of(read, known)
+    beside = files_beside(data)
+    states = states_of([*read, *beside.values()], known)
     check_dataset(dataset_toml, dataset, params, used(sensors, named(rows, "sensor_id")), sensors, indenters, models)
-    seen_by = used(sensors, named(rows, "sensor_id") | {params.pareto.sensor})
-    gels = own_shapes(gels_of(seen_by))
-    tables = {"sensors": seen_by, "indenters": with_content(bodies, workflow), "gels": gels}
+    seen_by = used(sensors, named(rows, "sensor_id"))
+    tables = {
+        "sensors": seen_by,
+        "indenters": with_content(bodies, workflow),
+        "gels": own_shapes(gels_of(seen_by)),
+        "chart": used(sensors, {params.pareto.sensor}),
+    }
+    logged_gels = meshable(gels_of(seen_by))
     lists: dict[str, list[str]] = {
         "BRANCHES": [SHOWN_OF[name] for name in params.report.branches],
         "PARETO_SCENES": [*scenes],
         **network_lists(models),
         "LEARNER": ["pair_24_mirrored" if (data / "nocontact").is_dir() else "unet"],
-        "CALIBRATED": [SHOWN_OF["calibrate"]] if params.material.c10 == "calibrated" else [],
+        "CALIBRATION": calibration,
         "REPORT_MODEL": reported_model(dataset_toml, params, models, pressed(rows)),
         "LEARN_ALSO": [*params.train.also],
+        "GELS": logged_gels,
+        # gels whose meshes stage 30 needs, and those of the charts
+        "MESHED_GELS": [] if params.fea.method in IN_PROCESS and not params.fea.verify else logged_gels,
+        "CHARTED_GELS": meshable({USUAL_GEL, *gels_of({**tables["chart"], **scenes})}),
         "IMAGES": ["yes"] if pictures and params.poses.images else [],
+        "PLANNED_FROM": followed([*map(str, read)], of.log),
     }
     text = "".join(make_list(name, values) for name, values in lists.items())
-    write_parameters(params, workflow, of.folder(PLAN), tables, scenes)
-    write_beside(of, digests(states, files_beside(data)))
-    about = {"sensor": dataset.sensor, "gel": dataset.gel, "catalogue": dataset.catalogue}
-    write_if_changed(of.parameters("about"), canonical(about))
-    shards = write_shards(
-        of, rows, params.plan.shard_size, digests(states, pictures), {kind: tables[kind] for kind in COLUMN_OF}
-    )
+    write_parameters(params, workflow, of.folder(PLAN), tables, scenes, "".join(calibration))
+    write_beside(of, digests(states, beside))
+    kinds, every = {kind: tables[kind] for kind in COLUMN_OF}, {"sensors": sensors, "indenters": indenters}
+    shards = write_shards(of, rows, params.plan.shard_size, digests(states, pictures), kinds, every)
     check_count(shards, params.plan.shard_size)
     write_text(args.out, f"{make_list('SHARDS', shards)}{text}")
-    record = {"inputs": states, "counts": {"rows": len(rows), "shards": len(shards)}}
-    write_text(metrics_of(of.plan()), json.dumps(record) + "\n")
+    print(json.dumps({"rows": len(rows), "shards": len(shards)}))
 
 
 if __name__ == "__main__":

@@ -14,13 +14,14 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.calibration import calibrated
 from gelforge.flow.cli import stage
 from gelforge.flow.files import publish, read_json
 from gelforge.flow.layout import Layout, beside
 from gelforge.flow.params import read_parameters
 from gelforge.flow.tables import PosesTable
 from gelforge.geometry import touch
-from gelforge.geometry.gel import Gel, load_gel, use_gels_of
+from gelforge.geometry.gel import Gel, load_gel
 from gelforge.geometry.sampled import INCH_MM, METRE_MM, size_of
 from gelforge.geometry.triangles import cropped
 from gelforge.labelling.sensor import sensor_of
@@ -44,9 +45,10 @@ from gelforge.records.press import (
     pull_fault,
     reject,
     summarised,
+    with_tilt,
 )
 
-VERSION = 8
+VERSION = 9
 # If the tip ends less than this below the apex, the force may be so small that the reading is all sensor error.
 FIRM_MM = 0.3
 
@@ -75,7 +77,7 @@ def yielded(sample: LoggedPress, file: str, params: PosesTable) -> tuple[LoggedP
         return sample, [
             reject(sample, file, "dz_mm", "fz_n times the bench compliance exceeds the depth of the press", hint)
         ]
-    path = replace(sample, **moved)
+    path = replace(with_tilt(sample, params.tilt_deg), **moved)
     return path, turned_round(sample, path, file, sideways)
 
 
@@ -131,6 +133,7 @@ def geometric_faults(sample: LoggedPress, file: str, body, gel: Gel, params: Pos
         hint = f"it moves {sideways:.3g} mm; check the unit, or raise farthest_shear_mm = {farthest:g} in [poses]"
         return [reject(sample, file, column, "the indenter moves too far sideways", hint)]
     depth, limit = -(press.z0 + press.dz), params.deepest_share * gel.height
+    depth += lowered(body, press)
     if depth > limit:
         hint = f"the tip ends {depth:.3g} mm below the apex, {limit:.3g} are allowed; check z0_mm and dz_mm"
         return [reject(sample, file, "dz_mm", "the press is deeper than the gel allows", hint)]
@@ -148,9 +151,17 @@ def geometric_faults(sample: LoggedPress, file: str, body, gel: Gel, params: Pos
     return []
 
 
-def reachable_height(press, params: PosesTable) -> float:
-    """Height above the tip, mm, up to which the gel can touch the indenter, rounded up so that crops are shared."""
+def lowered(body, press) -> float:
+    """How much lower than its tip the lowest point of a tilted indenter is, mm; 0 for one that stands upright."""
+    return float(-(body.surface()[0] @ press.pose(1.0, 1.0)[0][2]).min()) if press.tilted else 0.0
+
+
+def reachable_height(body, press, params: PosesTable) -> float:
+    """Height above the tip along the body's axis, mm, up to which the gel can touch it, rounded up to share crops."""
     reach = -(press.z0 + press.dz) + params.bulge_mm
+    if press.tilted:  # the side that is tilted down lies deeper by up to radius times the sine of the tilt
+        cosine = press.pose(1.0, 1.0)[0][2, 2]
+        reach = (reach + body.radius() * float(np.sqrt(1.0 - cosine**2))) / cosine
     return float(max(1, np.ceil(reach / params.band_mm)) * params.band_mm)
 
 
@@ -158,16 +169,15 @@ def write_posed(path, body, press, params: PosesTable) -> None:
     """Write the reachable part of an indenter at the first position of its path as STL in the gel frame."""
     from gelforge.geometry.triangles import write_stl
 
-    vertices, faces = cropped(body, reachable_height(press, params))
+    vertices, faces = cropped(body, reachable_height(body, press, params))
     with publish(path) as part:
         write_stl(part, posed_points(press, vertices), faces)
 
 
-def judge(rows: list[RawRow], file: str, data: Path, tables: dict, params: PosesTable, kept: Path | None = None):
+def judge(rows: list[RawRow], file: str, data: Path, tables: dict, params: PosesTable, bodies: "Bodies"):
     """Good samples of raw rows, each with its body, and the rejections.
 
-    tables: "sensors" and "indenters" as dicts of catalogue tables, and "folder", to which paths of STL files are
-    relative. kept: folder of the measured surfaces of these files (`geometry.sampled`).
+    tables: "sensors" and "indenters" as dicts of catalogue tables.
     """
     needed = [name for name in COLUMNS if params.images or name != "image"]
     parsed = [parse(row, file, needed) for row in rows]
@@ -177,7 +187,7 @@ def judge(rows: list[RawRow], file: str, data: Path, tables: dict, params: Poses
             rejections += [*wrong, *beside_cells(row, wrong, file, data, tables, params)]
     samples, doubled = without_duplicates([s for s, _ in parsed if s], file)
     rejections += doubled
-    good, bodies = [], Bodies(tables["indenters"], tables["folder"], kept)
+    good = []
     for sample in samples:
         wrong = name_and_image_faults(sample, file, data, tables, params)
         if not {"sensor_id", "indenter"} & {r.column for r in wrong}:
@@ -194,7 +204,8 @@ def judge(rows: list[RawRow], file: str, data: Path, tables: dict, params: Poses
 
 def name_and_image_faults(sample: LoggedPress, file: str, data: Path, tables: dict, params: PosesTable):
     """Rejections of a press that names an unknown sensor or indenter, or an image that cannot be used."""
-    wrong = unknown_names(sample, file, tables["sensors"], tables["indenters"])
+    known = tables.get("known", tables)  # all names of the catalogues, where the shard has one that is in none
+    wrong = unknown_names(sample, file, known["sensors"], known["indenters"])
     if not params.images:
         return wrong
     size = None
@@ -215,9 +226,12 @@ def beside_cells(row: RawRow, wrong: list[Rejection], file: str, data: Path, tab
 def path_faults(sample: LoggedPress, file: str, sensor: dict, bodies, params: PosesTable):
     """The press with the path that its tip took, and rejections by its force, its path and its indenter's shape."""
     wrong = pulling(sample, file, params)
-    if not wrong:
-        sample, wrong = yielded(sample, file, params)
-    return sample, wrong or place_faults(sample, file, sensor, bodies, params)
+    if wrong:
+        return sample, wrong
+    path, wrong = yielded(sample, file, params)
+    # a rejection quotes the cell as it stands in the log
+    found = wrong or place_faults(path, file, sensor, bodies, params)
+    return path, [reject(sample, file, each.column, each.reason, each.hint) for each in found]
 
 
 def repeated_pictures(samples: list[LoggedPress], file: str, repeated: dict[str, str]) -> list[Rejection]:
@@ -231,7 +245,11 @@ def repeated_pictures(samples: list[LoggedPress], file: str, repeated: dict[str,
 
 
 class Bodies:
-    """Indenters by name, each built when first asked for; one that cannot be built raises the same BadInput again."""
+    """Indenters by name, each built when first asked for; one that cannot be built raises the same BadInput again.
+
+    folder: to which paths of STL files are relative. kept: folder of the measured surfaces of these files
+    (`geometry.sampled`).
+    """
 
     def __init__(self, catalogue: dict, folder, kept: Path | None = None):
         self.catalogue, self.folder, self.kept = catalogue, folder, kept
@@ -283,12 +301,11 @@ def write_shard(good, rejections, out: Path, params: PosesTable) -> None:
 @stage(Layout.poses)
 def main(args: Namespace) -> None:
     of, log = args.of, str(args.of.log)
-    use_gels_of(of.workflow)
-    params = read_parameters(of.parameters("poses")).poses
-    tables = {name: read_json(of.parameters(name)) for name in ("sensors", "indenters")}
+    params = calibrated(read_parameters(of.parameters("poses")), of.base).poses
+    tables = read_json(of.used(args.shard))
     rows = read_shard(of.shard(args.shard))
-    tables["folder"] = of.workflow
-    good, rejections = judge(rows, log, of.data, tables, params, of.surfaces)
+    bodies = Bodies(tables["indenters"], of.workflow, of.surfaces)
+    good, rejections = judge(rows, log, of.data, tables, params, bodies)
     planned = of.pictures(args.shard)
     repeated = read_json(planned).get("repeated", {}) if params.images and planned.exists() else {}
     doubtful = repeated_pictures([sample for sample, _ in good], log, repeated)

@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from gelforge.flow.cli import option, stage
+from gelforge.flow.calibration import calibrated, read_found
+from gelforge.flow.cli import stage
 from gelforge.flow.files import listed, read_csv, read_json, write_text
 from gelforge.flow.layout import PARETO, Layout
-from gelforge.flow.params import FROZEN, read_frozen, read_parameters
+from gelforge.flow.params import read_parameters
 from gelforge.flow.runs import COST, costs_of, installed, last_runs, stages
 from gelforge.flow.tables import ENOUGH_PRESSES, SHIPPED
 from gelforge.geometry.gel import load_gel
@@ -27,7 +28,7 @@ from gelforge.records.press import PosedPress
 from gelforge.records.samplefile import read_samples
 from gelforge.records.solvetable import Solved, read_solves
 from gelforge.records.status import VALID, Status
-from gelforge.reporting import feats_tables
+from gelforge.reporting import feats_tables, networkchoice
 from gelforge.reporting.explorer import Explorer
 from gelforge.reporting.forcesensor import COMPARED, compare_forces, force_rows, force_sentences, spreads
 from gelforge.reporting.page import Explored, Section, render
@@ -35,8 +36,9 @@ from gelforge.reporting.parts import PART, forget_parts, in_parts, place_parts
 from gelforge.reporting.presses import as_columns, press_rows
 from gelforge.sweeps import verification
 
-VERSION = 5
+VERSION = 6
 ABSENT = "not installed"
+NO_MODEL = "none"  # of a page of a dataset without images
 FOLDED = ("trace.png",)  # plots shown folded, for readers who check a result
 PACKAGES = (
     "gelforge", "numpy", "scipy", "torch", "pymeshlab", "pyvista", "emcee", "opencv-contrib-python-headless",
@@ -59,7 +61,7 @@ def read_presses(results: Path) -> list[tuple[str, PosedPress]]:
 def read_solved(results: Path) -> dict[str, Solved]:
     """Solves in the existing tables of the planned shards, by sample_id.
 
-    If a shard's file of forces exists, status and total are those of that file, with forces scaled to the material.
+    If a shard's file of forces exists, status, total and stated errors are those of that file, scaled to the material.
     """
     of = Layout(results)
     found: dict[str, Solved] = {}
@@ -70,22 +72,25 @@ def read_solved(results: Path) -> dict[str, Solved]:
 
 
 def with_forces(solves: list[Solved], path: Path) -> list[Solved]:
-    """Solves with status and total from a shard's file of forces; unchanged if that is missing."""
+    """Solves with status, total and errors from a shard's file of forces; unchanged if that is missing."""
     if not path.exists():
         return solves
     with ForceFile(path) as shard:
-        known = dict(
-            zip(shard.sample_id.tolist(), zip(shard.status.tolist(), shard.total.tolist(), strict=True), strict=True)
-        )
+        ids, status, total = shard.sample_id.tolist(), shard.status.tolist(), shard.total.tolist()
+        errors = {name: shard.numbers[name].tolist() for name in ("error_n", "cells_error_n")}
+    known = {
+        name: (status[at], total[at], {key: of[at] for key, of in errors.items()}) for at, name in enumerate(ids)
+    }
     return [_with_force(solve, *known[solve.sample_id]) if solve.sample_id in known else solve for solve in solves]
 
 
-def _with_force(solve: Solved, status: str, total: list[float]) -> Solved:
+def _with_force(solve: Solved, status: str, total: list[float], errors: dict[str, float]) -> Solved:
     if not solve.status.valid:
         return solve
     lost = "" if status in VALID else Status[status].value
     x, y, z = total
-    return replace(solve, status=Status[status], reason=lost or solve.reason, total=(x, y, z))
+    evidence = {**solve.evidence, **errors}
+    return replace(solve, status=Status[status], reason=lost or solve.reason, total=(x, y, z), evidence=evidence)
 
 
 def calibration_section(results: Path) -> Section:
@@ -96,6 +101,8 @@ def calibration_section(results: Path) -> Section:
         command = Layout(results).command("calibrate")
         return section.text(f"Not made: {command} (needs force readings in the log).", absent=True)
     summary = read_json(path)
+    if "failed" in summary:
+        return section.text(f"No posterior: {summary['failed']}", absent=True)
     parameters = {"c10": {"label": "C10 (MPa)", **summary["c10"]}, **summary["parameters"]}
     rows = [[v.get("label", name), v["median"], *v["interval68"], *v["interval95"]] for name, v in parameters.items()]
     section.table(["parameter", "median", "68 % from", "to", "95 % from", "to"], rows)
@@ -117,30 +124,30 @@ def calibration_section(results: Path) -> Section:
     return add_pictures(section, path.parent, captions)
 
 
-def force_section(results: Path, data: Path, rows: list[dict], doubts: Sequence[str] = ()) -> Section:
+def force_section(results: Path, rows: list[dict], doubts: Sequence[str] = ()) -> Section:
     """Labels against the force sensor's readings, press by press. doubts: what stage 60 says about the readings."""
     of, section = Layout(results), Section("Labels against the force sensor")
     none = "The log has no force readings of presses that were labelled."
     if not any(row.get("measured_fz") for row in rows):  # as where labels came with the dataset
         return section.text(none, absent=True)
-    frozen, summary = read_frozen(data / FROZEN), of.calibration()
-    material = read_parameters(of.params / "forces.json").material
+    read, path = read_parameters(of.parameters("forces")), of.calibration()
+    found = read_found(of.base / read.calibration) if read.calibration else None
     spread = spreads(
-        material,
-        read_json(summary) if summary.exists() else {},
-        read_parameters(of.params / "calibrate.json").calibrate,
+        calibrated(read, of.base).material,
+        read_json(path) if path.exists() else {},
+        read_parameters(of.parameters("calibrate")).calibrate,
     )
-    presses = compare_forces(rows, spread, set(frozen.presses) if frozen else set())
+    presses = compare_forces(rows, spread, set(found.presses) if found else set())
     if not presses:
         return section.text(none, absent=True)
-    if frozen is None:
-        command = of.command("calibrated-labels")
+    if found is None:
         section.text(
-            f"No calibration was frozen for this dataset: labels have the stiffness and the paths of params.toml ({command})."
+            "Labels follow no calibration: they have the stiffness and the paths of params.toml. [params.material] c10 ="
+            ' "calibrated" in dataset.toml makes them follow this log\'s.'
         )
     else:
         section.text(
-            f"Labels are made with the calibration {frozen.name} ({frozen.law}, {len(frozen.presses)} presses)."
+            f"Labels follow {read.calibration}: {found.name} ({found.law}), found from {len(found.presses)} presses."
         )
     for sentence in [*doubts, *force_sentences(presses)]:
         section.text(sentence)
@@ -191,16 +198,18 @@ def failures_section(results: Path, solved: dict[str, Solved]) -> Section:
 def read_verified(results: Path) -> list[verification.Verified]:
     """Verified presses of the planned shards."""
     of = Layout(results)
-    return verification.read_verified([of.solves(name) for name in of.names()])
+    return verification.read_verified([of.checked(name) for name in of.names()])
 
 
 def verified_section(records: list[verification.Verified]) -> Section:
-    """Presses that CalculiX solved, too, and the differences between both solves."""
-    section = Section("Verified by CalculiX")
+    """Presses that a second method solved, too, the differences between both solves, and what they show."""
+    section = Section("Verified by a second method")
     section.text(
-        "Differences between the method that was chosen and CalculiX, over CalculiX' total force. The limit is the sum of"
-        " the errors that both solves state of themselves."
+        "Differences between the method of the labels and a second one, over the second one's total force. The limit is the sum"
+        " of the errors that both solves state of themselves."
     ).table(*verification.table(records))
+    for pair in sorted({(record.method, record.second) for record in records}):
+        section.text(verification.meaning(*pair))
     for record in records:
         if record.reason:
             section.text(f"{record.sample_id}: not verified: {record.reason}")
@@ -235,11 +244,24 @@ def branch_section(results: Path, title: str, folder: str, what: str, shipped: P
 def network_section(results: Path, resolution: str, model: str) -> Section:
     """Errors of the trained network, and its learning curve."""
     section = Section("Network")
+    if model == NO_MODEL:
+        return section.text("No images in the log, so no network: the flow ends at labels.", absent=True)
     path = Layout(results).evaluation(resolution, model)
     if not path.exists():
         return section.text(f"Not made: {Layout(results).command('evaluate')}.", absent=True)
-    metrics = read_json(path)
+    metrics, other = read_json(path), Layout(results).evaluation(resolution, SHIPPED)
+    if "failed" in metrics:
+        return section.text(f"Not evaluated: {metrics['failed']}", absent=True)
     section.text(learnt_from(metrics, model))
+    if model != SHIPPED and other.exists():
+        shipped = read_json(other)
+        if "failed" in shipped:
+            section.text(f"The shipped network is not beside it: {shipped['failed']}")
+            shipped = {"splits": {}}
+        for sentence in networkchoice.choices(metrics, shipped, model):
+            section.text(sentence)
+        if rows := networkchoice.beside(metrics, shipped):
+            section.table(networkchoice.COLUMNS, rows)
     ours = published_here(path.parent)
     for table in [*metrics["tables"], *([feats_tables.comparison(ours)] if ours else [])]:
         section.table(table["columns"], table["rows"], folded=table["title"])
@@ -292,7 +314,7 @@ def versions_section(results: Path) -> Section:
 def about(results: Path, dataset: str, resolution: str, model: str, params: Path) -> dict:
     """Data that the page's charts and provenance need beside the presses."""
     path = Layout(results).evaluation(resolution, model)
-    splits = read_json(path)["splits"] if path.exists() else {}
+    splits = read_json(path).get("splits", {}) if path.exists() else {}
     return {
         "dataset": dataset,
         "resolution": resolution,
@@ -336,14 +358,15 @@ def explorer_data(explorer: Explorer, known: dict) -> dict:
     }
 
 
-def sections_of(explorer: Explorer, data: Path, model: str, solved: dict[str, Solved]) -> list[Section]:
+def sections_of(explorer: Explorer, model: str, solved: dict[str, Solved]) -> list[Section]:
     """Sections of the page below the explorer."""
     results, resolution = explorer.results, explorer.resolution
     verified = read_verified(results)
-    doubts = read_json(Layout(results).dataset_table(resolution)).get("doubts_of_forces", [])
+    table = Layout(results).dataset_table(resolution)
+    doubts = [] if model == NO_MODEL else read_json(table).get("doubts_of_forces", [])
     return [
         network_section(results, resolution, model),
-        force_section(results, data, explorer.rows, doubts),
+        force_section(results, explorer.rows, doubts),
         calibration_section(results),
         branch_section(
             results,
@@ -367,7 +390,7 @@ def lead_of(rows: list[dict], resolution: str, samples: int) -> str:
     return f"{labelled} of {len(rows)} presses labelled by finite elements at {resolution} cells a picture."
 
 
-@stage(Layout.report, option("resolution", metavar="RESOLUTION"), option("model", metavar="MODEL"))
+@stage(Layout.report)
 def main(args: Namespace) -> None:
     of, results, resolution, model = args.of, args.results, args.resolution, args.model
     verification.refuse_beyond(read_verified(results))
@@ -380,7 +403,7 @@ def main(args: Namespace) -> None:
         args.out.parent, in_parts(tqdm(explorer.presses(), "presses", len(explorer.rows))), limit
     )
     data = explorer_data(explorer, known) | {"parts": {"size": PART, "beside": folder}}
-    sections = sections_of(explorer, of.data, model, solved)
+    sections = sections_of(explorer, model, solved)
     lead = lead_of(explorer.rows, resolution, len(explorer.samples))
     explored = Explored(data, embedded) if explorer.rows else None
     write_text(args.out, render(of.data.name, lead, sections, explored))

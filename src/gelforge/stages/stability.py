@@ -38,7 +38,7 @@ def case_key(case: Case, params: StageParameters) -> str:
     if case.solver in ("hex", FINEST):
         parts.append(asdict(hex_settings(case_method(case, params))))
     else:
-        parts += ccx_settings(params)
+        parts += ccx_settings(params, case.scene.gel)
     return digest_of_value(parts)
 
 

@@ -15,7 +15,7 @@ from gelforge.flow.tables import SHIPPED as SHIPS
 from gelforge.flow.tables import TrainingTable, TrainTable
 from gelforge.records.networkkind import kind_of
 
-VERSION = 23
+VERSION = 24
 
 
 def resolve(models: dict, name: str, train: TrainTable) -> tuple[dict, TrainingTable]:
@@ -42,8 +42,8 @@ def resolve(models: dict, name: str, train: TrainTable) -> tuple[dict, TrainingT
 
 
 def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None, start=None, also=()):
-    """A trained model of a dataset, made by learning.recipe.make_model with this VERSION."""
-    from gelforge.learning.recipe import Recipe, make_model
+    """A trained model of a dataset, made by learning.train.make_model with this VERSION."""
+    from gelforge.learning.train import Recipe, make_model
 
     return make_model(data, Recipe(name, model, settings, VERSION), checkpoint, start, also)
 
@@ -52,8 +52,9 @@ def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None
 def main(args: Namespace) -> None:
     from gelforge.learning.data import open_data
     from gelforge.learning.export import load_weights
-    from gelforge.learning.recipe import Start, save_trained
-    from gelforge.reading.predictor import SHIPPED
+    from gelforge.learning.start import Start
+    from gelforge.learning.train import save_trained
+    from gelforge.reading.model import SHIPPED
     from gelforge.reporting.networkcharts import draw_curve
 
     of = args.of

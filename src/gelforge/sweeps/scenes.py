@@ -11,7 +11,16 @@ from gelforge.mechanics.scene import Interface, Scene
 from gelforge.records.press import Press
 
 SOURCE = "workflow/scenes.toml"
-_NUMBERS = {"x0": 0.0, "y0": 0.0, "z0": 0.0, "dx": 0.0, "dy": 0.0, "rot_deg": 0.0}
+_NUMBERS = {
+    "x0": 0.0,
+    "y0": 0.0,
+    "z0": 0.0,
+    "dx": 0.0,
+    "dy": 0.0,
+    "rot_deg": 0.0,
+    "tilt_x_deg": 0.0,
+    "tilt_y_deg": 0.0,
+}
 _KEYS = {"indenter", "depth", "gel", *_NUMBERS}
 
 

@@ -13,10 +13,12 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of_value, record_of, write_json
 from gelforge.flow.params import StageParameters, plain
 from gelforge.flow.tables import CHOOSING
+from gelforge.geometry.gel import Gel
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import assemble
 from gelforge.labelling.sensor import Sensor
 from gelforge.mechanics.hexsettings import quality
+from gelforge.mechanics.mesh.basemesh import base_of
 from gelforge.mechanics.solve import GUIDE, settings_of
 from gelforge.sweeps.isolate import CRASHED, REFUSED, TIMED_OUT, Clock, isolated, peak_mib
 from gelforge.sweeps.keptreferences import elements_doubled, kept_reference, reference_key
@@ -47,23 +49,27 @@ class ChartBench:
         if method == LARGE_REFERENCE:
             return reference_key(scene.table, self.params.material.nu, self.sensor, self.params.pareto.reference)
         parts = [scene.table, asdict(method), self.params.version, self.params.material.nu,
-                 self.sensor.projection.tolist(), self._settings(method)]  # fmt: skip
+                 self.sensor.projection.tolist(), self._settings(method, scene.scene.gel)]  # fmt: skip
         return digest_of_value(parts)
 
-    def _settings(self, method) -> list:
+    def _settings(self, method: Method, gel: Gel) -> list:
         p = self.params
         if method.solver == "hex":
             return [asdict(hex_settings(method))]
         if method.solver == REFERENCE:  # with elements of twice the size: the reference itself has a key of its own
-            return [plain(p.pareto.reference), *ccx_settings(p)]
-        if method.name in ("auto", "ccx"):
-            return [settings_of(method.name, p.fea)]
-        return ccx_settings(p)
+            return [plain(p.pareto.reference), *ccx_settings(p, gel)]
+        if method.name in ("auto", "ccx", "ccx-contact"):
+            return [settings_of(method.name, p.fea, gel)]
+        return ccx_settings(p, gel)
 
 
-def ccx_settings(params: StageParameters) -> list[dict]:
-    """Settings that change a CalculiX solve of any method: its part of [fea], and the hexahedra that guide it."""
-    return [{key: value for key, value in plain(params.fea).items() if key not in NOT_SOLVER}, asdict(quality(GUIDE))]
+def ccx_settings(params: StageParameters, gel: Gel) -> list:
+    """Settings that change a CalculiX solve of any method: base mesh, [fea], and the hexahedra that guide it."""
+    return [
+        base_of(gel).digest,
+        {key: value for key, value in plain(params.fea).items() if key not in NOT_SOLVER},
+        asdict(quality(GUIDE)),
+    ]
 
 
 def cells_of(mesh, forces: np.ndarray, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:

@@ -82,7 +82,7 @@ class Bench:
         moment_noise = rng.normal(scale=truth.moment_noise_nm, size=3)
         depth = self.reached(order, height)
         for settings, fraction in ATTEMPTS:
-            real = _path(order, height, fraction * depth, play)
+            real = _path(order, height, fraction * depth, play, truth.tilt_deg)
             results = self._solve(order, real, settings)
             if results[-1].status.valid:
                 break
@@ -154,7 +154,7 @@ class Bench:
         The stiffness is a fit to solves of 24 presses of the training plan, spheres to bars, 0.2 to 1.7 mm deep. Its
         dependence on thickness is fitted to balls and a block on pads of 3.6, 4 and 4.4 mm.
         """
-        place = Press(order.x, order.y, height, 0.0, 0.0, -depth, order.rot_deg)
+        place = Press(order.x, order.y, height, 0.0, 0.0, -depth, order.rot_deg, *self.plan.truth.tilt_deg)
         _, _, sunk, cell = self._sunk(order.indenter, place)
         volume, area = sunk.sum() * cell, (sunk > 0).sum() * cell
         mean = volume / area if area else 0.0
@@ -171,15 +171,16 @@ class Bench:
         turn, tip = press.pose(1.0, 1.0)
         gx, gy = tip[0] + turn[0, 0] * x + turn[0, 1] * y, tip[1] + turn[1, 0] * x + turn[1, 1] * y
         on_gel = (np.abs(gx) < self.gel.width / 2) & (np.abs(gy) < self.gel.length / 2) & (under < FAR - 0.01)
-        return gx, gy, np.clip(self.gel.top(gx, gy) - (tip[2] + under), 0.0, None) * on_gel, (EVERY * body.step) ** 2
+        height = tip[2] + turn[2, 0] * x + turn[2, 1] * y + under
+        return gx, gy, np.clip(self.gel.top(gx, gy) - height, 0.0, None) * on_gel, (EVERY * body.step) ** 2
 
 
-def _path(order: Order, height: float, depth: float, play) -> Press:
+def _path(order: Order, height: float, depth: float, play, tilt_deg: tuple[float, float]) -> Press:
     fraction = depth / order.depth
     dx, dy = order.shear[0] * fraction, order.shear[1] * fraction
     path = order.x + play[0], order.y + play[1], height + play[2], dx + play[3], dy + play[4], -depth + play[5]
     x0, y0, z0, dx, dy, dz = map(float, path)
-    return Press(x0, y0, z0, dx, dy, dz, order.rot_deg)
+    return Press(x0, y0, z0, dx, dy, dz, order.rot_deg, *tilt_deg)
 
 
 def frames_along(real: Press, count: int) -> list[dict[str, float]]:

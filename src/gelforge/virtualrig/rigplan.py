@@ -33,12 +33,16 @@ class RigTable(ParameterTable):
     example = "workflow/rig/train.toml"
 
 
+Tilt = Annotated[Number, Within(-LARGEST["tilt_x_deg"], LARGEST["tilt_x_deg"], "degrees")]
+
+
 class Truth(RigTable):
     """True material and errors of the bench, which the log does not show; MPa, mm, N, N m, micrometres.
 
     touch_offset_mm: true height of the tip over the logged one when the log says "touch" (negative: deeper).
     compliance_mm_per_n: deflection of frame and gantry per newton of normal force, shear_compliance_mm_per_n:
     sideways. force_bias_n, drift_n: constant error of the load cell, and scale of its drift over the presses.
+    tilt_deg: tilt of every indenter about gel x and then gel y, as of a bench whose axis is not square to the gel.
     """
 
     c10_mpa: Stiffness
@@ -53,6 +57,7 @@ class Truth(RigTable):
     drift_n: FromNone
     moment_noise_nm: FromNone
     cnc_um: FromNone
+    tilt_deg: tuple[Tilt, Tilt] = (0.0, 0.0)
 
 
 class Kind(RigTable):

@@ -5,7 +5,7 @@ import math
 import re
 import time
 import tomllib
-from dataclasses import asdict
+from dataclasses import asdict, astuple
 from datetime import datetime, timedelta
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -17,7 +17,7 @@ from gelforge.flow.files import read_json, read_toml, write_csv, write_json, wri
 from gelforge.labelling.sensor import Sensor
 from gelforge.records.image import write_png
 from gelforge.records.log import fixed, read_presses, write_log
-from gelforge.records.press import FORCE, FORCES, MOMENT, POSE, LoggedPress
+from gelforge.records.press import FORCE, FORCES, MOMENT, POSE, TILT, LoggedPress
 from gelforge.records.status import VALID
 from gelforge.records.table import read_table
 from gelforge.virtualrig.rigplan import Order, Plan
@@ -26,10 +26,10 @@ if TYPE_CHECKING:  # checking a plan or finding it complete needs no solver
     from gelforge.virtualrig.bench import Pressing
 
 # Lengths to 0.1 micrometre, forces to 0.1 mN, moments to 1 mN mm.
-DECIMALS = {**dict.fromkeys((*POSE, *FORCE), 4), **dict.fromkeys(MOMENT, 6)}
+DECIMALS = {**dict.fromkeys((*POSE, *TILT, *FORCE), 4), **dict.fromkeys(MOMENT, 6)}
 FRAME_S = 0.1  # between frames of one press
 PUBLISHED_EVERY_S = 10.0  # a run that is killed loses at most the presses of this time
-TRUTH_COLUMNS = ("sample_id", "status", *POSE, *FORCES, "newton_iterations", "load_steps")
+TRUTH_COLUMNS = ("sample_id", "status", *POSE, *TILT, *FORCES, "newton_iterations", "load_steps")
 
 
 class Dataset:
@@ -207,9 +207,9 @@ def logged(pressing: "Pressing") -> LoggedPress:
 def truth_row(pressing: "Pressing") -> dict:
     """Row of the truth: real path, force and moment, and the cost of the solve."""
     real, evidence = pressing.real, pressing.result.evidence
-    values = [real.x0, real.y0, real.z0, real.dx, real.dy, real.dz, real.rot_deg, *pressing.force, *pressing.moment]
+    values = [*astuple(real), *pressing.force, *pressing.moment]
     cost = [evidence["newton_iterations"], evidence["load_steps"]]
-    texts = [fixed(value, DECIMALS[name]) for name, value in zip((*POSE, *FORCES), values, strict=True)]
+    texts = [fixed(value, DECIMALS[name]) for name, value in zip((*POSE, *TILT, *FORCES), values, strict=True)]
     row = [pressing.order.sample_id, pressing.result.status.name, *texts, *cost]
     return dict(zip(TRUTH_COLUMNS, row, strict=True))
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from gelforge.reading.forcereading import BEYOND
 from gelforge.reading.markers import markers_in
-from gelforge.reading.model import ForceModel
-from gelforge.reading.predictor import Predictor
+from gelforge.reading.model import Model
+from gelforge.reading.reader import Reader
 from gelforge.records.film import numbered
 from gelforge.records.nocontactimage import SETTLING, find_nocontact
 from tests.support.figures import Figure
@@ -54,13 +54,13 @@ def motion_of(markers: np.ndarray, rest: np.ndarray, image: np.ndarray) -> np.nd
     return np.where(kept[:, None], (found - start).reshape(-1, 2), np.nan)
 
 
-def read_film(path: Path, model: ForceModel) -> Read:
+def read_film(path: Path, model: Model) -> Read:
     """Read every third frame of a film, and follow its markers."""
     images = frames_of(path)
     rest, _ = find_nocontact(numbered(images), str(path))
-    markers, predictor = markers_in(rest).points, Predictor(model, rest)
+    markers, predictor = markers_in(rest).points, Reader(rest, model=model)
     chosen = images[SETTLING::EVERY]  # while a camera sets its exposure nothing is known
-    found = [predictor.predict(image) for image in chosen]
+    found = [predictor(image) for image in chosen]
     return Read(
         total=np.array([one.total for one in found]),
         motion=np.array([motion_of(markers, rest, image) for image in chosen]),

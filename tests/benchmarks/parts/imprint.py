@@ -7,7 +7,7 @@ along a ray from the middle; a circle is fitted to all rays.
 import cv2
 import numpy as np
 
-from gelforge.reading.pair import Prepared
+from gelforge.reading.pair import Pair
 from gelforge.reading.wear import painted_over, places_in
 
 LEAST_LEVELS = 10.0  # of difference, blurred, below which nothing touches
@@ -19,7 +19,7 @@ LEAST_RAYS = 0.6  # of all rays must show the rim
 ROUND = 0.12  # of its radius, by which the rim of a ball may deviate from a circle
 
 
-def found_radius(seen: Prepared) -> float:
+def found_radius(seen: Pair) -> float:
     """Radius in px of the rim around the imprint in a prepared image; NaN where no circle lies completely in it."""
     difference = _difference(seen)
     if difference.max() < LEAST_LEVELS:
@@ -40,13 +40,16 @@ def found_radius(seen: Prepared) -> float:
     return radius if whole and deviation <= ROUND * radius else np.nan
 
 
-def _difference(seen: Prepared) -> np.ndarray:
+def _difference(seen: Pair) -> np.ndarray:
     """Difference (h, w) in levels from the no-contact image, blurred, markers painted over in both."""
     nocontact = seen.nocontact
     diameter, before = nocontact.markers.diameter, nocontact.markers.points
     bare = [
         cv2.GaussianBlur(painted_over(image, points, diameter).astype(np.float32), (0, 0), BLUR_PX)
-        for image, points in ((nocontact.picture, before), (seen.lit, places_in(seen.tracks, nocontact.markers)))
+        for image, points in (
+            (nocontact.picture.image, before),
+            (seen.lit.image, places_in(seen.tracks, nocontact.markers)),
+        )
     ]
     difference = np.linalg.norm(bare[1] - bare[0], axis=2)
     return np.maximum(difference - np.median(difference), 0.0)

@@ -8,8 +8,8 @@ import numpy as np
 
 from gelforge.flow.files import write_text
 from gelforge.formats.featsfile import read_npy
-from gelforge.reading.model import ForceModel
-from gelforge.reading.predictor import Predictor
+from gelforge.reading.model import Model
+from gelforge.reading.reader import Reader
 from gelforge.records.film import numbered
 from gelforge.records.image import encode_png, read_image
 from gelforge.records.nocontactimage import find_nocontact
@@ -32,9 +32,10 @@ A_ROW = 2  # pictures side by side
 OF_THE_GIF = 12  # of FEATS' 51 presses
 
 
-def read_over(predictor: Predictor, image: np.ndarray) -> np.ndarray:
+def read_over(predictor: Reader, image: np.ndarray) -> np.ndarray:
     """An image (h, w, 3) RGB below its totals and their intervals, beside its normal force below why it is flagged."""
-    found, shown = predictor.predict_shown(image)
+    found = predictor(image)
+    shown = found.image
     height = round(shown.shape[0] * PANEL_PX / shown.shape[1])
     normal = signed_colours(found.cells[2] / max(float(np.abs(found.cells[2]).max()), FULL_COLOUR_N[2]))
     why = wrapped(found.reason, PANEL_PX - 2 * MARGIN_PX, WARNING_LINES)
@@ -64,7 +65,7 @@ def rows_of(pictures: list[np.ndarray]) -> Iterator[bytes]:
         yield strip(pictures[start : start + A_ROW])
 
 
-def film_section(model: ForceModel, films: Sequence[Path]) -> Section:
+def film_section(model: Model, films: Sequence[Path]) -> Section:
     """Of each film its no-contact image and the frame that is least like it."""
     section = Section("Films of grippers").text(
         "Left: the first frames at rest. Right: the frame that is least like them. Each with its normal force"
@@ -75,17 +76,17 @@ def film_section(model: ForceModel, films: Sequence[Path]) -> Section:
         images = frames_of(path)
         rest, _ = find_nocontact(numbered(images), str(path))
         hardest = max(images, key=lambda image: float(np.abs(image.astype(np.int16) - rest).mean()))
-        predictor = Predictor(model, rest)
+        predictor = Reader(rest, model=model)
         pictures += [read_over(predictor, rest), read_over(predictor, hardest)]
     for k, row in enumerate(rows_of(pictures)):
         section.picture(row, ", ".join(path.stem for path in films[k * A_ROW // 2 : (k + 1) * A_ROW // 2]))
     return section
 
 
-def feats_sections(model: ForceModel, reference: Path) -> list[Section]:
+def feats_sections(model: Model, reference: Path) -> list[Section]:
     """FEATS' cuboid, and presses of its film beside FEATS' own normal maps."""
     rest = read_npy(reference / "feats/images/nocontact_train_sensor.npy")["gs_img"]
-    predictor = Predictor(model, rest)
+    predictor = Reader(rest, model=model)
     cuboid = read_image(reference / "feats/images/cuboid_10-2-284.png")[..., :3]
     one = Section("FEATS' 10 mm cuboid").picture(
         strip([rest, cuboid, read_over(predictor, cuboid)]),
@@ -105,7 +106,7 @@ def feats_sections(model: ForceModel, reference: Path) -> list[Section]:
     return [one, section]
 
 
-def write_page(path: Path, model: ForceModel, reference: Path, films: Sequence[Path], figures: list[Figure]) -> None:
+def write_page(path: Path, model: Model, reference: Path, films: Sequence[Path], figures: list[Figure]) -> None:
     """Write the page."""
     sections = [figure_table(figures), film_section(model, films), *feats_sections(model, reference)]
     lead = "No force was measured beside these pictures. The network learnt from the virtual rig alone."

@@ -7,8 +7,8 @@ import numpy as np
 
 from gelforge.reading.forcereading import ForceReading
 from gelforge.reading.markers import markers_in
-from gelforge.reading.model import ForceModel
-from gelforge.reading.predictor import Predictor
+from gelforge.reading.model import Model
+from gelforge.reading.reader import Reader
 from gelforge.reading.wear import painted_over
 from tests.support.figures import Figure
 from tests.support.pictures import moved
@@ -34,7 +34,7 @@ class Series:
     """Some images (h, w, 3) uint8 of presses into one real sensor, its no-contact image, and what is predicted from them."""
 
     what: str
-    model: ForceModel
+    model: Model
     nocontact: np.ndarray
     images: Sequence[np.ndarray]
     read: Sequence[ForceReading]
@@ -45,9 +45,9 @@ class Series:
         return np.array([one.total for one in self.read])
 
     @property
-    def predictor(self) -> Predictor:
+    def predictor(self) -> Reader:
         """Of the no-contact image as it is."""
-        return Predictor(self.model, self.nocontact)
+        return Reader(self.nocontact, model=self.model)
 
 
 def spoilt_figures(series: Series) -> list[Figure]:
@@ -68,12 +68,10 @@ def wear_figures(series: Series) -> list[Figure]:
                 lost = points[rng.choice(len(points), count, replace=False)]
                 reader = whole
                 if where != "image":
-                    reader = Predictor(series.model, painted_over(series.nocontact, lost, markers.diameter))
-                    at_rest = reader.predict(series.nocontact)
+                    reader = Reader(painted_over(series.nocontact, lost, markers.diameter), model=series.model)
+                    at_rest = reader(series.nocontact)
                     released = max(released, 0.0 if at_rest.flag else float(np.abs(at_rest.total).max()))
-                seen = reader.predict(
-                    image if where == "no-contact image" else painted_over(image, lost, markers.diameter)
-                )
+                seen = reader(image if where == "no-contact image" else painted_over(image, lost, markers.diameter))
                 flagged.append(seen.flag)
                 if not seen.flag:
                     found.append(abs(np.log(max(seen.total[2] / own, 0.05))))
@@ -100,8 +98,8 @@ def light_figures(series: Series) -> list[Figure]:
     """A no-contact image that was taken under another fall of light."""
     figures = []
     for what, fall in RELIT.items():
-        reader = Predictor(series.model, relit(series.nocontact, fall))
-        seen = [reader.predict(image) for image in series.images]
+        reader = Reader(relit(series.nocontact, fall), model=series.model)
+        seen = [reader(image) for image in series.images]
         change = np.abs(np.array([one.total[2] for one in seen]) - series.totals[:, 2])
         flagged = np.array([one.flag for one in seen])
         note = f"{len(seen)} images; flagged {flagged.mean():.0%}; flagged ones too {change.max():.2f} N, median {np.median(change):.2f} N"
@@ -116,7 +114,7 @@ def move_figures(series: Series) -> list[Figure]:
     for what, (ways, goal) in MOVES.items():
         changes = []
         for way in ways:
-            after = np.array([reader.predict(moved(image, **way)).total for image in series.images])
+            after = np.array([reader(moved(image, **way)).total for image in series.images])
             changes.append(100 * float(np.median(np.abs(after - own).max(axis=1) / np.abs(own[:, 2]))))
         note = f"median of {len(own)} presses" + (
             f"; either way {changes[0]:.1f}, {changes[1]:.1f} %" if len(ways) > 1 else ""

@@ -14,13 +14,19 @@ from gelforge.calibration.readings import check_enough, check_readings, read_rea
 from gelforge.calibration.sampling import Chain, Figures, NotConverged, Rules, complaint, sample, start_points
 from gelforge.calibration.solves import make_plan, refuse_no_contact
 from gelforge.errors import BadInput
+from gelforge.flow.files import read_toml, write_json
+from gelforge.flow.layout import Layout
+from gelforge.flow.params import read_parameters
 from gelforge.flow.schema import Place, parse
 from gelforge.flow.tables import Law, PriorTable
 from gelforge.geometry.gel import USUAL_GEL
 from gelforge.records.press import COLUMNS
-from gelforge.stages.calibrate import load_rejected, refuse_beyond
+from gelforge.stages.calibrate import logged_readings, refuse_beyond
+from gelforge.stages.poses import Bodies
 from tests.support.calibration_law import PARAMS, law_posterior, make_readings
+from tests.support.parameters import place_workflow, write_stage
 from tests.support.press_records import log_line, write_lines
+from tests.support.refused import refused
 
 DEPTH = np.array([0.5, 1.0, 1.5, 2.0])
 FORCE = -np.array([1.65, 5.96, 13.5, 23.3])
@@ -121,13 +127,13 @@ def test_a_press_that_slides_may_lie_beyond_its_solves_as_far_as_others_are_solv
     posterior = Posterior(emulator, model, readings.depth, readings.force, PARAMS.tail)
     at, offset = model.draw(np.random.default_rng(0), 1000).mean(axis=0), model.free["offset"]
     figures = Figures(50, 0, 1.0, 50.0, 0.5, 1.0, "offset")
-    for deeper, refused in ((0.04, False), (0.14, False), (0.16, True)):
+    for deeper, beyond in ((0.04, False), (0.14, False), (0.16, True)):
         at[model.names.index("offset")] = offset.quantile(offset.law.cdf(deeper))
         chain = Chain(np.tile(at, (10, 8, 1)), figures)
         assert posterior.emulator.forces(readings.depth, model.values(chain.flat()))[2][0] == pytest.approx(
             readings.depth + deeper, abs=1e-3
         )
-        if not refused:
+        if not beyond:
             refuse_beyond(posterior, chain, 0.15)
             continue
         with pytest.raises(BadInput, match=r"100 % of the posterior's depths .* 0.15 mm below the commanded ones"):
@@ -223,22 +229,30 @@ def test_unusable_priors(table, message):
         parse(PriorTable, table, Place("a test", ("calibrate", "priors", "c10")))
 
 
-def test_rows_rejected_by_stage_10_do_not_serve(tmp_path):
-    (tmp_path / "0000.rejected.csv").write_text(
-        "file,row,sample_id,column,value,reason,hint\n"
-        "log.csv,3,b,dz_mm,x,no number,mend\nlog.csv,4,c,image,,none,add\n"
-    )
-    # of a longer log: no shard of today's
-    (tmp_path / "0001.rejected.csv").write_text(
-        "file,row,sample_id,column,value,reason,hint\nlog.csv,2,z,dz_mm,x,,\n"
-    )
-    lines = [f"{name},sphere_15,0,0,0,0,0,-1,0,,,-{k}" for k, name in enumerate("abc", 1)]
-    header = "sample_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg,fx_n,fy_n,fz_n"
-    (tmp_path / "log.csv").write_text("\n".join([header, *lines]) + "\n")
-    readings = read_readings(tmp_path / "log.csv", load_rejected(tmp_path, ["0000"]))
-    assert readings.ids.tolist() == ["a", "c"]  # a missing image is no reason to drop a force
-    with pytest.raises(BadInput, match="all 3 rows with a normal force .* were rejected"):
-        read_readings(tmp_path / "log.csv", {2, 3, 4})
+def planned(tmp_path, *rows, **poses):
+    """The layout of a dataset with these rows in one shard, and the parameters of calibrate."""
+    of = Layout(place_workflow(tmp_path) / "results/lab")
+    of.shards.mkdir(parents=True)
+    write_lines(of.shard("0000"), *rows)
+    write_json(of.parameters("sensors"), read_toml(tmp_path / "workflow/sensors.toml"))
+    indenters = read_toml(tmp_path / "workflow/indenters.toml")
+    write_stage(of.params, "calibrate", poses=poses)
+    return of, read_parameters(of.parameters("calibrate")), Bodies(indenters, tmp_path / "workflow")
+
+
+def test_rows_serve_that_stage_10_would_take_by_their_commanded_path(tmp_path):
+    """Neither 10_poses nor an image is read: calibration comes before both."""
+    presses = (("a", "sphere_15", -1), ("b", "sphere_15", "deep"), ("c", "sphere_15", -1.2), ("d", "sphere_99", -1),
+               ("e", "sphere_15", -2.5))  # fmt: skip
+    rows = [log_line(sample_id=name, sensor_id="mini_a", indenter=body, z0_mm=0, dz_mm=dz, fz_n=-k, image="")
+            for k, (name, body, dz) in enumerate(presses, 1)]  # fmt: skip
+    assert logged_readings(*planned(tmp_path / "usual", *rows)).ids.tolist() == ["a", "c", "e"]
+    assert logged_readings(*planned(tmp_path / "shallow", *rows, deepest_share=0.4)).ids.tolist() == ["a", "c"]
+    tilted = logged_readings(*planned(tmp_path / "tilted", *rows[:1], tilt_deg=[0.5, -1.0])).pose[:, -2:]
+    assert tilted.tolist() == [[0.5, -1.0]]
+    bad = planned(tmp_path / "bad", rows[1], rows[3])
+    refused(r"every row with a normal force \(fz_n\) is rejected, the first: .*deep", logged_readings, *bad)
+    assert not (tmp_path / "usual/results/lab/10_poses").exists()
 
 
 def test_parameters_are_held_where_the_table_says_so_or_nothing_determines_them():

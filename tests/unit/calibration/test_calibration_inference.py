@@ -227,6 +227,10 @@ def test_the_components_of_a_press_share_its_errors():
             shape += np.diag([1.0, 1.0, 0.0]) * (SIDEWAYS_ERROR_OF_NORMAL * f[2]) ** 2
             law = stats.multivariate_t((f + tare_of(values)[w])[used], shape[np.ix_(used, used)], df=4.0)
             assert found[w, p] == pytest.approx(law.logpdf(observed[p, used]), rel=1e-9)
+            # and a reading is predicted with the same middle and, of each component, the same scale
+            expected, scale = (part[w, p] for part in posterior.predict(at))
+            np.testing.assert_allclose(expected, f + tare_of(values)[w], rtol=1e-12)
+            np.testing.assert_allclose(scale, np.sqrt(np.diag(shape)), rtol=1e-12)
 
 
 def test_the_likelihood_has_the_errors_that_emulated_forces_were_measured_to_have(root):

@@ -1,7 +1,6 @@
 """An estimate is there at once, follows the records of this machine, and grows with what it counts."""
 
 import tomllib
-from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -11,10 +10,8 @@ from gelforge.commands import estimate
 from gelforge.commands.estimate import (
     DRAGGED,
     MEASURED,
-    OF_FILE,
     SLIPPING,
     START,
-    ahead,
     estimated,
     press_seconds,
     size,
@@ -25,7 +22,6 @@ from gelforge.flow import layout
 from gelforge.flow.files import write_json, write_text
 from gelforge.flow.layout import Layout
 from gelforge.flow.params import plain
-from gelforge.flow.runs import duration
 from gelforge.records.log import shard_text
 from gelforge.records.press import COLUMNS, RawRow
 from tests.support.parameters import parameters, stage_of
@@ -131,18 +127,7 @@ def test_a_training_is_counted_by_its_images_and_epochs(tmp_path, root):
     refused("no-such", training, of, "24x32", "no-such", 100)
 
 
-def test_a_long_stage_says_before_it_begins_what_is_left_of_it(tmp_path):
-    rows = rows_of(400)
-    of = lay(tmp_path / "results/mine", rows, "fine")
-    (fea,) = (cost for cost in estimated(of, "24x32", "shipped", rows) if cost.stage == layout.FEA)
-    begun = ahead(of, Path("30_fea/0000.csv"), 8)
-    assert "400 rows by fine" in begun and duration(fea.cpu) in begun
-    solved(of, 8.0)
-    assert ahead(of, Path("30_fea/0000.csv"), 8) == ""
-    write_json(of.params / "stability.json", {})
-    assert [
-        "10 of 10 files" in ahead(of, Path("stability/rows/depth.json"), 2),
-        duration(10 * OF_FILE[layout.STABILITY] / 2) in ahead(of, Path("stability/rows/depth.json"), 2),
-    ] == [True] * 2
-    write_json(of.stability_row("depth"), {})
-    assert "9 of 10 files" in ahead(of, Path("stability/rows/shear.json"), 2)
+def test_a_press_that_is_dragged_costs_as_much_whichever_way():
+    ways = [{"dx_mm": "0.3"}, {"dx_mm": "-0.3"}, {"dy_mm": "0.3"}, {"dx_mm": "0.1", "dy_mm": "-0.2"}]
+    straight = weights(rows_of(4))
+    assert straight == 4.0 and {weights(rows_of(4, **way)) for way in ways} == {DRAGGED * straight}

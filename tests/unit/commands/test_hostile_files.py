@@ -16,9 +16,7 @@ from gelforge.flow.files import write_csv, write_json
 from gelforge.flow.layout import Layout
 from gelforge.formats.featsfile import read_npy
 from gelforge.formats.mcap_messages import messages
-from gelforge.reading.faults import LIMITS
 from gelforge.reading.model import load_model, property_of
-from gelforge.reading.predictor import load_for_use
 from gelforge.records import log
 from gelforge.records.film import open_source
 from gelforge.records.image import bad_image, read_image
@@ -34,7 +32,7 @@ ESCAPES = "a\x1b[2Jb\n\u202ec"
 
 def test_a_table_that_lost_all_its_bytes_is_not_one_without_rows(tmp_path):
     (tmp_path / "0000.csv").write_bytes(b"")
-    for read in (read_solves, read_samples, log.rejected_rows):
+    for read in (read_solves, read_samples):
         refused("0000.csv: is empty", read, tmp_path / "0000.csv")
 
 
@@ -234,7 +232,7 @@ def test_good_imported_labels_are_read(tmp_path):
 @pytest.fixture(scope="module")
 def model():
     """The model that ships."""
-    return load_for_use(None)
+    return load_model(None)
 
 
 def about(**changes):
@@ -269,16 +267,10 @@ HOSTILE = {
     "a scale of zero": about(normalisation__image_std=[0.1, 0.0, 0.1]),
     "scales that are text": about(normalisation__label=["a", "b", "c"]),
     "sensors that are numbers": about(known_sensors=[1, 2]),
-    "no limits": about(limits=None),
     "no answer": about(answer=[]),
+    "an answer beyond all numbers": about(answer=[float("inf")]),
+    "an answer of four hundred digits": about(answer=[10**400]),
     "an answer that is text": about(answer="1.0"),
-    "a limit that is null": about(limits__largest_touch=None),
-    "a limit that is text": about(limits__largest_residual="much"),
-    "a limit that is a list": about(limits__least_share=[0.5]),
-    "a limit that is a table": about(limits__largest_rim_px={}),
-    "a limit that is true": about(limits__largest_rim_lost=True),
-    "a limit beyond all numbers": about(limits__largest_uneven=float("inf")),
-    "a limit of four hundred digits": about(limits__largest_uneven=10**400),
     "intervals that are null": about(intervals=None),
     "no view of cameras": about(frame=None),
     "distances of markers that are null": about(
@@ -294,7 +286,7 @@ def rewritten(path, model, change):
     """The model's file with other metadata."""
     changed = dict(model.metadata)
     change(changed)
-    path.write_bytes(model.graph + property_of(json.dumps(changed)))
+    path.write_bytes(model.graph.content + property_of(json.dumps(changed)))
     return path
 
 
@@ -303,15 +295,8 @@ def test_a_hostile_model_is_refused_in_a_sentence(tmp_path, model):
         path = rewritten(tmp_path / "m.onnx", model, change)
         refused(r"m\.onnx: .*(it again|the model again)$", load_model, path)
     for content in ("[1]", "3", "[]", "{" * 5000, "text"):
-        path.write_bytes(model.graph + property_of(content))
+        path.write_bytes(model.graph.content + property_of(content))
         refused("not a gelforge model", load_model, path)
-
-
-def test_a_model_without_a_limit_is_read(tmp_path, model):
-    """All but the distance, which every network of pairs has."""
-    for name in LIMITS[1:]:
-        path = rewritten(tmp_path / "m.onnx", model, without("limits", name))
-        assert name not in load_model(path).metadata["limits"]
 
 
 def test_a_table_of_semicolons_and_decimal_commas_is_reported_what_parts_cells(tmp_path):

@@ -5,6 +5,7 @@ import os
 import signal
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -12,9 +13,9 @@ import numpy as np
 import pytest
 
 from gelforge.commands import predict
-from gelforge.reading.faults import count_markers
 from gelforge.reading.markers import grey_of
-from gelforge.reading.predictor import Predictor
+from gelforge.reading.measures import count_markers
+from gelforge.reading.reader import Reader
 from gelforge.reading.wear import darkness_of
 from gelforge.reporting import forcemaps
 from tests.support.limited import small_disk
@@ -107,7 +108,7 @@ def test_predict_never_takes_the_place_of_what_it_reads(given, data, paths, tmp_
 
 def test_an_interrupted_call_leaves_no_table_of_an_earlier_one(given, tmp_path, monkeypatch):
     assert predict.main(given[1]) == 0 and (tmp_path / "out/totals.csv").is_file()
-    monkeypatch.setattr(predict.Predictor, "predict_shown", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    monkeypatch.setattr(predict.Reader, "__call__", lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
     with pytest.raises(KeyboardInterrupt):
         predict.main(given[1])
     assert not (tmp_path / "out/totals.csv").exists()
@@ -153,19 +154,23 @@ def test_any_name_of_a_file_is_only_a_name(given, data, tmp_path):
 
 
 def test_unlike_images_are_flagged(data, models):
-    predictor = Predictor(models["unet"].model)
-    assert not any(predictor.predict(data.images[row]).flag for row in data.splits["test"])
+    predictor = Reader(model=models["unet"].model)
+    assert not any(predictor(data.images[row]).flag for row in data.splits["test"])
     for image, reason in (
         (np.zeros((*IMAGE, 3), np.uint8), "dark, covered or of one colour"),
         (np.full((*IMAGE, 3), 120, np.uint8), "dark, covered or of one colour"),
         (cv2.resize(np.asarray(data.images[0]), (160, 96)), "aspect ratio differs"),
     ):
-        found = predictor.predict(image)
+        found = predictor(image)
         assert found.flag and reason in found.reason
-    predictor.coloured = (
-        True  # as of a network that learnt from coloured light, which these images of all colours have not
+    coloured = models["unet"].metadata["normalisation"] | {"image_mean": [0.2, 0.4, 0.6]}
+    metadata = models["unet"].metadata | {"normalisation": coloured}  # these images of all colours have none
+    assert (
+        "monochrome"
+        in Reader(model=replace(models["unet"].model, metadata=metadata))(
+            np.repeat(data.images[0][..., :1], 3, axis=2)
+        ).reason
     )
-    assert "monochrome" in predictor.predict(np.repeat(data.images[0][..., :1], 3, axis=2)).reason
 
 
 def test_markers_of_real_sensors_are_counted(reference):

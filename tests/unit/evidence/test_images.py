@@ -11,12 +11,13 @@ import pytest
 
 from gelforge.evidence.images import Shapes, findings
 from gelforge.evidence.imprints import Seen, Window, displaced, imprint
-from gelforge.evidence.logimages import rim_of
+from gelforge.evidence.logimages import LogPairs, rim_of
 from gelforge.geometry.indenters import build, load_catalogue, read_catalogue
 from gelforge.labelling.sensor import load_sensors
-from gelforge.reading.faults import FLIPS, likeness, log_image_fault, nocontact_fault
+from gelforge.reading.faults import Asked, nocontact_fault, pair_fault
 from gelforge.reading.markers import markers_in
-from gelforge.reading.pair import NoContact
+from gelforge.reading.measures import FLIPS
+from gelforge.reading.picture import likeness
 from gelforge.reading.wear import painted_over
 from gelforge.records.image import read_image
 from gelforge.records.press import POSE, Press
@@ -63,13 +64,9 @@ def once(make, *parts):
 
 
 def look(image: np.ndarray, nocontact: np.ndarray) -> tuple[np.ndarray, str, np.ndarray]:
-    rest = once(at_rest, nocontact)
-    seen = rest.lit(image)
-    return imprint(seen), log_image_fault(seen), rim_of(seen)
-
-
-def at_rest(picture: np.ndarray) -> NoContact:
-    return NoContact(picture, picture.shape[:2], None)
+    compare = once(LogPairs, nocontact)
+    pair = compare(image)
+    return imprint(compare.where_it_is(pair)), pair_fault(pair, Asked.LOG), rim_of(pair)
 
 
 def expect(row: dict, sensor, body) -> np.ndarray:
@@ -78,7 +75,9 @@ def expect(row: dict, sensor, body) -> np.ndarray:
 
 def judged(log: Log) -> list[str]:
     """What is said of a log: of its no-contact images, of its images one by one, and of all together."""
-    faults = {name: nocontact_fault(once(at_rest, picture), {}) for name, picture in log.nocontact.items()}
+    faults = {
+        name: nocontact_fault(once(LogPairs, picture).nocontact, Asked.LOG) for name, picture in log.nocontact.items()
+    }
     said = [f"{name}: {fault}" for name, fault in faults.items() if fault]
     seen = []
     for number, (row, image) in enumerate(zip(log.rows, log.images, strict=True)):
@@ -196,12 +195,12 @@ def test_nothing_is_said_of_the_demo(demo):
 def test_contacts_lie_where_the_poses_put_them(demo):
     """The least likeness of 48 presses of six indenters, and their mean distance, which a place of the map is 0.5 mm of."""
     rests, windows = (
-        {n: at_rest(p) for n, p in demo.nocontact.items()},
+        {n: LogPairs(p) for n, p in demo.nocontact.items()},
         {n: Window(demo.sensors[n]) for n in demo.nocontact},
     )
     fits, moves = [], []
     for row, image in zip(demo.rows, demo.images, strict=True):
-        measured = imprint(rests[row["sensor_id"]].lit(image))
+        measured = imprint(rests[row["sensor_id"]](image))
         expected = windows[row["sensor_id"]].expected(demo.bodies[row["indenter"]], press_of(row))
         fits.append(likeness(measured, expected))
         moves.append(np.hypot(*displaced(measured, expected)[1]) * windows[row["sensor_id"]].mm)

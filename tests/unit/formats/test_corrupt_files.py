@@ -21,7 +21,7 @@ from gelforge.reading.model import load_model
 from gelforge.records.forcefile import ForceFile, SampleForces, write_forces
 from gelforge.records.image import read_image
 from gelforge.records.labelfile import read_labels
-from gelforge.records.log import read_log, read_poses, rejected_rows
+from gelforge.records.log import read_log, read_poses
 from gelforge.records.predictionfile import read_predictions, write_predictions
 from gelforge.records.press import COLUMNS, parse
 from gelforge.records.rowfile import RowFile
@@ -111,7 +111,7 @@ def whole(tmp_path_factory, root):
     found["solve"] = archive(np.savez, force=np.ones((3, 3)), displacement=np.zeros((3, 3))), [solved]
     recording(folder / "r.mcap")
     found["mcap"] = (folder / "r.mcap").read_bytes(), [recorded]
-    found["log"] = LOG.encode(), [log_rows, read_poses, read_samples, rejected_rows]
+    found["log"] = LOG.encode(), [log_rows, read_poses, read_samples]
     found["model"] = (root / "src/gelforge/reading/weights/default.onnx").read_bytes(), [load_model]
     return found
 

@@ -24,7 +24,8 @@ from tests.support.no_locks import without_locks
 
 
 @pytest.mark.parametrize("form", FORMATS)
-def test_what_was_exported_comes_back_exactly(tmp_path, form):
+def test_what_was_exported_comes_back_exactly(tmp_path, form, block):
+    """Row by row through the format's own library, also from a second block, file and folder of files."""
     samples = lay(tmp_path, 22)
     suffix, read = READERS[form]
     out = tmp_path / f"out{suffix}"
@@ -113,7 +114,7 @@ def test_times_of_frames_are_true_ones_or_a_refusal(tmp_path, times, said):
 
 
 @pytest.mark.parametrize("image", [(32, 24), (24, 32)], ids=["across", "upright"])
-def test_lerobot_finds_episodes_splits_and_what_it_normalises_by(tmp_path, image):
+def test_lerobot_finds_episodes_splits_and_what_it_normalises_by(tmp_path, image, block):
     """Its factory wants min, max, mean, std and count of every feature."""
     samples = lay(tmp_path, 22, image=image)
     export(samples, "lerobot", tmp_path / "out")

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gelforge.geometry.indenters import build, fold, load_catalogue, read_catalogue
+from gelforge.geometry.indenters import FOLDS, build, fold, load_catalogue, read_catalogue
 from gelforge.records.press import Press
 from tests.support.sandbox import ROOT
 
@@ -157,3 +157,29 @@ def test_any_size_builds_a_body_whose_surface_is_on_its_distance(kind, size, fil
     # surface corners lie on the body; 1e-6 is rounding in the hull
     assert np.abs(shape.distance(vertices)[0]).max() < 1e-6
     assert np.abs(shape.distance(vertices[faces].mean(axis=1))[0]).max() < 0.01
+
+
+ROUND = {
+    "square": {"kind": "cuboid", "size": [5.0, 5.0], "fillet": 0.4, "height": 5.0},
+    "oblong": {"kind": "cuboid", "size": [5.0, 4.0], "fillet": 0.4, "height": 5.0},
+    "circle": {"kind": "ellipse", "size": [6.0, 6.0], "fillet": 0.3, "height": 5.0},
+}
+
+
+def turned_away(one, points: np.ndarray, degrees: float) -> float:
+    """How far a body's distance at some points changes where it is turned about its axis, mm."""
+    way = np.deg2rad(degrees)
+    turn = np.array([[np.cos(way), -np.sin(way), 0], [np.sin(way), np.cos(way), 0], [0, 0, 1]])
+    return float(np.abs(one.distance(points @ turn.T)[0] - one.distance(points)[0]).max())
+
+
+def test_a_body_has_the_symmetry_that_is_stated_of_it_and_no_finer_one():
+    """Turned by 360 degrees over its fold it is the same body; by half, a third or a fifth of that it is another."""
+    points = np.random.default_rng(3).uniform([-8, -8, -0.5], [8, 8, 3.0], (150, 3))
+    some = {name: TABLES[name] for kind, names in BY_KIND.items() if kind in FOLDS for name in names[:2]}
+    for name, table in (some | ROUND).items():
+        one, order = (build(name, table) if name in EXTRA | ROUND else body(name)), fold(table)
+        turns = (17.0, 90.0) if order == 0 else (360.0 / order,)
+        assert max(turned_away(one, points, turn) for turn in turns) < 1e-6, name
+        if order > 0:
+            assert min(turned_away(one, points, 360.0 / order / part) for part in (2, 3, 5)) > 1e-3, name

@@ -162,3 +162,19 @@ def test_parts_of_a_star_add_up_too(rows, cols, spikes, size, seed):
     whole = clip_to_grid(star, (1, 1), (320, 240))[2].sum()
     parts = clip_to_grid(star, (rows, cols), (320, 240))[2].sum()
     assert parts == pytest.approx(whole, rel=1e-9, abs=1e-7)
+
+
+def test_pieces_of_many_polygons_are_those_of_each_alone(block):
+    """However many are cut at a time; some lie in many cells, some in one, some outside."""
+    rng = np.random.default_rng(7)
+    polygons = rng.uniform(-30.0, 350.0, (40, 1, 2)) + rng.uniform(1.0, 60.0, (40, 1, 1)) * rng.uniform(
+        -1.0, 1.0, (40, 3, 2)
+    )
+    owner, cell, area = clip_to_grid(polygons, (6, 8), (320, 240))
+    found = {(int(one), int(where)): size for one, where, size in zip(owner, cell, area, strict=True)}
+    assert len(found) == len(owner) > 40
+    alone = {}
+    for at, polygon in enumerate(polygons):
+        _, where, size = clip_to_grid(polygon[None], (6, 8), (320, 240))
+        alone |= {(at, int(one)): value for one, value in zip(where, size, strict=True)}
+    assert found == pytest.approx(alone)

@@ -123,3 +123,26 @@ def test_augmentation_leaves_alone_what_it_must():
     assert torch.equal(none, images)
     changed = augment(images, replace(SETTINGS.augment, probability=1.0), torch.Generator().manual_seed(2))
     assert (changed != images).flatten(1).any(1).all() and changed.min() >= 0 and changed.max() <= 1
+
+
+def test_colours_are_varied_as_the_paper_states(monkeypatch):
+    """Brightness, then contrast about the mean luma of the image, then hue and saturation: one image by hand."""
+    image = 0.35 + 0.2 * torch.rand(1, 3, 8, 8, generator=torch.Generator().manual_seed(1))
+    for name, width in (("brightness", 0.2), ("contrast", 0.3), ("saturation", 0.4), ("hue", 0.05)):
+        off = dict.fromkeys(("noise", "brightness", "contrast", "saturation", "hue"), 0.0) | {name: width}
+        settings = replace(SETTINGS.augment, probability=1.0, **off)
+        found = augment(image, settings, torch.Generator().manual_seed(3))[0].double()
+        luma, before = (torch.einsum("c,chw->hw", RGB_TO_YIQ[0].double(), one) for one in (found, image[0].double()))
+        if name == "brightness":
+            factor = (found / image[0]).mean()
+            torch.testing.assert_close(found, factor * image[0].double(), atol=1e-4, rtol=0)
+        elif name == "contrast":
+            assert abs(float(luma.mean() - before.mean())) < 1e-4  # which keeps its mean
+            factor = float((luma - before.mean()).std() / (before - before.mean()).std())
+            torch.testing.assert_close(
+                found, before.mean() + factor * (image[0].double() - before.mean()), atol=1e-3, rtol=0
+            )
+        else:
+            factor = 0.0
+            torch.testing.assert_close(luma, before, atol=1e-3, rtol=0)  # chroma alone changes
+        assert abs(float(factor) - 1.0) > 0.005 and (found - image[0]).abs().max() > 2e-3

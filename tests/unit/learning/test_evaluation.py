@@ -9,18 +9,22 @@ import pytest
 
 from gelforge.flow.files import read_csv, read_json, write_csv, write_json
 from gelforge.flow.layout import Layout
-from gelforge.learning.data import calibration_rows, open_data, press_keys, split_validation
+from gelforge.learning.data import concatenate, groups_of, open_data, press_keys
 from gelforge.learning.evaluate import (
     FEWEST_DRAWN,
     another_of_each,
+    contact_table,
     error_table,
     evaluate,
+    known_rows,
     learnt_sensors,
     slope,
     what_errs_alike,
 )
-from gelforge.learning.fitting import predict_rows
-from gelforge.reading.predictor import Predictor
+from gelforge.learning.pictures import write_pairs
+from gelforge.learning.predictions import predict_rows
+from gelforge.learning.start import Start
+from gelforge.reading.reader import Reader
 from gelforge.records.axes import CHANNELS
 from gelforge.records.predictionfile import read_predictions
 from gelforge.reporting.errortables import tables
@@ -52,6 +56,86 @@ def test_evaluation_holds_what_is_asked(data, models, name):
     assert not any(result["model"] in table["title"] for table in shown)
 
 
+@pytest.fixture(scope="module")
+def ten(tmp_path_factory):
+    """Eighty presses, of which ten test; each has a part of its force outside the picture."""
+    folder = write_dataset(tmp_path_factory.mktemp("ten") / "6x8", 80, IMAGE, GRID, seed=4)
+    rows, rng = read_csv(folder / "samples.csv"), np.random.default_rng(6)
+    for row in rows:
+        for axis in ("fx_n", "fy_n", "fz_n"):
+            outside = rng.normal(0.0, 0.3)
+            row |= {f"outside_{axis}": outside, f"true_{axis}": float(row[axis]) * 1.1 + outside}
+            row[f"measured_{axis}"] = float(row[axis]) + rng.normal(0.0, 0.2)
+    write_csv(folder / "samples.csv", list(rows[0]), rows)
+    return open_data(folder)
+
+
+def test_every_figure_of_ten_presses_is_that_of_a_calculation_by_hand(ten, models):
+    """From the predictions and the table as text, by numpy alone."""
+    result, predictions = evaluate(ten, models["pair"].model, EVALUATE)
+    rows, forces = predictions["test"]
+    found, texts = result["splits"]["test"], read_csv(ten.folder / "samples.csv")
+    assert len(rows) == 10 == found["n"] == found["presses"]
+    label, train = np.load(ten.folder / "labels.npy").astype(float), ten.splits["train"]
+
+    def column(name: str, of=rows) -> np.ndarray:
+        return np.array([[float(texts[row][f"{name}{axis}_n"]) for axis in CHANNELS] for row in of])
+
+    total, read = label.sum((2, 3)), forces.astype(float).sum((2, 3))
+    error, spread = read - total[rows], np.ptp(total[train], axis=0)
+    cells = np.array([[np.mean([abs(a - b) for a, b in zip(one[k].flat, label[row][k].flat)]) for k in range(3)]
+                      for one, row in zip(forces.astype(float), rows)])  # fmt: skip
+    means = np.array([image.reshape(-1, 3).mean(0) for image in np.load(ten.folder / "images.npy")])
+    fit = np.linalg.lstsq(np.c_[means[train], np.ones(len(train))], total[train], rcond=None)[0]
+    guesses = {"constant_guess": np.median(total[train], axis=0) + np.zeros((10, 3)),
+               "linear_on_image_means": np.c_[means[rows], np.ones(10)] @ fit}  # fmt: skip
+    for k, axis in enumerate(CHANNELS):
+        sizes = sorted(abs(value) for value in error[:, k])
+        mean = sum(sizes) / 10
+        by_hand = {"mae": mean, "std": np.sqrt(sum((size - mean) ** 2 for size in sizes) / 10), "bias": sum(error[:, k]) / 10,
+                   "rms": np.sqrt(sum(size**2 for size in sizes) / 10), "mae_percent_of_range": 100 * mean / spread[k]}  # fmt: skip
+        assert {name: found["total"][axis][name] for name in by_hand} == pytest.approx(by_hand, rel=1e-5)
+        assert sizes[0] < found["total"][axis]["mae_low"] < mean < found["total"][axis]["mae_high"] < sizes[-1]
+        each = cells[:, k]
+        assert found["cell"][axis] == pytest.approx({"mae": each.mean(), "std": each.std()}, rel=1e-5)
+        for name, guess in guesses.items():
+            off = np.abs(guess - total[rows])[:, k].mean()
+            assert found["controls"][name][axis] == pytest.approx(off, rel=1e-5)
+        for kind, what in (("sensor", "measured_"), ("truth", "true_")):
+            known = column(what)[:, k] - column("outside_")[:, k]
+            against = found["against"][kind]
+            for who, values in (("network", read[:, k]), ("labels", total[rows, k])):
+                off = values - known
+                assert against[who][axis]["bias"] == pytest.approx(off.mean(), rel=1e-4)
+                assert against[who][axis]["std"] == pytest.approx(np.abs(off).std(), rel=1e-4)
+            through_zero = (known * total[rows, k]).sum() / (known * known).sum()
+            assert against["labels_over"][axis] == pytest.approx(through_zero, rel=1e-5)
+    groups = {
+        "per_indenter": [texts[row]["indenter"] for row in rows],
+        "per_sensor": [texts[row]["sensor_id"] for row in rows],
+        "per_force": [next(name for name, most in (("00.0-05.0 N", 5), ("05.0-20.0 N", 20), ("20.0+ N", np.inf))
+                           if abs(total[row, 2]) < most) for row in rows],
+    }  # fmt: skip
+    for kind, names in groups.items():
+        assert set(found[kind]) == set(names)
+        for name, table in found[kind].items():
+            mine = error[[one == name for one in names]]
+            assert table["n"] == len(mine)
+            for k, axis in enumerate(CHANNELS):
+                expected = {"mae": np.abs(mine[:, k]).mean(), "bias": mine[:, k].mean()}
+                assert table[axis] == pytest.approx(expected, rel=1e-5)
+
+
+def test_errors_of_contacts_are_those_of_two_bumps_by_hand():
+    """Two contacts of 6 and 4 N, predicted with 5 and 5 N: a mean error of 1 N, of 1/6 and 1/4 of their forces."""
+    label, predicted = np.zeros((2, 3, 12, 20)), np.zeros((2, 3, 12, 20))
+    label[:, 2, 4:6, 3:5], label[:, 2, 4:6, 14:16] = -1.5, -1.0
+    predicted[:, 2, 4:6, 3:5], predicted[:, 2, 4:6, 14:16] = -1.25, -1.25
+    label[1, 2, :, 10:] = 0.0  # a press with one contact counts nothing
+    found = contact_table(label, predicted)
+    assert found == pytest.approx({"n": 2, "mae": 1.0, "percent": 100 * (1 / 6 + 1 / 4) / 2})
+
+
 def test_sensor_and_truth_are_compared_on_the_right_axis(data, models):
     against = evaluate(data, models["pair"].model, EVALUATE)[0]["splits"]["test"]["against"]
     for axis in CHANNELS:
@@ -68,7 +152,7 @@ def test_evaluation_is_of_what_predict_gives(data, models):
     rows = data.splits["test"]
     names = data.names("sensor_id")[rows]
     forces = [
-        Predictor(model, data.nocontact[name]).predict(np.asarray(data.images[row])).total
+        Reader(data.nocontact[name], model=model)(np.asarray(data.images[row])).total
         for row, name in zip(rows, names, strict=True)
     ]
     error = np.array(forces) - data.totals(rows)
@@ -241,21 +325,24 @@ def seen_by_three(tmp_path_factory):
     for n, row in enumerate(row for row in rows if row["split"] == "test_unseen_sensor"):
         row["sensor_id"] = "mini1" if n % 2 == 0 else "mini2"
     write_csv(folder / "samples.csv", list(rows[0]), rows)
-    rest = np.load(folder / "nocontact.npy")
-    np.save(folder / "nocontact.npy", np.concatenate([rest] * 3))
     reported = read_json(folder / "dataset.json") | {"nocontact": ["mini0", "mini1", "mini2"]}
     write_json(folder / "dataset.json", reported)
+    rest, images = np.load(folder / "nocontact.npy")[0], np.load(folder / "images.npy")
+    write_pairs(folder, images, [row["sensor_id"] for row in rows], dict.fromkeys(reported["nocontact"], rest))
     return open_data(folder)
 
 
 def test_intervals_are_set_and_judged_on_presses_and_sensors_that_chose_nothing(seen_by_three):
-    """Half of validation chooses epoch and scale, the other half and the first of the unseen sensors set the size."""
+    """Half of validation chooses epoch and scale, the other half and a half of the unseen sensors set the size."""
     data = seen_by_three
-    (chose, others), size_on = split_validation(data), calibration_rows(data)
-    assert len(chose) and len(others) and not set(data.presses(chose)) & set(data.presses(size_on))
-    assert set(others) <= set(size_on.tolist()) and set(data.names("sensor_id")[size_on]) == {"mini0", "mini1"}
+    groups = groups_of(data, data)
+    chose, size_on = groups.choose, groups.calibrate
+    assert len(chose) and len(size_on)
+    parts = [set(press_keys(data, rows).tolist()) for rows in (groups.train, chose, size_on, data.splits["test"])]
+    assert sum(map(len, parts)) == len(set.union(*parts))  # no press in two of them
     model = train(data, "pair", MODELS["pair"], with_values(SETTINGS, epochs=1)).model
-    assert model.metadata["intervals"]["sensors"] == ["mini0", "mini1"]
+    sensors = set(data.names("sensor_id")[size_on])
+    assert model.metadata["intervals"]["sensors"] == sorted(sensors)
 
     def held(rows):
         found = predict_rows(model, data, rows)
@@ -264,6 +351,33 @@ def test_intervals_are_set_and_judged_on_presses_and_sensors_that_chose_nothing(
     assert (held(size_on).mean(axis=0) >= 0.89).all()
     rows = data.splits["test_unseen_sensor"]
     others = ~np.isin(press_keys(data, rows), model.metadata["intervals"]["presses"])
-    assert 0 < others.sum() < len(rows)
+    assert others.any()
     split = evaluate(data, model, EVALUATE)[0]["splits"]["test_unseen_sensor"]
     assert list(split["held"].values()) == pytest.approx(held(rows)[others].mean(axis=0).tolist())
+
+
+def test_groups_of_presses_stay_where_they_are_alone_and_joined(seen_by_three):
+    """Presses of two datasets together chose what was then measured by 15 of 20 of them."""
+    own = seen_by_three
+    other = replace(own, info=own.info | {"name": "other"}, table=[
+        replace(one, press=replace(one.press, x0_mm=one.press.x0_mm + 50.0, sample_id=f"q{at}")) for at, one in enumerate(own.table)
+    ])  # fmt: skip
+    alone, both = groups_of(own, own), groups_of(own, concatenate(own, [other]))
+    assert np.array_equal(alone.calibrate, both.calibrate)
+    assert np.array_equal(alone.choose, both.choose[both.choose < len(own.table)])
+    joined = concatenate(own, [other])
+    used = press_keys(joined, np.concatenate([both.train, both.choose]))
+    assert not np.isin(press_keys(joined, both.calibrate), used).any()
+
+
+def test_a_press_that_the_start_of_a_network_learnt_from_is_not_tested(seen_by_three):
+    """A fine-tuned network is judged on presses that neither it nor the network that it began as has learnt from."""
+    data = seen_by_three
+    first = train(data, "pair", MODELS["pair"], with_values(SETTINGS, epochs=1))
+    swapped = replace(data, splits=data.splits | {"train": data.splits["test"], "test": data.splits["train"]})
+    further = train(
+        swapped, "pair", MODELS["pair"], with_values(SETTINGS, epochs=1), start=Start(first.net, first.metadata)
+    )
+    known = known_rows(further.model, data)
+    assert known[data.splits["train"]].all() and known[data.splits["test"]].all()
+    assert "test" not in evaluate(swapped, further.model, EVALUATE)[0]["splits"]

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelforge.learning.data import concatenate, data_version, open_data, scales
+from gelforge.learning.data import concatenate, data_version, open_data, press_keys, scales
 from gelforge.learning.evaluate import evaluate, known_rows
-from gelforge.learning.train import predict_rows
+from gelforge.learning.predictions import predict_rows
 from gelforge.records.rowfile import ChainedRows
 from gelforge.stages.train import train
 from tests.support.parameters import with_values
@@ -101,7 +101,7 @@ def test_a_network_reads_both_that_it_learnt_from_and_says_so(datasets):
     totals = of_totals(turned, "other")
     alone, both, summed = (train(own, "small", SMALL, settings, also=also) for also in ((), [turned], [totals]))
     rows = other.splits["train"]
-    read = [predict_rows(one.net, turned, rows, one.metadata["normalisation"]) for one in (alone, both, summed)]
+    read = [predict_rows(one.model, turned, rows).forces for one in (alone, both, summed)]
     errors = [np.abs(forces.sum((2, 3)) - turned.totals(rows)).mean() for forces in read]
     assert max(errors[1:]) < 0.8 * errors[0]
     refused("total_weight = 0: only totals are known of other", train, own, "small", SMALL,
@@ -133,3 +133,21 @@ def test_no_network_is_judged_on_presses_that_it_learnt_from(datasets):
     assert "train" not in evaluate(other, both.model, EVALUATE)[0]["splits"]
     only = replace(other, splits={"train": other.splits["train"]})
     refused("which the network learnt from", evaluate, only, both.model, EVALUATE)
+
+
+def test_two_presses_of_one_place_at_other_angles_are_two(datasets):
+    """Depths and sensors are views of one press; another place, angle or indenter is another press."""
+    data = datasets[0]
+    place = {"x0_mm": 1.0, "y0_mm": -2.0, "z0_mm": 0.0, "dx_mm": 0.0, "dy_mm": 0.0, "dz_mm": -0.5, "rot_deg": 10.0}
+    changes = [
+        {},
+        {"dz_mm": -1.0},
+        {"sensor_id": "other"},
+        {"rot_deg": 40.0},
+        {"y0_mm": -2.1},
+        {"x0_mm": 1.1},
+        {"indenter": "cube"},
+    ]
+    table = [replace(data.table[0], press=replace(data.table[0].press, **place | change)) for change in changes]
+    keys = press_keys(replace(data, table=table), range(len(table))).tolist()
+    assert keys[0] == keys[1] == keys[2] and len(set(keys)) == 5

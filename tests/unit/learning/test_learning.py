@@ -7,25 +7,13 @@ import pytest
 import torch
 
 from gelforge.errors import BadInput
+from gelforge.learning.batches import epoch_order, epoch_steps, images_to_tensor, prefetched, target, training_batches
 from gelforge.learning.data import open_data, scales
+from gelforge.learning.export import Exported
 from gelforge.learning.nets import network_input
-from gelforge.learning.recipe import Start
-from gelforge.learning.train import (
-    FRACTIONS,
-    Training,
-    between,
-    epoch_order,
-    epoch_steps,
-    fit,
-    images_to_tensor,
-    loss_of,
-    predict_rows,
-    prefetched,
-    target,
-    training_batches,
-    training_epochs,
-    validate,
-)
+from gelforge.learning.predictions import predict_rows
+from gelforge.learning.start import Start
+from gelforge.learning.train import FRACTIONS, Training, between, fit, loss_of, training_epochs, validate
 from gelforge.records.axes import CHANNELS
 from gelforge.stages.train import resolve, train
 from tests.support.parameters import parameters, with_values
@@ -114,7 +102,7 @@ def test_training_learns(folder, trained):
 def test_shear_counts_as_much_as_normal_force_where_weights_are_chosen(folder, trained):
     """An error of a tenth of its own scale is the same step of the score, whichever component has it."""
     data, norm = open_data(folder), trained.metadata["normalisation"]
-    plain = validate(trained.net, data, norm, 8, "cpu")
+    plain = validate(Exported(trained.net, trained.metadata), data, 8, "cpu")
     expected = np.mean([plain[f"val_{name}"] / scale for name, scale in zip(CHANNELS, norm["total"], strict=True)])
     assert plain["val_score"] == pytest.approx(expected)
 
@@ -184,7 +172,7 @@ def test_averaged_weights_are_the_mean_over_the_steps_of_the_last_epochs(folder)
     assert torch.equal(
         net.state_dict()["stem_norm.running_mean"], training.net.state_dict()["stem_norm.running_mean"]
     )
-    assert validate(net, data, training.norm, settings.batch, "cpu")["val_total"] == row["val_total"]
+    assert training.validated(net, data)["val_total"] == row["val_total"]
 
 
 @pytest.fixture(scope="module")
@@ -199,9 +187,8 @@ def test_a_network_that_goes_on_begins_as_the_one_it_goes_on_from(few, trained):
     norm, before = found.metadata["normalisation"], trained.metadata["normalisation"]
     assert all(norm[key] == before[key] for key in ("image_mean", "image_std", "label", "total"))
     rows = few.splits["test"]
-    assert np.allclose(
-        predict_rows(found.net, few, rows, norm), predict_rows(trained.net, few, rows, before), atol=1e-4
-    )
+    after, first = (predict_rows(one.model, few, rows).forces for one in (found, trained))
+    assert np.allclose(after, first, atol=1e-4)
     assert found.metadata["start"]["name"] == "small" and "start" not in trained.metadata["model"]
 
 
@@ -212,8 +199,8 @@ def test_a_deeper_network_begins_as_the_one_it_goes_on_from(few, trained):
         few, "deeper", deeper, spoilt, start=start_of(trained)
     )  # spoilt at once, so what it began as is kept
     rows, norm = few.splits["test"], trained.metadata["normalisation"]
-    reported = [predict_rows(found.net, few, rows, norm) for found in (begun, trained)]
-    assert np.array_equal(*reported)
+    reported = [predict_rows(found.model, few, rows).forces for found in (begun, trained)]
+    assert np.allclose(*reported, atol=1e-5)
     training = Training(deeper, SETTINGS, norm, IMAGE, GRID, "cpu")
     training.go_on_from(trained.net.state_dict(), few)
     last = training.net.late[-1].second_norm.weight
@@ -242,7 +229,7 @@ def test_weights_between_first_and_last_are_tried(few, trained):
     judged = {}
     for fraction in (0.0, *FRACTIONS, 1.0):
         training.net.load_state_dict(between(first, last, fraction))
-        judged[fraction] = validate(training.net, few, training.norm, 8, "cpu")["val_score"]
+        judged[fraction] = training.validated(training.net, few)["val_score"]
     assert judged[0.0] == pytest.approx(training.start["val_score"])
     assert judged[1.0] == pytest.approx(training.best["val_score"])
     assert training.fraction == min(judged, key=lambda fraction: judged[fraction])
@@ -263,7 +250,7 @@ def test_few_presses_teach_more_to_a_network_that_goes_on(few, trained, tmp_path
     rows, errors = np.arange(96), []
     for settings, start in ((further, start_of(trained)), (alone, None)):
         found = train(few, "tuned", SMALL, settings, start=start)
-        reported = predict_rows(found.net, others, rows, found.metadata["normalisation"]).sum((2, 3), dtype=float)
+        reported = predict_rows(found.model, others, rows).forces.sum((2, 3), dtype=float)
         errors.append(np.abs(reported - others.totals(rows)).mean())
     assert errors[0] < 0.7 * errors[1]
 

@@ -115,16 +115,37 @@ def test_reading_rows_takes_no_memory_for_the_file(tmp_path):
     assert int(done.stdout) < 50_000  # KiB, of 300 000
 
 
-def test_version_changes_with_the_labels(folder):
-    before = data_version(open_data(folder))
-    assert before == data_version(open_data(folder))
+def test_a_bad_label_is_named_whatever_block_it_is_in(folder, block):
     labels = np.load(folder / "labels.npy")
-    labels[3] *= 1.001
-    np.save(folder / "labels.npy", labels)
-    assert data_version(open_data(folder)) != before
+    for row in (1, 7, 15):
+        spoilt = labels.copy()
+        spoilt[row, 2, 0, 0] = np.inf
+        np.save(folder / "labels.npy", spoilt)
+        refused(rf"the label of sample p{row:04d} \(row {row}\) is not finite", open_data, folder)
 
 
-def test_scales_are_those_of_the_training_split(folder):
+def test_a_version_changes_with_every_part_of_a_dataset(folder, block):
+    """Also with what lies beyond one block of rows."""
+    before, others = data_version(open_data(folder)), set()
+    for name, changed in (
+        ("labels.npy", lambda array: array[15].__imul__(1.001)), ("nocontact.npy", lambda array: array[0].__ixor__(1)),
+        ("images.npy", lambda array: array[0].__ixor__(1)),
+    ):  # fmt: skip
+        whole = (folder / name).read_bytes()
+        array = np.load(folder / name)
+        changed(array)
+        np.save(folder / name, array)
+        others.add(data_version(open_data(folder)))
+        (folder / name).write_bytes(whole)
+    rows = read_csv(folder / "samples.csv")
+    write_csv(folder / "samples.csv", list(rows[0]), [rows[0] | {"split": "test"}, *rows[1:]])
+    others.add(data_version(open_data(folder)))
+    write_csv(folder / "samples.csv", list(rows[0]), rows)
+    assert len(others) == 4 and before not in others
+    assert data_version(open_data(folder)) == before
+
+
+def test_scales_are_those_of_the_training_split(folder, block):
     data = open_data(folder)
     rows = data.splits["train"]
     found = scales(data)

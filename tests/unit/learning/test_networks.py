@@ -126,3 +126,30 @@ def test_a_pair_is_the_image_and_a_difference_that_forgets_the_no_contact_image(
     both = network_input(pictures, norm)
     torch.testing.assert_close(both[:, 3:], network_input(brighter, norm)[:, 3:])
     torch.testing.assert_close(both[:, :3], network_input(pictures[:, :3], norm))
+
+
+def test_a_u_net_of_symmetric_kernels_sees_a_mirrored_press_mirrored():
+    """Its unpadded convolutions, up-convolutions and crops treat all four sides alike."""
+    torch.manual_seed(3)
+    # the last convolution leaves 32 x 48 of 48 x 64 pixels: a grid of as many cells resizes nothing
+    net = build({"kind": "unet", "widths": [4, 8]}, (48, 64), (32, 48))
+    with torch.no_grad():
+        for value in net.parameters():
+            if value.dim() == 4:
+                value.copy_((value + value.flip(2) + value.flip(3) + value.flip(2, 3)) / 4)
+        image = torch.rand(1, 3, 48, 64)
+        found = net(image)
+        for axis in (2, 3):
+            torch.testing.assert_close(net(image.flip(axis)), found.flip(axis), atol=1e-5, rtol=1e-4)
+        assert not torch.allclose(found, found.flip(3), atol=1e-3)
+
+
+def test_every_cell_of_a_light_net_knows_of_the_whole_image():
+    """Its global means carry a change in one corner to the opposite one, which no convolution reaches."""
+    torch.manual_seed(5)
+    net = build({"kind": "grid", "width": 8, "blocks": 1}, (240, 320), (24, 32)).eval()
+    image = torch.rand(1, 6, 240, 320)
+    changed = image.clone()
+    changed[..., :20, :20] += 1.0
+    with torch.inference_mode():
+        assert (net(changed) - net(image)).abs()[..., -1, -1].max() > 1e-6

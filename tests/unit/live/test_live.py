@@ -12,6 +12,7 @@ import threading
 import urllib.request
 from argparse import Namespace
 from contextlib import ExitStack, contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -22,11 +23,13 @@ from mcap_ros2.decoder import DecoderFactory
 
 from gelforge.commands import live
 from gelforge.errors import BadInput
-from gelforge.live.reading import APART, StartInDoubt
+from gelforge.live.reading import APART, StartInDoubt, readings
 from gelforge.live.recording import CsvTable, McapRecording
 from gelforge.live.topics import RosMessages
-from gelforge.reading.predictor import Predictor, load_for_use
-from gelforge.records.film import Film, open_source
+from gelforge.live.weigh import Moment
+from gelforge.reading.model import load_model
+from gelforge.reading.reader import Reader
+from gelforge.records.film import Film, Frame, open_source
 from gelforge.records.image import decode
 from gelforge.records.nocontactimage import SETTLING
 from tests.support.browser import needs_browser, wait_for
@@ -76,7 +79,7 @@ def recorded(path):
 def outputs(stack, **asked):
     args = Namespace(**{"web": False, "foxglove": False, "record": None, "csv": None, "host": "127.0.0.1", "port": 0,
                         "sensor": None, "profile": None} | asked)  # fmt: skip
-    return live.Outputs(args, "film", stack)
+    return live.outputs_of(args, "film", stack)
 
 
 @contextmanager
@@ -124,7 +127,7 @@ def test_all_outputs_of_one_run_hold_the_same(film, tmp_path, chromium):
     assert f"16 frames read; {sum(row['flag'] == 'True' for row in rows)} flagged" in "".join(said)
     (path,) = (tmp_path / "kept").iterdir()
     kept, types = recorded(path)
-    known = load_for_use(None).metadata.get("intervals", {}).get("total")
+    known = load_model(None).metadata.get("intervals", {}).get("total")
     expected = {f"/gelforge/{name}": kind for name, kind in TYPES.items() if known or "wrench/" not in name}
     assert types == expected == {topic: channel["schemaName"] for topic, channel in client.channels.items()}
     by_place = {(topic, time): repr(message) for topic, time, message in kept}
@@ -145,12 +148,12 @@ def test_one_odd_frame_before_its_end_does_not_spoil_a_film(root, frames, in_dou
     light, rest, deep = (
         np.ascontiguousarray(cv2.imread(str(root / "data/demo" / name))[..., ::-1]) for name in names
     )
-    predictor, shown = Predictor(load_for_use(None), light), {"rest": rest, "deep": deep}
+    predictor, shown = Reader(light, model=load_model(None)), {"rest": rest, "deep": deep}
     start = StartInDoubt(predictor, "f.avi")
 
     def read():
         for number, name in enumerate(frames.split()):
-            start.look(10 * number, shown[name], float(predictor.predict(shown[name]).total[2]))
+            start.look(10 * number, shown[name], float(predictor(shown[name]).total[2]))
         start.end()
 
     if in_doubt:
@@ -185,7 +188,9 @@ def test_a_message_says_what_was_read():
         for end in ("", "/high", "/low")
     )
     assert force == pytest.approx(read.found.cells.sum((1, 2), dtype=np.float64))
-    assert high - low == pytest.approx([0.2, 0.4, 0.6])
+    assert high - low == pytest.approx([0.2, 0.4, 0.6]) and (low + high) / 2 == pytest.approx(force)
+    stamp = found[f"{top}/wrench"].header.stamp
+    assert (stamp.sec, stamp.nanosec) == (10**9, 30_000_000)
     cells = found[f"{top}/forces/normal"].data.view("<f4").reshape(4, 5)
     assert np.array_equal(cells, read.found.cells[2])
     assert np.abs(decode(bytes(found[f"{top}/image/compressed"].data), "it").astype(int) - 90).max() <= 2
@@ -264,12 +269,12 @@ from argparse import Namespace
 from contextlib import ExitStack
 from pathlib import Path
 import numpy as np
-from gelforge.commands.live import Outputs
+from gelforge.commands.live import outputs_of
 from tests.support.readings import reading
 from tests.support.refused import refused
 noise = np.random.default_rng(0).integers(0, 255, (240, 320, 3), np.uint8)
 with ExitStack() as stack:
-    to = Outputs(Namespace(host="127.0.0.1", port=0, sensor=None, profile=None, foxglove=False, {asked}), "film", stack)
+    to = outputs_of(Namespace(host="127.0.0.1", port=0, sensor=None, profile=None, foxglove=False, {asked}), "film", stack)
     print(to.send(reading(k, image=noise) for k in range(4000)), to.fault)
     to.end("over")
 """
@@ -304,13 +309,11 @@ def test_a_table_that_cannot_be_opened_changes_nothing(tmp_path):
 
 def shown(film, tmp_path, asked):
     """What `show` raises for a film in a camera's place, after three frames."""
-    args = Namespace(camera=0, frames=asked, csv=tmp_path / "live.csv", web=False, foxglove=False, record=None,
-                     sensor=None, profile=None)  # fmt: skip
-    with open_source(film, None) as (capture, _):
+    with open_source(film, None) as (capture, _), ExitStack() as stack:
         source = Film(capture, 0, "camera 0", 3, camera=True)
         seen = list(source)
-        predictor = Predictor(load_for_use(None, None), cv2.cvtColor(seen[0].image, cv2.COLOR_BGR2RGB))
-        live.show(args, predictor, seen, source, "camera 0", threading.Event())
+        reader = Reader(cv2.cvtColor(seen[0].image, cv2.COLOR_BGR2RGB))
+        live.show(outputs(stack, csv=tmp_path / "live.csv"), readings(reader, seen), source, threading.Event(), asked)
 
 
 def test_a_camera_that_stops_is_reported_and_what_it_gave_is_kept(film, tmp_path):
@@ -357,3 +360,67 @@ def test_rows_go_to_standard_output_and_nothing_else_does(film, capfd):
     assert live.main(["--video", str(film), "--csv", "-", "--frames", "15"]) == 0
     found = list(csv.DictReader(capfd.readouterr().out.splitlines()))
     assert [int(row["frame"]) for row in found] == list(range(SETTLING, 15))
+
+
+def test_each_row_on_a_pipe_can_be_read_as_soon_as_it_is_measured(monkeypatch):
+    """A program that reads them must not wait for a buffer to fill."""
+    there, here = os.pipe()
+    with open(there, encoding="utf-8") as reading_end, open(here, "w", encoding="utf-8", buffering=1 << 20) as pipe:
+        monkeypatch.setattr(sys, "stdout", pipe)
+        os.set_blocking(there, False)
+        table, rows = CsvTable(Path("-")), []
+        for number in (1, 2, 3):
+            table.send(reading(number))
+            rows += list(csv.reader(reading_end))
+            assert rows[-1][0] == str(number)
+        assert rows[0][0] == "frame" and len(rows) == 4
+
+
+def test_a_weighed_picture_is_the_mean_of_its_frames_in_its_own_colours():
+    moment, image = Moment(), np.zeros((4, 6, 3), np.uint8)
+    image[..., 0], image[..., 2] = 200, 40  # blue and red, as OpenCV orders them
+    for more in (0, 1, 5):
+        moment.frames.append(Frame(0, 0.0, image + np.uint8(more)))
+    assert np.array_equal(moment.picture()[0, 0], [42, 2, 202])
+
+
+def test_a_frame_that_repeats_the_one_before_is_flagged(root):
+    """A camera that hangs gives its last frame again and again: a free gel was read with the force of a while ago."""
+    rest, pressed = (
+        cv2.imread(str(root / "data/demo" / name)) for name in ("nocontact/mini_a.png", "images/demo-000001.png")
+    )
+    frames = [Frame(k, 0.04 * k, image) for k, image in enumerate([rest, pressed, pressed, pressed, rest])]
+    found = [one.found for one in readings(Reader(np.ascontiguousarray(rest[..., ::-1])), frames)]
+    assert ["identical to the one before" in one.reason for one in found] == [False, False, True, True, False]
+    assert np.array_equal(found[1].cells, found[2].cells)
+
+
+def test_the_start_of_a_stream_is_judged_once(root):
+    """It was asked for ever, at four times the price of a frame, and could end an hour's recording."""
+    rest, pressed = (
+        cv2.imread(str(root / "data/demo" / name))[..., ::-1]
+        for name in ("nocontact/mini_a.png", "images/demo-000001.png")
+    )
+    start, asked = StartInDoubt(Reader(np.ascontiguousarray(rest)), "film"), []
+    for number in range(0, 100, 5):
+        start.look(number, np.ascontiguousarray(pressed), -10.0)
+        asked.append(start.asked)
+    assert asked[:4] == [1, 2, 3, 3] and asked[-1] == 3
+
+
+def test_each_of_the_frames_that_are_weighed_must_be_good():
+    """The last one alone was asked."""
+    moment = Moment()
+    for number in range(5):
+        moment.found.append(replace(reading(5), frame=number))
+    assert moment.fault() == ""
+    moment.found[1] = replace(moment.found[1], found=replace(moment.found[1].found, reason="torn"))
+    assert moment.fault() == "torn"
+
+
+def test_a_frame_is_encoded_once_for_all_outputs(monkeypatch):
+    count = []
+    monkeypatch.setattr("gelforge.live.reading.encode_jpeg", lambda *given: count.append(1) or b"jpeg")
+    one = reading(3)
+    one.event(), RosMessages("a", 0)(one), RosMessages("b", 0)(one)
+    assert len(count) == 1

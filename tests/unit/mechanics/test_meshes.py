@@ -3,6 +3,7 @@
 import base64
 import re
 import zlib
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -11,6 +12,7 @@ from hypothesis import strategies as st
 
 from gelforge.geometry.gel import GELS, gels_from, load_gel
 from gelforge.geometry.triangles import write_stl
+from gelforge.mechanics.mesh.basemesh import base_of
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.names import FORM, Contact, TetMeshName, load_mesh
 from gelforge.mechanics.mesh.tetmesh import (
@@ -65,12 +67,18 @@ def disc(radius: float, at: tuple[float, float] = (0.0, 0.0), pixel: float = 0.2
     return Contact.of(np.hypot(place[:, None], place) < radius, pixel, low)
 
 
-NAME = TetMeshName("gelsight_mini", 0.7, 1.2, disc(3.0, (1.0, -2.0)))
+BASE = "0123456789abcdef"  # digest of no mesh
+NAME = TetMeshName("gelsight_mini", BASE, 0.7, 1.2, disc(3.0, (1.0, -2.0)))
+
+
+def made_here(name: TetMeshName) -> TetMeshName:
+    """The name with the digest of the base mesh of this process."""
+    return replace(name, base=base_of(load_gel(name.gel)).digest)
 
 
 @pytest.fixture(scope="module")
 def mesh() -> GelMesh:
-    return NAME.mesh()
+    return made_here(NAME).mesh()
 
 
 @pytest.fixture(params=["gelsight_mini", "gelsight_mini-2mm", "flat", "round", "steep", "solid"])
@@ -83,7 +91,7 @@ def gel(request, tmp_path):
 
 def test_a_mesh_has_the_shape_of_its_gel_wherever_the_contact_lies(gel):
     for at in ((0.0, 0.0), (0.45 * gel.width, 0.45 * gel.length), (0.0, -0.5 * gel.length)):
-        mesh = TetMeshName(gel.name, 0.6, 1.2, disc(1.5, at)).mesh()
+        mesh = made_here(TetMeshName(gel.name, BASE, 0.6, 1.2, disc(1.5, at))).mesh()
         report, corners = mesh_report(mesh, gel), mesh.elements[:, :4]
         # the outline's corners are polygons of few sides, and so is the fall to the rim
         assert abs(report["volume_error"]) < 0.015 and report["min_scaled_jacobian"] > 0.05
@@ -126,12 +134,12 @@ def test_a_name_holds_all_of_a_mesh(edge, inside, x, y, radius, pixel):
     numbers = (float(f"{v:.6g}") for v in (edge, inside, pixel, x, y))
     edge, inside, pixel, x, y = numbers
     contact = disc(radius, pixel=pixel)
-    name = TetMeshName("gelsight_mini", edge, inside, Contact.of(contact.mask, pixel, (x, y)))
+    name = TetMeshName("gelsight_mini", BASE, edge, inside, Contact.of(contact.mask, pixel, (x, y)))
     assert TetMeshName.parse(name.name) == name
 
 
 def test_a_mesh_of_a_name_is_the_same_wherever_it_is_built(mesh):
-    other = load_mesh(NAME.name)
+    other = load_mesh(made_here(NAME).name)
     for part in ("nodes", "elements", "faces", "base"):
         assert np.array_equal(getattr(mesh, part), getattr(other, part))
 
@@ -180,7 +188,7 @@ def test_columns_are_stretched_between_base_and_top():
 
 def test_a_contact_as_small_as_a_hair_is_meshed_around_alone():
     """0.05 mm wide: small tetrahedra where it is, and those of the base mesh everywhere else."""
-    mesh = TetMeshName("gelsight_mini", 0.02, 0.02, disc(0.025, (0.3, 0.2), 0.002)).mesh()
+    mesh = made_here(TetMeshName("gelsight_mini", BASE, 0.02, 0.02, disc(0.025, (0.3, 0.2), 0.002))).mesh()
     assert mesh_report(mesh, GEL)["min_scaled_jacobian"] > 0.1 and len(mesh.nodes) < 20_000
     ends = mesh.nodes[mesh.faces[:, [0, 1]]]
     length, away = (

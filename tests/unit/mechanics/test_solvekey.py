@@ -40,7 +40,7 @@ READ = {"ccx": CALCULIX, "auto": CALCULIX | {"tolerance"}}
 
 
 def key(scene=SCENE, fea=FEA, shape=BALL, version=1, frames=None):
-    how = settings_of(fea.method, fea)
+    how = settings_of(fea.method, fea, (frames or [scene])[-1].gel)
     return solve_key(frames or [scene], shape, how, version, -1)
 
 

@@ -10,7 +10,7 @@ from gelforge.errors import BadInput
 from gelforge.reading.frame import ImageFrame, zoom_of
 from gelforge.reading.light import Reference, match_light
 from gelforge.reading.markers import OF_CONTACT, MarkerTracker, markers_in, rim_shift, shifted_back
-from gelforge.reading.predictor import Predictor
+from gelforge.reading.reader import Reader
 from gelforge.records.image import read_image
 from tests.support.pictures import moved
 
@@ -87,23 +87,23 @@ DRIFTS = {
 def test_drifting_light_is_no_force(shipped, nocontact):
     """On sensors that the network never saw: below 0.01 N where it read up to 26 N of the bare difference; at rest none."""
     for picture in nocontact:
-        predictor = Predictor(shipped, picture)
-        assert not predictor.predict(picture).cells.any()
+        predictor = Reader(picture, model=shipped)
+        assert not predictor(picture).cells.any()
         for name, drift in DRIFTS.items():
             drifted = np.clip(np.rint(drift(picture.astype(float))), 0, 255).astype(np.uint8)
-            assert np.abs(predictor.predict(drifted).total).max() < 0.01, name
-            assert predictor.prepare(drifted).light.known, name
+            assert np.abs(predictor(drifted).total).max() < 0.01, name
+            assert predictor.compare(drifted).light.known, name
 
 
 def test_what_is_read_depends_on_its_picture_alone_and_changes_none(shipped, nocontact):
     """Pictures read in turns beside two no-contact images give what each does alone."""
     pictures = [pressed(picture, 0.05 * (k + 1), k) for k, picture in enumerate(nocontact)]
     given = [picture.copy() for picture in (*pictures, *nocontact)]
-    alone = [Predictor(shipped, rest).predict(image) for rest, image in zip(nocontact, pictures, strict=True)]
-    kept = [Predictor(shipped, rest) for rest in nocontact]
+    alone = [Reader(rest, model=shipped)(image) for rest, image in zip(nocontact, pictures, strict=True)]
+    kept = [Reader(rest, model=shipped) for rest in nocontact]
     for _ in range(2):
         for predictor, image, first in zip(kept, pictures, alone, strict=True):
-            again = predictor.predict(image)
+            again = predictor(image)
             assert np.array_equal(again.cells, first.cells) and again.reason == first.reason
             assert again.reason == first.reason
     assert all(np.array_equal(one, other) for one, other in zip(given, (*pictures, *nocontact), strict=True))
@@ -176,9 +176,9 @@ def test_a_picture_is_flagged_for_its_shape_and_not_for_its_size(shipped, nocont
     rest, press = nocontact[0], pressed(nocontact[0], 0.05, 3)
     for size in ((640, 480), (1280, 960), (160, 120)):
         larger = [cv2.resize(picture, size, interpolation=cv2.INTER_CUBIC) for picture in (rest, press)]
-        found = Predictor(shipped, larger[0]).predict(larger[1])
+        found = Reader(larger[0], model=shipped)(larger[1])
         assert "aspect ratio" not in found.reason and "size" not in found.reason
-    assert "aspect ratio differs" in Predictor(shipped, rest).predict(np.ascontiguousarray(press[:, :240])).reason
+    assert "aspect ratio differs" in Reader(rest, model=shipped)(np.ascontiguousarray(press[:, :240])).reason
 
 
 @pytest.mark.parametrize("view", ["whole", "narrow"])
@@ -190,21 +190,21 @@ def test_a_picture_without_colour_is_flagged_with_what_to_do(shipped, nocontact,
         for one in (nocontact[0], pressed(nocontact[0], 0.05, 3))
     )
     grey = [np.repeat(cv2.cvtColor(one, cv2.COLOR_RGB2GRAY)[..., None], 3, axis=2) for one in (rest, image)]
-    predictor = Predictor(shipped, rest)
-    assert (predictor.prepare.frame.zoom < 0.8) == (view == "narrow")
-    for found in (predictor.predict(grey[1]), Predictor(shipped, grey[0]).predict(grey[1])):
+    predictor = Reader(rest, model=shipped)
+    assert (predictor.frame.zoom < 0.8) == (view == "narrow")
+    for found in (predictor(grey[1]), Reader(grey[0], model=shipped)(grey[1])):
         assert found.flag and "monochrome" in found.reason and "set the camera to colour" in found.reason
     for level in (0, 120):
-        assert "dark, covered or of one colour" in predictor.predict(np.full_like(image, level)).reason
-    assert "monochrome" not in predictor.predict(image).reason
+        assert "dark, covered or of one colour" in predictor(np.full_like(image, level)).reason
+    assert "monochrome" not in predictor(image).reason
 
 
 def test_force_does_not_jump_where_a_press_begins(shipped, root):
     """Small changes of a picture are small changes of force: no part of the reader switches on."""
     press, still = (read_image(root / f"data/demo/{name}.png") for name in ("images/demo-000000", "nocontact/mini_a"))
-    predictor, rest = Predictor(shipped, still), still.astype(float)
+    predictor, rest = Reader(still, model=shipped), still.astype(float)
     blends = [np.rint(rest + weight * (press - rest)).astype(np.uint8) for weight in np.linspace(0.0, 1.0, 41)]
-    normal = np.array([predictor.predict(image).total[2] for image in blends])
+    normal = np.array([predictor(image).total[2] for image in blends])
     assert np.abs(np.diff(normal)).max() < 0.15 * np.ptp(normal)
 
 
@@ -223,6 +223,6 @@ def test_a_gel_that_was_shifted_in_its_holder_is_shifted_back(nocontact):
 def test_what_a_shift_does_to_force_grows_without_a_jump(shipped, root):
     """Also where it begins to be taken back."""
     press, rest = (read_image(root / f"data/demo/{name}.png") for name in ("images/demo-000002", "nocontact/mini_a"))
-    predictor = Predictor(shipped, rest)
-    normal = np.array([predictor.predict(moved(press, (far, 0.0))).total[2] for far in np.linspace(2.0, 3.5, 16)])
+    predictor = Reader(rest, model=shipped)
+    normal = np.array([predictor(moved(press, (far, 0.0))).total[2] for far in np.linspace(2.0, 3.5, 16)])
     assert np.abs(np.diff(normal)).max() < 0.05 * np.abs(normal).max()

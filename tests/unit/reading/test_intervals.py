@@ -91,6 +91,15 @@ def test_an_interval_is_the_least_that_holds_its_share_of_presses_to_come():
         assert fitted(np.ones(count), error).of(1.0, 1.0) == pytest.approx(np.ceil(HOLDS * (count + 1) - 1e-9))
 
 
+def test_the_width_on_real_sensors_is_the_least_that_holds_its_share_of_readings_to_come():
+    """Errors of 1, 2, … hundredths of the reading beside the network's own: the next one of n + 1 may be any of them."""
+    for count in range(LEAST_PRESSES, 60):
+        off = 0.01 * (np.random.default_rng(count).permutation(count) + 1.0)
+        read, half = np.full(count, -20.0), np.full(count, 0.3)
+        force = read + np.hypot(20.0 * off, half)
+        assert real_width(read, force, half) == pytest.approx(0.01 * np.ceil(HOLDS * (count + 1) - 1e-9))
+
+
 @given(st.integers(0, 10**6))
 @settings(max_examples=40)
 def test_a_press_that_is_filmed_more_often_counts_as_one_all_the_same(seed):

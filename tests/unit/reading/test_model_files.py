@@ -15,13 +15,13 @@ import torch
 
 from gelforge.learning.data import open_data
 from gelforge.learning.export import Exported, export, load_weights, sample_pictures
-from gelforge.learning.fitting import require_fit
 from gelforge.learning.nets import build
-from gelforge.learning.recipe import save_trained
-from gelforge.learning.train import Training
+from gelforge.learning.predictions import require_fit
+from gelforge.learning.train import Training, save_trained
+from gelforge.reading.frame import Learnt
 from gelforge.reading.model import FORMAT, Graph, load_model, provider_of, save_model
-from gelforge.reading.pair import Preprocessor, at_rest
-from gelforge.reading.predictor import Predictor
+from gelforge.reading.pair import NoContact
+from gelforge.reading.reader import Reader
 from gelforge.stages.train import train
 from tests.support.limited import limited_python
 from tests.support.parameters import with_values
@@ -34,7 +34,7 @@ def test_a_model_and_its_weights_come_back_from_their_files(trained, tmp_path):
     save_trained(tmp_path / "m.onnx", trained)
     again = load_model(tmp_path / "m.onnx")
     assert again.metadata == json.loads(json.dumps(trained.metadata)) and again.metadata["format"] == FORMAT
-    assert again.graph == trained.model.graph
+    assert again.graph.content == trained.model.graph.content
     net, metadata = load_weights(tmp_path / "m.safetensors")
     assert metadata["name"] == trained.metadata["name"]
     x = torch.rand(2, 6, *IMAGE, generator=torch.Generator().manual_seed(0))
@@ -46,15 +46,17 @@ def test_the_documented_lines_around_a_graph_give_what_predict_gives(models, dat
     """Scale and light before it, tare and factor behind: what someone with onnxruntime alone would write."""
     model, rest = models["pair"].model, data.nocontact["mini0"]
     image = np.clip(np.rint(0.93 * np.asarray(data.images[3]).astype(float) + 3), 0, 255).astype(np.uint8)
-    prepare = Preprocessor(model.metadata, rest)
-    session = onnxruntime.InferenceSession(model.graph, providers=["CPUExecutionProvider"])
+    nocontact = NoContact(rest, model.size, Learnt.of(model.metadata["frame"]))
+    session = onnxruntime.InferenceSession(model.graph.content, providers=["CPUExecutionProvider"])
 
-    def run(seen):
-        return session.run(["forces"], {one.name: seen.feature(one.name) for one in session.get_inputs()})[0][0]
+    def run(pair):
+        return session.run(["forces"], pair.features())[0][0]
 
-    expected = Predictor(model, rest).predict(image).cells
+    expected = Reader(rest, model=model)(image).cells
     np.testing.assert_allclose(
-        run(prepare(image)) - run(at_rest(prepare.nocontact)), expected, atol=2e-5 * np.abs(expected).max()
+        run(nocontact.compare(nocontact.frame(image))) - run(nocontact.itself()),
+        expected,
+        atol=2e-5 * np.abs(expected).max(),
     )
 
 
@@ -62,7 +64,7 @@ def test_a_graph_predicts_what_its_network_does(models):
     for name, trained in models.items():
         names = ["image", "nocontact"] if trained.model.needs_nocontact else ["image"]
         pictures = dict(zip(names, sample_pictures(IMAGE, len(names)), strict=True))
-        found = Graph(trained.model.graph, name)(pictures)["forces"]
+        found = trained.model.graph(pictures)
         seen = [torch.from_numpy(one) for one in pictures.values()]
         with torch.inference_mode():
             expected = Exported(trained.net.eval(), trained.metadata)(*seen)
@@ -74,8 +76,8 @@ def test_a_picture_rotated_by_180_degrees_has_the_rotated_force(models):
     metadata = models["pair"].metadata | {"tta": True}
     graph = Graph(export(models["pair"].net.eval(), metadata), "m")
     image, nocontact = sample_pictures(IMAGE, 2)
-    found = graph({"image": image, "nocontact": nocontact})["forces"]
-    rotated = graph({"image": image[:, ::-1, ::-1].copy(), "nocontact": nocontact[:, ::-1, ::-1].copy()})["forces"]
+    found = graph({"image": image, "nocontact": nocontact})
+    rotated = graph({"image": image[:, ::-1, ::-1].copy(), "nocontact": nocontact[:, ::-1, ::-1].copy()})
     signs = np.array([-1.0, -1.0, 1.0])[:, None, None]
     np.testing.assert_allclose(rotated[:, :, ::-1, ::-1] * signs, found, atol=1e-5 * np.abs(found).max())
 
@@ -111,22 +113,21 @@ def test_corrupt_and_foreign_model_files_are_refused(trained, tmp_path):
     save_model(path, trained.model)
     whole = path.read_bytes()
     one_bit = bytearray(whole)
-    one_bit[len(trained.model.graph) // 2] ^= (
+    one_bit[len(trained.model.graph.content) // 2] ^= (
         1  # of one weight: still a graph that runs, but not the one that was trained
     )
     for content, said in (
         (whole[: len(whole) // 2], other),
         (b"", other),
         (b"no model", other),
-        (trained.model.graph, other),
+        (trained.model.graph.content, other),
         (bytes(one_bit), "the file is corrupt: copy it"),
     ):
         path.write_bytes(content)
         refused(said, load_model, path)
     refused("not found; train one", load_model, tmp_path / "absent.onnx")
     refused(r"holds weights for further training; name .*m.onnx", load_model, tmp_path / "m.safetensors")
-    none = replace(trained.model, graph=b"no graph")
-    refused("not an ONNX graph that can be loaded", Predictor, none, np.zeros((*IMAGE, 3), np.uint8))
+    refused("not an ONNX graph that can be loaded", Graph, b"no graph", "none")
 
 
 def test_a_device_that_is_not_there_is_refused(folder):
@@ -181,15 +182,15 @@ def test_model_of_another_sensor_grid_or_size_is_refused(folder, trained):
 
 
 @pytest.mark.parametrize("factor, refused_", [(1.3, True), (0.0, True), (1.02, True), (1.0005, False), (1.0, False)])
-def test_a_runtime_that_computes_otherwise_than_the_file_says_is_refused(shipped, factor, refused_):
+def test_a_runtime_that_computes_otherwise_than_the_file_says_is_refused(shipped, tmp_path, factor, refused_):
     """Whatever it gets wrong shows in the forces of the picture that the model file carries."""
     answer = [value / factor if factor else 0.0 for value in shipped.metadata["answer"]]
     other = replace(shipped, metadata=shipped.metadata | {"answer": answer})
-    picture = np.full((240, 320, 3), 90, np.uint8)
+    save_model(tmp_path / "m.onnx", other)
     if refused_:
-        refused("does not reproduce the model's forces for its test image", Predictor, other, picture)
+        refused("does not reproduce the model's forces for its test image", load_model, tmp_path / "m.onnx")
     else:
-        Predictor(other, picture)
+        load_model(tmp_path / "m.onnx")
 
 
 def test_an_opencv_that_is_not_whole_is_refused_in_a_sentence(tmp_path):
@@ -199,7 +200,9 @@ def test_an_opencv_that_is_not_whole_is_refused_in_a_sentence(tmp_path):
         ("raise ImportError('libGL.so.1: cannot open shared object file')", "libGL"),
     ):
         (tmp_path / "cv2.py").write_text(content)
-        program = "from gelforge.reading.predictor import load_for_use\ntry: load_for_use(None)\nexcept Exception as error: print(repr(error))"
+        program = (
+            "from gelforge.reading.reader import Reader\ntry: Reader()\nexcept Exception as error: print(repr(error))"
+        )
         paths = os.pathsep.join([str(tmp_path), *sys.path])
         done = subprocess.run(
             [sys.executable, "-c", program], capture_output=True, text=True, env=os.environ | {"PYTHONPATH": paths}

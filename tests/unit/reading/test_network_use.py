@@ -4,7 +4,6 @@ import csv
 import os
 import subprocess
 import sys
-from argparse import Namespace
 from pathlib import Path
 
 import cv2
@@ -14,8 +13,8 @@ import pytest
 from gelforge.commands import live
 from gelforge.errors import BadInput
 from gelforge.live.reading import readings
-from gelforge.reading.predictor import Predictor
 from gelforge.reading.profile import Gain, make_profile, write_profile
+from gelforge.reading.reader import Reader
 from gelforge.records.film import Frame
 from gelforge.records.nocontactimage import FEWEST, SETTLING, STILL
 from tests.support.films import write_film
@@ -77,7 +76,7 @@ def test_live_takes_the_first_frames_at_rest_for_the_nocontact_image(data, model
     live.main(["--video", str(video), "--model", str(paths["pair"]), "--csv", str(table)])
     filmed, rows = read_frames(video), rows_of(table)
     assert len(rows) == len(seen) - SETTLING
-    found = Predictor(models["pair"].model, filmed[10]).predict(filmed[-1])
+    found = Reader(filmed[10], model=models["pair"].model)(filmed[-1])
     # the film is compressed, so the mean of the frames at rest is not quite one of them
     assert float(rows[-1]["fz_n"]) == pytest.approx(found.total[2], rel=0.02, abs=0.02)
 
@@ -86,11 +85,12 @@ def test_live_reads_against_the_picture_of_a_profile(data, models, paths, tmp_pa
     """As `predict` does: a film may begin while something is held, and stays still then, too."""
     profile = make_profile("mine", data.nocontact["mini0"], 30.0, Gain(), models["pair"].metadata)
     write_profile(tmp_path / "mine.toml", profile)
-    args = Namespace(profile=tmp_path / "mine.toml", sensor=None, device="cpu", threads=1)
-    held = cv2.cvtColor(data.images[0], cv2.COLOR_RGB2BGR)
-    found, seen = live.predictor_of(args, models["pair"].model, None, iter([held] * 20), "held.avi")
-    np.testing.assert_array_equal(found.prepare.nocontact.picture, data.nocontact["mini0"])
-    assert len(list(seen)) == 20
+    video, table = write_avi(tmp_path / "held.avi", [data.images[0]] * 20), tmp_path / "o.csv"
+    profile = ["--profile", str(tmp_path / "mine.toml"), "--model", str(paths["pair"])]
+    live.main(["--video", str(video), *profile, "--csv", str(table)])
+    rows, reader = rows_of(table), Reader(data.nocontact["mini0"], model=models["pair"].model)
+    assert len(rows) == 20
+    assert float(rows[0]["fz_n"]) == pytest.approx(reader(read_frames(video)[0]).total[2], abs=1e-3)
 
 
 def test_live_refuses_fewer_frames_than_give_the_nocontact_image(data, paths, tmp_path):
@@ -121,8 +121,8 @@ def test_live_lets_go_of_what_films_where_it_refuses_to_read(data, paths, tmp_pa
 def test_live_flags_the_frames_that_predict_flags(models, data):
     """In its lines and on its page, with the same words."""
     frames = [np.ascontiguousarray(data.images[0]), np.zeros((*IMAGE, 3), np.uint8)]
-    predictor = Predictor(models["unet"].model)
-    judged = [predictor.predict(frame) for frame in frames]
+    predictor = Reader(model=models["unet"].model)
+    judged = [predictor(frame) for frame in frames]
     reported = list(readings(predictor, [Frame(k, 0.04 * k, frame[..., ::-1]) for k, frame in enumerate(frames)]))
     for lines in ([reading.row() for reading in reported], [reading.event() for reading in reported]):
         assert [line["flag"] for line in lines] == [one.flag for one in judged] == [False, True]

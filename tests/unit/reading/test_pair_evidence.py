@@ -6,23 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from gelforge.reading.faults import (
-    LIMITS,
-    MarkerSigns,
-    PairSigns,
-    pair_fault,
-    pair_limits,
-    pair_signs,
-    rim_signs,
-    rimless_signs,
-    unevenness,
-    wider,
-)
-from gelforge.reading.light import Light
+from gelforge.evidence.logimages import LogPairs
+from gelforge.live.reading import exchanged
+from gelforge.reading.faults import PAIR, Asked, pair_fault
 from gelforge.reading.markers import COLS, ROWS, MarkerTracker, Tracks, markers_in
-from gelforge.reading.pair import Preprocessor
-from gelforge.reading.predictor import Predictor, load_for_use
+from gelforge.reading.measures import common_motion, rim_lost, rim_px, uneven, unevenness
+from gelforge.reading.pair import NoContact
 from gelforge.reading.profile import Gain
+from gelforge.reading.reader import Reader, reader_with
 from gelforge.reading.untouched import touch_of
 from gelforge.reading.wear import painted_over
 from gelforge.records.image import read_image
@@ -37,18 +28,6 @@ def presses(root):
     return [(p.sensor_id, read_image(folder / p.image), -p.fz_n) for p in read_presses(folder / "log.csv")]
 
 
-@pytest.fixture(scope="module")
-def limits(demo_nocontact, presses):
-    prepare = {name: preprocessor(picture) for name, picture in demo_nocontact.items()}
-    return pair_limits([pair_signs(prepare[name](image)) for name, image, _ in presses])
-
-
-def preprocessor(picture):
-    """Of the shipped network, whose pictures are all at their own scale."""
-    metadata = load_for_use(None).metadata
-    return Preprocessor(metadata | {"frame": metadata["frame"] | {"pitch_px": []}}, picture)
-
-
 def touch(picture):
     return touch_of(picture, MarkerTracker(picture, markers_in(picture)))
 
@@ -61,8 +40,10 @@ def stained(picture, points, diameter):
     return np.clip(picture * (1.0 + there[..., None] * (0.15, 0.0, -0.15)), 0, 255).astype(np.uint8)
 
 
-def diagnostics(image, picture):
-    return pair_signs(preprocessor(picture)(image))
+def fault(image, picture):
+    """What a reader says of a pair before it predicts."""
+    nocontact = NoContact(picture, picture.shape[:2])
+    return pair_fault(nocontact.compare(image), Asked.READER)
 
 
 CORRUPTION = {
@@ -72,77 +53,96 @@ CORRUPTION = {
 }
 
 
-def test_every_limit_that_is_set_is_one_that_a_file_is_checked_for(limits):
-    assert limits.keys() | {"largest_touch", "least_sharp"} == set(LIMITS)
+def test_every_fault_names_the_data_behind_its_limit():
+    assert all(one.data and one.asked for one in PAIR)
 
 
-def test_good_pairs_are_good(demo_nocontact, presses, limits):
-    faults = [pair_fault(limits, diagnostics(image, demo_nocontact[name])) for name, image, _ in presses]
-    assert sum(map(bool, faults)) <= 0.05 * len(faults)
+def test_good_pairs_are_good(demo_nocontact, presses):
+    assert not any(fault(image, demo_nocontact[name]) for name, image, _ in presses)
 
 
-def test_what_happened_to_a_picture_is_named(demo_nocontact, presses, limits):
+def test_what_happened_to_a_picture_is_named(demo_nocontact, presses):
     for what, (corrupt, named) in CORRUPTION.items():
-        faults = [
-            pair_fault(limits, diagnostics(corrupt(image), demo_nocontact[name])) for name, image, _ in presses[::3]
-        ]
-        seen = [fault for fault in faults if fault]
+        faults = [fault(corrupt(image), demo_nocontact[name]) for name, image, _ in presses[::3]]
+        seen = [one for one in faults if one]
         assert len(seen) >= 0.85 * len(faults), what
-        assert any(any(word in fault for word in named.split("|")) for fault in seen), what
+        assert any(any(word in one for word in named.split("|")) for one in seen), what
 
 
-def test_the_picture_of_another_unit_is_no_nocontact_image(demo_nocontact, presses, limits):
+def test_the_picture_of_another_unit_is_no_nocontact_image(demo_nocontact, presses):
     units = list(demo_nocontact)
     other = dict(zip(units, [*units[1:], units[0]], strict=True))
-    faults = [pair_fault(limits, diagnostics(image, demo_nocontact[other[name]])) for name, image, _ in presses]
+    faults = [fault(image, demo_nocontact[other[name]]) for name, image, _ in presses]
     assert sum(map(bool, faults)) >= 0.9 * len(faults)
 
 
-BEYOND = {
-    "largest_distance": 1.0,
-    "largest_residual": 1.0,
-    "least_share": -0.01,
-    "largest_rim_px": 1.0,
-    "largest_rim_lost": 0.1,
-    "largest_uneven": 0.1,
+# One fault each, from harmless to beyond its limit: the judge of a log and a reader must agree on what both ask for.
+SPOILT = {
+    "blurred": lambda image, rest, by: cv2.GaussianBlur(image, (0, 0), 0.5 + 3.0 * by),
+    "dimmed": lambda image, rest, by: np.rint(image * (1.0 - 0.7 * by)).astype(np.uint8),
+    "shifted": lambda image, rest, by: moved(image, (8.0 * by, 6.0 * by)),
+    "torn": lambda image, rest, by: np.concatenate([image[: int(240 - 160 * by)], rest[int(240 - 160 * by) :]]),
+    "mirrored": lambda image, rest, by: np.ascontiguousarray(image[:, ::-1]) if by > 0.5 else image,
 }
 
 
-def pair_at(limits):
-    """A pair that lies exactly at all limits."""
-    light = Light(np.ones(3), np.zeros(3), limits["largest_residual"], limits["least_share"], known=True)
-    markers = MarkerSigns(limits["largest_rim_px"], limits["largest_rim_lost"], limits["largest_uneven"])
-    return PairSigns(limits["largest_distance"], light, markers)
+def test_the_judge_of_a_log_and_a_reader_say_the_same(demo_nocontact, presses, shipped):
+    """Images a little out of focus were all rejected by the one and all passed by the other."""
+    judges = {name: LogPairs(picture) for name, picture in demo_nocontact.items()}
+    readers = {name: Reader(picture, model=shipped) for name, picture in demo_nocontact.items()}
+    both = [one for one in PAIR if Asked.LOG in one.asked]
+    differ = []
+    for what, spoil in SPOILT.items():
+        for by in (0.1, 0.5, 1.0):
+            for name, image, _ in presses[::12]:
+                spoilt = spoil(image, demo_nocontact[name], by)
+                logged = pair_fault(judges[name](spoilt), Asked.LOG)
+                read = readers[name](spoilt).reason
+                # a reader may find more: what makes a network read a wrong force
+                if logged != next((text for one in both if (text := one.of(readers[name].compare(spoilt)))), ""):
+                    differ.append((what, by, logged))
+                assert bool(logged) <= bool(read)
+    assert not differ
 
 
-def test_a_pair_beyond_a_single_limit_is_reported_and_a_wider_limit_lets_it_pass(limits):
-    """The wider one of two datasets, where a network is fine-tuned from the one on the other."""
-    assert limits.keys() == BEYOND.keys()
-    for name, beyond in BEYOND.items():
-        looser = limits | {name: limits[name] + beyond}
-        assert pair_fault(limits, pair_at(limits)) == "" != pair_fault(limits, pair_at(looser)), name
-        for before, new in ((limits, looser), (looser, limits)):
-            assert pair_fault(wider(before, new), pair_at(looser)) == "", name
+def test_an_image_a_little_out_of_focus_is_used_and_one_far_out_is_not(demo_nocontact, presses, shipped):
+    """Forces change by 1 to 2 % at 1.5 px of blur, by a tenth and more at 3 px and beyond."""
+    for name, image, _ in presses[::8]:
+        judge, reader = LogPairs(demo_nocontact[name]), Reader(demo_nocontact[name], model=shipped)
+        for blur, flagged in ((0.6, False), (1.5, False), (5.0, True)):
+            seen = cv2.GaussianBlur(image, (0, 0), blur)
+            assert bool(pair_fault(judge(seen), Asked.LOG)) == flagged == bool(reader(seen).reason), (name, blur)
+
+
+def test_a_torn_frame_is_flagged(demo_nocontact, presses, shipped):
+    """Half of a press beside half of a free gel was read as a tenth of its force, and no such frame was flagged."""
+    found = []
+    for name, image, normal in presses:
+        if normal > 5.0:
+            rest, reader = demo_nocontact[name], Reader(demo_nocontact[name], model=shipped)
+            row = int(np.abs(image.astype(int) - rest).sum(axis=(1, 2)).argmax())  # through the contact
+            found.append("torn" in reader(np.concatenate([image[:row], rest[row:]])).reason)
+    assert len(found) > 10 and np.mean(found) >= 0.75
 
 
 def test_a_gel_that_pulls_on_what_touches_it_is_reported(demo_nocontact, presses, shipped):
     name, image, _ = max(presses, key=lambda press: press[2])
     for gain, pulls in ((1.0, False), (-1.0, True)):
-        judged = Predictor(shipped, demo_nocontact[name], Gain(gain, gain, gain, 9)).predict(image)
+        judged = reader_with(shipped, demo_nocontact[name], Gain(gain, gain, gain, 9))(image)
         assert ("the gel seems to pull" in judged.reason) == pulls and judged.flag >= pulls
 
 
 def test_a_factor_multiplies_a_reading_and_that_of_images_that_change_places_alike(demo_nocontact, presses, shipped):
     name, image, _ = max(presses, key=lambda press: press[2])
-    readers = [Predictor(shipped, demo_nocontact[name], Gain(gain, gain, gain, 9)) for gain in (1.0, 2.0)]
-    for read in (lambda reader: reader.predict(image).total[2], lambda reader: reader.exchanged(image)):
+    readers = [reader_with(shipped, demo_nocontact[name], Gain(gain, gain, gain, 9)) for gain in (1.0, 2.0)]
+    for read in (lambda reader: reader(image).total[2], lambda reader: exchanged(reader, image)):
         once, twice = map(read, readers)
         assert abs(once) > 0.1 and twice == pytest.approx(2.0 * once, rel=1e-5)
 
 
 def test_a_no_contact_image_that_is_dark_blurred_or_grey_is_named(demo_nocontact, shipped):
     def fault(picture):
-        return Predictor(shipped, picture).fault
+        return Reader(picture, model=shipped).fault
 
     for picture in demo_nocontact.values():
         assert fault(picture) == ""
@@ -174,7 +174,7 @@ def test_what_is_left_of_worn_markers_is_no_touch(demo_nocontact):
 def test_a_drag_farther_than_the_network_learnt_is_flagged(demo_nocontact, shipped):
     """Markers that moved more than half their distance were taken for their neighbours: 2.6 to 3.8 times the force."""
     (picture, *_) = demo_nocontact.values()
-    reader, (rows, cols) = Predictor(shipped, picture), picture.shape[:2]
+    reader, (rows, cols) = Reader(picture, model=shipped), picture.shape[:2]
     pitch = markers_in(picture).pitch
     v, u = np.mgrid[:rows, :cols].astype(np.float32)
     near = np.exp(-(((u - cols / 2) ** 2 + (v - rows / 2) ** 2) / (2.0 * pitch) ** 2))
@@ -187,65 +187,66 @@ def test_a_drag_farther_than_the_network_learnt_is_flagged(demo_nocontact, shipp
                 v - (along * near).astype(np.float32),
                 cv2.INTER_LINEAR,
             )
-            reason = reader.predict(dragged).reason
+            reason = reader(dragged).reason
             assert ("its markers moved by" in reason) == flagged, (angle, pitches, reason)
 
 
 # By what a no-contact image is multiplied that was taken under another fall of light; x, y from -1 to 1 over the image.
 FALLS = {
-    "corners 30 % darker": lambda x, y: 1.0 - 0.15 * (x**2 + y**2),
-    "10 % from left to right": lambda x, y: 1.0 - 0.05 * x,
-    "20 % from top to bottom": lambda x, y: 1.0 + 0.1 * y,
+    "corners 60 % darker": (lambda x, y: 1.0 - 0.3 * (x**2 + y**2), True),
+    "50 % from left to right": (lambda x, y: 1.0 - 0.25 * x, True),
+    "10 % from top to bottom": (lambda x, y: 1.0 + 0.05 * y, False),
 }
 
 
 @pytest.mark.parametrize("fall", FALLS)
-def test_a_no_contact_image_under_another_fall_of_light_is_flagged(demo_nocontact, presses, shipped, fall):
-    name, image, _ = presses[0]
-    picture = demo_nocontact[name]
+def test_a_no_contact_image_under_another_fall_of_light_is_flagged_or_changes_a_force_little(
+    demo_nocontact, presses, shipped, fall
+):
+    name, image, _ = max(presses, key=lambda press: press[2])
+    picture, (field, flagged) = demo_nocontact[name], FALLS[fall]
     y, x = (np.linspace(-1.0, 1.0, size)[:, None] for size in picture.shape[:2])
-    otherwise = np.clip(picture * FALLS[fall](x[:, 0], y)[..., None], 0, 255).astype(np.uint8)
-    assert Predictor(shipped, picture).predict(image).reason == ""
-    assert "light is distributed differently" in Predictor(shipped, otherwise).predict(image).reason
+    otherwise = np.clip(picture * field(x[:, 0], y)[..., None], 0, 255).astype(np.uint8)
+    usual, found = (Reader(rest, model=shipped)(image) for rest in (picture, otherwise))
+    assert usual.reason == ""
+    assert ("light is distributed differently" in found.reason) == flagged
+    assert flagged or found.total[2] == pytest.approx(usual.total[2], rel=0.1)
 
 
-def test_light_alone_is_no_relief_and_no_fault(demo_nocontact, presses, limits):
+def test_light_alone_is_no_relief_and_no_fault(demo_nocontact, presses):
     """Twice the contrast between the sides, or a tenth less of everything, is light, not contact."""
     for picture in demo_nocontact.values():
         dimmer = np.clip(np.rint(0.9 * picture), 0, 255).astype(np.uint8)
         assert touch(dimmer) < 1.0
     name, image, _ = presses[0]
     dimmer = np.clip(np.rint(0.93 * image), 0, 255).astype(np.uint8)
-    assert pair_fault(limits, diagnostics(dimmer, demo_nocontact[name])) == ""
+    assert fault(dimmer, demo_nocontact[name]) == ""
 
 
 def test_a_picture_without_markers_has_no_rim_to_look_at():
     grey = np.full((240, 320, 3), 128, np.uint8)
-    markers = MarkerTracker(grey, markers_in(grey))
-    assert rim_signs(markers, markers.track(grey)) == MarkerSigns()
+    pair = NoContact(grey, grey.shape[:2]).compare(grey)
+    assert rim_px(pair) == rim_lost(pair) == uneven(pair) == 0.0
     assert touch(grey) < 1.0
 
 
-# Of 40 markers of a view without rim: px that the first ten and the others moved, how many look otherwise, and what is reported.
+# Of 40 markers of a view without rim: px that the first ten and the others moved, how many look otherwise, and the motion
+# that is common to most of them.
 RIMLESS = {
-    "a gel at rest": (0.1, 0.2, 0, ""),
-    "a press that shades markers": (0.7, 18.0, 18, ""),
-    "a drag": (3.0, 8.0, 4, ""),
-    "a gel that is mounted differently": (3.0, 3.2, 0, "nearly all markers moved"),
-    "another gel": (3.0, 8.0, 16, "nearly all markers moved"),
-    "another gel whose markers were taken for others": (0.3, 8.0, 24, "60% of its markers do not look"),
-    "no marker that is found again": (np.nan, np.nan, 40, "100% of its markers do not look"),
+    "a gel at rest": (0.1, 0.2, 0, 0.0),
+    "a press that shades markers": (0.7, 18.0, 18, 0.0),
+    "a drag": (3.0, 8.0, 4, 0.0),
+    "a gel that is mounted differently": (3.0, 3.2, 0, 3.0),
+    "another gel": (3.0, 8.0, 16, 3.0),
+    "no marker that is found again": (np.nan, np.nan, 40, 0.0),
 }
 
 
-def test_another_gel_is_reported_where_no_rim_is_shown(limits):
-    for what, (near, far, unlike, reported) in RIMLESS.items():
+def test_common_motion_is_that_of_a_gel_and_not_of_a_drag():
+    for what, (near, far, unlike, expected) in RIMLESS.items():
         motion = np.where(np.arange(40)[:, None] < 10, near, far) * [1.0, 0.0]
-        evidence = rimless_signs(Tracks(motion, np.arange(40) < unlike))
-        light = Light(np.ones(3), np.zeros(3), 0.0, 1.0, known=True)
-        fault = pair_fault(limits, PairSigns(0.0, light, evidence))
-        assert fault.startswith(reported) and bool(fault) == bool(reported), what
-    assert rimless_signs(Tracks(np.zeros((0, 2)), np.zeros(0, bool))) == MarkerSigns()  # no marker at all
+        assert common_motion(Tracks(motion, np.arange(40) < unlike)) == pytest.approx(expected, abs=1e-6), what
+    assert common_motion(Tracks(np.zeros((0, 2)), np.zeros(0, bool))) == 0.0  # no marker at all
 
 
 @given(st.tuples(*[st.floats(-5, 5)] * 4), st.floats(0, 0.3), st.integers(0, 99))

@@ -17,7 +17,7 @@ from gelforge.formats.featsfile import read_npy
 from gelforge.live.weigh import GRAMS, Weighing, weigh_camera
 from gelforge.reading.frame import reduced
 from gelforge.reading.markers import markers_in
-from gelforge.reading.predictor import Predictor, load_for_use
+from gelforge.reading.model import load_model
 from gelforge.reading.profile import (
     Gain,
     SensorProfile,
@@ -28,6 +28,7 @@ from gelforge.reading.profile import (
     with_profile,
     write_profile,
 )
+from gelforge.reading.reader import Reader
 from gelforge.records.film import Frame
 from gelforge.records.image import read_image
 from gelforge.records.nocontactimage import FEWEST
@@ -377,7 +378,7 @@ def test_a_running_camera_weighs_what_is_held_and_nothing_that_moves(weighed, tm
     halfway = cv2.addWeighted(press, 0.5, still, 0.5, 0.0)
     end, typing = os.pipe()
     monkeypatch.setattr("sys.stdin", os.fdopen(end))
-    weighing = Weighing(tmp_path, Predictor(load_for_use(None), read_image(folder / "rest.png")))
+    weighing = Weighing(tmp_path, Reader(read_image(folder / "rest.png"), model=load_model(None)))
     said = []
 
     def camera():

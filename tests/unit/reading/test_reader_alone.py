@@ -3,6 +3,7 @@
 import os
 import re
 import shutil
+import signal
 import subprocess
 import sys
 import tomllib
@@ -169,3 +170,44 @@ def test_the_wheel_reads_a_picture_far_from_its_sources(root, wheel, tmp_path):
     )  # fmt: skip
     assert done.returncode == 0, done.stderr[-1500:]
     assert str(tmp_path / "installed") in done.stdout and (tmp_path / "out" / "totals.csv").exists()
+
+
+# Ends the process at its first socket: a filter of system calls (seccomp), which threads of libraries inherit.
+READS_ALONE = """
+import ctypes, platform, sys
+number = {"x86_64": 41, "aarch64": 198}[platform.machine()]
+class Line(ctypes.Structure):
+    _fields_ = [("code", ctypes.c_ushort), ("yes", ctypes.c_ubyte), ("no", ctypes.c_ubyte), ("value", ctypes.c_uint)]
+class Program(ctypes.Structure):
+    _fields_ = [("length", ctypes.c_ushort), ("lines", ctypes.POINTER(Line))]
+lines = (Line * 4)(Line(0x20, 0, 0, 0), Line(0x15, 0, 1, number), Line(0x06, 0, 0, 0x80000000), Line(0x06, 0, 0, 0x7FFF0000))
+libc = ctypes.CDLL(None)
+assert libc.prctl(38, 1, 0, 0, 0) == 0 and libc.prctl(22, 2, ctypes.byref(Program(4, lines)), 0, 0) == 0
+import cv2, gelforge
+if len(sys.argv) == 2:
+    rest = cv2.imread(sys.argv[1])[..., ::-1].copy()
+    print(gelforge.Reader(nocontact=rest)(rest).flag)
+else:
+    import socket
+    socket.socket()
+"""
+
+
+@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="seccomp is Linux' own")
+def test_a_reader_opens_no_socket_and_writes_nothing(root, tmp_path):
+    """The library that runs the network wrote an id to the home folder and looked up its maker's host."""
+    home, work = tmp_path / "home", tmp_path / "work"
+    home.mkdir(), work.mkdir()
+    env = {
+        key: value
+        for key, value in os.environ.items()
+        if not key.startswith("XDG_") and key != "ORT_DISABLE_TELEMETRY"
+    }
+    env |= {"HOME": str(home), "TMPDIR": str(work), "PYTHONDONTWRITEBYTECODE": "1", "PYTHONPATH": str(root / "src")}
+    run = [sys.executable, "-c", READS_ALONE]
+    done = subprocess.run(
+        [*run, str(root / "data/demo/nocontact/mini_a.png")], cwd=work, env=env, capture_output=True, text=True
+    )
+    assert done.returncode == 0 and done.stdout == "False\n", done.stderr
+    assert not list(home.rglob("*")) and not list(work.rglob("*"))
+    assert subprocess.run(run, cwd=work, env=env, capture_output=True).returncode == -signal.SIGSYS  # the trap holds

@@ -1,20 +1,23 @@
 """What a network learns from is what it predicts from, whatever its camera: the same array, to one level."""
 
 import csv
-from dataclasses import fields, replace
+from dataclasses import fields
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import cv2
 import numpy as np
 import pytest
 
 from gelforge.learning.data import Data
-from gelforge.learning.fitting import frame_of
+from gelforge.learning.train import frame_of
 from gelforge.reading.frame import AS_IT_IS, Learnt, image_frame
-from gelforge.reading.pair import Preprocessor
+from gelforge.reading.pair import NoContact
 from gelforge.records.image import read_image
 from gelforge.records.press import PressRecord
 from gelforge.records.samplefile import TRAINING, DatasetSample
 from tests.support.crops import raw, resized
+from tests.support.synthetic_presses import with_pictures
 
 LOGGED = dict.fromkeys((field.name for field in fields(PressRecord)), None) | {"image": "x.png", "press_id": ""}
 
@@ -80,16 +83,11 @@ def dataset(logged, cameras):
             table.append(DatasetSample(press, np.zeros(3), np.zeros(3), {}, split=TRAINING))
             images.append(camera(picture))
     labels = np.zeros((len(table), 3, 6, 8), np.float32)
-    return Data(
-        None,
-        np.stack(images),
-        labels,
-        table,
-        {TRAINING: np.arange(len(table))},
-        {},
-        nocontact,
-        np.ones(len(table), bool),
-    )
+    splits, maps = {TRAINING: np.arange(len(table))}, np.ones(len(table), bool)
+    nothing = np.zeros(0)
+    data = Data(None, nothing, nothing, nothing, nothing, labels, table, splits, {}, {}, maps)
+    with TemporaryDirectory() as folder:
+        return with_pictures(data, np.stack(images), nocontact, Path(folder))
 
 
 def metadata_of(data, before=None):
@@ -100,16 +98,25 @@ def metadata_of(data, before=None):
     }
 
 
+def reads(metadata, rest):
+    """A sensor as prediction sees it."""
+    return NoContact(rest, tuple(metadata["image"]), Learnt.of(metadata["frame"]))
+
+
+def prepared(nocontact, image):
+    return nocontact.compare(nocontact.frame(image), image.shape)
+
+
 def largest_difference(data, metadata):
     """Levels between what training and prediction give the graph, of its worst pixel, and the frames of prediction."""
     learnt = data.seen(np.arange(len(data.table)), True).astype(int)
     worst, frames = 0, []
     for name, rest in data.nocontact.items():
-        prepare = Preprocessor(metadata, rest)
-        frames.append(prepare.frame)
+        reader = reads(metadata, rest)
+        frames.append(reader.frame)
         for row in np.flatnonzero(data.names("sensor_id") == name):
-            seen = prepare(np.ascontiguousarray(data.images[row]))
-            given = np.concatenate([seen.feature("image")[0], seen.feature("nocontact")[0]], axis=2)
+            seen = prepared(reader, np.ascontiguousarray(data.images[row])).features()
+            given = np.concatenate([seen["image"][0], seen["nocontact"][0]], axis=2)
             worst = max(worst, int(np.abs(given - learnt[row]).max()))
     return worst, frames
 
@@ -135,11 +142,11 @@ def test_any_other_camera_is_brought_to_the_view_that_was_learnt(logged):
     (rest, pictures), *_ = logged.values()
     for learnt, other in (("turned by 180 degrees", "as the driver"), ("as the driver", "mirrored")):
         metadata = metadata_of(dataset(logged, [CAMERAS[learnt]] * len(logged)))
-        prepare = Preprocessor(metadata, CAMERAS[other](rest))
-        assert prepare.frame.orientation != AS_IT_IS
+        turns = reads(metadata, CAMERAS[other](rest))
+        assert turns.frame.orientation != AS_IT_IS
         assert np.array_equal(
-            prepare(CAMERAS[other](pictures[0])).image,
-            Preprocessor(metadata, CAMERAS[learnt](rest))(CAMERAS[learnt](pictures[0])).image,
+            prepared(turns, CAMERAS[other](pictures[0])).image.image,
+            prepared(reads(metadata, CAMERAS[learnt](rest)), CAMERAS[learnt](pictures[0])).image.image,
         )
     metadata = metadata_of(dataset(logged, [CAMERAS["not cropped"]] * len(logged)))
     frame, markers = image_frame(rest, (240, 320), Learnt.of(metadata["frame"]))
@@ -147,13 +154,12 @@ def test_any_other_camera_is_brought_to_the_view_that_was_learnt(logged):
     assert frame.zoom < 1.0 and 0.97 * low < markers.pitch < 1.03 * high
 
 
-def test_what_is_taken_back_of_a_row_is_kept(logged):
-    """Later epochs see what the first one saw: a shifted gel, and markers that the image lacks."""
+def test_pictures_of_a_dataset_are_registered_and_without_worn_markers(logged, tmp_path):
+    """As prediction prepares them: a shifted gel, and markers that the image lacks."""
     data = dataset(logged, [CAMERAS["as the driver"]] * len(logged))
     images = np.stack(data.images)
     images[0] = np.roll(images[0], 6, axis=1)
     images[1][100:130, 150:190] = images[1][100:130, 150:190].max(axis=(0, 1))
-    data = replace(data, images=images)
-    first = data.seen(np.arange(len(images)), True)
-    assert np.array_equal(first, data.seen(np.arange(len(images)), True))
+    data = with_pictures(data, images, data.nocontact, tmp_path)
+    assert len(data.rests) > len(data.nocontact)
     assert largest_difference(data, metadata_of(data))[0] <= 1

@@ -10,8 +10,8 @@ import pytest
 from gelforge.commands import predict
 from gelforge.errors import BadInput
 from gelforge.flow.tables import SHIPPED_IMAGE
-from gelforge.reading.model import load_model, require_sensor
-from gelforge.reading.predictor import SHIPPED, Predictor
+from gelforge.reading.model import SHIPPED, load_model, require_sensor
+from gelforge.reading.reader import Reader
 from gelforge.records.film import frames, open_source
 from gelforge.records.nocontactimage import nocontact_of
 
@@ -50,7 +50,7 @@ def test_it_is_for_any_sensor_that_brings_its_no_contact_image(root):
     assert model.needs_nocontact and len(model.metadata["sensors"]) > 8
     require_sensor(model, {"any name"})
     with pytest.raises(BadInput, match="give it with --nocontact NOCONTACT or --profile"):
-        Predictor(model)
+        Reader(model=model)
 
 
 def some_frames(film: Path) -> list[np.ndarray]:
@@ -66,9 +66,9 @@ def test_the_other_finger_of_a_gripper_is_flagged_and_ones_own_is_not(reference,
     """Both look alike and show no rim; a released gel reads up to 40 N against the other's no-contact image."""
     for grasp in ("glass_box_1", "marker_pen_1", "wooden_statue_5"):
         films = [reference / f"gripper_videos/{grasp}_camera_{finger}.avi" for finger in (0, 2)]
-        fingers = [Predictor(shipped, nocontact_of(film, None)) for film in films]
+        fingers = [Reader(nocontact_of(film, None), model=shipped) for film in films]
         flagged = {True: [], False: []}
         for one, predictor in enumerate(fingers):
             for other, film in enumerate(films):
-                flagged[one == other] += [predictor.predict(image).flag for image in some_frames(film)]
+                flagged[one == other] += [predictor(image).flag for image in some_frames(film)]
         assert np.mean(flagged[False]) >= 0.9 and np.mean(flagged[True]) <= 0.25, grasp

@@ -5,12 +5,13 @@ import numpy as np
 import pytest
 
 from gelforge.flow.files import read_csv
-from gelforge.reading.faults import MOST_VANISHED
-from gelforge.reading.predictor import Predictor, load_for_use
+from gelforge.reading.model import load_model
+from gelforge.reading.reader import Reader
 from gelforge.reading.wear import painted_over
 from gelforge.records.image import read_image
 
 ENOUGH = 5.0  # N from which a change is a fraction of the force, below it is an absolute one
+MOST_VANISHED = 8  # markers that only one image may show
 LIGHT = 0.6  # N by which lighter presses change
 
 
@@ -19,7 +20,7 @@ def sensor(root):
     """A predictor of mini_a, and every second image of it in the demo, which are seventeen."""
     demo = root / "data/demo"
     rows = [row for row in read_csv(demo / "log.csv") if row["sensor_id"] == "mini_a"]
-    predictor = Predictor(load_for_use(None), read_image(demo / "nocontact/mini_a.png"))
+    predictor = Reader(read_image(demo / "nocontact/mini_a.png"), model=load_model(None))
     return predictor, [read_image(demo / row["image"]) for row in rows[::2]]
 
 
@@ -32,7 +33,7 @@ def nine_of_ten(pairs) -> tuple[float, float]:
 
 def without(predictor, image, count: int, seed: int, strength=1.0):
     """An image that lost some markers of its gel, partly for a strength below 1."""
-    seen = predictor.prepare(image)
+    seen = predictor.compare(image)
     markers = seen.nocontact.markers
     lost = np.random.default_rng(seed).choice(np.flatnonzero(seen.tracks.found), count, replace=False)
     there = markers.points[lost] + seen.tracks.motion[lost]
@@ -46,7 +47,7 @@ def test_vanished_markers_hardly_change_a_force(sensor):
     for count, most, each in ((1, 0.05, 0.1), (4, 0.1, 0.15), (8, 0.15, 0.25)):
         forces = []
         for seed, image in enumerate(images):
-            whole, worn = predictor.predict(image), predictor.predict(without(predictor, image, count, seed))
+            whole, worn = predictor(image), predictor(without(predictor, image, count, seed))
             assert worn.vanished == count
             forces.append((whole.total[2], worn.total[2]))
             assert whole.total[2] > -ENOUGH or worn.total[2] / whole.total[2] == pytest.approx(1.0, abs=each)
@@ -56,18 +57,18 @@ def test_vanished_markers_hardly_change_a_force(sensor):
 
 def test_markers_that_only_the_no_contact_image_lacks_hardly_change_nine_of_ten_forces(sensor, root):
     predictor, images = sensor
-    rest, markers = read_image(root / "data/demo/nocontact/mini_a.png"), predictor.prepare.nocontact.markers
+    rest, markers = read_image(root / "data/demo/nocontact/mini_a.png"), predictor.nocontact.markers
     for count, most in ((1, 0.05), (4, 0.1), (8, 0.15)):
         forces = []
         for seed in range(2):
             lost = np.random.default_rng(seed).choice(len(markers.points), count, replace=False)
-            worn = Predictor(predictor.model, painted_over(rest, markers.points[lost], markers.diameter))
-            assert worn.predict(rest).total == pytest.approx(0.0, abs=0.15)  # N
+            worn = Reader(painted_over(rest, markers.points[lost], markers.diameter), model=predictor.model)
+            assert worn(rest).total == pytest.approx(0.0, abs=0.15)  # N
             for image in images:
-                seen = worn.predict(image)
+                seen = worn(image)
                 # a marker in an outermost column that lost all its neighbours is on no lattice
                 assert count - 1 <= seen.vanished <= count
-                forces.append((predictor.predict(image).total[2], seen.total[2]))
+                forces.append((predictor(image).total[2], seen.total[2]))
         heavy, light = nine_of_ten(forces)
         assert heavy < most and light < LIGHT
 
@@ -82,15 +83,15 @@ def half_worn(image, points, diameter):
 @pytest.mark.parametrize("both", [False, True], ids=["image", "both"])
 def test_half_worn_markers_change_a_force_by_a_tenth_or_are_flagged(sensor, root, count, both):
     predictor, images = sensor
-    rest, markers = read_image(root / "data/demo/nocontact/mini_a.png"), predictor.prepare.nocontact.markers
+    rest, markers = read_image(root / "data/demo/nocontact/mini_a.png"), predictor.nocontact.markers
     for seed, image in enumerate(images):
         which = np.random.default_rng(seed).permutation(len(markers.points))[:count]
-        tracks = predictor.prepare(image).tracks
+        tracks = predictor.compare(image).tracks
         there = (markers.points + np.nan_to_num(tracks.motion))[which]
         reader = predictor
         if both:
-            reader = Predictor(predictor.model, half_worn(rest, markers.points[which], markers.diameter))
-        seen, whole = reader.predict(half_worn(image, there, markers.diameter)), predictor.predict(image)
+            reader = Reader(half_worn(rest, markers.points[which], markers.diameter), model=predictor.model)
+        seen, whole = reader(half_worn(image, there, markers.diameter)), predictor(image)
         assert seen.flag or seen.total[2] / whole.total[2] == pytest.approx(1.0, abs=0.1)
         assert seen.flag == (count > 8)
 
@@ -104,9 +105,9 @@ def test_dust_changes_nine_of_ten_forces_by_a_tenth_or_is_flagged(sensor):
         for u, v in rng.uniform((10, 10), (310, 230), (20, 2)).astype(int).tolist():
             cv2.circle(dust, (u, v), int(rng.integers(1, 6)), float(rng.uniform(0.5, 1.2)), -1, cv2.LINE_AA)
         for image in images:
-            seen = predictor.predict(np.clip(image * dust[..., None], 0, 255).astype(np.uint8))
+            seen = predictor(np.clip(image * dust[..., None], 0, 255).astype(np.uint8))
             if not seen.flag:
-                forces.append((predictor.predict(image).total[2], seen.total[2]))
+                forces.append((predictor(image).total[2], seen.total[2]))
     heavy, light = nine_of_ten(forces)
     assert heavy < 0.1 and light < LIGHT
 
@@ -115,7 +116,7 @@ def test_a_released_gel_without_markers_bears_nothing(sensor, root):
     predictor, _ = sensor
     rest = read_image(root / "data/demo/nocontact/mini_a.png")
     for count in (1, 4, 8):
-        found = predictor.predict(without(predictor, rest, count, count))
+        found = predictor(without(predictor, rest, count, count))
         assert found.vanished == count
         assert np.abs(found.total).max() < 0.15  # N
 
@@ -123,16 +124,16 @@ def test_a_released_gel_without_markers_bears_nothing(sensor, root):
 def test_a_gel_that_keeps_its_markers_is_read_as_it_is(sensor):
     predictor, images = sensor
     for image in images:
-        seen = predictor.prepare(image)
-        assert seen.vanished == 0 and seen.nocontact is predictor.prepare.nocontact
+        seen = predictor.compare(image)
+        assert seen.vanished == 0 and seen.nocontact is predictor.nocontact
 
 
 def test_many_vanished_markers_are_flagged_and_order_does_not_matter(sensor):
     predictor, images = sensor
     worn = without(predictor, images[0], MOST_VANISHED + 4, 1)
-    first = predictor.predict(worn)
+    first = predictor(worn)
     assert f"{MOST_VANISHED + 4} markers are visible only in" in first.reason
     for image in images:
-        predictor.predict(without(predictor, image, 3, 7))
-    again = predictor.predict(worn)
+        predictor(without(predictor, image, 3, 7))
+    again = predictor(worn)
     np.testing.assert_array_equal(first.cells, again.cells)

@@ -36,7 +36,9 @@ def made(tmp_path):
 
 def reading(cells: np.ndarray) -> ForceReading:
     """What a network would say that reads these cells."""
-    return ForceReading(cells, cells.sum((1, 2), dtype=float), np.array([0.1, 0.2, 0.3]), "", 0.0, 1.0)
+    return ForceReading(
+        cells, cells.sum((1, 2), dtype=float), np.array([0.1, 0.2, 0.3]), "", 0.0, np.zeros((2, 2, 3), np.uint8)
+    )
 
 
 def test_names_are_those_of_the_axes():

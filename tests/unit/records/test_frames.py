@@ -19,7 +19,7 @@ from gelforge.records import log
 from gelforge.records.forcefile import ForceFile, SampleForces, write_forces
 from gelforge.records.frames import NEAR_DEPTH_MM, NEAR_MM, check_frames, presses_of
 from gelforge.records.labelfile import read_labels
-from gelforge.records.press import COLUMNS, parse
+from gelforge.records.press import COLUMNS, Press, parse
 from gelforge.records.solvetable import Solved, read_solves, write_solves
 from gelforge.records.status import Status
 from gelforge.stages.plan import assign_shards, write_shards
@@ -235,3 +235,11 @@ def test_labels_and_dataset_carry_the_press(tmp_path):
         assert row["press_id"] == f"p{int(row['sample_id'][1:]) // 6}"
         by_press.setdefault((row["press_id"], row["indenter"] == "triangle_8"), set()).add(row["split"])
     assert all(len(splits) == 1 for splits in by_press.values())
+
+
+def test_the_straight_press_to_a_sheared_pose_ends_there():
+    press = Press(1.0, -2.0, 0.1, 0.3, -0.4, -0.8, 30.0)
+    straight = press.straight_there
+    for one, other in zip(press.pose(1.0, 1.0), straight.pose(1.0, 0.0), strict=True):
+        np.testing.assert_allclose(one, other, atol=1e-12)
+    assert straight.end == 1.0 and press.end == 2.0

@@ -16,7 +16,6 @@ from gelforge.records import log
 from gelforge.records.image import bad_image, read_image
 from gelforge.records.press import COLUMNS, RawRow
 from gelforge.records.press import parse as parse_row
-from gelforge.stages.calibrate import load_rejected
 from gelforge.stages.plan import write_shards
 from tests.support.press_records import log_line, write_lines
 from tests.support.refused import refused
@@ -237,12 +236,23 @@ def test_every_reader_of_a_log_counts_its_lines(tmp_path):
     assert [(row.row, row.cells["sample_id"]) for row in rows] == [(2, "s1"), (4, "s2"), (5, "s3")]
     wrong = [r for row in rows for r in parse_row(row, "log.csv")[1]]
     assert [(r.row, r.sample_id) for r in wrong] == [(4, "s2")]
-    log.write_rejections(tmp_path / "0000.rejected.csv", wrong)
-    readings = read_readings(path, load_rejected(tmp_path, ["0000"]))
+    readings = read_readings(path, {r.row for r in wrong})
     assert readings.ids.tolist() == ["s1", "s3"] and readings.rows.tolist() == [2, 5]
     noted = [log_line(sample_id="a") + ',"two\nlines"', log_line(sample_id="b") + ","]
     path = write_lines(tmp_path / "log.csv", *noted, columns=(*COLUMNS, "notes"))
     assert judged(path) == (["a", "b"], []) and [row.row for row in log.read_log(path)] == [2, 4]
+
+
+def test_a_row_that_was_cut_is_refused_wherever_it_was_cut(tmp_path):
+    """Cut to `…,-1` a force of -12.34 N was one of -1 N. A row that ends in an empty cell is whole."""
+    whole = log_line(sample_id="b", fz_n=-12.34)
+    for at in range(len("b,"), len(whole)):
+        path = write_lines(tmp_path / "log.csv", log_line(sample_id="a"), whole[:at])
+        good, wrong = judged(path)
+        if whole[:at].count(",") == whole.count(","):  # of its last cell alone nothing tells
+            continue
+        assert good == ["a"] and "fewer cells" in str(wrong), whole[:at]
+    assert judged(write_lines(tmp_path / "log.csv", log_line(sample_id="a", image=""))) == (["a"], [])
 
 
 def test_columns_of_other_names_are_not_read(tmp_path):

@@ -16,7 +16,7 @@ from gelforge.learning.data import open_data
 from gelforge.learning.split import group_presses, split_presses
 from gelforge.reading.light import match_light
 from gelforge.records.press import repeats
-from gelforge.stages.dataset import published_splits
+from gelforge.stages.dataset import link_or_copy, published_splits
 from tests.support.parameters import with_values
 from tests.support.press_records import press_record
 from tests.support.pressed_dataset import SETTINGS, collect, label, write_pressed
@@ -163,6 +163,35 @@ def test_arrays_belong_together(made):
             assert data.column(column)[at] == pytest.approx(total, rel=1e-6)
             assert data.column(f"measured_{column}")[at] == pytest.approx(total, rel=1e-9)
     assert {s.split for s in data.table if s.press.indenter == "triangle_8"} == {"test_unseen_indenter"}
+
+
+def test_a_press_that_is_solved_later_moves_no_other(tmp_path, root):
+    """Groups were named and split by the presses with labels: a failed one that is solved later moved its neighbours."""
+    made = write_pressed(tmp_path)
+    label(made, "4x4")
+    whole = {s.press.sample_id: (s.split, s.group) for s in open_data(collect(made, "4x4")).table}
+    shards = sorted((made["results"] / "50_labels/4x4").glob("*.npz"))
+    for shard in shards:
+        with np.load(shard) as stored:
+            arrays = dict(stored)
+        arrays["status"] = np.array(
+            ["DIVERGED", *arrays["status"][1:]]
+        )  # the first press of each shard failed so far
+        np.savez(shard, **arrays)
+    fewer = {s.press.sample_id: (s.split, s.group) for s in open_data(collect(made, "4x4")).table}
+    assert 0 < len(fewer) < len(whole) and all(whole[name] == found for name, found in fewer.items())
+
+
+@pytest.mark.parametrize("linked", [True, False])
+def test_a_file_system_without_hard_links_gets_copies(tmp_path, monkeypatch, linked):
+    """exFAT and SMB have none, and stage 60 always failed there."""
+    (tmp_path / "a").write_bytes(b"images")
+    if not linked:
+        monkeypatch.setattr(
+            "gelforge.stages.dataset.os.link", lambda *_: (_ for _ in ()).throw(PermissionError(1, "no links"))
+        )
+    link_or_copy(tmp_path / "a", tmp_path / "b")
+    assert (tmp_path / "b").read_bytes() == b"images" and os.path.samefile(tmp_path / "a", tmp_path / "b") == linked
 
 
 def test_nocontact_images_come_along_where_they_were_photographed(tmp_path, root):

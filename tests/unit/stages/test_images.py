@@ -132,3 +132,9 @@ def test_imported_images_are_judged_where_the_dataset_is_made(folder, capsys):
     found = wrong_imported(Layout(folder), read_poses(folder / "10_poses/0000.csv"))
     assert found.keys() == {"demo-000004", "demo-000005"} and "mirrored left to right" in found["demo-000004"]
     assert "(row 6)" in capsys.readouterr().err
+
+
+def test_every_press_is_in_one_chunk(block):
+    presses = list(range(10))
+    chunks = list(images.in_chunks(presses))
+    assert [press for chunk in chunks for press in chunk] == presses and all(chunks)

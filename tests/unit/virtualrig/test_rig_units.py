@@ -43,6 +43,21 @@ def test_a_unit_depends_on_the_seed_and_its_name_alone(drawn):
     assert list(appearances) == list(sensors) == list(SOME.names)
 
 
+def test_the_apex_of_every_unit_appears_where_its_camera_was_shifted_to(drawn):
+    """Whatever its tilt: near the middle of the image, by no more than the range says."""
+    most = max(np.abs(read_ranges(RIG / "units.toml").shift_px))
+    for sensor in drawn[1].values():
+        apex = sensor.project(np.zeros((1, 2)))[0]
+        assert (
+            np.abs(apex - np.array(sensor.image) / 2).max() <= most + 1e-9
+            and np.abs(sensor.projection[2, :2]).max() > 0.0
+        )
+        # scale and turn there are those of a camera that looks straight down
+        step = (sensor.project(np.array([[1e-4, 0.0], [0.0, 1e-4]])) - apex) / 1e-4
+        assert np.linalg.norm(step[0]) == pytest.approx(np.linalg.norm(step[1]), rel=1e-3)
+        assert abs(step[0] @ step[1]) < 1e-3 * np.linalg.norm(step[0]) ** 2
+
+
 def test_values_lie_in_their_ranges(drawn):
     ranges = read_ranges(RIG / "units.toml")
     for appearance in drawn[0].values():

@@ -26,7 +26,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import write_json, write_text
 from gelforge.formats.export.samples import Samples
 from gelforge.records.image import decode
-from gelforge.records.press import FORCE, POSE
+from gelforge.records.press import FORCE, POSE, TILT
 from gelforge.records.samplefile import TRAINING, DatasetSample
 from gelforge.records.table import read_table
 
@@ -35,7 +35,9 @@ SLOWEST = 1  # frames a second, at least; also where no episode has two frames
 CHUNK_FILES = 1000  # files a chunk folder holds at most
 MOST_PICTURES = 1000  # images sampled for the statistics; LeRobot itself samples as many of about 10 000
 FILE_BYTES = 100e6  # approximate size at which a data file is closed
+BLOCK = 256  # labels read at a time for the statistics
 NAMES = ("sample_id", "indenter", "sensor_id", "split")
+PATH = (*POSE, *TILT)
 PICTURE, FORCES, STATE, WRENCH = (
     "observation.images.gelsight",
     "observation.forces",
@@ -81,7 +83,7 @@ def features(samples: Samples) -> dict:
     return {
         PICTURE: {"dtype": "image", "shape": [height, width, 3], "names": ["height", "width", "channels"]},
         FORCES: {"dtype": "float32", "shape": [cells_of(samples)], "names": None},
-        STATE: {"dtype": "float32", "shape": [len(POSE)], "names": list(POSE)},
+        STATE: {"dtype": "float32", "shape": [len(PATH)], "names": list(PATH)},
         WRENCH: {"dtype": "float32", "shape": [3], "names": list(FORCE)},
         **{name: {"dtype": "string", **scalar} for name in NAMES},
         "timestamp": {"dtype": "float32", **scalar},
@@ -96,7 +98,7 @@ def schema(samples: Samples):
     known = {
         PICTURE: (pa.struct([("bytes", pa.binary()), ("path", pa.string())]), {"_type": "Image"}),
         FORCES: (pa.list_(pa.float32(), cells_of(samples)), sequence(cells_of(samples))),
-        STATE: (pa.list_(pa.float32(), len(POSE)), sequence(len(POSE))),
+        STATE: (pa.list_(pa.float32(), len(PATH)), sequence(len(PATH))),
         WRENCH: (pa.list_(pa.float32(), 3), sequence(3)),
         **{name: (pa.string(), {"dtype": "string", "_type": "Value"}) for name in NAMES},
         "timestamp": (pa.float32(), {"dtype": "float32", "_type": "Value"}),
@@ -237,8 +239,8 @@ def as_table(held: list, form):
 
 
 def pose(sample: DatasetSample) -> list[float]:
-    """Pose and path of a press, ordered as POSE."""
-    return [getattr(sample.press, name) for name in POSE]
+    """Pose and path of a press, ordered as PATH."""
+    return [*(getattr(sample.press, name) for name in POSE), *sample.press.tilt]
 
 
 def fixed(rows: list):
@@ -307,8 +309,8 @@ def number_stats(samples: Samples) -> dict:
     forces = samples.labels
     shape = forces.shape[1:]
     sums, squares, low, high = np.zeros(shape), np.zeros(shape), np.full(shape, np.inf), np.full(shape, -np.inf)
-    for start in range(0, len(forces), 256):
-        block = np.asarray(forces[start : start + 256], np.float64)
+    for start in range(0, len(forces), BLOCK):
+        block = np.asarray(forces[start : start + BLOCK], np.float64)
         sums, squares = sums + block.sum(0), squares + (block**2).sum(0)
         low, high = np.minimum(low, block.min(0)), np.maximum(high, block.max(0))
     mean = sums / len(forces)

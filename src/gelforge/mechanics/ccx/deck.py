@@ -1,9 +1,12 @@
-"""Input decks for CalculiX: one press and its mesh in one file."""
+"""Input decks for CalculiX: one press and its mesh in one file, without contact or with CalculiX' own."""
+
+from collections.abc import Sequence
 
 import numpy as np
 
 from gelforge.mechanics.material import REFERENCE_C10, Material
 from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.mesh.tetmesh import FACES
 
 MATERIAL_NAME = "GEL"
 # CalculiX' linear solvers. From the in-process state, which is near the solution, conjugate gradients cost a third of
@@ -70,4 +73,65 @@ def press_deck(
     for nodes, quantity in (("NTOP", "U"), ("NTOP", "RF"), ("NBASE", "RF"), ("NALL", "U")):
         lines += [f"*NODE PRINT, NSET={nodes}, FREQUENCY=1000", quantity]
     lines += ["*END STEP"]
+    return "\n".join(lines) + "\n"
+
+
+# -- CalculiX' own contact
+
+_FACE_OF = {tuple(sorted(f)): i + 1 for i, f in enumerate(([0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]))}  # S1 to S4
+STEEL = "210000., 0.3"  # of the indenter, as in FEATS' deck; all of its nodes are moved, so that its stiffness does nothing
+STUCK = 0.1  # tangential over normal stiffness of points that stick
+
+
+def boundary_faces(tets: np.ndarray) -> np.ndarray:
+    """Corner triples (f, 3) of the faces that belong to one tetrahedron (e, 4) only."""
+    faces = tets[:, FACES].reshape(-1, 3)
+    _, first, count = np.unique(np.sort(faces, axis=1), axis=0, return_index=True, return_counts=True)
+    return faces[first[count == 1]]
+
+
+def element_faces(tets: np.ndarray, faces: np.ndarray) -> list[tuple[int, int]]:
+    """(element, CalculiX' face number) of each boundary face (f, 3 corners), both counted from 1."""
+    found = {}
+    for element, corners in enumerate(tets.tolist(), 1):
+        for local in FACES.tolist():
+            found[tuple(sorted(corners[i] for i in local))] = element, _FACE_OF[tuple(sorted(local))]
+    return [found[tuple(sorted(f))] for f in faces.tolist()]
+
+
+def contact_deck(
+    mesh: GelMesh, indenter: tuple[np.ndarray, np.ndarray], moves: Sequence[np.ndarray], nu: float, stiffness: float,
+    friction: float | None, increment: float,
+) -> str:  # fmt: skip
+    """Deck of a press with contact by CalculiX, as FEATS has it: surface to surface, a linear penalty.
+
+    indenter: nodes (n, 3) mm where it touches the gel first, tetrahedra (e, 4). moves: its displacement (3,) mm at the
+    end of each step. stiffness: penalty, multiples of C10 per mm; FEATS': 50, to which CalculiX falls back. friction:
+    Coulomb's coefficient, None without. increment: the first of each step. The deck prints U of the gel's nodes and RF
+    of its base.
+    """
+    nodes, tets = indenter
+    n, e = len(mesh.nodes), len(mesh.elements)
+    penalty = stiffness * REFERENCE_C10
+    lines = [*mesh_lines(mesh), *material_lines(Material(nu)), "*NODE, NSET=NINDENTER"]
+    lines += [f"{n + i},{x:.9e},{y:.9e},{z:.9e}" for i, (x, y, z) in enumerate(nodes.tolist(), 1)]
+    lines.append("*ELEMENT, TYPE=C3D4, ELSET=EINDENTER")
+    lines += [f"{e + i}," + ",".join(str(n + c + 1) for c in tet) for i, tet in enumerate(tets.tolist(), 1)]
+    lines += ["*MATERIAL, NAME=STEEL", "*ELASTIC", STEEL, "*SOLID SECTION, ELSET=EINDENTER, MATERIAL=STEEL"]
+    lines.append("*SURFACE, NAME=SGEL, TYPE=ELEMENT")
+    lines += [f"{i},S{s}" for i, s in element_faces(mesh.elements[:, :4], mesh.faces[:, :3])]
+    lines.append("*SURFACE, NAME=SINDENTER, TYPE=ELEMENT")
+    lines += [f"{e + i},S{s}" for i, s in element_faces(tets, boundary_faces(tets))]
+    lines += ["*CONTACT PAIR, INTERACTION=TOUCH, TYPE=SURFACE TO SURFACE", "SGEL,SINDENTER",
+              "*SURFACE INTERACTION, NAME=TOUCH", "*SURFACE BEHAVIOR, PRESSURE-OVERCLOSURE=LINEAR",
+              f"{penalty:.9g}"]  # fmt: skip
+    if friction is not None:
+        lines += ["*FRICTION", f"{friction:.9g},{STUCK * penalty:.9g}"]
+    lines += ["*BOUNDARY", "NBASE,1,3"]
+    for move in moves:
+        lines += ["*STEP, NLGEOM, INC=1000", f"*STATIC, SOLVER={DIRECT}", f"{increment:.6g},1.,1e-6,1.", "*BOUNDARY"]
+        lines += [f"NINDENTER,{axis},{axis},{value:.9e}" for axis, value in enumerate(move.tolist(), 1)]
+        for nodes_of, quantity in (("NALL", "U"), ("NBASE", "RF")):
+            lines += [f"*NODE PRINT, NSET={nodes_of}, FREQUENCY=100000", quantity]
+        lines.append("*END STEP")
     return "\n".join(lines) + "\n"

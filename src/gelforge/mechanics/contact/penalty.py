@@ -22,7 +22,7 @@ from gelforge.mechanics.pose import Pose
 
 FREE, TOUCHING, STICK = 0, 1, 2
 STEP = 1e-6  # mm, finite-difference step of `curved`
-_CHANGING = ("status", "stick_point", "normal", "goal", "fading", "multiplier", "carried")
+_CHANGING = ("status", "stick_point", "normal", "goal", "fading", "multiplier", "carried", "share")
 
 
 @dataclass
@@ -37,6 +37,8 @@ class ContactState:
     multiplier: (m, 3) tangential traction of sticking points at zero elastic slip (laws with friction only).
     goal, carried: (m, 3) values that stick_point and multiplier approach as pending changes are carried out;
     fading: (m, 3) remaining traction of released points (at the end of a path nothing is pending).
+    share: (m,) part of a load step that is left after a point first touched in it; 1 for points that touched before
+    (laws with friction only).
     """
 
     face: np.ndarray
@@ -50,6 +52,7 @@ class ContactState:
     fading: np.ndarray
     multiplier: np.ndarray
     carried: np.ndarray
+    share: np.ndarray
     position: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
     traction: np.ndarray = field(default_factory=lambda: np.empty((0, 3)))
 
@@ -74,6 +77,7 @@ class ContactState:
         self.status[points] = FREE
         self.stick_point[points] = self.goal[points] = np.nan
         self.multiplier[points] = self.carried[points] = 0.0
+        self.share[points] = 1.0
         self.fading[points] = traction
 
 
@@ -98,6 +102,7 @@ def contact_points(mesh: GelMesh, order: int, faces: np.ndarray | None = None) -
         fading=np.zeros((m, 3)),
         multiplier=np.zeros((m, 3)),
         carried=np.zeros((m, 3)),
+        share=np.ones(m),
     )
 
 
@@ -235,7 +240,8 @@ def _friction(
     Wriggers, Computational Contact Mechanics (2006), section 6.3.2; its tangent, section 9.2: along the slip
     the traction follows the limit.
     """
-    trial = state.multiplier[points] + penalty.tangential * (pose.to_gel(state.stick_point[points]) - x[points])
+    elastic = penalty.tangential * state.share[points]
+    trial = state.multiplier[points] + elastic[:, None] * (pose.to_gel(state.stick_point[points]) - x[points])
     trial -= np.einsum("pi,pi->p", trial, n)[:, None] * n
     length = np.maximum(np.linalg.norm(trial, axis=1), 1e-12 * penalty.tangential)
     limit, rise = penalty.law.slip_limit(-distance, penalty.normal)
@@ -245,7 +251,7 @@ def _friction(
     slope = np.eye(3) - n[:, :, None] * n[:, None, :]
     slope -= slips[:, None, None] * along[:, :, None] * along[:, None, :]
     slip = Skew(points[slips], rise[slips, None, None] * along[slips, :, None] * n[slips, None, :])
-    return scale[:, None] * trial, (penalty.tangential * scale)[:, None, None] * slope, slip
+    return scale[:, None] * trial, (elastic * scale)[:, None, None] * slope, slip
 
 
 class FacePlaces:

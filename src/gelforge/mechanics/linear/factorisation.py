@@ -1,6 +1,5 @@
 """Direct solvers for sparse symmetric systems: one symbolic factorisation, many numerical ones."""
 
-import contextlib
 import ctypes
 import os
 import sys
@@ -144,9 +143,10 @@ class _Factor:
 
     def __del__(self) -> None:
         if getattr(self, "_analysed", False):
-            # at interpreter shutdown this may fail, but the memory is freed anyway
-            with contextlib.suppress(Exception):
+            try:
                 self._call(_RELEASE, self._none, self._none)
+            except Exception:  # modules are gone at exit, and the memory is freed anyway
+                pass
 
 
 def _pardiso_options() -> np.ndarray:

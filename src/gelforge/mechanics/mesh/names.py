@@ -1,6 +1,7 @@
-"""Gel meshes by name: a name holds everything that a mesh is built from, so no press needs a mesh file.
+"""Gel meshes by name: a name holds everything that a mesh is built from but the gel's base mesh, so no press needs a file.
 
-Tetrahedra of a press: the gel, two sizes and a raster of the contact. Hexahedra: see `hexname`.
+Tetrahedra of a press: the gel, the digest of its base mesh (`basemesh`), two sizes and a raster of the contact.
+Hexahedra: see `hexname`.
 """
 
 import base64
@@ -14,12 +15,13 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.geometry.gel import load_gel
+from gelforge.mechanics.mesh.basemesh import base_of
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.hexname import HexMeshName, is_hex_mesh_name
-from gelforge.mechanics.mesh.tetmesh import Sizes, base_tets, bisected, from_flat
+from gelforge.mechanics.mesh.tetmesh import Sizes, bisected, from_flat
 
 PREFIX = "tet@"
-FORM = f"{PREFIX}GEL:EDGE_MM:INSIDE_MM:PIXEL_MM:X_MIN:Y_MIN:ROWS:COLUMNS:RASTER"
+FORM = f"{PREFIX}GEL:BASE:EDGE_MM:INSIDE_MM:PIXEL_MM:X_MIN:Y_MIN:ROWS:COLUMNS:RASTER"
 _NUMBERS = re.compile(r"[-+.0-9e]+")
 SMALLEST_MM, PIXEL_MM = 0.02, 1e-4  # least edge length and pixel; smaller ones are taken for a mistake
 MOST_PIXELS = 1 << 20
@@ -53,9 +55,13 @@ class Contact:
 
 @dataclass(frozen=True)
 class TetMeshName:
-    """Parameters from which `mesh` builds a gel's tetrahedra; the gel by its name (`geometry.gel.load_gel`)."""
+    """Parameters from which `mesh` builds a gel's tetrahedra; the gel by its name (`geometry.gel.load_gel`).
+
+    base: digest of the gel's base mesh.
+    """
 
     gel: str
+    base: str
     edge_mm: float
     inside_mm: float
     contact: Contact
@@ -66,14 +72,14 @@ class TetMeshName:
         c = self.contact
         numbers = (self.edge_mm, self.inside_mm, c.pixel, *c.low)
         text = base64.urlsafe_b64encode(zlib.compress(c.bits, 9)).decode().rstrip("=")
-        return ":".join([PREFIX + self.gel, *(f"{number + 0.0:.6g}" for number in numbers), str(c.rows), str(c.columns), text])  # fmt: skip
+        return ":".join([PREFIX + self.gel, self.base, *(f"{number + 0.0:.6g}" for number in numbers), str(c.rows), str(c.columns), text])  # fmt: skip
 
     @classmethod
     def parse(cls, name: str) -> "TetMeshName":
         """Parse a name of the form `FORM`; any other raises BadInput."""
         gel, *texts = name.removeprefix(PREFIX).split(":")
         try:
-            *texts, raster = texts
+            digest, *texts, raster = texts
             if not all(_NUMBERS.fullmatch(text) for text in texts):
                 raise ValueError("its numbers cannot be read")
             edge, inside, pixel, x, y = map(float, texts[:-2])
@@ -96,12 +102,17 @@ class TetMeshName:
             raise BadInput(
                 f"mesh name {name!r} is not valid: {error}; the form is {FORM}; run make fea again"
             ) from error
-        return cls(gel, edge, inside, Contact(pixel, (x, y), rows, columns, bits))
+        return cls(gel, digest, edge, inside, Contact(pixel, (x, y), rows, columns, bits))
 
     def mesh(self) -> GelMesh:
         """Build the mesh: the base mesh of the gel, bisected at the edge of contact and inside it."""
         gel, c = load_gel(self.gel), self.contact
-        return from_flat(gel, *bisected(*base_tets(gel), Sizes.at(gel, c.mask, c.pixel, c.low, self.edge_mm, self.inside_mm)))  # fmt: skip
+        base = base_of(gel)
+        if base.digest != self.base:
+            raise BadInput(
+                f"gel {self.gel}: its mesh is {base.digest} now, and this press was solved on mesh {self.base}; run make fea"
+            )
+        return from_flat(gel, *bisected(base.nodes, base.tets, Sizes.at(gel, c.mask, c.pixel, c.low, self.edge_mm, self.inside_mm)))  # fmt: skip
 
 
 def load_mesh(name: str) -> GelMesh:

@@ -1,11 +1,10 @@
-"""Second-order tetrahedra: the base mesh of a gel, its bisection at the edge of a press' contact, and mesh quality.
+"""Second-order tetrahedra: bisection of a gel's base mesh at the edge of a press' contact, and mesh quality.
 
 At the edge of contact, displacement varies as the square root of the distance, so the force of a flat body depends
 most on the element size there.
 """
 
-import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numba
@@ -18,7 +17,6 @@ from gelforge.mechanics.mesh.hexmesh import round_corners
 
 EDGES = np.array([[0, 1], [1, 2], [2, 0], [0, 3], [1, 3], [2, 3]])  # midside order of C3D10
 FACES = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])  # corners, outward for a positive tetrahedron
-COARSEST_MM = 2.0  # approximate side of a cell of the base mesh
 # In units of the longest edge wanted there: radius around the edge of contact within which edges are shortest;
 # distance beside the contact, and depth below it, within which edges are as long as inside it.
 RIM, BESIDE, DEEP = 0.25, 0.25, 0.33
@@ -26,40 +24,6 @@ RIM_GROWTH, GROWTH = 1.0, 0.6  # growth of edge length beyond that, mm per mm
 FLAT = 1e-9  # of the gel's height: tolerance for a node of the flat box to lie on its top or base
 EXACT = 256  # width, in pixels, of the margin around a contact within which distances to it are exact
 _LENGTHS = 1e8  # squared lengths are compared as integer multiples of 1e-8 mm^2, so that rounding decides nothing
-
-
-def base_tets(gel: Gel) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes (n, 3) mm and tetrahedra (e, 4) of the gel's box with sharp corners and a flat top at z = 0.
-
-    Every diagonal of the top leads outwards, so that no tetrahedron contains both sides of a corner, which
-    `round_corners` turns into one smooth line.
-    """
-    half = np.array([gel.width, gel.length]) / 2
-    nx, ny = (2 * max(1, round(float(side) / COARSEST_MM)) for side in half)
-    nz = max(1, round(gel.height / COARSEST_MM))
-    x, y = (np.linspace(-side, side, count + 1) for side, count in zip(half, (nx, ny), strict=True))
-    return kuhn_grid((x, y, np.linspace(-gel.height, 0, nz + 1)), (nx // 2, ny // 2))
-
-
-def kuhn_grid(axes: Sequence[np.ndarray], middle: tuple[int, int] = (0, 0)) -> tuple[np.ndarray, np.ndarray]:
-    """Nodes (n, 3) and tetrahedra (e, 4) of a grid with lines `axes` (x, y, z), six per cell (Kuhn 1960).
-
-    middle: index of the line along x, and along y, before which cells are mirrored.
-    """
-    nodes = np.stack(np.meshgrid(*axes, indexing="ij"), -1).reshape(-1, 3)
-    _, ny, nz = (len(lines) for lines in axes)
-    i, j, k = (v.ravel() for v in np.meshgrid(*(np.arange(len(lines) - 1) for lines in axes), indexing="ij"))
-    out = np.stack([2 * (i >= middle[0]) - 1, 2 * (j >= middle[1]) - 1, np.ones_like(k)], axis=1)
-    inner = np.stack([i, j, k], axis=1) + (out < 0)
-    tets = []
-    for order in itertools.permutations(range(3)):
-        corner, corners = inner.copy(), []
-        for axis in (None, *order):
-            if axis is not None:
-                corner[:, axis] += out[:, axis]
-            corners.append((corner[:, 0] * ny + corner[:, 1]) * nz + corner[:, 2])
-        tets.append(np.column_stack(corners))
-    return nodes, orient(nodes, np.concatenate(tets))
 
 
 @dataclass(frozen=True)
@@ -224,6 +188,7 @@ def from_flat(gel: Gel, nodes: np.ndarray, tets: np.ndarray) -> GelMesh:
     faces, base = corners[top[corners].all(axis=1)], corners[bottom[corners].all(axis=1)]
     nodes, elements, middle = second_order(nodes, tets)
     nodes[:, 2] = bend(gel, nodes)
+    untangle(nodes, elements)
     straighten(nodes, elements)
     sides = [middle(faces[:, [a, b]]) for a, b in ((0, 1), (1, 2), (2, 0))]
     faces = np.column_stack([faces, *sides]).astype(np.int32)
@@ -249,6 +214,34 @@ def second_order(
         np.concatenate([nodes, nodes[ends].mean(axis=1)]), elements,
         lambda pairs: len(nodes) + np.searchsorted(keys, keyed(pairs)),
     )  # fmt: skip
+
+
+def untangle(nodes: np.ndarray, elements: np.ndarray, least: float = 0.03, sweeps: int = 20) -> None:
+    """Move inner corners of elements (e, 10) whose straight shape is worse than `least`, in place, to where it is best.
+
+    Where the gel's surface is steep, a node just below it may get beyond the straight face of the element above.
+    """
+    tets = elements[:, :4]
+    faces, count = np.unique(np.sort(tets[:, FACES].reshape(-1, 3), axis=1), axis=0, return_counts=True)
+    inner = np.ones(len(nodes), bool)
+    inner[faces[count == 1]] = False
+    for _ in range(sweeps):
+        flat = tets[shapes(nodes, tets) < least]
+        todo = np.unique(flat[inner[flat]])
+        if not len(todo):
+            return
+        for node in todo:
+            around = np.flatnonzero((tets == node).any(axis=1))
+            own, place = tets[around], nodes[node].copy()
+            middle = nodes[np.setdiff1d(own, node)].mean(axis=0)
+            tried = [place + part * (middle - place) for part in np.linspace(0.0, 1.0, 9)]
+            found = []
+            for nodes[node] in tried:
+                found.append(shapes(nodes, own).min())
+            nodes[node] = tried[int(np.argmax(found))]
+            ends, middles = elements[around][:, EDGES], elements[around][:, 4:]
+            moved = (ends == node).any(axis=2)
+            nodes[middles[moved]] = nodes[ends[moved]].mean(axis=1)
 
 
 def straighten(nodes: np.ndarray, elements: np.ndarray, least: float = 0.1) -> None:
@@ -311,11 +304,17 @@ def volumes(dets: np.ndarray) -> np.ndarray:
 
 def analytic_volume(gel: Gel) -> float:
     """Volume under `gel.top` above the base, mm^3, by the midpoint rule over the outline."""
-    step = 0.02
+    step = 0.05
     x = (np.arange(round(gel.width / step)) + 0.5) * step - gel.width / 2
     y = (np.arange(round(gel.length / step)) + 0.5) * step - gel.length / 2
     xx, yy = np.meshgrid(x, y, indexing="ij")
     return float((gel.top(xx, yy) + gel.height)[gel.inside(xx, yy)].sum() * step**2)
+
+
+def shapes(nodes: np.ndarray, tets: np.ndarray) -> np.ndarray:
+    """Shape of straight tetrahedra (e, 4): 1 for a regular one, 0 for a flat one, negative if inverted."""
+    edges = np.linalg.norm(np.diff(nodes[tets[:, EDGES]], axis=2)[:, :, 0], axis=-1)
+    return 6 * np.sqrt(2) * signed_volumes(nodes, tets) / np.sqrt((edges**2).mean(axis=1)) ** 3
 
 
 def mesh_report(mesh: GelMesh, gel: Gel) -> dict:
@@ -325,15 +324,15 @@ def mesh_report(mesh: GelMesh, gel: Gel) -> dict:
     own = volumes(dets)
     edges = np.linalg.norm(np.diff(mesh.nodes[corners[:, EDGES]], axis=2)[:, :, 0], axis=-1)
     scaled = scaled_jacobians(dets)
-    radius_ratio = 6 * np.sqrt(2) * signed_volumes(mesh.nodes, corners) / np.sqrt((edges**2).mean(axis=1)) ** 3
+    shape = shapes(mesh.nodes, corners)
     volume = float(own.sum())
     exact = analytic_volume(gel)
     face_edges = np.linalg.norm(mesh.nodes[mesh.faces[:, [0, 1, 2]]] - mesh.nodes[mesh.faces[:, [1, 2, 0]]], axis=-1)
     report = {
         "kind": mesh.kind, "nodes": len(mesh.nodes), "elements": len(mesh.elements), "faces": len(mesh.faces),
         "base_nodes": len(mesh.base), "min_volume": float(own.min()), "max_volume": float(own.max()),
-        "min_scaled_jacobian": float(scaled.min()), "min_quality": float(radius_ratio.min()),
-        "median_quality": float(np.median(radius_ratio)), "min_edge": float(edges.min()),
+        "min_scaled_jacobian": float(scaled.min()), "min_quality": float(shape.min()),
+        "median_quality": float(np.median(shape)), "min_edge": float(edges.min()),
         "max_edge": float(edges.max()), "face_edge_median": float(np.median(face_edges)),
         "volume": volume, "exact_volume": exact, "volume_error": volume / exact - 1,
     }  # fmt: skip

@@ -17,6 +17,24 @@ def path_pose(scene: Scene, t: float) -> Pose:
     return Pose(*touch.pose_at(scene.press, t))
 
 
+def path_length(scene: Scene, begin: float, end: float) -> float:
+    """Way of the indenter from one path parameter to a later one, mm."""
+    press = scene.press
+    down, aside = min(end, 1.0) - min(begin, 1.0), max(end, 1.0) - max(begin, 1.0)
+    return down * abs(press.dz) + aside * float(np.hypot(press.dx, press.dy))
+
+
+def earlier(scene: Scene, end: float, length: float) -> float:
+    """Path parameter at which the indenter is `length` mm of its way before path parameter `end`."""
+    aside = float(np.hypot(scene.press.dx, scene.press.dy))
+    if end > 1.0:
+        travelled = (end - 1.0) * aside
+        if travelled >= length:
+            return end - length / aside
+        length, end = length - travelled, 1.0
+    return end - length / abs(scene.press.dz)
+
+
 def first_touch(scene: Scene) -> float | None:
     """Path parameter where the indenter first meets the undeformed gel, or None where it never does."""
     return touch.first_touch(scene.gel, scene.indenter, scene.press)

@@ -19,6 +19,8 @@ class PathSettings:
     max_iterations: of Newton's method in one solve. most_in_all: in a whole path. max_cuts: how often a load step may
     be halved. settle_rounds: most contact iterations at the end of the path. pull_tolerance: tension allowed at a
     sticking point, as a fraction of the largest pressure.
+    press_mm, shear_mm: longest load steps of the two legs under a law with friction, mm. walk_mm: way at the end of a path on
+    coarse hexahedra that is walked on this mesh under such a law.
     touched: gap up to which a point counts as having touched on a path on wider hexahedra, in widths of those.
     """
 
@@ -28,6 +30,9 @@ class PathSettings:
     gauss: int = 2
     press_steps: int = 6
     shear_steps: int = 3
+    press_mm: float = 0.05
+    shear_mm: float = 0.1
+    walk_mm: float = 0.05
     tolerance: float = 1e-4
     final_tolerance: float = 1e-9
     rough: float = 1e-3

@@ -9,11 +9,11 @@ import numpy as np
 from gelforge.errors import SolveFailed
 from gelforge.mechanics.contact.penalty import FREE, STICK, TOUCHING
 from gelforge.mechanics.mesh.gelmesh import GelMesh
-from gelforge.mechanics.path.equilibrium import NOISY_INTERPOLATED, PARTS, SHORT, Aim, Equilibrium, System
+from gelforge.mechanics.path.equilibrium import NOISY, NOISY_INTERPOLATED, PARTS, SHORT, Aim, Equilibrium, System
 from gelforge.mechanics.path.loadpath import gaps, path_pose
 from gelforge.mechanics.path.pathsettings import PathSettings
-from gelforge.mechanics.path.transfer import LoadPath, carried, touches
-from gelforge.mechanics.pose import Pose, on_surface, touch_places
+from gelforge.mechanics.path.transfer import Anchors, LoadPath, anchored, carried, touches
+from gelforge.mechanics.pose import Pose, on_surface, touch_fraction, touch_places
 from gelforge.mechanics.result import NoEquilibrium
 from gelforge.mechanics.scene import Scene
 from gelforge.records.status import Status
@@ -22,9 +22,7 @@ BETWEEN = 2  # fewest load steps between two requested frames of a press
 EASY = 7  # Newton iterations up to which a shortened step may grow again
 SMALLEST_PART = 0.1  # smallest fraction of the pending contact changes that one solve carries out
 REST = 0.3  # of a load step: if less than this remains of the leg, the step is extended to its end
-# mm at the end of a slide that are a load step of their own: points that first touch within a load step have no
-# friction until it ends, and this much travel fully mobilises it.
-DRAGGED_MM = 0.01
+ROUGHEST = 5e-3  # residual accepted at the start of a walk if its Newton iterations do not get lower
 BEYOND = 1.001  # a slipping point's multiplier over its traction; at 1, rounding would decide which points stick
 ACCEPTED = 1e-7  # residual over contact force that balances contact force and base reaction to 1e-6
 
@@ -93,6 +91,7 @@ class ScenePath(Equilibrium):
         self.curve: list[list[float]] = []
         self.areas: list[float] = []  # contact area at each load step, mm^2
         self._states = [(0.0, self.u)]
+        self._anchors: list[Anchors | None] = [None]
 
     # -- the path
 
@@ -105,14 +104,13 @@ class ScenePath(Equilibrium):
         run continues without those iterations.
         """
         self.t = start
-        self._states = [(start, self.u)]
+        self._states, self._anchors = [(start, self.u)], [None]
         try:
             for end, count in self._legs(start):
                 step = (end - self.t) / count
                 for stop in (*(t for t in sorted(stops) if self.t < t < end), end):
                     longest = min(step, (stop - self.t) / BETWEEN) if stops else step
-                    for aim in self._towards(stop):
-                        self.control.follow(self.t, aim, longest, self._advance)
+                    self.control.follow(self.t, stop, longest, self._advance)
                     if at_stop and stop in stops and stop < self.scene.press.end:
                         ended = self._branch()
                         at_stop(ended, ended._end())
@@ -132,13 +130,15 @@ class ScenePath(Equilibrium):
         return Status.DIVERGED
 
     def arrive(self, path: LoadPath) -> Status:
-        """Equilibrium at the end of a path followed on coarser hexahedra; for laws without slip or without friction.
+        """Equilibrium at the end of a path followed on coarser hexahedra, which may be the first part of a longer one.
 
-        The path may be the first part of a longer one.
+        With friction, the last `walk_mm` are walked on this mesh.
         """
         self.t, self.noisy, self.crawls = self.scene.press.end, NOISY_INTERPOLATED, True
         pose = path_pose(self.scene, self.t)
         try:
+            if self.law.frictional:
+                return self._walk(path)
             self.u = carried(path, self.mesh, self.elements)
             if self.law.sticks:
                 touched, places = touches(path, self.state.reference, self.settings.touched)
@@ -149,6 +149,42 @@ class ScenePath(Equilibrium):
         except (NoEquilibrium, SolveFailed) as error:
             return self._diverged(error)
         return self._end()
+
+    def _walk(self, path: LoadPath) -> Status:
+        """The end of a path with friction: contact is taken over `walk_mm` before it, then the rest is walked."""
+        part, reference = path.walk(self.settings.walk_mm), self.state.reference
+        t, end = part.times[-1], path.times[-1]
+        poses = [part.pose(t), *([path.pose(1.0)] if t < 1.0 < end else []), path_pose(self.scene, self.t)]
+        self.u = carried(part, self.mesh, self.elements)
+        ahead = carried(path, self.mesh, self.elements) - self.u
+        met, places, traction = anchored(part, reference, self.settings.touched)
+        later, touch = touches(path, reference, self.settings.touched)
+        places[~met] = touch[~met]
+        bound = met | later
+        self.stick(bound, places, poses[0])
+        self.state.carried[met] = traction[met]
+        for pose in poses[:-1]:
+            self.rounds += 1
+            self.state.go(1.0)
+            self.solve_here(pose, Aim(self.settings.rough, enough=ROUGHEST))
+            self._slide(pose)
+            self.stick(bound & (self.state.status == FREE), places, pose)
+            self.stick(self.touching(), places, pose)
+        self.state.go(1.0)
+        self.u += ahead
+        self.noisy = NOISY
+        self.solve_here(poses[-1], self.within_path)
+        self._polish(poses[-1])
+        self._let_go()
+        self.state.status[self.touching()] = TOUCHING
+        return Status.OK
+
+    def _let_go(self) -> None:
+        """Free sticking points that do not press, under a law with friction."""
+        pressed = np.zeros(len(self.state.status), bool)
+        pressed[self.tractions.point[self.tractions.gap < 0.0]] = True
+        gone = np.flatnonzero((self.state.status == STICK) & ~pressed)
+        self.state.release(gone, np.zeros((len(gone), 3)))
 
     def _iterate_arrival(self, places: np.ndarray, pose: Pose) -> None:
         """Let each point stick and be released at most once, until no point pulls and all pressing points stick.
@@ -187,12 +223,6 @@ class ScenePath(Equilibrium):
             legs.append((2.0, self.settings.shear_steps))
         return legs
 
-    def _towards(self, stop: float) -> list[float]:
-        """Path parameters up to a stop; with friction, a slide first ends DRAGGED_MM before it."""
-        left = DRAGGED_MM / max(np.hypot(self.scene.press.dx, self.scene.press.dy), DRAGGED_MM)
-        short = self.law.frictional and stop - left > max(self.t, 1.0)
-        return [stop - left, stop] if short else [stop]
-
     def _advance(self, t: float, part: float) -> int:
         """One load step to t with `part` of the pending contact changes; raises NoEquilibrium, changing nothing."""
         before, after = path_pose(self.scene, self.t), path_pose(self.scene, t)
@@ -205,6 +235,8 @@ class ScenePath(Equilibrium):
         kept, previous = self.state.snapshot(), (self.t, self.u)
         try:
             self.state.go(part)
+            if self.law.frictional:
+                self._meet(before, after, x, gap, expected)
             self.u, used = self.newton_from([self.u] if guess is None else [guess, self.u], after)
             total = self.state.weights[self.tractions.point] @ self.tractions.traction
             self._end_step(after, (x, before, gap, expected))
@@ -218,7 +250,26 @@ class ScenePath(Equilibrium):
         self.areas.append(float(self.state.weights[np.unique(self.tractions.point)].sum()))
         self.history = [previous, (t, self.u)]
         self._states.append((t, self.u))
+        self._anchors.append(self._bound() if self.law.frictional else None)
         return used
+
+    def _bound(self) -> Anchors:
+        """Points that stick or slip now, and where."""
+        on, state = self.state.status == STICK, self.state
+        return Anchors(state.reference[on], state.goal[on], state.carried[on])
+
+    def _meet(self, before: Pose, after: Pose, x: np.ndarray, gap: np.ndarray, expected: np.ndarray) -> None:
+        """Give friction to points that are expected to touch within this step: for the rest of the step that is left.
+
+        x, gap: positions (m, 3) and gaps (m,) at its start, expected: positions at its end.
+        """
+        near = self.candidates
+        left = 1.0 - touch_fraction(gap[near], gaps(self.scene, expected[near], after))
+        new, state = near[left > 0.0], self.state
+        state.status[new] = STICK
+        state.share[new] = left[left > 0.0]
+        state.stick_point[new] = state.goal[new] = before.to_indenter(x[new])
+        self.candidates = near[left <= 0.0]
 
     def _predict(self, t: float) -> np.ndarray | None:
         """Displacement at t, extrapolated from the last step; None where the path turns from press to shear."""
@@ -285,10 +336,7 @@ class ScenePath(Equilibrium):
     def _slide(self, pose: Pose) -> None:
         """Move stick points along with slip, set multipliers to tractions, and release points that lost contact."""
         state, tractions = self.state, self.tractions
-        pressed = np.zeros(len(state.status), bool)
-        pressed[tractions.point[tractions.gap < 0.0]] = True
-        gone = np.flatnonzero((state.status == STICK) & ~pressed)
-        state.release(gone, np.zeros((len(gone), 3)))
+        self._let_go()
         at = np.flatnonzero((state.status[tractions.point] == STICK) & (tractions.gap < 0.0))
         point = tractions.point[at]
         places = pose.to_indenter(self.points(self.u)[point])
@@ -296,6 +344,12 @@ class ScenePath(Equilibrium):
         n = pose.turn(normal)
         traction = tractions.traction[at]
         state.carried[point] = traction - np.einsum("pi,pi->p", traction, n)[:, None] * n
+        new = np.flatnonzero(state.share[point] < 1.0)
+        begin = state.stick_point[point[new]]
+        touch = begin + (1.0 - state.share[point[new], None]) * (places[new] - begin)
+        touch, state.normal[point[new]] = on_surface(self.scene.indenter, touch)
+        state.stick_point[point[new]] = state.goal[point[new]] = touch
+        state.share[point] = 1.0
         slips = np.isin(point, tractions.slip.point)
         moved = point[slips]
         state.stick_point[moved], state.normal[moved] = on_surface(self.scene.indenter, places[slips])
@@ -380,9 +434,10 @@ class ScenePath(Equilibrium):
 
     # -- diagnostics
 
-    def passed(self) -> tuple[list[float], list[np.ndarray]]:
-        """Path parameters and displacements (n, 3) mm of all load steps so far; the last one is the current state."""
-        return [t for t, _ in self._states], [*(u for _, u in self._states[:-1]), self.u]
+    def path(self, size: float) -> LoadPath:
+        """All load steps so far; the last one is the current state. size: of the hexahedra under the press, mm."""
+        times, states = [t for t, _ in self._states], [*(u for _, u in self._states[:-1]), self.u]
+        return LoadPath(self.scene, self.mesh, times, states, size, self._anchors)
 
     def checks(self, forces: np.ndarray) -> dict:
         """Penetration, tensile contact force and balance of the final state; forces: (n, 3) N, of the contact."""

@@ -9,12 +9,13 @@ displacements, which is smooth before touch; the coarse contact points have only
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.elements.element import ElementSet
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.hexmesh import HexMesh
-from gelforge.mechanics.path.loadpath import gaps, path_pose
+from gelforge.mechanics.path.loadpath import earlier, gaps, path_length, path_pose
 from gelforge.mechanics.pose import Pose, touch_fraction
 from gelforge.mechanics.result import NoEquilibrium
 from gelforge.mechanics.scene import Scene
@@ -27,13 +28,28 @@ STUCK = 10  # after every STUCK smoothings, one more ring of hexahedra is smooth
 UNFOLDED = (1.0, 0.95, 0.9, 0.8, 0.6)
 CREASED = 0.1
 LEFT = 0.05  # additional gap, in widths of a coarse hexahedron, at which a point that touched counts as released
+WALKED = 0.25  # most of a path with friction that is walked on a finer mesh
+NEIGHBOURS = 4  # coarse points from which slip and multiplier of a point of the fine mesh are interpolated
+
+
+@dataclass(frozen=True)
+class Anchors:
+    """Points that stick or slip at one load step under a law with friction.
+
+    reference: (k, 3) undeformed mm. place: (k, 3) mm of the indenter's frame to which each is bound. multiplier:
+    (k, 3) MPa, its tangential traction there.
+    """
+
+    reference: np.ndarray
+    place: np.ndarray
+    multiplier: np.ndarray
 
 
 @dataclass(frozen=True)
 class LoadPath:
     """States of a scene along its load path: mesh, path parameters (k,), displacements (k, n, 3) mm, the first zero.
 
-    size: side of the mesh's hexahedra under the press, mm.
+    size: side of the mesh's hexahedra under the press, mm. anchors: of each state, for laws with friction.
     """
 
     scene: Scene
@@ -41,15 +57,30 @@ class LoadPath:
     times: list[float]
     states: list[np.ndarray]
     size: float
+    anchors: list[Anchors | None]
 
     def until(self, t: float) -> "LoadPath":
         """The path up to t, which must be exactly one of its times: a load step ends at each requested frame."""
         count = self.times.index(t) + 1
-        return replace(self, times=self.times[:count], states=self.states[:count])
+        return replace(self, times=self.times[:count], states=self.states[:count], anchors=self.anchors[:count])
+
+    def walk(self, longest: float) -> "LoadPath":
+        """The path up to the load step at which the walk on a finer mesh begins, `longest` mm or less before its end."""
+        end = self.times[-1]
+        begin = walk_start(self.scene, self.times[0], end, longest) + 1e-9
+        early = [t for t in self.times[1:-1] if t <= begin]
+        if not early:
+            raise NoEquilibrium("the coarse path has no load step before its end")
+        return self.until(early[-1])
 
     def pose(self, t: float) -> Pose:
         """The indenter's pose at path parameter t."""
         return path_pose(self.scene, t)
+
+
+def walk_start(scene: Scene, start: float, end: float, longest: float) -> float:
+    """Path parameter at which the walk to path parameter `end` begins; start: of the first touch."""
+    return earlier(scene, end, min(longest, WALKED * path_length(scene, start, end)))
 
 
 def line_weights(lines: np.ndarray, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -170,3 +201,27 @@ def touches(path: LoadPath, points: np.ndarray, near: float = 0.0) -> tuple[np.n
             earlier = before
         before = (t, x, pose, gap)
     return touched, places
+
+
+def interpolated(known: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.ndarray:
+    """Values (m, 3) at points `at` (m, 2) from values (k, 3) at the nearest of `known` (k, 2), by squared distance."""
+    distance, index = cKDTree(known).query(at, k=range(1, min(NEIGHBOURS, len(known)) + 1))
+    weights = 1.0 / np.maximum(distance, 1e-6) ** 2
+    return np.einsum("pk,pki->pi", weights / weights.sum(axis=1, keepdims=True), values[index])
+
+
+def anchored(path: LoadPath, points: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Contact of surface points (m, 3) at the end of a path with friction on coarse hexahedra.
+
+    Which have touched (m,) bool, the place (m, 3) of the indenter's frame to which each is bound, and its tangential
+    traction (m, 3) MPa. The place is that of first touch, from the point's own trajectory, plus the slip since then;
+    slip and traction are interpolated between the coarse points. near: as in `touches`.
+    """
+    touched, places = touches(path, points, near)
+    anchors = path.anchors[-1]
+    if anchors is None or not len(anchors.place):
+        return touched, places, np.zeros_like(places)
+    _, first = touches(path, anchors.reference, near)
+    xy = anchors.reference[:, :2]
+    slip = interpolated(xy, np.concatenate([anchors.place - first, anchors.multiplier], axis=1), points[:, :2])
+    return touched, places + slip[:, :3], slip[:, 3:]

@@ -21,6 +21,7 @@ from gelforge.mechanics.ccx.deck import ATTEMPTS, press_deck
 from gelforge.mechanics.ccx.program import OVERDUE, run_ccx
 from gelforge.mechanics.contact.penalty import FREE
 from gelforge.mechanics.hexsettings import quality
+from gelforge.mechanics.mesh.basemesh import base_of
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.hexmesh import fine_box
 from gelforge.mechanics.mesh.names import SMALLEST_MM, Contact, TetMeshName
@@ -119,7 +120,7 @@ def mesh_of(
         mask = near <= near.min()
     most = longest * box.size
     edge, inside = (_digits(max(SMALLEST_MM, size * min(1.0, most / edge_mm)), 3) for size in (edge_mm, inside_mm))
-    return TetMeshName(scene.gel.name, edge, inside, Contact.of(mask, pixel, low))
+    return TetMeshName(scene.gel.name, base_of(scene.gel).digest, edge, inside, Contact.of(mask, pixel, low))
 
 
 def _digits(number: float, count: int) -> float:
@@ -157,8 +158,8 @@ class CcxSolver:
     ) -> CcxResult:
         """State at the end of the scene's path. Failure is a status, not an exception.
 
-        coarse_path: the path on hexahedra, for a law without slip or without friction; then only its end is solved on
-        the tetrahedra. If it is None, or its end does not converge, the path is followed on the tetrahedra.
+        coarse_path: the path on hexahedra; then only its end is solved on the tetrahedra. If it is None, or its end does
+        not converge, the path is followed on the tetrahedra.
         """
         began = time.perf_counter()
         s = settings or self.settings

@@ -15,9 +15,9 @@ from gelforge.mechanics.hexsettings import FLATNESS, WIDEST, HexSettings
 from gelforge.mechanics.mesh.hexmesh import FineBox, HexMesh, build_mesh, fine_box, thinner_layers
 from gelforge.mechanics.mesh.hexname import HexMeshName
 from gelforge.mechanics.path.equilibrium import System
-from gelforge.mechanics.path.loadpath import first_touch, frame_time, path_pose
+from gelforge.mechanics.path.loadpath import first_touch, frame_time, path_length, path_pose
 from gelforge.mechanics.path.scenepath import ScenePath
-from gelforge.mechanics.path.transfer import LoadPath
+from gelforge.mechanics.path.transfer import LoadPath, walk_start
 from gelforge.mechanics.result import BALANCE, Result
 from gelforge.mechanics.scene import Scene
 from gelforge.records.status import Status
@@ -26,8 +26,6 @@ from gelforge.records.status import Status
 # more where the gel is pressed through: such a state is in equilibrium, but is no solution of the press.
 MOST_INSIDE_MM = 0.1
 MOST_BELOW_MM = 1e-3  # largest depth of a node below the bonded base
-# Longest shear step with Coulomb friction: points that first touch within a step have no friction until it ends.
-MOST_SHEAR_MM = 0.2
 KEPT = 8  # size of the caches of meshes and of factorisations
 TOUCH = 1e-8  # accuracy of the first touch, path parameter: a frame closer to it has no contact yet
 
@@ -87,13 +85,13 @@ class HexSolver:
         if start is None:
             return [self._no_contact(scene, began) for scene in scenes]
         box = self._box(scenes[-1])
-        frames, frictional = self.coarse_path(scenes), scenes[-1].interface.contact.frictional
+        frames = self.coarse_path(scenes)
         share = (time.perf_counter() - began) / len(scenes)
-        if len(scenes) > 1 and (frictional or not any(frames)) and not _below_base(scenes[-1]):
+        if len(scenes) > 1 and not any(frames) and not _below_base(scenes[-1]):
             results = self._passed(scenes, start, box)
         else:
             results = [
-                self._frame(scene, None if frictional else coarse, box, time.perf_counter() - share)
+                self._frame(scene, coarse, box, time.perf_counter() - share)
                 for scene, coarse in zip(scenes, frames, strict=True)
             ]
         for scene, coarse, result in zip(scenes, frames, results, strict=True):
@@ -143,12 +141,15 @@ class HexSolver:
         mesh = self._mesh(last.gel, wide, settings)
         run = self._run(last, mesh, settings, wide.size)
         times = [frame_time(scene, last) for scene in scenes]
-        status = run.follow(start, times)
+        stops = list(times)
+        if last.interface.contact.frictional:
+            stops += [walk_start(last, start, t, settings.walk_mm) for t in times if t > start + TOUCH]
+        status = run.follow(start, stops)
         if status is Status.DIVERGED:
             return none
         run.curve[-1][1:] = run.contact_forces().sum(axis=0).tolist()
         run.areas[-1] = float(run.state.weights[run.state.status != FREE].sum())
-        path = LoadPath(last, mesh, *run.passed(), wide.size)
+        path = run.path(wide.size)
         counts = {"coarse_newton_iterations": run.iterations, "coarse_factorisations": run.factorisations}
         found: list[CoarseFrame | None] = []
         for t in times:
@@ -170,7 +171,10 @@ class HexSolver:
             if result.status.valid or result.status is Status.OUT_OF_RANGE:
                 return result
         run = self._run(scene, mesh, self.settings, box.size)
-        return _result(run, mesh, run.follow(start), started, name)
+        followed = _result(run, mesh, run.follow(start), started, name)
+        if coarse:
+            followed.evidence["fell_back"] = result.evidence.get("reason") or result.status.value
+        return followed
 
     def _arrived(
         self, scene: Scene, coarse: "CoarseFrame", box: FineBox, name: HexMeshName, started: float
@@ -213,10 +217,13 @@ class HexSolver:
         return self.settings.box or fine_box(scene, size, self.settings.across)
 
     def _run(self, scene: Scene, mesh: HexMesh, settings: HexSettings, size: float) -> ScenePath:
-        steps = settings.shear_steps
+        press, shear = settings.press_steps, settings.shear_steps
         if scene.interface.contact.frictional:
-            steps = max(steps, int(np.ceil(np.hypot(scene.press.dx, scene.press.dy) / MOST_SHEAR_MM)))
-        return ScenePath(scene, replace(settings, size=size, shear_steps=steps), mesh, self._system(mesh))
+            way = path_length(scene, first_touch(scene) or 0.0, 1.0)
+            press = max(press, int(np.ceil(way / settings.press_mm)))
+            shear = max(shear, int(np.ceil(np.hypot(scene.press.dx, scene.press.dy) / settings.shear_mm)))
+        steps = replace(settings, size=size, press_steps=press, shear_steps=shear)
+        return ScenePath(scene, steps, mesh, self._system(mesh))
 
     def _mesh(self, gel: Gel, box: FineBox, s: HexSettings) -> HexMesh:
         shape = _shape(gel, box, s)
@@ -307,6 +314,8 @@ def _result(run: ScenePath, mesh: HexMesh, status: Status, started: float, name:
     if status is not Status.DIVERGED:
         forces = run.contact_forces()
         evidence |= run.checks(forces)
+    elif run.reason:
+        evidence["reason"] = run.reason
         if evidence["base_mismatch"] > BALANCE:
             status = Status.UNBALANCED
         elif not forces.any():

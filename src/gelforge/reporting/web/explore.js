@@ -460,7 +460,8 @@ async function indenterBody(i) {
   shape.setAttribute("position", new THREE.BufferAttribute(points, 3)); shape.setIndex([...faces]);
   const flat = shape.toNonIndexed(); flat.computeVertexNormals();
   const body = new THREE.Mesh(flat, new THREE.MeshLambertMaterial({ color: 0xaab4c0, transparent: true, opacity: 0.28, side: THREE.DoubleSide, depthWrite: false }));
-  body.rotation.z = COLUMNS.rot_deg[i] * Math.PI / 180;
+  const radians = (name) => (COLUMNS[name][i] || 0) * Math.PI / 180;
+  body.rotation.set(radians("tilt_x_deg"), radians("tilt_y_deg"), radians("rot_deg"), "YXZ");
   body.position.set(COLUMNS.x0_mm[i] + COLUMNS.dx_mm[i], COLUMNS.y0_mm[i] + COLUMNS.dy_mm[i], COLUMNS.z0_mm[i] + COLUMNS.dz_mm[i]);
   return [body];
 }
@@ -477,7 +478,7 @@ async function drawGel(i) {
 
 // ---- what made a press
 function provenanceRows(i) {
-  const shard = COLUMNS.shard[i], id = COLUMNS.id[i], { dataset, resolution, model } = DATA.about, d = `results/${dataset}`;
+  const shard = COLUMNS.shard[i], { dataset, resolution, model } = DATA.about, d = `results/${dataset}`;
   const rows = [["step", "file", "parameters", "seconds", "processor seconds", "memory, MiB", "of"]];
   const line = (step, file, params, target, of) => {
     const cost = DATA.costs[target];
@@ -488,10 +489,10 @@ function provenanceRows(i) {
   if (COLUMNS.status[i] === "REJECTED") return rows;
   const mesh = COLUMNS.mesh[i];
   if (mesh) rows.push(["mesh", mesh.length > 90 ? `${mesh.slice(0, 90)}…` : mesh, "", "", "", "", ""]);
-  rows.push([`solve (${COLUMNS.method[i] || "none"})`, `${d}/30_fea/${shard}/${id}.*`, "fea.json", fixed(COLUMNS.seconds[i], 1), "", fixed(COLUMNS.peak_mib[i], 0), "this press"]);
+  rows.push([`solve (${COLUMNS.method[i] || "none"})`, "results/solves/, by the key in the table of its shard", "fea.json", fixed(COLUMNS.seconds[i], 1), "", fixed(COLUMNS.peak_mib[i], 0), "this press"]);
   line("solves", `${d}/30_fea/${shard}.csv`, "fea.json", `30_fea/${shard}`, "its shard");
   line("forces", `${d}/40_forces/${shard}.npz`, "forces.json", `40_forces/${shard}`, "its shard");
-  line("label", `${d}/50_labels/${resolution}/${shard}.npz`, "labels.json", `50_labels/${resolution}/labels`, "all presses");
+  line("label", `${d}/50_labels/${resolution}/${shard}.npz`, "labels.json", `50_labels/${resolution}/${shard}`, "its shard");
   if (COLUMNS.split[i]) {
     line("dataset", `${d}/60_dataset/${resolution}/`, "dataset.json", `60_dataset/${resolution}/dataset`, "all presses");
     if (DATA.about.learnt_here) line("network", `${d}/70_train/${resolution}/${model}.onnx`, "train.json", `70_train/${resolution}/${model}`, "all presses");

@@ -1,11 +1,19 @@
-"""A frozen calibration: a small file that labels follow, and the report's page of labels beside the force sensor."""
+"""A calibration that labels follow, frozen or not, and the report's page of labels beside the force sensor."""
 
 import numpy as np
 import pytest
 
-from gelforge.errors import BadInput
-from gelforge.flow.files import write_json
-from gelforge.flow.params import FROZEN, frozen_of, load_params, read_frozen, write_frozen
+from gelforge.flow.calibration import (
+    FROZEN,
+    calibrated,
+    calibration_of,
+    found_in,
+    read_found,
+    refuse_twice,
+    write_frozen,
+)
+from gelforge.flow.files import read_json, write_json
+from gelforge.flow.params import load_params, read_dataset_file, read_parameters
 from gelforge.flow.tables import MaterialTable
 from gelforge.reporting.forcesensor import COMPARED, compare_forces, force_rows, force_sentences, spreads
 from gelforge.stages.report import force_section
@@ -21,27 +29,61 @@ SUMMARY = {
 
 
 def frozen(tmp_path, summary=SUMMARY):
-    path = tmp_path / "lab" / FROZEN
-    path.parent.mkdir(exist_ok=True)
+    path = tmp_path / "data/lab" / FROZEN
+    path.parent.mkdir(parents=True, exist_ok=True)
     (path.parent / "dataset.toml").write_text('[params.interface]\nlaw = "coulomb"\n')
-    write_frozen(path, frozen_of("lab", summary))
+    write_frozen(path, found_in("lab", summary))
     return path
+
+
+def followed(root, toml):
+    """The calibration that labels of a dataset follow."""
+    params = load_params(root / "workflow", toml)
+    found = calibration_of(params, toml, toml.parents[2] / "results/lab/calibrate/summary.json")
+    refuse_twice(read_dataset_file(toml).params, toml, found)
+    return found
 
 
 def test_what_is_frozen_is_rounded_and_read_back(root, tmp_path):
     """A posterior that another processor finds differs by less than the rounding: the same file, and no press solved again."""
     path = frozen(tmp_path)
-    found, text = read_frozen(path), path.read_text()
+    found, text = read_found(path), path.read_text()
     assert found.presses == ("a 1", 'b"2') and found.name.startswith("lab-")
     near = SUMMARY | {"c10": SUMMARY["c10"] | {"median": 0.08533}, "bench": SUMMARY["bench"] | {"offset": -0.01801}}
     frozen(tmp_path, near)
-    assert path.read_text() == text
-    params = load_params(root / "workflow", path.parent / "dataset.toml")
-    assert params.material.c10 == 0.0853 and params.material.c10_interval95 == (0.0835, 0.0871)
-    poses = params.poses
-    assert (poses.touch_offset_mm, poses.compliance_mm_per_n) == (-0.018, 0.006)
-    assert poses.shear_compliance_mm_per_n == 0.0 and "-0.0\n" not in text
-    assert params.interface.mu == 0.68
+    assert path.read_text() == text and "-0.0\n" not in text
+    assert followed(root, path.parent / "dataset.toml") == path
+
+
+def stage_with(tmp_path, stage, calibration, **tables):
+    """Parameters of a stage that follows a calibration, as it reads them."""
+    write_stage(tmp_path, stage, **tables)
+    read = read_json(tmp_path / f"{stage}.json") | {"calibration": calibration}
+    write_json(tmp_path / f"{stage}.json", read)
+    return calibrated(read_parameters(tmp_path / f"{stage}.json"), tmp_path)
+
+
+def test_stages_follow_a_posterior_as_they_follow_what_was_frozen_from_it(tmp_path):
+    frozen(tmp_path)
+    write_json(tmp_path / "results/lab/calibrate/summary.json", SUMMARY)
+    for path in ("data/lab/calibration.toml", "results/lab/calibrate/summary.json"):
+        material = stage_with(tmp_path, "forces", path, material={"c10": "calibrated"}).material
+        assert material.c10 == 0.0853 and material.c10_interval95 == (0.0835, 0.0871) and material.nu == 0.475
+        poses = stage_with(tmp_path, "poses", path).poses
+        assert (poses.touch_offset_mm, poses.compliance_mm_per_n) == (-0.018, 0.006)
+        assert poses.shear_compliance_mm_per_n == 0.0 and poses.images
+        assert stage_with(tmp_path, "fea", path, interface={"law": "coulomb", "mu": 2.0}).interface.mu == 0.68
+    assert stage_with(tmp_path, "fea", "", interface={"law": "coulomb", "mu": 2.0}).interface.mu == 2.0
+
+
+def test_a_posterior_that_is_none_stops_what_follows_it(tmp_path):
+    path, name = tmp_path / "results/lab/calibrate/summary.json", "results/lab/calibrate/summary.json"
+    refused("is missing, and labels follow it; run `make calibrate DATASET=lab`", stage_with, tmp_path, "poses", name)
+    write_json(path, {"failed": "R-hat 1.033; log more presses"})
+    refused("follow failed: R-hat 1.033; log more presses; correct that", stage_with, tmp_path, "poses", name)
+    for text in ("{}", "[]", "{"):
+        path.write_text(text)
+        refused("is not the summary of a calibration", stage_with, tmp_path, "poses", name)
 
 
 @pytest.mark.parametrize("law", ["no_slip", "frictionless"])
@@ -49,22 +91,23 @@ def test_a_calibration_of_another_law_than_the_labels_is_refused(root, tmp_path,
     """C10 of Coulomb's law with labels that do not slip gave forces up to 12 % too large on a slippery gel."""
     own = frozen(tmp_path).parent / "dataset.toml"
     own.write_text(f'[params.interface]\nlaw = "{law}"\n')
-    refused(
-        rf'found under the law "coulomb", but \[interface\] law = "{law}".*calibrated-labels',
-        load_params,
-        root / "workflow",
-        own,
-    )
-    own.write_text("")
-    refused(r'found under the law "coulomb", but \[interface\] law = "no_slip"', load_params, root / "workflow", own)
+    refused(rf'found under the law "coulomb", but \[interface\] law = "{law}".*make calibrate', followed, root, own)
 
 
 def test_a_value_that_a_dataset_sets_too_is_refused(root, tmp_path):
     path = frozen(tmp_path)
     own = path.parent / "dataset.toml"
-    own.write_text("[params.interface]\nlaw = 'coulomb'\n[params.poses]\ncompliance_mm_per_n = 0.01\n")
-    with pytest.raises(BadInput, match=r"\[params.poses\] compliance_mm_per_n is also set by .*calibration.toml"):
-        load_params(root / "workflow", own)
+    law = "[params.interface]\nlaw = 'coulomb'\n"
+    own.write_text(law + "[params.poses]\ncompliance_mm_per_n = 0.01\n")
+    refused(r"\[params.poses\] compliance_mm_per_n is also set by .*calibration.toml", followed, root, own)
+    own.write_text(law + "[params.material]\nc10 = 0.08\n")
+    refused(r"\[params.material\] c10 is also set by .*calibration.toml", followed, root, own)
+    own.write_text(law + "[params.material]\nc10 = 'calibrated'\n")
+    assert followed(root, own) == path
+    path.unlink()
+    assert followed(root, own) == tmp_path / "results/lab/calibrate/summary.json"
+    own.write_text(law)
+    assert followed(root, own) is None
 
 
 def test_a_file_that_is_none_is_refused_in_a_sentence(root, tmp_path):
@@ -77,7 +120,7 @@ def test_a_file_that_is_none_is_refused_in_a_sentence(root, tmp_path):
         ("c10 = 0.0853", "c10 = 85.3", "c10 = 85.3: give a number from"),
     ):
         path.write_text(whole.replace(old, new))
-        refused(said, load_params, root / "workflow", path.parent / "dataset.toml")
+        refused(said, followed, root, path.parent / "dataset.toml")
 
 
 def rows(sensor, label):
@@ -125,18 +168,18 @@ def test_rows_without_a_label_or_a_reading_are_left_out():
 
 
 def test_the_report_says_what_labels_were_made_with(tmp_path):
-    """Frozen or not, with a posterior or without: the page has a sentence, and a table of presses that have both forces."""
-    path, results = frozen(tmp_path), tmp_path / "results" / "lab"
-    frozen_params = {"c10": 0.0853, "c10_interval68": [0.0844, 0.0863], "c10_interval95": [0.0835, 0.0871]}
-    write_stage(results / "00_plan" / "params", "forces", material=frozen_params)
-    write_stage(results / "00_plan" / "params", "calibrate")
-    own = rows([-4.0, -10.0], [-4.1, -9.9])
-    section = force_section(results, path.parent, own)
-    assert "calibration lab-" in section.items[0]["text"] and len(section.items[-1]["rows"]) == 2
+    """Of a frozen calibration, of a posterior, of none: the page has a sentence, and a table of presses with both forces."""
+    frozen(tmp_path)
+    results, own = tmp_path / "results" / "lab", rows([-4.0, -10.0], [-4.1, -9.9])
+    params = results / "00_plan" / "params"
+    write_stage(params, "calibrate")
     write_json(results / "calibrate" / "summary.json", SUMMARY)
-    assert force_section(results, path.parent, own).items[-1]["columns"] == COMPARED
-    path.unlink()
-    write_stage(results / "00_plan" / "params", "forces")
-    reported = force_section(results, path.parent, own).items[0]["text"]
-    assert "No calibration was frozen" in reported and "make calibrated-labels DATASET=lab" in reported
-    assert force_section(results, path.parent, []).items[0]["absent"]
+    for path in ("data/lab/calibration.toml", "results/lab/calibrate/summary.json"):
+        write_stage(params, "forces", material={"c10": "calibrated"})
+        write_json(params / "forces.json", read_json(params / "forces.json") | {"calibration": path})
+        section = force_section(results, own)
+        assert f"Labels follow {path}: lab-" in section.items[0]["text"]
+        assert section.items[-1]["columns"] == COMPARED and len(section.items[-1]["rows"]) == 2
+    write_stage(params, "forces")
+    assert "Labels follow no calibration" in force_section(results, own).items[0]["text"]
+    assert force_section(results, []).items[0]["absent"]

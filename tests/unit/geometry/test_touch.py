@@ -1,0 +1,42 @@
+"""When an indenter first meets the gel, and how wide a figure on a grid is."""
+
+import numpy as np
+import pytest
+
+from gelforge.geometry.gel import Gel
+from gelforge.geometry.indenters import build
+from gelforge.geometry.touch import TOUCH_STEP, first_touch, gap, under_path, width_of
+from gelforge.records.press import Press
+
+GEL = Gel()
+BODIES = [
+    build("ball", {"kind": "sphere", "diameter": 8, "height": 6}),
+    build("block", {"kind": "cuboid", "size": [6, 4], "fillet": 0.4, "height": 6}),
+    build("slope", {"kind": "sloping_cuboid", "size": [6, 6], "slope_deg": 8, "fillet": 0.4, "height": 6}),
+]
+
+
+@pytest.mark.parametrize("body", BODIES, ids=lambda body: body.name)
+@pytest.mark.parametrize("press", [
+    Press(0.0, 0.0, 1.0, 0.0, 0.0, -2.0), Press(5.0, -6.0, 0.5, 0.0, 0.0, -1.5, 33.0), Press(2.0, 3.0, 0.2, 1.5, -1.0, -0.15, 80.0),
+])  # fmt: skip
+def test_first_touch_is_where_a_step_by_step_descent_meets_the_gel(body, press):
+    """Within a two-hundredth of the path, by the least gap of all points of the surface at each."""
+    points, _ = under_path(GEL, body, press, TOUCH_STEP)
+    steps = np.linspace(0.0, press.end, int(200 * press.end) + 1)
+    met = [step for step in steps if gap(body, press, points, step).min() < 0.0]
+    found = first_touch(GEL, body, press)
+    if met:
+        assert met[0] - 5.01e-3 < found <= met[0]
+    else:
+        assert found is None
+
+
+@pytest.mark.parametrize("spacing", [(0.05, 0.05), (0.05, 0.1), (0.12, 0.04)])
+def test_the_width_of_a_disc_is_its_diameter_and_of_a_ring_twice_its_wall(spacing):
+    x, y = np.meshgrid(*(np.arange(-5.0, 5.0, step) for step in spacing), indexing="ij")
+    away = np.hypot(x, y)
+    assert width_of(away < 2.0, spacing) == pytest.approx(4.0, rel=0.03)
+    assert width_of((away < 4.0) & (away > 3.2), spacing) == pytest.approx(1.6, rel=0.05)
+    along = 4.0 / np.pi  # a square along the grid: no step of its rim is too long
+    assert width_of((np.abs(x) < 2.0) & (np.abs(y) < 1.0), spacing) == pytest.approx(along * 4 * 8 / 12, rel=0.06)
