@@ -21,10 +21,7 @@ def build(project, *goals):
     """Make goals of the dataset; return what was built, in order."""
     done = make(project, "DATASET=tiny", *goals)
     assert done.returncode == 0, done.stdout
-    built = BUILT.findall(done.stdout)
-    solved = any(name.startswith("30_fea/") for name in built)
-    assert solved <= done.stdout.count("results/tiny/30_fea begins: ") <= 1  # the time that it will take
-    return built
+    return [name for name in BUILT.findall(done.stdout) if not name.startswith("00_plan")]
 
 
 def predict(project, *goals):
