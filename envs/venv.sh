@@ -21,6 +21,9 @@ echo "setting up $venv: downloads $(grep -c '==' envs/requirements.lock) Python 
     "envs/requirements.lock, 4.5 GB on disk; some minutes the first time"
 # Running pip as root and programs outside of PATH are intended here: no warnings.
 export PIP_ROOT_USER_ACTION=ignore PIP_NO_WARN_SCRIPT_LOCATION=1 PIP_DISABLE_PIP_VERSION_CHECK=1
+# Settings of the user for pip, in the environment or in pip.conf, such as `user`, do not belong into a virtual environment.
+unset PIP_USER PIP_TARGET PIP_PREFIX PYTHONHOME
+export PIP_USER=0
 # Debian has ensurepip in a separate package.
 "$python" -c 'import ensurepip' 2>/dev/null || apt_install python3-venv
 # An environment whose creation was interrupted has a Python but no pip.

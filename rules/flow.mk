@@ -41,7 +41,7 @@ FEA := $(SHARDS:%=$D/30_fea/%.csv)
 .PHONY: fea
 fea: $(FEA)  ## solve every accepted sample by finite elements
 
-$(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $(SHARD)/%.json $P/fea.json $P/gels.json $(MESHED) $(CALIBRATION) | $(IMAGES_JUDGED)
+$(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $(SHARD)/%.json $P/fea.json $(MESHED) $(CALIBRATION) | $(IMAGES_JUDGED)
 	$(call step,gelforge.stages.fea $D $*)
 
 # 40: the material's C10 scales the forces, no solve is repeated.
@@ -60,7 +60,7 @@ LABELS := $(foreach r,$(RES),$(SHARDS:%=$D/50_labels/$r/%.npz))
 labels: $(LABELS)  ## force per grid cell: make labels RES="12x16 24x32 48x64"
 
 define labelled_at
-$(SHARDS:%=$D/50_labels/$1/%.npz): $D/50_labels/$1/%.npz: $D/40_forces/%.npz $D/10_poses/%.csv $(SHARD)/%.json $P/labels.json $P/gels.json $(MESHED)
+$(SHARDS:%=$D/50_labels/$1/%.npz): $D/50_labels/$1/%.npz: $D/40_forces/%.npz $D/10_poses/%.csv $(SHARD)/%.json $P/labels.json $(MESHED)
 	$$(call step,gelforge.stages.labels $D $1 $$*)
 endef
 $(foreach r,$(RES),$(eval $(call labelled_at,$r)))
@@ -82,10 +82,6 @@ $(foreach r,$(RES),$(eval $(call collected_at,$r)))
 # 70: a model is a table of workflow/models.toml; RES names the grid.
 SHIPPED := src/gelforge/reading/weights/default
 TRAINED := $(MODELS:%=$D/70_train/$(RES1)/%.onnx)
-# Other datasets to train on as well ([train] also). Each is made by its own run of make.
-LEARNT_WITH := $(foreach name,$(LEARN_ALSO),results/$(name)/60_dataset/$(if $(wildcard data/$(name)/labels/1x1.npz),1x1,$(RES1))/dataset.json)
-$(foreach file,$(filter-out $(wildcard $(LEARNT_WITH)),$(LEARNT_WITH)),$(if $(TRAINS)$(call asks,evaluate report demo pareto-models),$(error \
-    $(file) is missing, and [train] also asks for it: make DATASET=$(word 2,$(subst /, ,$(file))) RES=$(word 4,$(subst /, ,$(file))) dataset)))
 
 .PHONY: train
 train: $D/70_train/$(RES1)/$(LEARNT).onnx  ## train one network, write it as ONNX: make train MODEL=pair_16 RES=24x32

@@ -32,6 +32,10 @@ PLAN_INPUTS := $(wildcard $(DATA) $(DATA)/log.csv $(DATA)/*.toml $(DATA)/noconta
 $(PLANNED): $(PLAN_INPUTS) $(wildcard $(CCX_FOUND)) | $(SETUP) $(CCX_FOUND)
 	$(call step,gelforge.stages.plan $D --ccx $(CCX_FOUND))
 
+# A file of the plan that was removed is written again.
+$D/00_plan/%: | $(PLANNED)
+	@test -e $@ || $(PY) -m gelforge.stages.plan $D --ccx $(CCX_FOUND) >/dev/null
+
 # A file that the plan read and that is gone: the plan is made again without it.
 $(filter-out $(wildcard $(PLANNED_FROM)),$(PLANNED_FROM)):
 
@@ -47,23 +51,40 @@ LEARNABLE := $(filter-out $(TUNED),$(MODELS))
 
 asks = $(filter $1,$(GOALS))
 TRAINS := $(call asks,train ship)
-$(if $(MODELS),$(if $(filter $(MODELS) shipped,$(NET)),,$(error MODEL=$(value MODEL): no such network; workflow/models.toml has: \
-    $(MODELS), and shipped is the one that ships)))
-$(if $(and $(filter shipped,$(value MODEL)),$(TRAINS)),$(error MODEL=shipped: the shipped network was trained elsewhere; to \
-    $(firstword $(TRAINS)), name one of $(MODELS)))
-$(if $(and $(filter $(TUNED),$(value MODEL)),$(filter-out $(SHIPPED_RES),$(RES1))),$(error MODEL=$(value MODEL) fine-tunes the shipped \
-    network, whose grid is $(SHIPPED_RES): say RES=$(SHIPPED_RES), or name another network))
-$(if $(call asks,ship),$(if $(value MODEL),,$(error ship: replaces the shipped network; name the new one: make ship MODEL=… DATASET=…)))
-$(if $(and $(call asks,ship),$(filter-out $(SHIPPED_RES),$(RES1))),$(error ship RES=$(RES1): the shipped network has a grid of \
+# What goals need, checked before anything is made. A check by an outdated plan may be wrong: then the plan is made
+# again first, and make has read its rules anew.
+UNSURE :=
+$(if $(call asks,export),$(if $(filter mcap lerobot hdf5,$(value FORMAT)),,$(error FORMAT=$(value FORMAT): name one of mcap lerobot hdf5)))
+complain = $(if $(value MAKE_RESTARTS),$(error $1),$(eval UNSURE := yes))
+NEEDED := $(sort $(if $(call asks,evaluate report demo),$(NET)) $(if $(TRAINS),$(LEARNT)) $(if $(call asks,pareto-models),$(LEARNABLE)))
+$(if $(filter-out $(MODELS) shipped,$(NET)),$(call complain,MODEL=$(NET): no such network; workflow/models.toml has: $(MODELS)$(comma) \
+    and shipped is the one that ships))
+$(if $(and $(filter shipped,$(value MODEL)),$(TRAINS)),$(call complain,MODEL=shipped: the shipped network was trained elsewhere; to \
+    $(firstword $(TRAINS))$(comma) name one of $(MODELS)))
+$(if $(and $(filter $(TUNED),$(value MODEL)),$(filter-out $(SHIPPED_RES),$(RES1))),$(call complain,MODEL=$(value MODEL) fine-tunes the \
+    shipped network$(comma) whose grid is $(SHIPPED_RES): say RES=$(SHIPPED_RES)$(comma) or name another network))
+$(if $(call asks,ship),$(if $(value MODEL),,$(call complain,ship: replaces the shipped network; name the new one: make ship MODEL=… \
+    DATASET=…)))
+$(if $(and $(call asks,ship),$(filter-out $(SHIPPED_RES),$(RES1))),$(call complain,ship RES=$(RES1): the shipped network has a grid of \
     $(SHIPPED_RES); train a network with that grid: RES=$(SHIPPED_RES)))
-$(if $(and $(SHARDS),$(call asks,dataset evaluate export feats-export pareto-models train ship)),$(if $(IMPORTED)$(IMAGES),,$(error \
-    $(DATA)/log.csv: names no images, or [params.poses] images = false: run make labels calibrate DATASET=$(DATASET), or write each \
-    press' image into the column image)))
-$(if $(and $(IMPORTED),$(NEEDS_PLAN)),$(foreach r,$(RES),$(if $(wildcard $(DATA)/labels/$r.npz),,$(error $(DATA) was imported with labels of \
-    $(notdir $(basename $(wildcard $(DATA)/labels/*.npz))), not of $r: say RES=$(firstword $(notdir $(basename $(wildcard $(DATA)/labels/*.npz))))))))
-$(if $(and $(filter $(NEED_NOCONTACT) shipped,$(value MODEL)),$(call asks,evaluate report train ship)),$(if $(wildcard \
-    $(DATA)/nocontact),,$(error MODEL=$(value MODEL) reads a picture beside a no-contact image, and $(DATA)/nocontact is missing: add \
-    nocontact/SENSOR.png of each sensor, or name a network that reads the image alone, such as unet)))
+$(if $(and $(SHARDS),$(call asks,dataset evaluate export feats-export pareto-models train ship)),$(if $(IMPORTED)$(IMAGES),,$(call \
+    complain,$(DATA)/log.csv: names no images$(comma) or [params.poses] images = false$(comma) so that its flow ends at labels and \
+    calibrate: run make report DATASET=$(DATASET)$(comma) or write the image of each press into the column image)))
+CAME := $(notdir $(basename $(wildcard $(DATA)/labels/*.npz)))
+$(if $(and $(IMPORTED),$(NEEDS_PLAN)),$(foreach r,$(filter-out $(CAME),$(RES)),$(call complain,$(DATA) was imported with labels of \
+    $(CAME)$(comma) not of $r: say RES=$(firstword $(CAME)))))
+$(if $(filter $(NEED_NOCONTACT) shipped,$(NEEDED)),$(if $(wildcard $(DATA)/nocontact),,$(if $(IMPORTED)$(IMAGES),$(call complain,MODEL=$(firstword \
+    $(filter $(NEED_NOCONTACT) shipped,$(NEEDED))) reads a picture beside a no-contact image$(comma) and $(DATA)/nocontact is missing: \
+    add nocontact/SENSOR.png of each sensor$(comma) or name a network that reads the image alone$(comma) such as unet ([params.report] \
+    model in $(DATA)/dataset.toml)))))
+# Other datasets to train on as well ([train] also). Each is made by its own run of make.
+LEARNT_WITH := $(foreach name,$(LEARN_ALSO),results/$(name)/60_dataset/$(if $(wildcard data/$(name)/labels/1x1.npz),1x1,$(RES1))/dataset.json)
+$(foreach file,$(filter-out $(wildcard $(LEARNT_WITH)),$(LEARNT_WITH)),$(if $(filter-out shipped,$(NEEDED)),$(call complain,$(file) is \
+    missing$(comma) and [train] also asks for it: make DATASET=$(word 2,$(subst /, ,$(file))) RES=$(word 4,$(subst /, ,$(file))) dataset)))
+ifneq ($(UNSURE),)
+.PHONY: unsure
+$(PLANNED): unsure
+endif
 
 # Status makes nothing: without targets for the shards make starts in half the time.
 ifeq ($(MAKECMDGOALS),status)

@@ -15,7 +15,7 @@ HANDS_SLOTS = $(if $(ONLY_SHOWN),,+)
 # Every prerequisite is an input; if they exceed what a shell takes as one command (128 KiB), they are passed as a
 # list file.
 LIST = $D/00_plan/$(subst /,-,$@).inputs
-INPUTS = $(if $(word 500,$^),@$(LIST)$(shell mkdir -p $D/00_plan)$(file >$(LIST),$^),$^)
+INPUTS = $(if $(word 500,$^),@$(LIST)$(shell mkdir -p $D/00_plan)$(file >$(LIST),$(filter-out unsure,$^)),$(filter-out unsure,$^))
 step = @$(LAUNCHED)$(PY) -m gelforge.flow.step $@ $(INPUTS) -- $(PY) -m $(strip $1) --part
 
 # EXECUTOR=slurm: solves and trainings run as jobs of a cluster; make waits for each, so give it as many jobs as the

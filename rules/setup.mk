@@ -10,9 +10,8 @@ GOALS := $(or $(MAKECMDGOALS),help)
 DATASET := $(if $(filter feats-fetch,$(GOALS)),feats,demo)
 RES := 24x32
 EXECUTOR := local
-JOBS := $(shell nproc)
+JOBS := $(shell env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc)
 SOLVES := results/solves
-RES1 := $(firstword $(RES))
 
 GIVEN := $(foreach v,$(.VARIABLES),$(if $(filter command,$(firstword $(origin $v))),$v))
 UNKNOWN := $(filter-out $(CHOICES) -%,$(GIVEN))
@@ -22,19 +21,22 @@ $(if $(UNKNOWN),$(error $(firstword $(UNKNOWN))=$(value $(firstword $(UNKNOWN)))
 ONLY_SHOWN := $(strip $(foreach f,n q t,$(findstring $f,$(firstword -$(MAKEFLAGS)))))
 
 # Names become folders and words of a shell: `odd` is what is left of a choice's text without the characters allowed.
+comma := ,
 DIGITS := 0 1 2 3 4 5 6 7 8 9
 LETTERS := a b c d e f g h i j k l m n o p q r s t u v w x y z A B C D E F G H I J K L M N O P Q R S T U V W X Y Z _ - . $(DIGITS)
 left = $(if $2,$(call left,$(subst $(firstword $2),,$1),$(wordlist 2,$(words $2),$2)),$1)
 odd = $(strip $(if $(strip $(value $1)),$(call left,$(value $1),$2),empty))
-$(foreach v,DATASET EXECUTOR,$(if $(call odd,$v,$(LETTERS))$(filter . .. -%,$(value $v)),$(error $v=$(value $v): give one name of \
+# A text with one of these would be code for make or for the shell; make expands what it hands to its commands.
+$(foreach v,$(CHOICES),$(foreach c,' " ` \ $$,$(if $(findstring $c,$(value $v)),$(error $v=$(value $v): give text without $c))))
+$(foreach v,DATASET EXECUTOR $(if $(MODEL),MODEL) $(if $(FORMAT),FORMAT),$(if $(call odd,$v,$(LETTERS))$(filter . .. -%,$(value $v)),$(error $v=$(value $v): give one name of \
     letters, digits, _ - and .)))
 misshapen = $(strip $(foreach r,$(RES),$(if $(filter 0%,$(subst x, ,$r))$(findstring xx,$r)$(filter-out 2,$(words $(subst x, ,$r))),$r)))
 $(if $(or $(call odd,RES,$(DIGITS) x),$(misshapen)),$(error RES=$(value RES): give resolutions as ROWSxCOLUMNS, such as \
     RES="12x16 24x32"))
+RES1 := $(firstword $(RES))
 $(if $(call odd,JOBS,$(DIGITS)),$(error JOBS=$(value JOBS): give a number of jobs))
 $(if $(filter local slurm,$(EXECUTOR)),,$(error EXECUTOR=$(EXECUTOR): give local or slurm))
 $(if $(filter benchmarks readme solves,$(DATASET)),$(error DATASET=$(DATASET): results/$(DATASET) holds no dataset; name a folder of data/))
-$(foreach v,$(CHOICES),$(if $(findstring ',$(value $v)),$(error $v=$(value $v): holds a quotation mark, which recipes cannot pass on)))
 $(if $(and $(filter clean-%,$(GOALS)),$(filter-out clean-%,$(GOALS))),$(error clean together with another goal: say make \
     $(filter clean-%,$(GOALS)) first, then make $(filter-out clean-%,$(GOALS))))
 

@@ -4,7 +4,6 @@ import os
 import resource
 import shutil
 import tempfile
-import time
 from argparse import Namespace
 from pathlib import Path
 
@@ -12,8 +11,8 @@ import numpy as np
 
 from gelforge.flow.cli import command, option, positive
 from gelforge.flow.files import read_csv, states_of, write_csv, write_json
-from gelforge.flow.layout import Layout, metrics_of
-from gelforge.flow.runs import count_finished, installed
+from gelforge.flow.layout import metrics_of
+from gelforge.flow.runs import installed
 from gelforge.records.forcefile import SampleForces, write_forces
 from tests.support.figures import Figure, publish_figures
 from tests.support.sandbox import link_project, make
@@ -129,18 +128,6 @@ def record_of(project: Path, target: Path, samples: int, *inputs: Path) -> dict:
     return cost | about | {"interrupted": False, "sha256": "0" * 64, "command": ["python", "-m", "gelforge.stages"]}
 
 
-def counted(project: Path) -> float:
-    """Processor seconds in which a finished target of stage 30 reports progress, in a run of all shards."""
-    of = Layout(project / "results" / "synthetic")
-    os.environ["GELFORGE_RUN"] = "benchmark"
-    names = of.names()
-    of.counter.parent.mkdir(parents=True, exist_ok=True)  # a step makes it with its first log
-    before = time.process_time()
-    for name in names:
-        count_finished(of.fea(name), time.time())
-    return (time.process_time() - before) / len(names)
-
-
 def measure(root: Path, samples: int) -> list[Figure]:
     """Write the log, mark all targets as made, and time make and status with nothing to do."""
     with tempfile.TemporaryDirectory() as folder:
@@ -155,14 +142,12 @@ def measure(root: Path, samples: int) -> list[Figure]:
         shown = min(timed_make(project, "-n", "labels") for _ in range(REPEATS))
         planned = min(replanned(project, f"0.{k}") for k in range(1, REPEATS + 1))
         status = min(timed_make(project, "status") for _ in range(REPEATS))
-        progress = 1000 * counted(project)
     note = f"{samples} samples, {shards} shards, 5 stages; processor time, best of {REPEATS}"
     return [
         Figure("no-op make", noop, "<=", 0.3, "s", note),
         Figure("no-op make -n", shown, "<=", 0.5, "s", note),
         Figure("make -n after one edited row: plan, and what would run", planned, "<=", 1.3, "s", note),
         Figure("no-op make status", status, "<=", 1.0, "s", note),
-        Figure("progress of a finished target", progress, "<=", 10.0, "ms", f"{shards} shards; mean of a run of all"),
     ]
 
 

@@ -31,7 +31,7 @@ from tests.support.sandbox import make
 
 PRESSES = 15_000
 CHOICES = 20
-REPORT = Path("results/demo/90_report/index.html")
+REPORT = Path("results/demo/90_report/24x32-tuned.html")
 
 
 def time_page(folder: Path, presses: int) -> list[Figure]:

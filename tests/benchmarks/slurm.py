@@ -49,7 +49,7 @@ def overhead(folder: Path, lab: Cluster, count: int) -> list[Figure]:
     some = shards[: -(-count // 5)]
     bare = bare_seconds(folder, len(some)) / len(some)
     of_some = (f"SHARDS={' '.join(some)}", "EXECUTOR=local", "DATASET=local")
-    make(folder, lab, "poses", *of_some)  # a stage that is never a job array
+    make(folder, lab, "poses", *of_some)  # a stage that is never a job
     started = time.monotonic()
     make(folder, lab, "fea", *of_some)
     local = (time.monotonic() - started) / len(some)
@@ -77,7 +77,7 @@ def demo_forces(folder: Path) -> list[Figure]:
     project = link_project(ROOT, folder)
     shutil.copytree(ROOT / "data" / "demo", project / "data" / "demo")
     # Without the results of the compared stages: poses, solves, forces and what follows.
-    solved = shutil.ignore_patterns(".slurm", "10_poses", "30_fea", "[4-9]0_*", "calibrate", "pareto*", "stability")
+    solved = shutil.ignore_patterns("10_poses", "30_fea", "[4-9]0_*", "calibrate", "pareto*", "stability")
     shutil.copytree(ROOT / "results" / "demo", project / "results" / "demo", ignore=solved)
     with cluster(memory_mb=20000) as lab:
         started = time.monotonic()

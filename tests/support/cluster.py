@@ -35,29 +35,32 @@ export PYTHONPATH := $(CURDIR):$(CURDIR)/src
 EXECUTOR ?= slurm
 DATASET ?= lab
 SHARDS ?= 0 1 2 3
-JOBS := 2
+JOBS := 8
 PY := .venv/bin/python
-export GELFORGE_RUN := $(shell echo $$PPID)
+ONLY_SHOWN :=
 D := results/$(DATASET)
 SLURM_PROFILE := own.toml
 include rules/run.mk
-wrapped = $(PY) -m gelforge.flow.step $@ $^ -- $(PY) -m $(strip $1)
+step = @$(LAUNCHED)$(PY) -m gelforge.flow.step $@ $^ -- $(PY) -m $(strip $1)
 POSES := $(SHARDS:%=$D/10_poses/%.csv)
 FEA := $(SHARDS:%=$D/30_fea/%.csv)
 FORCES := $(SHARDS:%=$D/40_forces/%.npz)
 .PHONY: poses fea forces whole
 poses: $(POSES)
-fea: $(FEA) $(solved)
+fea: $(FEA)
 forces: $(FORCES)
 whole: $D/70_train/whole.pt
 $(POSES): $D/10_poses/%.csv: log.csv
 	$(call step,work --name poses-$* --out $@.part $<)
 $(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv
-	$(call solve,work --name fea-$* --out $@.part $<)
-$(FORCES): $D/40_forces/%.npz: $D/30_fea/%.csv | $(solved)
+	$(call step,work --name fea-$* --out $@.part $<)
+$(FORCES): $D/40_forces/%.npz: $D/30_fea/%.csv
 	$(call step,work --name forces-$* --out $@.part $<)
 $D/70_train/whole.pt: $(FORCES)
-	$(call train,work --name whole --out $@.part $^)
+	$(call step,work --name whole --out $@.part $^)
+ifeq ($(EXECUTOR),slurm)
+$(FEA) $D/70_train/whole.pt: LAUNCHED := $(ON_CLUSTER)
+endif
 """
 
 WORK = """
@@ -143,8 +146,7 @@ def lay_profile(folder: Path, **settings) -> None:
     """Write the project's own profile."""
     values = {"memory_mb": 50, "time_minutes": 5, "visible_seconds": 3, **settings}
     text = "".join(f"{key} = {json.dumps(value)}\n" for key, value in values.items())
-    train = "[train]\noptions = []\ncores = 1\nmemory_mb = 50\n"
-    write_text(folder / "own.toml", f"[default]\n{text}[fea]\ntime_minutes = {values['time_minutes']}\n{train}")
+    write_text(folder / "own.toml", f"[default]\n{text}")
 
 
 def start_make(folder: Path, lab: Cluster, *arguments: str, **environment: str) -> subprocess.Popen:

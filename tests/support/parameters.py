@@ -3,7 +3,8 @@
 from pathlib import Path
 from typing import Any
 
-from gelforge.flow.files import write_json
+from gelforge.flow.files import read_json, write_json
+from gelforge.flow.layout import Layout
 from gelforge.flow.params import Params, laid_over, load_params, parameters_of, plain
 from gelforge.flow.schema import ParameterTable, Place, parse
 
@@ -38,3 +39,10 @@ def write_stage(folder: Path, stage: str, **tables: dict[str, Any]) -> Path:
     path = Path(folder) / f"{stage}.json"
     write_json(path, plain(stage_of(stage, **tables)))
     return path
+
+
+def write_used(of: Layout, shard: str = "0000", **tables: dict[str, Any]) -> None:
+    """Write the catalogue entries that a shard uses, as the plan does; kinds that are not given stay as they are."""
+    path = of.used(shard)
+    known = read_json(path) if path.exists() else {"sensors": {}, "indenters": {}, "gels": {}}
+    write_json(path, known | tables)

@@ -13,7 +13,7 @@ from gelforge.mechanics.mesh.hexmesh import FineBox
 from gelforge.mechanics.mesh.hexname import HexMeshName
 from gelforge.records.forcefile import SampleForces, write_forces
 from gelforge.records.press import COLUMNS
-from tests.support.parameters import parameters, with_values, write_stage
+from tests.support.parameters import parameters, with_values, write_stage, write_used
 from tests.support.patch import consistent_loads
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -116,8 +116,10 @@ def label(made: dict, resolution: str, sensors=ROOT / "workflow/sensors.toml") -
 
     of = Layout(made["results"])
     place_sensors(of, sensors)
-    labels.main([str(of.root), resolution])
-    return of.labelled(resolution).parent
+    for shard in of.names():
+        write_used(of, shard, sensors=read_json(of.parameters("sensors")), indenters=CATALOGUE)
+        labels.main([str(of.root), resolution, shard])
+    return of.labels(resolution, "0000").parent
 
 
 def collect(made: dict, resolution: str, *flags: str, **settings) -> Path:

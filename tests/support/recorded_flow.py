@@ -1,6 +1,9 @@
 """A flow on disk that was never run, with the records that the wrapper would have written."""
 
+import numpy as np
+
 from gelforge.flow.files import write_csv, write_json
+from gelforge.records.solvestore import SolveStore
 
 
 def lay(results, count, size=100):
@@ -25,8 +28,10 @@ def lay(results, count, size=100):
         write_json(results / f"metrics/10_poses/{name}.json", cost | {"inputs": inputs})
         write_json(results / f"metrics/30_fea/{name}.json", cost | {"inputs": [str(pose)]})
         write_json(results / f"metrics/40_forces/{name}.json", cost | {"inputs": [str(fea)]})
-    forces = [str(results / f"40_forces/{name}.npz") for name in names]
-    write_json(results / "metrics/50_labels/24x32/labels.json", cost | {"inputs": forces})
-    solve = {"status": "OK", "reason": "", "method": "label", "mesh": "hex@a", "files": ["s00123.npz"],
+        forces = str(results / f"40_forces/{name}.npz")
+        write_json(results / f"metrics/50_labels/24x32/{name}.json", cost | {"inputs": [forces]})
+        table = [{"sample_id": row["sample_id"], "key": f"key-of-{row['sample_id']}"} for row in of_shard]
+        write_csv(fea, ["sample_id", "key"], table)
+    solve = {"status": "OK", "reason": "", "method": "label", "mesh": "hex@a",
              "evidence": {"seconds": 3.25, "peak_mib": 77.0}}  # fmt: skip
-    write_json(results / "30_fea/0001/s00123.json", solve)
+    SolveStore(results.parent / "solves").publish("key-of-s00123", solve, {"force": np.zeros((2, 3))})

@@ -14,7 +14,6 @@ import pytest
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_text
 from gelforge.flow.layout import metrics_of
-from gelforge.flow.refuse import lists_of
 from gelforge.stages.plan import make_list
 from tests.support.sandbox import lay_dataset, link_project, make
 
@@ -56,7 +55,6 @@ def test_make_reads_no_meaning_into_names():
 
 
 def test_no_variable_of_the_command_line_runs_code(planned):
-    """All of it is refused before anything is made (test_refuse.py)."""
     words = [
         f"DATASET={EVERY_WAY}",
         "DATASET=../../x",
@@ -89,7 +87,9 @@ def test_make_expands_nothing_that_it_is_given(root, tmp_path, executor, given):
         )  # fmt: skip
         assert not (project / "pwned").exists(), done.stdout
         assert (
-            (f"{name}={text}: give text" in done.stdout) == (done.returncode != 0) == (by_hand or name != "ANYTHING")
+            (": give text without" in done.stdout or "no such choice" in done.stdout)
+            == (done.returncode != 0)
+            == by_hand
         )
 
 
@@ -108,7 +108,6 @@ def test_jobs_of_a_program_are_those_of_the_command_line(planned):
 
 
 def test_a_network_that_cannot_be_had_is_refused_before_anything_is_solved(planned, with_nocontact):
-    """All cases are in test_refuse.py."""
     done = make(planned, "-n", "report", "DATASET=tiny", "MODEL=shipped")
     assert done.returncode and "data/tiny/nocontact is missing" in done.stdout and "MODEL=shipped" in done.stdout
     assert make(planned, "-n", "labels", "DATASET=tiny", "MODEL=shipped").returncode == 0
@@ -129,7 +128,8 @@ def test_what_a_network_reads_is_seen_however_toml_writes_it(own):
     inline = '"d" = {kind = "grid", width = 4, blocks = 1}'
     write_text(path, f"{inline}\n{path.read_text(encoding='utf-8')}\n{tables}")
     assert make(own, "-n", "labels", "DATASET=tiny").returncode == 0
-    lists = lists_of(own / "results/tiny/00_plan/plan.mk")
+    lines = (own / "results/tiny/00_plan/plan.mk").read_text().splitlines()
+    lists = {name: words.split() for name, words in (line.split(" :=", 1) for line in lines)}
     assert set("abcd") <= set(lists["MODELS"]) and set("abcd") <= set(lists["NEED_NOCONTACT"])
 
 
@@ -286,3 +286,38 @@ def test_a_file_beside_the_makefile_takes_the_place_of_no_module_of_python(own):
     for goal in ("poses", "status"):
         done = make(own, goal, "DATASET=tiny")
         assert done.returncode == 0 and "stray" not in done.stdout, done.stdout
+
+
+def test_a_dry_run_before_set_up_installs_nothing(own):
+    """It installed 5 GB and system packages, because make makes what it includes even with -n."""
+    (own / ".venv").unlink()
+    for flag in ("-n", "-q", "-t"):
+        done = make(own, flag, "labels", "DATASET=tiny")
+        assert done.returncode and "not set up yet: run make setup" in done.stdout
+    assert make(own, "help").returncode == 0 and not (own / ".venv").exists()
+
+
+def test_a_misspelt_choice_is_refused_and_the_environment_is_none(own):
+    """`make DATSET=mylab` made the demo; a MODEL left over in a shell changed what was trained."""
+    for word in ("DATSET=tiny", "CHARTED=unet", "JOB=3", "PY=python"):
+        done = make(own, "-n", "labels", word)
+        assert done.returncode and f"{word}: no such choice; there are DATASET RES" in done.stdout
+    said = make(own, "-n", "train", "DATASET=tiny", environment={"MODEL": "pair_8", "RES": "1x1", "JOBS": "x"}).stdout
+    assert "70_train/24x32/unet.onnx" in said
+
+
+def test_results_of_the_project_itself_are_no_dataset(own):
+    """`make clean-all DATASET=benchmarks` removed tracked files."""
+    write_text(own / "results/benchmarks/kept.json", "{}")
+    for name in ("benchmarks", "readme", "solves"):
+        assert "holds no dataset" in make(own, "clean-all", f"DATASET={name}").stdout
+    assert (own / "results/benchmarks/kept.json").exists()
+
+
+def test_a_network_that_was_added_after_the_plan_is_known(own):
+    """A check by the outdated plan would refuse it."""
+    path = own / "workflow/models.toml"
+    write_text(path, path.read_text(encoding="utf-8") + '\n[new]\nkind = "unet"\nwidths = [4, 8]\n')
+    assert "70_train/24x32/new.onnx" in make(own, "-n", "train", "DATASET=tiny", "MODEL=new").stdout
+    refused = make(own, "-n", "train", "DATASET=tiny", "MODEL=newer")
+    assert refused.returncode and "MODEL=newer: no such network" in refused.stdout

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_csv, read_json, read_toml, write_csv, write_json, write_text
+from gelforge.flow.files import read_csv, read_toml, write_csv, write_text
 from gelforge.flow.layout import Layout
 from gelforge.geometry.gel import GELS, Gel
 from gelforge.geometry.indenters import build
@@ -16,7 +16,7 @@ from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import read_labels
 from gelforge.records.press import Press
 from gelforge.stages import fea, forces, labels
-from tests.support.parameters import parameters, write_stage
+from tests.support.parameters import parameters, write_stage, write_used
 
 SENSOR = "gelsight_mini"
 BALL = {"kind": "sphere", "diameter": 15, "height": 10}
@@ -39,11 +39,9 @@ def made(tmp_path_factory):
     write_stage(of.params, "fea", fea={"method": "draft"})
     write_stage(of.params, "forces")
     write_stage(of.params, "labels")
-    write_json(of.parameters("sensors"), read_toml("workflow/sensors.toml"))
-    write_json(of.parameters("indenters"), {"ball": BALL})
-    write_json(of.parameters("gels"), {})
-    for module, word in ((fea, "0000"), (forces, "0000"), (labels, "24x32")):
-        assert module.main([str(of.root), word]) == 0
+    write_used(of, sensors=read_toml("workflow/sensors.toml"), indenters={"ball": BALL})
+    for module, words in ((fea, ["0000"]), (forces, ["0000"]), (labels, ["24x32", "0000"])):
+        assert module.main([str(of.root), *words]) == 0
     return of.root
 
 
@@ -57,16 +55,11 @@ def test_every_press_names_its_bricks(made):
 
 
 def test_a_press_that_two_sensors_saw_is_solved_once(made):
-    """Each has its record and its arrays, which a second run finds whole."""
-    folder = made / "30_fea/0000"
-    aside, seen = (read_json(folder / f"{name}.json") for name in ("aside", "seen"))
-    assert seen == aside | {
-        "sample_id": "seen",
-        "files": ["seen.npz"],
-        "sha256": {"seen.npz": aside["sha256"]["aside.npz"]},
-    }
-    assert (folder / "seen.npz").read_bytes() == (folder / "aside.npz").read_bytes()
-    files = sorted(folder.glob("*.*"))
+    """Both rows have its key, and a second run finds it in the store."""
+    keys = {row["sample_id"]: row["key"] for row in read_csv(made / "30_fea" / "0000.csv")}
+    assert keys["seen"] == keys["aside"] and len(set(keys.values())) == len(keys) - 1
+    files = sorted((made.parent / "solves").glob("*.*"))
+    assert len(files) == 2 * 5 - 1  # a press that is out of range has no arrays
     before = [path.stat().st_mtime_ns for path in files]
     assert fea.main([str(made), "0000"]) == 0
     assert [path.stat().st_mtime_ns for path in files] == before

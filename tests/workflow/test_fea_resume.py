@@ -23,7 +23,7 @@ from gelforge.records.solvetable import read_solves
 from gelforge.stages import fea, forces
 from gelforge.stages.report import failures_section
 from tests.support.meshed import place_mesh
-from tests.support.parameters import write_stage
+from tests.support.parameters import write_stage, write_used
 from tests.support.waiting import HANG, wait_until
 
 GEL = GELS["gelsight_mini"]
@@ -38,8 +38,8 @@ def folder(tmp_path):
     of = Layout(tmp_path / "results/lab")
     write_stage(of.params, "fea", fea=FEA)
     write_stage(of.params, "forces", material={"c10": 0.145})
-    write_json(of.parameters("sensors"), {"cam": {"gel": GEL.name}})
-    write_json(of.parameters("indenters"), {"ball": {"kind": "sphere", "diameter": 15, "height": 10}})
+    ball = {"kind": "sphere", "diameter": 15, "height": 10}
+    write_used(of, sensors={"cam": {"gel": GEL.name}}, indenters={"ball": ball})
     place_mesh(of)
     lay_presses(of.root, ROWS)
     return of.root
@@ -58,28 +58,27 @@ def arguments(folder):
 def held_at_the_second(folder, ccx):
     """The environment of a stage 30 whose CalculiX waits once the first sample is done: a kill finds it in the second."""
     waiting = folder / "ccx"
-    first = folder / "30_fea" / "0000" / "s0.json"
+    store = folder.parent / "solves"
     waiting.write_text(
-        f'#!/bin/sh\ntest -e {shlex.quote(str(first))} && exec sleep {2 * HANG:g}\nexec {shlex.quote(ccx)} "$1"\n'
+        f'#!/bin/sh\nls {shlex.quote(str(store))}/*.json 2>/dev/null && exec sleep {2 * HANG:g}\nexec {shlex.quote(ccx)} "$1"\n'
     )
     waiting.chmod(0o755)
     return os.environ | {"CCX": str(waiting)}
 
 
 def test_killed_run_resumes_and_corruption_is_found(folder, held_at_the_second):
-    out = folder / "30_fea" / "0000"
+    out = folder.parent / "solves"
     run = subprocess.Popen([sys.executable, "-m", "gelforge.stages.fea", *arguments(folder)], env=held_at_the_second)
-    wait_until((out / "s0.json").exists, of=run)
+    wait_until(lambda: any(out.glob("[0-9a-f]*.json")), of=run)
     run.send_signal(signal.SIGKILL)
     run.wait()
-    first = (out / "s0.json").stat().st_mtime_ns
+    (record,) = out.glob("[0-9a-f]*.json")
+    first = record.stat().st_mtime_ns
     assert not (folder / "30_fea" / "0000.csv").exists()
     assert fea.main(arguments(folder)) == 0
-    assert (out / "s0.json").stat().st_mtime_ns == first, "a finished sample was solved again"
+    assert record.stat().st_mtime_ns == first, "a finished sample was solved again"
     rows = read_csv(folder / "30_fea" / "0000.csv")
     assert [r["status"] for r in rows] == ["OK"] * 3
-    assert not list(out.glob(".*")), "scratch is left behind"
-
     assert forces.main(arguments(folder)) == 0
     with ForceFile(folder / "40_forces/0000.npz") as found:
         assert found.c10 == 0.145
@@ -87,17 +86,17 @@ def test_killed_run_resumes_and_corruption_is_found(folder, held_at_the_second):
         np.testing.assert_allclose(found.total[:, 2], [2 * float(r["fz_n"]) for r in rows], rtol=1e-4)
 
     # what lost bytes, or all of them, is named, and solved again with the next run; the rest is kept
-    whole = (out / "s1.npz").read_bytes()
-    (out / "s1.npz").write_bytes(whole[: len(whole) // 2])
-    (out / "s2.npz").unlink()
+    second, third = (out / f"{row['key']}.npz" for row in rows[1:])
+    second.write_bytes(second.read_bytes()[:1000])
+    third.unlink()
     table = folder / "30_fea" / "0000.csv"
     with pytest.raises(
-        BadInput, match=r"s1\.npz and 1 more: missing or changed since it was written.* run make again"
+        BadInput, match=rf"{rows[1]['key']} and 1 more: missing or changed since it was written.* run make again"
     ):
         forces.main(arguments(folder))
     assert not table.exists()
     assert fea.main(arguments(folder)) == 0
-    assert (out / "s0.json").stat().st_mtime_ns == first
+    assert record.stat().st_mtime_ns == first
     assert forces.main(arguments(folder)) == 0
     with ForceFile(folder / "40_forces/0000.npz") as found:
         assert found.status.tolist() == ["OK"] * 3
@@ -107,7 +106,8 @@ def test_killed_run_resumes_and_corruption_is_found(folder, held_at_the_second):
     params["material"]["nu"] = 0.47
     write_json(folder / "00_plan/params/fea.json", params)
     assert fea.main(arguments(folder)) == 0
-    assert (out / "s0.json").stat().st_mtime_ns != first, "another material must be solved again"
+    again = {row["key"] for row in read_csv(table)}
+    assert again.isdisjoint(row["key"] for row in rows), "another material must be solved again"
 
 
 def test_missing_calculix_is_one_clear_error(folder, monkeypatch):
@@ -153,11 +153,12 @@ def test_a_press_that_calculix_does_not_finish_says_who_solved_it(folder, ccx):
 
 def test_a_longer_timeout_solves_again_only_what_the_shorter_one_stopped(folder, ccx):
     lay_presses(folder, ROWS[:1])
-    record = folder / "30_fea" / "0000" / "s0.json"
 
     def solved(**changed):
         write_stage(folder / "00_plan/params", "fea", fea=FEA | changed)
         assert fea.main(arguments(folder)) == 0
+        (row,) = read_csv(folder / "30_fea" / "0000.csv")
+        record = folder.parent / f"solves/{row['key']}.json"
         found = json.loads(record.read_text())
         assert found["status"] == "OK"
         return found["evidence"]["method"], record.stat().st_mtime_ns
@@ -191,9 +192,11 @@ def test_decks_run_by_stock_calculix_give_the_forces_of_stage_40(folder, ccx, tm
     lay_presses(folder, ROWS[::2])
     assert fea.main(arguments(folder)) == 0
     assert forces.main(arguments(folder)) == 0
-    kept = [path for path in (folder / "30_fea").rglob("*") if path.is_file()]
-    assert {path.suffix for path in kept} == {".npz", ".json", ".csv"} and sum(p.stat().st_size for p in kept) < 6e5
-    version = json.loads((folder / "30_fea/0000/s0.json").read_text())["evidence"]["ccx_version"]
+    store = folder.parent / "solves"
+    kept = [path for path in store.iterdir() if path.is_file()]
+    assert {path.suffix for path in kept} == {".npz", ".json"} and sum(p.stat().st_size for p in kept) < 6e5
+    rows = read_csv(folder / "30_fea/0000.csv")
+    version = json.loads((store / f"{rows[0]['key']}.json").read_text())["evidence"]["ccx_version"]
     assert version in subprocess.run([ccx, "-v"], capture_output=True, text=True).stdout
 
     rows = [{"sample_id": name, "shard": "0", "logged": "1"} for name in ("s0", "s2", "s3")]
@@ -210,9 +213,10 @@ def test_decks_run_by_stock_calculix_give_the_forces_of_stage_40(folder, ccx, tm
     with pytest.raises(BadInput, match="s3 was not solved yet; run make sample ID=s3"):
         deck.main([str(folder), "--id", "s3"])
     # what a deck is made of again is gone: the press is solved again
-    (folder / "30_fea/0000/s2.npz").unlink()
+    gone = read_csv(folder / "30_fea/0000.csv")[1]["key"]
+    (store / f"{gone}.npz").unlink()
     with pytest.raises(
-        BadInput, match=r"s2\.npz: missing or changed since it was written; remove .*0000\.csv and run make"
+        BadInput, match=rf"{gone}\.npz: missing or changed since it was written; remove .*0000\.csv and run make"
     ):
         deck.main([str(folder), "--id", "s2"])
     assert fea.main(arguments(folder)) == 0

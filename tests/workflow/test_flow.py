@@ -89,7 +89,7 @@ def test_appending_to_the_log_solves_only_what_is_new(labelled, root):
     os.utime(labelled / "data/tiny/log.csv", (later, later))
     built = build(labelled, "labels")
     assert set(built) == {
-        "10_poses/0002.csv", "15_images/images.json", "30_fea/0002.csv", "40_forces/0002.npz", "50_labels/24x32/labels.json",
+        "10_poses/0002.csv", "15_images/images.json", "30_fea/0002.csv", "40_forces/0002.npz", "50_labels/24x32/0002.npz",
     }  # fmt: skip
     assert all(p.stat().st_mtime_ns == stamp for p, stamp in before.items())
 
@@ -114,11 +114,11 @@ def test_killing_make_in_a_solve_loses_at_most_that_solve(project):
         ["make", "-j1", "DATASET=tiny", "fea"], cwd=project, env=clean_environment(), start_new_session=True,
         stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
     )  # fmt: skip
-    first = project / "results/tiny/30_fea"
-    wait_until(lambda: list(first.glob("*/*.json")), of=child)
+    store, first = project / "results/solves", project / "results/tiny/30_fea"
+    wait_until(lambda: list(store.glob("[0-9a-f]*.json")), of=child)
     os.killpg(child.pid, signal.SIGKILL)
     child.wait()
-    kept = {p: p.stat().st_mtime_ns for p in first.glob("*/*.json")}
+    kept = {p: p.stat().st_mtime_ns for p in store.glob("[0-9a-f]*.json")}
     assert kept
     built = build(project, "fea")
     assert set(built) <= {"30_fea/0000.csv", "30_fea/0001.csv"}

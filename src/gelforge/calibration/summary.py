@@ -25,7 +25,7 @@ def parameter_table(chain: Chain, model: Model) -> dict[str, dict]:
     """
     draws, table = model.values(chain.flat()), {}
     for name, prior in model.free.items():
-        low, high = norm.ppf(prior.law.cdf(np.quantile(draws[name], QUANTILES["interval68"])))
+        low, high = normal_coordinate(prior.law, np.quantile(draws[name], QUANTILES["interval68"]))
         table[name] = {
             **describe(draws[name]),
             "label": label_of(name),
@@ -34,6 +34,12 @@ def parameter_table(chain: Chain, model: Model) -> dict[str, dict]:
             "width_over_prior": float((high - low) / 2.0),
         }
     return table
+
+
+def normal_coordinate(law, values: np.ndarray) -> np.ndarray:
+    """Values (n,) in the coordinate in which a prior's law is a standard normal; in its tails by the smaller side."""
+    below, above = law.cdf(values), law.sf(values)
+    return np.where(below < 0.5, norm.ppf(below), -norm.ppf(above))
 
 
 def bench(parameters: dict, fixed: dict) -> dict[str, float]:
@@ -137,8 +143,21 @@ def _trades(correlation: dict) -> list[str]:
 def _unseen(parameters: dict) -> list[str]:
     # Data cannot determine the emulator's scale, which only widens C10; a tare that stays as its prior is good news.
     expected = ("discretisation", *TARE)
-    blind = [n for n in NAMES if n in parameters and n not in expected and parameters[n]["width_over_prior"] > 0.8]
+    blind = [
+        n
+        for n in NAMES
+        if n in parameters
+        and n not in expected
+        and parameters[n]["width_over_prior"] > 0.8
+        and not _far(parameters[n])
+    ]
     if not blind:
         return []
     names = ", ".join(label_of(n).split(" (")[0] for n in blind)
     return [f"The data say almost nothing about {names}: the posterior is the prior."]
+
+
+def _far(row: dict) -> bool:
+    """Whether the data moved a parameter out of its prior's 95 % interval: then the prior disagrees, not the data."""
+    low, high = row["prior_interval95"]
+    return not low <= row["median"] <= high

@@ -17,11 +17,14 @@ from gelforge.formats.benchfiles import Images, read_gauge, read_path
 from gelforge.formats.benchlog import Aligned, Setup, align, nocontact_of, write_dataset
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.indenters import load_catalogue
+from gelforge.geometry.touch import first_touch
 from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors
 from gelforge.reading.frame import image_frame, same_shape
 from gelforge.records.frames import check_frames
-from gelforge.records.press import RawRow, Rejection, parse
+from gelforge.records.press import Press, RawRow, Rejection, parse
 from gelforge.stages.poses import geometric_faults
+
+START_MM = 3.0  # above the apex, where no body touches yet
 
 
 def place(text: str) -> tuple[float, float, float]:
@@ -69,10 +72,11 @@ def main(args: Namespace) -> None:
     sensor = find_sensor(load_sensors(args.sensors), args.sensor, "--sensor", str(args.sensors))
     body = load_catalogue(args.indenters, [args.indenter])[args.indenter]
     (gauge, measured), path = read_gauge(args.gauge, args.sign), read_path(args.path, args.origin)
-    bench, images = Setup(sensor, args.indenter, args.gel_id), Images.of(args.images)
+    gel = load_gel(sensor.gel)
+    bench, images = Setup(sensor, args.indenter, args.gel_id, touch_height(gel, body)), Images.of(args.images)
     found = align(gauge, measured, path, images, bench, args.touch, args.every)
     print(*found.notes, sep="\n")
-    for line in leave_out(found, body, load_gel(sensor.gel), SimpleNamespace(**read_toml(args.params)["poses"])):
+    for line in leave_out(found, body, gel, SimpleNamespace(**read_toml(args.params)["poses"])):
         print(line, file=sys.stderr)
     nocontact = nocontact_of(found, images)
     write_dataset(found, images, nocontact, framing(sensor, nocontact, f"{args.images}: images"), bench, args.data)
@@ -83,6 +87,17 @@ def main(args: Namespace) -> None:
     print(
         f"{args.data}: {len(found.rows)} rows of {presses} presses; look at aligned.png there, then make DATASET={args.data.name} labels"
     )
+
+
+def touch_height(gel, body) -> Callable[[float, float, float], float]:
+    """A function that returns the height of a body's tip, mm, at which it meets the gel at x, y mm, turned in degrees."""
+
+    def height(x: float, y: float, turn: float) -> float:
+        press = Press(x, y, START_MM, 0.0, 0.0, -2.0 * START_MM, turn)
+        met = first_touch(gel, body, press)
+        return START_MM * (1.0 - 2.0 * met) if met is not None else float("nan")
+
+    return height
 
 
 def framing(sensor: Sensor, nocontact: np.ndarray, where: str) -> Callable[[np.ndarray], np.ndarray]:

@@ -43,7 +43,7 @@ def hand_out(results: Path, sample_id: str, out: Path) -> None:
     """Write deck and README of a sample to the folder `out`; BadInput where it has no deck."""
     of, found = Layout(results), find(results, sample_id)
     found.refuse_rejected()
-    if found.solve is None:
+    if not found.key:
         raise BadInput(f"sample {sample_id} was not solved yet; run {of.command(f'sample ID={sample_id}')}")
     record = found.record
     if record is None:

@@ -57,6 +57,7 @@ def whole_lines(results: Path, broken: Collection[str]) -> list[str]:
     """Results of the stages that work on all samples at once, or the command that makes them."""
     text = []
     for kind, pattern, target in (
+        (layout.IMAGES, "images.json", "images"),
         (layout.DATASET, "*/dataset.json", "dataset"),
         (layout.TRAIN, "*/*.onnx", "train"),
         (layout.EVALUATE, "*/*.json", "evaluate"),

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from gelforge.records.series import equal_largest
+
 # Newtons in other units that sensors and scales show.
 UNITS = {
     "kilograms-force": 9.80665,
@@ -83,6 +85,7 @@ def of_log(log: LogForces, fitted: Fitted) -> list[str]:
     felt = fitted.usual > LEAST_N
     rows, usual = fitted.rows[felt], fitted.usual[felt]
     causes = (
+        lambda: equal_largest(log.normal[rows], usual),
         lambda: misplaced(log.force[rows], usual),
         lambda: unit(log.normal[rows], usual),
         lambda: shifted(log.normal, usual, rows),
@@ -309,7 +312,7 @@ def drift_text(axis: str, per_row: float, rows: float) -> str:
 
 def of_readings(measured: np.ndarray, predicted: np.ndarray) -> list[str]:
     """Diagnose readings (n,) N of a scale against predictions (n,) N: unit, else a drift, else a constant force."""
-    wrong = unit(measured, predicted, "the readings")
+    wrong = unit(measured, predicted, "the readings") or equal_largest(measured, predicted)
     if wrong:
         return [wrong]
     if len(measured) < FEWEST:

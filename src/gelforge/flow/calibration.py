@@ -33,7 +33,7 @@ SET = {"material": {"c10", *(f"c10_{name}" for name in INTERVALS)}, "poses": set
 
 
 @dataclass(frozen=True)
-class Found:
+class CalibratedValues:
     """What a calibration found, rounded.
 
     law: of the contact. presses: sample_ids that it used. params: tables that override those of params.toml.
@@ -45,7 +45,7 @@ class Found:
     params: dict[str, dict[str, Any]]
 
 
-def found_in(dataset: str, summary: Mapping[str, Any]) -> Found:
+def found_in(dataset: str, summary: Mapping[str, Any]) -> CalibratedValues:
     """The values of a calibration's summary.json that labels follow."""
     c10, bench = summary["c10"], summary["bench"]
     material = {"c10": round(c10["median"], DIGITS["c10"])} | {
@@ -56,10 +56,10 @@ def found_in(dataset: str, summary: Mapping[str, Any]) -> Found:
     if "mu" in summary["parameters"]:
         params["interface"] = {"mu": round(summary["parameters"]["mu"]["median"], DIGITS["mu"])}
     digest = hashlib.sha256(repr(params).encode()).hexdigest()[:6]
-    return Found(f"{dataset}-{digest}", summary["law"], tuple(summary["used"]), params)
+    return CalibratedValues(f"{dataset}-{digest}", summary["law"], tuple(summary["used"]), params)
 
 
-def write_frozen(path: Path, found: Found) -> None:
+def write_frozen(path: Path, found: CalibratedValues) -> None:
     """Write the frozen calibration, whole or not at all."""
     command = f"make freeze DATASET={path.parent.name}"
     lines = [
@@ -73,7 +73,7 @@ def write_frozen(path: Path, found: Found) -> None:
     write_text(path, "\n".join(lines) + "\n")
 
 
-def read_frozen(path: Path) -> Found:
+def read_frozen(path: Path) -> CalibratedValues:
     """The frozen calibration; BadInput if the file is none."""
     hint = f"run make freeze DATASET={path.parent.name}, or remove it"
     try:
@@ -87,10 +87,12 @@ def read_frozen(path: Path) -> Found:
             raise BadInput(
                 f"{path}: [params.{table}] has a key that calibration does not set; set it in dataset.toml; {hint}"
             )
-    return Found(given["name"], given["law"], tuple(str(name) for name in given["presses"]), given["params"])
+    return CalibratedValues(
+        given["name"], given["law"], tuple(str(name) for name in given["presses"]), given["params"]
+    )
 
 
-def read_posterior(path: Path) -> Found:
+def read_posterior(path: Path) -> CalibratedValues:
     """What a calibration found, from its summary.json; BadInput with the reason if it failed or cannot be read."""
     again = f"run `{command_for('calibrate', path)}`"
     if not path.exists():
@@ -107,7 +109,7 @@ def read_posterior(path: Path) -> Found:
         raise BadInput(f"{path}: is not the summary of a calibration ({error!r}); {again}") from error
 
 
-def read_found(path: Path) -> Found:
+def read_found(path: Path) -> CalibratedValues:
     """A calibration: a frozen one or a posterior."""
     return read_frozen(path) if path.name == FROZEN else read_posterior(path)
 

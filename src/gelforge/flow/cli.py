@@ -1,6 +1,6 @@
 """A module's command line: its arguments and options, its `main`, and the exit of its process.
 
-A stage names the method of `Layout` that gives the path of its result, whose parameters become the stage's arguments:
+A stage names the file of `Layout` that it writes; the words of that name become the stage's arguments:
 
     @stage(Layout.fea)
     def main(args):  # python -m gelforge.stages.fea results/demo 0000
@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, NoReturn
 
 from gelforge.errors import GelforgeError, printable, unwritable
-from gelforge.flow.layout import Layout
+from gelforge.flow.layout import File, Layout
 
 # Errors of a disk or a folder that cannot be written to; they are no fault of the program.
 UNWRITABLE = (errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT)
@@ -39,6 +39,8 @@ EXTRAS = {
     **dict.fromkeys(("foxglove", "mcap", "rosbags"), "live"),
     "huggingface_hub": "hub",
 }  # fmt: skip
+MESHES = "GELFORGE_MESHES"  # environment variable with the folder of base meshes (`mechanics.mesh.basemesh`)
+GELS = "GELFORGE_GELS"  # environment variable with the file of the user's gels (`geometry.gel`)
 # Errors of a name that no file can have.
 UNNAMEABLE = (errno.ENAMETOOLONG, errno.ELOOP)
 
@@ -146,19 +148,20 @@ def command(*options: Option) -> Callable[[Callable[[argparse.Namespace], int | 
     return lambda run: Command(run, options)
 
 
-def stage(
-    target: Callable[..., Path], *options: Option
-) -> Callable[[Callable[[argparse.Namespace], int | None]], Command]:
-    """Give a function `main(args)` a stage's command line: results/DATASET, the parameters of `target`, and options.
+def stage(target: File, *options: Option) -> Callable[[Callable[[argparse.Namespace], int | None]], Command]:
+    """Give a function `main(args)` a stage's command line: results/DATASET, the words of `target`, and options.
 
-    target: a method of `Layout`. args.of is the Layout, args.out the file to write: the target, or TARGET.part.
+    target: a file of `Layout`. args.of is the Layout, args.out the file to write: the target, or TARGET.part.
     """
-    words = list(inspect.signature(target).parameters)[1:]
+    words = target.words
 
     def give(run: Callable[[argparse.Namespace], int | None]) -> Command:
         @wraps(run)
         def at_place(args: argparse.Namespace) -> int | None:
             args.of = Layout(args.results)
+            if (gels := args.of.workflow / "gels.toml").exists():
+                os.environ[GELS] = str(gels.absolute())
+            os.environ[MESHES] = str(args.of.meshes.absolute())
             args.out = target(args.of, *(getattr(args, word) for word in words))
             args.out.parent.mkdir(parents=True, exist_ok=True)
             if args.part:

@@ -1,5 +1,6 @@
 """Files that are either whole or absent, their digests and locks, and results kept under a key of their inputs."""
 
+import contextlib
 import csv
 import errno
 import fcntl
@@ -91,20 +92,37 @@ def changed(known: Mapping[str, State | None], now: Mapping[str, State | None]) 
 
 
 @contextmanager
-def publish(path: Path | str) -> Iterator[Path]:
+def publish(path: Path | str, durable: bool = True) -> Iterator[Path]:
     """Yield a temporary path beside `path`; rename it to `path` if the block succeeds.
 
-    A killed or failing writer leaves nothing under the final name. The temporary name keeps
-    the suffix, because numpy and OpenCV choose a format by it.
+    A killed or failing writer leaves nothing under the final name, and neither does a power cut if it is durable:
+    the content is on the disk before the name is. The temporary name keeps the suffix, because numpy and OpenCV choose a format by it.
+    durable: False for files of which a failed program writes all again, such as thousands of images.
     """
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
     part = path.with_name(f".{path.stem}.{os.getpid()}.part{path.suffix}")
     try:
         yield part
+        if durable:
+            sync(part)
         os.replace(part, path)
     finally:
         part.unlink(missing_ok=True)
+
+
+def sync(path: Path) -> None:
+    """Bring the content of a file to the disk (POSIX fsync); file systems that cannot are left to their own."""
+    with contextlib.suppress(OSError), path.open("rb") as stream:
+        os.fsync(stream.fileno())
+
+
+def link_or_copy(source: Path, target: Path) -> None:
+    """Make `target` a hard link of a file, or a copy where the file system has no links (exFAT, SMB)."""
+    try:
+        os.link(source, target)
+    except OSError:
+        shutil.copyfile(source, target)
 
 
 def write_text(path: Path | str, text: str) -> None:

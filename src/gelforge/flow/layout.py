@@ -6,8 +6,12 @@ module imports only the standard library, because every step of a run imports it
 
 import csv
 import os
+import re
+from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
+from typing import Any, overload
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import names_in
@@ -56,6 +60,7 @@ STAGES = {
             "interface.law",
             "poses.deepest_share",
             "poses.farthest_shear_mm",
+            "poses.tilt_deg",
         ),
         solves=True,
     ),
@@ -135,6 +140,38 @@ def metrics_of(target: Path) -> Path:
     return mirror(target, METRICS, ".json")
 
 
+class File:
+    """A file below results/DATASET by the pattern of its name: `of.fea("0000")` is results/DATASET/30_fea/0000.csv.
+
+    shared: it is that of the dataset also for a sample that `make sample` took through all stages.
+    """
+
+    def __init__(self, pattern: str, shared: bool = False) -> None:
+        self.pattern, self.shared = pattern, shared
+        self.words = re.findall(r"{(\w+)}", pattern)
+
+    def __call__(self, of: "Layout", *words: str) -> Path:
+        """The path for the words of the pattern, in their order."""
+        if len(words) != len(self.words):
+            raise TypeError(f"{self.pattern}: give {', '.join(self.words) or 'no words'}, not {words}")
+        root = of.dataset_root if self.shared else of.root
+        return root / self.pattern.format(**dict(zip(self.words, words, strict=True)))
+
+    @overload
+    def __get__(self, of: None, owner: type) -> "File": ...
+    @overload
+    def __get__(self, of: "Layout", owner: type) -> Callable[..., Path]: ...
+    def __get__(self, of: "Layout | None", owner: type) -> "File | Callable[..., Path]":
+        return self if of is None else partial(self, of)
+
+
+class Folder(File):
+    """A path below results/DATASET whose name holds no words: `of.params`."""
+
+    def __get__(self, of: Any, owner: type) -> Any:
+        return self if of is None else self(of)
+
+
 @dataclass(frozen=True)
 class Layout:
     """Paths below one folder results/DATASET."""
@@ -179,162 +216,59 @@ class Layout:
         """Folder of the references of the chart's scenes, which all datasets share."""
         return self.base / "data" / "fea_challenge"
 
-    def plan(self) -> Path:
-        """Lists of words, such as shards, that make reads."""
-        return self.root / PLAN / "plan.mk"
+    # -- files and folders, by the words that their names hold
 
-    @property
-    def params(self) -> Path:
-        """Folder of each stage's parameters, NAME.json."""
-        return self.root / PLAN / "params"
-
-    def parameters(self, name: str) -> Path:
-        """Parameters of a stage, or the catalogue entries that the dataset uses (sensors, indenters, gels)."""
-        return self.params / f"{name}.json"
-
-    @property
-    def surfaces(self) -> Path:
-        """Folder of the measured surfaces of STL files, by a digest of their content."""
-        return self.dataset_root / PLAN / SURFACES
-
-    @property
-    def shards(self) -> Path:
-        """Folder of the planned shards' raw rows."""
-        return self.root / PLAN / "shards"
-
-    @property
-    def shard_table(self) -> Path:
-        """Table that gives the shard of every sample."""
-        return self.root / PLAN / "shards.csv"
-
-    def shard(self, name: str) -> Path:
-        """Raw rows of a shard."""
-        return self.shards / f"{name}.csv"
-
-    def used(self, name: str) -> Path:
-        """The catalogue entries that a shard uses: its sensors, indenters and gels."""
-        return self.shards / f"{name}.json"
-
-    def pictures(self, name: str) -> Path:
-        """Digests of a shard's pictures, and its rows whose picture is also that of another press."""
-        return self.shards / f"{name}.pictures.json"
-
-    def beside(self, name: str) -> Path:
-        """Digests of files that lie beside the log: nocontact, rows (splits and truth), or imported labels of a resolution."""
-        return self.root / PLAN / "beside" / f"{name}.json"
-
-    def poses(self, shard: str) -> Path:
-        """Pose table of a shard."""
-        return self.root / POSES / f"{shard}.csv"
-
-    def rejected(self, shard: str) -> Path:
-        """Rows of a shard that stage 10 rejected."""
-        return self.root / POSES / f"{shard}.rejected.csv"
-
-    def images(self) -> Path:
-        """What stage 15 found in the images of the log."""
-        return self.root / IMAGES / "images.json"
-
-    @property
-    def meshes(self) -> Path:
-        """Folder of the gels' base meshes; samples share those of their dataset."""
-        return self.dataset_root / MESHES
-
-    def mesh(self, gel: str) -> Path:
-        """Base mesh of a gel."""
-        return self.meshes / f"{gel}.npz"
-
-    def fea(self, shard: str) -> Path:
-        """Table of a shard's solves."""
-        return self.root / FEA / f"{shard}.csv"
+    plan = File(f"{PLAN}/plan.mk")  # lists of words, such as shards, that make reads
+    params = Folder(f"{PLAN}/params")  # parameters of each stage, NAME.json
+    parameters = File(f"{PLAN}/params/{{name}}.json")  # of a stage, or catalogue entries that the dataset uses
+    shards = Folder(f"{PLAN}/shards")
+    shard_table = Folder(f"{PLAN}/shards.csv")  # the shard of every sample
+    shard = File(f"{PLAN}/shards/{{shard}}.csv")  # raw rows
+    used = File(f"{PLAN}/shards/{{shard}}.json")  # catalogue entries that a shard uses: sensors, indenters, gels
+    pictures = File(
+        f"{PLAN}/shards/{{shard}}.pictures.json"
+    )  # digests of its pictures, and rows with that of another press
+    beside = File(
+        f"{PLAN}/beside/{{name}}.json"
+    )  # digests of files beside the log: nocontact, rows, imported labels of a resolution
+    poses = File(f"{POSES}/{{shard}}.csv")
+    rejected = File(f"{POSES}/{{shard}}.rejected.csv")
+    images = File(f"{IMAGES}/images.json")
+    meshes = Folder(MESHES, shared=True)  # base meshes of gels
+    mesh = File(f"{MESHES}/{{gel}}.npz", shared=True)
+    fea = File(f"{FEA}/{{shard}}.csv")  # how each press was solved, and the key of its solve
+    checked = File(f"{FEA}/{{shard}}")  # folder of presses that a second method verified
+    forces = File(f"{FORCES}/{{shard}}.npz")
+    labels = File(f"{LABELS}/{{resolution}}/{{shard}}.npz")
+    dataset = File(f"{DATASET}/{{resolution}}")  # folder of the arrays to train on
+    dataset_table = File(f"{DATASET}/{{resolution}}/dataset.json")  # what the arrays hold, written after them
+    network = File(f"{TRAIN}/{{resolution}}/{{model}}.onnx")  # weights and learning curve lie beside it
+    curve = File(f"{TRAIN}/{{resolution}}/{{model}}.curve.png")
+    evaluation = File(f"{EVALUATE}/{{resolution}}/{{model}}.json")  # plots, card and predictions lie beside it
+    card = File(f"{EVALUATE}/{{resolution}}/{{model}}.card.md")
+    report = File(f"{REPORT}/{{resolution}}-{{model}}.html")  # of a dataset without images the model is "none"
+    chart_scene = File(f"{PARETO}/scenes/{{name}}.json")
+    chart = File(f"{PARETO}/pareto.json")
+    network_chart = File(f"{PARETO_MODELS}/{{resolution}}.json")
+    stability_row = File(f"{STABILITY}/rows/{{row}}.json")
+    stability_map = File(f"{STABILITY}/map.json")
+    feats = File(f"{FEATS}/{{resolution}}/normalization_gelforge.npy")  # written after the labels
+    calibration = File(f"{CALIBRATE}/summary.json", shared=True)  # samples follow the posterior of their dataset
+    surfaces = Folder(
+        f"{PLAN}/{SURFACES}", shared=True
+    )  # measured surfaces of STL files, by a digest of their content
+    logs = Folder(LOGS)
+    metrics = Folder(METRICS)
 
     @property
     def solves(self) -> Path:
         """Folder of all solves, by key: of all datasets, or the one that SOLVES=folder names."""
         return Path(os.environ.get("GELFORGE_SOLVES") or self.dataset_root.parent / "solves")
 
-    def checked(self, shard: str) -> Path:
-        """Folder of a shard's presses that a second method verified."""
-        return self.root / FEA / shard
-
-    def forces(self, shard: str) -> Path:
-        """Nodal forces of a shard."""
-        return self.root / FORCES / f"{shard}.npz"
-
-    def labels(self, resolution: str, shard: str) -> Path:
-        """Labels of a shard."""
-        return self.root / LABELS / resolution / f"{shard}.npz"
-
-    def dataset(self, resolution: str) -> Path:
-        """Folder of the arrays to train on."""
-        return self.root / DATASET / resolution
-
     def lesson(self, resolution: str) -> Path:
         """Arrays that another dataset's network learns from, too: `dataset`, at 1x1 if total forces were imported."""
         only_totals = (self.data / "labels/1x1.npz").exists()
         return self.dataset("1x1" if only_totals else resolution)
-
-    def dataset_table(self, resolution: str) -> Path:
-        """What the arrays of a resolution hold, written after them."""
-        return self.dataset(resolution) / "dataset.json"
-
-    def network(self, resolution: str, model: str) -> Path:
-        """A trained network; its weights and its learning curve lie beside it with the same stem."""
-        return self.root / TRAIN / resolution / f"{model}.onnx"
-
-    def evaluation(self, resolution: str, model: str) -> Path:
-        """Errors of a network; its plots, card and predictions lie beside it with the same stem."""
-        return self.root / EVALUATE / resolution / f"{model}.json"
-
-    def card(self, resolution: str, model: str) -> Path:
-        """The model card of a network."""
-        return self.root / EVALUATE / resolution / f"{model}.card.md"
-
-    def curve(self, resolution: str, model: str) -> Path:
-        """Plot of a network's learning curve."""
-        return self.root / TRAIN / resolution / f"{model}.curve.png"
-
-    def report(self, resolution: str, model: str) -> Path:
-        """The report page of a grid and a network, "none" for a dataset without images."""
-        return self.root / REPORT / f"{resolution}-{model}.html"
-
-    def calibration(self) -> Path:
-        """Summary of the posterior; samples and pilots share that of their dataset."""
-        return self.dataset_root / CALIBRATE / "summary.json"
-
-    def chart_scene(self, name: str) -> Path:
-        """A scene solved by every method."""
-        return self.root / PARETO / "scenes" / f"{name}.json"
-
-    def chart(self) -> Path:
-        """The chart of all scenes and methods."""
-        return self.root / PARETO / "pareto.json"
-
-    def network_chart(self, resolution: str) -> Path:
-        """The chart of networks."""
-        return self.root / PARETO_MODELS / f"{resolution}.json"
-
-    def stability_row(self, row: str) -> Path:
-        """The cases of one factor of the branch stability."""
-        return self.root / STABILITY / "rows" / f"{row}.json"
-
-    def stability_map(self) -> Path:
-        """All cases of the branch stability."""
-        return self.root / STABILITY / "map.json"
-
-    def feats(self, resolution: str) -> Path:
-        """The normalisation file of labels in FEATS' layout, written after them."""
-        return self.root / FEATS / resolution / "normalization_gelforge.npy"
-
-    @property
-    def logs(self) -> Path:
-        """Folder of all logs."""
-        return self.root / LOGS
-
-    @property
-    def metrics(self) -> Path:
-        """Folder of all records."""
-        return self.root / METRICS
 
     def names(self) -> list[str]:
         """Sorted names of the planned shards."""

@@ -143,11 +143,11 @@ def with_content(indenters: dict, folder: Path) -> dict:
 class StageParameters(Params):
     """Parameters of a stage: the tables and keys that it reads (`flow.layout.STAGES`), and its results' version.
 
-    calibration: path of the calibration that the stage follows, relative to the project; "" for none.
+    calibration: path of the calibration that the stage follows, relative to the project, if any.
     """
 
     version: int
-    calibration: str = ""
+    calibration: str | None = None
 
 
 def stage_version(folder: Path, name: str) -> int:

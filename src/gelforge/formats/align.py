@@ -14,6 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.records import series
 
 LAPSE = 2.5  # median intervals: across a longer gap samples were dropped, and nothing is interpolated
 COARSE_S = 0.02  # step of the cross-correlation
@@ -49,8 +50,8 @@ class Recording:
         back = np.flatnonzero(np.diff(self.times) <= 0)
         if len(back):
             raise BadInput(
-                f"{self.name}: time does not increase after sample {back[0] + 1} ({self.times[back[0]]:.6g} s, then"
-                f" {self.times[back[0] + 1]:.6g} s); sort it by time and remove duplicates"
+                f"{self.name}: time does not increase after sample {back[0] + 1} ({self.times[back[0]]:.15g} s, then"
+                f" {self.times[back[0] + 1]:.15g} s); {_mended(self.times)}"
             )
 
     @property
@@ -74,6 +75,21 @@ class Recording:
         return found
 
 
+def _mended(times: np.ndarray) -> str:
+    """What to do about times (n,) s that do not increase."""
+    steps = np.diff(times)
+    if (times == np.round(times)).all() and (steps >= 0).all():
+        return "times have whole seconds only: log them with milliseconds"
+    back = steps[steps < 0]
+    if len(back) and np.abs(back.min() + 3600.0) < 60.0:
+        return "the clock was set back by an hour, as at the end of daylight saving time: log UTC"
+    if len(back) == 1 and (steps > 0).sum() == len(steps) - 1:
+        return "the clock was set back there, or two recordings follow each other: give one part of it"
+    if (steps == 0).mean() > 0.1:
+        return "many samples have the same time: log the time of each sample, with milliseconds"
+    return "sort it by time and remove duplicates"
+
+
 @dataclass(frozen=True)
 class Levelled:
     """A gauge's recording after subtraction of its reading at rest.
@@ -92,6 +108,11 @@ def without_level(gauge: Recording, touch: float) -> Levelled:
     BadInput where forces have the opposite sign, or where the gauge never rests.
     """
     force = gauge.values[:, 0]
+    if series.triggered(gauge.times, force):
+        raise BadInput(
+            f"{gauge.name}: the gauge never rests: it recorded during presses only, so that what it reads without contact is unknown; switch off"
+            " its trigger, and record a second without contact before and after each press"
+        )
     base = _usual(gauge.times, force)
     left = force - base
     low, high = np.quantile(left, [0.003, 0.997])
@@ -102,7 +123,7 @@ def without_level(gauge: Recording, touch: float) -> Levelled:
         )
     for _ in range(ROUNDS):
         rest = at_rest(gauge, left >= max(touch, 0.05 * float(np.quantile(left, 0.997))))
-        pauses = [pause for pause in _runs(rest) if pause.stop - pause.start >= FEWEST]
+        pauses = [pause for pause in series.runs(rest, gauge.times) if pause.stop - pause.start >= FEWEST]
         if not pauses:
             raise BadInput(
                 f"{gauge.name}: the gauge never rests; record a second without contact before and after each press"
@@ -158,19 +179,10 @@ def _mode(values: np.ndarray) -> float:
 def at_rest(gauge: Recording, pressed: np.ndarray) -> np.ndarray:
     """Which samples (n,) lie outside every press, with the margins BEFORE_S and AFTER_S."""
     rest = ~pressed
-    for press in _runs(pressed):
+    for press in series.runs(pressed):
         began, ended = gauge.times[press.start] - BEFORE_S, gauge.times[press.stop - 1] + AFTER_S
         rest &= (gauge.times < began) | (gauge.times > ended)
     return rest
-
-
-def _runs(where: np.ndarray) -> list[slice]:
-    """Runs of True in (n,) bool."""
-    steps = np.diff(np.concatenate([[False], where, [False]]).astype(int))
-    return [
-        slice(a, b)
-        for a, b in zip(np.flatnonzero(steps == 1).tolist(), np.flatnonzero(steps == -1).tolist(), strict=True)
-    ]
 
 
 @dataclass(frozen=True)
@@ -201,7 +213,7 @@ class MatchedClock:
 
 def presses_of(force: np.ndarray, touch: float) -> list[slice]:
     """Presses in order of time: runs of at least FEWEST samples with a force (n,) of `touch` N or more."""
-    return [run for run in _runs(force >= touch) if run.stop - run.start >= FEWEST]
+    return [run for run in series.runs(force >= touch) if run.stop - run.start >= FEWEST]
 
 
 def match_clock(gauge: Recording, other: Recording, touch: float) -> MatchedClock:

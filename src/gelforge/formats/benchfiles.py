@@ -3,8 +3,8 @@
 Times are in a column `time_s`, `time_ms`, `time_us`, `time_ns` or `time_utc` (ISO 8601). A gauge log is a CSV with
 `fz_UNIT` and optionally `fx_UNIT` and `fy_UNIT`. A path log holds measured positions of the tip, in one of two forms.
 Either it is a CSV of a time, `x_UNIT`, `y_UNIT`, `z_UNIT`, optionally `rot_deg`, and no other column. Or it has lines
-`TIME <STATE|WPos:x,y,z|…>`, GRBL's reports after their time in s; with `MPos`, at least one report states `WCO`,
-which must not change. A folder of images has a `times.csv` with the columns `image` and a time.
+`TIME <STATE|WPos:x,y,z|…>`, reports of GRBL or grblHAL after their time, in s or ISO 8601; axes after the third must
+stand still. With `MPos`, at least one report states `WCO`, which must not change. A folder of images has a `times.csv` with the columns `image` and a time.
 """
 
 import re
@@ -35,23 +35,38 @@ SMALL = (64, 48)  # px at which the change of an image is measured
 FASTEST_MM_S = 500.0  # largest speed of a tip
 SLOWEST_S = 0.25  # largest sampling interval of a path
 MOST_HEAD = 100  # lines in which a misplaced header is searched
-NUMBER = r"(-?\d+\.\d{3})"
-REPORT = re.compile(
-    rf"(\d+(?:\.\d+)?) <(Idle|Run|Jog|Hold:[01])\|([MW])Pos:{NUMBER},{NUMBER},{NUMBER}(?:\|([^<>]*))?>", re.ASCII
+NUMBER = r"-?\d+\.\d{1,3}"
+PLACE = rf"({NUMBER}(?:,{NUMBER}){{2,7}})"  # x, y, z, and further axes
+STAMP = r"(\d+(?:\.\d+)?|\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:\.\d+)?(?:Z|[+-]\d\d:?\d\d)?)"  # seconds, or ISO 8601
+# States of GRBL and grblHAL in which the tip is where it reports, with their substates.
+REPORT = re.compile(rf"{STAMP} <(?:Idle|Run|Jog|Hold|Tool)(?::\d+)?\|([MW])Pos:{PLACE}(?:\|([^<>]*))?>", re.ASCII)
+OFFSET = re.compile(rf"(?:^|\|)WCO:{PLACE}(?:\||$)")
+CLOCK = r"(\d{1,3}:)?\d{1,2}:\d\d([.,]\d+)?$"
+M114 = (
+    r"(\d+(\.\d+)?\s+)?X:\s*-?\d",
+    "M114 reports the commanded position: log the measured one, as time_s,x_mm,y_mm,z_mm",
 )
-OFFSET = re.compile(rf"(?:^|\|)WCO:{NUMBER},{NUMBER},{NUMBER}(?:\||$)")
 # What is wrong with a line that is no report of a path, by a pattern that it matches.
 STRANGE = (
     (
-        r"\d+(\.\d+)? <(Alarm|Home|Check|Door|Sleep)",
+        r"[\d.:TZ+ -]+ <(Alarm|Home|Check|Door|Sleep)",
         "in this state the machine resets its zero or does not move: remove the line",
+    ),
+    (
+        r"(\d{1,2}:)?\d{1,2}:\d\d(\.\d+)?\s.*<",
+        "a time of day: write seconds, or date and time as 2026-09-01T12:00:00.000",
+    ),
+    (
+        r"<\w+(:\d+)?,[MW]Pos",
+        "a report of GRBL 0.9: this is not a report of GRBL 1.1 `TIME <STATE|WPos:x,y,z|...>`; update the controller",
+    ),
+    (
+        r".*(\bok\b|error:|ALARM:|\[MSG:|\$\d+=)",
+        "an answer of the controller's console: only reports are read: remove other lines, or begin them with #",
     ),
     (r"<.*[MW]Pos:-?\d+\.\d{4}", "four decimals mean inches ($13=1): set $13=0 and log again"),
     (r"<.*[MW]Pos", "this is not a report `TIME <STATE|WPos:x,y,z|...>` with its time in s first"),
-    (
-        r"(\d+(\.\d+)?\s+)?X:\s*-?\d",
-        "M114 reports the commanded position: log the measured one, as time_s,x_mm,y_mm,z_mm",
-    ),
+    M114,
     (
         r"(?i)(\d[\d.]*\s+)?(\$J=|N\d+|[GM]\d)",
         "G-code states commanded positions, not measured ones: log the controller's reports",
@@ -83,7 +98,7 @@ def read_path(path: Path, origin: Sequence[float]) -> Recording:
     times, places, lines = _reports(path, text) if reports else _samples(path)
     places[:, :3] -= np.asarray(origin, float)
     found = Recording(str(path), times, np.column_stack([-places[:, 2], places]))
-    if found.interval > SLOWEST_S:
+    if found.interval > 1.1 * SLOWEST_S:  # reports at 4 a second have jitter
         raise BadInput(
             f"{path}: one sample every {found.interval:.3g} s, as if each line were a whole move: log the position of the tip {1 / SLOWEST_S:.0f} times a"
             " second or more"
@@ -121,7 +136,7 @@ def _reports(path: Path, text: str) -> tuple[np.ndarray, np.ndarray, list[int]]:
     """The same of GRBL's real-time status reports, in one coordinate frame (github.com/gnea/grbl, interface.md)."""
     found: list[list[float]] = []
     lines: list[int] = []
-    frame, offset = "", None
+    frame, offset, further = "", None, []
     for number, line in enumerate(text.splitlines(), 1):
         line = line.strip()
         if not line or line.startswith("#"):
@@ -135,7 +150,14 @@ def _reports(path: Path, text: str) -> tuple[np.ndarray, np.ndarray, list[int]]:
                 why or "only reports `TIME <STATE|WPos:x,y,z|...>` are read: remove other lines, or begin them with #"
             )
             raise BadInput(f"{path} line {number}: {printable(line)[:60]!r}: {why}")
-        time, _, of, x, y, z, rest = report.groups()
+        time, of, place, rest = report.groups()
+        axes = [float(value) for value in place.split(",")]
+        if lines and (axes[3:] != further):
+            raise BadInput(
+                f"{path} line {number}: {len(axes)} axes with {axes[3:]} beyond x, y, z, and {further} before: what another axis turns or moves is unknown;"
+                " keep it still, or log time_s,x_mm,y_mm,z_mm,rot_deg"
+            )
+        further = axes[3:]
         if frame and of != frame:
             raise BadInput(
                 f"{path} line {number}: {of}Pos, and {frame}Pos before it: log one frame of coordinates ($10)"
@@ -144,17 +166,19 @@ def _reports(path: Path, text: str) -> tuple[np.ndarray, np.ndarray, list[int]]:
         for seen in OFFSET.findall(rest or ""):
             if offset not in (None, seen):
                 raise BadInput(
-                    f"{path} line {number}: WCO:{','.join(seen)}, and WCO:{','.join(offset)} before it: the origin of the work coordinates was"
+                    f"{path} line {number}: WCO:{seen}, and WCO:{offset} before it: the origin of the work coordinates was"
                     " moved; remove the lines before or after this one"
                 )
             offset = seen
-        found.append([float(time), float(x), float(y), float(z), 0.0])
+        found.append([_date(time) if "-" in time else float(time), *axes[:3], 0.0])
         lines.append(number)
     table = np.array(found, float).reshape(-1, 5)
     if frame == "M":
         if offset is None:
-            raise BadInput(f"{path}: MPos without any WCO: log WPos ($10=0), or include a report with WCO")
-        table[:, 1:4] -= np.array(offset, float)
+            raise BadInput(
+                f"{path}: MPos without any WCO: log WPos ($10=0, of grblHAL $10=510), or include a report with WCO"
+            )
+        table[:, 1:4] -= np.array(offset.split(",")[:3], float)
     return table[:, 0], table[:, 1:], lines
 
 
@@ -173,6 +197,12 @@ class Images:
         if path.is_dir():
             rows, times, _ = _timed_rows(path / "times.csv", "images", "image", ("image",))
             names = [row["image"] for row in rows]
+            if (
+                twice := next((name for name in names if names.count(name) > 1), "")
+                if len(set(names)) < len(names)
+                else ""
+            ):
+                raise BadInput(f"{path}/times.csv: names {twice} more than once; give each image its own row")
             return cls(path, names, times, np.array([_small(read_image(path / name)) for name in names], np.float32))
         with open_source(path, None) as (source, announced):
             film = Film(source, announced, str(path), None, camera=False)
@@ -215,6 +245,7 @@ def _timed_rows(
             f"{path}: {len(names)} time columns; give exactly one of time_s, time_ms, time_us, time_ns, time_utc"
         )
     times = [_time(path, number, names[0], row[names[0]]) for number, row in numbered]
+    _check_digits(path, numbered, names[0], times)
     return [row for _, row in numbered], np.array(times), [number for number, _ in numbered]
 
 
@@ -224,8 +255,8 @@ def _check_head(path: Path, example: str) -> None:
     lines = [(number, line) for number, line in lines if line and not line.startswith("#")]
     for number, line in lines[:1]:
         cells = [cell.strip() for cell in line.split(",")]
-        if re.match(STRANGE[3][0], line):
-            raise BadInput(f"{path} line {number}: {printable(line)[:60]!r}: {STRANGE[3][1]}")
+        if re.match(M114[0], line):
+            raise BadInput(f"{path} line {number}: {printable(line)[:60]!r}: {M114[1]}")
         if all(parse_number(cell) is not None for cell in cells):
             raise BadInput(
                 f"{path}: has no header, it begins with {printable(line)[:60]!r}; write time_s,{example} above it"
@@ -247,10 +278,37 @@ def _time(path: Path, number: int, column: str, cell: str) -> float:
         # nanoseconds since 1970 have more digits than a float holds, so read them as int
         seconds = int(cell) / 1e9 if unit == "ns" else float(cell) * SECONDS[unit]
     except ValueError as error:
-        raise BadInput(f"{path} line {number}: {cell!r} is not a valid {column}; {HINT}") from error
+        raise BadInput(f"{path} line {number}: {cell!r} is not a valid {column}; {_time_hint(cell)}") from error
     if not np.isfinite(seconds):
         raise BadInput(f"{path} line {number}: {column} is {cell}; {HINT}")
     return seconds
+
+
+def _time_hint(cell: str) -> str:
+    """What to do about a cell that is no time."""
+    if re.match(CLOCK, cell):
+        return "a time of day or a duration: write seconds in time_s, or date and time in time_utc, as 2026-09-01T12:00:00.000"
+    if re.match(r"\[?\(?(s|ms|us|ns|sec|seconds|utc)\)?\]?$", cell, re.IGNORECASE):
+        return "a row of units: remove it; the unit is in the column's name"
+    if re.match(r"\d+,\d+$", cell):
+        return "write a decimal point"
+    return HINT
+
+
+def _check_digits(path: Path, rows: list[tuple[int, dict[str, str]]], column: str, times: list[float]) -> None:
+    """BadInput where times are seconds and nanoseconds with a point between, without the zeros that belong there."""
+    cells = [row[column].partition(".")[::2] for _, row in rows]
+    if (
+        column != "time_s"
+        or len({len(rest) for _, rest in cells}) < 2
+        or not all(rest.isdigit() for _, rest in cells)
+    ):
+        return
+    joined = [int(whole) + 1e-9 * int(rest) for whole, rest in cells if whole.isdigit()]
+    if len(joined) == len(times) and (np.diff(times) <= 0).any() and (np.diff(joined) > 0).all():
+        raise BadInput(
+            f"{path}: times are seconds and nanoseconds without leading zeros ({cells[0][0]}.{cells[0][1]}): write nine digits after the point"
+        )
 
 
 def _date(cell: str) -> float:
@@ -274,5 +332,8 @@ def _numbers(path: Path, rows: list[dict[str, str]], column: str) -> np.ndarray:
     found = [parse_number(row[column]) for row in rows]
     if None in found:
         number = found.index(None)
-        raise BadInput(f"{path}: {column} of sample {number + 1} is {rows[number][column]!r}, not a number; {HINT}")
+        cell = rows[number][column]
+        units = number == 0 and cell.strip("[]()").lower() in {*NEWTONS, *MILLIMETRES, *SECONDS, "deg"}
+        hint = "a row of units: remove it; the unit is in the column's name" if units else HINT
+        raise BadInput(f"{path}: {column} of sample {number + 1} is {cell!r}, not a number; {hint}")
     return np.array(found, float)

@@ -21,6 +21,7 @@ from gelforge.formats.align import (
 )
 from gelforge.formats.benchfiles import Images
 from gelforge.formats.feats_folder import NO_PRESS, new_folder
+from gelforge.records import series
 from gelforge.records.image import write_png
 from gelforge.records.log import write_log
 from gelforge.records.nocontactimage import STILL
@@ -28,6 +29,8 @@ from gelforge.records.press import POSE, LoggedPress
 
 HELD_MM = 0.01  # a tip this far above its lowest height is retracting
 STATE_MM = 0.005  # images whose tip positions differ less show the same state
+ABOVE_MM = 0.1  # heights above the gel at which the path is clipped
+MOST_SHIFT_MM = 0.1  # of the height at which force begins, beyond which a path is refused
 DATED_S = 1e9  # a clock with larger times counts from 1970
 OTHER_RATE = 0.12  # relative error that a film's frame rate may have: 25 frames a second instead of 22
 LEAST_LEVEL_N = 0.05  # smaller readings at rest are not reported
@@ -41,6 +44,7 @@ class Setup:
     sensor: object
     indenter: str
     gel_id: str
+    touch_height: Callable[[float, float, float], float] = lambda x, y, turn: 0.0  # of the tip at x, y, turned, mm
 
 
 @dataclass(frozen=True)
@@ -69,10 +73,12 @@ def align(
     become one row, with the middle image. touch: force from which on the gel is pressed, N. every: of a press, take
     every n-th state. BadInput where no image lies within a press.
     """
-    levelled, change = without_level(gauge, touch), images.change()
+    kept, notes = series.without_wild(gauge.name, gauge.values)
+    gauge, change = Recording(gauge.name, gauge.times[kept], gauge.values[kept]), images.change()
+    raw, levelled = gauge, without_level(gauge, touch)
     gauge, touch = levelled.gauge, levelled.touch
     clocks = {"path": match_clock(gauge, _filled(path), touch), "images": match_clock(gauge, change, touch)}
-    notes = [*_level_told(levelled.level, measured), *_told(gauge, path, change)]
+    notes += [*_level_told(levelled.level, measured), *_told(gauge, path, change)]
     notes += [_clock_told(name, clock, clock.offset_s) for name, clock in clocks.items()]
     at = clocks["images"].to_gauge(images.times)
     on_path = clocks["path"].from_gauge(at)
@@ -80,6 +86,11 @@ def align(
     dates = _dates(at, {gauge.name: at, path.name: on_path, str(images.path): images.times}, notes)
     rows: dict[int, LoggedPress] = {}
     presses, alike = presses_of(gauge.values[:, 0], touch), 0
+    height = clocks["path"].to_gauge(path.times), -path.values[:, 0]
+    spans = [(float(gauge.times[press.start]), float(gauge.times[press.stop - 1])) for press in presses]
+    _check_shift(gauge, path, clocks["path"], spans, touch, bench, notes)
+    _check_average(gauge, height, spans)
+    bad = _beyond_range(raw, height, at, notes) | _repeated(images, places, at, spans, notes)
     for number, press in enumerate(presses, 1):
         began, ended = gauge.times[press.start], gauge.times[press.stop - 1]
         begin = path.at(clocks["path"].from_gauge(np.array([began])))[0]
@@ -93,7 +104,7 @@ def align(
             )
             continue
         held = during[places[during, 0] >= places[during, 0].max() - HELD_MM]
-        states = _states(during[during <= held[-1]], places)
+        states = _states(during[(during <= held[-1]) & ~bad[during]], places)
         alike += sum(len(state) - 1 for state in states)
         for state in states[::every]:
             image = int(state[len(state) // 2])
@@ -122,6 +133,84 @@ def align(
     quiet = at_rest(gauge, gauge.values[:, 0] >= touch)
     rest = [k for k, time in enumerate(at.tolist()) if quiet[np.abs(gauge.times - time).argmin()]]
     return Aligned(rows, gauge, path, change, clocks, rest, notes)
+
+
+def _check_average(gauge: Recording, height: tuple[np.ndarray, np.ndarray], spans: list[tuple[float, float]]) -> None:
+    """BadInput where the gauge averages: its peaks are low, and its times late."""
+    found = series.averaging((gauge.times, gauge.values[:, 0]), (height[0], np.maximum(-height[1], -ABOVE_MM)), spans)
+    if found is not None and found.width >= series.LEAST_WIDTH_S and found.gain > series.LEAST_GAIN:
+        raise BadInput(
+            f"{gauge.name}: force rises and falls beside the path as if each reading were a mean over about {found.width:.1f} s, which makes peaks too low:"
+            " set the gauge to its shortest average and record again"
+        )
+
+
+def _check_shift(
+    gauge: Recording,
+    path: Recording,
+    clock: MatchedClock,
+    spans: list[tuple[float, float]],
+    touch: float,
+    bench,
+    notes: list[str],
+) -> None:
+    """BadInput where force begins at another height in later presses than in earlier ones: the path has shifted."""
+    force, times = gauge.values[:, 0], clock.to_gauge(path.times)
+    least = max(3.0 * touch, 0.04 * float(force.max()))
+    heights = series.onsets((gauge.times, force), (times, -path.values[:, 0]), spans, least)
+    for k, (begin, _) in enumerate(spans):  # a dome is met lower beside its apex
+        x, y, turn = (float(np.interp(begin, times, path.values[:, column])) for column in (1, 2, 4))
+        heights[k] -= bench.touch_height(x, y, turn)
+    change, where = series.shifted_heights(heights)
+    if not len(where):
+        return
+    named = ", ".join(f"{k + 1} at {shown(spans[k][0])}" for k in where[:5].tolist()) + (
+        f" and {len(where) - 5} more" if len(where) > 5 else ""
+    )
+    said = (
+        f"{path.name}: the height at which force begins changes by {abs(change):.2f} mm during the recording (presses {named} differ from the"
+        " others): did the machine lose steps, or its zero move?"
+    )
+    if abs(change) > MOST_SHIFT_MM:
+        raise BadInput(f"{said} Give the presses before and after as two recordings, each with its own --origin")
+    notes.append(said)
+
+
+def _beyond_range(
+    gauge: Recording, height: tuple[np.ndarray, np.ndarray], at: np.ndarray, notes: list[str]
+) -> np.ndarray:
+    """Images (m,) bool, at times (m,) s, whose force is at the end of the gauge's range."""
+    bad = np.zeros(len(at), bool)
+    depth = np.interp(gauge.times, height[0], -height[1])
+    for number, values in enumerate(gauge.values.T):
+        for way in (values, -values):
+            if number and np.array_equal(np.abs(way), np.abs(gauge.values[:, 0])):
+                continue  # the normal force, of which compression is the negative
+            found = series.at_end(way, depth if number == 0 and way is values else None)
+            if found.any():
+                bad |= np.interp(at, gauge.times, found.astype(float)) > 0.0
+                notes.append(
+                    f"{series.end_told(gauge.name, float(way.max()), int(found.sum()))}; their images are left out"
+                )
+    return bad
+
+
+def _repeated(
+    images: Images,
+    places: np.ndarray,
+    at: np.ndarray,
+    spans: list[tuple[float, float]],
+    notes: list[str],
+) -> np.ndarray:
+    """Images (m,) bool that show the one before them again although the tip moved in the gel."""
+    pressed = np.any([(at >= begin) & (at <= end) for begin, end in spans], axis=0)
+    again = series.repeats(images.small, places[:, 1:4], pressed)
+    if again.any():
+        notes.append(
+            f"{images.path}: {again.sum()} images repeat the one before them although the tip moved, as where a camera is too slow or stands still;"
+            " they are left out"
+        )
+    return again
 
 
 def _gaps(path: Recording) -> np.ndarray:

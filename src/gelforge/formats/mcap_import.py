@@ -34,7 +34,15 @@ from gelforge.flow.files import read_toml, write_text
 from gelforge.formats.feats_folder import NO_PRESS, new_folder
 from gelforge.formats.mcap_messages import messages, recordings_of
 from gelforge.formats.messageimage import pictures
-from gelforge.formats.messagetime import MessageOrder, MessageTimes, choose_clock, stamp_of
+from gelforge.formats.messagetime import (
+    MessageOrder,
+    MessageTimes,
+    PairingClock,
+    by_log_times,
+    choose_clock,
+    stamp_of,
+)
+from gelforge.records import series
 from gelforge.records.image import write_png
 from gelforge.records.labelfile import write_labels
 from gelforge.records.log import write_log
@@ -51,6 +59,8 @@ DEFAULTS = {
     "torque": [],
     "sensor": "gelsight_mini",
 }
+SMALL = (32, 24)  # px of the copies of images that show whether they change
+LEAST_CONTACT_S = 0.3
 SPLIT_NS = 10**9  # a recorder that continues in a new file leaves a shorter gap
 DATASET_TOML = """# Imported from recordings: images with total force, no indenter known: make train RES=1x1 MODEL=pair_16
 sensor = "{sensor}"
@@ -214,9 +224,15 @@ def pair(path: Path, topics: Topics) -> Pairs:
         elif (force := wrench_of(said, where, topics)) is not None:
             readings.append((time, stamp_of(said)))
             read.append(force)
-    image, wrench = MessageTimes.of(topics.image, images), MessageTimes.of(topics.wrench, readings)
+    image = MessageTimes.of(topics.image, images)
     values = np.array(read, float).reshape(-1, 6)
-    clock = choose_clock(image, wrench)
+    kept = np.ones(len(values), bool)
+    if len(values):
+        kept, notes = series.without_wild(where, values[:, :3])
+    readings_kept = [time for time, good in zip(readings, kept.tolist(), strict=True) if good]
+    values, wrench = values[kept], MessageTimes.of(topics.wrench, readings_kept)
+    shown = small_copies(path, topics, len(images))
+    clock = believed_clock(path, image, wrench, values, shown, topics)
     seen, felt = MessageOrder.by(image, clock.header), MessageOrder.by(wrench, clock.header)
     chosen = seen.index[:: topics.every]
     times = seen.times[:: topics.every]
@@ -226,6 +242,15 @@ def pair(path: Path, topics: Topics) -> Pairs:
     gaps = np.abs(times[has] - felt.times[found])
     forces = values[felt.index[found]]
     good, pulling = within_limits(forces, where, topics)
+    ended, over = at_range_end(values[felt.index], shown.change, felt.times, times, chosen, topics)
+    good &= ~ended[found]
+    again = repeated(shown, chosen[has], forces)
+    good &= ~again
+    if again.any():
+        notes.append(
+            f"{topics.image}: {again.sum()} images repeat the one before them although the force changed; they are left out"
+        )
+    notes += over
     notes += [*clock.notes, *seen.notes, *felt.notes, *untared(values, topics), *pulling]
     return Pairs(
         chosen[has][good],
@@ -235,6 +260,118 @@ def pair(path: Path, topics: Topics) -> Pairs:
         int((~has).sum()),
         [f"{path}: {n}" for n in notes],
     )
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What the images of a topic show: small copies (m, h, w, 3) uint8 by index (m,), and whether each repeats the one before.
+
+    change (n,): of each message from the images without contact, levels; NaN where it was not decoded.
+    """
+
+    small: np.ndarray
+    index: np.ndarray
+    change: np.ndarray
+
+
+def small_copies(path: Path, topics: Topics, count: int) -> Shown:
+    """Small copies of the images that are taken, and how much each differs from the median of all."""
+    import cv2
+
+    wanted = set(range(0, count, topics.every))
+    said = (message for _, _, message in messages(path, (topics.image,)))
+    small, index = [], []
+    for at, image in pictures(said, wanted, f"{path}: topic {topics.image}"):
+        small.append(cv2.resize(image, SMALL, interpolation=cv2.INTER_AREA))
+        index.append(at)
+    return Shown(np.array(small, np.uint8).reshape(-1, *SMALL[::-1], 3), np.array(index, int), np.full(count, np.nan))
+
+
+def believed_clock(
+    path: Path, image: MessageTimes, wrench: MessageTimes, values: np.ndarray, shown: Shown, topics: Topics
+) -> PairingClock:
+    """The clock by which forces follow the pictures; BadInput where they do by neither.
+
+    values: (k, 6) of the wrench. Fills `shown.change`.
+    """
+    clock = choose_clock(image, wrench)
+    if not len(values) or not len(shown.index):
+        return clock
+    said = []
+    for one in (clock, by_log_times([])) if clock.header else (clock,):
+        lag = lag_of(image, wrench, values, shown, one.header, topics)
+        if lag is None or not lag.of_clocks:
+            return PairingClock(one.header, [*one.notes] if one is clock else by_log_times(said).notes)
+        which = "header" if one.header else "log"
+        said.append(
+            f"by {which} times the forces of {topics.wrench} are {abs(lag.seconds):.2f} s {'late' if lag.seconds > 0 else 'early'} beside what the pictures show"
+        )
+    raise BadInput(
+        f"{path}: {' and '.join(said)}: their clocks differ; set them by one time server (chrony, PTP), stamp images and forces when they are"
+        " measured, and record again"
+    )
+
+
+def lag_of(
+    image: MessageTimes, wrench: MessageTimes, values: np.ndarray, shown: Shown, header: bool, topics: Topics
+) -> series.Lag | None:
+    """By how much forces lag behind the pictures of their contacts."""
+    seen, felt = MessageOrder.by(image, header), MessageOrder.by(wrench, header)
+    if len(felt.times) < series.FEWEST or len(seen.times) < series.FEWEST:
+        return None
+    start = felt.times[0]
+    force = np.linalg.norm(values[felt.index, :3], axis=1)
+    force = force - np.quantile(force, 0.05)
+    times, at = 1e-9 * (felt.times - start), 1e-9 * (seen.times - start)
+    touch = max(topics.touch_n, 0.05 * float(force.max()))
+    contacts = [
+        run
+        for run in series.runs(force >= touch, times)
+        if run.start > 0 and run.stop < len(times) and times[run.stop - 1] - times[run.start] > LEAST_CONTACT_S
+    ]
+    where = np.searchsorted(shown.index, seen.index)
+    where = np.minimum(where, len(shown.index) - 1)
+    taken = shown.index[where] == seen.index
+    at, where, indices = at[taken], where[taken], seen.index[taken]
+    small = shown.small[where].astype(np.float32)
+    free = np.interp(at, times, force) < touch
+    if not contacts or not free.any():
+        return None
+    change = np.abs(small - small[free][:STILL].mean(axis=0)).mean(axis=(1, 2, 3))
+    shown.change[indices] = change
+    return series.lag_of_pictures(
+        (times, force), (at, change), [(float(times[run.start]), float(times[run.stop - 1])) for run in contacts]
+    )
+
+
+def at_range_end(
+    values: np.ndarray, change: np.ndarray, felt: np.ndarray, seen: np.ndarray, chosen: np.ndarray, topics: Topics
+) -> tuple[np.ndarray, list[str]]:
+    """Which wrenches (k, 6) are at the end of the sensor's range (k,), and notes; felt, seen: times of wrenches and images, ns."""
+    ended, notes = np.zeros(len(values), bool), []
+    if len(values) < 2 * series.FEWEST:
+        return ended, notes
+    known = np.isfinite(change[chosen]) if len(chosen) else np.zeros(0, bool)
+    other = np.interp(felt, seen[known], change[chosen][known]) if known.sum() > 1 else None
+    for name, each in zip(FORCES, values[:, :3].T, strict=False):
+        for way in (each, -each):
+            found = series.at_end(way, other if way is not each and name == "fz_n" else None)
+            if found.any():
+                ended |= found
+                notes.append(
+                    f"{series.end_told(f'{topics.wrench}, {name}', float(np.abs(way.max())), int(found.sum()))}; their images are left out"
+                )
+    return ended, notes
+
+
+def repeated(shown: Shown, images: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    """Images (n,) bool, by index of their message, that repeat the one before them although the force (n, 6) changed."""
+    if not len(images) or not len(shown.index):
+        return np.zeros(len(images), bool)
+    where = np.minimum(np.searchsorted(shown.index, images), len(shown.index) - 1)
+    if (shown.index[where] != images).any():
+        return np.zeros(len(images), bool)
+    return series.repeats(shown.small[where], forces[:, :3], np.ones(len(images), bool))
 
 
 def untared(values: np.ndarray, topics: Topics) -> list[str]:
@@ -253,14 +390,14 @@ def import_recordings(source: Path, data: Path, topics: Topics, sensor) -> dict:
 
     source: a recording, or a folder of them. sensor: labelling.sensor.Sensor. If one fails, nothing is left behind.
     """
-    files = recordings_of(source)
+    files, passed = recordings_of(source)
     if not files:
         raise BadInput(
             f"{source}: holds no recordings (.mcap, .bag, folders of bags); give one or a folder of them as FROM=…"
         )
     rows: list[LoggedPress] = []
     forces: list[np.ndarray] = []
-    alone, largest, notes = 0, 0.0, []
+    alone, largest, notes = 0, 0.0, [*passed]
     rest: list[np.ndarray] = []
     with new_folder(data) as part:
         (part / "images").mkdir(parents=True)

@@ -5,31 +5,78 @@ compared with the summary at the end, which reveals chunks that are skipped beca
 """
 
 import json
+import re
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator
 from pathlib import Path
 from types import SimpleNamespace
 from typing import IO, Any
 
-from gelforge.errors import BadInput
+from gelforge.errors import BadInput, printable
 from gelforge.records.regular import file_fault
 
 LATEST_NS = 2**63 - 1  # latest valid time, in the year 2262
 BAG = ".bag"  # of ROS 1
+ACTIVE = ".active"  # of a bag of ROS 1 while it is recorded
 METADATA = "metadata.yaml"  # in the folder of a bag of ROS 2
 
 
-def recordings_of(source: Path) -> list[Path]:
-    """Recordings in a folder and below: MCAP files, ROS 1 bags, folders of ROS 2 bags. For a file, the file itself.
+def recordings_of(source: Path) -> tuple[list[Path], list[str]]:
+    """Recordings in a folder and below, and notes on its other files. For a file, the file itself.
 
-    MCAP compressed as a whole (.mcap.zst) is listed too, so that it is refused and not silently skipped.
+    MCAP files, ROS 1 bags, folders of ROS 2 bags; unfinished and compressed ones too, so that they are refused and not
+    passed over.
     """
     if not source.is_dir():
-        return [source] if source.is_file() else []
-    bags = [path.parent for path in source.rglob(METADATA)]
-    compressed = [path for path in source.rglob("*.mcap.zst*") if not path.with_suffix("").exists()]
-    files = [*source.rglob("*.mcap"), *compressed, *source.rglob(f"*{BAG}")]
-    return sorted([*bags, *(path for path in files if not any(bag in path.parents for bag in bags))])
+        return ([source] if source.is_file() else []), []
+    files = sorted(
+        path
+        for path in source.rglob("*")
+        if path.is_file()
+        and not any(part.startswith(".") and not part.startswith("._") for part in path.relative_to(source).parts)
+    )
+    bags = {path.parent for path in files if path.name == METADATA}
+    found, companions, others = set(bags), [], []
+    for path in files:
+        name = path.name
+        if bags & {path.parent, *path.parents}:
+            continue
+        if name.startswith("._"):
+            companions.append(path)  # of a Mac: attributes of the file of the same name
+        elif (
+            name.endswith(".mcap")
+            or _is_bag(path)
+            or (re.search(r"\.mcap\.zst", name) and not path.with_suffix("").exists())
+        ):
+            found.add(path)
+        elif ".db3" in name:
+            found.add(path.parent)
+        else:
+            others.append(path)
+    notes = []
+    for paths, what in (
+        (companions, "companion files of a Mac"),
+        (others, "other files, no recordings by their names"),
+    ):
+        if paths:
+            named = ", ".join(str(path.relative_to(source)) for path in paths[:5]) + (", …" if len(paths) > 5 else "")
+            notes.append(f"{source}: {len(paths)} {what} are not read: {printable(named)}")
+    return sorted(found), notes
+
+
+def _is_bag(path: Path) -> bool:
+    return path.name.endswith((BAG, f"{BAG}{ACTIVE}"))
+
+
+def _unread(path: Path) -> str:
+    """What to do about a recording that cannot be read as it lies there; empty where nothing is known."""
+    if path.name.endswith(ACTIVE):
+        return f"its recorder was killed, so it has no index: run `rosbag reindex {path.name}` and rename it to .bag"
+    if path.is_dir() and not (path / METADATA).is_file():
+        return f"a bag of ROS 2 without its {METADATA}: run `ros2 bag reindex {path.name}`"
+    if ".db3" in path.name:
+        return f"a file of a bag of ROS 2: give its folder; without {METADATA} run `ros2 bag reindex` on it first"
+    return ""
 
 
 def messages(path: Path, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
@@ -37,7 +84,9 @@ def messages(path: Path, topics: Collection[str]) -> Iterator[tuple[str, int, An
 
     Some corruption is noticed only at the end. The caller must then discard all messages of the file.
     """
-    bag = path.suffix == BAG or path.is_dir()
+    bag = _is_bag(path) or path.is_dir()
+    if cure := _unread(path):
+        raise BadInput(f"{path}: cannot be read: {cure}")
     if fault := "" if path.is_dir() else file_fault(path):
         raise BadInput(f"{path}: cannot be read ({fault}); give a recording in MCAP, or a bag")
     try:
@@ -47,7 +96,7 @@ def messages(path: Path, topics: Collection[str]) -> Iterator[tuple[str, int, An
     # a corrupt file makes mcap, the definitions in it, LZ4, Zstandard, SQLite and struct each raise errors of their own
     except Exception as error:
         mend = (
-            "record it again"
+            f"run `{'ros2 bag reindex' if path.is_dir() else 'rosbag reindex'} {path.name}` if its recorder was killed, or record it again"
             if bag
             else "record it again, repair it with `mcap recover`, or decompress a recording of --compression-mode with `zstd -d` or `ros2 bag convert`"
         )

@@ -9,6 +9,8 @@ from dataclasses import dataclass
 import numpy as np
 
 SAME_CLOCK_NS = 10**9  # if the delays of two topics differ by more, their stamps come from different clocks
+AGREE_NS = 5 * 10**7  # delays of two topics on one clock differ by less, where both seem to be negative
+EARLY_NS = 2 * 10**6  # a log time may be so much earlier than its stamp by rounding
 LAPSE = 1.5  # median intervals: in a longer gap messages are missing
 
 
@@ -44,6 +46,15 @@ class MessageTimes:
         return int(np.median(self.logged[has] - self.stamped[has]))
 
     @property
+    def early(self) -> str:
+        """What shows that the stamps are of a clock that is ahead of the recorder's; empty where nothing does."""
+        has = self.stamped != 0
+        late = self.stamped[has] - self.logged[has]
+        if not len(late) or np.median(late) <= EARLY_NS:
+            return ""
+        return f"the header times of {self.topic} are {1e-9 * float(np.median(late)):.3f} s later than its log times, which is impossible on one clock"
+
+    @property
     def fault(self) -> str:
         """Why the stamps are unusable; empty where they are usable."""
         stamps = self.stamped[self.stamped != 0]
@@ -73,7 +84,16 @@ def choose_clock(one: MessageTimes, other: MessageTimes) -> PairingClock:
             f" {1e-9 * other.delay:.3f} s before the log's"
         ]
     if not faults:
+        faults = [times.early for times in (one, other) if times.early]
+        # if both topics are stamped by one clock that is ahead of the recorder's, their stamps still agree
+        faults = faults if len(faults) == 1 or abs(one.delay - other.delay) > AGREE_NS else []
+    if not faults:
         return PairingClock(True, [])
+    return by_log_times(faults)
+
+
+def by_log_times(faults: list[str]) -> PairingClock:
+    """Log times, with a note on why the stamps are not used."""
     note = f"{' and '.join(faults)}, so log times were used: forces may not be simultaneous with their images"
     return PairingClock(False, [note])
 

@@ -10,9 +10,12 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from gelforge.errors import BadInput
+from gelforge.errors import BadInput, printable
 from gelforge.records.regular import file_fault
 
+# Path turns the two slashes of an address into one.
+NETWORK = tuple(f"{kind}:/" for kind in ("rtsp", "rtsps", "rtmp", "http", "https", "udp", "tcp", "srt", "rtp"))
+STILL_S = 2.0  # a camera that gives no other frame for so long stands still
 EBML, SEGMENT = b"\x1a\x45\xdf\xa3", b"\x18\x53\x80\x67"  # IDs at the start of Matroska and WebM files (RFC 9559)
 
 
@@ -27,6 +30,15 @@ def open_source(
     """
     import cv2
 
+    if video is not None and str(video).startswith(NETWORK):
+        raise BadInput(
+            f"{video}: a network stream is not read; record it to a file first (`ffmpeg -i ADDRESS -c copy film.mp4`), or use a camera of"
+            " this machine"
+        )
+    if video is not None and not _is_utf8(video):
+        raise BadInput(
+            f"{printable(str(video))}: the path has a byte that is no UTF-8, which the decoder cannot open; rename the file or its folder"
+        )
     fault = file_fault(video) if video is not None else None
     if fault:
         fault = "no such video" if fault.startswith("No such file") else f"cannot be read as a video ({fault})"
@@ -48,6 +60,14 @@ def open_source(
         yield source, int(max(0, source.get(cv2.CAP_PROP_FRAME_COUNT))) if video is not None else 0
     finally:
         source.release()
+
+
+def _is_utf8(path: Path) -> bool:
+    try:
+        str(path.absolute()).encode()
+    except UnicodeEncodeError:
+        return False
+    return True
 
 
 def set_mode(source: Any, mode: tuple[int, int], name: str) -> None:
@@ -105,6 +125,8 @@ class Film:
         self.name, self.camera, self.rate, self.taken = name, camera, rate_of(source), 0
         self._source, self._limit, self._path = source, limit, path
         self._announced = announced
+        self._shown: np.ndarray | None = None
+        self._since = 0.0
 
     def __iter__(self) -> Iterator[Frame]:
         """Yield frames until the source or the limit ends; BadInput if a film ends early or frames change their size."""
@@ -121,6 +143,8 @@ class Film:
                     f" {self.taken} frames; set the size before, and start again"
                 )
             now = self._clock()
+            if self.camera and self._repeats(image, now):
+                continue
             if not self.taken:
                 first = last = now
             elif not now > last:  # a film without times, or with a repeated one
@@ -129,6 +153,23 @@ class Film:
             self.taken += 1
             yield Frame(self.taken - 1, now - first, image)
         self._check_whole(last)
+
+    def _repeats(self, image: np.ndarray, now: float) -> bool:
+        """Whether a camera gave its last frame again; BadInput once it has given no other for STILL_S.
+
+        No two frames of a real camera are equal in all pixels, because of its noise.
+        """
+        if self._shown is None or not (
+            np.array_equal(image[::16], self._shown[::16]) and np.array_equal(image, self._shown)
+        ):
+            self._shown, self._since = image, now
+            return False
+        if now - self._since > STILL_S:
+            raise BadInput(
+                f"{self.name}: has given the same frame for {now - self._since:.0f} s, after {self.taken} frames: it stands still; unplug it, plug it in"
+                " again and start again"
+            )
+        return True
 
     def _clock(self) -> float:
         """Time of the frame just read, s."""

@@ -111,6 +111,9 @@ def _claim_fault(data: bytes) -> str | None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # size and decoding are checked explicitly
             with Image.open(io.BytesIO(data), formats=KINDS) as header:
+                several = getattr(header, "n_frames", 1)
+                if several > 1:
+                    return f"holds {several} images; save the one that is meant as a file of its own"
                 return _size_fault(header.size) or (PALETTE if header.mode == "P" else None)
     except Image.DecompressionBombError:
         return "is far larger than 4096 x 4096 pixels"
@@ -136,7 +139,7 @@ def encode_png(image: np.ndarray, compression: int | None = None) -> bytes:
 def write_png(path: str | Path, image: np.ndarray, compression: int | None = None) -> None:
     """Write an RGB picture as PNG, whole or not at all."""
     try:
-        with publish(path) as part:
+        with publish(path, durable=False) as part:
             part.write_bytes(encode_png(image, compression))
     except OSError as error:
         raise GelforgeError(

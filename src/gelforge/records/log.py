@@ -143,6 +143,8 @@ def _row(line: int, cells: list[str], places: dict[str, int], header: list[str])
         fault = "second_header"
     elif len(cells) > len(header):
         fault = "more_cells"
+    elif len(cells) < len(header):
+        fault = "fewer_cells"
     return RawRow(int(number) if number.isdigit() else line, text, fault)
 
 

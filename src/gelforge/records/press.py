@@ -53,6 +53,12 @@ ROW_FAULTS = {
         "the row has more cells than the header has columns",
         "quote cells that hold a comma, write decimals with a point, and end rows as the header ends",
     ),
+    "fewer_cells": (
+        "sample_id",
+        "the row has fewer cells than the header has columns",
+        "complete it, or remove it if its writing was cut off: a number that was cut is another number; leave a cell empty by"
+        " its comma",
+    ),
     "second_header": (
         "sample_id",
         "the row is a header again",
@@ -218,6 +224,14 @@ class Rejection:
         """What is wrong where, and what to do."""
         where = f"{self.file}, row {self.row}, {self.sample_id or 'no sample_id'}"
         return printable(f"{where}: {self.column} = {self.value!r}: {self.reason}; {self.hint}")
+
+
+def with_tilt(press: LoggedPress, tilt_deg: Sequence[float]) -> LoggedPress:
+    """A press with a tilt about gel x and y, degrees, where its record has none."""
+    stated: dict[str, Any] = {
+        name: tilt for name, tilt in zip(TILT, tilt_deg, strict=True) if tilt and getattr(press, name) is None
+    }
+    return replace(press, **stated) if stated else press
 
 
 MOST_ROWS = 5  # of one reason that are listed by number

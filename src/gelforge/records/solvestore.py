@@ -8,8 +8,6 @@ processes may write one store.
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from gelforge.flow.files import digest_of, publish, record_of, write_json
 
 
@@ -32,10 +30,12 @@ class SolveStore:
         whole = not record["sha256"] or (path.is_file() and digest_of(path) == record["sha256"])
         return record if whole else None
 
-    def publish(self, key: str, record: dict[str, Any], arrays: dict[str, np.ndarray]) -> dict[str, Any]:
+    def publish(self, key: str, record: dict[str, Any], arrays: dict[str, Any]) -> dict[str, Any]:
         """Write a solve, its record last; return the record."""
         self.folder.mkdir(parents=True, exist_ok=True)
         if arrays:
+            import numpy as np  # questions about a sample start without it
+
             with publish(self.arrays(key)) as part:
                 np.savez_compressed(part, **arrays)
         found = {**record, "key": key, "sha256": digest_of(self.arrays(key)) if arrays else ""}

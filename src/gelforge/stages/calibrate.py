@@ -21,7 +21,6 @@ from gelforge.flow.files import read_json, write_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.params import StageParameters, altered, read_parameters
 from gelforge.flow.tables import CalibrateSolverTable, CalibrateTable
-from gelforge.geometry.gel import use_gels_of
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.records.log import read_shard
@@ -270,7 +269,7 @@ def logged_readings(of: Layout, read: StageParameters, bodies: Bodies) -> Readin
     bad = {one.row for one in rejected if one.column != "fz_n"}
     if rejected and not {row.row for row in rows if row.cells.get("fz_n")} - bad:
         raise BadInput(f"{log}: every row with a normal force (fz_n) is rejected, the first: {rejected[0].text}")
-    readings = readings_of(rows, log, bad, gels)
+    readings = readings_of(rows, log, bad, gels, read.poses.tilt_deg)
     check_readings(readings)
     pulling = {one.row for one in rejected} - bad
     return readings.take(~np.isin(readings.rows, sorted(pulling)))
@@ -303,7 +302,6 @@ def calibrated_log(of: Layout, read: StageParameters, folder: Path, jobs: int) -
 @stage(Layout.calibration, JOBS)
 def main(args: Namespace) -> None:
     of = args.of
-    use_gels_of(of.workflow)
     read = read_parameters(of.parameters("calibrate"))
     try:
         result, said = calibrated_log(of, read, args.out.parent, args.jobs)

@@ -3,6 +3,7 @@
 from argparse import Namespace
 from pathlib import Path
 
+from gelforge.errors import BadInput
 from gelforge.flow.cli import option, stage
 from gelforge.flow.files import read_json, write_text
 from gelforge.flow.layout import Layout
@@ -33,6 +34,8 @@ def main(args: Namespace) -> None:
     model = load_model(network)
     metadata = model.metadata
     evaluation = read_json(of.evaluation(args.resolution, args.model))
+    if "failed" in evaluation:
+        raise BadInput(evaluation["failed"])
     measured = [read_json(path) for path in args.measured]
     own = [found for found in measured if found.get("model") and found["model"] == fingerprint(metadata)]
     for found in own:

@@ -1,7 +1,6 @@
 """Stage 60: images and labels as arrays for training, with splits without leaks."""
 
 import hashlib
-import os
 import shutil
 import sys
 from argparse import Namespace
@@ -18,7 +17,7 @@ from gelforge.evidence.images import row_list
 from gelforge.evidence.labels import of_labels, refuse_unseen
 from gelforge.evidence.logimages import LogImages
 from gelforge.flow.cli import stage
-from gelforge.flow.files import alone, digest_of, listed, publish, read_json, write_csv, write_json
+from gelforge.flow.files import alone, digest_of, link_or_copy, listed, publish, read_json, write_csv, write_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.params import read_parameters
 from gelforge.flow.tables import DatasetTable
@@ -148,14 +147,6 @@ def _share_pictures(folder: Path, data: Path, presses: list[PressRecord], size: 
         with publish(folder / name) as part:
             link_or_copy(shared / name, part)
     return rests
-
-
-def link_or_copy(source: Path, path: Path) -> None:
-    """Make a file that is equal to another one: a hard link, or a copy where the file system has none (exFAT, SMB)."""
-    try:
-        os.link(source, path)
-    except OSError:
-        shutil.copyfile(source, path)
 
 
 def write_pictures(

@@ -4,6 +4,7 @@ from argparse import Namespace
 
 import numpy as np
 
+from gelforge.errors import BadInput
 from gelforge.flow.cli import stage
 from gelforge.flow.files import publish, write_json
 from gelforge.flow.layout import Layout, beside
@@ -60,7 +61,15 @@ def main(args: Namespace) -> None:
     shipped = args.model == SHIPS
     model = load_model(SHIPPED if shipped else of.network(args.resolution, args.model))
     settings = read_parameters(of.parameters("evaluate")).evaluate
-    result, predictions = evaluate(data, model, settings, "the shipped network" if shipped else "")
+    try:
+        result, predictions = evaluate(data, model, settings, "the shipped network" if shipped else "")
+    except BadInput as error:
+        # that a network does not fit a dataset is a result: the report shows it, and the card is refused with it
+        print(f"note: not evaluated: {error}")
+        for ending in (".png", ".predictions.npz"):
+            beside(args.out, ending).unlink(missing_ok=True)
+        write_json(args.out, {"failed": str(error)})
+        return
     if feats_tables.SENSOR in data.info.get("sensors", ()):
         result["published"] = {
             name: feats_tables.published_errors(predictions[name][1], np.asarray(data.labels[predictions[name][0]]))

@@ -22,7 +22,6 @@ from gelforge.flow.files import read_json, write_json
 from gelforge.flow.jobs import in_slots
 from gelforge.flow.layout import Layout
 from gelforge.flow.params import read_dataset_file, read_indenter_tables, read_parameters
-from gelforge.geometry.gel import use_gels_of
 from gelforge.geometry.indenters import bodies_of, build
 from gelforge.geometry.solids import Body
 from gelforge.labelling.sensor import sensor_of
@@ -135,7 +134,6 @@ def told(found: dict, seen: list[Seen]) -> list[str]:
 @stage(Layout.images, JOBS)
 def main(args: Namespace) -> None:
     of = args.of
-    use_gels_of(of.workflow)
     judged = read_parameters(of.parameters("images")).poses
     seen, shapes = [], None
     tables = {name: read_json(of.parameters(name)) for name in ("sensors", "indenters")}

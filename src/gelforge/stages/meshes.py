@@ -11,7 +11,7 @@ from contextlib import suppress
 from gelforge.errors import BadInput
 from gelforge.flow.cli import stage
 from gelforge.flow.layout import Layout, beside
-from gelforge.geometry.gel import load_gel, use_gels_of
+from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.mesh.basemesh import BaseMesh, build, read
 
 VERSION = 1
@@ -30,7 +30,6 @@ def main(args: Namespace) -> None:
     from gelforge.formats.vtu import write_vtu
     from gelforge.mechanics.mesh.tetmesh import jacobians, scaled_jacobians
 
-    use_gels_of(args.of.workflow)
     gel = load_gel(args.gel)
     made = kept(args.of.mesh(args.gel), gel) or build(gel)
     made.report["version"] = VERSION

@@ -110,6 +110,9 @@ def main(args: Namespace) -> None:
 
     of, resolution = args.of, args.resolution
     evaluations = {name: read_json(of.evaluation(resolution, name)) for name in args.models}
+    for name, found in evaluations.items():
+        if "failed" in found:
+            raise BadInput(f"{name}: {found['failed']}")
     models = {name: load_model(of.network(resolution, name)) for name in args.models}
     image = np.asarray(open_data(of.dataset(resolution)).images[0])
     latencies = measure(models, image, SECONDS)

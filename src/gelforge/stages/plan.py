@@ -388,12 +388,11 @@ CCX = option(
 
 @stage(Layout.plan, CCX)
 def main(args: Namespace) -> None:
-    from gelforge.geometry.gel import USUAL_GEL, use_gels_of
+    from gelforge.geometry.gel import USUAL_GEL
     from gelforge.sweeps.scenes import read_tables
 
     of = args.of
     data, workflow = of.data, of.workflow
-    use_gels_of(workflow)
     dataset_toml = data / "dataset.toml"
     dataset = config.read_dataset_file(dataset_toml)
     known = (record_of(metrics_of(of.plan())) or {}).get("inputs", {})

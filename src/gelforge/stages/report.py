@@ -21,7 +21,6 @@ from gelforge.geometry.gel import load_gel
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.ccx.program import ccx_program
-from gelforge.mechanics.mesh.basemesh import use_meshes_of
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.log import read_poses
 from gelforge.records.predictionfile import read_predictions
@@ -251,12 +250,18 @@ def network_section(results: Path, resolution: str, model: str) -> Section:
     if not path.exists():
         return section.text(f"Not made: {Layout(results).command('evaluate')}.", absent=True)
     metrics, other = read_json(path), Layout(results).evaluation(resolution, SHIPPED)
+    if "failed" in metrics:
+        return section.text(f"Not evaluated: {metrics['failed']}", absent=True)
     section.text(learnt_from(metrics, model))
     if model != SHIPPED and other.exists():
         shipped = read_json(other)
+        if "failed" in shipped:
+            section.text(f"The shipped network is not beside it: {shipped['failed']}")
+            shipped = {"splits": {}}
         for sentence in networkchoice.choices(metrics, shipped, model):
             section.text(sentence)
-        section.table(networkchoice.COLUMNS, networkchoice.beside(metrics, shipped))
+        if rows := networkchoice.beside(metrics, shipped):
+            section.table(networkchoice.COLUMNS, rows)
     ours = published_here(path.parent)
     for table in [*metrics["tables"], *([feats_tables.comparison(ours)] if ours else [])]:
         section.table(table["columns"], table["rows"], folded=table["title"])
@@ -309,7 +314,7 @@ def versions_section(results: Path) -> Section:
 def about(results: Path, dataset: str, resolution: str, model: str, params: Path) -> dict:
     """Data that the page's charts and provenance need beside the presses."""
     path = Layout(results).evaluation(resolution, model)
-    splits = read_json(path)["splits"] if path.exists() else {}
+    splits = read_json(path).get("splits", {}) if path.exists() else {}
     return {
         "dataset": dataset,
         "resolution": resolution,
@@ -388,7 +393,6 @@ def lead_of(rows: list[dict], resolution: str, samples: int) -> str:
 @stage(Layout.report)
 def main(args: Namespace) -> None:
     of, results, resolution, model = args.of, args.results, args.resolution, args.model
-    use_meshes_of(of.meshes)
     verification.refuse_beyond(read_verified(results))
     solved = read_solved(results)
     gels = {name: sensor.gel for name, sensor in load_sensors(of.parameters("sensors")).items()}

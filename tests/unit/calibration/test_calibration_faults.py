@@ -14,7 +14,7 @@ from gelforge.calibration.readings import check_enough, check_readings, read_rea
 from gelforge.calibration.sampling import Chain, Figures, NotConverged, Rules, complaint, sample, start_points
 from gelforge.calibration.solves import make_plan, refuse_no_contact
 from gelforge.errors import BadInput
-from gelforge.flow.files import read_toml, write_json, write_text
+from gelforge.flow.files import read_toml, write_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.params import read_parameters
 from gelforge.flow.schema import Place, parse
@@ -232,8 +232,8 @@ def test_unusable_priors(table, message):
 def planned(tmp_path, *rows, **poses):
     """The layout of a dataset with these rows in one shard, and the parameters of calibrate."""
     of = Layout(place_workflow(tmp_path) / "results/lab")
-    header = "sample_id,sensor_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg,fx_n,fy_n,fz_n,image"
-    write_text(of.shard("0000"), "\n".join([header, *rows]) + "\n")
+    of.shards.mkdir(parents=True)
+    write_lines(of.shard("0000"), *rows)
     write_json(of.parameters("sensors"), read_toml(tmp_path / "workflow/sensors.toml"))
     indenters = read_toml(tmp_path / "workflow/indenters.toml")
     write_stage(of.params, "calibrate", poses=poses)
@@ -242,11 +242,14 @@ def planned(tmp_path, *rows, **poses):
 
 def test_rows_serve_that_stage_10_would_take_by_their_commanded_path(tmp_path):
     """Neither 10_poses nor an image is read: calibration comes before both."""
-    rows = [f"{name},mini_a,{body},0,0,0,0,0,{dz},0,,,-{k}," for k, (name, body, dz) in enumerate(
-        [("a", "sphere_15", "-1"), ("b", "sphere_15", "deep"), ("c", "sphere_15", "-1.2"), ("d", "sphere_99", "-1"),
-         ("e", "sphere_15", "-2.5")], 1)]  # fmt: skip
+    presses = (("a", "sphere_15", -1), ("b", "sphere_15", "deep"), ("c", "sphere_15", -1.2), ("d", "sphere_99", -1),
+               ("e", "sphere_15", -2.5))  # fmt: skip
+    rows = [log_line(sample_id=name, sensor_id="mini_a", indenter=body, z0_mm=0, dz_mm=dz, fz_n=-k, image="")
+            for k, (name, body, dz) in enumerate(presses, 1)]  # fmt: skip
     assert logged_readings(*planned(tmp_path / "usual", *rows)).ids.tolist() == ["a", "c", "e"]
     assert logged_readings(*planned(tmp_path / "shallow", *rows, deepest_share=0.4)).ids.tolist() == ["a", "c"]
+    tilted = logged_readings(*planned(tmp_path / "tilted", *rows[:1], tilt_deg=[0.5, -1.0])).pose[:, -2:]
+    assert tilted.tolist() == [[0.5, -1.0]]
     bad = planned(tmp_path / "bad", rows[1], rows[3])
     refused(r"every row with a normal force \(fz_n\) is rejected, the first: .*deep", logged_readings, *bad)
     assert not (tmp_path / "usual/results/lab/10_poses").exists()

@@ -1,7 +1,6 @@
 """An estimate is there at once, follows the records of this machine, and grows with what it counts."""
 
 import tomllib
-from pathlib import Path
 
 import pytest
 from hypothesis import given
@@ -11,10 +10,8 @@ from gelforge.commands import estimate
 from gelforge.commands.estimate import (
     DRAGGED,
     MEASURED,
-    OF_FILE,
     SLIPPING,
     START,
-    ahead,
     estimated,
     press_seconds,
     size,
@@ -25,7 +22,6 @@ from gelforge.flow import layout
 from gelforge.flow.files import write_json, write_text
 from gelforge.flow.layout import Layout
 from gelforge.flow.params import plain
-from gelforge.flow.runs import duration
 from gelforge.records.log import shard_text
 from gelforge.records.press import COLUMNS, RawRow
 from tests.support.parameters import parameters, stage_of
@@ -129,23 +125,6 @@ def test_a_training_is_counted_by_its_images_and_epochs(tmp_path, root):
     write_dataset(Layout(of.root.parent / "other").dataset("24x32"), n=45, image=(24, 32), grid=(6, 8))
     assert training(of, "24x32", "unet", 55).cpu - START == pytest.approx(once)
     refused("no-such", training, of, "24x32", "no-such", 100)
-
-
-def test_a_long_stage_says_before_it_begins_what_is_left_of_it(tmp_path):
-    rows = rows_of(400)
-    of = lay(tmp_path / "results/mine", rows, "fine")
-    (fea,) = (cost for cost in estimated(of, "24x32", "shipped", rows) if cost.stage == layout.FEA)
-    begun = ahead(of, Path("30_fea/0000.csv"), 8)
-    assert "400 rows by fine" in begun and duration(fea.cpu) in begun
-    solved(of, 8.0)
-    assert ahead(of, Path("30_fea/0000.csv"), 8) == ""
-    write_json(of.params / "stability.json", {})
-    assert [
-        "10 of 10 files" in ahead(of, Path("stability/rows/depth.json"), 2),
-        duration(10 * OF_FILE[layout.STABILITY] / 2) in ahead(of, Path("stability/rows/depth.json"), 2),
-    ] == [True] * 2
-    write_json(of.stability_row("depth"), {})
-    assert "9 of 10 files" in ahead(of, Path("stability/rows/shear.json"), 2)
 
 
 def test_a_press_that_is_dragged_costs_as_much_whichever_way():

@@ -7,7 +7,7 @@ from pathlib import Path
 
 from gelforge.commands.look import shard_paths
 from gelforge.commands.provenance import lines, provenance
-from gelforge.flow.files import write_csv, write_json
+from gelforge.flow.files import write_csv
 from tests.support.recorded_flow import lay
 from tests.support.refused import refused
 
@@ -17,12 +17,14 @@ def test_provenance_names_only_what_made_the_sample(tmp_path):
     lay(results, 300)
     found = provenance(results, "s00123", "24x32")
     assert [step["target"].split("/")[-2] + "/" + step["target"].split("/")[-1] for step in found["steps"]] == [
-        "10_poses/0001.csv", "30_fea/0001.csv", "40_forces/0001.npz", "24x32/labels.json",
+        "10_poses/0001.csv", "30_fea/0001.csv", "40_forces/0001.npz", "24x32/0001.npz",
     ]  # fmt: skip
     assert found["steps"][0]["parameters"] == {"poses": {"version": 1}, "indenters": {"ball": {"radius": 3}}}
     text = "\n".join(lines(found, results))
     assert (
-        "this sample: OK, label on mesh hex@a, 3.2 s, 77 MiB" in text and "0002" not in text and "s00123.npz" in text
+        "this sample: OK, label on mesh hex@a, 3.2 s, 77 MiB" in text
+        and "0002" not in text
+        and "key-of-s00123.npz" in text
     )
     assert text.count("    by numpy 2.4.6") == 4
     json.dumps(found)
@@ -77,15 +79,3 @@ def test_provenance_reads_the_same_files_however_many_samples_there_are(tmp_path
     ran = subprocess.run(command, capture_output=True, text=True, check=True)
     assert "149.csv" in ran.stdout
     assert not any(f" {heavy}\n" in ran.stderr for heavy in ("numpy", "scipy", "torch"))
-
-
-def test_provenance_of_a_label_that_names_no_shard_is_whole(tmp_path):
-    """Of very many shards a record names the parameters alone."""
-    results = tmp_path / "results/d"
-    lay(results, 300)
-    record = results / "metrics/50_labels/24x32/labels.json"
-    write_json(record, json.loads(record.read_text()) | {"inputs": []})
-    targets = [step["target"] for step in provenance(results, "s00123", "24x32")["steps"]]
-    assert [target.split("d/", 1)[1] for target in targets] == [
-        "10_poses/0001.csv", "30_fea/0001.csv", "40_forces/0001.npz", "50_labels/24x32/labels.json",
-    ]  # fmt: skip

@@ -1,10 +1,8 @@
 """Status counts what the records of all targets say, and names why samples are missing."""
 
-import json
 import os
-import time
 
-from gelforge.commands.status import cost_lines, counter_lines, failed_lines, lines, outdated_lines
+from gelforge.commands.status import cost_lines, failed_lines, lines, outdated_lines
 from gelforge.flow.files import states_of, write_csv, write_json, write_text
 from gelforge.flow.runs import duration, last_runs, still_asked
 
@@ -43,7 +41,7 @@ def test_counts_add_up_and_reasons_are_named(tmp_path):
     )
     assert "         1 x not a number" in text and "         1 x too deep" in text
     counted(results, "40_forces/0000", 1)
-    counted(results, "50_labels/24x32/labels", 1)
+    counted(results, "50_labels/24x32/0000", 1)
     table, _ = table_of(results)
     # of shard 0000 one row was rejected and one press not solved; the three of shard 0001 are to come
     assert table["40_forces"] == ["1", "0", "3"] and table["50_labels"] == ["24x32", "1", "0", "3"]
@@ -91,7 +89,7 @@ def test_what_was_made_of_something_that_changed_since_is_reported(tmp_path):
     for path in (*params, poses, fea):
         write_text(path, path.name)
     for target, *inputs in ((poses, params[0]), (results / "10_poses/0001.csv", params[0]), (fea, poses, params[1]),
-                            (results / "50_labels/12x16/labels.json", fea)):  # fmt: skip
+                            (results / "50_labels/12x16/0000.npz", fea)):  # fmt: skip
         record = {"exit_code": 0, "inputs": states_of(inputs, {}), "target": str(target)}
         write_json((results / "metrics" / target.relative_to(results)).with_suffix(".json"), record)
         for path in inputs:
@@ -108,7 +106,7 @@ def test_what_was_made_of_something_that_changed_since_is_reported(tmp_path):
     write_text(params[1], params[1].name)
     write_text(fea, "solved again, and not labelled")
     assert reported() == [
-        f"outdated: 50_labels/12x16/labels and what follows from it, because {fea} changed since it was made"
+        f"outdated: 50_labels/12x16/0000 and what follows from it, because {fea} changed since it was made"
     ]
     write_text(params[0], "changed")
     write_text(results / "00_plan/shards/0000.csv", "changed")
@@ -117,16 +115,12 @@ def test_what_was_made_of_something_that_changed_since_is_reported(tmp_path):
     ]
 
 
-def test_costs_add_up_by_stage_and_the_last_run_says_how_far_it_came(tmp_path):
+def test_costs_add_up_by_stage(tmp_path):
     for shard, cpu in (("0000", 30.0), ("0001", 40.0)):
         write_json(tmp_path / f"metrics/30_fea/{shard}.json", {"cpu_seconds": cpu, "peak_mib": cpu})
     write_text(tmp_path / "metrics/30_fea/0002.json", "{")
     assert cost_lines(tmp_path, last_runs(tmp_path))[1].split() == ["30_fea", "70", "s", "40"]
     assert [duration(s) for s in (12.2, 125, 7200)] == ["12 s", "2 min", "2.0 h"]
-    assert counter_lines(tmp_path) == []
-    stages = {"40_forces": {}, "30_fea": {"done": 2, "of": 6, "since": time.time() - 100}}
-    write_text(tmp_path / "logs/counter.json", json.dumps({"run": "1", "stages": stages}))
-    assert counter_lines(tmp_path) == ["last run: 30_fea 2 of 6, 3 min left, 0 s ago"]
 
 
 def test_a_record_that_lacks_what_is_asked_for_is_no_traceback(tmp_path):

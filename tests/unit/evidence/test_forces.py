@@ -48,6 +48,10 @@ TROUBLES = {
     "tare": (lambda f: f + [0.8, 0.0, -1.5], r"[+]0.\d+ N along x and -1.\d+ N along z: tare"),
     "tare along y": (lambda f: f + [0.0, -0.5, 0.0], r"constant force of -0.\d+ N along y: tare"),
     "tare upwards": (lambda f: f + [0.0, 0.0, 2.0], r"constant force of [+][12].\d+ N along z: tare"),
+    "end of the range": (
+        lambda f: np.maximum(f, [-np.inf, -np.inf, np.quantile(f[:, 2], 0.3)]),
+        "at the end of its range",
+    ),
     "noise": (lambda f: f + 0.6 * np.random.default_rng(5).standard_normal(f.shape), "scatter by 0.[4-9]"),
 }
 

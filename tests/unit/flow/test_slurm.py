@@ -19,13 +19,13 @@ def test_a_stage_overrides_the_default_and_an_own_file_the_published_one(tmp_pat
         tmp_path,
         '[default]\npartition = "cpu"\ncores = 3\nmemory_mb = 9\n[labels]\noptions = ["--qos=short"]\nmemory_mb = 0\n',
     )
-    labels, train = read_profile(path, "50_labels"), read_profile(path, "70_train")
+    labels, train = read_profile(path, "labels"), read_profile(path, "train")
     assert {"--partition=cpu", "--cpus-per-task=3", "--time=120", "--qos=short"} < set(labels.sbatch_options())
     assert not any(option.startswith("--mem") for option in labels.sbatch_options())
     # A stage's own table is narrower than [default], whichever file it stands in.
     assert {"--gres=gpu:1", "--cpus-per-task=4", "--mem=16000M"} < set(train.sbatch_options())
-    assert read_profile(path, "calibrate") == read_profile(path, "40_forces")
-    local = read_profile(root / "envs" / "slurm-cluster.toml", "70_train")
+    assert read_profile(path, "calibrate") == read_profile(path, "forces")
+    local = read_profile(root / "envs" / "slurm-cluster.toml", "train")
     assert local.options == () and local.cores == 1
 
 
@@ -38,4 +38,4 @@ def test_a_wrong_profile_is_named(tmp_path):
         ('options = ["--clusters=b"]', "name another cluster by export SLURM_CLUSTERS=NAME"),
         ('options = ["-Mb"]', "name another cluster by export SLURM_CLUSTERS=NAME"),
     ):
-        refused(re.escape(words), read_profile, own(tmp_path, f"[labels]\n{line}\n"), "50_labels")
+        refused(re.escape(words), read_profile, own(tmp_path, f"[labels]\n{line}\n"), "labels")

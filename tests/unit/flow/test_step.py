@@ -4,7 +4,6 @@ import errno
 import fcntl
 import json
 import os
-import re
 import shlex
 import signal
 import socket
@@ -52,7 +51,7 @@ def test_success_publishes_target_log_and_metrics(tmp_path):
 @pytest.mark.parametrize("code", [0, 3])
 def test_what_a_step_says_is_one_write_so_that_lines_of_two_steps_do_not_mix(tmp_path, code):
     """Of a socket of messages, each write is one message; Python writes at once if PYTHONUNBUFFERED is set."""
-    target = tmp_path / "results/d/50_labels/4x4/labels.json"
+    target = tmp_path / "results/d/50_labels/4x4/x.json"
     here, there = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     make = ["bash", "-c", f"echo note: one; echo made > {target}.part; exit {code}"]
     wrapper = [sys.executable, "-m", "gelforge.flow.step", str(target), "--", *make]
@@ -251,28 +250,46 @@ def test_a_file_system_without_locks_is_named_and_nothing_is_made(tmp_path):
     assert not target.exists() and not target.with_name("0000.csv.part").exists()
 
 
-def test_a_finished_shard_says_how_far_the_run_is_and_the_time_left(tmp_path, monkeypatch):
-    """Of the shards that this run must make: those that are there and as new as their rows are none."""
+def test_a_finished_shard_says_which_of_how_many_it_is(tmp_path):
     of = Layout(tmp_path / "results/d")
-    for name in ("0000", "0001", "0002", "0003"):
+    for name in ("0000", "0001", "0003"):
         write_text(of.shard(name), "")
-        write_text(of.poses(name), "")
-    write_text(of.fea("0003"), "made")
-    monkeypatch.setenv("GELFORGE_RUN", "one")
 
     def said(target):
         return wrapped(target, "bash", "-c", f"echo made > {target}.part")[1].rstrip()
 
-    assert re.search(r" MiB  \[1 of 3, \d+ s left\]$", said(of.fea("0000")))
-    assert said(of.forces("0000")).split("  ")[-1].startswith("[1 of 4, ")  # of another stage, beside it
-    assert re.search(r" MiB  \[2 of 3, \d+ s left\]$", said(of.fea("0001")))
-    monkeypatch.setenv("GELFORGE_RUN", "two")
-    assert said(of.fea("0002")).endswith("  [1 of 1]")
-    write_text(of.parameters("fea"), "changed")
-    monkeypatch.setenv("GELFORGE_RUN", "three")
-    of.fea("0002").unlink()
-    assert said(of.fea("0002")).split("  ")[-1].startswith("[1 of 4, ")
+    assert said(of.fea("0003")).endswith(" MiB  [3 of 3]") and said(of.labels("4x4", "0000")).endswith("  [1 of 3]")
     assert said(of.card("24x32", "pair_8")).endswith("MiB")  # of which no shards are made
+
+
+def test_a_step_says_why_it_makes_its_target_again(tmp_path):
+    """Nothing at first, and nothing where all is as it was; a launcher in front of the command is no reason."""
+    target, one, two = tmp_path / "results/d/30_fea/0000.csv", tmp_path / "one", tmp_path / "two"
+    one.write_text("1")
+    two.write_text("2")
+
+    def said(*reads, words=""):
+        return wrapped(target, "bash", "-c", f"{words} echo made > {target}.part", reads=reads)[1]
+
+    assert "because" not in said(one, two) and said(one, two) == ""
+    two.write_text("3")
+    assert f"{target}: made again, because {two} changed\n" in said(one, two)
+    assert f"because {two} is no prerequisite any more" in said(one)
+    assert f"because {two} is a new prerequisite" in said(one, two)
+    assert "because its command changed" in said(one, two, words="true;")
+    target.write_text("other")
+    assert "because it changed since it was made" in said(one, two, words="true;")
+    target.unlink()
+    assert "because it is missing" in said(one, two, words="true;")
+
+
+def test_a_launcher_runs_the_command_and_is_no_part_of_the_record(tmp_path, monkeypatch):
+    target = tmp_path / "results/d/30_fea/0000.csv"
+    monkeypatch.setenv("GELFORGE_LAUNCHER", "env -i PATH=/usr/bin:/bin LAUNCHED=yes")
+    assert wrapped(target, "bash", "-c", f'echo "$LAUNCHED" > {target}.part')[0] == 0
+    assert target.read_text() == "yes\n"
+    monkeypatch.delenv("GELFORGE_LAUNCHER")
+    assert wrapped(target, "bash", "-c", f'echo "$LAUNCHED" > {target}.part') == (0, "")
 
 
 def test_what_a_command_counts_last_stands_in_its_record(tmp_path):

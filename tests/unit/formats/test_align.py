@@ -165,6 +165,15 @@ def test_units_and_reports_of_one_frame_are_read(tmp_path):
         path = told_of_path(tmp_path, text, (1.0, 2.0, 5.0))
         np.testing.assert_allclose(path.times, [0.5, 0.6])
         np.testing.assert_allclose(path.values[:, :4], [[0.0, 0, 0, 0], [0.5, 0, 0, -0.5]], atol=1e-9)
+    for text in (  # more axes that stand still, fewer decimals, grblHAL's states, dates
+        work.replace("000|", "000,0.000|").replace("500|", "500,0.000|"),
+        work.replace("000", "00").replace("500", "50"),
+        work.replace("Run", "Run:2").replace("Idle", "Tool"),
+        work.replace("0.5 ", "1970-01-01T00:00:00.5Z ").replace("0.6 ", "1970-01-01T00:00:00.600+00:00 "),
+    ):
+        path = told_of_path(tmp_path, text, (1.0, 2.0, 5.0))
+        np.testing.assert_allclose(path.times, [0.5, 0.6])
+        np.testing.assert_allclose(path.values[:, :4], [[0.0, 0, 0, 0], [0.5, 0, 0, -0.5]], atol=1e-9)
     inches = told_of_path(tmp_path, "time_ms,x_in,y_mm,z_mm\n0,1,0,0\n20,1.0,0,-1e-1\n", name="path.csv")
     np.testing.assert_allclose(inches.values[:, 1], 25.4)
 
@@ -200,7 +209,26 @@ NO_PATHS = {  # what a path may not be, and what is said of it
     "ok": (LINE + "0.6 ok\n", "line 2.*only reports"),
     "exponents": (LINE + "0.6 <Idle|WPos:1.0e1,2.000,5.000|FS:0,0>\n", "line 2.*not a report"),
     "decimal commas": (LINE + "0,6 <Idle|WPos:1.000,2.000,5.000|FS:0,0>\n", "line 2.*not a report"),
-    "four axes": (LINE + "0.6 <Idle|WPos:1.000,2.000,5.000,0.000|FS:0,0>\n", "line 2.*not a report"),
+    "four axes after three": (LINE + "0.6 <Idle|WPos:1.000,2.000,5.000,0.000|FS:0,0>\n", "line 2.*another axis"),
+    "a fourth axis that turns": (
+        LINE.replace("5.000|", "5.000,0.000|") + "0.6 <Idle|WPos:1.000,2.000,5.000,9.000|FS:0,0>\n",
+        "line 2.*another axis",
+    ),
+    "time of day": ("12:34:56.789 -> <Idle|WPos:1.000,2.000,5.000|FS:0,0>\n", "line 1.*time of day"),
+    "a console": (LINE + "0.6 error:2\n", "line 2.*console"),
+    "hours, minutes, seconds": ("time_s,x_mm,y_mm,z_mm\n12:00:01,1,2,5\n", "line 2.*time of day"),
+    "whole seconds": (
+        "time_utc,x_mm,y_mm,z_mm\n2026-01-01T00:00:00,1,2,5\n2026-01-01T00:00:00,1,2,5\n2026-01-01T00:00:01,1,2,5\n",
+        "whole seconds only",
+    ),
+    "nanoseconds without zeros": (
+        "time_s,x_mm,y_mm,z_mm\n1.900000000,1,2,5\n2.5000000,1,2,5\n2.25000000,1,2,5\n",
+        "nanoseconds without leading zeros",
+    ),
+    "the end of daylight saving time": (
+        "time_utc,x_mm,y_mm,z_mm\n2026-10-25T02:59:59.9,1,2,5\n2026-10-25T02:00:00.1,1,2,5\n2026-10-25T02:00:00.3,1,2,5\n",
+        "daylight saving",
+    ),
     "M114": ("X:1.00 Y:2.00 Z:5.00 E:0.00 Count X:80 Y:160 Z:2000\n", "M114 reports the commanded position"),
     "M114 behind its time": ("0.5 X:1.00 Y:2.00 Z:5.00 E:0.00 Count X:80\n", "line 1"),
     "no header": ("0.00,1,2,5\n0.02,1,2,5\n", "no header"),
@@ -213,7 +241,7 @@ NO_PATHS = {  # what a path may not be, and what is said of it
     "two frames of samples": (CSV + "0.02,-99,-48,-5\n", "line 3.*jumps by"),
     "commas for points": (CSV + "0.02,1,0,2,5\n", "row 3|another number"),
     "a line a move": (CSV + "3.20,1,2,-1\n6.40,1,2,5\n", "whole move"),
-    "a row of units": ("time_s,x_mm,y_mm,z_mm\ns,mm,mm,mm\n0,1,2,5\n", "line 2"),
+    "a row of units": ("time_s,x_mm,y_mm,z_mm\ns,mm,mm,mm\n0,1,2,5\n", "line 2.*row of units: remove it"),
     "two headers": (CSV + CSV, "line 3"),
     "tabs": (CSV.replace(",", "\t"), "separated by"),
     "semicolons and commas": (CSV.replace(",", ";").replace(".", ","), "separated by"),

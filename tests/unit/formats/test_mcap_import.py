@@ -420,3 +420,82 @@ def test_the_nearest_wrench_is_taken_within_its_time():
     times = np.array([0, 100, 200])
     assert [nearest(times, time, 40) for time in (-10, 60, 149, 151, 239, 241)] == [0, 1, None, None, 2, None]
     assert nearest(np.array([], np.int64), 5, 10) is None
+
+
+def presses(times):
+    """Compression, N, of three presses at times (n,) s: down in 0.6 s, held for 0.4 s, up in 0.4 s."""
+    knots = np.concatenate([np.array([0.0, 0.6, 1.0, 1.4]) + start for start in (0.8, 3.1, 5.2)])
+    return np.interp(times, knots, [0, 9, 9, 0, 0, 14, 14, 0, 0, 6, 6, 0])
+
+
+def pressed(tmp_path, off=0.0, late=0.002, read=presses, shown=None):
+    """A recording of presses by image and wrench; off: of the wrench's stamps, late: of the wrench's log times, s."""
+    at = np.arange(0.0, 7.0, 0.04)
+    seen = presses(at) if shown is None else shown(at)
+    images = [
+        (
+            START + int(1e9 * (t + 0.004)),
+            {"header": ros.header(START + int(1e9 * t), "gel"), **png(coloured(int(3 * f)))},
+        )
+        for t, f in zip(at, seen, strict=True)
+    ]
+    felt = np.arange(0.0, 7.0, 0.01)
+    forces = [
+        (START + int(1e9 * (t + late)), wrench(START + int(1e9 * (t + off)), -float(f)))
+        for t, f in zip(felt, read(felt), strict=True)
+    ]
+    return write(tmp_path / "a.mcap", images, forces), at
+
+
+def worst(rows, at):
+    moments = [at[int(row["image"][-10:-4])] for row in rows]
+    return np.abs(presses(np.array(moments)) + [float(row["fz_n"]) for row in rows]).max()
+
+
+def test_stamps_of_another_clock_are_not_believed(tmp_path, sensor):
+    """0.2 to 0.5 s off, up to 122 of 177 rows were wrong by 1 to 35 N: `at most 0.0 ms apart`."""
+    for k, (off, said) in enumerate(
+        ((0.3, "which is impossible on one clock"), (-0.4, "early beside what the pictures"))
+    ):
+        (tmp_path / str(k)).mkdir()
+        path, at = pressed(tmp_path / str(k), off)
+        found, rows = imported(tmp_path / str(k), path, sensor)
+        assert worst(rows, at) < 0.5
+        assert any(said in note or ("beside what the pictures show" in note) for note in found["notes"])
+    (tmp_path / "good").mkdir()
+    path, at = pressed(tmp_path / "good")
+    found, rows = imported(tmp_path / "good", path, sensor)
+    assert worst(rows, at) < 0.5 and not found["notes"]
+
+
+def test_where_neither_clock_agrees_with_the_pictures_nothing_is_imported(tmp_path, sensor):
+    path, _ = pressed(tmp_path, -0.4, 0.4)
+    with pytest.raises(BadInput, match="by header times .* and by log times .*: their clocks differ"):
+        imported(tmp_path, path, sensor)
+
+
+def test_wild_and_clipped_forces_and_repeated_images_are_left_out_and_counted(tmp_path, sensor):
+    def wild(times):
+        force = presses(times)
+        force[[120, 333]] = 84.0
+        return force
+
+    def stuck(times):
+        seen = presses(times)
+        seen[(times > 1.0) & (times < 1.3)] = seen[times <= 1.0][-1]
+        return seen
+
+    for name, told, changes in (
+        ("wild", "2 of 700 readings are contradicted by their neighbours", {"read": wild}),
+        (
+            "clipped",
+            "at the end of its range; their images are left out",
+            {"read": lambda times: np.minimum(presses(times), 5.0)},
+        ),
+        ("stuck", "images repeat the one before them although the force changed", {"shown": stuck}),
+    ):
+        (tmp_path / name).mkdir()
+        path, at = pressed(tmp_path / name, **changes)
+        found, rows = imported(tmp_path / name, path, sensor)
+        assert any(told in note for note in found["notes"]), (name, found["notes"])
+        assert worst(rows, at) < 0.5, name

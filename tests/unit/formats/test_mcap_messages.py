@@ -5,7 +5,7 @@ from mcap.writer import CompressionType, Writer
 
 from gelforge.errors import BadInput
 from gelforge.formats.export import ros
-from gelforge.formats.mcap_messages import messages
+from gelforge.formats.mcap_messages import messages, recordings_of
 
 KIND = "geometry_msgs/msg/WrenchStamped"
 COUNT = 12
@@ -62,3 +62,32 @@ def test_what_is_no_recording_of_ros_2_is_one_sentence(tmp_path):
     ):
         with pytest.raises(BadInput, match=f"{name}: .*{said}"):
             read(tmp_path / name)
+
+
+def test_nothing_in_a_folder_is_passed_over_without_a_word(tmp_path):
+    """A bag without metadata.yaml and a .bag.active were; `._one.mcap` of a Mac ended the import."""
+    record(tmp_path / "good.mcap")
+    (tmp_path / "._good.mcap").write_bytes(b"\x00\x05\x16\x07")
+    (tmp_path / "killed.bag.active").write_bytes(b"#ROSBAG V2.0\n")
+    (tmp_path / "bag").mkdir()
+    (tmp_path / "bag" / "bag_0.db3").write_bytes(b"SQLite format 3\x00")
+    (tmp_path / "notes.txt").write_text("of the lab")
+    found, notes = recordings_of(tmp_path)
+    assert [path.name for path in found] == ["bag", "good.mcap", "killed.bag.active"]
+    assert any("._good.mcap" in note for note in notes) and any("notes.txt" in note for note in notes)
+    for name, cure in (
+        ("killed.bag.active", "run `rosbag reindex killed.bag.active`"),
+        ("bag", "without its metadata.yaml: run `ros2 bag reindex bag`"),
+        ("bag/bag_0.db3", "ros2 bag reindex"),
+    ):
+        with pytest.raises(BadInput, match=f"{name}: cannot be read: .*{cure}"):
+            read(tmp_path / name)
+    (tmp_path / "cut.bag").write_bytes(b"#ROSBAG V2.0\n" + bytes(40))
+    with pytest.raises(BadInput, match="rosbag reindex cut.bag"):
+        read(tmp_path / "cut.bag")
+
+
+def test_a_folder_of_mcap_without_metadata_is_read(tmp_path):
+    (tmp_path / "bag").mkdir()
+    path = record(tmp_path / "bag" / "bag_0.mcap")
+    assert recordings_of(tmp_path / "bag") == ([path], [])

@@ -2,8 +2,10 @@
 
 import csv
 import itertools
+import os
 import time
 import tracemalloc
+from pathlib import Path
 
 import cv2
 import numpy as np
@@ -156,7 +158,13 @@ class Opened:
 
 def test_a_source_that_changes_its_size_is_one_sentence(tmp_path):
     small, large = (
-        cv2.VideoCapture(str(write_matroska(tmp_path / f"{n}.mkv", [cv2.resize(REST, size)] * 3, [0, 40, 80])))
+        cv2.VideoCapture(
+            str(
+                write_matroska(
+                    tmp_path / f"{n}.mkv", [cv2.resize(REST, size) + np.uint8(8 * k) for k in range(3)], [0, 40, 80]
+                )
+            )
+        )
         for n, size in enumerate([(80, 60), (160, 120)])
     )
     film = iter(Film(Opened(small, large), 0, "camera 0", None, camera=True))
@@ -164,9 +172,37 @@ def test_a_source_that_changes_its_size_is_one_sentence(tmp_path):
     refused("camera 0: frames changed from 80 x 60 to 160 x 120 after 3 frames; set the size", next, film)
 
 
+def test_a_camera_that_gives_its_last_frame_again_gives_none(tmp_path, monkeypatch):
+    """`live` read -5.7 N of a free gel from the last frame of a press."""
+    images = [REST, REST + np.uint8(8), REST + np.uint8(8), REST + np.uint8(8), REST + np.uint8(16)]
+    path = write_matroska(tmp_path / "a.mkv", images, [0, 40, 80, 120, 160])
+    with open_source(path, None) as (source, _):
+        assert len(list(Film(source, 0, "camera 0", None, camera=True))) == 3
+    with open_source(path, None) as (source, _):
+        assert len(list(Film(source, 0, "film", None, camera=False))) == 5
+    monkeypatch.setattr("gelforge.records.film.STILL_S", 0.0)
+    with open_source(path, None) as (source, _):
+        refused("camera 0: has given the same frame", list, Film(source, 0, "camera 0", None, camera=True))
+
+
+def test_paths_that_the_decoder_cannot_open_are_one_sentence(tmp_path):
+    """A byte that is no UTF-8 ended the process; an address was `no such video`."""
+    folder = tmp_path / os.fsdecode(b"lab\xff")
+    folder.mkdir()
+    path = folder / "a.mkv"
+    path.write_bytes(write_matroska(tmp_path / "a.mkv", [REST], [0, 40][:1], duration_ms=40).read_bytes())
+
+    def opened(path):
+        with open_source(path, None):
+            pass
+
+    refused("a byte that is no UTF-8", opened, path)
+    refused("a network stream is not read", opened, Path("rtsp://lab/stream"))
+
+
 def test_a_cameras_frames_have_the_time_at_which_they_came(tmp_path):
     """A film in its place, which says times of its own."""
-    path = write_matroska(tmp_path / "a.mkv", [REST] * 4, [0, 1000, 2000, 3000])
+    path = write_matroska(tmp_path / "a.mkv", [REST + np.uint8(8 * k) for k in range(4)], [0, 1000, 2000, 3000])
     started = time.perf_counter()
     with open_source(path, None) as (source, _):
         film = Film(source, 0, "camera 0", None, camera=True)

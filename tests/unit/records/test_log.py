@@ -243,6 +243,18 @@ def test_every_reader_of_a_log_counts_its_lines(tmp_path):
     assert judged(path) == (["a", "b"], []) and [row.row for row in log.read_log(path)] == [2, 4]
 
 
+def test_a_row_that_was_cut_is_refused_wherever_it_was_cut(tmp_path):
+    """Cut to `…,-1` a force of -12.34 N was one of -1 N. A row that ends in an empty cell is whole."""
+    whole = log_line(sample_id="b", fz_n=-12.34)
+    for at in range(len("b,"), len(whole)):
+        path = write_lines(tmp_path / "log.csv", log_line(sample_id="a"), whole[:at])
+        good, wrong = judged(path)
+        if whole[:at].count(",") == whole.count(","):  # of its last cell alone nothing tells
+            continue
+        assert good == ["a"] and "fewer cells" in str(wrong), whole[:at]
+    assert judged(write_lines(tmp_path / "log.csv", log_line(sample_id="a", image=""))) == (["a"], [])
+
+
 def test_columns_of_other_names_are_not_read(tmp_path):
     """One is called as a column of the shards' own files, two have no name at all."""
     columns = ("row", *COLUMNS, "fault", "", "")

@@ -9,7 +9,7 @@ import cv2
 import numpy as np
 import pytest
 
-from gelforge.flow.files import write_csv, write_json
+from gelforge.flow.files import read_json, write_csv, write_json
 from gelforge.flow.layout import Layout
 from gelforge.geometry import touch, triangles
 from gelforge.geometry.gel import Gel
@@ -19,7 +19,7 @@ from gelforge.geometry.triangles import cropped
 from gelforge.records import log
 from gelforge.records.press import FORCES, Press, Rejection, parse, summarised
 from gelforge.stages import poses
-from tests.support.parameters import parameters, write_stage
+from tests.support.parameters import parameters, write_stage, write_used
 from tests.support.press_records import press_record
 
 
@@ -30,7 +30,7 @@ def lab(tmp_path, root):
     (of.data / "images").mkdir(parents=True)
     cv2.imwrite(str(of.data / "images" / "a.png"), np.full((240, 320, 3), 90, np.uint8))
     for name in ("sensors", "indenters"):
-        write_json(of.parameters(name), tomllib.loads((root / "workflow" / f"{name}.toml").read_text()))
+        write_used(of, **{name: tomllib.loads((root / "workflow" / f"{name}.toml").read_text())})
     write_stage(of.params, "poses")
 
     def run(rows, *flags, without=()):
@@ -41,7 +41,7 @@ def lab(tmp_path, root):
         assert poses.main([str(of.root), "0000", *flags]) == 0
         return read(of.poses("0000")), read(of.rejected("0000")), of.root / "10_poses/0000"
 
-    run.sensors = lambda tables: write_json(of.parameters("sensors"), tables)
+    run.sensors = lambda tables: write_used(of, sensors=tables)
     run.of = of
     return run
 
@@ -149,8 +149,7 @@ def test_rows_that_want_something_else_done_are_distinguished():
 
 def test_users_shape_goes_through(lab, tmp_path, root):
     catalogue = load_catalogue(root / "workflow" / "indenters.toml", ["cuboid_7"])
-    path = lab.of.parameters("indenters")
-    path.write_text(json.dumps({"mine": {"kind": "stl", "file": "shapes/mine.stl", "spacing": 0.3}}))
+    write_used(lab.of, indenters={"mine": {"kind": "stl", "file": "shapes/mine.stl", "spacing": 0.3}})
     (tmp_path / "workflow/shapes").mkdir(parents=True)
     mine = tmp_path / "workflow/shapes/mine.stl"
     triangles.write_stl(mine, *catalogue["cuboid_7"].surface())
@@ -159,8 +158,8 @@ def test_users_shape_goes_through(lab, tmp_path, root):
     assert [row["column"] for row in rejected] == ["dz_mm"]
     assert read_stl(folder / "a.stl")[0][:, 2].max() == pytest.approx(1.5, abs=1e-5)
     mine.write_bytes(mine.read_bytes()[:500])
-    table = json.loads(path.read_text()) | {"ball": {"kind": "sphere", "diameter": 15.0, "height": 10.0}}
-    path.write_text(json.dumps(table))
+    table = read_json(lab.of.used("0000"))["indenters"]
+    write_used(lab.of, indenters=table | {"ball": {"kind": "sphere", "diameter": 15.0, "height": 10.0}})
     table, rejected, _ = lab([sample("a", indenter="mine"), sample("b", indenter="ball")])
     assert [row["sample_id"] for row in table] == ["b"]  # a broken shape keeps out its own presses alone
     assert [(row["column"], "mine.stl" in row["hint"]) for row in rejected] == [("indenter", True)]
@@ -221,7 +220,7 @@ def test_a_body_that_would_vanish_in_the_gel_is_reported_with_its_size(lab, tmp_
     (tmp_path / "workflow").mkdir()
     triangles.write_stl(tmp_path / "workflow/ball.stl", vertices / unit, faces)
     mine = {"kind": "stl", "file": "ball.stl", "spacing": 0.1}
-    (lab.of.parameters("indenters")).write_text(json.dumps({"mine": mine}))
+    write_used(lab.of, indenters={"mine": mine})
     deep = sample("deep", indenter="mine", dz_mm=-1.2)
     table, rejected, _ = lab([deep, sample("light", indenter="mine", dz_mm=-0.2)])
     assert [row["sample_id"] for row in table] == ["light"]

@@ -478,7 +478,7 @@ async function drawGel(i) {
 
 // ---- what made a press
 function provenanceRows(i) {
-  const shard = COLUMNS.shard[i], id = COLUMNS.id[i], { dataset, resolution, model } = DATA.about, d = `results/${dataset}`;
+  const shard = COLUMNS.shard[i], { dataset, resolution, model } = DATA.about, d = `results/${dataset}`;
   const rows = [["step", "file", "parameters", "seconds", "processor seconds", "memory, MiB", "of"]];
   const line = (step, file, params, target, of) => {
     const cost = DATA.costs[target];
@@ -489,10 +489,10 @@ function provenanceRows(i) {
   if (COLUMNS.status[i] === "REJECTED") return rows;
   const mesh = COLUMNS.mesh[i];
   if (mesh) rows.push(["mesh", mesh.length > 90 ? `${mesh.slice(0, 90)}…` : mesh, "", "", "", "", ""]);
-  rows.push([`solve (${COLUMNS.method[i] || "none"})`, `${d}/30_fea/${shard}/${id}.*`, "fea.json", fixed(COLUMNS.seconds[i], 1), "", fixed(COLUMNS.peak_mib[i], 0), "this press"]);
+  rows.push([`solve (${COLUMNS.method[i] || "none"})`, "results/solves/, by the key in the table of its shard", "fea.json", fixed(COLUMNS.seconds[i], 1), "", fixed(COLUMNS.peak_mib[i], 0), "this press"]);
   line("solves", `${d}/30_fea/${shard}.csv`, "fea.json", `30_fea/${shard}`, "its shard");
   line("forces", `${d}/40_forces/${shard}.npz`, "forces.json", `40_forces/${shard}`, "its shard");
-  line("label", `${d}/50_labels/${resolution}/${shard}.npz`, "labels.json", `50_labels/${resolution}/labels`, "all presses");
+  line("label", `${d}/50_labels/${resolution}/${shard}.npz`, "labels.json", `50_labels/${resolution}/${shard}`, "its shard");
   if (COLUMNS.split[i]) {
     line("dataset", `${d}/60_dataset/${resolution}/`, "dataset.json", `60_dataset/${resolution}/dataset`, "all presses");
     if (DATA.about.learnt_here) line("network", `${d}/70_train/${resolution}/${model}.onnx`, "train.json", `70_train/${resolution}/${model}`, "all presses");

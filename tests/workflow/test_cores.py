@@ -1,0 +1,130 @@
+"""Every goal uses all job slots: steps overlap, no make starts a make, and what is printed is what a person needs."""
+
+import re
+import shutil
+import subprocess
+from collections import Counter
+from itertools import pairwise
+
+import pytest
+
+from gelforge.flow.files import read_json
+from tests.support.sandbox import clean_environment, link_project, make
+
+# Four presses in four shards; labels follow their own calibration; there are no images, so the page ends at labels.
+SETTINGS = """
+sensor = "gelsight_mini"
+gel = "gelsight_mini"
+[params.plan]
+shard_size = 1
+[params.poses]
+images = false
+[params.material]
+c10 = "calibrated"
+[params.fea]
+method = "draft"
+tolerance = 0.2
+[params.calibrate]
+refine = "none"
+[params.calibrate.solver]
+size = 1.2
+layers = 3
+widened = []
+press_steps = 8
+"""
+# Goals of `make help` that make no results of a dataset, by what they are for.
+OTHERS = {
+    "help", "setup", "status", "sample", "provenance", "deck", "look", "estimate", "freeze", "clean-STAGE", "clean-all", "docs", "lint",
+    "format", "lock", "test", "test-all", "benchmark-X", "benchmark-tables", "lerobot-env", "real-check", "readme-pictures", "rig",
+    "rig-check", "mcap-import", "feats-fetch", "feats-import", "projection", "fea-challenge", "fea-references", "ship",
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def project(root, tmp_path_factory):
+    """A sandbox with that dataset under the name of the demo."""
+    project = link_project(root, tmp_path_factory.mktemp("cores") / "project")
+    data = project / "data" / "demo"
+    data.mkdir()
+    shutil.copy(root / "data/feats_sphere15/log.csv", data)
+    (data / "dataset.toml").write_text(SETTINGS)
+    return project
+
+
+def goals(project) -> set[str]:
+    """What `make help` lists."""
+    return set(re.findall(r"^  ([a-z][\w-]*)\s", make(project, "help").stdout, re.MULTILINE))
+
+
+def test_no_make_starts_a_make(root, project):
+    """A make in a recipe has one job slot, unless make sees its name in the recipe's own text."""
+    for path in (root / "Makefile", *root.glob("rules/*.mk")):
+        for line in path.read_text(encoding="utf-8").splitlines():
+            assert not re.search(r"\$[({]MAKE[)}]|^\t.*(?<!`)\bmake (?!setup)(?=[a-z$-]+ )(?!.*##)", line), line
+    assert goals(project) >= OTHERS, OTHERS - goals(project)
+
+
+@pytest.mark.slow
+def test_steps_of_a_goal_overlap_and_its_output_is_clean(project):
+    """The whole flow by one goal with two job slots, posterior first."""
+    done = make(project, "-j2", "demo")
+    assert done.returncode == 0, done.stdout
+    lines = [line for line in done.stdout.splitlines() if line.strip()]
+    for bad in ("warning", "jobserver", "Traceback", "-j1"):
+        assert bad not in done.stdout, done.stdout
+    assert [line for line, count in Counter(lines).items() if count > 1] == []
+    for stage in ("10_poses", "30_fea", "40_forces", "50_labels/24x32"):
+        found = [read_json(path) for path in (project / "results/demo/metrics" / stage).glob("*.json")]
+        spans = sorted((one["started"], one["started"] + one["seconds"]) for one in found)
+        assert len(spans) == 4 and any(later < end for (_, end), (later, _) in pairwise(spans)), stage
+    assert (
+        list((project / "results/demo/90_report").glob("*.html"))
+        and not (project / "data/demo/calibration.toml").exists()
+    )
+    again = make(project, "-j2", "demo").stdout
+    assert "because" not in again and " MiB" not in again
+    # goals that make results are this one's stages, or branches of their own
+    assert goals(project) - OTHERS <= {
+        "poses", "images", "fea", "forces", "labels", "dataset", "train", "evaluate", "report", "demo", "calibrate", "pareto", "stability",
+        "pareto-models", "export", "feats-export",
+    }  # fmt: skip
+
+
+@pytest.mark.slow
+def test_a_stage_reads_its_prerequisites_and_nothing_else(root, project, tmp_path):
+    """Each target of the flow, made again in a folder that holds its prerequisites and the store of solves alone."""
+    assert make(project, "-j2", "demo").returncode == 0
+    results = project / "results/demo"
+    made = [
+        results / "metrics" / name
+        for name in ("calibrate/summary", "10_poses/0001", "30_fea/0001", "40_forces/0001", "50_labels/24x32/0001")
+    ]
+    for record in (read_json(path.with_suffix(".json")) for path in made):
+        alone = tmp_path / record["target"].replace("/", "-")
+        for name in ("src", ".venv"):
+            alone.mkdir(exist_ok=True)
+            (alone / name).symlink_to(root / name)
+        for name in record["inputs"]:
+            (alone / name).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(project / name, alone / name)
+        shutil.copytree(project / "results/solves", alone / "results/solves")
+        words = [word for word in record["command"] if word != "--part"]
+        environment = clean_environment() | {"PYTHONPATH": str(root / "src")}
+        done = subprocess.run(words, cwd=alone, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, (record["target"], done.stderr)
+        ours = alone / record["target"]
+        if ours.suffix != ".json":  # a summary says how many solves were new
+            assert ours.read_bytes() == (project / record["target"]).read_bytes(), record["target"]
+
+
+@pytest.mark.slow
+def test_each_file_of_the_results_that_is_gone_is_healed_by_one_make(project):
+    """And nothing else is made for it."""
+    assert make(project, "-j2", "demo").returncode == 0
+    results = project / "results/demo"
+    for name in ("00_plan/plan.mk", "00_plan/params/fea.json", "00_plan/shards/0002.csv", "calibrate/summary.json", "10_poses/0001.csv",
+                 "30_fea/0003.csv", "40_forces/0000.npz", "50_labels/24x32/0002.npz"):  # fmt: skip
+        (results / name).unlink()
+        done = make(project, "-j2", "demo")
+        assert done.returncode == 0 and (results / name).exists(), done.stdout
+        assert "flow.step" not in make(project, "-n", "demo").stdout, name
