@@ -296,7 +296,7 @@ IMPRINTS = {
 
 
 def defocused(image: np.ndarray) -> np.ndarray:
-    return cv2.GaussianBlur(image, (0, 0), 1.5)
+    return cv2.GaussianBlur(image, (0, 0), 4.0)
 
 
 def overexposed(image: np.ndarray) -> np.ndarray:
