@@ -14,6 +14,7 @@ from gelforge.errors import BadInput
 # Samples of the running median, in turn, since wild samples hide each other; and the weight of its own changes there.
 WINDOWS = ((5, 1.5), (5, 1.5), (9, 3.0))
 WILD_NOISE, WILD_PART = 8.0, 0.02  # a wild sample is off by so many deviations, and this fraction of the range
+SLOWEST_S = 0.09  # longest interval of readings whose neighbours say anything of them
 MOST_WILD = 0.01  # fraction of wild samples above which a series is refused
 PLATEAU = 5  # equal largest readings in a row that noise would have told apart
 FEW_EQUAL = 3  # equal largest readings of separate presses
@@ -158,7 +159,8 @@ class Lag:
     @property
     def of_clocks(self) -> bool:
         """Whether it shows that forces and pictures have different clocks."""
-        return abs(self.seconds) > LAGS_S and self.gain > LAGS_GAIN and self.left > LAGS_LEFT
+        inside = abs(self.seconds) < MOST_LAG_S - 2 * LAG_STEP_S  # at its end the search found nothing
+        return inside and abs(self.seconds) > LAGS_S and self.gain > LAGS_GAIN and self.left > LAGS_LEFT
 
 
 def averaging(
@@ -321,8 +323,13 @@ def equal_largest(measured: np.ndarray, predicted: np.ndarray) -> str | None:
     )
 
 
-def without_wild(name: str, values: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Which readings (n,) of a series (n, k) its neighbours confirm, and a note on the others; BadInput where many are wild."""
+def without_wild(name: str, times: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """Which readings (n,) of a series (n, k) its neighbours confirm, and a note on the others; BadInput where many are wild.
+
+    times: (n,) s. Of a series slower than SLOWEST_S a single reading may be a whole press, so all are kept.
+    """
+    if len(times) < 2 or float(np.median(np.diff(times))) > SLOWEST_S:
+        return np.ones(len(values), bool), []
     off = np.any([wild(each) for each in values.T], axis=0)
     if not off.any():
         return ~off, []

@@ -6,7 +6,9 @@ import pytest
 from gelforge.evidence.placement import _similarity
 
 
-@pytest.mark.parametrize("turn, scale, shift", [(0.0, 1.0, (0.0, 0.0)), (7.0, 1.0, (0.4, -0.2)), (-25.0, 1.3, (2.0, 3.0))])
+@pytest.mark.parametrize(
+    "turn, scale, shift", [(0.0, 1.0, (0.0, 0.0)), (7.0, 1.0, (0.4, -0.2)), (-25.0, 1.3, (2.0, 3.0))]
+)
 def test_a_common_move_of_contacts_is_found_and_leaves_nothing_but_what_moved_otherwise(turn, scale, shift):
     at = np.random.default_rng(1).uniform(-8.0, 8.0, (12, 2))
     way = np.deg2rad(turn)

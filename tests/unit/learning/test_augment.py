@@ -139,7 +139,9 @@ def test_colours_are_varied_as_the_paper_states(monkeypatch):
         elif name == "contrast":
             assert abs(float(luma.mean() - before.mean())) < 1e-4  # which keeps its mean
             factor = float((luma - before.mean()).std() / (before - before.mean()).std())
-            torch.testing.assert_close(found, before.mean() + factor * (image[0].double() - before.mean()), atol=1e-3, rtol=0)
+            torch.testing.assert_close(
+                found, before.mean() + factor * (image[0].double() - before.mean()), atol=1e-3, rtol=0
+            )
         else:
             factor = 0.0
             torch.testing.assert_close(luma, before, atol=1e-3, rtol=0)  # chroma alone changes

@@ -139,7 +139,15 @@ def test_two_presses_of_one_place_at_other_angles_are_two(datasets):
     """Depths and sensors are views of one press; another place, angle or indenter is another press."""
     data = datasets[0]
     place = {"x0_mm": 1.0, "y0_mm": -2.0, "z0_mm": 0.0, "dx_mm": 0.0, "dy_mm": 0.0, "dz_mm": -0.5, "rot_deg": 10.0}
-    changes = [{}, {"dz_mm": -1.0}, {"sensor_id": "other"}, {"rot_deg": 40.0}, {"y0_mm": -2.1}, {"x0_mm": 1.1}, {"indenter": "cube"}]
+    changes = [
+        {},
+        {"dz_mm": -1.0},
+        {"sensor_id": "other"},
+        {"rot_deg": 40.0},
+        {"y0_mm": -2.1},
+        {"x0_mm": 1.1},
+        {"indenter": "cube"},
+    ]
     table = [replace(data.table[0], press=replace(data.table[0].press, **place | change)) for change in changes]
     keys = press_keys(replace(data, table=table), range(len(table))).tolist()
     assert keys[0] == keys[1] == keys[2] and len(set(keys)) == 5

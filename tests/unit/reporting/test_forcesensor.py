@@ -9,7 +9,15 @@ OF = Spreads(c10=0.02, low=0.95, high=1.06, mesh=0.01, noise=0.05, touch=0.01)
 
 def test_a_difference_is_judged_by_noise_touch_stiffness_and_mesh():
     """The label with what lies outside the image; the steeper a press, the more an error of touch weighs."""
-    row = {"id": "a", "indenter": "ball", "label_fz": -9.5, "outside_fz": -0.7, "measured_fz": -10.0, "z0_mm": 0.0, "dz_mm": -0.5}
+    row = {
+        "id": "a",
+        "indenter": "ball",
+        "label_fz": -9.5,
+        "outside_fz": -0.7,
+        "measured_fz": -10.0,
+        "z0_mm": 0.0,
+        "dz_mm": -0.5,
+    }
     (found,) = compare_forces([row, row | {"measured_fz": None}, row | {"label_fz": None}], OF, {"a"})
     assert found.label == pytest.approx(-10.2) and found.used
     assert [found.low, found.high] == pytest.approx([-10.2 * 1.06, -10.2 * 0.95])

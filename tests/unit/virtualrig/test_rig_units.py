@@ -48,7 +48,10 @@ def test_the_apex_of_every_unit_appears_where_its_camera_was_shifted_to(drawn):
     most = max(np.abs(read_ranges(RIG / "units.toml").shift_px))
     for sensor in drawn[1].values():
         apex = sensor.project(np.zeros((1, 2)))[0]
-        assert np.abs(apex - np.array(sensor.image) / 2).max() <= most + 1e-9 and np.abs(sensor.projection[2, :2]).max() > 0.0
+        assert (
+            np.abs(apex - np.array(sensor.image) / 2).max() <= most + 1e-9
+            and np.abs(sensor.projection[2, :2]).max() > 0.0
+        )
         # scale and turn there are those of a camera that looks straight down
         step = (sensor.project(np.array([[1e-4, 0.0], [0.0, 1e-4]])) - apex) / 1e-4
         assert np.linalg.norm(step[0]) == pytest.approx(np.linalg.norm(step[1]), rel=1e-3)
