@@ -253,6 +253,10 @@ def pair(path: Path, topics: Topics) -> Pairs:
             f"{topics.image}: {again.sum()} images repeat the one before them although the force changed; they are left out"
         )
     notes += over
+    if level := series.level_without_contact(
+        np.linalg.norm(forces[:, :3], axis=1), shown.change[chosen[has]], topics.touch_n
+    ):
+        notes.append(f"{topics.wrench} {level}")
     notes += [*clock.notes, *seen.notes, *felt.notes, *untared(values, topics), *pulling]
     return Pairs(
         chosen[has][good],
