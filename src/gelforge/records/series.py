@@ -233,7 +233,7 @@ def onsets(
 
     force, height: times (n,) s on one clock, and values (n,). spans: beginning and end of each press, s.
     """
-    found = np.full(len(spans), np.nan)
+    found, interval = np.full(len(spans), np.nan), float(np.median(np.diff(force[0])))
     for k, (begin, end) in enumerate(spans):
         inside = (force[0] >= begin - 0.5) & (force[0] <= end)
         times, felt = force[0][inside], force[1][inside]
@@ -249,6 +249,8 @@ def onsets(
             found[k] = start + slope * touch
         elif len(above) and len(below) and below[-1] + 1 < len(felt):
             last = below[-1]
+            if times[last + 1] - times[last] > 2.5 * interval:
+                continue  # samples were dropped where force began
             part = (touch - felt[last]) / (felt[last + 1] - felt[last])
             found[k] = at[last] + part * (at[last + 1] - at[last])
     return found

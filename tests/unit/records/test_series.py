@@ -93,6 +93,17 @@ def test_a_path_that_shifts_shows_where_force_begins():
     assert change == pytest.approx(0.3, abs=0.01) and len(where) == 3
 
 
+def test_where_samples_were_dropped_nothing_is_said_of_the_height():
+    times = np.arange(0.0, 4.0, 0.02)
+    height = 1.0 - 0.5 * times
+    force = np.maximum(-height, 0.0) * 5.0
+    heights = [
+        series.onsets((times[kept], force[kept]), (times, height), [(2.0, 3.9)], 0.3)[0]
+        for kept in (times > -1.0, (times < 1.95) | (times > 2.4))
+    ]
+    assert heights[0] == pytest.approx(-0.06, abs=0.002) and np.isnan(heights[1])
+
+
 def test_pictures_that_repeat_while_the_tip_moves_are_found():
     rng = np.random.default_rng(6)
     depth = np.concatenate([np.linspace(0, 1, 40), np.full(20, 1.0), np.linspace(1, 0, 30)])
