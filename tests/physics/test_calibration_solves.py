@@ -24,7 +24,7 @@ from gelforge.mechanics.hexsettings import HexSettings
 from gelforge.mechanics.material import REFERENCE_C10, Material
 from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvers.hex import solve_hex
-from gelforge.records.press import POSE, Press
+from gelforge.records.press import POSE, TILT, Press
 from gelforge.records.status import Status
 from tests.support.calibration_law import true_values
 from tests.support.parameters import parameters
@@ -47,7 +47,15 @@ def presses(*poses) -> Readings:
     force = np.tile([0.0, 0.0, -1.0], (n, 1))
     assert len(poses[0]) == len(POSE)
     names, gels = np.array(["sphere_15"] * n), np.array([USUAL_GEL] * n)
-    return Readings("log.csv", np.arange(2, n + 2), ids, names, np.array(poses, float), force, gels)
+    return Readings(
+        "log.csv",
+        np.arange(2, n + 2),
+        ids,
+        names,
+        np.hstack([np.array(poses, float), np.zeros((n, len(TILT)))]),
+        force,
+        gels,
+    )
 
 
 def solve(catalogue, press, mu=MU):

@@ -9,6 +9,7 @@ from gelforge.calibration.readings import Readings
 from gelforge.calibration.solves import SolveCache, build_emulator, make_plan, refine, solve_all
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.hexsettings import quality
+from gelforge.records.press import POSE, TILT
 from gelforge.stages.calibrate import solver_settings
 from tests.support.calibration_law import true_values
 from tests.support.parameters import parameters
@@ -24,7 +25,7 @@ SIZE, PRESS_STEPS = 0.4, 16  # of [calibrate.solver]: the usual hexahedra are as
 def test_a_ball_on_a_thin_pad_is_as_stiff_as_measured(root, tmp_path, monkeypatch):
     """Without slip; touch was set too low by as much as the offset, and the bench gave way under the force."""
     monkeypatch.setenv("GELFORGE_GELS", str(root / "workflow" / "gels.toml"))
-    pose = np.zeros((len(DEPTH), 7))
+    pose = np.zeros((len(DEPTH), len(POSE) + len(TILT)))
     pose[:, 5] = -DEPTH
     names, gels = np.array(["ball"] * len(DEPTH)), np.array(["flat_2mm"] * len(DEPTH))
     force = np.column_stack([np.full((len(DEPTH), 2), np.nan), -FORCE])

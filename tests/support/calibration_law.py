@@ -8,6 +8,7 @@ from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.readings import Readings
 from gelforge.geometry.gel import USUAL_GEL
 from gelforge.mechanics.material import REFERENCE_C10
+from gelforge.records.press import POSE, TILT
 from tests.support.parameters import parameters
 
 TOP = 2.4
@@ -56,7 +57,7 @@ def law_emulator(stiffness=(4.0,)) -> Emulator:
 def make_readings(depth, force, sheared=False) -> Readings:
     """Straight presses of one sphere at the apex."""
     n = len(depth)
-    pose = np.zeros((n, 7))
+    pose = np.zeros((n, len(POSE) + len(TILT)))
     pose[:, 5] = -np.asarray(depth)
     pose[:, 3] = 0.3 if sheared else 0.0
     ids = np.array([f"p{i:03d}" for i in range(n)])
@@ -104,7 +105,7 @@ def law_session(seed=0, presses=24, noise=0.03, **truth) -> tuple[Readings, Emul
             curve.force[:, 0], curve.force[:, 1] = dragged * np.cos(way[k]), dragged * np.sin(way[k])
         tables.append(friction_table(NODES, [curve_table(curve, TOP) for curve in curves]))
     emulator = Emulator(np.array(tables), np.full(presses, TOP), np.arange(presses) % 3, travel)
-    pose = np.zeros((presses, 7))
+    pose = np.zeros((presses, len(POSE) + len(TILT)))
     pose[:, 3], pose[:, 4], pose[:, 5] = travel * np.cos(way), travel * np.sin(way), -depth
     pose[:, 6] = rng.uniform(0, 360, presses)
     values = {**true_values(**truth), "indenter": np.zeros((1, 3))}

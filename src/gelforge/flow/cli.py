@@ -39,6 +39,7 @@ EXTRAS = {
     **dict.fromkeys(("foxglove", "mcap", "rosbags"), "live"),
     "huggingface_hub": "hub",
 }  # fmt: skip
+MESHES = "GELFORGE_MESHES"  # environment variable with the folder of base meshes (`mechanics.mesh.basemesh`)
 GELS = "GELFORGE_GELS"  # environment variable with the file of the user's gels (`geometry.gel`)
 # Errors of a name that no file can have.
 UNNAMEABLE = (errno.ENAMETOOLONG, errno.ELOOP)
@@ -160,6 +161,7 @@ def stage(target: File, *options: Option) -> Callable[[Callable[[argparse.Namesp
             args.of = Layout(args.results)
             if (gels := args.of.workflow / "gels.toml").exists():
                 os.environ[GELS] = str(gels.absolute())
+            os.environ[MESHES] = str(args.of.meshes.absolute())
             args.out = target(args.of, *(getattr(args, word) for word in words))
             args.out.parent.mkdir(parents=True, exist_ok=True)
             if args.part:

@@ -60,6 +60,7 @@ STAGES = {
             "interface.law",
             "poses.deepest_share",
             "poses.farthest_shear_mm",
+            "poses.tilt_deg",
         ),
         solves=True,
     ),
@@ -233,7 +234,7 @@ class Layout:
     poses = File(f"{POSES}/{{shard}}.csv")
     rejected = File(f"{POSES}/{{shard}}.rejected.csv")
     images = File(f"{IMAGES}/images.json")
-    meshes = Folder(MESHES, shared=True)  # of the gels' base meshes
+    meshes = Folder(MESHES, shared=True)  # base meshes of gels
     mesh = File(f"{MESHES}/{{gel}}.npz", shared=True)
     fea = File(f"{FEA}/{{shard}}.csv")  # how each press was solved, and the key of its solve
     checked = File(f"{FEA}/{{shard}}")  # folder of presses that a second method verified

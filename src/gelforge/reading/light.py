@@ -185,8 +185,12 @@ def _fall(ratio: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, float]:
     weight, scale = good.astype(float), 0.0
     for _ in range(FALL_ROUNDS):
         weighted = FALL * weight
-        found = np.linalg.lstsq(weighted @ FALL.T, weighted @ ratio, rcond=None)[0]
+        try:
+            found = np.linalg.solve(weighted @ FALL.T, weighted @ ratio)
+        except np.linalg.LinAlgError:  # too few places are left for four coefficients
+            return np.zeros(3), 0.0
         left = np.abs(ratio - found @ FALL)
-        scale = max(FALL_SCALES[0], 1.4826 * float(np.median(left[good])))
+        within = left[good]
+        scale = max(FALL_SCALES[0], 1.4826 * float(np.partition(within, len(within) // 2)[len(within) // 2]))
         weight = np.where(good, np.maximum(0.0, 1.0 - (left / (FALL_REACH * scale)) ** 2) ** 2, 0.0)
     return found[1:], scale

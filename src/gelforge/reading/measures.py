@@ -24,7 +24,7 @@ FAR_LOST = 0.1  # fraction of lost markers beyond which their motion is that of 
 # Of a torn image: columns to which rows are averaged; steps that are looked at; rows on each side of a step; fraction of
 # their difference that the step is at least; rows of a block of a compressed film.
 COARSE, MOST_STEPS, SIDE, KEEPS, BLOCK = 20, 6, 5, 0.7, 8
-MOST_EDGES = 12  # steps of a torn image; twice the next largest one is what its texture does by itself
+MOST_EDGES = 15  # steps of a torn image; twice the next largest one is what its texture does by itself
 FLIPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "mirrored left to right": lambda image: image[:, ::-1],
     "mirrored top to bottom": lambda image: image[::-1],

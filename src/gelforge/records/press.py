@@ -226,6 +226,14 @@ class Rejection:
         return printable(f"{where}: {self.column} = {self.value!r}: {self.reason}; {self.hint}")
 
 
+def with_tilt(press: LoggedPress, tilt_deg: Sequence[float]) -> LoggedPress:
+    """A press with a tilt about gel x and y, degrees, where its record has none."""
+    stated: dict[str, Any] = {
+        name: tilt for name, tilt in zip(TILT, tilt_deg, strict=True) if tilt and getattr(press, name) is None
+    }
+    return replace(press, **stated) if stated else press
+
+
 MOST_ROWS = 5  # of one reason that are listed by number
 
 

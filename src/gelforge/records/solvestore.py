@@ -6,12 +6,9 @@ processes may write one store.
 """
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from gelforge.flow.files import digest_of, publish, record_of, write_json
-
-if TYPE_CHECKING:
-    import numpy as np
 
 
 class SolveStore:
@@ -33,7 +30,7 @@ class SolveStore:
         whole = not record["sha256"] or (path.is_file() and digest_of(path) == record["sha256"])
         return record if whole else None
 
-    def publish(self, key: str, record: dict[str, Any], arrays: "dict[str, np.ndarray]") -> dict[str, Any]:
+    def publish(self, key: str, record: dict[str, Any], arrays: dict[str, Any]) -> dict[str, Any]:
         """Write a solve, its record last; return the record."""
         self.folder.mkdir(parents=True, exist_ok=True)
         if arrays:

@@ -20,7 +20,6 @@ from gelforge.geometry.gel import load_gel
 from gelforge.geometry.indenters import bodies_of
 from gelforge.labelling.sensor import sensor_of
 from gelforge.mechanics.material import Material
-from gelforge.mechanics.mesh.basemesh import use_meshes_of
 from gelforge.mechanics.mesh.names import load_mesh
 from gelforge.mechanics.result import Result
 from gelforge.mechanics.scene import Interface, PosedFile, Scene
@@ -202,7 +201,6 @@ def read_shard(of: Layout, shard: str) -> tuple[StageParameters, dict, list[Pose
 @stage(Layout.fea)
 def main(args: Namespace) -> None:
     of = args.of
-    use_meshes_of(of.meshes)
     params, tables, presses, bodies = read_shard(of, args.shard)
     solves = run_shard(
         presses, params, tables, bodies, SolveStore(of.solves), of.checked(args.shard), of.folder(POSES)

@@ -16,7 +16,6 @@ from gelforge.flow.layout import Layout
 from gelforge.flow.params import read_parameters
 from gelforge.flow.tables import MaterialTable
 from gelforge.mechanics.material import REFERENCE_C10
-from gelforge.mechanics.mesh.basemesh import use_meshes_of
 from gelforge.mechanics.mesh.names import load_mesh
 from gelforge.records.arrays import in_short
 from gelforge.records.forcefile import INTERVALS, SampleForces, write_forces
@@ -82,7 +81,6 @@ def refuse_lost(table: Path, solves: list[Solved], store: SolveStore) -> None:
 @stage(Layout.forces)
 def main(args: Namespace) -> None:
     of = args.of
-    use_meshes_of(of.meshes)
     params = calibrated(read_parameters(of.parameters("forces")), of.base)
     c10, intervals = material_c10(params.material)
     samples: list[SampleForces] = []

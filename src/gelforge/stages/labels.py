@@ -16,7 +16,6 @@ from gelforge.labelling.cellsurface import SurfaceMap, surface_map, traction
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import Operator, assemble
 from gelforge.labelling.sensor import Sensor, find_sensor, sensors_of
-from gelforge.mechanics.mesh.basemesh import use_meshes_of
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.names import load_mesh
 from gelforge.records.forcefile import ForceFile
@@ -213,7 +212,6 @@ def summarise(forces: ForceFile, outside: np.ndarray) -> dict:
 @stage(Layout.labels)
 def main(args: Namespace) -> None:
     of = args.of
-    use_meshes_of(of.meshes)
     params = read_parameters(of.parameters("labels")).labels
     grid, forces, poses = Grid.parse(args.resolution), of.forces(args.shard), of.poses(args.shard)
     find = Finder(sensors_of(read_json(of.used(args.shard))["sensors"], str(of.used(args.shard))), grid, str(poses))

@@ -17,7 +17,6 @@ from gelforge.flow.layout import Layout, beside
 from gelforge.flow.params import StageParameters, read_parameters
 from gelforge.flow.tables import METHODS
 from gelforge.labelling.sensor import load_sensors
-from gelforge.mechanics.mesh.basemesh import use_meshes_of
 from gelforge.sweeps.deviation import errors, frontier
 from gelforge.sweeps.methods import DOUBLED, LARGE_REFERENCE, REFERENCE, Method, every_method
 from gelforge.sweeps.scenes import NamedScene, parse_scene
@@ -177,7 +176,6 @@ def solve(args: Namespace) -> None:
     from gelforge.mechanics.ccx.program import need_ccx
 
     need_ccx()
-    use_meshes_of(args.of.meshes)
     found = asked(args)
     methods = every_method(found.params.pareto)
     write_json(args.out, solve_scene(found.bench, found.scene, methods))

@@ -37,7 +37,6 @@ from gelforge.records.log import (
 from gelforge.records.press import (
     COLUMNS,
     SENSOR_TABLES,
-    TILT,
     LoggedPress,
     PosedPress,
     RawRow,
@@ -46,6 +45,7 @@ from gelforge.records.press import (
     pull_fault,
     reject,
     summarised,
+    with_tilt,
 )
 
 VERSION = 9
@@ -70,7 +70,6 @@ def yielded(sample: LoggedPress, file: str, params: PosesTable) -> tuple[LoggedP
     given = {name: c * (getattr(sample, f"f{name[1]}_n") or 0.0)
            for name, c in (("dx_mm", sideways), ("dy_mm", sideways), ("dz_mm", normal))}  # fmt: skip
     moved = {name: getattr(sample, name) - shift for name, shift in given.items() if shift}
-    moved |= {name: tilt for name, tilt in zip(TILT, params.tilt_deg) if tilt and getattr(sample, name) is None}
     if params.touch_offset_mm:
         moved["z0_mm"] = sample.z0_mm - params.touch_offset_mm
     if moved.get("dz_mm", sample.dz_mm) >= 0.0:
@@ -78,7 +77,7 @@ def yielded(sample: LoggedPress, file: str, params: PosesTable) -> tuple[LoggedP
         return sample, [
             reject(sample, file, "dz_mm", "fz_n times the bench compliance exceeds the depth of the press", hint)
         ]
-    path = replace(sample, **moved)
+    path = replace(with_tilt(sample, params.tilt_deg), **moved)
     return path, turned_round(sample, path, file, sideways)
 
 

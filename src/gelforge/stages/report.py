@@ -21,7 +21,6 @@ from gelforge.geometry.gel import load_gel
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.ccx.program import ccx_program
-from gelforge.mechanics.mesh.basemesh import use_meshes_of
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.log import read_poses
 from gelforge.records.predictionfile import read_predictions
@@ -394,7 +393,6 @@ def lead_of(rows: list[dict], resolution: str, samples: int) -> str:
 @stage(Layout.report)
 def main(args: Namespace) -> None:
     of, results, resolution, model = args.of, args.results, args.resolution, args.model
-    use_meshes_of(of.meshes)
     verification.refuse_beyond(read_verified(results))
     solved = read_solved(results)
     gels = {name: sensor.gel for name, sensor in load_sensors(of.parameters("sensors")).items()}

@@ -18,7 +18,6 @@ from gelforge.flow.files import digest_of_value, publish, read_json, write_csv, 
 from gelforge.flow.layout import Layout, beside
 from gelforge.flow.params import StageParameters, read_parameters
 from gelforge.mechanics.ccx.program import need_ccx
-from gelforge.mechanics.mesh.basemesh import use_meshes_of
 from gelforge.records.status import VALID
 from gelforge.sweeps.cases import FINEST, ROWS, SERIES, Case, factor_of, row_cases
 from gelforge.sweeps.deviation import total_error
@@ -155,7 +154,6 @@ def solve(args: Namespace) -> None:
         raise BadInput(f"no row {args.row!r} of cases; there are {', '.join(ROWS)}")
     params = read_parameters(of.parameters("stability"))
     need_ccx()
-    use_meshes_of(of.meshes)
     records = solve_row(args.row, params, args.out.parents[1] / "cases")
     judged = judge_row(args.row, records, params)
     write_json(args.out, {"row": args.row, "judged": judged, "evidence": [r.get("evidence", {}) for r in records]})

@@ -248,6 +248,8 @@ def test_rows_serve_that_stage_10_would_take_by_their_commanded_path(tmp_path):
             for k, (name, body, dz) in enumerate(presses, 1)]  # fmt: skip
     assert logged_readings(*planned(tmp_path / "usual", *rows)).ids.tolist() == ["a", "c", "e"]
     assert logged_readings(*planned(tmp_path / "shallow", *rows, deepest_share=0.4)).ids.tolist() == ["a", "c"]
+    tilted = logged_readings(*planned(tmp_path / "tilted", *rows[:1], tilt_deg=[0.5, -1.0])).pose[:, -2:]
+    assert tilted.tolist() == [[0.5, -1.0]]
     bad = planned(tmp_path / "bad", rows[1], rows[3])
     refused(r"every row with a normal force \(fz_n\) is rejected, the first: .*deep", logged_readings, *bad)
     assert not (tmp_path / "usual/results/lab/10_poses").exists()

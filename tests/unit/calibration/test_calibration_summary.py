@@ -133,16 +133,20 @@ def test_a_reading_is_an_outlier_on_either_side():
 
 
 def test_presses_share_a_curve_where_the_gel_meets_them_alike():
-    """One place, height, turn, indenter and gel; another height or turn has a curve of its own."""
-    readings = make_readings([0.5, 1.0, 0.7, 0.8, 0.9, 0.6, 0.4], np.full(7, -1.0))
+    """One place, height, turn, tilt, indenter and gel; another one of these has a curve of its own."""
+    readings = make_readings([0.5, 1.0, 0.7, 0.8, 0.9, 0.6, 0.4, 0.3], np.full(8, -1.0))
     readings.pose[2, 2] = -0.15  # begins lower
     readings.pose[3, 6] = 30.0  # is turned
     readings.pose[4, 2] = 4e-5  # within the play of an axis
-    gels, bodies = [USUAL_GEL] * 5 + [f"{USUAL_GEL}-3.6mm", USUAL_GEL], ["sphere_15"] * 6 + ["sphere_10"]
+    readings.pose[7, 8] = 2.0  # is tilted
+    gels, bodies = (
+        [USUAL_GEL] * 5 + [f"{USUAL_GEL}-3.6mm"] + [USUAL_GEL] * 2,
+        ["sphere_15"] * 6 + ["sphere_10", "sphere_15"],
+    )
     readings = replace(readings, gels=np.array(gels), indenters=np.array(bodies))
     plan = make_plan(readings, 0.1, "no_slip", [0.5], 0.475)
-    assert plan.leader.tolist() == [1, 1, 2, 3, 1, 5, 6]
-    np.testing.assert_allclose(plan.top, [1.1, 1.1, 0.8, 0.9, 1.1, 0.7, 0.5])
+    assert plan.leader.tolist() == [1, 1, 2, 3, 1, 5, 6, 7]
+    np.testing.assert_allclose(plan.top, [1.1, 1.1, 0.8, 0.9, 1.1, 0.7, 0.5, 0.4])
 
 
 def test_a_press_slides_whichever_way_it_is_dragged():

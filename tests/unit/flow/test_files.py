@@ -1,4 +1,4 @@
-"""Files are whole or absent, also on file systems without links and after a power cut."""
+"""Files are published whole: what another process, a kill or a power cut may find."""
 
 import errno
 import os
@@ -6,6 +6,41 @@ import os
 import pytest
 
 from gelforge.flow import files
+from gelforge.flow.files import publish, write_json, write_text
+
+
+@pytest.mark.parametrize("write", [
+    lambda path: write_text(path, "whole"), lambda path: write_json(path, {"whole": 1}),
+])  # fmt: skip
+def test_after_a_power_cut_a_file_is_whole_or_absent(tmp_path, monkeypatch, write):
+    """Its content is on the disk before it gets its name."""
+    steps, named, synced = [], os.replace, os.fsync
+
+    def note_sync(number):
+        where = os.readlink(f"/proc/self/fd/{number}")
+        steps.append(("synced", where, os.path.getsize(where)))
+        synced(number)
+
+    def note_name(before, after):
+        steps.append(("named", str(before), str(after)))
+        named(before, after)
+
+    monkeypatch.setattr(os, "fsync", note_sync)
+    monkeypatch.setattr(os, "replace", note_name)
+    path = tmp_path / "result.json"
+    write(path)
+    (content, part, size), (name, before, after) = steps
+    assert (content, name) == ("synced", "named") and part == before and after == str(path)
+    assert size == path.stat().st_size > 0
+
+
+def test_a_writer_that_fails_leaves_what_was_there(tmp_path):
+    path = tmp_path / "result.txt"
+    path.write_text("before")
+    with pytest.raises(ValueError, match="half-way"), publish(path) as part:
+        part.write_text("half")
+        raise ValueError("half-way")
+    assert path.read_text() == "before" and [one.name for one in tmp_path.iterdir()] == ["result.txt"]
 
 
 def test_where_a_link_is_refused_the_file_is_copied(tmp_path, monkeypatch):
@@ -21,17 +56,3 @@ def test_where_a_link_is_refused_the_file_is_copied(tmp_path, monkeypatch):
     files.link_or_copy(tmp_path / "a", tmp_path / "c")
     assert (tmp_path / "c").read_text() == "content"
     assert (tmp_path / "c").stat().st_ino != (tmp_path / "a").stat().st_ino
-
-
-def test_a_file_is_on_the_disk_before_it_has_its_name(tmp_path, monkeypatch):
-    """After a power cut a file could be there and empty."""
-    done = []
-    sync, replace = os.fsync, os.replace
-    monkeypatch.setattr(os, "fsync", lambda number: done.append("sync") or sync(number))
-    monkeypatch.setattr(os, "replace", lambda a, b: done.append("rename") or replace(a, b))
-    files.write_text(tmp_path / "a", "content")
-    assert done == ["sync", "rename"]
-    with pytest.raises(ZeroDivisionError), files.publish(tmp_path / "b") as part:
-        part.write_text("half")
-        raise ZeroDivisionError
-    assert sorted(path.name for path in tmp_path.iterdir()) == ["a"]

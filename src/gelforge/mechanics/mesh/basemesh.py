@@ -18,13 +18,14 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.flow.cli import MESHES
 from gelforge.flow.files import DAMAGED, canonical, publish
 from gelforge.geometry.gel import Gel, gel_shape
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.tetmesh import from_flat, mesh_report, orient, signed_volumes
 from gelforge.mechanics.mesh.tetwild import tetrahedralise
 
-EDGE_MM = 2.0  # length of the edges of a base mesh
+EDGE_MM = 2.5  # length of the edges of a base mesh
 # How far pytetwild's mesh may be from the box: the first of the box's diagonal, at most the second of its height.
 APART, APART_HEIGHT = 1e-3, 1e-2
 SNAP = 2.0  # nodes nearer to a side than this many times that distance are moved onto it
@@ -134,7 +135,6 @@ def read(path: Path, gel: Gel, hint: str) -> BaseMesh:
     return found
 
 
-FOLDER = "GELFORGE_MESHES"  # environment variable with the flow's folder of meshes: child processes inherit it
 _asked: ContextVar[Path | None] = ContextVar("folder of base meshes", default=None)
 _known: dict[tuple[Path | None, str], BaseMesh] = {}
 
@@ -146,7 +146,7 @@ def base_of(gel: Gel) -> BaseMesh:
     asked for, and kept in the folder of `meshes_in`, or else in memory.
     """
     folder, shape = _asked.get(), shape_text(gel)
-    of_flow = os.environ.get(FOLDER) if folder is None else None
+    of_flow = os.environ.get(MESHES) if folder is None else None
     at = (Path(of_flow) if of_flow else folder, shape)
     if at not in _known:
         if at[0] is None:
@@ -172,7 +172,7 @@ def _in_folder(folder: Path, gel: Gel) -> BaseMesh:
 
 def use_meshes_of(folder: Path) -> None:
     """From now on take base meshes from a folder of the flow, in this process and in those that it starts."""
-    os.environ[FOLDER] = str(folder.absolute())
+    os.environ[MESHES] = str(folder.absolute())
 
 
 @contextmanager
