@@ -156,3 +156,12 @@ def test_the_guide_is_a_site_whose_links_hold(root, tmp_path):
     for page in ("api", "limits"):
         assert "gel" in (tmp_path / f"site/{page}.html").read_text(encoding="utf-8")
     assert "of the tip below the gel's apex" in (tmp_path / "site/api.html").read_text(encoding="utf-8")
+
+
+def test_scripts_keep_their_line_ends_in_every_clone(root):
+    """With core.autocrlf they had those of Windows, and bash found no `\\r`."""
+    for name in ("Makefile", "envs/venv.sh", "rules/flow.mk", "src/gelforge/api.py"):
+        said = subprocess.run(
+            ["git", "check-attr", "eol", "--", name], cwd=root, capture_output=True, text=True
+        ).stdout
+        assert said.strip().endswith("eol: lf"), said
