@@ -13,7 +13,7 @@ from tests.support.pressed_dataset import write_pressed
 from tests.support.sandbox import link_project, make
 
 # The images are noise, of which nothing can be told.
-UNJUDGED = "[params.poses]\njudge_images = false\n[params.fea]\nmethod = \"draft\"\n"
+UNJUDGED = '[params.poses]\njudge_images = false\n[params.fea]\nmethod = "draft"\n'
 DATASET = f'sensor = "mini_a"\ngel = "gelsight_mini"\ncatalogue = "indenters.toml"\n{UNJUDGED}'
 
 
