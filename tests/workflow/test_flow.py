@@ -60,6 +60,7 @@ def labelled(built, tmp_path):
     return shutil.copytree(built, tmp_path / "project", symlinks=True)
 
 
+@pytest.mark.slow
 def test_parameters_are_prerequisites_exactly(labelled):
     assert predict(labelled, "labels") == [] and build(labelled, "labels") == []
 
@@ -79,6 +80,7 @@ def test_parameters_are_prerequisites_exactly(labelled):
     assert build(labelled, "labels") == []
 
 
+@pytest.mark.slow
 def test_appending_to_the_log_solves_only_what_is_new(labelled, root):
     before = {p: p.stat().st_mtime_ns for p in (labelled / "results/tiny/30_fea").rglob("*") if p.is_file()}
     lay_dataset(labelled, root, "tiny", 5)
