@@ -332,3 +332,13 @@ def test_the_demo_has_presses_that_slide_and_a_calibration_of_it_chooses_some(ro
     far = readings.travel > 2 * readings.depth
     assert far.sum() == 6 and (slides(readings) == far).all()
     assert far[choose_presses(readings, PARAMS.max_presses, "coulomb")].sum() == PARAMS.max_presses // 4
+
+
+def test_a_prior_far_from_the_readings_is_no_lack_of_data():
+    """Of a C10 far above its prior it was said that the data say almost nothing."""
+    law = stats.norm(0.05, 0.002)
+    coordinate = summary.normal_coordinate(law, np.array([0.04, 0.05, 0.08]))
+    assert np.isfinite(coordinate).all() and coordinate == pytest.approx([-5.0, 0.0, 15.0], abs=1e-6)
+    row = {"width_over_prior": 0.95, "median": 0.05, "prior_interval95": [0.04, 0.06]}
+    assert "almost nothing" in summary._unseen({"c10": row})[0]
+    assert not summary._unseen({"c10": row | {"median": 0.08}})
