@@ -14,6 +14,8 @@ sensor = "gelsight_mini"
 gel = "gelsight_mini"
 [params.poses]
 images = false
+[params.interface]
+law = "no_slip"
 [params.material]
 c10 = "calibrated"
 [params.fea]

@@ -19,6 +19,8 @@ gel = "gelsight_mini"
 shard_size = 1
 [params.poses]
 images = false
+[params.interface]
+law = "no_slip"
 [params.material]
 c10 = "calibrated"
 [params.fea]

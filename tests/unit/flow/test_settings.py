@@ -58,7 +58,12 @@ def test_a_value_is_kept_digit_for_digit(root):
     assert canonical(plain(load_params(root / "workflow"))) == canonical(raw(root))
     odd = parameters(material={"nu": 0}, interface={"mu": 2}, poses={"touch_offset_mm": 1e-2})
     assert canonical(plain(parameters_of(odd, "fea", 7))) == canonical(
-        {"version": 7, "fea": raw(root)["fea"], "interface": {"law": "no_slip", "mu": 2}, "material": {"nu": 0}}
+        {
+            "version": 7,
+            "fea": raw(root)["fea"],
+            "interface": raw(root)["interface"] | {"mu": 2},
+            "material": {"nu": 0},
+        }
     )
 
 
