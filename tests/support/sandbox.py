@@ -50,6 +50,9 @@ FAST = """
 [params.plan]
 shard_size = 2
 
+[params.interface]
+law = "no_slip"
+
 [params.fea]
 method = "draft"
 tolerance = 0.2
