@@ -32,7 +32,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_toml, write_text
 from gelforge.formats.feats_folder import NO_PRESS, new_folder
-from gelforge.formats.mcap_messages import messages, recordings_of
+from gelforge.formats.mcap_messages import messages, recordings_of, topics_in
 from gelforge.formats.messageimage import pictures
 from gelforge.formats.messagetime import (
     MessageOrder,
@@ -422,6 +422,9 @@ def import_recordings(source: Path, data: Path, topics: Topics, sensor) -> dict:
             largest = max(largest, 1e-9 * float(pairs.gaps.max(initial=0)))
             notes += pairs.notes
         if not rows:
+            there = topics_in(files[0])
+            missing = [name for name in (topics.image, topics.wrench) if there and name not in there]
+            notes += [f"{files[0]} has no topic {name}, but {', '.join(there[:20])}" for name in missing]
             seen = "; ".join([f"{alone} images were seen", *notes])
             raise BadInput(f"{source}: no image of {topics.image} has a wrench of {topics.wrench} within {topics.latest_s:g} s, {seen}; name other topics or a larger latest_s")  # fmt: skip
         if rest:

@@ -12,7 +12,7 @@ from gelforge.commands.mcap import main as mcap_import
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, write_text
 from gelforge.formats.export import ros
-from gelforge.formats.mcap_import import Topics, nearest
+from gelforge.formats.mcap_import import Topics, import_recordings, nearest
 from gelforge.formats.messageimage import pictures
 from gelforge.labelling.sensor import load_sensors
 from gelforge.records.image import read_image
@@ -510,3 +510,11 @@ def test_forces_beside_pictures_without_contact_are_named(tmp_path, sensor):
     path, _ = pressed(tmp_path, read=lambda times: presses(times) + 0.3 * times)
     found, _ = imported(tmp_path, path, sensor)
     assert any("beside pictures that show no contact" in note for note in found["notes"])
+
+
+def test_a_topic_that_is_not_there_is_named_beside_those_that_are(tmp_path, sensor):
+    """A topic of compressed images was named without its last part."""
+    path, _ = pressed(tmp_path)
+    write_text(tmp_path / "topics.toml", f'image = "/gel"\nwrench = "{WRENCH}"\n')
+    with pytest.raises(BadInput, match=f"has no topic /gel, but {WRENCH}, {IMAGE}"):
+        import_recordings(path, tmp_path / "lab", Topics.read(tmp_path / "topics.toml"), sensor)
