@@ -303,7 +303,7 @@ def believed_clock(
     clock = choose_clock(image, wrench)
     if not len(values) or not len(shown.index):
         return clock
-    said = []
+    said: list[str] = []
     for one in (clock, by_log_times([])) if clock.header else (clock,):
         lag = lag_of(image, wrench, values, shown, one.header, topics)
         if lag is None or not lag.of_clocks:
@@ -354,7 +354,8 @@ def at_range_end(
     values: np.ndarray, change: np.ndarray, felt: np.ndarray, seen: np.ndarray, chosen: np.ndarray, topics: Topics
 ) -> tuple[np.ndarray, list[str]]:
     """Which wrenches (k, 6) are at the end of the sensor's range (k,), and notes; felt, seen: times of wrenches and images, ns."""
-    ended, notes = np.zeros(len(values), bool), []
+    ended = np.zeros(len(values), bool)
+    notes: list[str] = []
     if len(values) < 2 * series.FEWEST:
         return ended, notes
     known = np.isfinite(change[chosen]) if len(chosen) else np.zeros(0, bool)
