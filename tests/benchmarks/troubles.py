@@ -307,9 +307,7 @@ def alarms_of_films(reference: Path) -> tuple[int, list[str]]:
         compare = LogPairs(nocontact)
         chosen = np.linspace(SETTLING, len(images) - 1, FRAMES).astype(int)
         faults = [pair_fault(compare(images[at]), Asked.LOG) for at in chosen]
-        said += [
-            f"{path.name}: {fault}" for fault in {nocontact_fault(compare.nocontact, Asked.LOG), *faults} if fault
-        ]
+        said += [f"{path.name}: {fault}" for fault in {nocontact_fault(compare.judged, Asked.LOG), *faults} if fault]
     return len(films), said
 
 

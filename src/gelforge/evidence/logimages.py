@@ -1,5 +1,6 @@
 """The images of one dataset's log: what is kept of each to judge all of them together."""
 
+import contextlib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -10,8 +11,7 @@ from gelforge.evidence.imprints import Seen, Window, imprint
 from gelforge.geometry.solids import Indenter
 from gelforge.labelling.sensor import Sensor
 from gelforge.reading.faults import Asked, nocontact_fault, pair_fault
-from gelforge.reading.frame import ImageFrame
-from gelforge.reading.markers import shifted_back
+from gelforge.reading.frame import ImageFrame, as_shipped
 from gelforge.reading.pair import NoContact, Pair
 from gelforge.records.image import read_image, read_logged_image
 from gelforge.records.press import PosedPress, PressRecord
@@ -32,40 +32,42 @@ def read_nocontact(data: Path, name: str, size: tuple[int, int]) -> np.ndarray |
 
 
 def rim_of(pair: Pair) -> np.ndarray:
-    """Median motion of the rim's markers, in pitches, and fraction of them that is lost or looks different, (2,).
-
-    As in the camera's image: registration of the gel is taken back.
-    """
+    """Median motion of the rim's markers, in pitches, and fraction of them that is lost or looks different, (2,)."""
     assert pair.nocontact is not None
     markers = pair.nocontact.markers
     if not markers.rim.any():
         return np.zeros(2)
-    moved = np.hypot(*(pair.tracks.motion[markers.rim & pair.tracks.found] + pair.shift).T)
+    moved = np.hypot(*pair.tracks.motion[markers.rim & pair.tracks.found].T)
     lost = float(pair.tracks.unlike[markers.rim].mean())
     return np.array([float(np.median(moved)) / max(markers.printed.pitch, 1.0) if len(moved) else 0.0, lost])
 
 
 class LogPairs:
-    """Compares images of a log with the no-contact image of their sensor, as a reader does (`reading.pair`).
+    """Compares images of a log with the no-contact image of their sensor (`reading.pair`).
 
-    nocontact: (h, w, 3) uint8 RGB. Images wider than WIDTH are reduced to it, at which faults are judged.
+    nocontact: (h, w, 3) uint8 RGB. Images wider than WIDTH are reduced to it. `logged` has the no-contact image as the camera
+    sees it, `judged` as a reader with the shipped network sees it; mostly both are one.
     """
 
     def __init__(self, nocontact: np.ndarray) -> None:
         height, width = nocontact.shape[:2]
         scale = min(1.0, WIDTH / width)
         self._frame = ImageFrame((max(1, round(scale * height)), max(1, round(scale * width))), (height, width))
-        self.nocontact = NoContact(self._frame(nocontact), self._frame.size)
+        rest, size = self._frame(nocontact), self._frame.size
+        self.logged = self.judged = NoContact(rest, size)
+        with contextlib.suppress(BadInput):  # it shows too little of the gel for that network
+            seen = NoContact(rest, size, as_shipped(size))
+            self.judged = self.logged if seen.frame.as_logged else seen
 
     def __call__(self, image: np.ndarray) -> Pair:
-        """An image (h, w, 3) uint8 RGB beside the no-contact image."""
-        return self.nocontact.compare(self._frame(image))
+        """An image (h, w, 3) uint8 RGB beside the no-contact image, as faults are judged."""
+        return self.judged.compare(self.judged.frame(self._frame(image)))
 
-    def where_it_is(self, pair: Pair) -> Pair:
-        """The same pair without registration of the gel, so that a contact is where the camera saw it."""
-        if not pair.shift.any():
+    def as_logged(self, image: np.ndarray, pair: Pair) -> Pair:
+        """The same where the camera saw it: without registration of the gel, turn and zoom; pair: the judged one."""
+        if self.judged is self.logged and not pair.shift.any():
             return pair
-        return self.nocontact.under_its_light(shifted_back(pair.image.image, -pair.shift))
+        return self.logged.under_its_light(self._frame(image))
 
 
 class LogImages:
@@ -90,7 +92,7 @@ class LogImages:
         if picture is None or sensor is None:
             return None
         compare = LogPairs(picture)
-        fault = nocontact_fault(compare.nocontact, Asked.LOG)
+        fault = nocontact_fault(compare.judged, Asked.LOG)
         if fault:
             raise BadInput(f"{nocontact_path(self.data, name)}: {fault}. Record it anew, {KEEP}")
         return compare, Window(sensor)
@@ -109,16 +111,18 @@ class LogImages:
         if known is None or not press.image:
             return None
         compare, window = known
-        pair, path = compare(read_logged_image(self.data, press.image, window.sensor.image)), press.press
+        image, path = read_logged_image(self.data, press.image, window.sensor.image), press.press
+        pair = compare(image)
+        logged = compare.as_logged(image, pair)
         return Seen(
             row=press.row,
             sample_id=press.sample_id,
             sensor=press.sensor_id,
             indenter=press.indenter,
             fault=pair_fault(pair, Asked.LOG),
-            measured=imprint(compare.where_it_is(pair)),
+            measured=imprint(logged),
             expected=window.expected(body, path),
             centre=window.place(path),
             mm=window.mm,
-            rim=rim_of(pair),
+            rim=rim_of(logged),
         )

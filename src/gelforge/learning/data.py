@@ -22,7 +22,7 @@ LEAST_TOTAL = 0.01  # least scale of a component's total force, as a fraction of
 CHUNK = 256  # rows read at a time
 AGAIN = "make the dataset again"
 FEWEST_EACH = 9  # fewest validation presses for model selection, and as many for calibrating intervals
-HALVES = 1  # seed of the hash that parts validation presses and unseen sensors
+HALVES = 2  # seed of the hash that parts validation presses and unseen sensors
 # Fewest samples for batch statistics (train) and for an error (val).
 SMALLEST = {TRAINING: 4, VALIDATION: 1}
 

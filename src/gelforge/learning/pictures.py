@@ -28,7 +28,7 @@ def write_pairs(
     other sensors stay as they are.
     """
     shape = images.shape[1:]
-    known = {name: NoContact(picture, shape[:2]) for name, picture in nocontact.items()}
+    known = {name: NoContact(picture, (shape[0], shape[1])) for name, picture in nocontact.items()}
     places = {name: at for at, name in enumerate(nocontact)}
     beside = np.full(len(images), -1, np.int32)
     count = len(nocontact)

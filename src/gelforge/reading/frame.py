@@ -24,6 +24,7 @@ from gelforge.reading.markers import Markers, markers_in
 MOST_SIDE = 640  # px: longer side at which markers are looked for, and of the image in a profile
 PITCH_PX = 31.2  # between markers in the 320 x 240 images of the maker's driver (FEATS' sensor and another one)
 OF_WIDTH = 320.0
+MINI_PITCHES = (29.25, 33.39)  # px: smallest and largest pitch of the units that the shipped network learnt from
 # Fraction of the camera's image that the maker's driver crops at each side (gsrobotics, gs_sdk).
 DRIVER_CROP = 1 / 7
 GRID = (7, 9)  # markers of a Mini's gel, rows and columns
@@ -244,6 +245,12 @@ def reduced(image: np.ndarray) -> np.ndarray:
 def of_minis(size: tuple[int, int]) -> Learnt:
     """The view of GelSight Minis by their maker's driver, at a size (rows, cols), px."""
     return Learnt(PITCH_PX * size[1] / OF_WIDTH, None, GRID, (View(LIGHT, FRINGES),))
+
+
+def as_shipped(size: tuple[int, int]) -> Learnt:
+    """The view of the shipped network, which also brings narrow and wide views to one scale, at a size (rows, cols), px."""
+    low, high = (pitch * size[1] / OF_WIDTH for pitch in MINI_PITCHES)
+    return replace(of_minis(size), pitch=(low, high))
 
 
 def learnt_from(pictures: Iterable[np.ndarray], before: Learnt | None = None) -> Learnt:

@@ -148,7 +148,7 @@ def tear(pair: Pair) -> float:
 
     if pair.nocontact is None:
         return 0.0
-    difference = cv2.subtract(pair.lit.image, pair.nocontact.picture.image, dtype=cv2.CV_32F)
+    difference = cv2.subtract(pair.lit.seen, pair.nocontact.picture.seen, dtype=cv2.CV_32F)
     if pair.nocontact.frame.orientation.transposed:
         difference = cv2.transpose(difference)
     rows = len(difference)

@@ -64,7 +64,8 @@ class Picture:
 
         red, green, blue = cv2.split(self.seen)
         brightest = cv2.max(cv2.max(red, green), blue)
-        return cv2.countNonZero(cv2.compare(brightest, WHITE, cv2.CMP_GE)) / brightest.size
+        _, white = cv2.threshold(brightest, WHITE - 1, 255, cv2.THRESH_BINARY)
+        return cv2.countNonZero(white) / brightest.size
 
     @cached_property
     def pattern(self) -> np.ndarray:

@@ -66,7 +66,8 @@ def once(make, *parts):
 def look(image: np.ndarray, nocontact: np.ndarray) -> tuple[np.ndarray, str, np.ndarray]:
     compare = once(LogPairs, nocontact)
     pair = compare(image)
-    return imprint(compare.where_it_is(pair)), pair_fault(pair, Asked.LOG), rim_of(pair)
+    logged = compare.as_logged(image, pair)
+    return imprint(logged), pair_fault(pair, Asked.LOG), rim_of(logged)
 
 
 def expect(row: dict, sensor, body) -> np.ndarray:
@@ -76,7 +77,7 @@ def expect(row: dict, sensor, body) -> np.ndarray:
 def judged(log: Log) -> list[str]:
     """What is said of a log: of its no-contact images, of its images one by one, and of all together."""
     faults = {
-        name: nocontact_fault(once(LogPairs, picture).nocontact, Asked.LOG) for name, picture in log.nocontact.items()
+        name: nocontact_fault(once(LogPairs, picture).judged, Asked.LOG) for name, picture in log.nocontact.items()
     }
     said = [f"{name}: {fault}" for name, fault in faults.items() if fault]
     seen = []
@@ -295,7 +296,7 @@ IMPRINTS = {
 
 
 def defocused(image: np.ndarray) -> np.ndarray:
-    return cv2.GaussianBlur(image, (0, 0), 1.5)
+    return cv2.GaussianBlur(image, (0, 0), 4.0)
 
 
 def overexposed(image: np.ndarray) -> np.ndarray:

@@ -320,7 +320,7 @@ def test_sensors_are_drawn_whole_where_a_network_learnt_from_other_data_or_senso
 @pytest.fixture(scope="module")
 def seen_by_three(tmp_path_factory):
     """Many presses, of which two sensors that training did not see show some."""
-    folder = write_dataset(tmp_path_factory.mktemp("three") / "6x8", 352, IMAGE, GRID)
+    folder = write_dataset(tmp_path_factory.mktemp("three") / "6x8", 416, IMAGE, GRID)
     rows = [row | {"group": ""} for row in read_csv(folder / "samples.csv")]
     for n, row in enumerate(row for row in rows if row["split"] == "test_unseen_sensor"):
         row["sensor_id"] = "mini1" if n % 2 == 0 else "mini2"

@@ -93,6 +93,7 @@ def test_what_cannot_be_learnt_from_together_is_refused(datasets, tmp_path):
         refused(word, concatenate, own, [other, wrong])
 
 
+@pytest.mark.slow
 def test_a_network_reads_both_that_it_learnt_from_and_says_so(datasets):
     own, other = datasets[0], datasets[1]
     # their forces mean opposite things, so only who learnt from the other one reads it

@@ -187,9 +187,7 @@ def test_a_file_system_without_hard_links_gets_copies(tmp_path, monkeypatch, lin
     """exFAT and SMB have none, and stage 60 always failed there."""
     (tmp_path / "a").write_bytes(b"images")
     if not linked:
-        monkeypatch.setattr(
-            "gelforge.stages.dataset.os.link", lambda *_: (_ for _ in ()).throw(PermissionError(1, "no links"))
-        )
+        monkeypatch.setattr(os, "link", lambda *_: (_ for _ in ()).throw(PermissionError(1, "no links")))
     link_or_copy(tmp_path / "a", tmp_path / "b")
     assert (tmp_path / "b").read_bytes() == b"images" and os.path.samefile(tmp_path / "a", tmp_path / "b") == linked
 
