@@ -32,7 +32,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_toml, write_text
 from gelforge.formats.feats_folder import NO_PRESS, new_folder
-from gelforge.formats.mcap_messages import messages, recordings_of
+from gelforge.formats.mcap_messages import messages, recordings_of, topics_in
 from gelforge.formats.messageimage import pictures
 from gelforge.formats.messagetime import (
     MessageOrder,
@@ -303,7 +303,7 @@ def believed_clock(
     clock = choose_clock(image, wrench)
     if not len(values) or not len(shown.index):
         return clock
-    said = []
+    said: list[str] = []
     for one in (clock, by_log_times([])) if clock.header else (clock,):
         lag = lag_of(image, wrench, values, shown, one.header, topics)
         if lag is None or not lag.of_clocks:
@@ -354,7 +354,8 @@ def at_range_end(
     values: np.ndarray, change: np.ndarray, felt: np.ndarray, seen: np.ndarray, chosen: np.ndarray, topics: Topics
 ) -> tuple[np.ndarray, list[str]]:
     """Which wrenches (k, 6) are at the end of the sensor's range (k,), and notes; felt, seen: times of wrenches and images, ns."""
-    ended, notes = np.zeros(len(values), bool), []
+    ended = np.zeros(len(values), bool)
+    notes: list[str] = []
     if len(values) < 2 * series.FEWEST:
         return ended, notes
     known = np.isfinite(change[chosen]) if len(chosen) else np.zeros(0, bool)
@@ -422,6 +423,9 @@ def import_recordings(source: Path, data: Path, topics: Topics, sensor) -> dict:
             largest = max(largest, 1e-9 * float(pairs.gaps.max(initial=0)))
             notes += pairs.notes
         if not rows:
+            there = topics_in(files[0])
+            missing = [name for name in (topics.image, topics.wrench) if there and name not in there]
+            notes += [f"{files[0]} has no topic {name}, but {', '.join(there[:20])}" for name in missing]
             seen = "; ".join([f"{alone} images were seen", *notes])
             raise BadInput(f"{source}: no image of {topics.image} has a wrench of {topics.wrench} within {topics.latest_s:g} s, {seen}; name other topics or a larger latest_s")  # fmt: skip
         if rest:

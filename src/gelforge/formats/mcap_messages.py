@@ -105,6 +105,22 @@ def messages(path: Path, topics: Collection[str]) -> Iterator[tuple[str, int, An
         ) from error
 
 
+def topics_in(path: Path) -> list[str]:
+    """Sorted topics of a recording, for messages; none where they cannot be listed."""
+    from mcap.reader import make_reader
+    from rosbags.highlevel import AnyReader
+
+    try:
+        if _is_bag(path) or path.is_dir():
+            with AnyReader([path]) as bag:
+                return sorted({connection.topic for connection in bag.connections})
+        with path.open("rb") as stream:
+            summary = make_reader(stream).get_summary()
+            return sorted({channel.topic for channel in summary.channels.values()}) if summary else []
+    except Exception:  # as in `messages`: a corrupt file makes each library raise errors of its own
+        return []
+
+
 def _of_bag(path: Path, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:
     from rosbags.highlevel import AnyReader
     from rosbags.typesys import Stores, get_typestore

@@ -50,7 +50,7 @@ TROUBLES = {
     "tare upwards": (lambda f: f + [0.0, 0.0, 2.0], r"constant force of [+][12].\d+ N along z: tare"),
     "end of the range": (
         lambda f: np.maximum(f, [-np.inf, -np.inf, np.quantile(f[:, 2], 0.3)]),
-        "at the end of its range",
+        r"the end of (its|the sensor's) range",
     ),
     "noise": (lambda f: f + 0.6 * np.random.default_rng(5).standard_normal(f.shape), "scatter by 0.[4-9]"),
 }

@@ -12,7 +12,7 @@ from gelforge.commands.mcap import main as mcap_import
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, write_text
 from gelforge.formats.export import ros
-from gelforge.formats.mcap_import import Topics, nearest
+from gelforge.formats.mcap_import import Topics, import_recordings, nearest
 from gelforge.formats.messageimage import pictures
 from gelforge.labelling.sensor import load_sensors
 from gelforge.records.image import read_image
@@ -474,39 +474,47 @@ def test_where_neither_clock_agrees_with_the_pictures_nothing_is_imported(tmp_pa
         imported(tmp_path, path, sensor)
 
 
-def test_wild_and_clipped_forces_and_repeated_images_are_left_out_and_counted(tmp_path, sensor):
-    def wild(times):
-        force = presses(times)
-        force[[120, 333]] = 84.0
-        return force
+def wild(times):
+    force = presses(times)
+    force[[120, 333]] = 84.0
+    return force
 
-    def stuck(times):
-        seen = presses(times)
-        seen[(times > 1.0) & (times < 1.3)] = seen[times <= 1.0][-1]
-        return seen
 
-    for name, told, changes in (
-        ("wild", "2 of 700 readings are contradicted by their neighbours", {"read": wild}),
-        (
-            "clipped",
-            "at the end of its range; their images are left out",
-            {"read": lambda times: np.minimum(presses(times), 5.0)},
-        ),
-        (
-            "jitter",
-            "at the end of its range",
-            {"read": lambda t: np.minimum(presses(t), 7.0) - 0.01 * (np.arange(len(t)) % 3 == 0)},
-        ),
-        ("stuck", "images repeat the one before them although the force changed", {"shown": stuck}),
-    ):
-        (tmp_path / name).mkdir()
-        path, at = pressed(tmp_path / name, **changes)
-        found, rows = imported(tmp_path / name, path, sensor)
-        assert any(told in note for note in found["notes"]), (name, found["notes"])
-        assert worst(rows, at) < 0.5, name
+def stuck(times):
+    seen = presses(times)
+    seen[(times > 1.0) & (times < 1.3)] = seen[times <= 1.0][-1]
+    return seen
+
+
+LEFT_OUT = {  # what is said, and what the recording is made of
+    "wild": ("2 of 700 readings are contradicted by their neighbours", {"read": wild}),
+    "clipped": ("at the end of its range; their images", {"read": lambda times: np.minimum(presses(times), 5.0)}),
+    "jitter": (
+        "at the end of its range",
+        {"read": lambda t: np.minimum(presses(t), 7.0) - 0.01 * (np.arange(len(t)) % 3 == 0)},
+    ),
+    "stuck": ("images repeat the one before them although the force changed", {"shown": stuck}),
+}
+
+
+@pytest.mark.parametrize("name", LEFT_OUT)
+def test_wild_and_clipped_forces_and_repeated_images_are_left_out_and_counted(tmp_path, sensor, name):
+    told, changes = LEFT_OUT[name]
+    path, at = pressed(tmp_path, **changes)
+    found, rows = imported(tmp_path, path, sensor)
+    assert any(told in note for note in found["notes"]), found["notes"]
+    assert worst(rows, at) < 0.5
 
 
 def test_forces_beside_pictures_without_contact_are_named(tmp_path, sensor):
     path, _ = pressed(tmp_path, read=lambda times: presses(times) + 0.3 * times)
     found, _ = imported(tmp_path, path, sensor)
     assert any("beside pictures that show no contact" in note for note in found["notes"])
+
+
+def test_a_topic_that_is_not_there_is_named_beside_those_that_are(tmp_path, sensor):
+    """A topic of compressed images was named without its last part."""
+    path, _ = pressed(tmp_path)
+    write_text(tmp_path / "topics.toml", f'image = "/gel"\nwrench = "{WRENCH}"\n')
+    with pytest.raises(BadInput, match=f"has no topic /gel, but {WRENCH}, {IMAGE}"):
+        import_recordings(path, tmp_path / "lab", Topics.read(tmp_path / "topics.toml"), sensor)
