@@ -25,7 +25,7 @@ from gelforge.records.log import read_presses
 from tests.support.figures import Figure, publish_figures
 
 if TYPE_CHECKING:
-    from gelforge.reading.model import Model
+    from gelforge.reading.model import ForceModel
     from gelforge.reading.reader import Reader
 
 IMAGE, GRID = (240, 320), (24, 32)
@@ -128,7 +128,7 @@ def seconds_of(work: Callable[..., object], *given: object) -> float:
     return time.perf_counter() - started
 
 
-def untrained(model: dict, threads: int) -> "Model":
+def untrained(model: dict, threads: int) -> "ForceModel":
     """A network with random weights and unit scales, for timing."""
     from gelforge.learning.export import export
     from gelforge.learning.nets import build
