@@ -25,9 +25,10 @@ $(if $(ONLY_SHOWN),$(if $(wildcard $(SETUP)),,$(error not set up yet: run make s
 include $(PLANNED)
 endif
 
-# Folders are prerequisites, because a file that is removed has no date.
-PLAN_INPUTS := $(wildcard $(DATA) $(DATA)/log.csv $(DATA)/*.toml $(DATA)/nocontact $(DATA)/nocontact/* $(DATA)/labels $(DATA)/labels/*.npz \
-    $(DATA)/splits.csv $(DATA)/truth $(DATA)/truth/*.csv workflow/*.toml src/gelforge/stages/*.py src/gelforge/flow/*.py) $(PLANNED_FROM)
+# Folders are prerequisites, because a file that is removed has no date. Twice, because words of a name with blanks are
+# no files.
+PLAN_INPUTS := $(wildcard $(wildcard $(DATA) $(DATA)/log.csv $(DATA)/*.toml $(DATA)/nocontact $(DATA)/nocontact/* $(DATA)/labels $(DATA)/labels/*.npz \
+    $(DATA)/splits.csv $(DATA)/truth $(DATA)/truth/*.csv workflow/*.toml src/gelforge/stages/*.py src/gelforge/flow/*.py)) $(PLANNED_FROM)
 
 $(PLANNED): $(PLAN_INPUTS) $(wildcard $(CCX_FOUND)) | $(SETUP) $(CCX_FOUND)
 	$(call step,gelforge.stages.plan $D --ccx $(CCX_FOUND))

@@ -16,9 +16,9 @@ HANDS_SLOTS = $(if $(ONLY_SHOWN),,+)
 # list file.
 LIST = $D/00_plan/$(subst /,-,$@).inputs
 INPUTS = $(if $(word 500,$^),@$(LIST)$(shell mkdir -p $D/00_plan)$(file >$(LIST),$(filter-out unsure,$^)),$(filter-out unsure,$^))
-step = @$(LAUNCHED)$(PY) -m gelforge.flow.step $@ $(INPUTS) -- $(PY) -m $(strip $1) --part
+step = @$(LAUNCHED) $(PY) -m gelforge.flow.step $@ $(INPUTS) -- $(PY) -m $(strip $1) --part
 
 # EXECUTOR=slurm: solves and trainings run as jobs of a cluster; make waits for each, so give it as many jobs as the
 # cluster shall run at once: make -j200 fea EXECUTOR=slurm. The launcher stands in front of the command (flow/slurm.py).
 LAUNCHED :=
-ON_CLUSTER := GELFORGE_LAUNCHER='$(PY) -m gelforge.flow.slurm --profile $(or $(value SLURM_PROFILE),workflow/slurm.toml)' $()
+ON_CLUSTER := GELFORGE_LAUNCHER='$(PY) -m gelforge.flow.slurm --profile $(or $(value SLURM_PROFILE),workflow/slurm.toml)'

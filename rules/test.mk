@@ -48,10 +48,10 @@ lock: $(SETUP)  ## write envs/requirements.lock from the installed packages
 	@$(PY) -m pip freeze --exclude-editable | sed 's/+cpu$$//' > envs/.requirements.part
 	@mv envs/.requirements.part envs/requirements.lock
 
-BENCHMARKS := $(patsubst tests/benchmarks/%.py,benchmark-%,$(filter-out %/__init__.py,$(wildcard tests/benchmarks/*.py)))
+BENCHMARKS := $(patsubst tests/benchmarks/%.py,benchmark-%,$(filter-out %/__init__.py %/__main__.py,$(wildcard tests/benchmarks/*.py)))
 .PHONY: $(BENCHMARKS)
 $(BENCHMARKS): benchmark-%: $(SETUP) $(CCX_FOUND)
-	@$(PY_HERE) -m tests.benchmarks.$* --out results/benchmarks/$*.json
+	@$(PY_HERE) -m tests.benchmarks $* --out results/benchmarks/$*.json
 
 .PHONY: benchmark-tables
 benchmark-tables: $(SETUP)  ## write figures of results/benchmarks/ into README, name what changed

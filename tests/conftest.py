@@ -49,6 +49,12 @@ def pytest_addoption(parser):
         action="store_true",
         help=f"fail, not skip, where one of these is missing: {', '.join(TOOLS)}",
     )
+    parser.addoption(
+        "--longest",
+        type=float,
+        default=0.0,
+        help="processor seconds above which a test without the mark slow fails; 0: none",
+    )
 
 
 @pytest.hookimpl(hookwrapper=True)
@@ -60,8 +66,8 @@ def pytest_runtest_makereport(item):
         report.outcome, report.longrepr = "failed", f"{reason} (--strict-tools)"
 
 
-# Processor seconds that a test without the mark `slow` may take, on a processor that counts to COUNT in COUNTED of them.
-LONGEST, COUNT, COUNTED = 8.0, 2_000_000, 0.04
+# Processor seconds that counting to COUNT takes on a processor for which --longest is meant.
+COUNT, COUNTED = 2_000_000, 0.04
 SLOW = {"slow", "slurm"}
 
 
@@ -87,12 +93,19 @@ def compiled_since(moment: float) -> bool:
 
 @pytest.hookimpl(wrapper=True)
 def pytest_runtest_call(item):
-    """A test over LONGEST that is not marked as slow fails: `make test` stays short."""
+    """With --longest a test over it that is not marked as slow fails: `make test` stays short."""
+    longest = item.config.getoption("--longest")
     began, moment = processor_seconds(), time.time()
     result = yield
     spent = processor_seconds() - began
     marked = SLOW & {mark.name for mark in item.iter_markers()}
-    if spent > LONGEST and not marked and spent > (limit := LONGEST * slower()) and not compiled_since(moment):
+    if (
+        longest
+        and spent > longest
+        and not marked
+        and spent > (limit := longest * slower())
+        and not compiled_since(moment)
+    ):
         pytest.fail(
             f"took {spent:.1f} s of processor time, at most {limit:.1f} s are allowed: test the same law for less, or mark it"
             " as slow",

@@ -17,7 +17,7 @@ from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor
 from gelforge.mechanics.material import REFERENCE_C10, Material
 from gelforge.mechanics.mesh.gelmesh import GelMesh
-from gelforge.mechanics.scene import Interface, Scene
+from gelforge.mechanics.scene import FRICTION, Interface, Scene
 from gelforge.records.press import Press
 
 PARAMETERS = Path(__file__).parent / "flow"  # folder of params.toml in an installed package
@@ -107,7 +107,7 @@ def solve(
     gel: str = "gelsight_mini",
     c10: float = REFERENCE_C10,
     nu: float = 0.475,
-    friction: float | None = None,
+    friction: float = FRICTION,
     method: str = "draft",
     gels: Path | str | None = None,
     meshes: Path | str | None = None,
@@ -124,7 +124,8 @@ def solve(
         gel: name of a gel; NAME-3.6mm is the same gel with that thickness at its apex.
         c10: stiffness of the neo-Hookean gel, MPa.
         nu: its Poisson's ratio, from 0 to below 0.5.
-        friction: Coulomb friction coefficient between indenter and gel, 0 or more; None: points that touch stick.
+        friction: Coulomb friction coefficient between indenter and gel, 0 or more; 0: none, math.inf: points that touch
+            stick.
         method: "draft", "label" or "fine": hexahedra, fast to slow; "ccx": CalculiX, which must be installed; "auto":
             the first of draft, label, ccx that states an error within 4 %, else the one that states the least.
         gels: file with your own gels, such as workflow/gels.toml; `gel` may then name one of them.
@@ -146,9 +147,9 @@ def solve(
         )
     if method not in METHODS:
         raise BadInput(f"gelforge.solve: method = {method!r}: choose {', '.join(METHODS)}")
-    if friction is not None and not (_finite(friction) and friction >= 0.0):
+    if not (_finite(friction) or friction == float("inf")) or friction < 0.0:
         raise BadInput(
-            f"gelforge.solve: friction = {friction!r}: give a coefficient of 0 or more, or None for points that stick"
+            f"gelforge.solve: friction = {friction!r}: give a coefficient of 0 or more, or math.inf for points that stick"
         )
     pairs = np.shape(at) == np.shape(shear) == np.shape(tilt) == (2,)
     if not (pairs and _finite(depth, *at, *shear, rot_deg, *tilt) and depth >= 0.0):
@@ -162,7 +163,7 @@ def solve(
     from gelforge.mechanics.solve import Solvers
 
     body = _body(indenter)
-    interface = Interface() if friction is None else Interface.of_friction(float(friction))
+    interface = Interface.of_friction(float(friction))
     press = Press(at[0], at[1], 0.0, shear[0], shear[1], -depth, rot_deg, *map(float, tilt))
     with gels_from(gels), meshes_in(meshes), TemporaryDirectory() as workdir:
         solvers = Solvers(workdir, load_params(PARAMETERS).fea)

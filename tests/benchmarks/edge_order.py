@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import minimize
 
+from data.fea_challenge.axisymmetric import KEPT
 from gelforge.flow.cli import command, option
 from gelforge.flow.files import read_csv, read_json, write_json
 from gelforge.mechanics.extrapolate import Coarse, Convergence, Edge, edge_of
@@ -23,7 +24,6 @@ from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.records.press import FORCE
 from gelforge.sweeps.scenes import parse_scene, read_tables
 from tests.benchmarks.exact import SHALLOW, digest, scene_of
-from tests.support.exact_scenes import KEPT
 from tests.support.figures import ROOT, Figure, publish_figures
 
 # Parameters of Convergence that are fitted for each quality (the others are 0), and the power of the errors whose sum

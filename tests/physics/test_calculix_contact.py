@@ -41,9 +41,7 @@ def test_a_hard_penalty_gives_the_force_of_the_contact_in_process(tmp_path, ccx)
     soft = Solvers(tmp_path, COARSE).solve(SCENE, "ccx-contact")
     for found in (hard, soft):
         assert found.status is Status.OK and found.evidence["method"] == "ccx-contact"
-        assert (
-            found.evidence["base_mismatch"] < ccxcontact.MOST_MISMATCH and found.evidence["pulling_fraction"] < 0.02
-        )
+        assert found.evidence["base_mismatch"] < ccxcontact.MOST_MISMATCH
     assert hard.total[2] == pytest.approx(label.total[2], rel=0.05)
     assert (
         abs(soft.total[2]) < abs(hard.total[2])

@@ -2,11 +2,11 @@
 
 import json
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 
+from data.fea_challenge.axisymmetric import KEPT
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.elements.element import ELEMENTS
 from gelforge.mechanics.hexsettings import HexSettings, Nested, quality
@@ -17,7 +17,6 @@ from gelforge.mechanics.solvers.hex import HexResult, HexSolver
 from gelforge.records.press import Press
 from gelforge.records.status import Status
 from gelforge.sweeps.scenes import parse_scene, read_tables
-from tests.support.exact_scenes import KEPT
 from tests.support.flat_pad import FlatPad
 from tests.support.known_scenes import scene_of
 from tests.support.surface_values import base_reactions
@@ -154,7 +153,7 @@ def test_presses_of_known_force_are_within_what_they_state(method):
         "sphere-15-nu0.475-pad4-no_slip-1mm", "punch-10-1-nu0.475-pad4-no_slip-0.3mm",
         "punch-6-0.3-nu0.475-pad4-no_slip-0.8mm", "cone-30-0.5-nu0.475-pad4-no_slip-0.1mm",
     )  # fmt: skip
-    known = {one["name"]: one for path in json.loads(Path(KEPT).read_text())["paths"] for one in path["presses"]}
+    known = {one["name"]: one for path in json.loads(KEPT.read_text())["paths"] for one in path["presses"]}
     solver = HexSolver(quality(method))
     for name in asked:
         found = solver.solve(scene_of(known[name]))

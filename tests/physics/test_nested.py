@@ -128,7 +128,7 @@ def test_points_that_never_moved_touch_straight_above_them():
     points = FINE.nodes[FINE.surface_nodes]
     rest, times = np.zeros_like(COARSE.nodes), [0.0, 0.3, 0.7, 1.0]
     scene = Scene(Gel(), Material(), BALL, Press(0, 0, 0, 0, 0, -1.5))
-    path = LoadPath(scene, COARSE, times, [rest] * len(times), 1e-6)
+    path = LoadPath(scene, COARSE, times, [rest] * len(times), 1e-6, [None] * len(times))
     held, places = touches(path, points)
     inside = gaps(path.scene, points, path.pose(1.0)) < 0.0
     assert inside.sum() > 50 and np.array_equal(held, inside)
@@ -182,12 +182,17 @@ def test_a_correction_is_the_share_of_what_the_sizes_differ_by_and_never_more_th
         assert found == pytest.approx(right, abs=1e-12) and abs(found) <= 0.15
 
 
-def test_friction_follows_the_whole_path_on_the_fine_hexahedra():
-    scene = Scene(Gel(), Material(), BALL, Press(0, 0, 0, 0.2, 0, -0.5), Interface("coulomb", 0.5))
-    small = replace(PATH, size=1.0)
-    nested, whole = (solve_hex(scene, replace(small, nested=way)).forces for way in (Nested(), None))
-    # the same solve, but for the order in which several threads add
-    assert np.linalg.norm(nested - whole) < 1e-6 * np.linalg.norm(whole)
+@pytest.mark.parametrize(("body", "travel", "mu"), [(BALL, 0.2, 0.5)])
+def test_friction_is_carried_to_fine_hexahedra(body, travel, mu):
+    """A path on coarse hexahedra with a walk at its end gives the force of a path of many steps on the fine ones."""
+    scene = Scene(Gel(), Material(), body, Press(0, 0, 0, travel, 0, -0.5), Interface("coulomb", mu))
+    small = replace(PATH, size=0.7)
+    nested = solve_hex(scene, replace(small, nested=Nested()))
+    whole = solve_hex(scene, replace(small, nested=None, press_mm=0.02, shear_mm=0.05))
+    assert nested.evidence["newton_iterations"] < whole.evidence["newton_iterations"] / 3
+    assert "fell_back" not in nested.evidence
+    assert np.linalg.norm(nested.total - whole.total) < 0.01 * np.linalg.norm(whole.total)
+    assert nested.evidence["beyond_cone"] < 1e-9 and 0.0 < nested.evidence["slipping"] <= 1.0
 
 
 def test_width_of_plane_figures():

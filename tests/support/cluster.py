@@ -41,7 +41,7 @@ ONLY_SHOWN :=
 D := results/$(DATASET)
 SLURM_PROFILE := own.toml
 include rules/run.mk
-step = @$(LAUNCHED)$(PY) -m gelforge.flow.step $@ $^ -- $(PY) -m $(strip $1)
+step = @$(LAUNCHED) $(PY) -m gelforge.flow.step $@ $^ -- $(PY) -m $(strip $1)
 POSES := $(SHARDS:%=$D/10_poses/%.csv)
 FEA := $(SHARDS:%=$D/30_fea/%.csv)
 FORCES := $(SHARDS:%=$D/40_forces/%.npz)

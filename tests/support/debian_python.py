@@ -4,7 +4,7 @@ import subprocess
 from pathlib import Path
 
 PYTHON = "/usr/bin/python3"
-PROGRAM = Path(__file__).with_name("outside_getfem.py")
+PROGRAM = Path(__file__).parents[2] / "data/fea_challenge/outside_getfem.py"
 
 
 def has_getfem() -> bool:

@@ -11,12 +11,14 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
 
+from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, write_json
 
 ROOT = Path(__file__).resolve().parents[2]
 
 # Folder of the published measurements, images, films and geometry that some benchmarks read.
 PUBLISHED_DATA = Path(os.environ.get("GELFORGE_REFERENCE", "../shared/reference"))
+MOST_NAMED = 5  # changed files in a message
 COMPARE = {"": lambda _value, _goal: True, "<=": operator.le, ">=": operator.ge, "==": operator.eq}
 
 
@@ -43,10 +45,32 @@ def machine() -> str:
     return f"{os.cpu_count()} cores, {model}"
 
 
+def changed() -> list[str]:
+    """Files that differ from the commit, without results of benchmarks: one run after another changes those."""
+    asked = ["git", "status", "--porcelain", "--", ":/", ":!/results/benchmarks"]
+    return [line[3:] for line in subprocess.run(asked, cwd=ROOT, capture_output=True, text=True).stdout.splitlines()]
+
+
 def commit() -> str:
     """The commit of the working tree, with `+` if the tree differs from it."""
-    asked = subprocess.run(["git", "describe", "--always", "--dirty=+"], capture_output=True, text=True)
-    return asked.stdout.strip() or "unknown"
+    asked = subprocess.run(["git", "describe", "--always"], cwd=ROOT, capture_output=True, text=True)
+    return (asked.stdout.strip() or "unknown") + "+" * bool(changed())
+
+
+def refuse_changes(words: list[str]) -> None:
+    """Refuse to measure on a tree with changes if a benchmark's command line writes figures that stay in the repository.
+
+    Such figures are those of a commit. Raises BadInput.
+    """
+    outs = [words[at + 1] for at, word in enumerate(words[:-1]) if word == "--out"]
+    outs += [word.removeprefix("--out=") for word in words if word.startswith("--out=")]
+    kept, differ = ROOT / "results" / "benchmarks", changed()
+    if differ and any(Path(out).resolve().parent == kept for out in outs):
+        named = ", ".join(differ[:MOST_NAMED]) + f" and {len(differ) - MOST_NAMED} more" * bool(differ[MOST_NAMED:])
+        raise BadInput(
+            f"the working tree differs from its commit ({named}); commit or stash that, or give another --out, because "
+            f"figures in {kept.relative_to(ROOT)} are those of a commit"
+        )
 
 
 def table(figures: list[Figure]) -> str:

@@ -2,6 +2,7 @@
 
 import numpy as np
 
+from data.fea_challenge import axisymmetric
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.gelcatalogue import PadTable
 from gelforge.geometry.indenters import build
@@ -9,7 +10,6 @@ from gelforge.geometry.solids import Body, Indenter
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.scene import Interface, Scene
 from gelforge.records.press import Press
-from tests.support import axisymmetric
 
 SIDES = {"width": 40.0, "length": 40.0, "corner_radius": 1.0}  # mm, of a pad
 
@@ -55,7 +55,7 @@ def pad(thickness: float) -> Gel:
 def scene_of(press: dict) -> Scene:
     """The press as a scene for every method."""
     way = Press(0.0, 0.0, 0.0, 0.0, 0.0, -press["depth_mm"])
-    law = Interface(press["interface"])
+    law = Interface(press["interface"], press["mu"] or 0.0)
     return Scene(
         pad(press["thickness_mm"]), Material(press["nu"]), indenter(press["kind"], press["sizes_mm"]), way, law
     )

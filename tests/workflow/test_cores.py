@@ -85,7 +85,7 @@ def test_steps_of_a_goal_overlap_and_its_output_is_clean(project):
     assert "because" not in again and " MiB" not in again
     # goals that make results are this one's stages, or branches of their own
     assert goals(project) - OTHERS <= {
-        "poses", "images", "fea", "forces", "labels", "dataset", "train", "evaluate", "report", "demo", "calibrate", "pareto", "stability",
+        "poses", "images", "meshes", "fea", "forces", "labels", "dataset", "train", "evaluate", "report", "demo", "calibrate", "pareto", "stability",
         "pareto-models", "export", "feats-export",
     }  # fmt: skip
 

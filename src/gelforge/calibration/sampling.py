@@ -166,7 +166,7 @@ def judge(sampler: "emcee.EnsembleSampler", names: tuple[str, ...]) -> Figures:
 
 
 def complaint(figures: Figures, rules: Rules, beyond: list[str]) -> str:
-    """Message for a chain that did not converge: figures, where walkers differ, hint. beyond: Model.beyond_priors."""
+    """Message for a chain that did not converge: figures, where walkers differ, hint. beyond: BenchModel.beyond_priors."""
     text = (
         f"The chain did not converge in {figures.steps} steps: {figures.taus:.0f} autocorrelation times after the"
         f" burn-in (at least {rules.taus:g}), acceptance {figures.acceptance:.2f}, R-hat {figures.rhat:.3f} (below"

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.stats import norm
 
-from gelforge.calibration.parameters import NAMES, TARE, Model, label_of
+from gelforge.calibration.parameters import NAMES, TARE, BenchModel, label_of
 from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.sampling import Chain
 
@@ -18,7 +18,7 @@ def describe(draws) -> dict:
     return {"median": float(np.median(draws)), **numbers}
 
 
-def parameter_table(chain: Chain, model: Model) -> dict[str, dict]:
+def parameter_table(chain: Chain, model: BenchModel) -> dict[str, dict]:
     """Posterior of every parameter with its prior's 95 % interval and how far the data narrowed it.
 
     The width is that of the 68 % interval, in the coordinate in which the prior is a standard normal distribution.
@@ -106,7 +106,7 @@ def left_out(chain: Chain, posterior: Posterior) -> tuple[np.ndarray, float]:
     return np.einsum("nw,wnc->nc", np.exp(weights), forces), float(np.max(shape))
 
 
-def sentences(parameters: dict, correlation: dict, model: Model) -> list[str]:
+def sentences(parameters: dict, correlation: dict, model: BenchModel) -> list[str]:
     """What the data say and what they cannot separate, in plain words."""
     c10 = parameters["c10"]
     low, high = c10["interval95"]

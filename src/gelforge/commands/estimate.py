@@ -30,10 +30,10 @@ from gelforge.records.samplefile import read_samples
 from gelforge.stages.train import resolve
 
 # Processor seconds of a press straight down, by method, and the ratio of a sheared press to a straight one.
-MEASURED = {"draft": 0.6, "label": 1.4, "fine": 27.0, "ccx": 8.7, "auto": 2.0}
+MEASURED = {"draft": 0.6, "label": 1.4, "fine": 27.0, "ccx": 8.7, "ccx-contact": 60.0, "auto": 2.0}
 DRAGGED = 1.5
 # Ratio of a press under Coulomb's law to one without slip: with hexahedra, both element sizes follow the load path.
-SLIPPING = {"draft": 8.0, "label": 8.0, "fine": 8.0, "ccx": 2.0, "auto": 8.0}
+SLIPPING = {"draft": 8.0, "label": 8.0, "fine": 8.0, "ccx": 2.0, "ccx-contact": 1.0, "auto": 8.0}
 # Processor seconds of a row in the other stages; of the start of a process, and of a calibration.
 EACH = {
     layout.POSES: 7e-3,

@@ -17,6 +17,7 @@ from gelforge.records.log import read_log
 from gelforge.records.press import PressRecord, parse
 
 ASKED = 24  # strong presses whose images the shipped network reads, and twice as many of all rows
+TORN = "the image is torn"  # of reading.faults
 PRESSED_N = 0.5  # predicted compression above which an image shows a press
 
 
@@ -67,7 +68,13 @@ def doubts_of_forces(data: Path, rows: Sequence[PressRecord], sensor: str) -> li
     normal = np.array([np.nan if one.flag else -one.total[2] for one in seen])
     pressed = np.isin(asked, strong) & (normal > PRESSED_N)
     rest = np.isin(asked, through) & (np.abs(normal) < PRESSED_N)
+    torn = [known[at].image for at, one in zip(asked, seen, strict=True) if TORN in one.reason]
     said = [drift(force[rest], asked[rest])]
+    if torn:
+        said.append(
+            f"{len(torn)} of {len(asked)} images that were read are torn, such as {torn[0]}: parts of them are of other frames; check the camera's"
+            " cable and its rate, and remove such images"
+        )
     if pressed.sum() >= FEWEST:
         where = "the recorded force, which was compared with the shipped network's predictions"
         said += [misplaced(force[pressed], normal[pressed]), unit(-force[pressed, 2], normal[pressed], where)]

@@ -136,7 +136,8 @@ def _reports(path: Path, text: str) -> tuple[np.ndarray, np.ndarray, list[int]]:
     """The same of GRBL's real-time status reports, in one coordinate frame (github.com/gnea/grbl, interface.md)."""
     found: list[list[float]] = []
     lines: list[int] = []
-    frame, offset, further = "", None, []
+    frame, offset = "", None
+    further: list[float] = []  # positions of axes after the third
     for number, line in enumerate(text.splitlines(), 1):
         line = line.strip()
         if not line or line.startswith("#"):

@@ -73,7 +73,7 @@ def align(
     become one row, with the middle image. touch: force from which on the gel is pressed, N. every: of a press, take
     every n-th state. BadInput where no image lies within a press.
     """
-    kept, notes = series.without_wild(gauge.name, gauge.values)
+    kept, notes = series.without_wild(gauge.name, gauge.times, gauge.values)
     gauge, change = Recording(gauge.name, gauge.times[kept], gauge.values[kept]), images.change()
     raw, levelled = gauge, without_level(gauge, touch)
     gauge, touch = levelled.gauge, levelled.touch

@@ -228,7 +228,9 @@ def pair(path: Path, topics: Topics) -> Pairs:
     values = np.array(read, float).reshape(-1, 6)
     kept = np.ones(len(values), bool)
     if len(values):
-        kept, notes = series.without_wild(where, values[:, :3])
+        kept, notes = series.without_wild(
+            where, 1e-9 * np.array([time for time, _ in readings], float), values[:, :3]
+        )
     readings_kept = [time for time, good in zip(readings, kept.tolist(), strict=True) if good]
     values, wrench = values[kept], MessageTimes.of(topics.wrench, readings_kept)
     shown = small_copies(path, topics, len(images))
@@ -244,13 +246,17 @@ def pair(path: Path, topics: Topics) -> Pairs:
     good, pulling = within_limits(forces, where, topics)
     ended, over = at_range_end(values[felt.index], shown.change, felt.times, times, chosen, topics)
     good &= ~ended[found]
-    again = repeated(shown, chosen[has], forces)
+    again = repeated(shown, chosen[has], forces, topics)
     good &= ~again
     if again.any():
         notes.append(
             f"{topics.image}: {again.sum()} images repeat the one before them although the force changed; they are left out"
         )
     notes += over
+    if level := series.level_without_contact(
+        np.linalg.norm(forces[:, :3], axis=1), shown.change[chosen[has]], topics.touch_n
+    ):
+        notes.append(f"{topics.wrench} {level}")
     notes += [*clock.notes, *seen.notes, *felt.notes, *untared(values, topics), *pulling]
     return Pairs(
         chosen[has][good],
@@ -364,14 +370,14 @@ def at_range_end(
     return ended, notes
 
 
-def repeated(shown: Shown, images: np.ndarray, forces: np.ndarray) -> np.ndarray:
+def repeated(shown: Shown, images: np.ndarray, forces: np.ndarray, topics: Topics) -> np.ndarray:
     """Images (n,) bool, by index of their message, that repeat the one before them although the force (n, 6) changed."""
     if not len(images) or not len(shown.index):
         return np.zeros(len(images), bool)
     where = np.minimum(np.searchsorted(shown.index, images), len(shown.index) - 1)
     if (shown.index[where] != images).any():
         return np.zeros(len(images), bool)
-    return series.repeats(shown.small[where], forces[:, :3], np.ones(len(images), bool))
+    return series.repeats(shown.small[where], forces[:, :3], touching(forces, topics))
 
 
 def untared(values: np.ndarray, topics: Topics) -> list[str]:

@@ -15,6 +15,7 @@ from gelforge.records.press import Press
 PRESSED = (1.0, 1.25, 1.5, 1.75, 2.0)  # path parameters that are checked at full depth
 ON_THE_WAY = (0.0, 0.5, 1.0, 1.5, 2.0)
 TRIED = (0.0, 0.25, 0.5, 0.75, 1.0, 1.2, 1.4, 1.6, 1.8, 2.0)  # where a first touch is searched for
+ABOVE_MM = 0.3  # how far a press may begin inside the gel: the height of touch is known to about 0.1 mm
 HALVINGS = 30  # bisections of the interval that holds the first touch
 SURELY = 2.0  # safety factor on the speed; no distance is known to fall faster than its point moves
 EDGE_STEP, MOST_ON_EDGE = 0.1, 200  # mm between points on an indenter's edges, and most points per edge
@@ -111,20 +112,35 @@ def first_touch(gel: Gel, indenter: Indenter, press: Press) -> float | None:
     if not len(points):
         return None
     speed = max(abs(press.dz), float(np.hypot(press.dx, press.dy)))
-    met = _first_below(lambda which, t: gap(indenter, press, points[which], t), len(points), speed)
+    begin = -1.0 - ABOVE_MM / max(abs(press.dz), 0.1 * ABOVE_MM)
+    met = _first_below(lambda which, t: gap(indenter, press, points[which], t), len(points), speed, begin)
     if met is None:
         edges = _edge_points(indenter, gel.height)
-        met = _first_below(lambda which, t: _heights(gel, press, edges[which], t), len(edges), np.inf)
+        met = _first_below(lambda which, t: _heights(gel, press, edges[which], t), len(edges), np.inf, begin)
     return met
 
 
-def _first_below(heights: Callable[[np.ndarray, float], np.ndarray], count: int, speed: float) -> float | None:
+def begins_inside(gel: Gel, indenter: Indenter, press: Press) -> bool:
+    """Whether the indenter lies inside the undeformed gel even ABOVE_MM above the start of its path.
+
+    Less than that is an error of the height of touch; more is a path whose beginning is missing. A tilted indenter is
+    lifted by as much as its lowest point lies below its tip.
+    """
+    points, _ = under_path(gel, indenter, press, TOUCH_STEP, (0.0,))
+    rotation, translation = pose_at(press, 0.0)
+    lifted = translation + [0.0, 0.0, ABOVE_MM + max(0.0, float(-(indenter.surface()[0] @ rotation[2]).min()))]
+    return bool((indenter.distance((points - lifted) @ rotation)[0] < 0.0).any())
+
+
+def _first_below(
+    heights: Callable[[np.ndarray, float], np.ndarray], count: int, speed: float, low: float
+) -> float | None:
     """Path parameter at which one of `count` heights first falls below zero; None where none does.
 
     heights(which, t): heights of the points with indices `which` at path parameter t. speed: of the path; heights do
-    not change faster, so points that are too high to fall below zero are dropped.
+    not change faster, so points that are too high to fall below zero are dropped. low: where the search begins.
     """
-    every, low = np.arange(count), -1.0
+    every = np.arange(count)
     for high in TRIED:
         found = heights(every, high)
         if found.min(initial=np.inf) < 0.0:

@@ -10,6 +10,7 @@ from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.scene import Scene
 from gelforge.records.status import Status
 
+BEYOND_CONE = 5e-3  # largest tangential force above Coulomb's limit in a valid result, over the normal force
 BALANCE = 1e-6  # relative difference allowed between contact force and base reaction of a valid result
 
 
@@ -26,7 +27,8 @@ class Result:
     evidence: plain numbers and strings; the keys every method fills are
     "equilibrium_residual" (relative), "penetration_mm", "pulling_fraction" (of the normal force),
     "base_mismatch" (relative), "newton_iterations", "rounds", "seconds", "load_steps". "peak_mib" is given only by
-    solvers that run as a process of their own.
+    solvers that run as a process of their own; "slipping", "beyond_cone" and "friction_n" (`ScenePath.friction`) only
+    under Coulomb's law.
     """
 
     status: Status
@@ -44,6 +46,14 @@ class Result:
     def error_n(self) -> float:
         """90 % bound on the error of the total force's magnitude, N; 0 without contact, NaN if unknown."""
         return 0.0 if self.status is Status.NO_CONTACT else float(self.evidence.get("error_n", np.nan))
+
+    def friction_error_n(self, mu: float, error: float) -> float:
+        """Error of the total force, N, if the coefficient of friction is off by `error`; 0 where nothing slips.
+
+        To first order, while the same points slip: for an axisymmetric press it is 0 though its normal force depends
+        a little on friction.
+        """
+        return float(self.evidence.get("friction_n", 0.0)) * error / mu if mu > 0.0 else 0.0
 
     @property
     def error_share(self) -> float:

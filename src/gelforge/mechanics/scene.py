@@ -11,6 +11,8 @@ from gelforge.mechanics.contact.law import ContactLaw, Coulomb, Frictionless, No
 from gelforge.mechanics.material import Material
 from gelforge.records.press import Press
 
+FRICTION = 0.7  # coefficient between indenter and gel where no calibration gives one
+
 
 @dataclass(frozen=True)
 class Interface:

@@ -111,7 +111,7 @@ def _claim_fault(data: bytes) -> str | None:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # size and decoding are checked explicitly
             with Image.open(io.BytesIO(data), formats=KINDS) as header:
-                several = getattr(header, "n_frames", 1)
+                several = getattr(header, "n_frames", 1) if header.format in ("TIFF", "WEBP") else 1
                 if several > 1:
                     return f"holds {several} images; save the one that is meant as a file of its own"
                 return _size_fault(header.size) or (PALETTE if header.mode == "P" else None)

@@ -14,7 +14,10 @@ from gelforge.errors import BadInput
 # Samples of the running median, in turn, since wild samples hide each other; and the weight of its own changes there.
 WINDOWS = ((5, 1.5), (5, 1.5), (9, 3.0))
 WILD_NOISE, WILD_PART = 8.0, 0.02  # a wild sample is off by so many deviations, and this fraction of the range
+SLOWEST_S = 0.09  # longest interval of readings whose neighbours say anything of them
 MOST_WILD = 0.01  # fraction of wild samples above which a series is refused
+STILL_PART, LEVEL_PART = 0.04, 0.08  # change of pictures without contact; force beside them, of the largest ones
+JITTER = 0.003  # fraction of the range by which readings at its end may differ
 PLATEAU = 5  # equal largest readings in a row that noise would have told apart
 FEW_EQUAL = 3  # equal largest readings of separate presses
 OVERSHOOT = 0.05  # fraction of the largest reading by which path or pictures exceed it at the end of the range
@@ -85,10 +88,11 @@ def at_end(values: np.ndarray, other: np.ndarray | None = None) -> np.ndarray:
     for equal, seen in ((same, quality.noise > 1.0 * quality.step), (near, quality.noise > 2.0 * quality.step)):
         if seen and _longest(equal) >= PLATEAU and equal.sum() >= 2 * PLATEAU:
             return near
+    low = float(np.median(values))
+    near = values >= top - max(1.5 * quality.step, JITTER * (top - low))
     plateaus = [run for run in runs(near) if run.stop - run.start >= PLATEAU]
     if other is None or not plateaus:
         return nothing
-    low = float(np.median(values))
     rising = (values > low + 0.3 * (top - low)) & ~near & np.isfinite(other)
     if rising.sum() < FEWEST or np.ptp(other[rising]) == 0.0:
         return nothing
@@ -158,7 +162,8 @@ class Lag:
     @property
     def of_clocks(self) -> bool:
         """Whether it shows that forces and pictures have different clocks."""
-        return abs(self.seconds) > LAGS_S and self.gain > LAGS_GAIN and self.left > LAGS_LEFT
+        inside = abs(self.seconds) < MOST_LAG_S - 2 * LAG_STEP_S  # at its end the search found nothing
+        return inside and abs(self.seconds) > LAGS_S and self.gain > LAGS_GAIN and self.left > LAGS_LEFT
 
 
 def averaging(
@@ -228,7 +233,7 @@ def onsets(
 
     force, height: times (n,) s on one clock, and values (n,). spans: beginning and end of each press, s.
     """
-    found = np.full(len(spans), np.nan)
+    found, interval = np.full(len(spans), np.nan), float(np.median(np.diff(force[0])))
     for k, (begin, end) in enumerate(spans):
         inside = (force[0] >= begin - 0.5) & (force[0] <= end)
         times, felt = force[0][inside], force[1][inside]
@@ -244,6 +249,8 @@ def onsets(
             found[k] = start + slope * touch
         elif len(above) and len(below) and below[-1] + 1 < len(felt):
             last = below[-1]
+            if times[last + 1] - times[last] > 2.5 * interval:
+                continue  # samples were dropped where force began
             part = (touch - felt[last]) / (felt[last + 1] - felt[last])
             found[k] = at[last] + part * (at[last + 1] - at[last])
     return found
@@ -321,8 +328,13 @@ def equal_largest(measured: np.ndarray, predicted: np.ndarray) -> str | None:
     )
 
 
-def without_wild(name: str, values: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Which readings (n,) of a series (n, k) its neighbours confirm, and a note on the others; BadInput where many are wild."""
+def without_wild(name: str, times: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """Which readings (n,) of a series (n, k) its neighbours confirm, and a note on the others; BadInput where many are wild.
+
+    times: (n,) s. Of a series slower than SLOWEST_S a single reading may be a whole press, so all are kept.
+    """
+    if len(times) < 2 or float(np.median(np.diff(times))) > SLOWEST_S:
+        return np.ones(len(values), bool), []
     off = np.any([wild(each) for each in values.T], axis=0)
     if not off.any():
         return ~off, []
@@ -369,3 +381,18 @@ def repeats(small: np.ndarray, states: np.ndarray, pressed: np.ndarray) -> np.nd
             first = k
         again[k] = first < k and np.linalg.norm(states[k] - states[first]) > least
     return again
+
+
+def level_without_contact(force: np.ndarray, change: np.ndarray, touch: float) -> str | None:
+    """Force (n,) N beside pictures that show no contact; change (n,): how much the pictures differ from those at rest."""
+    known = np.isfinite(change) & np.isfinite(force)
+    if known.sum() < 4 * FEWEST:
+        return None
+    force, change = force[known], change[known]
+    low, high = np.quantile(change, [0.02, 0.98])
+    still = change <= low + STILL_PART * (high - low)
+    largest = float(np.abs(force).max())
+    level = float(np.quantile(np.abs(force[still]), 0.9))
+    if still.sum() < FEWEST or level <= max(3.0 * touch, LEVEL_PART * largest):
+        return None
+    return f"reads up to {level:.2g} N beside pictures that show no contact: it drifts, or was not tared; tare it before each press, or subtract what it reads"

@@ -3,8 +3,8 @@
 from gelforge.flow.tables import METHODS
 from gelforge.reporting.canvas import canvas_with_axes, to_png
 
-COLOURS = {"hex": "#2a7f9e", "ccx": "#d1603d", "auto": "#6a4c93"}
-MARKERS = {"hex": "o", "ccx": "s", "auto": "*"}
+COLOURS = {"hex": "#2a7f9e", "ccx": "#d1603d", "ccx-contact": "#7a7a7a", "auto": "#6a4c93"}
+MARKERS = {"hex": "o", "ccx": "s", "ccx-contact": "D", "auto": "*"}
 FLOOR = 1e-5  # smaller errors are drawn here
 KINDS = {"total": "error of total force", "cells": "error per cell at 24 x 32, sum over cells / total force"}
 

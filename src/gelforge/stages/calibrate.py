@@ -10,7 +10,7 @@ import numpy as np
 
 from gelforge.calibration import summary
 from gelforge.calibration.emulator import Emulator
-from gelforge.calibration.parameters import TARE, Model, make_model
+from gelforge.calibration.parameters import TARE, BenchModel, make_model
 from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.readings import Readings, check_enough, check_readings, choose_presses, readings_of
 from gelforge.calibration.sampling import Chain, Figures, NotConverged, Rules, sample
@@ -52,7 +52,7 @@ def served(readings: Readings) -> np.ndarray:
     return observed
 
 
-def model_of(readings: Readings, params: CalibrateTable, law: str) -> Model:
+def model_of(readings: Readings, params: CalibrateTable, law: str) -> BenchModel:
     """The model of the readings under a contact law; too few readings raise BadInput."""
     observed = served(readings)
     check_enough(int(np.isfinite(observed).sum()))

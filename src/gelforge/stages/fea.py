@@ -33,7 +33,7 @@ from gelforge.records.solvetable import Solved, write_solves
 from gelforge.records.status import Status
 from gelforge.sweeps import verification
 
-VERSION = 18
+VERSION = 19
 
 
 def scene_of(

@@ -143,6 +143,9 @@ def geometric_faults(sample: LoggedPress, file: str, body, gel: Gel, params: Pos
             f" inches (scale = {INCH_MM:g}) or metres (scale = {METRE_MM:g}), or z0_mm or dz_mm in another unit?"
         )
         return [reject(sample, file, "indenter", "the indenter is lower than its press is deep", hint)]
+    if touch.begins_inside(gel, body, press):
+        hint = f"z0_mm = {press.z0:g} puts its tip there; give the path from before the touch on, z0_mm near 0"
+        return [reject(sample, file, "z0_mm", "the press begins inside the gel", hint)]
     clear = touch.nearest(gel, body, press)
     if clear >= 0.0:
         where = f"stays {clear:.3g} mm clear of" if np.isfinite(clear) else "is never above"

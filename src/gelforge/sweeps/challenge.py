@@ -19,11 +19,13 @@ from gelforge.sweeps.keptreferences import KEYS, elements_doubled
 from gelforge.sweeps.scenes import NamedScene
 from gelforge.sweeps.trial import GRID
 
-TEXTS = ("README.md", "score.py")  # beside the references: how to take part, the script
+# Beside the references: how to take part, the script that scores, and the programs that solved presses independently.
+TEXTS = ("README.md", "score.py", "axisymmetric.py", "outside_getfem.py")
 GEL_SIZE_MM = 0.5  # of the triangles of gel.stl
 EXACT = "exact.json"  # among the references: axisymmetric presses whose forces are known
 TOLD = (
-    "name", "thickness_mm", "nu", "interface", "depth_mm", "force_n", "contact_radius_mm", "elements_halved", "pulling",
+    "name", "thickness_mm", "nu", "interface", "mu", "depth_mm", "force_n", "contact_radius_mm", "elements_halved", "pulling",
+    "slipping",
 )  # fmt: skip
 
 
@@ -44,6 +46,9 @@ def write_challenge(scenes: list[NamedScene], sensor: Sensor, references: Path, 
     first = scenes[0].scene
     write_stl(out / "gel.stl", *first.gel.surface(GEL_SIZE_MM))
     for scene in scenes:
+        law = scene.scene.interface
+        if law.contact.slips:
+            raise BadInput(f"{scene.name}: the challenge is about presses without slip, this one is {law.law}")
         write_scene(scene, out / "scenes" / scene.name)
     known = read_json(references / EXACT)
     write_exact(known, out / "exact")
@@ -58,19 +63,15 @@ def write_challenge(scenes: list[NamedScene], sensor: Sensor, references: Path, 
 def write_scene(named: NamedScene, folder: Path) -> None:
     """Write one scene: its path as numbers, its indenter as a surface at the pose it starts from, tip on the path's start."""
     scene = named.scene
-    if scene.interface.contact.slips:
-        raise BadInput(
-            f"{named.name}: the challenge is about presses without slip, this one is {scene.interface.law}"
-        )
-    press = scene.press
+    press, law = scene.press, scene.interface
     rotation, start = press.pose(0.0, 0.0)
     vertices, faces = scene.indenter.surface()
     folder.mkdir(parents=True, exist_ok=True)
     write_stl(folder / "indenter.stl", np.asarray(vertices) @ rotation.T + start, faces)
     write_json(folder / "scene.json", {
         "scene": named.name, "indenter": named.table["indenter"], "start_mm": start.tolist(), "rot_deg": press.rot_deg,
-        "legs_mm": [[0.0, 0.0, press.dz], [press.dx, press.dy, 0.0]], "interface": "no slip",
-    })  # fmt: skip
+        "legs_mm": [[0.0, 0.0, press.dz], [press.dx, press.dy, 0.0]], "interface": law.law.replace("_", " "),
+    } | ({"mu": law.mu} if law.contact.has_coefficient else {}))  # fmt: skip
 
 
 def write_exact(known: dict, folder: Path) -> None:

@@ -8,20 +8,11 @@ from gelforge.flow.files import read_toml
 from gelforge.geometry.gel import gel_shape, load_gel, own_gels
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.scene import Interface, Scene
-from gelforge.records.press import Press
+from gelforge.records.press import TILT, Press
 
 SOURCE = "workflow/scenes.toml"
-_NUMBERS = {
-    "x0": 0.0,
-    "y0": 0.0,
-    "z0": 0.0,
-    "dx": 0.0,
-    "dy": 0.0,
-    "rot_deg": 0.0,
-    "tilt_x_deg": 0.0,
-    "tilt_y_deg": 0.0,
-}
-_KEYS = {"indenter", "depth", "gel", *_NUMBERS}
+_NUMBERS = {"x0": 0.0, "y0": 0.0, "z0": 0.0, "dx": 0.0, "dy": 0.0, "rot_deg": 0.0}
+_KEYS = {"indenter", "depth", "gel", *_NUMBERS, *TILT}
 
 
 @dataclass(frozen=True)
@@ -72,10 +63,11 @@ def parse_scene(name: str, table: dict, nu: float) -> NamedScene:
     if isinstance(depth, bool) or not isinstance(depth, int | float) or not 0 < depth < 4:
         raise BadInput(f"{SOURCE}: [{name}] depth = {depth!r}; give mm below the plane z0, above 0 and below 4")
     at = {key: table.get(key, usual) for key, usual in _NUMBERS.items()}
-    for key, value in at.items():
+    tilt = {key: table.get(key, 0.0) for key in TILT}
+    for key, value in (at | tilt).items():
         if isinstance(value, bool) or not isinstance(value, int | float):
             raise BadInput(f"{SOURCE}: [{name}] {key} = {value!r}; give a number in mm or degrees")
     body = build(name, table["indenter"], SOURCE)
     gel = load_gel(str(table.get("gel", "gelsight_mini")))
-    scene = Scene(gel, Material(nu=nu), body, Press(**at, dz=-depth), Interface())
+    scene = Scene(gel, Material(nu=nu), body, Press(**at, **tilt, dz=-depth), Interface())
     return NamedScene(name, scene, table | at)

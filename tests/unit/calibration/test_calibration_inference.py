@@ -19,7 +19,7 @@ from gelforge.calibration.emulator import (
     stuck_share,
 )
 from gelforge.calibration.kernel import sideways_left
-from gelforge.calibration.parameters import FrictionPrior, Model, Prior, make_model, prior_of
+from gelforge.calibration.parameters import BenchModel, FrictionPrior, Prior, make_model, prior_of
 from gelforge.calibration.posterior import ERROR, SIDEWAYS_ERROR, SIDEWAYS_ERROR_OF_NORMAL, Posterior, tare_of
 from gelforge.calibration.readings import bisection_order, choose_presses, read_readings, slides
 from gelforge.calibration.sampling import TAIL, Chain, Figures, Rules, independent_draws, sample
@@ -184,7 +184,7 @@ def test_independent_draws_have_the_density_they_are_accepted_by():
 class Skewed:
     """Log-probability of independent exponential laws: no moves fitted to it can have its shape."""
 
-    model: Model
+    model: BenchModel
 
     def __call__(self, x):
         outside = np.abs(np.minimum(x, 0.0)).sum(axis=1)  # uphill back to where the law is
@@ -195,7 +195,7 @@ class Skewed:
 def test_chain_has_the_moments_of_a_law_that_its_moves_do_not_fit():
     """Mean, deviation and 95 % quantile of an exponential law, within four of their standard errors."""
     start = Prior("normal", stats.norm())
-    model = Model("no_slip", dict.fromkeys("ab", start), {})
+    model = BenchModel("no_slip", dict.fromkeys("ab", start), {})
     draws = sample(Skewed(model), replace(RULES, taus=400)).flat()
     # at least 400 independent draws of each of 6 walkers: the standard errors are 0.02, 0.03 and 0.09
     np.testing.assert_allclose(draws.mean(axis=0), 1.0, atol=0.08)
@@ -332,3 +332,13 @@ def test_the_demo_has_presses_that_slide_and_a_calibration_of_it_chooses_some(ro
     far = readings.travel > 2 * readings.depth
     assert far.sum() == 6 and (slides(readings) == far).all()
     assert far[choose_presses(readings, PARAMS.max_presses, "coulomb")].sum() == PARAMS.max_presses // 4
+
+
+def test_a_prior_far_from_the_readings_is_no_lack_of_data():
+    """Of a C10 far above its prior it was said that the data say almost nothing."""
+    law = stats.norm(0.05, 0.002)
+    coordinate = summary.normal_coordinate(law, np.array([0.04, 0.05, 0.08]))
+    assert np.isfinite(coordinate).all() and coordinate == pytest.approx([-5.0, 0.0, 15.0], abs=1e-6)
+    row = {"width_over_prior": 0.95, "median": 0.05, "prior_interval95": [0.04, 0.06]}
+    assert "almost nothing" in summary._unseen({"c10": row})[0]
+    assert not summary._unseen({"c10": row | {"median": 0.08}})

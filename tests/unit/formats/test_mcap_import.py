@@ -492,6 +492,11 @@ def test_wild_and_clipped_forces_and_repeated_images_are_left_out_and_counted(tm
             "at the end of its range; their images are left out",
             {"read": lambda times: np.minimum(presses(times), 5.0)},
         ),
+        (
+            "jitter",
+            "at the end of its range",
+            {"read": lambda t: np.minimum(presses(t), 7.0) - 0.01 * (np.arange(len(t)) % 3 == 0)},
+        ),
         ("stuck", "images repeat the one before them although the force changed", {"shown": stuck}),
     ):
         (tmp_path / name).mkdir()
@@ -499,3 +504,9 @@ def test_wild_and_clipped_forces_and_repeated_images_are_left_out_and_counted(tm
         found, rows = imported(tmp_path / name, path, sensor)
         assert any(told in note for note in found["notes"]), (name, found["notes"])
         assert worst(rows, at) < 0.5, name
+
+
+def test_forces_beside_pictures_without_contact_are_named(tmp_path, sensor):
+    path, _ = pressed(tmp_path, read=lambda times: presses(times) + 0.3 * times)
+    found, _ = imported(tmp_path, path, sensor)
+    assert any("beside pictures that show no contact" in note for note in found["notes"])

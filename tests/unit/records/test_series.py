@@ -33,11 +33,13 @@ def test_readings_that_their_neighbours_contradict_are_left_out():
 def test_many_wild_readings_are_refused_and_a_few_are_counted():
     force = np.maximum(np.sin(np.arange(4000) / 150.0), 0.0) * 20 + np.random.default_rng(0).normal(0, 0.02, 4000)
     force[[500, 1700]] = 84.0
-    kept, notes = series.without_wild("gauge.csv", force[:, None])
+    times = np.arange(4000) / 80.0
+    kept, notes = series.without_wild("gauge.csv", times, force[:, None])
     assert (~kept).sum() == 2 and "2 of 4000 readings are contradicted" in notes[0]
+    assert series.without_wild("gauge.csv", 10.0 * times, force[:, None])[0].all()  # each may be a press
     force[::40] = -83.9
     with pytest.raises(BadInput, match="loose cable"):
-        series.without_wild("gauge.csv", force[:, None])
+        series.without_wild("gauge.csv", times, force[:, None])
 
 
 def test_the_end_of_a_sensors_range_is_found_by_what_goes_on_beyond():
@@ -89,6 +91,17 @@ def test_a_path_that_shifts_shows_where_force_begins():
     assert change == pytest.approx(0.157, abs=0.01) and where.tolist() == [3, 4]
     change, where = series.shifted_heights(np.linspace(0.0, 0.3, 7))
     assert change == pytest.approx(0.3, abs=0.01) and len(where) == 3
+
+
+def test_where_samples_were_dropped_nothing_is_said_of_the_height():
+    times = np.arange(0.0, 4.0, 0.02)
+    height = 1.0 - 0.5 * times
+    force = np.maximum(-height, 0.0) * 5.0
+    heights = [
+        series.onsets((times[kept], force[kept]), (times, height), [(2.0, 3.9)], 0.3)[0]
+        for kept in (times > -1.0, (times < 1.95) | (times > 2.4))
+    ]
+    assert heights[0] == pytest.approx(-0.06, abs=0.002) and np.isnan(heights[1])
 
 
 def test_pictures_that_repeat_while_the_tip_moves_are_found():

@@ -25,7 +25,7 @@ from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.tetmesh import from_flat, mesh_report, orient, signed_volumes
 from gelforge.mechanics.mesh.tetwild import tetrahedralise
 
-EDGE_MM = 2.5  # length of the edges of a base mesh
+EDGE_MM = 2.8  # length of the edges of a base mesh
 # How far pytetwild's mesh may be from the box: the first of the box's diagonal, at most the second of its height.
 APART, APART_HEIGHT = 1e-3, 1e-2
 SNAP = 2.0  # nodes nearer to a side than this many times that distance are moved onto it

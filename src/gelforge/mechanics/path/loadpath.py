@@ -32,7 +32,7 @@ def earlier(scene: Scene, end: float, length: float) -> float:
         if travelled >= length:
             return end - length / aside
         length, end = length - travelled, 1.0
-    return end - length / abs(scene.press.dz)
+    return end - length / max(abs(scene.press.dz), length)
 
 
 def first_touch(scene: Scene) -> float | None:

@@ -22,6 +22,7 @@ BETWEEN = 2  # fewest load steps between two requested frames of a press
 EASY = 7  # Newton iterations up to which a shortened step may grow again
 SMALLEST_PART = 0.1  # smallest fraction of the pending contact changes that one solve carries out
 REST = 0.3  # of a load step: if less than this remains of the leg, the step is extended to its end
+AT_LIMIT = 0.999  # share of its limit from which on a tangential traction counts as slipping
 ROUGHEST = 5e-3  # residual accepted at the start of a walk if its Newton iterations do not get lower
 BEYOND = 1.001  # a slipping point's multiplier over its traction; at 1, rounding would decide which points stick
 ACCEPTED = 1e-7  # residual over contact force that balances contact force and base reaction to 1e-6
@@ -451,6 +452,31 @@ class ScenePath(Equilibrium):
             "below_base_mm": self._below_base(),
             "pulling_fraction": float(self.state.weights[point] @ np.maximum(-push, 0.0)) / size,
             "base_mismatch": float(np.linalg.norm(base + total)) / size,
+        }
+
+    def friction(self) -> dict:
+        """Evidence of the final state under a law with friction; empty under others.
+
+        slipping: share of the contact's normal force in points at the limit. beyond_cone: tangential force above the
+        limit, over the normal force. friction_n: resultant of the tangential tractions of slipping points, N, which
+        grows in proportion to the coefficient while the same points slip.
+        """
+        if not self.law.frictional:
+            return {}
+        pose, tractions = path_pose(self.scene, self.t), self.tractions
+        bound = np.flatnonzero((self.state.status[tractions.point] == STICK) & (tractions.gap < 0.0))
+        point, traction = tractions.point[bound], tractions.traction[bound]
+        _, normal = self.scene.indenter.distance(pose.to_indenter(self.points(self.u)[point]))
+        n, weight = pose.turn(normal), self.state.weights[point]
+        along = traction - np.einsum("pi,pi->p", traction, n)[:, None] * n
+        depth = -tractions.gap[bound]
+        limit, _ = self.law.slip_limit(depth, self.penalty.normal)
+        size, push = np.linalg.norm(along, axis=1), weight * depth * self.penalty.normal
+        whole, slips = max(float(push.sum()), 1e-300), size > AT_LIMIT * limit
+        return {
+            "slipping": float(push[slips].sum()) / whole,
+            "beyond_cone": float(weight @ np.maximum(size - limit, 0.0)) / whole,
+            "friction_n": float(np.linalg.norm(weight[slips] @ along[slips])),
         }
 
     def judge(self, u: np.ndarray) -> Verdict:

@@ -30,7 +30,7 @@ from gelforge.mechanics.path.loadpath import first_touch
 from gelforge.mechanics.path.pathsettings import PathSettings
 from gelforge.mechanics.path.scenepath import ScenePath, Verdict
 from gelforge.mechanics.path.transfer import LoadPath, touches
-from gelforge.mechanics.result import BALANCE, Result
+from gelforge.mechanics.result import BALANCE, BEYOND_CONE, Result
 from gelforge.mechanics.scene import Scene
 from gelforge.records.status import Status
 
@@ -207,7 +207,9 @@ class CcxSolver:
         if isinstance(answer, CcxResult):
             return answer
         result = run.result(answer, prescribed, start, found.judge(answer.displacement))
-        result.evidence["touching_points"] = int(touching.sum())
+        result.evidence |= {"touching_points": int(touching.sum())} | found.friction()
+        if result.status.valid and result.evidence.get("beyond_cone", 0.0) > BEYOND_CONE:
+            result.status = Status.UNSETTLED
         _compare(result, found.contact_forces().sum(axis=0))
         return result
 

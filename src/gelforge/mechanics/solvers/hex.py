@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from gelforge.geometry import touch
 from gelforge.geometry.gel import Gel
 from gelforge.mechanics.contact.penalty import FREE, ContactState
 from gelforge.mechanics.extrapolate import UNCORRECTED, UNCORRECTED_CELLS, Coarse, edge_of
@@ -18,7 +19,7 @@ from gelforge.mechanics.path.equilibrium import System
 from gelforge.mechanics.path.loadpath import first_touch, frame_time, path_length, path_pose
 from gelforge.mechanics.path.scenepath import ScenePath
 from gelforge.mechanics.path.transfer import LoadPath, walk_start
-from gelforge.mechanics.result import BALANCE, Result
+from gelforge.mechanics.result import BALANCE, BEYOND_CONE, Result
 from gelforge.mechanics.scene import Scene
 from gelforge.records.status import Status
 
@@ -284,7 +285,9 @@ def _until(curve: list[list[float]], t: float) -> list[list[float]]:
 
 
 def _below_base(scene: Scene) -> str | None:
-    """The reason to refuse a press that ends at or below the gel's base; None for other presses."""
+    """The reason to refuse a press that begins inside the gel or ends at or below its base; None for other presses."""
+    if touch.begins_inside(scene.gel, scene.indenter, scene.press):
+        return f"the press begins inside the gel, with its tip at z = {scene.press.z0:.3g} mm"
     lowest = scene.press.z0 + scene.press.dz
     if lowest > -scene.gel.height or first_touch(scene) is None:
         return None
@@ -313,11 +316,13 @@ def _result(run: ScenePath, mesh: HexMesh, status: Status, started: float, name:
     forces = np.zeros_like(run.u)
     if status is not Status.DIVERGED:
         forces = run.contact_forces()
-        evidence |= run.checks(forces)
+        evidence |= run.checks(forces) | run.friction()
     elif run.reason:
         evidence["reason"] = run.reason
         if evidence["base_mismatch"] > BALANCE:
             status = Status.UNBALANCED
+        elif evidence.get("beyond_cone", 0.0) > BEYOND_CONE:
+            status = Status.UNSETTLED
         elif not forces.any():
             status = Status.TOO_COARSE
         elif reason := _impossible(evidence):

@@ -2,8 +2,8 @@
 
 CHALLENGE: the folder that `make fea-challenge` writes. OUT: a submission for its score.py. Runs in Debian's own Python
 with python3-getfem and python3-scipy, without gelforge. Hexahedra have 20 nodes. Contact uses multipliers that are
-linear on their faces and GetFEM's augmented Lagrangian friction operator, with a friction coefficient of 10 as stick;
-the body is given by its signed distance. A point sticks to the body where its motion, extrapolated from the last load
+linear on their faces and GetFEM's augmented Lagrangian friction operator, with the scene's coefficient of friction `mu`,
+or 10 as stick; the body is given by its signed distance. A point sticks to the body where its motion, extrapolated from the last load
 step, closes the gap: plain incremental stick also counts motion before touch, so that the force depends on the number
 of load steps.
 """
@@ -31,6 +31,8 @@ EDGES_MM = {
     "triple_triangle": (0.5, 0.5),
     "cuboid_sharp": (0.5, 0.5),
     "punch": (0.25, 0.25),
+    "ball_dragged": (0.7, 0.7),
+    "cuboid_slipping": (0.45, 1.2),
 }
 # Width in mm of the strip of small hexahedra along the footprint's sides, and growth of size per distance from it.
 RIM, RIM_GROWTH = 0.6, 0.4
@@ -40,6 +42,7 @@ MARGIN = 0.7  # mm of small hexahedra beside the footprint
 STEP = 0.125  # mm of travel in a load step
 FRICTION, AUGMENTATION = 10.0, 5.0  # -, N/mm^3
 RESIDUAL = 1e-5  # largest nodal residual, N
+PARTS = (1.0, 0.5, 0.25, 0.1, 0.03)  # of a Newton step that are tried under friction
 PENALTY = 1e5  # N/mm^3, of the condition on planes of symmetry
 SUBCELLS = 8  # per side of a face; forces are written at their centres
 DEFORMED = "(Id(3)+Grad_u)"
@@ -252,7 +255,13 @@ class PressedGel:
         self.model = model = gf.Model("real")
         model.add_fem_variable("u", displacement)
         model.add_filtered_fem_variable("t", self.traction, 1)
-        numbers = {"c10": challenge["c10_mpa"], "d1": challenge["d1_per_mpa"], "r": AUGMENTATION, "f": FRICTION}
+        self.mu = scene.get("mu")
+        numbers = {
+            "c10": challenge["c10_mpa"],
+            "d1": challenge["d1_per_mpa"],
+            "r": AUGMENTATION,
+            "f": self.mu or FRICTION,
+        }
         for name, value in numbers.items():
             model.add_initialized_data(name, [value])
         self.scalar, self.vector = gf.MeshImData(contact, 1), gf.MeshImData(contact, 1, [3])
@@ -283,14 +292,18 @@ class PressedGel:
         """Current places of the integration points of the contact, (n, 3) mm."""
         return self.model.interpolation("X+u", self.vector, 1).reshape(-1, 3)
 
+    def see_body(self) -> None:
+        """Tell the model where the body is at the current places of the integration points."""
+        places = self.places()
+        self.model.set_variable("place0", places.ravel())
+        self.model.set_variable("gap0", self.body.distance(places))
+        self.model.set_variable("normal0", self.body.normal(places).ravel())
+        self.model.set_variable("curve0", self.body.curvature(places).ravel())
+
     def equilibrium(self, most: int = 25) -> bool:
         """Newton's iterations with the body at rest; False if they do not converge."""
         for iteration in range(most):
-            places = self.places()
-            self.model.set_variable("place0", places.ravel())
-            self.model.set_variable("gap0", self.body.distance(places))
-            self.model.set_variable("normal0", self.body.normal(places).ravel())
-            self.model.set_variable("curve0", self.body.curvature(places).ravel())
+            self.see_body()
             self.model.assembly("build_all")
             residual = self.model.rhs()
             size = abs(residual).max()
@@ -298,15 +311,27 @@ class PressedGel:
                 return False
             if iteration and size < RESIDUAL:
                 return True
-            change = gf.linsolve_mumps(self.model.tangent_matrix(), residual)
-            self.model.to_variables(self.model.from_variables() + np.asarray(change).ravel())
+            change = np.asarray(gf.linsolve_mumps(self.model.tangent_matrix(), residual)).ravel()
+            start = self.model.from_variables()
+            self.model.to_variables(start + change)
+            if self.mu:
+                self.shorten(start, change, np.linalg.norm(residual))
         return False
+
+    def shorten(self, start: np.ndarray, change: np.ndarray, size: float) -> None:
+        """Shorten a step until the residual is less than `size`: points that slip and stick by turns need that."""
+        for part in PARTS:
+            self.model.to_variables(start + part * change)
+            self.see_body()
+            self.model.assembly("build_rhs")
+            if np.linalg.norm(self.model.rhs()) < (1 - 1e-3 * part) * size:
+                return
 
     def follow(self) -> None:
         """Move the body along its legs, and halve a load step if Newton's iterations do not converge.
 
-        Places are in the body's frame. Points in contact keep their stick points; all others get the one where they
-        would meet the body.
+        Places are in the body's frame. Points in contact keep their stick points, or take them along where they slip; all
+        others get the one where they would meet the body.
         """
         before = self.places() - self.body.at
         anchor, held = before.copy(), np.zeros(len(before), bool)
@@ -332,10 +357,21 @@ class PressedGel:
                 now = self.places() - self.body.at
                 speed, rate = (now - before) / step, (self.model.from_variables() - kept) / step
                 before, held = now, self.pressed()
+                if self.mu:
+                    slips = held & self.slips()
+                    anchor[slips] = now[slips]
 
     def pressed(self) -> np.ndarray:
         """Which points (n,) are in contact with the body."""
         return self.model.interpolation("r*gap0-t.normal0", self.scalar, 1).ravel() < 0
+
+    def slips(self) -> np.ndarray:
+        """Which points (n,) pull at the limit of friction."""
+        pull = self.model.interpolation("t-r*(X+u-anchor)", self.vector, 1).reshape(-1, 3)
+        normal = np.reshape(self.model.variable("normal0"), (-1, 3))
+        pressure = -self.model.interpolation("r*gap0-t.normal0", self.scalar, 1).ravel()
+        along = np.linalg.norm(pull - (pull * normal).sum(axis=1)[:, None] * normal, axis=1)
+        return along > self.mu * pressure
 
     def touch(self, places: np.ndarray, moved: np.ndarray) -> np.ndarray:
         """Fraction (n,) of a motion in the body's frame at which each point's gap closes, at most 1."""
@@ -386,7 +422,8 @@ class PressedGel:
 
 def main() -> None:
     """Write a submission of the named scenes, or of all; scenes that exist already are kept."""
-    folder, out, names = Path(sys.argv[1]), Path(sys.argv[2]), sys.argv[3:] or EDGES_MM
+    folder, out = Path(sys.argv[1]), Path(sys.argv[2])
+    names = sys.argv[3:] or [name for name in EDGES_MM if (folder / "scenes" / name).exists()]
     out.mkdir(parents=True, exist_ok=True)
     gf.util_trace_level(0)
     for name in names:

@@ -1,13 +1,22 @@
-"""Normal forces of axisymmetric presses, solved by scikit-fem alone: the reference for all methods that make labels.
+"""Presses whose force is known: axisymmetric ones, solved by scikit-fem alone.
+
+python axisymmetric.py [exact.json] solves the presses of SERIES that the file does not hold yet, and adds them to it.
+It needs numpy, scipy, scikit-fem and pypardiso.
 
 A rigid body of revolution is pressed straight down into a layer bonded at its base, neo-Hookean at finite strain,
 W = C10 (I1bar - 3) + K/2 (J - 1)^2. Elements are second-order quadrilaterals, small where the edge of contact passes.
-Contact acts at Gauss points of the surface by a penalty that lets them penetrate by less than a micrometre. Without
-slip a point sticks where it first touched, where its gap closes within a load step. No code is shared with gelforge.
+Contact acts at Gauss points of the surface by a penalty that lets them penetrate by less than a micrometre. With
+friction a point sticks where it first touched, where its gap closes within a load step; under Coulomb's law it slips
+along the body once the tangential traction would exceed the coefficient times the pressure (return mapping, implicit
+in each load step: Wriggers, Computational Contact Mechanics, 2006, section 6.3.2). No code is shared with gelforge.
 """
 
+import json
+import os
+import sys
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import scipy.sparse as sp
@@ -17,6 +26,7 @@ from skfem import Basis, ElementQuad2, ElementVector, FacetBasis, MeshQuad
 PENALTY = 2e5  # MPa/mm over the shear modulus
 DEEPEST = 1e-4  # mm, largest penetration of a point in equilibrium
 RING = 0.5  # mm, width of the rings whose forces are reported
+KEPT = Path(__file__).with_name("exact.json")
 # Rows and columns of the non-zero components of F: rr, rz, zr, zz, and the hoop component.
 ROW, COLUMN = np.array([0, 0, 1, 1, 2]), np.array([0, 1, 0, 1, 2])
 
@@ -153,6 +163,7 @@ class Pressed:
     """A press at one depth: total force N, force N per ring of RING mm of the undeformed gel, contact radius mm.
 
     pulling: tensile force of stick points over total force. base: relative difference of the base's reaction.
+    slipping: fraction of the force at points that slip. excess: largest tangential traction beyond the limit, MPa.
     """
 
     depth: float
@@ -161,13 +172,16 @@ class Pressed:
     contact_radius: float
     pulling: float
     base: float
+    slipping: float
+    excess: float
 
 
 class Press:
-    """One body on one layer along its path: u (dofs,), and stick points `held` of the surface (m, 2), nan if free."""
+    """One body on one layer along its path: u (dofs,), and stick points `held` (m, 2) on the body, nan if free."""
 
-    def __init__(self, body: Body, layer: Layer, fineness: Fineness, stick: bool):
-        self.body, self.layer, self.fineness, self.stick = body, layer, fineness, stick
+    def __init__(self, body: Body, layer: Layer, fineness: Fineness, mu: float):
+        self.body, self.layer, self.fineness, self.mu = body, layer, fineness, mu
+        self.coulomb = 0.0 < mu < np.inf
         mesh = fineness.mesh(layer)
         basis = Basis(mesh, ElementVector(ElementQuad2()), intorder=4)
         facets = mesh.facets_satisfying(lambda x: np.abs(x[1]) < 1e-9)
@@ -183,7 +197,9 @@ class Press:
         self.axial[basis.get_dofs(elements=True).all(["u^2"])] = 1.0
         self.u, self.held = np.zeros(basis.N), np.full((len(self.reference), 2), np.nan)
         self.depth, self.hardness = 0.0, 1.0
-        self.linear = PyPardisoSolver(mtype=-2)  # symmetric, indefinite
+        self.analysed = False
+        self.way = np.zeros(len(self.reference))  # of stick points that slip: 1 or -1 along the tangent
+        self.linear = PyPardisoSolver(mtype=11 if self.coulomb else -2)  # unsymmetric, or symmetric and indefinite
 
     @staticmethod
     def _rows(basis: Basis, rows: Callable) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -207,17 +223,66 @@ class Press:
 
     def tractions(self, u: np.ndarray, depth: float) -> tuple[np.ndarray, np.ndarray]:
         """Tractions (m, 2) on the undeformed surface, MPa, and their stiffness (m, 2, 2)."""
-        k, x = self.hardness * PENALTY * 2.0 * self.layer.c10, self.places(u)
+        k, x = self.stiffness, self.places(u)
         gap, normal, curvature = self.gap(x, depth)
         inside, holds = gap < 0.0, ~np.isnan(self.held[:, 0])
         traction = np.where(inside[:, None], -k * gap[:, None] * normal, 0.0)
         across = normal[:, :, None] * normal[:, None, :]
         # far from equilibrium points lie deep inside, where the full curvature term would mislead Newton's method
-        along = (np.maximum(gap, -DEEPEST) * curvature)[:, None, None] * (np.eye(2) - across)
+        bend = curvature * np.minimum(1.0, DEEPEST / np.maximum(-gap, 1e-300))
+        along = (gap * bend)[:, None, None] * (np.eye(2) - across)
         stiffness = np.where(inside[:, None, None], k * (across + along), 0.0)
-        traction[holds] = k * (self.held[holds] - [0.0, depth] - x[holds])
-        stiffness[holds] = k * np.eye(2)
+        if self.mu == np.inf:
+            traction[holds] = k * (self.held[holds] - [0.0, depth] - x[holds])
+            stiffness[holds] = k * np.eye(2)
+            return traction, stiffness
+        rubs = np.flatnonzero(holds & inside)
+        pull, limit, t = self.friction(rubs, x, depth)
+        way, n = self.way[rubs], normal[rubs]
+        shear = np.where(way == 0, pull, way * limit)
+        traction[rubs] += shear[:, None] * t
+        rate = np.where((way == 0)[:, None], t, (way * self.mu)[:, None] * n)[:, None, :]
+        turn = (shear * bend[rubs])[:, None, None] * n[:, :, None] * t[:, None, :]
+        stiffness[rubs] += k * t[:, :, None] * rate + turn
         return traction, stiffness
+
+    def friction(self, rubs: np.ndarray, x: np.ndarray, depth: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Of stick points (k,) that lie inside: shear traction without slip (k,), its limit (k,), MPa, tangent (k, 2)."""
+        gap, normal, _ = self.gap(x[rubs], depth)
+        tangent = np.column_stack([normal[:, 1], -normal[:, 0]])
+        pull = self.stiffness * ((self.held[rubs] - [0.0, depth] - x[rubs]) * tangent).sum(axis=1)
+        return pull, -self.mu * self.stiffness * gap, tangent
+
+    @property
+    def stiffness(self) -> float:
+        """Penalty, MPa/mm, of the gap and of the elastic slip."""
+        return self.hardness * PENALTY * 2.0 * self.layer.c10
+
+    def turned(self, u: np.ndarray, depth: float) -> bool:
+        """Let points slip that pull beyond their limit, and stick again that slip against their pull; whether one changed.
+
+        A point that turns round sticks in between, without which Newton's method would throw it to and fro for ever.
+        """
+        x = self.places(u)
+        inside = self.gap(x, depth)[0] < 0.0
+        rubs = np.flatnonzero(inside & ~np.isnan(self.held[:, 0]))
+        pull, limit, _ = self.friction(rubs, x, depth)
+        way = np.zeros_like(self.way)
+        beyond = np.where(np.abs(pull) > limit, np.sign(pull), 0.0)
+        way[rubs] = np.where(self.way[rubs] * beyond < 0.0, 0.0, beyond)
+        changed = bool((way[inside] != self.way[inside]).any())
+        self.way = way
+        return changed
+
+    def slip(self) -> None:
+        """Move the stick points of points that slip, so that their traction is at the limit, and free those that left."""
+        x = self.places(self.u)
+        holds = np.flatnonzero(~np.isnan(self.held[:, 0]))
+        self.held[holds[self.gap(x[holds], self.depth)[0] >= 0.0]] = np.nan
+        rubs = np.flatnonzero(~np.isnan(self.held[:, 0]))
+        pull, limit, tangent = self.friction(rubs, x, self.depth)
+        beyond = (pull - np.clip(pull, -limit, limit)) / self.stiffness
+        self.held[rubs] -= beyond[:, None] * tangent
 
     def residual(self, u: np.ndarray, depth: float) -> tuple[np.ndarray, sp.csr_matrix]:
         """Residual force (dofs,) N and its derivative."""
@@ -241,10 +306,16 @@ class Press:
     def equilibrium(self, u: np.ndarray, depth: float, small: float = 1e-9) -> np.ndarray:
         """Newton's method from u (dofs,) until a step is below `small` times the depth; raises Unsolved.
 
-        Without friction, points would touch and release for ever on a stiff penalty, so it is raised in four stages.
+        Without friction, points would touch and release for ever on a stiff penalty, so it is raised in four stages;
+        so it is under Coulomb's law where Newton's method fails.
         """
-        if self.stick:
-            return self.newton(u, depth, small)
+        if self.mu > 0.0:
+            self.hardness = 1.0
+            try:
+                return self.newton(u, depth, small, 8 if self.coulomb else 15)
+            except Unsolved:
+                if not self.coulomb:
+                    raise
         for self.hardness in (1e-3, 1e-2, 1e-1):
             u = self.newton(u, depth, 1e-3)
         self.hardness = 1.0
@@ -255,7 +326,8 @@ class Press:
         u, free = u.copy(), self.free
         for _ in range(most):
             out, tangent = self.residual(u, depth)
-            step = self.linear.solve(sp.triu(tangent[free][:, free], format="csr"), out[free])
+            matrix = tangent[free][:, free]
+            step = self.solve(matrix if self.coulomb else sp.triu(matrix, format="csr"), out[free])
             part = 1.0
             while part > 0.01:
                 trial = u.copy()
@@ -266,9 +338,16 @@ class Press:
                 except Unsolved:
                     part /= 2.0
             u = trial
-            if part == 1.0 and np.abs(step).max() < small * depth:
+            turned = self.coulomb and self.turned(u, depth)
+            if part == 1.0 and not turned and np.abs(step).max() < small * depth:
                 return u
         raise Unsolved(f"no equilibrium at a depth of {depth:.4g} mm")
+
+    def solve(self, matrix: sp.csr_matrix, right: np.ndarray) -> np.ndarray:
+        """Solution of a linear system whose non-zero places are the same every time: they are analysed once."""
+        self.linear.set_phase(23 if self.analysed else 13)
+        self.analysed = True
+        return self.linear._call_pardiso(matrix, right)
 
     def advance(self, depth: float, before: tuple[np.ndarray, float] | None) -> None:
         """One load step. before: u and depth one step earlier, from which the motion is extrapolated."""
@@ -279,14 +358,16 @@ class Press:
         closing = gap - self.gap(self.places(ahead), depth)[0]
         share = np.where(closing > 0.0, np.maximum(gap, 0.0) / np.maximum(closing, 1e-300), 1.0)
         # a rough tolerance with stick, because points that touch first still move to their stick points
-        small = 1e-4 if self.stick else 1e-9
+        small = 1e-4 if self.mu > 0.0 else 1e-9
         try:
             u = self.equilibrium(ahead, depth, small)
         except Unsolved:
             u = self.equilibrium(self.u, depth, small)
-        if self.stick:
+        if self.mu > 0.0:
             u = self.hold(u, depth, start, np.clip(share, 0.0, 1.0)[:, None])
         self.u, self.depth = u, depth
+        if self.coulomb:
+            self.slip()
 
     def hold(self, u: np.ndarray, depth: float, start: np.ndarray, share: np.ndarray) -> np.ndarray:
         """Let new contact points stick at `share` (m, 1) of their way from `start` (m, 2) to u, until none is new."""
@@ -340,13 +421,173 @@ class Press:
         r = self.reference[:, 0]
         rings = np.bincount((r / RING).astype(int)[touched], push[touched])
         _, normal, _ = self.gap(self.places(self.u), self.depth)
-        pull = np.minimum((traction * normal).sum(axis=1), 0.0) @ self.area.ravel()
+        pressure = (traction * normal).sum(axis=1)
+        pull = np.minimum(pressure, 0.0) @ self.area.ravel()
         out, _ = self.residual(self.u, self.depth)
         held = out[self.base] @ self.axial[self.base]
         mismatch, radius = float(abs(held / force) - 1.0), float(r[touched].max())
-        return Pressed(self.depth, force, rings, radius, float(-pull / force), mismatch)
+        limit = self.mu * pressure[touched]
+        shear = np.linalg.norm(traction - pressure[:, None] * normal, axis=1)[touched]
+        slips = shear >= limit * (1.0 - 1e-6) if self.coulomb else np.zeros(len(shear), bool)
+        slipping = float(push[touched][slips].sum() / force)
+        excess = float((shear - limit).max()) if self.coulomb else 0.0
+        return Pressed(self.depth, force, rings, radius, float(-pull / force), mismatch, slipping, excess)
 
 
-def press(body: Body, layer: Layer, depths: list[float], fineness: Fineness, stick: bool = True) -> list[Pressed]:
-    """The forces at each of the depths; stick: no slip from first touch on, else no friction."""
-    return Press(body, layer, fineness, stick).follow(depths)
+def press(body: Body, layer: Layer, depths: list[float], fineness: Fineness, mu: float = np.inf) -> list[Pressed]:
+    """The forces at each of the depths; mu: coefficient of friction, infinite without slip from first touch on."""
+    return Press(body, layer, fineness, mu).follow(depths)
+
+
+BODIES = {"sphere": sphere, "punch": punch, "tube": tube, "cone": cone}
+
+
+@dataclass(frozen=True)
+class Series:
+    """One body pressed to several depths. shape: kind and arguments in BODIES. edge: radii where contact ends, mm.
+
+    mu: coefficient of friction; None: no slip.
+    """
+
+    shape: tuple
+    depths: tuple[float, ...]
+    edge: tuple[float, float]
+    fine: float
+    nu: float = 0.475
+    thickness: float = 4.0
+    mu: float | None = None
+
+    @property
+    def interface(self) -> str:
+        """The contact law."""
+        return {None: "no_slip", 0.0: "frictionless"}.get(self.mu, "coulomb")
+
+    @property
+    def name(self) -> str:
+        """A unique name, to which a press adds its depth."""
+        kind, *sizes = self.shape
+        parts = [kind, *(f"{size:g}" for size in sizes), f"nu{self.nu:g}", f"pad{self.thickness:g}"]
+        return "-".join([*parts, self.interface + (f"{self.mu:g}" if self.interface == "coulomb" else "")])
+
+    @property
+    def body(self) -> Body:
+        """The body in the (r, z) half-plane."""
+        return BODIES[self.shape[0]](*self.shape[1:])
+
+
+def _punch(diameter: float, fillet: float, *depths: float, **other) -> Series:
+    return Series(
+        ("punch", diameter, fillet),
+        depths,
+        (diameter / 2 - 1.1 * fillet, diameter / 2),
+        max(0.12 * fillet, 0.024),
+        **other,
+    )
+
+
+def _sphere(diameter: float, most: float, *depths: float, **other) -> Series:
+    return Series(("sphere", diameter), depths, (0.0, most), max(0.05, most / 25), **other)
+
+
+# The largest depth is a third of the gel's thickness, or less if elements invert in the sharp fold at a small fillet.
+SERIES = (
+    _sphere(15, 4.0, 0.05, 0.2, 0.4, 1.0, 1.333),
+    _punch(10, 0.3, 0.05, 0.1, 0.3, 0.5),
+    _punch(10, 1.0, 0.05, 0.1, 0.3, 0.8, 1.333),
+    _sphere(200, 7.0, 0.05, 0.1, 0.3),
+    Series(("tube", 10, 7, 0.7), (0.05, 0.2, 0.5, 1.0), (3.5, 5.0), 0.07),
+    _sphere(200, 7.0, 0.1, 0.3, nu=0.49),
+    _punch(6, 1.0, 0.1, 0.5, 1.333),
+    _punch(6, 0.3, 0.1, 0.5, 0.8),
+    _sphere(4, 1.9, 0.05, 0.3, 1.0, 1.333),
+    _sphere(60, 7.0, 0.05, 0.3, 1.0),
+    Series(("cone", 30, 0.5), (0.1, 0.5, 1.0, 1.333), (0.0, 2.2), 0.1),
+    _punch(10, 1.0, 0.1, 0.3, mu=0.0),
+    _sphere(15, 4.0, 0.2, 1.0, mu=0.0),
+    _punch(10, 0.3, 0.1, 0.3, nu=0.49),
+    _punch(6, 0.3, 0.05, 0.2, 0.4, thickness=2.0),
+    _sphere(15, 3.3, 0.05, 0.2, 0.66, thickness=2.0),
+    _punch(10, 0.1, 0.05, 0.1, 0.3),
+    _punch(6, 0.1, 0.1, 0.3),
+    _punch(10, 1.0, 0.1, 0.5, nu=0.45),
+    _sphere(15, 4.0, 0.1, 1.0, nu=0.49),
+    Series(("cone", 30, 0.5), (0.5,), (0.0, 1.2), 0.06, nu=0.45),
+    _sphere(60, 6.0, 0.3, nu=0.45, mu=0.0),
+    Series(("tube", 10, 7, 0.7), (0.2, 0.5), (3.5, 5.0), 0.07, nu=0.49, mu=0.0),
+    _sphere(200, 5.5, 0.1, thickness=2.0),
+    _punch(6, 1.0, 0.2, 0.66, thickness=2.0, nu=0.49),
+    Series(("sphere", 15), (0.4, 1.0), (0.0, 4.0), 0.32, mu=0.2),
+    Series(("punch", 10, 1.0), (0.1, 0.3, 0.8), (3.9, 5.0), 0.24, mu=0.2),
+    Series(("punch", 10, 0.3), (0.1, 0.3), (4.67, 5.0), 0.072, mu=0.2),
+    Series(("punch", 10, 0.3), (0.1, 0.3), (4.67, 5.0), 0.072, mu=0.7),
+    Series(("punch", 10, 1.0), (0.3, 0.8), (3.9, 5.0), 0.24, mu=0.4),
+    Series(("sphere", 6), (0.4, 1.0), (0.0, 2.2), 0.16, mu=0.2),
+    Series(("sphere", 6), (1.0,), (0.0, 2.2), 0.16, mu=0.7),
+    Series(("sphere", 15), (0.4, 1.0), (0.0, 4.0), 0.32, mu=0.4),
+    Series(("tube", 10, 7, 0.7), (0.2, 0.5), (3.5, 5.0), 0.14, mu=0.4),
+    Series(("cone", 30, 0.5), (0.5, 1.0), (0.0, 2.2), 0.16, mu=0.4),
+    Series(("punch", 10, 1.0), (0.8,), (3.9, 5.0), 0.24, mu=0.9),
+    Series(("punch", 6, 0.3), (0.1, 0.5), (2.67, 3.0), 0.072, mu=0.4),
+)  # fmt: skip
+
+
+def solved(path: Series) -> list[dict]:
+    """The presses of one series, with the differences between their three solves."""
+    layer, plain = Layer(path.thickness, path.nu), Fineness(path.edge, path.fine)
+    ways = (plain, plain.halved(), replace(plain, steps=24))
+    mu = np.inf if path.mu is None else path.mu
+    found = [press(path.body, layer, list(path.depths), way, mu) for way in ways]
+    return [_record(path, *row) for row in zip(*found, strict=True)]
+
+
+def _record(path: Series, coarse: Pressed, fine: Pressed, slow: Pressed) -> dict:
+    def apart(other: Pressed) -> dict:
+        rings = np.zeros((2, max(len(other.rings), len(coarse.rings))))
+        rings[0, : len(other.rings)], rings[1, : len(coarse.rings)] = other.rings, coarse.rings
+        return {
+            "total": float(f"{abs(other.force / coarse.force - 1.0):.2g}"),
+            "rings": float(f"{np.abs(rings[0] - rings[1]).sum() / coarse.force:.2g}"),
+        }
+
+    return {
+        "name": f"{path.name}-{fine.depth:g}mm", "kind": path.shape[0], "sizes_mm": list(path.shape[1:]), "depth_mm": fine.depth,
+        "thickness_mm": path.thickness, "nu": path.nu, "interface": path.interface, "mu": path.mu,
+        "force_n": float(f"{fine.force:.6g}"), "rings_n": [float(f"{ring:.5g}") for ring in fine.rings],
+        "contact_radius_mm": float(f"{fine.contact_radius:.3f}"), "pulling": float(f"{fine.pulling:.1e}"),
+        "slipping": float(f"{fine.slipping:.3f}"),
+        "elements_halved": apart(fine), "steps_doubled": apart(slow),
+    }  # fmt: skip
+
+
+def key(path: Series) -> dict:
+    """The numbers on which the presses of a series depend."""
+    return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(path).items()}
+
+
+def body_of(path: Series) -> dict:
+    """The body in numbers: all points within a radius of a polyline of (r, z), its tip at z = 0."""
+    core = [[float(f"{value:.6g}") for value in point] for point in path.body.core]
+    return {"core_mm": core, "radius_mm": path.body.radius}
+
+
+def main() -> None:
+    """Solve the series that are not stored yet; presses that are stored for the same numbers are not solved again."""
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
+    file = Path(sys.argv[1]) if len(sys.argv) > 1 else KEPT
+    kept = {group["path"]["name"]: group for group in json.loads(file.read_text())["paths"]} if file.exists() else {}
+    for path in SERIES:
+        if kept.get(path.name, {}).get("path") == key(path) | {"name": path.name}:
+            continue
+        records = solved(path)
+        kept[path.name] = {"path": key(path) | {"name": path.name}, "body": body_of(path), "presses": records}
+        groups = [kept[each.name] for each in SERIES if each.name in kept]
+        found = {"c10_mpa": 0.0725, "pad_mm": [40.0, 40.0], "ring_mm": RING, "paths": groups}
+        part = file.with_suffix(".part")
+        part.write_text(json.dumps(found, indent=1, sort_keys=True) + "\n")
+        part.replace(file)
+        for record in records:
+            print(record["name"], record["force_n"], record["elements_halved"], record["steps_doubled"], flush=True)
+
+
+if __name__ == "__main__":
+    main()
