@@ -22,7 +22,7 @@ from gelforge.flow.cli import command, option
 from gelforge.formats.featsfile import read_npy
 from gelforge.reading.forcereading import ForceReading
 from gelforge.reading.interval import half_widths, magnitudes, real_sideways, real_width
-from gelforge.reading.model import Model, fingerprint, load_model
+from gelforge.reading.model import ForceModel, fingerprint, load_model
 from gelforge.reading.profile import fit_gain
 from gelforge.reading.reader import Reader
 from gelforge.records.image import read_image
@@ -153,7 +153,7 @@ def interval_figures(
     return figures, {"unprofiled": round(max(unprofiled.values()), 3), "profiled": round(max(profiled.values()), 3)}
 
 
-def sideways_width(model: Model, read: Sequence[ForceReading]) -> float:
+def sideways_width(model: ForceModel, read: Sequence[ForceReading]) -> float:
     """The fraction of a force's magnitude by which intervals of sideways force must widen on real sensors.
 
     read: of presses straight down on real sensors, whose sideways force is zero.
@@ -184,7 +184,7 @@ def aside_figures(kind: str, read: Sequence[ForceReading], known: np.ndarray | N
 
 
 def evidence_of(
-    model: Model, read: Sequence[ForceReading], forces: np.ndarray, seen: np.ndarray | slice = np.s_[:]
+    model: ForceModel, read: Sequence[ForceReading], forces: np.ndarray, seen: np.ndarray | slice = np.s_[:]
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Predicted normal force, known one, and half the width of the network's own interval, (n,) N each.
 
@@ -197,7 +197,7 @@ def evidence_of(
 
 
 def feats_figures(
-    reference: Path, model: Model, nocontact: np.ndarray
+    reference: Path, model: ForceModel, nocontact: np.ndarray
 ) -> tuple[list[Figure], tuple[np.ndarray, np.ndarray, np.ndarray]]:
     """Figures of FEATS' presses, and their `evidence_of` intervals."""
     folder, predictor = reference / "feats/images", Reader(nocontact, model=model)
@@ -218,7 +218,7 @@ def feats_figures(
 
 
 def real_ball_figures(
-    folder: Path, model: Model
+    folder: Path, model: ForceModel
 ) -> tuple[list[Figure], tuple[np.ndarray, np.ndarray, np.ndarray], list[ForceReading]]:
     """Figures of the presses of a ball, which are straight down, their `evidence_of` intervals, and what is read."""
     background = read_image(folder / BACKGROUND)
@@ -265,7 +265,7 @@ def tube_figures(own: list[np.ndarray]) -> list[Figure]:
     return [Figure("tube of 10 and 7 mm: diameter of the ring read, error", off, "<=", 3.0, "%", note)]
 
 
-def read_cuboid(reference: Path, model: Model, nocontact: np.ndarray) -> ForceReading:
+def read_cuboid(reference: Path, model: ForceModel, nocontact: np.ndarray) -> ForceReading:
     """What is read of a 10 mm cuboid that is pressed straight down."""
     image = read_image(reference / "feats/images/cuboid_10-2-284.png")[..., :3]
     return Reader(nocontact, model=model)(image)

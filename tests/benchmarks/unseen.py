@@ -24,7 +24,7 @@ from gelforge.mechanics.material import REFERENCE_C10, Material
 from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.reading.interval import half_widths
-from gelforge.reading.model import Model, fingerprint, load_model
+from gelforge.reading.model import ForceModel, fingerprint, load_model
 from gelforge.reading.profile import fit_gain
 from gelforge.reading.reader import Reader
 from gelforge.records.axes import CHANNELS
@@ -129,7 +129,7 @@ def error_figures(units: Units, read: np.ndarray) -> list[Figure]:
     ]  # fmt: skip
 
 
-def interval_figure(units: Units, model: Model, read: np.ndarray) -> list[Figure]:
+def interval_figure(units: Units, model: ForceModel, read: np.ndarray) -> list[Figure]:
     """Coverage of the intervals of total force, on units that did not set these intervals."""
     known = model.metadata.get("intervals", {})
     if "total" not in known:

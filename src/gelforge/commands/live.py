@@ -25,7 +25,7 @@ from gelforge.live.reading import Reading, StartInDoubt, readings
 from gelforge.live.recording import CsvTable, McapRecording
 from gelforge.live.topics import RosMessages
 from gelforge.live.webpage import PageServer
-from gelforge.reading.model import Model, load_model, require_sensor
+from gelforge.reading.model import ForceModel, load_model, require_sensor
 from gelforge.reading.profile import files_of
 from gelforge.reading.reader import Reader
 from gelforge.records.film import Film, Frame, open_source, source_name
@@ -173,7 +173,7 @@ def found_picture(seen: Iterable[Frame], name: str) -> tuple[np.ndarray, Iterato
     return cv2.cvtColor(picture, cv2.COLOR_BGR2RGB), itertools.chain([first], seen)
 
 
-def reader_beside(picture: np.ndarray, model: Model, name: str) -> Reader:
+def reader_beside(picture: np.ndarray, model: ForceModel, name: str) -> Reader:
     """A reader with a no-contact image that was found in a stream; BadInput where that is unusable."""
     reader = Reader(picture, model=model)
     if reader.fault:

@@ -27,7 +27,7 @@ from gelforge.flow.cli import command, option
 from gelforge.reading.forcereading import goes_beyond, interval_digits
 from gelforge.reading.frame import reduced
 from gelforge.reading.markers import markers_in
-from gelforge.reading.model import Model, load_model
+from gelforge.reading.model import ForceModel, load_model
 from gelforge.reading.profile import (
     Gain,
     check_readings,
@@ -196,7 +196,7 @@ def weigh(args: Namespace, out: Path) -> tuple[np.ndarray, Gain, dict]:
     return reduced(picture), gain_of(folder / "readings.csv", reader), model.metadata
 
 
-def reader_beside(model: Model, picture: np.ndarray, source: str) -> Reader:
+def reader_beside(model: ForceModel, picture: np.ndarray, source: str) -> Reader:
     """A reader with a no-contact image (h, w, 3); BadInput where the image is unusable."""
     reader = Reader(reduced(picture), model=model)
     if reader.text:

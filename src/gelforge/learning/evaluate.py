@@ -9,7 +9,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.tables import EvaluateTable
 from gelforge.learning.data import Data, press_keys
 from gelforge.learning.predictions import Predicted, predict_rows, require_fit
-from gelforge.reading.model import Model, datasets_of
+from gelforge.reading.model import ForceModel, datasets_of
 from gelforge.records.axes import CHANNELS
 from gelforge.records.press import FORCE
 from gelforge.records.samplefile import TRAINING, UNSEEN_BOTH, UNSEEN_SENSOR
@@ -236,7 +236,7 @@ def controls(
     }
 
 
-def known_rows(model: Model, data: Data) -> np.ndarray:
+def known_rows(model: ForceModel, data: Data) -> np.ndarray:
     """Which rows of a dataset, (n,) bool, show presses that a model learnt from, in this dataset or another.
 
     Presses are identified one by one, so a dataset that has grown may hold both kinds.
@@ -247,7 +247,7 @@ def known_rows(model: Model, data: Data) -> np.ndarray:
     return np.isin(press_keys(data, range(len(data.table))), sorted(pressed))
 
 
-def learnt_sensors(model: Model, data: Data) -> set[str]:
+def learnt_sensors(model: ForceModel, data: Data) -> set[str]:
     """Sensors in the training split of a dataset whose presses, all or some of them, a model learnt from."""
     training = data.splits.get(TRAINING, np.zeros(0, int))
     seen = training[known_rows(model, data)[training]]
@@ -269,7 +269,7 @@ def evaluate_split(
     data: Data,
     rows: np.ndarray,
     predicted: Predicted,
-    model: Model,
+    model: ForceModel,
     settings: EvaluateTable,
     lesson: Lesson,
     rng,
@@ -313,7 +313,7 @@ def evaluate_split(
 
 
 def held(
-    data: Data, rows: np.ndarray, predicted: Predicted, error: np.ndarray, model: Model
+    data: Data, rows: np.ndarray, predicted: Predicted, error: np.ndarray, model: ForceModel
 ) -> dict[str, float] | None:
     """Coverage by channel of the intervals of totals, on presses that did not calibrate them.
 
@@ -357,7 +357,7 @@ def unlearnt(splits: dict[str, np.ndarray], known: np.ndarray) -> dict[str, np.n
 
 
 def evaluate(
-    data: Data, model: Model, settings: EvaluateTable, called: str = ""
+    data: Data, model: ForceModel, settings: EvaluateTable, called: str = ""
 ) -> tuple[dict[str, Any], dict[str, tuple]]:
     """Evaluate a model, as `predict` uses it, on the splits of a dataset that `judged_splits` names.
 

@@ -11,7 +11,7 @@ from gelforge.errors import BadInput
 from gelforge.learning.data import Data, Groups, press_keys
 from gelforge.reading.frame import Learnt, image_frame
 from gelforge.reading.interval import Errors, fit_intervals, half_widths
-from gelforge.reading.model import Model, require_sensor
+from gelforge.reading.model import ForceModel, require_sensor
 from gelforge.reading.reader import Reader
 from gelforge.records.samplefile import TRAINING
 
@@ -31,7 +31,7 @@ class Predicted:
     in_place: bool
 
 
-def predict_rows(model: Model, data: Data, rows: np.ndarray) -> Predicted:
+def predict_rows(model: ForceModel, data: Data, rows: np.ndarray) -> Predicted:
     """Predict some rows of a dataset, each with the no-contact image of its own sensor, tared as a reader does.
 
     The pictures of stage 60 are what a reader would prepare; only images of a sensor that the model turns, crops or scales
@@ -54,7 +54,7 @@ def predict_rows(model: Model, data: Data, rows: np.ndarray) -> Predicted:
     return Predicted(forces, np.array(widths) if known else None, in_place)
 
 
-def sees_as_logged(model: Model, data: Data, name: str, row: int) -> bool:
+def sees_as_logged(model: ForceModel, data: Data, name: str, row: int) -> bool:
     """Whether a model reads the images of a sensor as they were logged; row: one of that sensor."""
     if not model.needs_nocontact:
         return True
@@ -65,7 +65,7 @@ def sees_as_logged(model: Model, data: Data, name: str, row: int) -> bool:
         raise BadInput(f"sensor {name}: {error}") from None
 
 
-def _stored(model: Model, data: Data, rows: np.ndarray) -> Iterator[np.ndarray]:
+def _stored(model: ForceModel, data: Data, rows: np.ndarray) -> Iterator[np.ndarray]:
     """Forces (3, rows, cols) N of rows of one sensor, from the pictures of stage 60."""
     rest: dict[int, np.ndarray] = {}  # read in a no-contact image, by its row
     for row in rows.tolist():
@@ -79,14 +79,14 @@ def _stored(model: Model, data: Data, rows: np.ndarray) -> Iterator[np.ndarray]:
         yield model.graph({"image": data.pairs[[row]], "nocontact": beside})[0] - rest[at]
 
 
-def _prepared(model: Model, data: Data, name: str, rows: np.ndarray) -> Iterator[np.ndarray]:
+def _prepared(model: ForceModel, data: Data, name: str, rows: np.ndarray) -> Iterator[np.ndarray]:
     """Forces (3, rows, cols) N of rows of one sensor, from the images as they were logged."""
     reader = Reader(data.nocontact[name], model=model)
     for row in rows.tolist():
         yield reader(data.images[row]).cells
 
 
-def require_fit(model: Model, data: Data, called: str = "") -> None:
+def require_fit(model: ForceModel, data: Data, called: str = "") -> None:
     """Raise BadInput if a model cannot be used on a dataset: other grid, image size or sensor.
 
     called: name of the model in messages; empty for the one that it was trained under.
@@ -107,7 +107,7 @@ def require_fit(model: Model, data: Data, called: str = "") -> None:
     require_sensor(model, *data.names("sensor_id").tolist())
 
 
-def time_models(models: Mapping[str, Model], image: np.ndarray, seconds: float) -> dict[str, dict]:
+def time_models(models: Mapping[str, ForceModel], image: np.ndarray, seconds: float) -> dict[str, dict]:
     """Latency of models' graphs on one image (h, w, 3) uint8, in ms: median, 10th and 90th percentile, runs.
 
     It also serves as the no-contact image; its content does not affect the time. The models take turns until each has run
@@ -136,7 +136,7 @@ def summarise(values) -> dict:
     return {"median_ms": float(middle), "p10_ms": float(low), "p90_ms": float(high), "runs": len(values)}
 
 
-def intervals_of(model: Model, data: Data, groups: Groups) -> dict[str, Any]:
+def intervals_of(model: ForceModel, data: Data, groups: Groups) -> dict[str, Any]:
     """The part of a model's metadata on its 90 % prediction intervals.
 
     How they grow with force is fitted to the rows of `data` that chose the epoch, their size to those that calibrate. Empty
@@ -151,7 +151,7 @@ def intervals_of(model: Model, data: Data, groups: Groups) -> dict[str, Any]:
     return {"intervals": found | {"sensors": sensors, "data": data.name, "presses": pressed}}
 
 
-def errors_of(model: Model, data: Data, rows: np.ndarray) -> Errors:
+def errors_of(model: ForceModel, data: Data, rows: np.ndarray) -> Errors:
     """Predicted totals of some rows, their errors and their presses."""
     total = predict_rows(model, data, rows).forces.sum((2, 3), dtype=float)
     return Errors(total, total - data.totals(rows), data.presses(rows))

@@ -44,7 +44,7 @@ from gelforge.learning.nets import begin_as, build, parameter_count
 from gelforge.learning.predictions import intervals_of, learnt_names
 from gelforge.learning.start import Start, require_judges, scales_before
 from gelforge.reading.frame import Learnt, learnt_from
-from gelforge.reading.model import Model, model_of, save_model
+from gelforge.reading.model import ForceModel, model_of, save_model
 from gelforge.records.axes import CHANNELS
 from gelforge.records.networkkind import kind_of
 from gelforge.records.samplefile import TRAINING, VALIDATION
@@ -71,7 +71,7 @@ class Trained:
     """A trained network, and the model made from it."""
 
     net: nn.Module
-    model: Model
+    model: ForceModel
 
     @property
     def metadata(self) -> dict[str, Any]:

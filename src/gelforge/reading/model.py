@@ -92,7 +92,7 @@ def provider_of(device: str) -> str:
 
 
 @dataclass(frozen=True)
-class Model:
+class ForceModel:
     """A network that is ready to run, shared by the readers of all sensors: its metadata and its graph."""
 
     metadata: dict[str, Any]
@@ -115,16 +115,16 @@ class Model:
         return bool(np.ptp(self.metadata["normalisation"]["image_mean"]) > COLOURED)
 
 
-def on_device(model: Model, device: str, threads: int) -> Model:
+def on_device(model: ForceModel, device: str, threads: int) -> ForceModel:
     """The same model on another device, or with another number of threads per image."""
-    return Model(model.metadata, Graph(model.graph.content, f"model {model.metadata['name']}", device, threads))
+    return ForceModel(model.metadata, Graph(model.graph.content, f"model {model.metadata['name']}", device, threads))
 
 
-def model_of(metadata: dict[str, Any], graph: bytes) -> Model:
+def model_of(metadata: dict[str, Any], graph: bytes) -> ForceModel:
     """Make a model of a graph; its metadata get the graph's digest and its answer to a test image (`answer_of`)."""
     running = Graph(graph, "the graph")
     answer = answer_of(running, metadata["image"])
-    return Model(metadata | {"format": FORMAT, "sha256": digest_of_graph(graph), "answer": answer}, running)
+    return ForceModel(metadata | {"format": FORMAT, "sha256": digest_of_graph(graph), "answer": answer}, running)
 
 
 def answer_of(graph: Graph, size: Sequence[int]) -> list[float]:
@@ -160,13 +160,13 @@ def digest_of_graph(graph: bytes) -> str:
     return hashlib.sha256(graph).hexdigest()
 
 
-def save_model(path: Path, model: Model) -> None:
+def save_model(path: Path, model: ForceModel) -> None:
     """Write a model to exactly `path`; the caller publishes it."""
     text = json.dumps(model.metadata, sort_keys=True, allow_nan=False)
     Path(path).write_bytes(model.graph.content + property_of(text))
 
 
-def load_model(path: Path | str | None, device: str = "cpu", threads: int = 1) -> Model:
+def load_model(path: Path | str | None, device: str = "cpu", threads: int = 1) -> ForceModel:
     """Read a model, None: the shipped one; check its metadata, the digest of its graph, and that the graph runs here.
 
     Raises BadInput for a file that is missing, cut short, changed, or of another kind or format.
@@ -199,7 +199,7 @@ def load_model(path: Path | str | None, device: str = "cpu", threads: int = 1) -
             f"{path}: the graph has the inputs {', '.join(graph.inputs)}, but only {' and '.join(INPUTS)} are known; train it again"
         )
     check_runtime(graph, metadata)
-    return Model(metadata, graph)
+    return ForceModel(metadata, graph)
 
 
 def property_of(text: str) -> bytes:
@@ -230,7 +230,7 @@ def fingerprint(metadata: dict[str, Any]) -> str:
     return digest
 
 
-def require_sensor(model: Model, *required: str | None) -> None:
+def require_sensor(model: ForceModel, *required: str | None) -> None:
     """Raise BadInput if a single-image model is for none of the sensors `required`; None asks for nothing."""
     known, named = model.metadata["known_sensors"], {name for name in required if name}
     if named and not model.needs_nocontact and named.isdisjoint(known):

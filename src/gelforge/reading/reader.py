@@ -15,7 +15,7 @@ from gelforge.reading.faults import Asked, nocontact_fault, pair_fault, pull_fau
 from gelforge.reading.forcereading import ForceReading, edge_peak
 from gelforge.reading.frame import ImageFrame, Learnt
 from gelforge.reading.interval import half_widths
-from gelforge.reading.model import Model, load_model
+from gelforge.reading.model import ForceModel, load_model
 from gelforge.reading.pair import NoContact, Pair, alone
 from gelforge.reading.profile import AS_READ, Gain, with_profile
 
@@ -70,11 +70,11 @@ class Reader:
         threads: int = 1,
     ):
         require_opencv()
-        loaded = model if isinstance(model, Model) else load_model(model, device, threads)
+        loaded = model if isinstance(model, ForceModel) else load_model(model, device, threads)
         picture = None if nocontact is None else check_image(nocontact)
         self._set(loaded, *with_profile(None if profile is None else Path(profile), picture, loaded.metadata))
 
-    def _set(self, model: Model, picture: np.ndarray | None, gain: Gain) -> None:
+    def _set(self, model: ForceModel, picture: np.ndarray | None, gain: Gain) -> None:
         self.model, self.gain, self._given = model, gain, picture
         self.frame, self.nocontact, self.fault = ImageFrame(model.size, model.size), None, ""
         if model.needs_nocontact:
@@ -166,7 +166,7 @@ class Reader:
         return reader_with, (self.model, self._given, self.gain)
 
 
-def reader_with(model: Model, picture: np.ndarray | None, gain: Gain = AS_READ) -> Reader:
+def reader_with(model: ForceModel, picture: np.ndarray | None, gain: Gain = AS_READ) -> Reader:
     """A reader with a known factor on forces."""
     reader = Reader.__new__(Reader)
     reader._set(model, picture, gain)

@@ -27,7 +27,7 @@ SHIP = option(
 
 @stage(Layout.card, MEASURED, SHIP)
 def main(args: Namespace) -> None:
-    from gelforge.reading.model import SHIPPED, Model, fingerprint, load_model, save_model
+    from gelforge.reading.model import SHIPPED, ForceModel, fingerprint, load_model, save_model
 
     of = args.of
     network = SHIPPED if args.model == SHIPS else of.network(args.resolution, args.model)
@@ -42,7 +42,7 @@ def main(args: Namespace) -> None:
         if "real" in found and metadata.get("intervals"):
             metadata = metadata | {"intervals": metadata["intervals"] | {"real": found["real"]}}
     if args.ship:
-        save_model(args.ship, Model(metadata, model.graph))
+        save_model(args.ship, ForceModel(metadata, model.graph))
     figures, readings = ([row for found in own for row in found.get(name, [])] for name in ("figures", "readings"))
     write_text(args.out, write_card(metadata, evaluation, figures, readings))
 

@@ -76,7 +76,7 @@ def choose(rows: list[dict]) -> dict | None:
 
 
 def measure(models: dict, image, seconds: float) -> dict[str, dict[str, dict]]:
-    """Latency of models by name (reading.model.Model), with one and two CPU threads, and on CUDA if present.
+    """Latency of models by name (reading.model.ForceModel), with one and two CPU threads, and on CUDA if present.
 
     image: (h, w, 3) uint8, also used as the no-contact image, whose content does not affect the time.
     """

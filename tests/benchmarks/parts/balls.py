@@ -16,7 +16,7 @@ from gelforge.mechanics.material import REFERENCE_C10, Material
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.reading.forcereading import ForceReading
-from gelforge.reading.model import Model
+from gelforge.reading.model import ForceModel
 from gelforge.reading.profile import fit_gain
 from gelforge.reading.reader import Reader
 from gelforge.records.press import Press
@@ -121,7 +121,7 @@ def drawn_press(camera: Renderer, diameter: float, place: tuple[float, float, fl
     return camera.image(field_of(Gel(), surface), Pressed(body, surface.press), np.random.default_rng(number + 1))
 
 
-def drawn_totals(model: Model, unit: str, **changed) -> np.ndarray:
+def drawn_totals(model: ForceModel, unit: str, **changed) -> np.ndarray:
     """Normal forces (n,) N that are predicted of balls on a unit of the rig with another appearance when it is pressed."""
     look = read_appearances(ROOT / "workflow/rig/sensors.toml")[unit]
     projection = load_sensors(ROOT / "workflow/sensors.toml")[unit].projection
@@ -131,7 +131,7 @@ def drawn_totals(model: Model, unit: str, **changed) -> np.ndarray:
     return np.array([-predictor(image).total[2] for image in images])
 
 
-def motion_figures(model: Model) -> list[Figure]:
+def motion_figures(model: ForceModel) -> list[Figure]:
     """Forces predicted of drawn balls whose markers move less than finite elements say, and how much of them hangs on what."""
     true = np.array([true_force(d, depth) for d in BALLS_MM for *_, depth in DRAWN]) * RIG_C10 / REFERENCE_C10
     figures, gone = [], {"in-plane motion": {"normal_motion": 0.0}, "slopes": {"slope_gain": np.zeros(3)}}

@@ -9,7 +9,7 @@ import numpy as np
 
 from gelforge.reading.forcereading import BEYOND
 from gelforge.reading.markers import markers_in
-from gelforge.reading.model import Model
+from gelforge.reading.model import ForceModel
 from gelforge.reading.reader import Reader
 from gelforge.records.film import numbered
 from gelforge.records.nocontactimage import SETTLING, find_nocontact
@@ -54,7 +54,7 @@ def motion_of(markers: np.ndarray, rest: np.ndarray, image: np.ndarray) -> np.nd
     return np.where(kept[:, None], (found - start).reshape(-1, 2), np.nan)
 
 
-def read_film(path: Path, model: Model) -> Read:
+def read_film(path: Path, model: ForceModel) -> Read:
     """Read every third frame of a film, and follow its markers."""
     images = frames_of(path)
     rest, _ = find_nocontact(numbered(images), str(path))

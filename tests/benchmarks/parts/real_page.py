@@ -8,7 +8,7 @@ import numpy as np
 
 from gelforge.flow.files import write_text
 from gelforge.formats.featsfile import read_npy
-from gelforge.reading.model import Model
+from gelforge.reading.model import ForceModel
 from gelforge.reading.reader import Reader
 from gelforge.records.film import numbered
 from gelforge.records.image import encode_png, read_image
@@ -65,7 +65,7 @@ def rows_of(pictures: list[np.ndarray]) -> Iterator[bytes]:
         yield strip(pictures[start : start + A_ROW])
 
 
-def film_section(model: Model, films: Sequence[Path]) -> Section:
+def film_section(model: ForceModel, films: Sequence[Path]) -> Section:
     """Of each film its no-contact image and the frame that is least like it."""
     section = Section("Films of grippers").text(
         "Left: the first frames at rest. Right: the frame that is least like them. Each with its normal force"
@@ -83,7 +83,7 @@ def film_section(model: Model, films: Sequence[Path]) -> Section:
     return section
 
 
-def feats_sections(model: Model, reference: Path) -> list[Section]:
+def feats_sections(model: ForceModel, reference: Path) -> list[Section]:
     """FEATS' cuboid, and presses of its film beside FEATS' own normal maps."""
     rest = read_npy(reference / "feats/images/nocontact_train_sensor.npy")["gs_img"]
     predictor = Reader(rest, model=model)
@@ -106,7 +106,7 @@ def feats_sections(model: Model, reference: Path) -> list[Section]:
     return [one, section]
 
 
-def write_page(path: Path, model: Model, reference: Path, films: Sequence[Path], figures: list[Figure]) -> None:
+def write_page(path: Path, model: ForceModel, reference: Path, films: Sequence[Path], figures: list[Figure]) -> None:
     """Write the page."""
     sections = [figure_table(figures), film_section(model, films), *feats_sections(model, reference)]
     lead = "No force was measured beside these pictures. The network learnt from the virtual rig alone."

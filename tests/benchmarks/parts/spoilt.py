@@ -7,7 +7,7 @@ import numpy as np
 
 from gelforge.reading.forcereading import ForceReading
 from gelforge.reading.markers import markers_in
-from gelforge.reading.model import Model
+from gelforge.reading.model import ForceModel
 from gelforge.reading.reader import Reader
 from gelforge.reading.wear import painted_over
 from tests.support.figures import Figure
@@ -34,7 +34,7 @@ class Series:
     """Some images (h, w, 3) uint8 of presses into one real sensor, its no-contact image, and what is predicted from them."""
 
     what: str
-    model: Model
+    model: ForceModel
     nocontact: np.ndarray
     images: Sequence[np.ndarray]
     read: Sequence[ForceReading]
