@@ -89,7 +89,8 @@ def test_methods_agree_within_what_they_state(press):
 
 def test_less_friction_holds_less_sideways():
     drag = {
-        friction: gelforge.solve("sphere_10", 0.5, shear=(0.4, 0.0), friction=friction) for friction in (0, 0.3, math.inf)
+        friction: gelforge.solve("sphere_10", 0.5, shear=(0.4, 0.0), friction=friction)
+        for friction in (0, 0.3, math.inf)
     }
     sideways = [press.total[0] for press in drag.values()]
     assert abs(sideways[0]) < -0.01 * drag[0].total[2]  # the dome falls away
