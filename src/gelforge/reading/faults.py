@@ -201,7 +201,7 @@ PAIR = (
     ),
     Fault(
         measures.rim_px,
-        "the rim of the gel moved by {value:.1f} px since the no-contact image",
+        "the rim of the gel moved by {value:.1f} px since the no-contact image: the image is of another unit, or the gel was moved",
         "1 px above the 99 % quantile of 422 good pairs of units of the rig",
         most=5.07,
     ),
@@ -213,7 +213,7 @@ PAIR = (
     ),
     Fault(
         measures.uneven,
-        "the marker pattern differs from that of the no-contact image: the image is of another gel, or its markers cannot be tracked",
+        "the marker pattern differs from that of the no-contact image: they are of different sensors, or its markers cannot be tracked",
         "1.5 times the 99 % quantile of 422 good pairs of units of the rig; at most 0.23 in 179 others",
         most=0.566,
     ),

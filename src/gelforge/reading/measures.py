@@ -99,8 +99,8 @@ def pattern_likeness(pair: Pair) -> float:
     """
     if pair.nocontact is None or pair.light is None:
         return 1.0
-    alike = likeness(pair.image.pattern, pair.nocontact.picture.pattern)
-    if alike >= OWN_PATTERN or _same_light(pair.image.image, pair.nocontact.picture.image, pair.light):
+    alike = likeness(pair.framed.pattern, pair.nocontact.picture.pattern)
+    if alike >= OWN_PATTERN or _same_light(pair.framed.image, pair.nocontact.picture.image, pair.light):
         return 1.0
     return alike
 
@@ -119,7 +119,7 @@ def flipped(pair: Pair) -> str:
     """How the image is turned, mirrored or coloured compared with the no-contact image; empty where it is not."""
     if pair.nocontact is None or pair.light is None:
         return ""
-    image, rest = pair.image, pair.nocontact.picture
+    image, rest = pair.framed, pair.nocontact.picture
     alike = likeness(image.pattern, rest.pattern)
     if alike >= 1.0 - FLIPPED:
         return ""

@@ -9,7 +9,7 @@ profile. Stages 15 and 60 compare the images of a log by the same lines.
 """
 
 from copy import copy
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -66,7 +66,7 @@ class NoContact:
 
     def itself(self) -> "Pair":
         """This image beside itself; what is read in it is subtracted from all other forces."""
-        return Pair(self.picture, self.picture, self, None, self.frame.shape, self.coloured)
+        return Pair(self.picture, self.picture, self, None, self.frame.shape, self.picture, self.coloured)
 
     def compare(self, image: np.ndarray, given: tuple[int, ...] | None = None) -> "Pair":
         """Undo shift of the gel, change of light and wear of an image (h, w, 3) uint8 in the network's frame.
@@ -77,7 +77,8 @@ class NoContact:
         if self.frame.shows_rim:  # else it is not known how the gel is mounted
             shift = rim_shift(self.markers, pair.tracks)
             if shift.any():
-                pair = self.under_its_light(shifted_back(image, shift), given, shift)
+                framed = pair.framed
+                pair = replace(self.under_its_light(shifted_back(image, shift), given, shift), framed=framed)
         return self._without_worn(pair)
 
     def under_its_light(
@@ -86,7 +87,7 @@ class NoContact:
         """Undo only the change of light of an image (h, w, 3) uint8 in the network's frame; shift: undone before, px."""
         lit, light = self.reference.normalised(image)
         seen, shape = Picture(image, self.frame.shown), given or self.frame.shape
-        return Pair(seen, Picture(lit, self.frame.shown), self, light, shape, self.coloured, shift)
+        return Pair(seen, Picture(lit, self.frame.shown), self, light, shape, seen, self.coloured, shift)
 
     def _without_worn(self, pair: "Pair") -> "Pair":
         """The same without the markers that only one of the two images shows."""
@@ -102,9 +103,7 @@ class NoContact:
         worn = self.without(gone) if gone.any() else self
         places = np.concatenate([places_in(tracks, markers)[gone], more])
         lit, light = worn.reference.normalised(painted_over(pair.image.image, places, markers.diameter))
-        return Pair(
-            pair.image, Picture(lit, self.frame.shown), worn, light, pair.given, pair.coloured, pair.shift, places
-        )
+        return replace(pair, lit=Picture(lit, self.frame.shown), nocontact=worn, light=light, places=places)
 
     def without(self, gone: np.ndarray) -> "NoContact":
         """The same with the markers `gone`, (n,) bool, painted over. Cached for later images, because wear stays."""
@@ -130,7 +129,7 @@ class Pair:
 
     image: in the network's frame, registered; lit: also under the light of the no-contact image, without worn markers.
     nocontact: without the same markers; None for a network that reads the image alone, to which both pictures are one.
-    light: the change of light that was undone. given: shape of the camera's image. coloured: whether colour is expected.
+    light: the change of light that was undone. given: shape of the camera's image. framed: the image before registration. coloured: whether colour is expected.
     shift: (2,) px of the gel in its holder that was undone. places: (k, 2) px of markers that only one of both shows, painted over in both.
     """
 
@@ -139,6 +138,7 @@ class Pair:
     nocontact: NoContact | None
     light: Light | None
     given: tuple[int, ...]
+    framed: Picture
     coloured: bool = True
     shift: np.ndarray = field(default_factory=lambda: NO_SHIFT)
     places: np.ndarray = field(default_factory=lambda: NOWHERE)
@@ -177,4 +177,4 @@ class Pair:
 def alone(image: np.ndarray, given: tuple[int, ...], coloured: bool) -> Pair:
     """An image (h, w, 3) uint8 in a network's frame, for a network that reads it alone."""
     seen = Picture(image)
-    return Pair(seen, seen, None, None, given, coloured)
+    return Pair(seen, seen, None, None, given, seen, coloured)
