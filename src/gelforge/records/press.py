@@ -152,7 +152,8 @@ class PressRecord:
     @property
     def press(self) -> Press:
         """Pose and path."""
-        return Press(*(getattr(self, name) for name in POSE), *self.tilt)
+        x, y = self.tilt
+        return Press(self.x0_mm, self.y0_mm, self.z0_mm, self.dx_mm, self.dy_mm, self.dz_mm, self.rot_deg, x, y)
 
     @property
     def tilt(self) -> tuple[float, float]:

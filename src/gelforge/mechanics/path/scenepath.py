@@ -9,6 +9,7 @@ import numpy as np
 from gelforge.errors import SolveFailed
 from gelforge.mechanics.contact.penalty import FREE, STICK, TOUCHING
 from gelforge.mechanics.mesh.gelmesh import GelMesh
+from gelforge.mechanics.mesh.hexmesh import HexMesh
 from gelforge.mechanics.path.equilibrium import NOISY, NOISY_INTERPOLATED, PARTS, SHORT, Aim, Equilibrium, System
 from gelforge.mechanics.path.loadpath import gaps, path_pose
 from gelforge.mechanics.path.pathsettings import PathSettings
@@ -437,6 +438,8 @@ class ScenePath(Equilibrium):
 
     def path(self, size: float) -> LoadPath:
         """All load steps so far; the last one is the current state. size: of the hexahedra under the press, mm."""
+        if not isinstance(self.mesh, HexMesh):
+            raise TypeError("only a path on hexahedra is carried to another mesh")
         times, states = [t for t, _ in self._states], [*(u for _, u in self._states[:-1]), self.u]
         return LoadPath(self.scene, self.mesh, times, states, size, self._anchors)
 
