@@ -317,8 +317,6 @@ def _result(run: ScenePath, mesh: HexMesh, status: Status, started: float, name:
     if status is not Status.DIVERGED:
         forces = run.contact_forces()
         evidence |= run.checks(forces) | run.friction()
-    elif run.reason:
-        evidence["reason"] = run.reason
         if evidence["base_mismatch"] > BALANCE:
             status = Status.UNBALANCED
         elif evidence.get("beyond_cone", 0.0) > BEYOND_CONE:
@@ -329,6 +327,8 @@ def _result(run: ScenePath, mesh: HexMesh, status: Status, started: float, name:
             status = Status.OUT_OF_RANGE
             evidence["reason"] = f"{reason}; {status.value}"
             forces = np.zeros_like(run.u)
+    elif run.reason:
+        evidence["reason"] = run.reason
     run.record()
     evidence["path"] = run.curve
     evidence |= {"reached": float(run.t), "cuts": run.control.cuts, "factorisations": run.factorisations}
