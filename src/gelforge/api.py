@@ -17,7 +17,8 @@ from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import Sensor
 from gelforge.mechanics.material import REFERENCE_C10, Material
 from gelforge.mechanics.mesh.gelmesh import GelMesh
-from gelforge.mechanics.scene import FRICTION, Interface, Scene
+from gelforge.mechanics.result import friction_error_n
+from gelforge.mechanics.scene import FRICTION, FRICTION_ERROR, Interface, Scene
 from gelforge.records.press import Press
 
 PARAMETERS = Path(__file__).parent / "flow"  # folder of params.toml in an installed package
@@ -34,7 +35,9 @@ class SolvedPress:
         mesh: its n nodes (n, 3) mm in the gel frame, undeformed, and its elements.
         forces: contact force on the gel at the nodes, (n, 3) N along gel x, y, z; pressing is negative.
         displacement: of the nodes, (n, 3) mm.
-        error_n: 90 % bound on the error of the total force's magnitude, N; NaN if unknown.
+        error_n: 90 % bound on the error of the mesh, of the total force's magnitude, N; NaN if unknown.
+        friction_error_n: by how much the total force is off, N, if the friction coefficient is off by 0.2; NaN unless
+            `friction` is a finite coefficient above 0. evidence["slipping"]: share of the force in points that slip.
         evidence: diagnostics of the solver, such as its load steps.
         indenter, method: names of the body and of the method that solved it.
     """
@@ -44,6 +47,7 @@ class SolvedPress:
     forces: np.ndarray
     displacement: np.ndarray
     error_n: float
+    friction_error_n: float
     evidence: dict[str, Any]
     indenter: str
     method: str
@@ -173,9 +177,9 @@ def solve(
         mesh = load_mesh(result.evidence["mesh"])
     stiffer = c10 / REFERENCE_C10  # exact, because stress is proportional to C10
     forces, error_n = stiffer * result.forces, stiffer * result.error_n
-    return SolvedPress(
-        gel, mesh, forces, result.displacement, error_n, result.evidence, body.name, result.evidence["method"]
-    )
+    friction_n = stiffer * friction_error_n(result.evidence, interface.mu, FRICTION_ERROR)
+    how = result.evidence["method"]
+    return SolvedPress(gel, mesh, forces, result.displacement, error_n, friction_n, result.evidence, body.name, how)
 
 
 def _body(indenter: Indenter | dict[str, Any] | str) -> Any:

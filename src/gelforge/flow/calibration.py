@@ -22,14 +22,25 @@ from gelforge.flow.tables import Params
 FROZEN = "calibration.toml"  # in data/DATASET/, beside dataset.toml
 KINDS = {"name": str, "law": str, "presses": list, "params": dict}
 # Decimals that are kept: fewer than any posterior resolves, so that another processor finds the same values.
-DIGITS = {"c10": 4, "touch_offset_mm": 3, "compliance_mm_per_n": 4, "shear_compliance_mm_per_n": 4, "mu": 2}
+DIGITS = {
+    "c10": 4,
+    "touch_offset_mm": 3,
+    "compliance_mm_per_n": 4,
+    "shear_compliance_mm_per_n": 4,
+    "mu": 2,
+    "mu_error": 2,
+}
 BENCH = {
     "touch_offset_mm": "offset",
     "compliance_mm_per_n": "compliance",
     "shear_compliance_mm_per_n": "shear_compliance",
 }
 INTERVALS = ("interval68", "interval95")
-SET = {"material": {"c10", *(f"c10_{name}" for name in INTERVALS)}, "poses": set(BENCH), "interface": {"mu"}}
+SET = {
+    "material": {"c10", *(f"c10_{name}" for name in INTERVALS)},
+    "poses": set(BENCH),
+    "interface": {"mu", "mu_error"},
+}
 
 
 @dataclass(frozen=True)
@@ -54,7 +65,12 @@ def found_in(dataset: str, summary: Mapping[str, Any]) -> CalibratedValues:
     poses = {key: round(bench[name], DIGITS[key]) + 0.0 for key, name in BENCH.items()}
     params = {"material": material, "poses": poses}
     if "mu" in summary["parameters"]:
-        params["interface"] = {"mu": round(summary["parameters"]["mu"]["median"], DIGITS["mu"])}
+        mu = summary["parameters"]["mu"]
+        low, high = mu["interval95"]
+        params["interface"] = {
+            "mu": round(mu["median"], DIGITS["mu"]),
+            "mu_error": round((high - low) / 2, DIGITS["mu_error"]),
+        }
     digest = hashlib.sha256(repr(params).encode()).hexdigest()[:6]
     return CalibratedValues(f"{dataset}-{digest}", summary["law"], tuple(summary["used"]), params)
 

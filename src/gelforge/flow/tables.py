@@ -295,6 +295,7 @@ class InterfaceTable(ParameterTable):
 
     law: Law
     mu: Annotated[Number, Within(0.0, 1e3)]
+    mu_error: Annotated[Number, Within(0.0, 1e3)]
 
 
 class FeaTable(ParameterTable):

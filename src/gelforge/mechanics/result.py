@@ -1,8 +1,9 @@
 """Output of a solver."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -12,6 +13,17 @@ from gelforge.records.status import Status
 
 BEYOND_CONE = 5e-3  # largest tangential force above Coulomb's limit in a valid result, over the normal force
 BALANCE = 1e-6  # relative difference allowed between contact force and base reaction of a valid result
+
+
+def friction_error_n(evidence: Mapping[str, Any], mu: float, error: float) -> float:
+    """Error of the total force, N, where Coulomb's coefficient `mu` is off by `error`; NaN if the solve had another law.
+
+    To first order, while the same points slip: 0 where none does. Of a straight press it is nearly 0, though its
+    normal force depends a little on friction.
+    """
+    if mu <= 0.0 or "friction_n" not in evidence:
+        return np.nan
+    return float(evidence["friction_n"]) * error / mu
 
 
 class NoEquilibrium(Exception):
@@ -46,14 +58,6 @@ class Result:
     def error_n(self) -> float:
         """90 % bound on the error of the total force's magnitude, N; 0 without contact, NaN if unknown."""
         return 0.0 if self.status is Status.NO_CONTACT else float(self.evidence.get("error_n", np.nan))
-
-    def friction_error_n(self, mu: float, error: float) -> float:
-        """Error of the total force, N, if the coefficient of friction is off by `error`; 0 where nothing slips.
-
-        To first order, while the same points slip: for an axisymmetric press it is 0 though its normal force depends
-        a little on friction.
-        """
-        return float(self.evidence.get("friction_n", 0.0)) * error / mu if mu > 0.0 else 0.0
 
     @property
     def error_share(self) -> float:

@@ -11,7 +11,10 @@ from gelforge.mechanics.contact.law import ContactLaw, Coulomb, Frictionless, No
 from gelforge.mechanics.material import Material
 from gelforge.records.press import Press
 
-FRICTION = 0.7  # coefficient between indenter and gel where no calibration gives one
+FRICTION, FRICTION_ERROR = (
+    0.7,
+    0.2,
+)  # coefficient between indenter and gel where no calibration gives one, and its error
 
 
 @dataclass(frozen=True)

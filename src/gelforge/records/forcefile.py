@@ -13,6 +13,7 @@ An uncompressed .npz. `n` samples; `k` contact nodes and `m` surface nodes, all 
 | extrapolated | (n,) float64 | factor that corrects `force`, not `displacement`, for the size of hexahedra; 1: none |
 | error_n | (n,) float64 | N, 90 % bound on the error of the total force's magnitude; NaN: not known |
 | cells_error_n | (n,) float64 | N, the same of the forces per cell of a 24 x 32 grid, summed over cells |
+| friction_error_n | (n,) float64 | N, error of the total force by that of the friction coefficient, `[interface] mu_error`; 0: nothing slips |
 | press_id | (n,) str | only if samples are frames of a press: its identifier |
 
 Samples without a valid state have no nodes. Labels read `force` only, and a zip member can be read alone. Nothing is
@@ -34,7 +35,8 @@ from gelforge.records.arrays import Archive, Schema
 from gelforge.records.status import Status
 
 INTERVALS = ("c10_interval68", "c10_interval95")
-NUMBERS = ("extrapolated", "error_n", "cells_error_n")  # of each sample
+NUMBERS = ("extrapolated", "error_n", "cells_error_n", "friction_error_n")  # of each sample
+ERRORS = NUMBERS[1:]  # those in N, which scale with C10
 
 
 @dataclass(frozen=True)
@@ -51,6 +53,7 @@ class SampleForces:
     extrapolated: float = 1.0
     error_n: float = np.nan
     cells_error_n: float = np.nan
+    friction_error_n: float = np.nan
 
     @classmethod
     def failed(cls, sample_id: str, status: str, mesh: str = "", press_id: str = "") -> "SampleForces":

@@ -11,6 +11,7 @@ An uncompressed .npz. `n` samples:
 | extrapolated | (n,) float64 | factor that corrects forces, not displacement, for the size of hexahedra; 1: none |
 | error_n | (n,) float64 | N, 90 % bound on the error of the total force's magnitude; NaN: not known |
 | cells_error_n | (n,) float64 | N, the same of the forces per cell of a 24 x 32 grid, summed over cells |
+| friction_error_n | (n,) float64 | N, error of the total force by that of the friction coefficient, `[interface] mu_error`; 0: nothing slips |
 | c10 | () float64 | MPa, the material of the forces; absent where a force sensor measured them |
 | c10_interval68, c10_interval95 | (2,) float64 | MPa, where the material was calibrated; labels scale with c10 |
 
@@ -97,6 +98,7 @@ class LabelShard:
     extrapolated: np.ndarray
     error_n: np.ndarray
     cells_error_n: np.ndarray
+    friction_error_n: np.ndarray
     fields: dict[str, np.ndarray]
 
     def index(self, sample_id: str) -> int:

@@ -14,7 +14,7 @@ from gelforge.records.table import read_table, write_table
 EVIDENCE = (
     "attempt", "rounds", "newton_iterations", "load_steps", "seconds", "kinematics_seconds", "peak_mib",
     "equilibrium_residual", "base_mismatch", "penetration_mm", "pulling_fraction", "engine_difference", "extrapolated", "error_n",
-    "cells_error_n",
+    "cells_error_n", "slipping", "friction_error_n",
 )  # fmt: skip
 NAMES = ("sample_id", "status", "reason", "method", "mesh", "key")
 COLUMNS = (*NAMES, *FORCE, *EVIDENCE)

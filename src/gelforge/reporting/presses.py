@@ -15,6 +15,8 @@ NUMBERS = (
     *TILT,
     *(f"{kind}_{axis}" for kind in ("label", "network", "measured") for axis in CHANNELS),
     "error_n",
+    "friction_error_n",
+    "slipping",
     "seconds",
     "peak_mib",
 )  # fmt: skip
@@ -81,7 +83,7 @@ def _press(
         row[f"measured_{axis}"], row[f"label_{axis}"] = press.force[at], known[at]
         row[f"network_{axis}"] = np.nan if total is None else total[at]
     if solve:
-        row["error_n"] = solve.number("error_n")
+        row |= {name: solve.number(name) for name in ("error_n", "friction_error_n", "slipping")}
     return row
 
 

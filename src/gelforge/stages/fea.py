@@ -4,6 +4,7 @@ import json
 import tempfile
 from argparse import Namespace
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -15,13 +16,14 @@ from gelforge.flow.cli import stage
 from gelforge.flow.files import digest_of_value, read_json
 from gelforge.flow.layout import POSES, Layout
 from gelforge.flow.params import StageParameters, read_parameters
-from gelforge.flow.tables import FeaTable
+from gelforge.flow.tables import FeaTable, InterfaceTable
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.indenters import bodies_of
 from gelforge.labelling.sensor import sensor_of
+from gelforge.mechanics.contact.law import Frictionless, NoSlip
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.mesh.names import load_mesh
-from gelforge.mechanics.result import Result
+from gelforge.mechanics.result import Result, friction_error_n
 from gelforge.mechanics.scene import Interface, PosedFile, Scene
 from gelforge.mechanics.solve import Solvers, settings_of, solve_key
 from gelforge.mechanics.solvers.ccx import CcxResult
@@ -33,7 +35,12 @@ from gelforge.records.solvetable import Solved, write_solves
 from gelforge.records.status import Status
 from gelforge.sweeps import verification
 
-VERSION = 19
+VERSION = 20
+FIRM_N = 0.2  # force sideways, N, from which on a reading is compared with the contact law
+# Force sideways over mu times the normal force above which a reading contradicts the law: a body that slides also ploughs,
+# solved slides of balls, blocks and edges reach 1.08, that of a pyramid 1.20.
+BEYOND_LAW = 1.2
+NAMED = 5  # samples in a note
 
 
 def scene_of(
@@ -90,11 +97,15 @@ def publish_solve(result: Result, key: str, store: SolveStore) -> dict:
     return store.publish(key, record, arrays)
 
 
-def solved(record: dict, press: PosedPress) -> Solved:
+def solved(record: dict, press: PosedPress, interface: InterfaceTable) -> Solved:
     """A sample's row of the shard's table, from the record of its solve."""
+    evidence = dict(record["evidence"])
+    off = friction_error_n(evidence, interface.mu, interface.mu_error)
+    if np.isfinite(off):
+        evidence["friction_error_n"] = off
     return Solved(
         press.sample_id, Status[record["status"]], record["reason"], record["method"], record["mesh"], record["key"],
-        tuple(record["total"]), record["evidence"], press.press_id,
+        tuple(record["total"]), evidence, press.press_id,
     )  # fmt: skip
 
 
@@ -127,7 +138,7 @@ def run_shard(
                 ) from error
             records |= {press.sample_id: record for press, record in zip(frames, found, strict=True)}
             verify_press(frames[-1], scenes, found[-1], solvers, params, tables, store, checked)
-    return [solved(records[press.sample_id], press) for press in presses]
+    return [solved(records[press.sample_id], press, params.interface) for press in presses]
 
 
 def run_press(keys: list[str], scenes: list[Scene], solvers: Solvers, store: SolveStore) -> list[dict]:
@@ -190,6 +201,39 @@ def verify_press(press: PosedPress, scenes: list[Scene], record: dict, solvers: 
     verification.write_verified(path, verification.compare(about, errors, *compared))
 
 
+def friction_notes(presses: Sequence[PosedPress], interface: InterfaceTable) -> list[str]:
+    """Rows that contradict the contact law: too much force sideways, or a slide without slip.
+
+    A force sideways beyond mu times the normal one counts from FIRM_N on: below it, a sensor's zero may do it.
+    """
+    law = Interface(interface.law, interface.mu).contact
+    most = {Frictionless.name: 0.0, NoSlip.name: np.inf}.get(interface.law, interface.mu)
+    strong, far = [], []
+    for press in presses:
+        fx, fy, fz = press.force
+        aside = float(np.hypot(fx, fy))
+        if aside > FIRM_N and aside > BEYOND_LAW * most * abs(fz):
+            strong.append(press.sample_id)
+        if law.sticks and not law.slips and np.hypot(press.dx_mm, press.dy_mm) > -(press.z0_mm + press.dz_mm):
+            far.append(press.sample_id)
+    found = []
+    if strong:
+        found.append(
+            f"{_named(strong)}: the log's force sideways is more than {most:g} times the normal one, which the law"
+            f" {interface.law} does not allow: labels will be lower; calibrate friction, or set mu of [interface]"
+        )
+    if far:
+        found.append(
+            f"{_named(far)}: the tip moves farther sideways than down, and under the law {interface.law} no point may slip:"
+            ' labels may be several times too large sideways; set law = "coulomb" of [interface]'
+        )
+    return found
+
+
+def _named(names: list[str]) -> str:
+    return ", ".join(names[:NAMED]) + (f" and {len(names) - NAMED} more" if len(names) > NAMED else "")
+
+
 def read_shard(of: Layout, shard: str) -> tuple[StageParameters, dict, list[PosedPress], dict]:
     """Inputs of stage 30 for a shard: parameters, catalogues, presses, and their bodies by name."""
     tables = read_json(of.used(shard))
@@ -211,6 +255,8 @@ def main(args: Namespace) -> None:
             print(f"failed: {solve.sample_id}: {solve.status.name}, {solve.reason}")
         elif solve.reason:
             print(f"note: {solve.sample_id}: {solve.reason}")
+    for line in friction_notes(presses, params.interface):
+        print(f"note: {line}")
     lost = Counter(f"{solve.status.name}: {solve.reason}" for solve in solves if not solve.status.valid)
     print(json.dumps({"done": len(solves) - lost.total(), "failed": lost}))
 

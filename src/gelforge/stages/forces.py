@@ -18,7 +18,7 @@ from gelforge.flow.tables import MaterialTable
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.mechanics.mesh.names import load_mesh
 from gelforge.records.arrays import in_short
-from gelforge.records.forcefile import INTERVALS, SampleForces, write_forces
+from gelforge.records.forcefile import ERRORS, INTERVALS, SampleForces, write_forces
 from gelforge.records.solvestore import SolveStore
 from gelforge.records.solvetable import Solved, read_solves
 from gelforge.records.status import Status
@@ -54,6 +54,7 @@ def read_sample(solve: Solved, store: SolveStore) -> tuple[SampleForces, str]:
         1.0 if np.isnan(factor) else factor,
         solve.number("error_n"),
         solve.number("cells_error_n"),
+        solve.number("friction_error_n"),
     )
     return found, ""
 
@@ -96,7 +97,7 @@ def main(args: Namespace) -> None:
             lost[f"{sample.status}: {Status[sample.status].value}"] += 1
         # At a fixed Poisson's ratio and prescribed motion every force is proportional to C10.
         stiffer = c10 / REFERENCE_C10
-        errors = {name: stiffer * getattr(sample, name) for name in ("error_n", "cells_error_n")}
+        errors = {name: stiffer * getattr(sample, name) for name in ERRORS}
         samples.append(replace(sample, force=sample.force * stiffer, **errors))
     write_forces(args.out, samples, c10, intervals)
     valid = sum(Status[sample.status].valid for sample in samples)

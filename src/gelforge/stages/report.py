@@ -21,7 +21,7 @@ from gelforge.geometry.gel import load_gel
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.ccx.program import ccx_program
-from gelforge.records.forcefile import ForceFile
+from gelforge.records.forcefile import ERRORS, ForceFile
 from gelforge.records.log import read_poses
 from gelforge.records.predictionfile import read_predictions
 from gelforge.records.press import PosedPress
@@ -77,7 +77,7 @@ def with_forces(solves: list[Solved], path: Path) -> list[Solved]:
         return solves
     with ForceFile(path) as shard:
         ids, status, total = shard.sample_id.tolist(), shard.status.tolist(), shard.total.tolist()
-        errors = {name: shard.numbers[name].tolist() for name in ("error_n", "cells_error_n")}
+        errors = {name: shard.numbers[name].tolist() for name in ERRORS}
     known = {
         name: (status[at], total[at], {key: of[at] for key, of in errors.items()}) for at, name in enumerate(ids)
     }

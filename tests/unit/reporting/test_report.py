@@ -10,7 +10,7 @@ from importlib.metadata import version
 import numpy as np
 import pytest
 
-from gelforge.flow.files import digest_of, write_json
+from gelforge.flow.files import write_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.runs import costs_of, last_runs, stages
 from gelforge.geometry.gel import USUAL_GEL, load_gel
@@ -19,6 +19,7 @@ from gelforge.mechanics.mesh.hexmesh import FineBox
 from gelforge.mechanics.mesh.hexname import HexMeshName
 from gelforge.records.forcefile import ForceFile, SampleForces, write_forces
 from gelforge.records.press import PosedPress
+from gelforge.records.solvestore import SolveStore
 from gelforge.records.solvetable import Solved, read_solves, write_solves
 from gelforge.records.status import Status
 from gelforge.reporting.explorer import Explorer, Resampler, Shard, grid_points
@@ -78,14 +79,9 @@ def test_a_stated_error_is_the_same_part_of_the_force_from_solve_to_page(tmp_pat
     """Whatever C10 the labels have: a solve of 10 N +- 0.3 N becomes 20 N +- 0.6 N where the gel is twice as stiff."""
     of, mesh = Layout(tmp_path / "results/lab"), make_mesh()
     force = bump(mesh, 0.0, 0.0, 3.0, (0.0, 0.0, -10.0))[mesh.surface_nodes]
-    folder = of.fea("0000").parent / "0000"
-    folder.mkdir(parents=True)
-    np.savez(folder / "s.npz", force=force, displacement=0 * force)
-    write_json(folder / "s.json", {"files": ["s.npz"], "sha256": {"s.npz": digest_of(folder / "s.npz")}})
-    stated = {"error_n": 0.3, "cells_error_n": 0.9}
-    write_solves(
-        of.fea("0000"), [Solved("s", Status.OK, "", "draft", HEXAHEDRA, "0000/s.npz", (0.0, 0.0, -10.0), stated)]
-    )
+    SolveStore(of.solves).publish("a", {"status": "OK"}, {"force": force, "displacement": 0 * force})
+    stated = {"error_n": 0.3, "cells_error_n": 0.9, "friction_error_n": 0.5}
+    write_solves(of.fea("0000"), [Solved("s", Status.OK, "", "draft", HEXAHEDRA, "a", (0.0, 0.0, -10.0), stated)])
     pressed = PosedPress(
         **{key: value for key, value in vars(press_record(sample_id="s")).items() if key != "time_utc"}
     )
@@ -94,11 +90,12 @@ def test_a_stated_error_is_the_same_part_of_the_force_from_solve_to_page(tmp_pat
         forces.main([str(of.root), "0000"])
         with ForceFile(of.forces("0000")) as shard:
             assert shard.total[0] == pytest.approx([0.0, 0.0, -10.0 * stiffer], abs=1e-9)
-            found = [shard.numbers[name][0] for name in ("error_n", "cells_error_n")]
-        assert found == pytest.approx([0.3 * stiffer, 0.9 * stiffer])
+            found = [shard.numbers[name][0] for name in stated]
+        assert found == pytest.approx([0.3 * stiffer, 0.9 * stiffer, 0.5 * stiffer])
         solved = {one.sample_id: one for one in with_forces(read_solves(of.fea("0000")), of.forces("0000"))}
         row = press_rows([("0000", pressed)], [], solved, {}, {}, {pressed.sensor_id: USUAL_GEL})[0]
         assert row["label_fz"] == pytest.approx(-10.0 * stiffer) and row["error_n"] == pytest.approx(0.3 * stiffer)
+        assert row["friction_error_n"] == pytest.approx(0.5 * stiffer)
 
 
 def test_the_page_asks_nothing_from_outside(tmp_path):

@@ -107,7 +107,7 @@ function first() { el("rows").scrollTop = 0; if (state.order.length) choose(stat
 
 // ---- the list: only the rows in sight are in the page
 const ROW = 28;
-const SHOWN = [["id", "press"], ["error", "error, N"], ["label_fz", "label z, N"], ["error_n", "label off by at most, N"], ["network_fz", "network z, N"], ["indenter", "indenter"], ["sensor", "sensor"], ["split", "split"], ["status", "state"], ["reason", "reason"]];
+const SHOWN = [["id", "press"], ["error", "error, N"], ["label_fz", "label z, N"], ["error_n", "error of the mesh, N"], ["friction_error_n", "of friction, N"], ["slipping", "slipping"], ["network_fz", "network z, N"], ["indenter", "indenter"], ["sensor", "sensor"], ["split", "split"], ["status", "state"], ["reason", "reason"]];
 function drawRows() {
   const box = el("rows");
   if (!box.firstChild) {
