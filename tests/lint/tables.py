@@ -17,7 +17,6 @@ CHOSEN = {
 | --- | --- | --- | --- | --- |
 | `ccx` (CalculiX), the default | {fea: ccx, 16 scenes, median processor time|.2g} | {fea: ccx, 16 scenes, total force, median|.2g} %, {fea: ccx, 16 scenes, total force, worst|.2g} % | {fea: ccx, 16 scenes, cells, median|.2g} %, {fea: ccx, 16 scenes, cells, worst|.2g} % | {exact: ccx, total, median|.2g} %, {exact: ccx, total, worst|.2g} % |
 | `label` (hexahedra in process) | {fea: label, 16 scenes, median processor time|.2g} | {fea: label, 16 scenes, total force, median|.2g} %, {fea: label, 16 scenes, total force, worst|.2g} % | {fea: label, 16 scenes, cells, median|.2g} %, {fea: label, 16 scenes, cells, worst|.2g} % | {exact: label, total, median|.2g} %, {exact: label, total, worst|.2g} % |
-| FEATS' contact on meshes of 1.4 mm | | {fea: FEATS' contact, total force, median|.2g} %, {fea: FEATS' contact, total force, worst|.2g} % | {fea: FEATS' contact, cells, median|.2g} %, {fea: FEATS' contact, cells, worst|.2g} % | |
 """,
     "accuracy on real sensors": """
 | measured | value |
