@@ -114,6 +114,12 @@ def pytest_runtest_call(item):
     return result
 
 
+@pytest.fixture(autouse=True, scope="module")
+def no_meshes_of_others():
+    """A stage that a test of another module ran in this process left its folder of meshes; fixtures begin without it."""
+    os.environ.pop("GELFORGE_MESHES", None)
+
+
 @pytest.fixture(autouse=True)
 def in_project(monkeypatch):
     """Every test starts in the project's folder, wherever the one before it went, and with the project's gels and no folder of meshes."""

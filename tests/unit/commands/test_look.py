@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from gelforge.commands import look
-from gelforge.commands.deck import solve_of
+from gelforge.commands.deck import hand_out
 from gelforge.errors import BadInput
 from gelforge.flow.files import write_csv
 from gelforge.formats.vtu import write_vtu
@@ -136,7 +136,7 @@ def test_of_a_rejected_row_the_reason_is_reported_and_its_hint(tmp_path):
     with pytest.raises(BadInput, match=reported):
         run({"data": tmp_path, "results": tmp_path / "lab"}, "s7", "24x32")
     with pytest.raises(BadInput, match=reported):
-        solve_of(tmp_path / "lab", "s7")
+        hand_out(tmp_path / "lab", "s7", tmp_path / "deck")
 
 
 def test_refusals_say_what_to_do(made):

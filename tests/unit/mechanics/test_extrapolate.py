@@ -27,8 +27,9 @@ def half_pressed(order: str) -> ContactState:
     on = (places[:, 0] > -3.4) & (places[:, 0] < 0.0) & (np.abs(places[:, 1]) < 3.4)
     none = np.zeros_like(places)
     return ContactState(
-        np.zeros(len(places), int), np.ones((len(places), 1)), places, np.full(len(places), 0.01),
-        np.where(on, TOUCHING, FREE), none, none, none, none, none, none, places, np.where(on[:, None], [0.0, 0.0, -0.01], 0.0),
+        face=np.zeros(len(places), int), shape=np.ones((len(places), 1)), reference=places, weights=np.full(len(places), 0.01),
+        status=np.where(on, TOUCHING, FREE), stick_point=none, normal=none, goal=none, fading=none, multiplier=none, carried=none,
+        share=none[:, 0], position=places, traction=np.where(on[:, None], [0.0, 0.0, -0.01], 0.0),
     )  # fmt: skip
 
 

@@ -63,7 +63,7 @@ def test_every_package_of_an_extra_is_known_with_an_extra_that_brings_it(root):
     project = tomllib.loads((root / "pyproject.toml").read_text(encoding="utf-8"))["project"]
     base = set(map(bare, project["dependencies"]))
     brought = {}
-    for extra in ("solve", "stl", "plot", "flow", "train", "exports", "live", "hub"):
+    for extra in ("solve", "mesh", "stl", "plot", "flow", "train", "exports", "live", "hub"):
         for package in map(bare, project["optional-dependencies"][extra]):
             for name in MODULES.get(package, [package.replace("-", "_")]):
                 brought.setdefault(name, set()).add(extra)

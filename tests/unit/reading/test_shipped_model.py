@@ -48,7 +48,7 @@ def test_it_is_for_any_sensor_that_brings_its_no_contact_image(root):
     """It learnt from too many units to be one of theirs: the demo's report reads units of other names with it."""
     model = load_model(SHIPPED)
     assert model.needs_nocontact and len(model.metadata["sensors"]) > 8
-    require_sensor(model, {"any name"})
+    require_sensor(model, "any name")
     with pytest.raises(BadInput, match="give it with --nocontact NOCONTACT or --profile"):
         Reader(model=model)
 

@@ -68,7 +68,7 @@ def test_a_reading_has_the_same_order_in_tables_events_and_messages(made):
     row = total_columns(found)
     assert [row[name] for name in FORCE] == pytest.approx(PRESSED, abs=1e-4)
     assert [row[f"{name}_half_width_n"] for name in CHANNELS] == [0.1, 0.2, 0.3]
-    one = Reading(0, 0.0, found, 1.0, np.zeros((24, 32, 3), np.uint8))
+    one = Reading(0, 0.0, found, 1.0)
     event = one.event()
     assert {*FORCE} < {*COLUMNS} and [event[name] for name in FORCE] == pytest.approx(PRESSED, abs=1e-4)
     said = {topic.split("/", 2)[2]: message for topic, message in RosMessages("mini")(one)[1]}
