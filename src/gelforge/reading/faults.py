@@ -164,6 +164,12 @@ PAIR = (
         most=0.0,
     ),
     Fault(
+        measures.crowd,
+        "the image shows {value:.2f} times as many markers as the no-contact image: crop and scale both alike",
+        "at most 1.14 in real films, 1.8 in one that is cropped by a seventh",
+        most=1.35,
+    ),
+    Fault(
         measures.dark_likeness,
         "the image shows nothing of this sensor: it is dark, covered or of something else",
         "at least 0.59 in 579 own pairs (films, balls, rig), 0.49 to 0.64 beside another unit",
@@ -174,12 +180,6 @@ PAIR = (
         "the image and the no-contact image are of different sensors: their light comes from different sides",
         "at least 0.625 in 579 own pairs whose light differs (films, balls, rig); below 0.62 in 90 % of other units' pairs",
         least=0.62,
-    ),
-    Fault(
-        measures.crowd,
-        "the image shows {value:.2f} times as many markers as the no-contact image: crop and scale both alike",
-        "at most 1.14 in real films, 1.8 in one that is cropped by a seventh",
-        most=1.35,
     ),
     Fault(
         measures.distance,
