@@ -104,7 +104,7 @@ def long_path(which: str, row: tuple, scene: Scene, work: Path) -> np.ndarray:
 
 def measured(which: str, work: Path, numbers: range) -> list[dict]:
     """Error in %, iterations, fallback and processor time of each press, and that of the same press without slip."""
-    catalogue, rows = load_catalogue(ROOT / "workflow"), []
+    catalogue, rows = load_catalogue(ROOT / "workflow/indenters.toml"), []
     HexSolver(quality(which)).solve(scene_of(TABLE[0], catalogue))  # compiles what numba compiles
     for at in numbers:
         scene = scene_of(TABLE[at], catalogue)
