@@ -20,6 +20,7 @@ from gelforge.flow import params as config
 from gelforge.flow.cli import command, option
 from gelforge.flow.files import canonical, read_json, write_json
 from gelforge.flow.params import StageParameters
+from gelforge.flow.schema import plain
 from gelforge.geometry.gel import USUAL_GEL, Gel, load_gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.labelling.sensor import Sensor, load_sensors
@@ -27,6 +28,7 @@ from gelforge.mechanics.ccx.program import need_ccx, run_ccx
 from gelforge.mechanics.hexsettings import quality
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.scene import Interface, Scene
+from gelforge.mechanics.solve import Solvers
 from gelforge.records.press import Press
 from gelforge.records.status import VALID
 from gelforge.stages import pareto as branch
@@ -43,6 +45,7 @@ from gelforge.sweeps.trial import (
     measure,
     solve_isolated,
 )
+from gelforge.sweeps.verification import Check, check_of, surface_cells
 from tests.benchmarks.parts import fea_cost as cost
 from tests.support.figures import PUBLISHED_DATA, Figure, publish_figures
 
@@ -52,13 +55,24 @@ SPEED = {1.0: ("sphere_1mm", 15.0, 100.0), 2.0: ("sphere_2mm", 30.0, 100.0)}
 GOALS = {"ccx": ((None, None), (3.8, 7.0)), "label": ((0.3, 1.5), (4.5, 8.0)), "draft": ((None, None), (None, None))}
 METHODS = (*map(method_of, GOALS), LARGE_REFERENCE)
 NATIVE = "FEATS' contact"  # name of `ccx-contact` in the figures
+# Presses by CalculiX' own contact as a check has it, hard and without friction: body and depth, mm; their place, mm
+# and degrees; largest difference from `label` without friction in total force, %.
+CHECKED = {
+    "sphere_15": 0.8,
+    "cuboid_10": 0.4,
+    "cylinder_8": 0.5,
+    "triangle_10": 0.6,
+    "sphere_10": 0.5,
+    "pyramid_10": 0.6,
+}
+CHECKED_AT, CHECKED_GOAL = (0.5, -1.0, 10.0), 2.0
 ENVELOPE = 200
 # Round, flat, sharp and sheared scenes.
 FRAMED = ("sphere_1mm", "cuboid_round", "cuboid_shear", "pyramid", "punch", "cylinder")
 Goals = tuple[float | None, float | None]
 # %, largest difference from a reference of a solve with elements and load steps of twice the size
 DOUBLED_GOALS = {"total": 0.3, "cells": 1.5}
-PARTS = ("deck", "scenes", "native", "envelope", "cost")
+PARTS = ("deck", "scenes", "native", "checked", "envelope", "cost")
 
 
 # -- FEATS' own deck
@@ -194,6 +208,47 @@ def solve_native(bench: ChartBench, scenes: dict[str, NamedScene]) -> list[Figur
             record | {"errors": errors(record, measure(bench, scene, LARGE_REFERENCE)), "scene": scene.name}
         )
     return error_figures(NATIVE, records)
+
+
+def solve_checked(params: StageParameters, sensor: Sensor, catalogue: dict, folder: Path) -> list[Figure]:
+    """Differences of CalculiX' own contact from `label`, both without friction, for the presses CHECKED."""
+    records = []
+    for name, depth in tqdm(CHECKED.items(), "checked", len(CHECKED)):
+        x, y, turn = CHECKED_AT
+        press = Scene(
+            load_gel(USUAL_GEL),
+            Material(params.material.nu),
+            catalogue[name],
+            Press(x, y, 0, 0, 0, -depth, turn),
+            Interface(),
+        )
+        check = check_of("ccx", [press], params.fea)
+        path = folder / f"{name}.json"
+        key = hashlib.sha256(
+            canonical([params.version, depth, *CHECKED_AT, plain(check.second)]).encode()
+        ).hexdigest()
+        record = read_json(path) if path.exists() else {"key": ""}
+        if record["key"] != key:
+            record = {"key": key, "scene": name} | _checked(check, sensor, folder / "work")
+            write_json(path, record)
+        records.append(record)
+    return error_figures("CalculiX' own contact, hard, without friction", records, (None, CHECKED_GOAL))
+
+
+def _checked(check: Check, sensor: Sensor, work: Path) -> dict:
+    """Processor seconds of the second method of a check, and its differences from `label`; None if it failed."""
+    label = Solvers(work, check.second).solve(check.scenes[-1], "label")
+    with Clock() as clock:
+        found = Solvers(work, check.second).solve(check.scenes[-1], check.second.method)
+    evidence = found.evidence
+    made = {"cpu_seconds": clock.cpu_seconds, "status": found.status.name, "iterations": evidence["newton_iterations"],
+            "nodes": len(found.mesh.nodes), "penetration_mm": evidence["penetration_mm"],
+            "failed": evidence["failed_attempts"], "errors": None}  # fmt: skip
+    if found.status.valid and evidence["method"] == check.second.method:
+        one, other = ({"total": each.total, "cells": surface_cells(each.mesh, each.forces[each.mesh.surface_nodes], sensor)}
+                      for each in (found, label))  # fmt: skip
+        made["errors"] = errors(one, other)
+    return made
 
 
 def _faster(what: str, deck: dict, record: dict, goal: float) -> Figure:
@@ -367,6 +422,9 @@ def main(args: Namespace) -> None:
         figures += reference_figures(elements_doubled(args.references))
     if "native" in parts:
         figures += solve_native(bench, scenes)
+    if "checked" in parts:
+        catalogue = load_catalogue(args.workflow / "indenters.toml")
+        figures += solve_checked(params, sensors[params.pareto.sensor], catalogue, args.work / "checked")
     if "envelope" in parts:
         catalogue = load_catalogue(args.workflow / "indenters.toml")
         folder, engines = args.work / "envelope", (method_of("label"), method_of("ccx"))
