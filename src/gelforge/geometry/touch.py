@@ -128,8 +128,8 @@ def begins_inside(gel: Gel, indenter: Indenter, press: Press) -> bool:
     """
     points, _ = under_path(gel, indenter, press, TOUCH_STEP, (0.0,))
     rotation, translation = pose_at(press, 0.0)
-    lowered = max(0.0, float(-(indenter.surface()[0] @ rotation[2]).min())) if press.tilted else 0.0
-    lifted = translation + [0.0, 0.0, ABOVE_MM + lowered]
+    lower = float(-(indenter.surface()[0] @ rotation[2]).min()) if press.tilted else 0.0
+    lifted = translation + [0.0, 0.0, ABOVE_MM + max(0.0, lower)]
     return bool((indenter.distance((points - lifted) @ rotation)[0] < 0.0).any())
 
 
