@@ -91,7 +91,7 @@ def bare(result: Result) -> np.ndarray:
 
 def long_path(which: str, row: tuple, scene: Scene, work: Path) -> np.ndarray:
     """Total force (3,) N at the end of the long path, from `work` or solved; NaN where it fails."""
-    settings = replace(quality(which).with_steps(STEPS), nested=None, walk_mm=0.0)
+    settings = replace(quality(which).with_steps(STEPS), nested=None, walk_mm=0.0, slide_mm=0.0)
     key = hashlib.sha256(repr([row, hexahedra_key(settings)]).encode()).hexdigest()[:16]
     path = work / f"{key}.json"
     if not path.exists():

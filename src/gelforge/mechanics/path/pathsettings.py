@@ -20,7 +20,8 @@ class PathSettings:
     be halved. settle_rounds: most contact iterations at the end of the path. pull_tolerance: tension allowed at a
     sticking point, as a fraction of the largest pressure.
     press_mm, shear_mm: longest load steps of the two legs under a law with friction, mm. walk_mm: way at the end of a path on
-    coarse hexahedra that is walked on this mesh under such a law.
+    coarse hexahedra that is walked on this mesh under such a law; slide_mm: that of a press that moves sideways by more
+    than it presses, all of whose points slip.
     touched: gap up to which a point counts as having touched on a path on wider hexahedra, in widths of those.
     """
 
@@ -32,7 +33,8 @@ class PathSettings:
     shear_steps: int = 3
     press_mm: float = 0.05
     shear_mm: float = 0.1
-    walk_mm: float = 0.1
+    walk_mm: float = 0.05
+    slide_mm: float = 0.1
     tolerance: float = 1e-4
     final_tolerance: float = 1e-9
     rough: float = 1e-3

@@ -79,8 +79,8 @@ class HexSolver:
         """States at the frames of one press, scenes in order of time along one path; one result each, on one mesh.
 
         With nested settings the path is followed once on coarse hexahedra, and only its frames are solved on fine
-        ones. With Coulomb friction, whose forces depend on the whole slip of a point, or if the coarse path fails,
-        the path is followed on the fine hexahedra, and contact is iterated at each frame that it passes.
+        ones, with Coulomb friction after a short walk. If the coarse path fails, the path is followed on the fine
+        hexahedra, and contact is iterated at each frame that it passes; if a frame fails, so is the path to it alone.
         """
         began, start = time.perf_counter(), first_touch(scenes[-1])
         if start is None:
@@ -144,7 +144,8 @@ class HexSolver:
         times = [frame_time(scene, last) for scene in scenes]
         stops = list(times)
         if last.interface.contact.frictional:
-            stops += [walk_start(last, start, t, settings.walk_mm) for t in times if t > start + TOUCH]
+            walks = {settings.walk_mm, run.settings.walk_mm}
+            stops += [walk_start(last, start, t, walk) for walk in walks for t in times if t > start + TOUCH]
         status = run.follow(start, stops)
         if status is Status.DIVERGED:
             return none
@@ -184,6 +185,10 @@ class HexSolver:
         mesh = self.mesh(scene.gel, box)
         run = self._run(scene, mesh, self.settings, box.size)
         result = _result(run, mesh, run.arrive(coarse.path), started, name)
+        if not result.status.valid and run.settings.walk_mm > self.settings.walk_mm:
+            shorter = replace(run.settings, walk_mm=self.settings.walk_mm)
+            run = ScenePath(scene, shorter, mesh, self._system(mesh))
+            result = _result(run, mesh, run.arrive(coarse.path), started, name)
         # the coarse curve, scaled so that it ends at the fine force
         scale = float(np.linalg.norm(result.total)) / max(coarse.force, np.finfo(float).tiny)
         curve = [[t, *(scale * np.array(force)).tolist()] for t, *force in coarse.curve[:-1]]
@@ -218,12 +223,13 @@ class HexSolver:
         return self.settings.box or fine_box(scene, size, self.settings.across)
 
     def _run(self, scene: Scene, mesh: HexMesh, settings: HexSettings, size: float) -> ScenePath:
-        press, shear = settings.press_steps, settings.shear_steps
+        press, shear, walk = settings.press_steps, settings.shear_steps, settings.walk_mm
         if scene.interface.contact.frictional:
-            way = path_length(scene, first_touch(scene) or 0.0, 1.0)
-            press = max(press, int(np.ceil(way / settings.press_mm)))
-            shear = max(shear, int(np.ceil(np.hypot(scene.press.dx, scene.press.dy) / settings.shear_mm)))
-        steps = replace(settings, size=size, press_steps=press, shear_steps=shear)
+            down, aside = path_length(scene, first_touch(scene) or 0.0, 1.0), np.hypot(scene.press.dx, scene.press.dy)
+            press = max(press, int(np.ceil(down / settings.press_mm)))
+            shear = max(shear, int(np.ceil(aside / settings.shear_mm)))
+            walk = settings.slide_mm if aside > down else walk
+        steps = replace(settings, size=size, press_steps=press, shear_steps=shear, walk_mm=walk)
         return ScenePath(scene, steps, mesh, self._system(mesh))
 
     def _mesh(self, gel: Gel, box: FineBox, s: HexSettings) -> HexMesh:
