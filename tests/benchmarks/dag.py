@@ -135,6 +135,8 @@ def measure(root: Path, samples: int) -> list[Figure]:
         write_manifest(project, root, samples)
         timed_make(project, "-n", "labels")  # reads the plan in, so that shards exist
         shards = fill(project)
+        for stage in ("20_meshes", "calibrate"):
+            (project / "results/synthetic" / stage).mkdir(exist_ok=True)
         timed_make(project, "-t", "labels")
         if make(project, "-q", "DATASET=synthetic", "labels").returncode:
             raise RuntimeError("the synthetic manifest is not up to date after make -t; the benchmark would lie")

@@ -25,6 +25,7 @@ QUICK = {
 LEFT_OUT = {
     "fea": "solves with CalculiX, FEATS' deck for hours: tests/physics/test_ccx_contact.py and test_ccx_closed_forms.py",
     "calibration": "an emulator takes minutes: tests/workflow/test_calibrate.py",
+    "friction": "solves long paths for an hour: tests/physics/test_nested.py and test_laws.py",
     "edge_order": "solves every press of known force on hexahedra: tests/physics/test_laws.py",
     "faults": "plants 155 faults, for more than half an hour: tests/unit/test_repository.py",
     "exact": "solves every press of known force by every method: tests/physics/test_axisymmetric.py",

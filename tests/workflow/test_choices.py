@@ -203,7 +203,7 @@ def test_no_two_targets_share_a_log_and_a_record(with_nocontact):
     found = set(step_targets(with_nocontact, *goals))
     assert len(found) > 50
     assert {name.split("/")[2] for name in found if "/" in name} == {
-        "10_poses", "15_images", "30_fea", "40_forces", "50_labels", "60_dataset", "70_train", "80_evaluate", "90_report",
+        "10_poses", "15_images", "20_meshes", "30_fea", "40_forces", "50_labels", "60_dataset", "70_train", "80_evaluate", "90_report",
         "calibrate", "feats", "pareto", "pareto_models", "stability",
     }  # fmt: skip
     records = Counter(str(metrics_of(Path(name))) for name in found)
