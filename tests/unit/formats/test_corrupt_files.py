@@ -26,6 +26,7 @@ from gelforge.records.predictionfile import read_predictions, write_predictions
 from gelforge.records.press import COLUMNS, parse
 from gelforge.records.rowfile import RowFile
 from gelforge.records.samplefile import read_samples
+from gelforge.records.solvestore import SolveStore
 from gelforge.records.solvetable import Solved, read_solves, write_solves
 from gelforge.records.status import Status
 from gelforge.stages.forces import read_sample
@@ -49,8 +50,10 @@ def forces(path):
 
 def solved(path):
     """What stage 40 makes of a solve's output; where that is corrupt, a status and a reason of one sentence."""
-    solve = Solved("a", Status.OK, "", "label", MESH, path.name, (0.0, 0.1, -1.0), {})
-    sample, reason = read_sample(solve, path.parent)
+    store = SolveStore(path.parent / "solves")
+    store.folder.mkdir(exist_ok=True)
+    store.arrays("key").write_bytes(path.read_bytes())
+    sample, reason = read_sample(Solved("a", Status.OK, "", "label", MESH, "key", (0.0, 0.1, -1.0), {}), store)
     if sample.status != "OK":
         raise BadInput(reason)
     return sample.force
