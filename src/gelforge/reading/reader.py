@@ -39,7 +39,8 @@ def predict(
         BadInput: an invalid image, no no-contact image where the model needs one, or a file that is no model.
     """
     found = Reader(nocontact, model=model)(image)
-    return found.cells, vars(found) | {"flag": found.flag}
+    values = {name: value for name, value in vars(found).items() if name != "image"}
+    return found.cells, values | {"flag": found.flag}
 
 
 class Reader:
