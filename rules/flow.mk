@@ -126,5 +126,5 @@ SOLVED := $(if $(IMPORTED),,$(POSES) $(MESHED) $(FEA) $(FORCES) $(SHARDS:%=$D/50
 .PHONY: report
 report: $(REPORT)  ## one HTML page: presses, labels, errors, posterior, chart, failures
 
-$(REPORT): $(wildcard $P/*.json) $(SHARDS:%=$(SHARD)/%.csv) $(USED) $(PICTURES) $(SOLVED) $(CALIBRATION) $(JUDGED) $(SHOWN)
+$(REPORT): $(filter-out $P/networks.json,$(wildcard $P/*.json)) $(SHARDS:%=$(SHARD)/%.csv) $(USED) $(PICTURES) $(SOLVED) $(CALIBRATION) $(JUDGED) $(SHOWN)
 	$(call step,gelforge.stages.report $D $(RES1) $(PAGE_NET))
