@@ -40,7 +40,7 @@ def test_hidden_forces_are_those_of_fine_hexahedra(plan, root, name):
 
 @pytest.mark.slow
 def test_hidden_sideways_force_is_that_of_fine_hexahedra(plan, root):
-    """Within 3 % under edges that are dragged."""
+    """Within 3 % under edges that are dragged, and along the normal within what both solves state."""
     catalogue = load_catalogue(root / "workflow" / "indenters.toml", ["triangle_10"])
     dragged = replace(plan, truth=replace(plan.truth, friction=0.7, shear_compliance_mm_per_n=0.0))
     bench = Bench(dragged, catalogue, Gel())
@@ -53,9 +53,10 @@ def test_hidden_sideways_force_is_that_of_fine_hexahedra(plan, root):
     )
     # finer than the hexahedra that the bench is brought to, in both directions
     finer = replace(quality("label"), layers=8, widened=(5, 3))
-    exact = HexSolver(finer).solve(scene).total * plan.truth.c10_mpa / REFERENCE_C10
+    found, stiffer = HexSolver(finer).solve(scene), plan.truth.c10_mpa / REFERENCE_C10
+    exact = found.total * stiffer
     assert np.hypot(*pressed.force[:2]) == pytest.approx(np.hypot(*exact[:2]), rel=0.03)
-    assert pressed.force[2] == pytest.approx(exact[2], rel=0.02)
+    assert abs(pressed.force[2] - exact[2]) < stiffer * (pressed.result.error_n + found.error_n)  # what both state
 
 
 @pytest.mark.parametrize("turn_deg", [20.0, pytest.param(65.0, marks=pytest.mark.slow)])
