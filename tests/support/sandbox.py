@@ -14,6 +14,28 @@ ROOT = Path(__file__).resolve().parents[2]  # the project
 OF_MAKE = ("MAKEFLAGS", "MAKELEVEL", "MFLAGS", "GNUMAKEFLAGS", "MAKE_TERMERR", "MAKE_TERMOUT")
 LINKED = ("Makefile", "rules", "src", "envs", ".venv", "pyproject.toml")
 
+# dataset.toml of a log without images whose labels follow its own calibration, on hexahedra that are solved in seconds.
+CALIBRATED = """
+sensor = "gelsight_mini"
+gel = "gelsight_mini"
+[params.poses]
+images = false
+[params.interface]
+law = "no_slip"
+[params.material]
+c10 = "calibrated"
+[params.fea]
+method = "draft"
+tolerance = 0.2
+[params.calibrate]
+refine = "none"
+[params.calibrate.solver]
+size = 1.2
+layers = 3
+widened = []
+press_steps = 8
+"""
+
 
 def link_project(root: Path, folder: Path) -> Path:
     """Make a project in `folder`: linked code, its own copy of workflow/, and an empty data/."""

@@ -7,28 +7,7 @@ import pytest
 
 from gelforge.flow.calibration import read_found
 from gelforge.records.forcefile import ForceFile
-from tests.support.sandbox import link_project, make
-
-SETTINGS = """
-sensor = "gelsight_mini"
-gel = "gelsight_mini"
-[params.poses]
-images = false
-[params.interface]
-law = "no_slip"
-[params.material]
-c10 = "calibrated"
-[params.fea]
-method = "draft"
-tolerance = 0.2
-[params.calibrate]
-refine = "none"
-[params.calibrate.solver]
-size = 1.2
-layers = 3
-widened = []
-press_steps = 8
-"""
+from tests.support.sandbox import CALIBRATED, link_project, make
 
 
 @pytest.fixture
@@ -38,7 +17,7 @@ def project(root, tmp_path):
     data = project / "data" / "ball"
     data.mkdir(parents=True)
     shutil.copy(root / "data" / "feats_sphere15" / "log.csv", data)
-    (data / "dataset.toml").write_text(SETTINGS)
+    (data / "dataset.toml").write_text(CALIBRATED)
     return project
 
 
@@ -62,13 +41,13 @@ def test_labels_follow_the_posterior_and_hold_still_once_it_is_frozen(project):
     assert np.all(np.abs(ratio - 1.0) < 0.15)
     # a shallower limit rejects a press: the posterior follows, and no goal but freeze writes into data/
     toml = project / "data/ball/dataset.toml"
-    toml.write_text(SETTINGS.replace("images = false", "images = false\ndeepest_share = 0.4"))
+    toml.write_text(CALIBRATED.replace("images = false", "images = false\ndeepest_share = 0.4"))
     say(project, "calibrate")
     assert len(read_found(summary).presses) == 3
     say(project, "freeze")
     held = frozen.read_text()
     assert read_found(frozen) == read_found(summary)
-    toml.write_text(SETTINGS)
+    toml.write_text(CALIBRATED)
     say(project, "labels")
     assert len(read_found(summary).presses) == 3  # labels do not need the posterior any more
     assert frozen.read_text() == held and ForceFile(forces).c10 == read_found(frozen).params["material"]["c10"]

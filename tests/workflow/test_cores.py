@@ -9,31 +9,10 @@ from itertools import pairwise
 import pytest
 
 from gelforge.flow.files import read_json
-from tests.support.sandbox import clean_environment, link_project, make
+from tests.support.sandbox import CALIBRATED, clean_environment, link_project, make
 
 # Four presses in four shards; labels follow their own calibration; there are no images, so the page ends at labels.
-SETTINGS = """
-sensor = "gelsight_mini"
-gel = "gelsight_mini"
-[params.plan]
-shard_size = 1
-[params.poses]
-images = false
-[params.interface]
-law = "no_slip"
-[params.material]
-c10 = "calibrated"
-[params.fea]
-method = "draft"
-tolerance = 0.2
-[params.calibrate]
-refine = "none"
-[params.calibrate.solver]
-size = 1.2
-layers = 3
-widened = []
-press_steps = 8
-"""
+SETTINGS = CALIBRATED + "[params.plan]\nshard_size = 1\n"
 # Goals of `make help` that make no results of a dataset, by what they are for.
 OTHERS = {
     "help", "setup", "status", "sample", "provenance", "deck", "look", "estimate", "freeze", "clean-STAGE", "clean-all", "docs", "lint",
