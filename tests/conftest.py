@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parent.parent
 # What a person's shell may hold, and what would make other tests of these, here and in every process that they start:
 # make's variables of the project, another checkout's code, other languages of messages, a proxy for this very machine.
 LEFT_OVER = (
-    *OF_MAKE, "DATASET", "RES", "MODEL", "ID", "EXECUTOR", "SLURM_PROFILE", "CHARTED",
+    *OF_MAKE, "DATASET", "RES", "MODEL", "ID", "EXECUTOR", "SLURM_PROFILE", "CHARTED", "GELFORGE_SOLVES",
     "COLUMNS",
     "http_proxy", "https_proxy", "all_proxy", "HTTP_PROXY", "HTTPS_PROXY", "ALL_PROXY",
 )  # fmt: skip

@@ -246,7 +246,7 @@ def test_results_follow_the_version_of_their_stage(root):
     for stage in STAGES:
         of_stage = [head for head, module in rules if module == f"gelforge.stages.{stage}"]
         # the page shows whatever was planned: it waits for the parameters of all stages
-        assert any({f"$P/{stage}.json", "$P/*.json)"} & set(head.split()) for head in of_stage), stage
+        assert any({f"$P/{stage}.json", "$P/*.json))"} & set(head.split()) for head in of_stage), stage
 
 
 def test_every_stage_that_make_runs_has_a_version(root):

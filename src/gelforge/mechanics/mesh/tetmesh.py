@@ -219,6 +219,8 @@ def second_order(
 def untangle(nodes: np.ndarray, elements: np.ndarray, least: float = 0.03, sweeps: int = 20) -> None:
     """Move inner corners of elements (e, 10) whose straight shape is worse than `least`, in place, to where it is best.
 
+    Tried are places on the way to the middle of a corner's neighbours, and away from its flattest element's opposite face.
+
     Where the gel's surface is steep, a node just below it may get beyond the straight face of the element above.
     """
     tets = elements[:, :4]
@@ -234,7 +236,12 @@ def untangle(nodes: np.ndarray, elements: np.ndarray, least: float = 0.03, sweep
             around = np.flatnonzero((tets == node).any(axis=1))
             own, place = tets[around], nodes[node].copy()
             middle = nodes[np.setdiff1d(own, node)].mean(axis=0)
-            tried = [place + part * (middle - place) for part in np.linspace(0.0, 1.0, 9)]
+            flattest = own[int(np.argmin(shapes(nodes, own)))]
+            a, b, c = nodes[flattest[flattest != node]]
+            away = np.cross(b - a, c - a)
+            # as far as the opposite face is wide, on either side of it
+            aims = (middle, *(place + side * away / np.sqrt(np.linalg.norm(away)) for side in (1.0, -1.0)))
+            tried = [place + part * (aim - place) for aim in aims for part in np.linspace(0.0, 1.0, 9)]
             found = []
             for nodes[node] in tried:
                 found.append(shapes(nodes, own).min())
