@@ -11,7 +11,7 @@ from gelforge.flow.files import read_csv, write_csv, write_text
 
 ROOT = Path(__file__).resolve().parents[2]  # the project
 # Variables that an outer make sets in the environment of its commands.
-OF_MAKE = ("MAKEFLAGS", "MAKELEVEL", "MFLAGS", "GNUMAKEFLAGS", "MAKE_TERMERR", "MAKE_TERMOUT")
+OF_MAKE = ("MAKEFLAGS", "MAKEOVERRIDES", "MAKELEVEL", "MFLAGS", "GNUMAKEFLAGS", "MAKE_TERMERR", "MAKE_TERMOUT")
 LINKED = ("Makefile", "rules", "src", "envs", ".venv", "pyproject.toml")
 
 # dataset.toml of a log without images whose labels follow its own calibration, on hexahedra that are solved in seconds.
