@@ -36,8 +36,9 @@ from gelforge.records.status import Status
 
 AROUND = quality("label")  # its fine box bounds the area in which contact is looked for
 PIXELS = 64  # across the longer side of that box
-# Longest edges at the edge of contact, in sides of these hexahedra, which are smaller under a narrow contact.
-LONGEST = 1.5
+# Longest edges at the edge of contact, in sides of these hexahedra, which are smaller under a narrow contact; and the
+# edge_mm to which this belongs. Longer ones are shortened under narrower contacts, in the same proportion.
+LONGEST, EDGE_MM = 1.5, 0.45
 # Gap, in widths of a coarse hexahedron, up to which points between its contact points count as touching, too; and
 # width in pixels of holes in the contact that are closed.
 PORES, CLOSED = 0.02, 1
@@ -118,7 +119,7 @@ def mesh_of(
     if not mask.any():  # the contact lies between the pixels: take the nearest ones
         near = touch.gap(scene.indenter, scene.press, places, scene.press.end).reshape(x.shape)
         mask = near <= near.min()
-    most = longest * box.size
+    most = longest * box.size * max(1.0, edge_mm / EDGE_MM)
     edge, inside = (_digits(max(SMALLEST_MM, size * min(1.0, most / edge_mm)), 3) for size in (edge_mm, inside_mm))
     return TetMeshName(scene.gel.name, base_of(scene.gel).digest, edge, inside, Contact.of(mask, pixel, low))
 
