@@ -1,5 +1,7 @@
 """The load path of a press: press, then shear, with one path parameter; its frames, and the gel that it meets."""
 
+import math
+
 import numpy as np
 
 from gelforge.errors import BadInput
@@ -15,6 +17,12 @@ WITHIN = 1.0  # mm from the indenter's path within which a face may come into co
 def path_pose(scene: Scene, t: float) -> Pose:
     """Pose at path parameter t: 0 to 1 press, 1 to 2 shear; below 0 the press is extended upwards."""
     return Pose(*touch.pose_at(scene.press, t))
+
+
+def slides(scene: Scene, start: float) -> bool:
+    """Whether a press under a law with friction moves farther sideways than down after `start`, its first touch."""
+    aside = math.hypot(scene.press.dx, scene.press.dy)
+    return scene.interface.contact.frictional and aside > path_length(scene, start, 1.0)
 
 
 def path_length(scene: Scene, begin: float, end: float) -> float:

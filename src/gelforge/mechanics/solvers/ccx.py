@@ -26,7 +26,7 @@ from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.hexmesh import fine_box
 from gelforge.mechanics.mesh.names import SMALLEST_MM, Contact, TetMeshName
 from gelforge.mechanics.path.equilibrium import System
-from gelforge.mechanics.path.loadpath import first_touch
+from gelforge.mechanics.path.loadpath import first_touch, slides
 from gelforge.mechanics.path.pathsettings import PathSettings
 from gelforge.mechanics.path.scenepath import ScenePath, Verdict
 from gelforge.mechanics.path.transfer import LoadPath, touches
@@ -160,7 +160,8 @@ class CcxSolver:
         """State at the end of the scene's path. Failure is a status, not an exception.
 
         coarse_path: the path on hexahedra; then only its end is solved on the tetrahedra. If it is None, or its end does
-        not converge, the path is followed on the tetrahedra.
+        not converge, the path is followed on the tetrahedra; so is that of a press that slides, whose sideways force
+        would be 3 to 15 % too small after a walk of 0.05 to 0.4 mm.
         """
         began = time.perf_counter()
         s = settings or self.settings
@@ -169,7 +170,7 @@ class CcxSolver:
             return self._empty(Status.NO_CONTACT, "", began)
         path = s.path(scene, touch_at)
         status = Status.DIVERGED
-        if coarse_path:
+        if coarse_path and not slides(scene, touch_at):
             found = ScenePath(scene, path, self.mesh, self.system)
             status = found.arrive(coarse_path)
             steps = len(coarse_path.times) - 1

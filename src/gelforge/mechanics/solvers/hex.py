@@ -16,7 +16,7 @@ from gelforge.mechanics.hexsettings import FLATNESS, WIDEST, HexSettings
 from gelforge.mechanics.mesh.hexmesh import FineBox, HexMesh, build_mesh, fine_box, thinner_layers
 from gelforge.mechanics.mesh.hexname import HexMeshName
 from gelforge.mechanics.path.equilibrium import System
-from gelforge.mechanics.path.loadpath import first_touch, frame_time, path_length, path_pose
+from gelforge.mechanics.path.loadpath import first_touch, frame_time, path_length, path_pose, slides
 from gelforge.mechanics.path.scenepath import ScenePath
 from gelforge.mechanics.path.transfer import LoadPath, walk_start
 from gelforge.mechanics.result import BALANCE, BEYOND_CONE, Result
@@ -147,7 +147,9 @@ class HexSolver:
             walks = {settings.walk_mm, run.settings.walk_mm}
             stops += [walk_start(last, start, t, walk) for walk in walks for t in times if t > start + TOUCH]
         status = run.follow(start, stops)
-        if status is Status.DIVERGED:
+        # with friction the last load step suffices: points that flip at the end of a slide have equal forces either way
+        at_end = last.interface.contact.frictional and run.t >= last.press.end
+        if status is Status.DIVERGED and not at_end:
             return none
         run.curve[-1][1:] = run.contact_forces().sum(axis=0).tolist()
         run.areas[-1] = float(run.state.weights[run.state.status != FREE].sum())
@@ -228,7 +230,7 @@ class HexSolver:
             down, aside = path_length(scene, first_touch(scene) or 0.0, 1.0), np.hypot(scene.press.dx, scene.press.dy)
             press = max(press, int(np.ceil(down / settings.press_mm)))
             shear = max(shear, int(np.ceil(aside / settings.shear_mm)))
-            walk = settings.slide_mm if aside > down else walk
+            walk = settings.slide_mm if slides(scene, first_touch(scene) or 0.0) else walk
         steps = replace(settings, size=size, press_steps=press, shear_steps=shear, walk_mm=walk)
         return ScenePath(scene, steps, mesh, self._system(mesh))
 
