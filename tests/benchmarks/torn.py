@@ -133,18 +133,18 @@ def measure(frames: list[Frame], count: int, rng: np.random.Generator) -> tuple[
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:
-    model, figures, silent = load_model(args.model), [], 0
+    model, figures, silent, every = load_model(args.model), [], 0, 0
     for source, frames in (("drawn", list(drawn(model))), ("real", [*balls(model), *films(model)])):
         found, whole, accused = measure(frames, args.count, np.random.default_rng(args.seed))
         count, flagged, wrong = np.sum(list(found.values()), axis=0).tolist()
-        silent += wrong
+        silent, every = silent + wrong, every + count
         note = ", ".join(f"{name} {flags} flagged, {lost} wrong of {of}" for name, (of, flags, lost) in found.items())
         figures += [
             Figure(f"torn {source} frames that are flagged", 100 * flagged / max(count, 1), "", 0.0, "%", f"of {count}: {note}"),
             Figure(f"whole {source} frames that are called torn", 100 * accused / whole, "<=", 2.0, "%", f"of {whole}"),
         ]  # fmt: skip
     figures.append(
-        Figure("torn frames outside of their interval and not flagged", silent, "<=", 5.0, "", f"of {2 * args.count}")
+        Figure("torn frames outside of their interval and not flagged", silent, "<=", 5.0, "", f"of {every}")
     )
     publish_figures(args.out, figures, fingerprint(model.metadata), readings=[])
 
