@@ -68,9 +68,14 @@ class Units:
     seen: list[Seen]
 
 
-def press_units(plan_path: Path, count: int, most: int | None) -> Units:
-    """Press `count` times; the plan's unseen units, at most `most` of them, see every press."""
+def press_units(plan_path: Path, count: int, most: int | None, seed: int | None) -> Units:
+    """Press `count` times; the plan's unseen units, at most `most` of them, see every press.
+
+    seed: draws other units and other presses than the plan's, such as the limits of faults.py were not set on.
+    """
     plan = read_plan(plan_path)
+    if seed is not None:
+        plan = replace(plan, seed=seed, dataset=f"{plan.dataset} drawn by {seed}")
     appearances, sensors = units_of(plan, plan_path.parents[1])
     names = plan.held_out_sensors[:most]
     gel = Gel()
@@ -309,10 +314,11 @@ def flag_figures(units: Units, readers: dict[str, Reader]) -> list[Figure]:
     option("--model", type=Path, default=None, help="model file; the one that ships if not named"),
     option("--presses", type=int, default=PRESSES),
     option("--units", type=int, default=None, help="of the plan's unseen units; fewer only to try it out"),
+    option("--seed", type=int, default=None, help="draws other units and presses than the plan's"),
     option("--out", type=Path),
 )
 def main(args: Namespace) -> None:
-    model, units = load_model(args.model), press_units(args.plan, args.presses, args.units)
+    model, units = load_model(args.model), press_units(args.plan, args.presses, args.units, args.seed)
     readers = {name: Reader(picture, model=model) for name, picture in units.nocontact.items()}
     read = np.array([totals(readers[seen.unit], seen.image) for seen in units.seen])
     left = readings_left(units, read)

@@ -28,6 +28,7 @@ from gelforge.evidence.forces import (
     sideways,
     unit,
 )
+from gelforge.records.series import equal_largest
 
 ENOUGH = 12  # presses that show a constant force or a drift against labels
 MANY = 18  # presses from which the standard errors of a constant force are reliable
@@ -36,7 +37,7 @@ OTHER_FORCE = 1.15  # least factor by which their forces then differ
 OTHER_POWER = 0.05  # least change of the power of labels with which forces grow on a gel of another thickness
 SURE_OF_THICKNESS = 3.7  # standard errors from which it is significant; they assume a scatter of at least 5 %
 NEARLY = 1.5  # ratio of the sums of squares that two causes leave, within which both are named
-STUCK, DIFFERS = 3, 0.3  # presses that read the same, and the fraction by which their labels differ
+STUCK = 3  # presses with the reading of the press before, whose labels differ
 SPLITS = 25  # presses tried per round as the one from which the gel is another
 # Sideways over normal force that a straight press does not reach; least fraction of presses that exceed it.
 DRAGGED, OFTEN = 0.12, 0.5
@@ -72,6 +73,7 @@ def of_labels(log: LogForces, label: np.ndarray, indenters: Sequence[str], usual
         lambda: misplaced(log.force[felt], -label[felt, 2]),
         lambda: unit(log.normal[felt], -usual * label[felt, 2]),
         lambda: _stuck(log, label),
+        lambda: equal_largest(log.normal, -label[:, 2]),
         lambda: shifted(log.normal, -label[felt, 2], felt),
         lambda: _lagging(log, label, felt, bench),
         lambda: sideways(log),
@@ -86,19 +88,12 @@ def of_labels(log: LogForces, label: np.ndarray, indenters: Sequence[str], usual
 
 
 def _stuck(log: LogForces, label: np.ndarray) -> str | None:
-    """Presses of different forces with one reading: it was not renewed, or is the end of the sensor's range."""
-    normal = log.normal
+    """Presses of different forces with the reading of the press before: it was not renewed."""
     usual = np.maximum(2 * LEAST_N, (OTHER_FORCE - 1.0) * np.abs(label[1:, 2]))
     differs = np.abs(np.diff(label[:, 2])) > usual
     same = (np.nan_to_num(np.diff(log.force, axis=0)) == 0.0).all(axis=1) & differs
     if same.sum() >= STUCK:
         return f"{same.sum()} presses have exactly the reading of the previous press, although their labels differ: take a new reading for each press."
-    largest = normal == normal.max()
-    if largest.sum() >= STUCK and np.ptp(label[largest, 2]) > DIFFERS * normal.max():
-        return (
-            f"{largest.sum()} presses read the same largest force of {normal.max():.2f} N, while their labels differ: it is the end of the"
-            " sensor's range; leave their cells empty, or press less deep."
-        )
     return None
 
 

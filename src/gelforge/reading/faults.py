@@ -14,6 +14,7 @@ from typing import Any
 from gelforge.reading import measures
 from gelforge.reading.frame import BLUE_FIRST, SAME_SHAPE
 from gelforge.reading.pair import NoContact, Pair
+from gelforge.reading.picture import Picture
 
 
 class Asked(Flag):
@@ -54,6 +55,24 @@ def first_fault(faults: Sequence[Fault], subject: NoContact | Pair, asked: Asked
     return next((text for one in faults if one.asked & asked and (text := one.of(subject))), "")
 
 
+def of_gel(of: str, shows: str, picture: Callable[[Any], Picture]) -> tuple[Fault, Fault]:
+    """Faults of one picture by itself: no contrast, no colour. of: its name; shows: what it then lacks; picture: from a subject."""
+    return (
+        Fault(
+            lambda subject: picture(subject).contrast,
+            f"the {of} shows {shows}: it is dark, covered or of one colour",
+            "levels of any gel's image span more",
+            least=30.0,
+        ),
+        Fault(
+            lambda subject: picture(subject).colour if subject.coloured else math.inf,
+            f"the {of} is monochrome, but colours are compared: set the camera to colour (RGB or BGR)",
+            "colours of one pixel differ by 1 level in images converted from grey, by 20 and more in those of a Mini",
+            least=1.5,
+        ),
+    )
+
+
 NOCONTACT = (
     Fault(
         lambda rest: float(not rest.expects_markers or rest.markers.printed.pitch > 0.0),
@@ -62,18 +81,7 @@ NOCONTACT = (
         least=1.0,
         asked=Asked.READER,
     ),
-    Fault(
-        lambda rest: rest.picture.contrast,
-        "the no-contact image shows no gel: it is dark, covered or of one colour",
-        "levels of any gel's image span more",
-        least=30.0,
-    ),
-    Fault(
-        lambda rest: rest.picture.colour if rest.coloured else math.inf,
-        "the no-contact image is monochrome, but colours are compared: set the camera to colour (RGB or BGR)",
-        "colours of one pixel differ by 1 level in images converted from grey, by 20 and more in those of a Mini",
-        least=1.5,
-    ),
+    *of_gel("no-contact image", "no gel", lambda rest: rest.picture),
     Fault(
         lambda rest: rest.picture.level,
         "the no-contact image is dark: its mean level is {value:.0f} of 255, at least {least:.0f} is usual; check the lamps and the exposure",
@@ -119,18 +127,7 @@ PAIR = (
         "a stretch by 2 % changes forces by less than 10 %",
         most=SAME_SHAPE,
     ),
-    Fault(
-        lambda pair: pair.image.contrast,
-        "the image shows nothing of this sensor: it is dark, covered or of one colour",
-        "levels of any gel's image span more",
-        least=30.0,
-    ),
-    Fault(
-        lambda pair: pair.image.colour if pair.coloured else math.inf,
-        "the image is monochrome, but colours are compared: set the camera to colour (RGB or BGR)",
-        "colours of one pixel differ by 1 level in images converted from grey, by 20 and more in those of a Mini",
-        least=1.5,
-    ),
+    *of_gel("image", "nothing of this sensor", lambda pair: pair.image),
     Fault(
         measures.sharper,
         "the image is blurred compared with its no-contact image, or of another unit: focus the camera, and take images while nothing moves",

@@ -19,7 +19,7 @@ HINT = "remove the folder and make the dataset again"
 NAMES = ("sample_id", "indenter", "sensor_id", "gel_id")
 COLUMNS = (
     *NAMES, "split", "group", *FORCE, *(f"outside_{name}" for name in FORCE), *(f"measured_{name}" for name in FORCE),
-    *(f"true_{name}" for name in FORCE), *POSE, "image", "altered",
+    *(f"true_{name}" for name in FORCE), *POSE, "image",
 )  # fmt: skip
 
 
@@ -29,8 +29,7 @@ class DatasetSample:
 
     total: force of its label, outside: force that fell outside the image, (3,) N along the gel's axes, NaN if
     unknown. truth: the true force that a virtual rig knows, cells by FORCE. group: shared by samples that must be in
-    one split. altered: how a virtual rig altered its image or no-contact image (wear, another light); empty if it did
-    not.
+    one split.
     """
 
     press: PressRecord
@@ -39,7 +38,6 @@ class DatasetSample:
     truth: dict[str, str]
     split: str = ""
     group: str = ""
-    altered: str = ""
 
     def numbers(self) -> dict[str, float]:
         """Every number of the row by column, NaN if unknown."""
@@ -54,8 +52,8 @@ class DatasetSample:
         return found
 
     def text(self, column: str) -> str:
-        """A text of the row by column: of the press, or `split`, `group` or `altered`."""
-        return str(getattr(self if column in ("split", "group", "altered") else self.press, column))
+        """A text of the row by column: of the press, or `split` or `group`."""
+        return str(getattr(self if column in ("split", "group") else self.press, column))
 
     def cells(self) -> dict[str, Any]:
         """One row of the table."""
@@ -65,7 +63,7 @@ class DatasetSample:
             row[name] = _rounded(self.total[at])
             row[f"outside_{name}"] = _rounded(self.outside[at])
             row[f"measured_{name}"], row[f"true_{name}"] = own[name], self.truth.get(name, "")
-        return row | {"split": self.split, "group": self.group, "altered": self.altered}
+        return row | {"split": self.split, "group": self.group}
 
 
 def _rounded(force: float) -> float | str:
@@ -93,7 +91,7 @@ def _sample(path: str | Path, at: int, row: dict[str, str]) -> DatasetSample:
     total, outside = (np.array([_force(path, at, row.get(f"{kind}{name}") or "") for name in FORCE])
                       for kind in ("", "outside_"))  # fmt: skip
     truth = {name: row.get(f"true_{name}") or "" for name in FORCE}
-    return DatasetSample(press, total, outside, truth, row["split"], row.get("group") or "", row.get("altered") or "")
+    return DatasetSample(press, total, outside, truth, row["split"], row.get("group") or "")
 
 
 def _force(path: str | Path, at: int, text: str) -> float:

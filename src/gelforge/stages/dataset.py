@@ -36,7 +36,7 @@ from gelforge.records.samplefile import DatasetSample, write_samples
 from gelforge.records.status import Status
 from gelforge.records.table import numbered_rows, read_table
 
-VERSION = 10
+VERSION = 11
 NO_IMAGE = "no image in the log"
 WRONG_IMAGE = "its image is not of this press"
 
@@ -87,21 +87,6 @@ def read_truth(data: Path) -> dict:
             f"{path}: its columns are {', '.join(rows[0])}; give sample_id, {', '.join(FORCE)}, or remove it"
         )
     return {row["sample_id"]: row for row in rows}
-
-
-def read_altered(data: Path) -> dict[str, str]:
-    """How a virtual rig altered images and no-contact images, by path; those are left out where limits are set."""
-    path = data / "truth" / "pictures.csv"
-    rows = read_table(path, "draw the images again, or remove it") if path.exists() else []
-    if rows and {"picture", "altered"} - rows[0].keys():
-        raise BadInput(f"{path}: its columns are {', '.join(rows[0])}; give picture and altered, or remove it")
-    return {row["picture"]: row["altered"] for row in rows}
-
-
-def altered(press: PressRecord, pictures: Mapping[str, str]) -> str:
-    """How the image or the no-contact image of a press was altered; pictures: from `read_altered`."""
-    both = {"image": press.image, "no-contact image": f"nocontact/{press.sensor_id}.png"}
-    return ", ".join(f"{what} {pictures[path]}" for what, path in both.items() if pictures.get(path))
 
 
 def unseen_indenters(catalogue: dict, settings: DatasetTable) -> set[str]:
@@ -421,11 +406,7 @@ def build(args: Namespace) -> dict:
     splits = published_splits(of.data, presses, splits, repeated)
     write_label_array(folder / "labels.npy", shards, places, grid)
     write_fields(folder, shards, places, grid)
-    pictures = read_altered(of.data)
-    found = [
-        replace(each, split=str(s), group=str(g), altered=altered(each.press, pictures))
-        for each, s, g in zip(found, splits, groups, strict=True)
-    ]
+    found = [replace(each, split=str(s), group=str(g)) for each, s, g in zip(found, splits, groups, strict=True)]
     write_samples(folder / "samples.csv", found)
     short = ("sample_id", "group", "split")
     write_csv(folder / "split.csv", short, [{name: each.cells()[name] for name in short} for each in found])

@@ -225,7 +225,7 @@ def digests(states: Mapping[str, State | None], files: Mapping[str, Path | str])
 def files_beside(data: Path) -> dict[str, Path]:
     """Files beside a log that belong to its dataset, by path there: no-contact images, splits, truth, labels."""
     found = [*listed(data / "nocontact", "*"), *listed(data / "labels", "*.npz")]
-    found += [data / "splits.csv", data / "truth" / "presses.csv", data / "truth" / "pictures.csv"]
+    found += [data / "splits.csv", data / "truth" / "presses.csv"]
     return {str(path.relative_to(data)): path for path in found if path.is_file()}
 
 

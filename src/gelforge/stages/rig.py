@@ -17,7 +17,7 @@ import numpy as np
 from tqdm import tqdm
 
 from gelforge.flow.cli import command, option, positive
-from gelforge.flow.files import publish, write_csv
+from gelforge.flow.files import publish
 from gelforge.flow.jobs import pool
 from gelforge.flow.params import overlaid, with_content
 from gelforge.geometry.gel import load_gel, use_gels_of
@@ -154,18 +154,6 @@ def of_picture(plan: Plan, order: Order) -> np.random.Generator:
     return generator(plan, order.index, streams.camera(order.unit, order.frame))
 
 
-def altered_pictures(plan: Plan, appearances: dict[str, Appearance]) -> list[dict[str, str]]:
-    """Every image of a plan that differs from that of a sensor without faults: its path, and how it was altered."""
-    chances = [
-        (nocontact_name(name), appearances[name], of_nocontact(plan, appearances[name])) for name in plan.sensors
-    ]
-    chances += [(image_name(one), appearances[one.sensor], of_picture(plan, one)) for one in orders(plan)]
-    drawn = [
-        (path, seen.drift.draw(seen.markers, chance)) for path, seen, chance in chances if seen.drift is not None
-    ]
-    return [{"picture": path, "altered": taken.altered} for path, taken in drawn if taken.altered]
-
-
 @lru_cache(maxsize=1)
 def worker_of(plan: Plan, workflow: Path, folder: Path) -> Worker:
     """The bench and cameras of this process, made once because making them costs more than a press."""
@@ -188,7 +176,6 @@ def run(plan_path, data="data", workflow="workflow", jobs: int = 1) -> Path:
     dataset.begin(*contents)
     if plan.units is not None:
         write_sensors(folder / "sensors.toml", {name: sensors[name] for name in plan.units.names})
-        write_csv(folder / "truth/pictures.csv", ["picture", "altered"], altered_pictures(plan, appearances))
     unseen = [(name,) for name in plan.sensors if not (folder / nocontact_name(name)).exists()]
     todo = by_press(dataset, orders(plan))
     new, drawn, failed = 0, 0, []

@@ -89,12 +89,6 @@ class Circumstances:
     relit: tuple[np.ndarray, float] | None
     blur: float
 
-    @property
-    def altered(self) -> str:
-        """How the image differs from that of an unworn sensor in its own light; empty if it does not."""
-        relit, worn = self.relit is not None, bool(self.worn)
-        return " and ".join(what for what, so in (("relit", relit), ("worn", worn)) if so)
-
 
 @dataclass(frozen=True)
 class Appearance:

@@ -112,7 +112,7 @@ def test_readings_that_stay_as_they_were_or_end_at_a_limit_are_named():
     stale, most = np.repeat(session.force[::2], 2, axis=0)[: len(label)], 0.5 * np.abs(session.force).max()
     for force, said in (
         (stale, "exactly the reading of the previous press"),
-        (session.force.clip(-most), "the end of the sensor's range"),
+        (session.force.clip(-most), "the sensor is at the end of its range"),
     ):
         assert [said in line for line in of_labels(log_of(with_force(session, force)), label, names)] == [True]
 

@@ -14,7 +14,6 @@ from gelforge.geometry.gel import USUAL_GEL, Gel
 from gelforge.labelling.sensor import check_projection, sensors_of
 from gelforge.reading.light import match_light
 from gelforge.reading.markers import markers_in
-from gelforge.stages.rig import altered_pictures
 from gelforge.virtualrig.appearance import read_appearances
 from gelforge.virtualrig.render import Renderer
 from gelforge.virtualrig.rigplan import DrawnUnits, orders, read_plan
@@ -121,23 +120,6 @@ def test_worn_pictures_show_fewer_markers(drawn):
         camera = Renderer(replace(appearances[name], drift=drift), sensors[name].projection, Gel())
         counts.append(len(markers_in(camera.image(rng=np.random.default_rng(3))).points))
     assert counts[0] - counts[1] == 6
-
-
-def test_altered_pictures_are_named_as_often_as_they_are_drawn(drawn):
-    """What is named is drawn so: a name belongs to the very randomness of its picture."""
-    plan = replace(read_plan(RIG / "causes.toml"), presses=40)
-    appearances, _ = draw_units(plan.units, plan.gel, RIG, plan.seed)
-    named = {row["picture"]: row["altered"] for row in altered_pictures(plan, appearances)}
-    every = [f"nocontact/{name}.png" for name in plan.sensors] + [
-        f"images/{one.sample_id}.png" for one in orders(plan)
-    ]
-    assert set(named) < set(every)
-    ranges = read_ranges(RIG / "units.toml")
-    for what, fraction in (("relit", ranges.relit_fraction), ("worn", ranges.worn_fraction)):
-        seen = np.mean([what in named.get(path, "") for path in every])
-        assert abs(seen - fraction) < 4 * np.sqrt(fraction * (1 - fraction) / len(every))
-    steady = {name: replace(one, drift=None) for name, one in appearances.items()}
-    assert altered_pictures(plan, steady) == []
 
 
 def test_sensors_of_a_dataset_are_read_as_they_were_drawn(drawn, tmp_path):
