@@ -299,7 +299,6 @@ BROKEN = (
     (lambda m: corrupt_truth(m, b"sample_id,fx_n,fy_n,fz_n\n\xff,1,2,3\n"), {}, "presses.csv: not UTF-8"),
     (lambda m: corrupt_truth(m, b"sample_id,fx_n,fy_n,fz_n\ns001,1\n"), {}, "presses.csv: row 2 has another number"),
     (lambda m: None, {"validation": 0.7, "test": 0.4}, "validation.*0.7"),
-    (lambda m: None, {"same_press_mm": 0.0}, "same_press_mm"),
 )  # fmt: skip
 
 
