@@ -8,13 +8,23 @@ from typing import Any
 
 from gelforge.flow.files import read_toml
 from gelforge.flow.schema import allowed, is_table, kinds_of, split
-from gelforge.flow.tables import Params
+from gelforge.flow.tables import USUAL, Params
 
 HEAD = """# Parameters
 
 Made by `make format` from `src/gelforge/flow/tables.py` and `workflow/params.toml`. A dataset sets its own values in
 `data/DATASET/dataset.toml`, under `[params.TABLE]`; an unknown key, or a value that is not allowed, is refused by name.
 """
+PARTS = (
+    """## What people set
+
+One dial decides how fast and how accurate labels are: `method` of `[fea]`. With `method = "auto"` each press is solved by
+the fastest method that states an error of at most `tolerance`, a fraction of its force.""",
+    """## For experts
+
+Defaults that suit a GelSight Mini on a desktop CNC frame. Other values of the flow are constants, which stand with their
+reasons in `src/gelforge/flow/tables.py`.""",
+)
 
 
 def comments(text: str) -> dict[str, str]:
@@ -43,21 +53,32 @@ def keys(kind: Any, name: str = "") -> Iterator[tuple[str, str, Any]]:
 
 
 def page(params_toml: Path) -> str:
-    """The page, as Markdown: each comment once, below it the keys that it is about."""
+    """The page, as Markdown: the usual keys in the order of `USUAL`, then all others in that of their tables."""
     given, why = read_toml(params_toml), comments(params_toml.read_text(encoding="utf-8"))
-    blocks, last = [HEAD.strip()], ("", "")
-    for table, key, hint in keys(Params):
+    every = {f"{table}.{key}": (table, key, hint) for table, key, hint in keys(Params)}
+    chosen = [every[name] for name in USUAL], [each for name, each in every.items() if name not in USUAL]
+    blocks = [HEAD.strip()]
+    for title, part in zip(PARTS, chosen, strict=True):
+        blocks += [title, *listed(part, given, why)]
+    return "\n\n".join(block.strip() for block in blocks) + "\n"
+
+
+def listed(chosen: list[tuple[str, str, Any]], given: dict[str, Any], why: dict[str, str]) -> list[str]:
+    """Blocks of Markdown about some keys: each comment once, below it the keys that it is about."""
+    blocks: list[str] = []
+    last = ("", "")
+    for table, key, hint in chosen:
         name = f"{table}.{key}"
         inner = next((said for one, said in why.items() if one.startswith(f"{name}.") and said), last[1])
         said = why[name] if why.get(name) else inner
         if table != last[0]:
-            blocks += filter(None, [f"## [{table}]", why.get(table)])
+            blocks += filter(None, [f"### [{table}]", why.get(table)])
         if (table, said) != last:
             blocks += [*[said] * bool(said and said != last[1]), ""]
         last = (table, said)
         values: Any = given
-        for part in table.split("."):
-            values = values[part]
+        for word in table.split("."):
+            values = values[word]
         default = f" = {json.dumps(values[key], ensure_ascii=False)}" if key in values else ""
         blocks[-1] += f"\n- `{key}{default}`: {allowed(hint)}{'' if default else '; may be left out'}"
-    return "\n\n".join(block.strip() for block in blocks) + "\n"
+    return blocks

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from gelforge.flow.schema import altered
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.ccx.deck import press_deck
 from gelforge.mechanics.ccx.program import need_ccx, run_ccx
@@ -57,7 +58,7 @@ def solver(ccx, tmp_path_factory):
     return CcxSolver(
         symmetric_block(PAD, 1.0, 3),
         tmp_path_factory.mktemp("ccx"),
-        CcxSettings.of(parameters(fea={"press_steps": 3, "shear_steps": 2}).fea),
+        CcxSettings.of(altered(parameters().fea, press_steps=3, shear_steps=2)),
     )
 
 

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 import gelforge
+from gelforge.flow.schema import altered
 from gelforge.geometry.indenters import build
 from gelforge.geometry.triangles import joined, write_stl
 from gelforge.mechanics.material import Material
@@ -40,7 +41,7 @@ def on_hexahedra(body):
 
 
 def with_calculix(body, ccx, folder):
-    settings = CcxSettings.of(parameters(fea={"press_steps": 3, "shear_steps": 2}).fea)
+    settings = CcxSettings.of(altered(parameters().fea, press_steps=3, shear_steps=2))
     result = CcxSolver(symmetric_block(PAD, 1.0, 3), folder, settings).solve(
         Scene(PAD, Material(), body, Press(0, 0, 0, 0, 0, -0.6))
     )

@@ -9,6 +9,7 @@ import pytest
 from scipy.ndimage import label
 
 from gelforge.errors import SolveFailed
+from gelforge.flow.schema import altered
 from gelforge.geometry.gel import GELS
 from gelforge.geometry.indenters import build
 from gelforge.mechanics.hexsettings import HexSettings, Nested, quality
@@ -121,7 +122,7 @@ def test_no_step_of_the_press_is_longer_than_asked():
 
 def test_where_conjugate_gradients_fail_a_factorisation_follows(mesh, ccx, tmp_path, monkeypatch):
     """The failed attempt stays on record, and the forces are those that the first solver would have found."""
-    settings = CcxSettings.of(parameters(fea={"press_steps": 2, "shear_steps": 1}).fea)
+    settings = CcxSettings.of(altered(parameters().fea, press_steps=2, shear_steps=1))
     whole = CcxSolver(mesh, tmp_path / "whole", settings).solve(scene())
     assert whole.status.valid and not whole.evidence["failed_attempts"]
     broken = tmp_path / "ccx"

@@ -1,5 +1,6 @@
 """Small networks of every family, trained on a synthetic dataset, for tests of evaluation and use."""
 
+from gelforge.flow.schema import altered
 from gelforge.learning.data import open_data
 from gelforge.learning.train import save_trained
 from gelforge.stages.train import train
@@ -13,7 +14,7 @@ MODELS = {
     "unet": {"kind": "unet", "widths": [4, 8]},
     "pair": SMALL,
 }
-EVALUATE = with_values(parameters().evaluate, force_edges=[0.0, 5.0, 20.0], bootstrap=50)
+EVALUATE = altered(parameters().evaluate, force_edges=(0.0, 5.0, 20.0), bootstrap=50)
 
 
 def learnt(folder):

@@ -29,7 +29,7 @@ from tests.support.waiting import HANG, wait_until
 GEL = GELS["gelsight_mini"]
 HEADER = "sample_id,sensor_id,gel_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg\n"
 ROWS = [f"s{i},cam,g,ball,{i},0,0,0,0,-0.4,0\n" for i in range(3)]
-FEA = {"method": "ccx", "edge_mm": 0.5, "inside_mm": 2.6, "press_steps": 2, "shear_steps": 1, "rounds": 4}
+FEA = {"method": "ccx", "edge_mm": 0.5, "inside_mm": 2.6}
 
 
 @pytest.fixture
@@ -170,7 +170,7 @@ def test_a_longer_timeout_solves_again_only_what_the_shorter_one_stopped(folder,
     # neither what no solve reads nor what this one does not
     for changed in ({"timeout_s": 7200.0}, {"timeout_s": 1e-3}, {"tolerance": 0.1}, {"verify": 0.5}):
         assert solved(**changed) == ("ccx", solved_at), changed
-    assert solved(press_steps=3)[1] != solved_at
+    assert solved(inside_mm=2.7)[1] != solved_at
 
 
 def forces_by_stock_ccx(ccx, folder, name, forces):

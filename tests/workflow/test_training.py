@@ -34,7 +34,7 @@ def place(tmp_path_factory):
     of = Layout(tmp_path_factory.mktemp("training") / "results/made")
     write_dataset(of.dataset("6x8"), 48, (48, 64), (6, 8))
     write_stage(of.params, "train", train={**plain(SETTINGS), "epochs": EPOCHS})
-    write_stage(of.params, "evaluate", evaluate={"force_edges": [0.0, 10.0], "bootstrap": 50})
+    write_stage(of.params, "evaluate", evaluate={"force_edges": [0.0, 10.0]})
     for name in ("whole", "killed"):
         write_json(of.parameters(f"models/{name}"), {name: {"kind": "grid", "width": 8, "blocks": 1}})
     return of

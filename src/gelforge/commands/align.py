@@ -5,14 +5,15 @@ import sys
 from argparse import Namespace
 from collections.abc import Callable
 from pathlib import Path
-from types import SimpleNamespace
 
 import numpy as np
 
 from gelforge.commands.mcap import doubts_of_forces
 from gelforge.errors import BadInput
+from gelforge.flow import schema
 from gelforge.flow.cli import command, option, positive
 from gelforge.flow.files import read_toml
+from gelforge.flow.tables import PosesTable
 from gelforge.formats.benchfiles import Images, read_gauge, read_path
 from gelforge.formats.benchlog import Aligned, Setup, align, nocontact_of, write_dataset
 from gelforge.geometry.gel import load_gel
@@ -76,7 +77,10 @@ def main(args: Namespace) -> None:
     bench, images = Setup(sensor, args.indenter, args.gel_id, touch_height(gel, body)), Images.of(args.images)
     found = align(gauge, measured, path, images, bench, args.touch, args.every)
     print(*found.notes, sep="\n")
-    for line in leave_out(found, body, gel, SimpleNamespace(**read_toml(args.params)["poses"])):
+    limits = schema.parse(
+        PosesTable, read_toml(args.params).get("poses", {}), schema.Place(str(args.params), ("poses",))
+    )
+    for line in leave_out(found, body, gel, limits):
         print(line, file=sys.stderr)
     nocontact = nocontact_of(found, images)
     write_dataset(found, images, nocontact, framing(sensor, nocontact, f"{args.images}: images"), bench, args.data)

@@ -25,7 +25,6 @@ def check_dataset(
     check_names(f"{where} unseen_indenters", params.dataset.unseen_indenters, indenters)
     check_names(f"{where} unseen_sensors", params.dataset.unseen_sensors, sensors)
     check_names(f"{file}: sensor", [of.sensor] if of.sensor is not None else [], sensors)
-    check_names("[pareto] sensor", [params.pareto.sensor], sensors)
     check_gel(file, of, logged)
     if params.poses.images:
         check_nocontact(file.parent, logged, sensors)

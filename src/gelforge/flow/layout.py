@@ -64,8 +64,8 @@ STAGES = {
         ),
         solves=True,
     ),
-    "pareto": Stage(PARETO, ("pareto", "fea", "material.nu")),
-    "stability": Stage(STABILITY, ("stability", "fea"), solves=True),
+    "pareto": Stage(PARETO, ("fea", "material.nu")),
+    "stability": Stage(STABILITY, ("fea",), solves=True),
     "pareto_models": Stage(PARETO_MODELS),
 }
 FOLDERS = (

@@ -106,7 +106,7 @@ def stability_map(table: list[dict]) -> bytes:
         axis.set_axis_off()
     figure.suptitle("Error of total force, %, at label setting against the finest hexahedra; for size and steps against the "
                     "finest of the same solver", fontsize=11)  # fmt: skip
-    named = {"drifts": "drifts: error above [stability] drift"}
+    named = {"drifts": "drifts: error above 5 %"}
     handles = [Patch(color=colour, label=named.get(verdict, verdict)) for verdict, colour in VERDICTS.items()]
     frame = Patch(facecolor="white", edgecolor="black", label="base press, of which one factor at a time is varied")
     figure.legend(handles=[*handles, frame], loc="outside lower center", ncols=5)

@@ -36,7 +36,9 @@ def write(args: Namespace) -> None:
     params, sensors = load_params(of.workflow), load_sensors(of.workflow / "sensors.toml")
     name = params.pareto.sensor
     if name not in sensors:
-        raise BadInput(f"[pareto] sensor = {name!r} is not in {of.workflow}/sensors.toml")
+        raise BadInput(
+            f"{of.workflow}/sensors.toml has no [{name}], in whose image forces are compared; add it again"
+        )
     scenes = [parse_scene(key, table, params.material.nu) for key, table in read_tables(of.workflow).items()]
     made = parameters_of(params, "pareto", stage_version(Path(__file__).parent, "pareto"))
     bench = ChartBench(sensors[name], made, args.out, of.references)

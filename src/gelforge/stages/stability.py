@@ -18,11 +18,12 @@ from gelforge.flow.files import digest_of_value, publish, read_json, write_csv, 
 from gelforge.flow.layout import Layout, beside
 from gelforge.flow.params import StageParameters, read_parameters
 from gelforge.mechanics.ccx.program import need_ccx
+from gelforge.mechanics.solve import settings_of
 from gelforge.records.status import VALID
 from gelforge.sweeps.cases import FINEST, ROWS, SERIES, Case, factor_of, row_cases
 from gelforge.sweeps.deviation import total_error
 from gelforge.sweeps.methods import Method, hex_settings, method_of, prepare
-from gelforge.sweeps.trial import ccx_settings, kept, solve_isolated
+from gelforge.sweeps.trial import kept, solve_isolated
 
 VERSION = 5
 NOT_RUN = "NOT_RUN"
@@ -38,7 +39,7 @@ def case_key(case: Case, params: StageParameters) -> str:
     if case.solver in ("hex", FINEST):
         parts.append(asdict(hex_settings(case_method(case, params))))
     else:
-        parts += ccx_settings(params, case.scene.gel)
+        parts += settings_of("ccx", params.fea, case.scene.gel)
     return digest_of_value(parts)
 
 
@@ -77,7 +78,7 @@ def solve_row(row: str, params: StageParameters, folder: Path) -> list[dict]:
     records = []
     for case in tqdm(row_cases(params.stability, row), f"stability {row}"):
         if time.monotonic() > end and kept(*case_file(case, params, folder), params.stability.limit_s) is None:
-            reason = "the row's time was over; raise [stability] minutes, it resumes here"
+            reason = f"the row's time was over; delete rows/{row}.json and run make again, it resumes here"
             records.append({"case": case.describe(), "status": NOT_RUN, "reason": reason})
         else:
             records.append(solve_case(case, params, folder))
@@ -159,7 +160,9 @@ def solve(args: Namespace) -> None:
     write_json(args.out, {"row": args.row, "judged": judged, "evidence": [r.get("evidence", {}) for r in records]})
     left = sum(r["status"] == NOT_RUN for r in records)
     if left:
-        print(f"{left} of {len(records)} cases were not run: the row's time was over; raise [stability] minutes")
+        print(
+            f"{left} of {len(records)} cases were not run: the row's time was over; delete its file and run make again"
+        )
 
 
 @stage(Layout.stability_map)

@@ -1,7 +1,7 @@
 """Reference solutions of the chart's scenes, kept as plain files because solving one on fine tetrahedra takes hours.
 
 One file per scene holds the force in every cell. KEYS holds two digests per scene: of the inputs of its reference,
-and of its file. Where the scene, the cells, [pareto.reference] or the file have changed, the reference is invalid and
+and of its file. Where the scene, the cells, ReferenceTable (flow/tables.py) or the file have changed, the reference is invalid and
 is solved again.
 """
 

@@ -12,21 +12,17 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of_value, record_of, write_json
 from gelforge.flow.params import StageParameters, plain
-from gelforge.flow.tables import CHOOSING
 from gelforge.geometry.gel import Gel
 from gelforge.labelling.grid import Grid
 from gelforge.labelling.operator import assemble
 from gelforge.labelling.sensor import Sensor
-from gelforge.mechanics.hexsettings import quality
-from gelforge.mechanics.mesh.basemesh import base_of
-from gelforge.mechanics.solve import GUIDE, settings_of
+from gelforge.mechanics.solve import settings_of
 from gelforge.sweeps.isolate import CRASHED, REFUSED, TIMED_OUT, Clock, isolated, peak_mib
 from gelforge.sweeps.keptreferences import elements_doubled, kept_reference, reference_key
 from gelforge.sweeps.methods import LARGE_REFERENCE, REFERENCE, Method, hex_settings, prepare, warm_up
 from gelforge.sweeps.scenes import NamedScene
 
 GRID = Grid(24, 32)  # of FEATS' labels
-NOT_SOLVER = CHOOSING | {"method", "timeout_s"}
 
 
 @dataclass(frozen=True)
@@ -57,19 +53,8 @@ class ChartBench:
         if method.solver == "hex":
             return [asdict(hex_settings(method))]
         if method.solver == REFERENCE:  # with elements of twice the size: the reference itself has a key of its own
-            return [plain(p.pareto.reference), *ccx_settings(p, gel)]
-        if method.name in ("auto", "ccx", "ccx-contact"):
-            return [settings_of(method.name, p.fea, gel)]
-        return ccx_settings(p, gel)
-
-
-def ccx_settings(params: StageParameters, gel: Gel) -> list:
-    """Settings that change a CalculiX solve of any method: base mesh, [fea], and the hexahedra that guide it."""
-    return [
-        base_of(gel).digest,
-        {key: value for key, value in plain(params.fea).items() if key not in NOT_SOLVER},
-        asdict(quality(GUIDE)),
-    ]
+            return [plain(p.pareto.reference), *settings_of("ccx", p.fea, gel)]
+        return settings_of(method.name if method.name in ("auto", "ccx-contact") else "ccx", p.fea, gel)
 
 
 def cells_of(mesh, forces: np.ndarray, sensor: Sensor) -> tuple[np.ndarray, np.ndarray]:
@@ -169,8 +154,10 @@ def solve_method(bench: ChartBench, scene: NamedScene, method: Method, work: Pat
 
 
 def load_bench(params: StageParameters, sensors: dict, records: Path, references: Path | None = None) -> ChartBench:
-    """A bench that compares cells as the sensor of [pareto] sees them."""
+    """A bench that compares cells as the chart's sensor sees them."""
     name = params.pareto.sensor
     if name not in sensors:
-        raise BadInput(f"[pareto] sensor = {name!r} is not in workflow/sensors.toml; it has {', '.join(sensors)}")
+        raise BadInput(
+            f"workflow/sensors.toml has no [{name}], in whose image the chart compares forces; add it again"
+        )
     return ChartBench(sensors[name], params, Path(records), references)

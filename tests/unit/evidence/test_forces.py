@@ -10,9 +10,9 @@ from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.sampling import Chain, Figures, NotConverged
 from gelforge.evidence.forces import Fitted, LogForces, drift, mean_forces, of_log, of_readings, sideways
 from gelforge.evidence.labels import of_labels
+from gelforge.flow.schema import altered
 from gelforge.stages.calibrate import Calibration, calibrate, evidence_of, model_of, served, usual_forces
 from tests.support.calibration_law import PARAMS, law_session, true_values
-from tests.support.parameters import with_values
 
 USUAL = 0.0725  # MPa
 AXES = {
@@ -146,7 +146,7 @@ def test_a_drift_is_one_along_the_log_and_no_chance():
 def fitted(session, emulator) -> list[str]:
     """What a calibration says of a session, of which it uses three quarters."""
     used = np.flatnonzero(np.arange(len(session)) % 4 != 1)
-    params = with_values(PARAMS, autocorrelation_times=10)
+    params = altered(PARAMS, autocorrelation_times=10)
     return calibrate(session.take(used), emulator.take(used), params, "coulomb", session, USUAL)[1]
 
 
@@ -157,7 +157,7 @@ def test_a_chain_that_does_not_converge_says_what_the_readings_say():
     change, said = TROUBLES["drift"]
     drifts = with_force(session, change(session.force))
     with pytest.raises(NotConverged, match=f"(?s){said}.*The chain did not converge"):
-        calibrate(drifts, emulator, with_values(PARAMS, max_steps=1200), "coulomb", drifts, USUAL)
+        calibrate(drifts, emulator, altered(PARAMS, max_steps=1200), "coulomb", drifts, USUAL)
 
 
 def test_a_cause_hides_what_follows_from_it():

@@ -117,7 +117,7 @@ def meaningless(hint: Any) -> list[Any]:
 def test_every_key_refuses_what_has_no_meaning(root):
     """In one sentence: file, table, key, what was given, what is allowed."""
     cases = [(path, value) for path, hint in leaves(t.Params) for value in meaningless(hint)]
-    assert len(cases) > 800 and len({path for path, _ in cases}) > 130
+    assert len(cases) > 500 and len({path for path, _ in cases}) > 90
     for path, value in cases:
         given = value
         for key in reversed(path):
@@ -131,27 +131,23 @@ def test_every_key_refuses_what_has_no_meaning(root):
 
 
 MEANINGLESS = (
-    ("[params.fea]\nrounds = 8.0", r"rounds = 8.0: give a whole number"),
+    ("[params.train]\nepochs = 8.0", r"epochs = 8.0: give a whole number"),
     ("[params.fea]\nmetod = 'ccx'", r"\[params.fea\] metod: unknown key; did you mean method"),
-    ("[params.fae]\nrounds = 8", "fae: unknown key; did you mean fea"),
+    ("[params.fae]\nmethod = 'ccx'", "fae: unknown key; did you mean fea"),
     ("[[params]]", "params = .*: give tables"),
     ("params = 5", "params = 5: give tables"),
-    ("[param.fea]\nrounds = 8", "param is unknown; did you mean params"),
+    ("[param.fea]\nmethod = 'ccx'", "param is unknown; did you mean params"),
     ("catalog = 'x.toml'", "did you mean catalogue"),
     ("catalogue = '.'", r"catalogue = '\.': give the name of a \.toml file"),
     ("catalogue = '../indenters.toml'", "catalogue = .*: give the name"),
     ("meshes = 4", "meshes is unknown"),
     ("[params.material]\nc10 = 72.5", "c10 = 72.5: give a number from 0.002 to 5 MPa"),
     (f"[params.interface]\nmu = 1{'0' * 400}", "mu = 1000.*: give a number from 0 to 1000"),
-    ("[params.poses]\nband_mm = 0", "band_mm = 0: give a number from 0.001"),
+    ("[params.poses]\ndeepest_share = 0", "deepest_share = 0: give a number from 1e-12"),
     ("[params.evaluate]\nforce_edges = [2.0, 1.0]", "force_edges = .*: give a list of 2 or more, .* rising"),
     ("[params.dataset]\nvalidation = 0.6\ntest = 0.5", "validation = 0.6 and test = 0.5"),
     ("[params.labels]\nchannels = ['traction']", "channels = .*\"force\" first"),
     ("[params.meshes]\ngel = 'dome'", "meshes: unknown"),
-    ("[params.pareto]\nhex_layers = [3]", "hex_sizes_mm has 2 sizes and hex_layers 1"),
-    ("[params.stability.sizes]\nhx = [1.0]", "hx: unknown name; did you mean hex"),
-    ("[params.stability]\nlayers = {}\nsizes = {hex = [2.0, 1.0, 0.7, 0.5]}", "layers has no \"2.0\""),
-    ("[params.calibrate]\nfriction_nodes = [0.6, 0.15]", "friction_nodes = .* rising"),
     ("[params.calibrate.priors.offset]\nkind = 'lognormal'", "median is missing: a prior of kind \"lognormal\""),
     ("[params.calibrate.priors.c10]\nspread = 0", "has no width"),
     ("[params.calibrate.priors.c10]\nmedian = -1", "needs a positive one"),

@@ -1,10 +1,9 @@
 """What training makes of pictures and labels before a network sees them."""
 
-from dataclasses import replace
-
 import numpy as np
 import torch
 
+from gelforge.flow.schema import altered
 from gelforge.learning.augment import (
     RGB_TO_YIQ,
     augment,
@@ -60,24 +59,24 @@ def test_a_mirrored_press_is_a_press():
 
 def test_the_nocontact_image_is_coloured_as_its_image():
     image = 0.3 + 0.3 * torch.rand(4, 3, 8, 8, generator=torch.Generator().manual_seed(1))
-    settings = replace(SETTINGS.augment, probability=1.0, noise=0.0, hue=0.02)
+    settings = altered(SETTINGS.augment, probability=1.0, noise=0.0, hue=0.02)
     changed = augment(torch.cat([image, image], 1), settings, torch.Generator().manual_seed(2))
     assert torch.equal(changed[:, :3], changed[:, 3:]) and not torch.equal(changed[:, :3], image)
     torch.testing.assert_close(changed[:, :3], augment(image, settings, torch.Generator().manual_seed(2)))
-    noisy = augment(torch.cat([image, image], 1), replace(settings, noise=0.1), torch.Generator().manual_seed(2))
+    noisy = augment(torch.cat([image, image], 1), altered(settings, noise=0.1), torch.Generator().manual_seed(2))
     assert not torch.equal(noisy[:, :3], noisy[:, 3:])
 
 
 def test_a_misplaced_nocontact_image_leaves_the_image_alone():
     pairs, none = np.random.default_rng(0).integers(0, 255, (6, 24, 32, 6), np.uint8), np.zeros(6, bool)
-    every = replace(SETTINGS.augment, misplaced_share=1.0)
+    every = altered(SETTINGS.augment, misplaced_share=1.0)
     assert np.array_equal(misplace_nocontact(pairs, ~none, every, torch.Generator().manual_seed(1)), pairs)
-    still = replace(SETTINGS.augment, misplaced_share=0.0)
+    still = altered(SETTINGS.augment, misplaced_share=0.0)
     assert np.array_equal(misplace_nocontact(pairs, none, still, torch.Generator().manual_seed(1)), pairs)
-    moved = misplace_nocontact(pairs, none, replace(still, misplaced_share=1.0), torch.Generator().manual_seed(1))
+    moved = misplace_nocontact(pairs, none, altered(still, misplaced_share=1.0), torch.Generator().manual_seed(1))
     assert np.array_equal(moved[..., :3], pairs[..., :3])
     assert all((one != other).any() for one, other in zip(moved[..., 3:], pairs[..., 3:], strict=True))
-    aside = replace(still, misplaced_share=1.0, misplaced_px=2.0, misplaced_deg=0.0, misplaced_zoom=0.0)
+    aside = altered(still, misplaced_share=1.0, misplaced_px=2.0, misplaced_deg=0.0, misplaced_zoom=0.0)
     spot = np.zeros((40, 24, 32, 6), np.uint8)
     spot[:, 12, 16] = 255
     moved = misplace_nocontact(spot, np.zeros(40, bool), aside, torch.Generator().manual_seed(1))[..., 3].astype(
@@ -92,7 +91,7 @@ def test_a_narrow_view_shows_no_force_and_no_difference_at_its_rim():
     rng = np.random.default_rng(0)
     pairs = rng.integers(0, 255, (30, 24, 32, 6), np.uint8)
     labels = rng.normal(size=(30, 3, 6, 8)).astype(np.float32)
-    settings = replace(SETTINGS.augment, narrowed_share=1.0, narrowed=0.6)
+    settings = altered(SETTINGS.augment, narrowed_share=1.0, narrowed=0.6)
     seen, target, chosen = narrow_views(
         pairs, labels, np.ones(len(pairs), bool), settings, torch.Generator().manual_seed(1)
     )
@@ -108,7 +107,7 @@ def test_a_narrow_view_shows_no_force_and_no_difference_at_its_rim():
         pairs,
         labels,
         np.ones(len(pairs), bool),
-        replace(settings, narrowed_share=0.0),
+        altered(settings, narrowed_share=0.0),
         torch.Generator().manual_seed(1),
     )
     assert np.array_equal(none[0], pairs) and np.array_equal(none[1], labels)
@@ -117,11 +116,11 @@ def test_a_narrow_view_shows_no_force_and_no_difference_at_its_rim():
 def test_augmentation_leaves_alone_what_it_must():
     images = torch.rand(6, 3, 8, 8, generator=torch.Generator().manual_seed(1))
     still = dict.fromkeys(("noise", "brightness", "contrast", "saturation", "hue"), 0.0)
-    one = augment(images, replace(SETTINGS.augment, **still, probability=1.0), torch.Generator().manual_seed(2))
+    one = augment(images, altered(SETTINGS.augment, **still, probability=1.0), torch.Generator().manual_seed(2))
     torch.testing.assert_close(one, images, atol=1e-5, rtol=0)  # a matrix and its inverse in single precision
-    none = augment(images, replace(SETTINGS.augment, probability=0.0), torch.Generator().manual_seed(2))
+    none = augment(images, altered(SETTINGS.augment, probability=0.0), torch.Generator().manual_seed(2))
     assert torch.equal(none, images)
-    changed = augment(images, replace(SETTINGS.augment, probability=1.0), torch.Generator().manual_seed(2))
+    changed = augment(images, altered(SETTINGS.augment, probability=1.0), torch.Generator().manual_seed(2))
     assert (changed != images).flatten(1).any(1).all() and changed.min() >= 0 and changed.max() <= 1
 
 
@@ -130,7 +129,7 @@ def test_colours_are_varied_as_the_paper_states(monkeypatch):
     image = 0.35 + 0.2 * torch.rand(1, 3, 8, 8, generator=torch.Generator().manual_seed(1))
     for name, width in (("brightness", 0.2), ("contrast", 0.3), ("saturation", 0.4), ("hue", 0.05)):
         off = dict.fromkeys(("noise", "brightness", "contrast", "saturation", "hue"), 0.0) | {name: width}
-        settings = replace(SETTINGS.augment, probability=1.0, **off)
+        settings = altered(SETTINGS.augment, probability=1.0, **off)
         found = augment(image, settings, torch.Generator().manual_seed(3))[0].double()
         luma, before = (torch.einsum("c,chw->hw", RGB_TO_YIQ[0].double(), one) for one in (found, image[0].double()))
         if name == "brightness":

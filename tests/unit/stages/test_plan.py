@@ -231,8 +231,7 @@ UNKNOWN = [
         '[params.dataset]\nunseen_indenters = ["spere_15"]',
         "unseen_indenters: 'spere_15' is unknown; did you mean sphere_15",
     ),
-    ('[params.pareto]\nsensor = "none"', r"\[pareto\] sensor: 'none' is unknown"),
-    ('[params.fea]\nmethod = "label"\n[params.stability]\nseed = -1', "seed = -1"),
+    ('[params.fea]\nmethod = "label"\n[params.train]\nseed = -1', "seed = -1"),
     ('catalogue = "none.toml"', "none.toml: not found"),
 ]
 

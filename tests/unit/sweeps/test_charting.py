@@ -131,7 +131,7 @@ def test_a_key_follows_what_the_method_depends_on_and_nothing_else(params, scene
         bench = load_bench(altered(params, **changed), load_sensors("workflow/sensors.toml"), tmp_path)
         return bench.key(scenes["punch"], method)
 
-    stiffer = replace(params.fea, stiffness=1.0)
+    stiffer = altered(params.fea, stiffness=1.0)
     loose = replace(params.fea, tolerance=0.5)
     hexahedron, ccx = Method("hex-1-8", "hex", 1.0, 4, 8), Method("ccx-1-8", "ccx", 1.0, steps=8)
     auto, label, tets = method_of("auto"), method_of("label"), method_of("ccx")
@@ -250,11 +250,11 @@ def test_verdicts_against_the_finest_of_the_row():
     base = cases.Case("hex", "round", 1.0, 0.0, "centre", 0.475, 1.0, 8)
     sizes = [cases.Case(**(base.describe() | {"size": size})) for size in (1.4, 1.0, 0.5)]
     records = [_record(sizes[0], fz=-6.0), _record(sizes[1], fz=-5.1), _record(sizes[2])]
-    judged = stability.judge_row("size", records, stage_of("stability", stability={"drift": 0.05}))
+    judged = stability.judge_row("size", records, stage_of("stability"))
     assert [line["verdict"] for line in judged] == ["drifts", "good", "good"]
     assert judged[0]["error"] == pytest.approx(0.2)
     records[0] = _record(sizes[0], "DIVERGED", 0.0)
-    judged = stability.judge_row("size", records, stage_of("stability", stability={"drift": 0.05}))
+    judged = stability.judge_row("size", records, stage_of("stability"))
     assert judged[0]["verdict"] == "failed" and judged[0]["reason"] == "why"
     assert "DIVERGED" in "\n".join(stability.reading(judged))
 
@@ -265,7 +265,7 @@ def test_a_place_at_label_setting_stands_beside_the_finest_hexahedra():
     records = [
         _record(cases.Case(solver, **press), fz=fz) for solver, fz in zip(solvers, (-5.1, -6, -5), strict=True)
     ]
-    judged = stability.judge_row("depth", records, stage_of("stability", stability={"drift": 0.05}))
+    judged = stability.judge_row("depth", records, stage_of("stability"))
     assert [(line["level"], line["against"], line["verdict"]) for line in judged] == [
         (3.5, "fine", "good"), (3.5, "fine", "drifts"), (3.5, None, "good")]  # fmt: skip
     assert judged[0]["error"] == pytest.approx(0.02)

@@ -67,9 +67,7 @@ class Job:
             if "*ERROR" in line:
                 return " ".join(" ".join(lines[start : start + 3]).split())[:200]
         if self.returncode == OVERDUE:
-            return (
-                f"stopped after {self.seconds:.3g} s; raise timeout_s in [fea], or limit_s in [pareto] or [stability]"
-            )
+            return f"stopped after {self.seconds:.3g} s; raise timeout_s in [fea]"
         if self.returncode < 0:
             return f"stopped by {signal.Signals(-self.returncode).name}"
         return f"exit code {self.returncode} without a message"
