@@ -85,14 +85,16 @@ def readings_of(
     known_bad: Collection[int] = (),
     gels: Mapping[str, str] = MappingProxyType({}),
     tilt_deg: Sequence[float] = (0.0, 0.0),
+    mounting_tilt_deg: Mapping[str, Sequence[float]] = MappingProxyType({}),
 ) -> Readings:
     """Every press of a log's rows that has a normal force; rows without one are skipped.
 
     Rows of several sensors that saw one press and are otherwise equal make one reading. Of the frames of a press only
     the last is used.
     known_bad: lines of the log that are rejected. gels: name of the gel by sensor, "" for rows that name no
-    sensor; USUAL_GEL for all others. tilt_deg: of the bench, for rows that state none. Sideways forces may be empty. A log in which no row has a force, or a value that
-    is no number, raises BadInput.
+    sensor; USUAL_GEL for all others. tilt_deg, mounting_tilt_deg: of the bench and of single mountings, degrees about
+    gel x and y, for rows that state none. Sideways forces may be empty. A log in which no row has a force, or a value
+    that is no number, raises BadInput.
     """
     missing = [column for column in ("indenter", *POSE, "fz_n") if column not in rows[0].cells]
     if missing:
@@ -108,7 +110,7 @@ def readings_of(
             raise BadInput(
                 f"{log}: row {first.row}, column {first.column}: {first.value!r}: {first.reason}; {first.hint}"
             )
-        press = with_tilt(press, tilt_deg)
+        press = with_tilt(press, tilt_deg, mounting_tilt_deg)
         same = tuple(raw.cells.get(c) for c in ("time_utc", "indenter", *POSE, *FORCE))
         if seen_by.setdefault(same, press.sensor_id) == press.sensor_id:
             presses.append(press)

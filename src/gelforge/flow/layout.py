@@ -61,6 +61,7 @@ STAGES = {
             "poses.deepest_share",
             "poses.farthest_shear_mm",
             "poses.tilt_deg",
+            "poses.mounting_tilt_deg",
         ),
         solves=True,
     ),

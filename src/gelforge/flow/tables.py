@@ -39,6 +39,8 @@ METHODS = get_args(Method)
 IN_PROCESS = ("draft", "label", "fine")  # qualities of hexahedra: they need neither CalculiX nor tetrahedral meshes
 # Methods that "auto" tries in turn, until one states an error within [fea] tolerance.
 TAKEN = ("draft", "label", "ccx")
+Angle = Annotated[Number, Within(-30.0, 30.0, "degrees")]
+Tilt = tuple[Angle, Angle]
 FromNone = Annotated[Number, Within(0.0, 1e9)]
 # Keys of [fea] that decide which presses are solved twice, and by which stated error "auto" chooses a method; neither
 # changes a solve by a named method.
@@ -300,9 +302,8 @@ class PosesTable(ParameterTable):
     touch_offset_mm: Annotated[Number, Within(-10.0, 10.0, "mm")]
     compliance_mm_per_n: Annotated[Number, Within(0.0, 1.0, "mm/N")]
     shear_compliance_mm_per_n: Annotated[Number, Within(0.0, 1.0, "mm/N")]
-    tilt_deg: tuple[
-        Annotated[Number, Within(-30.0, 30.0, "degrees")], Annotated[Number, Within(-30.0, 30.0, "degrees")]
-    ]
+    tilt_deg: Tilt
+    mounting_tilt_deg: dict[Name, Tilt]
     images: bool
     judge_images: bool
     deepest_share: Annotated[Number, Within(TINY, 1.0)]

@@ -19,7 +19,7 @@ NEAR_DEPTH_MM = 0.05
 # two rows may differ from the first row's in opposite directions.
 MOST_DEEPER_MM = NEAR_DEPTH_MM + 2.0 * NEAR_MM
 MOST_FARTHER_MM = NEAR_MM
-SAME = ("indenter", "sensor_id", "gel_id")
+SAME = ("indenter", "sensor_id", "gel_id", "mounting")
 PLACE = {"x0_mm": NEAR_MM, "y0_mm": NEAR_MM, "z0_mm": NEAR_MM, **dict.fromkeys(("rot_deg", *TILT), NEAR_DEG)}
 
 
@@ -34,7 +34,7 @@ def presses_of(records: Sequence[Record]) -> list[list[Record]]:
 def check_frames(records: Sequence[PressRecord], file: str) -> list[Rejection]:
     """Rejections of rows that cannot be a later frame of the press with their press_id.
 
-    The first row of a press is accepted. Each later one must have its indenter, sensor, gel, place and rotation, no
+    The first row of a press is accepted. Each later one must have its indenter, sensor, gel, mounting, place and rotation, no
     earlier time, and lie further along its path than all accepted rows before it.
     """
     wrong = []

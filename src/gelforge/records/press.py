@@ -6,9 +6,10 @@ degrees, forces N, moments N m. In every file and message, a row's number is its
 
 import math
 import re
-from collections.abc import Collection, Hashable, Iterable, Sequence
+from collections.abc import Collection, Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from datetime import datetime
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from gelforge.errors import BadInput, printable
@@ -24,7 +25,7 @@ FORCE = ("fx_n", "fy_n", "fz_n")
 MOMENT = ("mx_nm", "my_nm", "mz_nm")
 FORCES = (*FORCE, *MOMENT)
 COLUMNS = ("sample_id", "time_utc", "sensor_id", "gel_id", "indenter", *POSE, *FORCES, "image")
-OPTIONAL = ("press_id", *TILT)
+OPTIONAL = ("press_id", "mounting", *TILT)
 KNOWN = (*COLUMNS, *OPTIONAL)
 # Files with the tables of the sensors and indenters that rows name.
 SENSOR_TABLES = "workflow/sensors.toml or the dataset's own sensors.toml"
@@ -122,8 +123,9 @@ class Press:
 class PressRecord:
     """What the log says of one press; a force that was not measured is None, a pose that was not logged NaN.
 
-    press_id: shared by the frames of one press (`records.frames`); empty where the row is the only one. tilt_x_deg,
-    tilt_y_deg: None where the row has none.
+    press_id: shared by the frames of one press (`records.frames`); empty where the row is the only one. mounting: name
+    of the mounting of the sensor and its gel, between two re-seatings; rows without one are of one mounting.
+    tilt_x_deg, tilt_y_deg: None where the row has none.
     """
 
     row: int
@@ -146,6 +148,7 @@ class PressRecord:
     mz_nm: float | None
     image: str
     press_id: str = ""
+    mounting: str = ""
     tilt_x_deg: float | None = None
     tilt_y_deg: float | None = None
 
@@ -227,10 +230,16 @@ class Rejection:
         return printable(f"{where}: {self.column} = {self.value!r}: {self.reason}; {self.hint}")
 
 
-def with_tilt(press: LoggedPress, tilt_deg: Sequence[float]) -> LoggedPress:
-    """A press with a tilt about gel x and y, degrees, where its record has none."""
+def with_tilt(
+    press: LoggedPress, tilt_deg: Sequence[float], by_mounting: Mapping[str, Sequence[float]] = MappingProxyType({})
+) -> LoggedPress:
+    """A press with a tilt about gel x and y, degrees, where its record has none.
+
+    by_mounting: the tilt of each mounting that has its own; tilt_deg: of all others.
+    """
+    usual = by_mounting.get(press.mounting, tilt_deg)
     stated: dict[str, Any] = {
-        name: tilt for name, tilt in zip(TILT, tilt_deg, strict=True) if tilt and getattr(press, name) is None
+        name: tilt for name, tilt in zip(TILT, usual, strict=True) if tilt and getattr(press, name) is None
     }
     return replace(press, **stated) if stated else press
 
@@ -389,7 +398,7 @@ def pull_fault(fz_n: float) -> tuple[str, str] | None:
 def _word_fault(name: str, text: str) -> tuple[str, str] | None:
     if name == "sample_id" and not _ID.fullmatch(text):
         return "not usable as a file name", f"use {ID_RULE}"
-    if name == "press_id" and text and not _ID.fullmatch(text):
+    if name in ("press_id", "mounting") and text and not _ID.fullmatch(text):
         return "not a name", f"use {ID_RULE}, or leave it empty"
     if name == "sensor_id" and not text:
         return "the cell is empty", f"write a name of {SENSOR_TABLES}"

@@ -269,7 +269,7 @@ def logged_readings(of: Layout, read: StageParameters, bodies: Bodies) -> Readin
     bad = {one.row for one in rejected if one.column != "fz_n"}
     if rejected and not {row.row for row in rows if row.cells.get("fz_n")} - bad:
         raise BadInput(f"{log}: every row with a normal force (fz_n) is rejected, the first: {rejected[0].text}")
-    readings = readings_of(rows, log, bad, gels, read.poses.tilt_deg)
+    readings = readings_of(rows, log, bad, gels, read.poses.tilt_deg, read.poses.mounting_tilt_deg)
     check_readings(readings)
     pulling = {one.row for one in rejected} - bad
     return readings.take(~np.isin(readings.rows, sorted(pulling)))

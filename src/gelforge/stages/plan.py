@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
 
-from gelforge.errors import BadInput, printable
+from gelforge.errors import BadInput, nearest, printable
 from gelforge.evidence.settings import check_dataset
 from gelforge.flow import params as config
 from gelforge.flow.calibration import calibration_of, refuse_twice
@@ -88,6 +88,17 @@ def logged_rows(log: Path, sensor: str | None) -> list[RawRow]:
         row if name else replace(row, cells={**row.cells, "sensor_id": sensor})
         for row, name in zip(rows, named_one, strict=True)
     ]
+
+
+def unknown_mountings(params: Params, rows: list[RawRow], dataset_toml: Path) -> None:
+    """Refuse a tilt of a mounting that no row of the log is of; BadInput."""
+    logged = named(rows, "mounting") - {""}
+    for name in params.poses.mounting_tilt_deg:
+        if name not in logged:
+            meant = nearest(name, logged) if logged else "; the log names none, add a column mounting to it"
+            raise BadInput(
+                f"{dataset_toml}: [params.poses] mounting_tilt_deg: no row of the log is of {name!r}{meant}"
+            )
 
 
 def known_shards(table: Path) -> dict[str, int]:
@@ -414,6 +425,7 @@ def main(args: Namespace) -> None:
     beside = files_beside(data)
     states = states_of([*read, *beside.values()], known)
     check_dataset(dataset_toml, dataset, params, used(sensors, named(rows, "sensor_id")), sensors, indenters, models)
+    unknown_mountings(params, rows, dataset_toml)
     seen_by = used(sensors, named(rows, "sensor_id"))
     tables = {
         "sensors": seen_by,

@@ -77,7 +77,7 @@ def yielded(sample: LoggedPress, file: str, params: PosesTable) -> tuple[LoggedP
         return sample, [
             reject(sample, file, "dz_mm", "fz_n times the bench compliance exceeds the depth of the press", hint)
         ]
-    path = replace(with_tilt(sample, params.tilt_deg), **moved)
+    path = replace(with_tilt(sample, params.tilt_deg, params.mounting_tilt_deg), **moved)
     return path, turned_round(sample, path, file, sideways)
 
 

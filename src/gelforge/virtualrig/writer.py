@@ -8,7 +8,7 @@ import tomllib
 from dataclasses import asdict, astuple
 from datetime import datetime, timedelta
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -197,10 +197,11 @@ def logged(pressing: "Pressing") -> LoggedPress:
     """Row of the log: the path that the bench reports and what its load cell read."""
     order, log = pressing.order, pressing.log
     path = (log.x0, log.y0, log.z0, log.dx, log.dy, log.dz, log.rot_deg)
-    values = dict(zip((*POSE, *FORCES), (*path, *pressing.read_force, *pressing.read_moment), strict=True))
+    read = (*path, *pressing.read_force, *pressing.read_moment)
+    values: dict[str, Any] = {name: float(value) for name, value in zip((*POSE, *FORCES), read, strict=True)}
     return LoggedPress(
         row=0, sample_id=order.sample_id, time_utc=time_of(order), sensor_id=order.sensor, gel_id=order.gel,
-        indenter=order.indenter, image=image_name(order), press_id=order.film_id, **{name: float(value) for name, value in values.items()},
+        indenter=order.indenter, image=image_name(order), press_id=order.film_id, **values,
     )  # fmt: skip
 
 

@@ -229,11 +229,11 @@ def test_unusable_priors(table, message):
         parse(PriorTable, table, Place("a test", ("calibrate", "priors", "c10")))
 
 
-def planned(tmp_path, *rows, **poses):
+def planned(tmp_path, *rows, columns=COLUMNS, **poses):
     """The layout of a dataset with these rows in one shard, and the parameters of calibrate."""
     of = Layout(place_workflow(tmp_path) / "results/lab")
     of.shards.mkdir(parents=True)
-    write_lines(of.shard("0000"), *rows)
+    write_lines(of.shard("0000"), *rows, columns=columns)
     write_json(of.parameters("sensors"), read_toml(tmp_path / "workflow/sensors.toml"))
     indenters = read_toml(tmp_path / "workflow/indenters.toml")
     write_stage(of.params, "calibrate", poses=poses)
@@ -250,6 +250,13 @@ def test_rows_serve_that_stage_10_would_take_by_their_commanded_path(tmp_path):
     assert logged_readings(*planned(tmp_path / "shallow", *rows, deepest_share=0.4)).ids.tolist() == ["a", "c"]
     tilted = logged_readings(*planned(tmp_path / "tilted", *rows[:1], tilt_deg=[0.5, -1.0])).pose[:, -2:]
     assert tilted.tolist() == [[0.5, -1.0]]
+    columns = (*COLUMNS, "mounting")
+    again = log_line(
+        columns, sample_id="a", sensor_id="mini_a", indenter="sphere_15", dz_mm=-1, fz_n=-1, mounting="m2"
+    )
+    bench = {"tilt_deg": [0.5, -1.0], "mounting_tilt_deg": {"m2": [2.0, 0.0]}}
+    mounted = planned(tmp_path / "mounted", f"{rows[2]},", again, columns=columns, **bench)
+    assert logged_readings(*mounted).pose[:, -2:].tolist() == [[0.5, -1.0], [2.0, 0.0]]
     bad = planned(tmp_path / "bad", rows[1], rows[3])
     refused(r"every row with a normal force \(fz_n\) is rejected, the first: .*deep", logged_readings, *bad)
     assert not (tmp_path / "usual/results/lab/10_poses").exists()

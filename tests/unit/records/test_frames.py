@@ -47,6 +47,7 @@ def test_a_row_that_is_no_later_moment_is_rejected_alone():
         ("indenter", [*DOWN, frame(3, dz_mm=-1.8, indenter="bar_5")], "differs"),
         ("sensor_id", [*DOWN, frame(3, dz_mm=-1.8, sensor_id="other")], "differs"),
         ("gel_id", [*DOWN, frame(3, dz_mm=-1.8, gel_id="other")], "differs"),
+        ("mounting", [*DOWN, frame(3, dz_mm=-1.8, mounting="again")], "differs"),
         ("x0_mm", [*DOWN, frame(3, dz_mm=-1.8, x0_mm=0.5)], "differs"),
         ("rot_deg", [*DOWN, frame(3, dz_mm=-1.8, rot_deg=10.0)], "differs"),
         (
@@ -152,6 +153,9 @@ def test_the_column_is_optional_and_read(tmp_path):
     line = log_line(WITH_ID, press_id="a b")  # which is no name
     _, wrong = parse(log.read_log(write_lines(tmp_path / "log.csv", line, columns=WITH_ID))[0], "log.csv")
     assert [r.column for r in wrong] == ["press_id"]
+    columns = (*COLUMNS, "mounting")
+    again = write_lines(tmp_path / "mounted.csv", log_line(columns, mounting="gel 2"), columns=columns)
+    assert [r.column for r in parse(log.read_log(again)[0], "log.csv")[1]] == ["mounting"]
 
 
 @given(st.lists(st.integers(0, 6), min_size=1, max_size=60), st.integers(1, 5), st.integers(0, 60))

@@ -27,6 +27,7 @@ from gelforge.stages.plan import (
     networks,
     pressed,
     reported_model,
+    room,
     write_shards,
 )
 from tests.support.parameters import parameters, place_workflow
@@ -47,7 +48,7 @@ def test_shards_hold_at_most_their_size_and_fill_in_order(names, size):
     counts = {}
     for shard in assign_shards(names, {}, size).values():
         counts[shard] = counts.get(shard, 0) + 1
-    assert all(count <= size for count in counts.values())
+    assert all(count <= room(shard, size) for shard, count in counts.items())
     assert sorted(counts) == list(range(len(counts)))
 
 
@@ -233,6 +234,8 @@ UNKNOWN = [
     ),
     ('[params.fea]\nmethod = "label"\n[params.train]\nseed = -1', "seed = -1"),
     ('catalogue = "none.toml"', "none.toml: not found"),
+    ("[params.poses.mounting_tilt_deg]\nagain = [2.0, 0.0]", "no row of the log is of 'again'; the log names none"),
+    ("[params.poses.mounting_tilt_deg]\nagain = [60.0, 0.0]", "from -30 to 30 degrees"),
 ]
 
 
@@ -241,6 +244,14 @@ def test_names_that_are_none_are_refused_at_the_plan(lab, monkeypatch):
     for text, named in UNKNOWN:
         with pytest.raises(BadInput, match=named):
             planned(lab, text)
+
+
+def test_a_tilt_of_a_mounting_that_the_log_names_is_planned(lab):
+    params = parameters(poses={"mounting_tilt_deg": {"again": [2.0, 0.0]}})
+    rows = [RawRow(2, {"sample_id": "a", "mounting": "again"}), RawRow(3, {"sample_id": "b", "mounting": ""})]
+    plan.unknown_mountings(params, rows, Path("dataset.toml"))
+    with pytest.raises(BadInput, match="'again'; did you mean agin"):
+        plan.unknown_mountings(params, [RawRow(2, {"mounting": "agin"})], Path("dataset.toml"))
 
 
 def test_sensors_sit_on_gels_of_one_shape_each_of_its_own_thickness(lab, monkeypatch):

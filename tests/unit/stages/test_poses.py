@@ -292,6 +292,25 @@ def test_a_touch_found_too_high_is_a_deeper_press():
     assert (path.z0_mm, path.dz_mm) == (-0.05, -1.0)
 
 
+def test_tilt_is_that_of_the_row_then_of_its_mounting_then_of_the_bench():
+    table = replace(RIGID, tilt_deg=(1.0, 0.0), mounting_tilt_deg={"again": (0.0, -2.0)})
+    for cells, tilt in (
+        ({}, (1.0, 0.0)),
+        ({"mounting": "other"}, (1.0, 0.0)),
+        ({"mounting": "again"}, (0.0, -2.0)),
+        ({"mounting": "again", "tilt_y_deg": 0.5}, (0.0, 0.5)),
+        ({"mounting": "again", "tilt_x_deg": 0.5, "tilt_y_deg": 0.0}, (0.5, 0.0)),
+    ):
+        path, wrong = poses.yielded(sample(**cells), "log.csv", table)
+        assert path.tilt == tilt and not wrong
+
+
+def test_the_pose_table_names_the_mounting_and_holds_its_tilt(lab):
+    write_stage(lab.of.params, "poses", poses={"mounting_tilt_deg": {"b": [0.0, -2.0]}})
+    table, _, _ = lab([sample("first", mounting="a"), sample("again", mounting="b")])
+    assert [(row["mounting"], row["tilt_y_deg"]) for row in table] == [("a", ""), ("b", "-2.0")]
+
+
 def test_a_bench_that_gives_way_by_more_than_the_press_is_rejected():
     _, wrong = poses.yielded(sample(dz_mm=-0.2, fx_n=0.0, fy_n=0.0, fz_n=-40.0), "log.csv", YIELDING)
     assert [(r.column, "times the bench compliance exceeds the depth" in r.reason) for r in wrong] == [
