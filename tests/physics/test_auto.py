@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gelforge.flow.schema import altered
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
 from gelforge.mechanics import solve
@@ -107,7 +108,7 @@ def test_no_try_of_a_press_repeats_an_earlier_one(tmp_path, monkeypatch, ccx):
         path = settings.path(one, 0.0)
         return path.press_steps, path.shear_steps, path.settle_rounds
 
-    settings = replace(parameters().fea, press_steps=2, step_mm=0.1)
+    settings = altered(parameters().fea, press_steps=2, step_mm=0.1)
     deep = scene(1.5)
     solvers = Solvers(tmp_path, settings)
     solvers.guide = type("NoGuide", (), {"coarse_path": staticmethod(lambda scenes: [None] * len(scenes))})()
