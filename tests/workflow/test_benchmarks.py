@@ -37,6 +37,7 @@ LEFT_OUT = {
 NETWORKS = {
     "unseen": ["--presses", "1", "--units", "2"],
     "real": ["--parts", "cuboid"],
+    "torn": ["--count", "2"],
     "totals": ["--presses", "32"],
 }
 
