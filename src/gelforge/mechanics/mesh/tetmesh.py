@@ -219,9 +219,8 @@ def second_order(
 def untangle(nodes: np.ndarray, elements: np.ndarray, least: float = 0.03, sweeps: int = 20) -> None:
     """Move inner corners of elements (e, 10) whose straight shape is worse than `least`, in place, to where it is best.
 
-    Tried are places on the way to the middle of a corner's neighbours, and away from its flattest element's opposite face.
-
-    Where the gel's surface is steep, a node just below it may get beyond the straight face of the element above.
+    Where the gel's surface is steep, a node just below it may get beyond the straight face of the element above. Tried
+    are places on the way to the middle of its neighbours, and on either side of its flattest element's opposite face.
     """
     tets = elements[:, :4]
     faces, count = np.unique(np.sort(tets[:, FACES].reshape(-1, 3), axis=1), axis=0, return_counts=True)

@@ -227,10 +227,11 @@ class HexSolver:
     def _run(self, scene: Scene, mesh: HexMesh, settings: HexSettings, size: float) -> ScenePath:
         press, shear, walk = settings.press_steps, settings.shear_steps, settings.walk_mm
         if scene.interface.contact.frictional:
-            down, aside = path_length(scene, first_touch(scene) or 0.0, 1.0), np.hypot(scene.press.dx, scene.press.dy)
+            start = first_touch(scene) or 0.0
+            down, aside = path_length(scene, start, 1.0), np.hypot(scene.press.dx, scene.press.dy)
             press = max(press, int(np.ceil(down / settings.press_mm)))
             shear = max(shear, int(np.ceil(aside / settings.shear_mm)))
-            walk = settings.slide_mm if slides(scene, first_touch(scene) or 0.0) else walk
+            walk = settings.slide_mm if slides(scene, start) else walk
         steps = replace(settings, size=size, press_steps=press, shear_steps=shear, walk_mm=walk)
         return ScenePath(scene, steps, mesh, self._system(mesh))
 
