@@ -154,10 +154,9 @@ class Solvers:
     ) -> Result:
         """Solve by CalculiX on a mesh refined for the contact found by `shown`, a path on hexahedra."""
         base = self.ccx
-        finer = replace(base, press_steps=steps * base.press_steps, shear_steps=steps * base.shear_steps,
-                        step_mm=base.step_mm / steps, rounds=rounds * base.rounds)  # fmt: skip
         mesh = mesh_of(scene, shown, base.edge_mm, base.inside_mm)
-        result = CcxSolver(mesh.mesh(), self.workdir, finer).solve(scene, coarse_path=coarse_path)
+        solver = CcxSolver(mesh.mesh(), self.workdir, replace(base, rounds=rounds * base.rounds))
+        result = solver.solve(scene, coarse_path=coarse_path, finer=steps)
         force = float(np.linalg.norm(result.total))
         result.evidence |= {
             "mesh": mesh.name,

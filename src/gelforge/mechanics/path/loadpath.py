@@ -1,11 +1,13 @@
 """The load path of a press: press, then shear, with one path parameter; its frames, and the gel that it meets."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.geometry import touch
+from gelforge.mechanics.path.pathsettings import PathSettings
 from gelforge.mechanics.pose import Pose
 from gelforge.mechanics.scene import Scene
 from gelforge.records.frames import MOST_DEEPER_MM, MOST_FARTHER_MM
@@ -23,6 +25,22 @@ def slides(scene: Scene, start: float) -> bool:
     """Whether a press under a law with friction moves farther sideways than down after `start`, its first touch."""
     aside = math.hypot(scene.press.dx, scene.press.dy)
     return scene.interface.contact.frictional and aside > path_length(scene, start, 1.0)
+
+
+def fitted(settings: PathSettings, scene: Scene, start: float) -> PathSettings:
+    """Settings whose load steps and walk suit a scene's path from `start`, its first touch.
+
+    Under a law with friction no load step is longer than press_mm and shear_mm, and a press that slides is walked
+    longer.
+    """
+    if not scene.interface.contact.frictional:
+        return settings
+    down, aside = path_length(scene, start, 1.0), math.hypot(scene.press.dx, scene.press.dy)
+    return replace(
+        settings, press_steps=max(settings.press_steps, math.ceil(down / settings.press_mm)),
+        shear_steps=max(settings.shear_steps, math.ceil(aside / settings.shear_mm)),
+        walk_mm=settings.slide_mm if slides(scene, start) else settings.walk_mm,
+    )  # fmt: skip
 
 
 def path_length(scene: Scene, begin: float, end: float) -> float:

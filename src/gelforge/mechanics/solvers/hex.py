@@ -16,7 +16,7 @@ from gelforge.mechanics.hexsettings import FLATNESS, WIDEST, HexSettings
 from gelforge.mechanics.mesh.hexmesh import FineBox, HexMesh, build_mesh, fine_box, thinner_layers
 from gelforge.mechanics.mesh.hexname import HexMeshName
 from gelforge.mechanics.path.equilibrium import System
-from gelforge.mechanics.path.loadpath import first_touch, frame_time, path_length, path_pose, slides
+from gelforge.mechanics.path.loadpath import first_touch, fitted, frame_time, path_pose
 from gelforge.mechanics.path.scenepath import ScenePath
 from gelforge.mechanics.path.transfer import LoadPath, walk_start
 from gelforge.mechanics.result import BALANCE, BEYOND_CONE, Result
@@ -225,14 +225,7 @@ class HexSolver:
         return self.settings.box or fine_box(scene, size, self.settings.across)
 
     def _run(self, scene: Scene, mesh: HexMesh, settings: HexSettings, size: float) -> ScenePath:
-        press, shear, walk = settings.press_steps, settings.shear_steps, settings.walk_mm
-        if scene.interface.contact.frictional:
-            start = first_touch(scene) or 0.0
-            down, aside = path_length(scene, start, 1.0), np.hypot(scene.press.dx, scene.press.dy)
-            press = max(press, int(np.ceil(down / settings.press_mm)))
-            shear = max(shear, int(np.ceil(aside / settings.shear_mm)))
-            walk = settings.slide_mm if slides(scene, start) else walk
-        steps = replace(settings, size=size, press_steps=press, shear_steps=shear, walk_mm=walk)
+        steps = fitted(replace(settings, size=size), scene, first_touch(scene) or 0.0)
         return ScenePath(scene, steps, mesh, self._system(mesh))
 
     def _mesh(self, gel: Gel, box: FineBox, s: HexSettings) -> HexMesh:
