@@ -160,8 +160,8 @@ class ScenePath(Equilibrium):
         """The end of a path with friction: contact is taken over `walk_mm` before it, then the rest is walked.
 
         A step of the walk is a load step of a path, as short as there, because points that touch within a step get their
-        friction late, and because its slip has one direction. On tetrahedra a single step over 0.1 to 0.3 mm leaves the
-        sideways force of a sliding press 3 to 15 % too small; two steps are right to 1 %.
+        friction late, and because its slip has one direction: on tetrahedra one step of 0.1 to 0.3 mm leaves the sideways
+        force of a sliding press 3 to 15 % too small, two steps of 0.1 mm are right to 1 %.
         """
         part = path.walk(self.settings.walk_mm)
         t, end = part.times[-1], path.times[-1]
@@ -169,14 +169,17 @@ class ScenePath(Equilibrium):
         self.u = carried(part, self.mesh, self.elements)
         ahead = carried(path, self.mesh, self.elements) - self.u
         met, places, traction = anchored(part, self.state.reference, self.settings.touched)
-        self.stick(met, places, begin)
+        later, touch = touches(path, self.state.reference, self.settings.touched)
+        places[~met] = touch[~met]
+        bound = met | later
+        self.stick(bound, places, begin)
         self.state.carried[met] = traction[met]
         self.state.go(1.0)
         self.rounds += 1
         self.solve_here(begin, Aim(self.settings.rough, enough=ROUGHEST))
         self._slide(begin)
-        new = self.touching()
-        self.stick(new, begin.to_indenter(self.points(self.u)), begin)
+        # points that lost contact in the transfer's noise, or touch within the walk, keep the place of their first touch
+        self.stick((bound & (self.state.status == FREE)) | self.touching(), places, begin)
         self.noisy, self.crawls = NOISY, False
         self.pose_at = lambda at: last if at >= end else path.pose(at)
         # the coarse motion over the walk, as if the last load step had been as long

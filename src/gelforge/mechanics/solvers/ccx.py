@@ -47,9 +47,6 @@ NEAR_MM = 0.5  # gap below which a free point may come to touch within a load st
 # at most 0.07 % against 1e-3 and takes three quarters of the time; 0.2 changes it by up to 1.2 %.
 ROUGH = 0.03
 FRICTION = 0.1  # tangential over normal penalty stiffness, for laws with friction
-# Walk of a press that slides, mm: two load steps. On tetrahedra the sideways force of slides of a ball and of a block is
-# then right to 0.2 and 1.4 %; after a walk of 0.1 mm it is 4 % too small.
-SLIDE_MM = 0.2
 # Largest relative difference of CalculiX' force to that of the same equilibrium in process (normally about 1e-8).
 MOST_DIFFERENT = 1e-5
 
@@ -91,7 +88,7 @@ class CcxSettings:
         penalty = self.stiffness * NEAR_MM
         settings = PathSettings(
             NEAR_MM, penalty, FRICTION * penalty, press_steps=max(self.press_steps, int(np.ceil(travel / self.step_mm))),
-            shear_steps=self.shear_steps, slide_mm=SLIDE_MM, tolerance=1e-3, final_tolerance=1e-8, rough=ROUGH,
+            shear_steps=self.shear_steps, tolerance=1e-3, final_tolerance=1e-8, rough=ROUGH,
             max_iterations=20, most_in_all=300 * finer, settle_rounds=self.rounds,
         )  # fmt: skip
         fit = fitted(settings, scene, touch_at)
