@@ -56,6 +56,7 @@ export OPENBLAS_NUM_THREADS ?= 1
 
 SETUP := .venv/ready
 CCX_FOUND := .venv/ccx.path
+COMPILED := .venv/kernels.compiled
 # A linked environment belongs to another checkout: it is used as it is and never outdated.
 VENV_IS_LINK := $(filter-out $(CURDIR)/.venv,$(realpath .venv))
 # An environment contains its absolute path: in a moved or copied clone its programs would start in the old place.
@@ -67,10 +68,13 @@ $(error .venv was made for $(VENV_HOME), not for this folder: it was moved or co
 endif
 
 .PHONY: setup
-setup: $(SETUP) $(CCX_FOUND)  ## virtual environment and CalculiX, inside the project; only system packages go outside
+setup: $(SETUP) $(CCX_FOUND) $(COMPILED)  ## virtual environment and CalculiX, inside the project; only system packages go outside
 
 $(SETUP): $(if $(VENV_IS_LINK),,envs/requirements.lock pyproject.toml envs/venv.sh)
 	@envs/venv.sh $@
 
 $(CCX_FOUND): envs/ccx.sh | $(SETUP)
 	@envs/ccx.sh $@
+
+$(COMPILED): envs/kernels.py | $(SETUP) $(CCX_FOUND)
+	@$(PY) $< $@ $(CCX_FOUND)

@@ -23,11 +23,11 @@ $(LEROBOT_READY): envs/lerobot.sh envs/lerobot.lock | $(SETUP)
 	@envs/lerobot.sh $@
 
 .PHONY: test
-test: $(SETUP) $(CCX_FOUND)  ## the tests of every change, in minutes: all but the slow ones
+test: $(SETUP) $(CCX_FOUND) $(COMPILED)  ## the tests of every change, in minutes: all but the slow ones
 	@$(PYTEST) -m 'not slow' $(or $(value TESTS),tests)
 
 .PHONY: test-all
-test-all: $(SETUP) $(CCX_FOUND)  ## all tests, in half an hour; MARKED=slow: those that `make test` leaves out
+test-all: $(SETUP) $(CCX_FOUND) $(COMPILED)  ## all tests, in half an hour; MARKED=slow: those that `make test` leaves out
 	@$(PYTEST) $(if $(value MARKED),-m '$(value MARKED)') $(or $(value TESTS),tests)
 
 .PHONY: lint
