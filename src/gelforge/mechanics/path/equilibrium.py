@@ -1,4 +1,29 @@
-"""Equilibrium of one scene on one mesh at a fixed pose: Newton's method that reuses a factorisation while it pays."""
+"""Equilibrium of one scene on one mesh at a fixed pose: Newton's method that reuses a factorisation while it pays.
+
+The displacement u of the nodes is sought at which the forces of the deformed gel balance those of the contact:
+
+    R(u) = F_gel(u) - F_contact(u) = 0,    u = 0 at the bonded base.
+
+Contact acts at integration points of the surface. At the position x of one, the indenter has the signed distance g
+(negative inside) and the outward normal n. The pressure is p = k_n max(0, -g), and the traction on the gel is
+t = p n + q, with a tangential part q by the contact law (`contact/penalty.py`):
+
+- frictionless: q = 0.
+- no slip: a point that has touched is bound to the place s of the indenter where it first touched, in all directions:
+  t = k_n (s - x). It may pull; such points are released between solves (`scenepath.py`).
+- Coulomb: q' = l + k_t (1 - n n^T) (s - x), with a multiplier l; q = q' while |q'| <= mu p, else q = mu p q' / |q'|
+  (return mapping: Wriggers, Computational Contact Mechanics, 2006, section 6.3.2). After each load step l becomes q,
+  and s of a point that slipped becomes its position on the indenter (augmented Lagrangian: Simo, Laursen 1992, Comput.
+  Struct. 42, 97-116), so the elastic slip |q| / k_t of a penalty does not add up along a path.
+
+Newton's step solves K du = R for u - du. The dependence of mu p on p makes K unsymmetric. So its symmetric part is
+factorised, seldom, and GMRES solves with the whole K, with the factorisation as preconditioner (inexact Newton:
+Dembo, Eisenstat, Steihaug 1982, SIAM J. Numer. Anal. 19, 400-408). Steps are shortened where they invert elements or
+raise the residual (Deuflhard, Newton Methods for Nonlinear Problems, 2004, section 3).
+
+The end of a path depends on what came before only through s and l. That is why a path is followed on coarse hexahedra
+and only its end on a fine mesh: `transfer.py` carries u, s and l over, and `ScenePath.arrive` walks the rest.
+"""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
