@@ -14,10 +14,10 @@ from gelforge.flow.cli import missing_extra
 from gelforge.geometry.gel import gels_from, load_gel
 from gelforge.geometry.solids import Indenter
 from gelforge.labelling.grid import Grid
-from gelforge.labelling.sensor import Sensor
+from gelforge.labelling.sensor import Sensor, gelsight_mini
 from gelforge.mechanics.material import REFERENCE_C10, Material
 from gelforge.mechanics.mesh.gelmesh import GelMesh
-from gelforge.mechanics.result import friction_error_n
+from gelforge.mechanics.result import friction_error_n, moment_of_nodes
 from gelforge.mechanics.scene import FRICTION, FRICTION_ERROR, Interface, Scene
 from gelforge.records.press import Press
 
@@ -57,11 +57,32 @@ class SolvedPress:
         """Resultant contact force on the gel along its x, y, z, (3,) N."""
         return self.forces.sum(axis=0)
 
+    @property
+    def moment(self) -> np.ndarray:
+        """Moment of the contact force on the gel about gel x, y, z through the apex, (3,) N mm.
+
+        The apex is the middle of the gel's undeformed surface, the origin of the gel frame.
+        """
+        return moment_of_nodes(self.mesh.nodes + self.displacement, self.forces).sum(axis=0)
+
+    @property
+    def moment_error(self) -> float:
+        """90 % bound on the error of the mesh, of the moment's magnitude, N mm; NaN if unknown.
+
+        `error_n` times the distance of the force's centre from the apex, and the contact's radius of gyration beside it.
+        """
+        size, places = np.linalg.norm(self.forces, axis=1), self.mesh.nodes + self.displacement
+        if not size.any():
+            return 0.0
+        centre = np.average(places, axis=0, weights=size)
+        spread = np.average(((places - centre) ** 2).sum(axis=1), weights=size)
+        return float(self.error_n * (np.linalg.norm(centre) + np.sqrt(spread)))
+
     def __repr__(self) -> str:
-        x, y, z = self.total
+        (x, y, z), (mx, my, mz) = self.total, self.moment
         return (
             f"SolvedPress({self.indenter} on {self.gel}, {self.method}: fx {x:+.3f}, fy {y:+.3f}, fz {z:+.3f} +- {self.error_n:.3f} N,"
-            f" {len(self.mesh.nodes)} nodes)"
+            f" mx {mx:+.2f}, my {my:+.2f}, mz {mz:+.2f} +- {self.moment_error:.2f} N mm, {len(self.mesh.nodes)} nodes)"
         )
 
     def plot(self, resolution: str = "24x32", sensor: Sensor | None = None) -> Any:
@@ -229,9 +250,3 @@ def label(solved: SolvedPress, resolution: str = "24x32", sensor: Sensor | None 
     operator = assemble(solved.mesh, sensor or gelsight_mini(), Grid.parse(resolution))
     cells, _outside = operator.apply([0, len(nodes)], nodes, solved.forces[nodes])
     return cells[0]
-
-
-def gelsight_mini() -> Sensor:
-    """A GelSight Mini with the image of its maker's driver: 15.77 px/mm, 320 x 240 (workflow/sensors.toml)."""
-    projection = np.array([[0.0, -15.77, 160.0], [-15.77, 0.0, 120.0], [0.0, 0.0, 1.0]])
-    return Sensor("gelsight_mini", (320, 240), projection)

@@ -103,7 +103,7 @@ def whole(tmp_path_factory, root):
     sample = SampleForces("a", "OK", "m", np.arange(3), np.ones((3, 3)), np.zeros((3, 3)))
     write_forces(folder / "f.npz", [sample], 0.07)
     found["forces"] = (folder / "f.npz").read_bytes(), [forces]
-    write_predictions(folder / "p.npz", np.array(["a"]), np.zeros((1, 3, 2, 2), np.float32))
+    write_predictions(folder / "p.npz", np.array(["a"]), np.zeros((1, 3, 2, 2), np.float32), np.zeros((1, 3)))
     found["predictions"] = (folder / "p.npz").read_bytes(), [read_predictions]
     write_solves(folder / "s.csv", [Solved("a", Status.OK, "", "hex", "m", "f", (0.0, 0.1, -1.0), {"seconds": 1.5})])
     found["solves"] = (folder / "s.csv").read_bytes(), [read_solves]
