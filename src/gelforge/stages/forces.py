@@ -38,6 +38,10 @@ def read_sample(solve: Solved, store: SolveStore) -> tuple[SampleForces, str]:
     try:
         with np.load(path, allow_pickle=False) as file:
             force, displacement = file["force"], file["displacement"]
+        shape = len(mesh.surface_nodes), 3
+        if not force.shape == displacement.shape == shape:
+            status = Status.UNREADABLE
+            reason = f"{path}: forces {force.shape} and displacement {displacement.shape} of a surface of {shape[0]} nodes"
     except DAMAGED as error:
         status, reason = Status.UNREADABLE, f"{path}: {in_short(error)}"
     if not status.valid:

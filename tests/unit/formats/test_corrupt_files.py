@@ -111,7 +111,7 @@ def whole(tmp_path_factory, root):
     found["npy"] = (folder / "x.npy").read_bytes(), [read_npy]
     np.save(folder / "rows.npy", np.arange(12.0).reshape(4, 3))
     found["rows"] = (folder / "rows.npy").read_bytes(), [lambda path: RowFile(path)[:]]
-    found["solve"] = archive(np.savez, force=np.ones((3, 3)), displacement=np.zeros((3, 3))), [solved]
+    found["solve"] = archive(np.savez, force=np.ones((121, 3)), displacement=np.zeros((121, 3))), [solved]
     recording(folder / "r.mcap")
     found["mcap"] = (folder / "r.mcap").read_bytes(), [recorded]
     found["log"] = LOG.encode(), [log_rows, read_poses, read_samples]
