@@ -40,6 +40,7 @@ class SolvedPress:
             `friction` is a finite coefficient above 0. evidence["slipping"]: share of the force in points that slip.
         evidence: diagnostics of the solver, such as its load steps.
         indenter, method: names of the body and of the method that solved it.
+        depth: of the tip below the gel's apex, mm.
     """
 
     gel: str
@@ -51,6 +52,7 @@ class SolvedPress:
     evidence: dict[str, Any]
     indenter: str
     method: str
+    depth: float
 
     @property
     def total(self) -> np.ndarray:
@@ -124,7 +126,7 @@ def _drawn(cells: np.ndarray, title: str) -> Any:
 @_needs_extra
 def solve(
     indenter: Indenter | dict[str, Any] | str,
-    depth: float,
+    depth: float | None = None,
     at: tuple[float, float] = (0.0, 0.0),
     shear: tuple[float, float] = (0.0, 0.0),
     rot_deg: float = 0.0,
@@ -136,12 +138,13 @@ def solve(
     method: str = "draft",
     gels: Path | str | None = None,
     meshes: Path | str | None = None,
+    force: float | None = None,
 ) -> SolvedPress:
     """Press an indenter into a gel, down and then sideways, by finite elements in process.
 
     Args:
         indenter: a name of workflow/indenters.toml, such as "sphere_10", a table as in that file (mm), or a body.
-        depth: of the tip below the gel's apex, mm, 0 or positive.
+        depth: of the tip below the gel's apex, mm, 0 or positive; or give `force`.
         at: x, y of the tip in the gel frame before shear, mm.
         shear: x, y of the sideways motion at that depth, mm.
         rot_deg: rotation of the indenter about z, degrees.
@@ -156,6 +159,9 @@ def solve(
         gels: file with your own gels, such as workflow/gels.toml; `gel` may then name one of them.
         meshes: folder in which the mesh of each gel is kept for "ccx" and "auto", so that it is made once and results
             repeat; None: it is made once in each process, by pytetwild, whose meshes differ from run to run.
+        force: in place of `depth`: normal force on the gel at the end of the path, N, above 0. The depth is found at which the
+            solved force differs from it by at most 0.5 %, usually by two solves; it is `depth` of the result. Sideways motion
+            is given in mm alone.
 
     Returns:
         The state at the end of the path: a mesh, and forces in N and displacements in mm of its nodes.
@@ -177,7 +183,11 @@ def solve(
             f"gelforge.solve: friction = {friction!r}: give a coefficient of 0 or more, or math.inf for points that stick"
         )
     pairs = np.shape(at) == np.shape(shear) == np.shape(tilt) == (2,)
-    if not (pairs and _finite(depth, *at, *shear, rot_deg, *tilt) and depth >= 0.0):
+    if (depth is None) == (force is None) or not (force is None or (_finite(force) and force > 0.0)):
+        raise BadInput(
+            f"gelforge.solve: depth = {depth!r}, force = {force!r}: give one of both, a depth of 0 mm or more or a force above 0 N"
+        )
+    if not (pairs and _finite(depth or 0.0, *at, *shear, rot_deg, *tilt) and (depth or 0.0) >= 0.0):
         raise BadInput(
             f"gelforge.solve: depth = {depth!r}, at = {at!r}, shear = {shear!r}, rot_deg = {rot_deg!r}, tilt = {tilt!r}: give finite"
             " numbers: two each for at, shear and tilt, along gel x and y, and a depth of 0 mm or more, positive into the gel"
@@ -186,13 +196,23 @@ def solve(
     from gelforge.mechanics.mesh.basemesh import meshes_in
     from gelforge.mechanics.mesh.names import load_mesh
     from gelforge.mechanics.solve import Solvers
+    from gelforge.mechanics.toforce import press_to
 
     body = _body(indenter)
     interface = Interface.of_friction(float(friction))
-    press = Press(at[0], at[1], 0.0, shear[0], shear[1], -depth, rot_deg, *map(float, tilt))
     with gels_from(gels), meshes_in(meshes), TemporaryDirectory() as workdir:
         solvers = Solvers(workdir, load_params(PARAMETERS).fea)
-        result = solvers.solve(Scene(load_gel(gel), Material(nu), body, press, interface), method)
+
+        def scene_at(depth: float) -> Scene:
+            press = Press(at[0], at[1], 0.0, shear[0], shear[1], -depth, rot_deg, *map(float, tilt))
+            return Scene(load_gel(gel), Material(nu), body, press, interface)
+
+        if force is not None:
+            depth, result = press_to(
+                force * REFERENCE_C10 / c10, scene_at, lambda scene: solvers.solve(scene, method)
+            )
+        elif depth is not None:
+            result = solvers.solve(scene_at(depth), method)
         if not (result.status.valid and result.evidence.get("mesh")):
             raise GelforgeError(f"the press was not solved: {result.evidence.get('reason') or result.status.value}")
         mesh = load_mesh(result.evidence["mesh"])
@@ -200,7 +220,9 @@ def solve(
     forces, error_n = stiffer * result.forces, stiffer * result.error_n
     friction_n = stiffer * friction_error_n(result.evidence, interface.mu, FRICTION_ERROR)
     how = result.evidence["method"]
-    return SolvedPress(gel, mesh, forces, result.displacement, error_n, friction_n, result.evidence, body.name, how)
+    return SolvedPress(
+        gel, mesh, forces, result.displacement, error_n, friction_n, result.evidence, body.name, how, depth
+    )
 
 
 def _body(indenter: Indenter | dict[str, Any] | str) -> Any:
