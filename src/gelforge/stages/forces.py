@@ -41,7 +41,9 @@ def read_sample(solve: Solved, store: SolveStore) -> tuple[SampleForces, str]:
         shape = len(mesh.surface_nodes), 3
         if not force.shape == displacement.shape == shape:
             status = Status.UNREADABLE
-            reason = f"{path}: forces {force.shape} and displacement {displacement.shape} of a surface of {shape[0]} nodes"
+            reason = (
+                f"{path}: forces {force.shape} and displacement {displacement.shape} of a surface of {shape[0]} nodes"
+            )
     except DAMAGED as error:
         status, reason = Status.UNREADABLE, f"{path}: {in_short(error)}"
     if not status.valid:
