@@ -192,7 +192,9 @@ class ForceFile:
         displacement = self.displacement[rows].astype(float)
         touched = slice(self.ptr[index], self.ptr[index + 1])
         names = str(self.sample_id[index]), str(self.status[index]), str(self.mesh[index])
-        press, numbers = str(self.press_id[index]), [float(self.numbers[name][index]) for name in NUMBERS]
+        press = str(self.press_id[index])
+        known: dict[str, Any] = {name: float(self.numbers[name][index]) for name in NUMBERS}
+        known["moment"] = self.moment[index]
         if not len(displacement):
             return SampleForces.failed(*names, press)
         if len(displacement) != len(surface_nodes):
@@ -202,4 +204,4 @@ class ForceFile:
             )
         force = np.zeros((len(surface_nodes), 3))
         force[np.searchsorted(surface_nodes, self.node[touched])] = self.force[touched]
-        return SampleForces(*names, surface_nodes, force, displacement, press, *numbers, moment=self.moment[index])
+        return SampleForces(*names, surface_nodes, force, displacement, press, **known)
