@@ -165,16 +165,16 @@ def label_shard(forces_path, poses_path, find: Finder, grid: Grid, out, channels
     """
     sensor_of = sensors_of_samples(poses_path)
     with ForceFile(forces_path) as forces:
-        operators, moments = [], np.zeros((2, len(forces), 3))
-        for i in range(len(forces)):
-            operators.append(_operator_of(forces, i, sensor_of, find.operator, poses_path))
-            if operators[i] is not None:
-                moments[:, i] = moments_of(forces, i, operators[i], find.mesh(str(forces.mesh[i])))
         if not np.isfinite(forces.force).all():
             raise BadInput(
                 f"{forces_path}: sample {_first_bad(forces)} has forces that are not finite;"
                 " delete the file and its solve in 30_fea, then run make again"
             )
+        operators, moments = [], np.zeros((2, len(forces), 3))
+        for i in range(len(forces)):
+            operators.append(_operator_of(forces, i, sensor_of, find.operator, poses_path))
+            if operators[i] is not None:
+                moments[:, i] = moments_of(forces, i, operators[i], find.mesh(str(forces.mesh[i])))
         valid = np.array([Status[str(status)].valid for status in forces.status], bool)
         outside = np.where(valid[:, None], np.zeros(3), np.nan)
         moments[:, ~valid] = np.nan
