@@ -14,10 +14,10 @@ from gelforge.flow.cli import missing_extra
 from gelforge.geometry.gel import gels_from, load_gel
 from gelforge.geometry.solids import Indenter
 from gelforge.labelling.grid import Grid
-from gelforge.labelling.sensor import Sensor
+from gelforge.labelling.sensor import Sensor, gelsight_mini
 from gelforge.mechanics.material import REFERENCE_C10, Material
 from gelforge.mechanics.mesh.gelmesh import GelMesh
-from gelforge.mechanics.result import friction_error_n
+from gelforge.mechanics.result import friction_error_n, moment_of_nodes
 from gelforge.mechanics.scene import FRICTION, FRICTION_ERROR, Interface, Scene
 from gelforge.records.press import Press
 
@@ -40,6 +40,7 @@ class SolvedPress:
             `friction` is a finite coefficient above 0. evidence["slipping"]: share of the force in points that slip.
         evidence: diagnostics of the solver, such as its load steps.
         indenter, method: names of the body and of the method that solved it.
+        depth: of the tip below the gel's apex, mm.
     """
 
     gel: str
@@ -51,17 +52,39 @@ class SolvedPress:
     evidence: dict[str, Any]
     indenter: str
     method: str
+    depth: float
 
     @property
     def total(self) -> np.ndarray:
         """Resultant contact force on the gel along its x, y, z, (3,) N."""
         return self.forces.sum(axis=0)
 
+    @property
+    def moment(self) -> np.ndarray:
+        """Moment of the contact force on the gel about gel x, y, z through the apex, (3,) N mm.
+
+        The apex is the middle of the gel's undeformed surface, the origin of the gel frame.
+        """
+        return moment_of_nodes(self.mesh.nodes + self.displacement, self.forces).sum(axis=0)
+
+    @property
+    def moment_error(self) -> float:
+        """90 % bound on the error of the mesh, of the moment's magnitude, N mm; NaN if unknown.
+
+        `error_n` times the distance of the force's centre from the apex, and the contact's radius of gyration beside it.
+        """
+        size, places = np.linalg.norm(self.forces, axis=1), self.mesh.nodes + self.displacement
+        if not size.any():
+            return 0.0
+        centre = np.average(places, axis=0, weights=size)
+        spread = np.average(((places - centre) ** 2).sum(axis=1), weights=size)
+        return float(self.error_n * (np.linalg.norm(centre) + np.sqrt(spread)))
+
     def __repr__(self) -> str:
-        x, y, z = self.total
+        (x, y, z), (mx, my, mz) = self.total, self.moment
         return (
             f"SolvedPress({self.indenter} on {self.gel}, {self.method}: fx {x:+.3f}, fy {y:+.3f}, fz {z:+.3f} +- {self.error_n:.3f} N,"
-            f" {len(self.mesh.nodes)} nodes)"
+            f" mx {mx:+.2f}, my {my:+.2f}, mz {mz:+.2f} +- {self.moment_error:.2f} N mm, {len(self.mesh.nodes)} nodes)"
         )
 
     def plot(self, resolution: str = "24x32", sensor: Sensor | None = None) -> Any:
@@ -103,7 +126,7 @@ def _drawn(cells: np.ndarray, title: str) -> Any:
 @_needs_extra
 def solve(
     indenter: Indenter | dict[str, Any] | str,
-    depth: float,
+    depth: float | None = None,
     at: tuple[float, float] = (0.0, 0.0),
     shear: tuple[float, float] = (0.0, 0.0),
     rot_deg: float = 0.0,
@@ -115,12 +138,13 @@ def solve(
     method: str = "draft",
     gels: Path | str | None = None,
     meshes: Path | str | None = None,
+    force: float | None = None,
 ) -> SolvedPress:
     """Press an indenter into a gel, down and then sideways, by finite elements in process.
 
     Args:
         indenter: a name of workflow/indenters.toml, such as "sphere_10", a table as in that file (mm), or a body.
-        depth: of the tip below the gel's apex, mm, 0 or positive.
+        depth: of the tip below the gel's apex, mm, 0 or positive; or give `force`.
         at: x, y of the tip in the gel frame before shear, mm.
         shear: x, y of the sideways motion at that depth, mm.
         rot_deg: rotation of the indenter about z, degrees.
@@ -135,6 +159,9 @@ def solve(
         gels: file with your own gels, such as workflow/gels.toml; `gel` may then name one of them.
         meshes: folder in which the mesh of each gel is kept for "ccx" and "auto", so that it is made once and results
             repeat; None: it is made once in each process, by pytetwild, whose meshes differ from run to run.
+        force: in place of `depth`: normal force on the gel at the end of the path, N, above 0. The depth is found at which the
+            solved force differs from it by at most 0.5 %, usually by two solves; it is `depth` of the result. Sideways motion
+            is given in mm alone.
 
     Returns:
         The state at the end of the path: a mesh, and forces in N and displacements in mm of its nodes.
@@ -156,7 +183,11 @@ def solve(
             f"gelforge.solve: friction = {friction!r}: give a coefficient of 0 or more, or math.inf for points that stick"
         )
     pairs = np.shape(at) == np.shape(shear) == np.shape(tilt) == (2,)
-    if not (pairs and _finite(depth, *at, *shear, rot_deg, *tilt) and depth >= 0.0):
+    if (depth is None) == (force is None) or not (force is None or (_finite(force) and force > 0.0)):
+        raise BadInput(
+            f"gelforge.solve: depth = {depth!r}, force = {force!r}: give one of both, a depth of 0 mm or more or a force above 0 N"
+        )
+    if not (pairs and _finite(depth or 0.0, *at, *shear, rot_deg, *tilt) and (depth or 0.0) >= 0.0):
         raise BadInput(
             f"gelforge.solve: depth = {depth!r}, at = {at!r}, shear = {shear!r}, rot_deg = {rot_deg!r}, tilt = {tilt!r}: give finite"
             " numbers: two each for at, shear and tilt, along gel x and y, and a depth of 0 mm or more, positive into the gel"
@@ -165,13 +196,23 @@ def solve(
     from gelforge.mechanics.mesh.basemesh import meshes_in
     from gelforge.mechanics.mesh.names import load_mesh
     from gelforge.mechanics.solve import Solvers
+    from gelforge.mechanics.toforce import press_to
 
     body = _body(indenter)
     interface = Interface.of_friction(float(friction))
-    press = Press(at[0], at[1], 0.0, shear[0], shear[1], -depth, rot_deg, *map(float, tilt))
     with gels_from(gels), meshes_in(meshes), TemporaryDirectory() as workdir:
         solvers = Solvers(workdir, load_params(PARAMETERS).fea)
-        result = solvers.solve(Scene(load_gel(gel), Material(nu), body, press, interface), method)
+
+        def scene_at(depth: float) -> Scene:
+            press = Press(at[0], at[1], 0.0, shear[0], shear[1], -depth, rot_deg, *map(float, tilt))
+            return Scene(load_gel(gel), Material(nu), body, press, interface)
+
+        if force is not None:
+            depth, result = press_to(
+                force * REFERENCE_C10 / c10, scene_at, lambda scene: solvers.solve(scene, method)
+            )
+        elif depth is not None:
+            result = solvers.solve(scene_at(depth), method)
         if not (result.status.valid and result.evidence.get("mesh")):
             raise GelforgeError(f"the press was not solved: {result.evidence.get('reason') or result.status.value}")
         mesh = load_mesh(result.evidence["mesh"])
@@ -179,7 +220,9 @@ def solve(
     forces, error_n = stiffer * result.forces, stiffer * result.error_n
     friction_n = stiffer * friction_error_n(result.evidence, interface.mu, FRICTION_ERROR)
     how = result.evidence["method"]
-    return SolvedPress(gel, mesh, forces, result.displacement, error_n, friction_n, result.evidence, body.name, how)
+    return SolvedPress(
+        gel, mesh, forces, result.displacement, error_n, friction_n, result.evidence, body.name, how, depth
+    )
 
 
 def _body(indenter: Indenter | dict[str, Any] | str) -> Any:
@@ -229,9 +272,3 @@ def label(solved: SolvedPress, resolution: str = "24x32", sensor: Sensor | None 
     operator = assemble(solved.mesh, sensor or gelsight_mini(), Grid.parse(resolution))
     cells, _outside = operator.apply([0, len(nodes)], nodes, solved.forces[nodes])
     return cells[0]
-
-
-def gelsight_mini() -> Sensor:
-    """A GelSight Mini with the image of its maker's driver: 15.77 px/mm, 320 x 240 (workflow/sensors.toml)."""
-    projection = np.array([[0.0, -15.77, 160.0], [-15.77, 0.0, 120.0], [0.0, 0.0, 1.0]])
-    return Sensor("gelsight_mini", (320, 240), projection)

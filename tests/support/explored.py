@@ -22,7 +22,7 @@ GELS = {"mini_a": "gelsight_mini", "mini_b": "gelsight_mini-2.6mm"}
 def tables(count: int):
     """Rows of the stages' tables for `count` presses; every tenth solve failed, one row of the log was rejected."""
     rng = np.random.default_rng(3)
-    poses, solved, samples, totals = [], {}, {}, {}
+    poses, solved, samples, wrenches = [], {}, {}, {}
     for k in range(count):
         name = f"made-{k:06d}"
         place = {"x0_mm": rng.uniform(-6, 6), "y0_mm": rng.uniform(-8, 8), "z0_mm": 0.0, "dx_mm": 0.1, "dy_mm": 0.0,
@@ -36,15 +36,25 @@ def tables(count: int):
         status, reason = (Status.OK, "") if good else (Status.DIVERGED, "no equilibrium <b>at</b> 0.7")
         evidence = {"seconds": 1.5, "peak_mib": 120}
         solved[name] = Solved(
-            name, status, reason, "hex", "hex@made", "", force if good else (0.0, 0.0, 0.0), evidence
+            name,
+            status,
+            reason,
+            "hex",
+            "hex@made",
+            "",
+            force if good else (0.0, 0.0, 0.0),
+            evidence,
+            moment=(1.0, 2.0, 3.0),
         )
         if good:
             # Two frames are one press.
-            samples[name] = DatasetSample(posed, np.array(force), np.zeros(3), {}, SPLITS[k // 2 % 5], str(k // 2))
-            totals[name] = (0.3, -0.1 + 0.02, force[2] + rng.normal(0, 0.5))
+            samples[name] = DatasetSample(
+                posed, np.array([*force, 0.001, 0.002, 0.003]), np.zeros(6), {}, SPLITS[k // 2 % 5], str(k // 2)
+            )
+            wrenches[name] = (0.3, -0.1 + 0.02, force[2] + rng.normal(0, 0.5), 1.1, 2.1, 3.1)
     rejected = [{"sample_id": "", "shard": "0000", "row": "7", "column": "dz_mm", "value": "x",
                  "reason": "not a number", "hint": "write a number of millimetres"}]  # fmt: skip
-    return poses, rejected, solved, samples, totals, GELS
+    return poses, rejected, solved, samples, wrenches, GELS
 
 
 def press(k: int, shown: bool = True) -> dict:

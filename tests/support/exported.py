@@ -30,6 +30,7 @@ def lay(folder, count: int, grid=GRID, image=(32, 24)):
         }
         rows.append({"sample_id": f"s{k}", "indenter": "ball, 3 mm", "sensor_id": ("mini_a", "mini_e")[k // 2 % 2],
                      "gel_id": "g", "split": split, "group": str(k // 2), "fx_n": 0.1 * k, "fy_n": -0.25, "fz_n": -1.5 * k,
+                     "mx_nm": 0.01 * k, "my_nm": -0.02, "mz_nm": 0.003 * k,
                      "dz_mm": -0.5 - (k % 2), **pose, "press_id": f"p{k // 2}", "image": f"images/s{k}.{suffix}"})  # fmt: skip
     write_csv(dataset / "samples.csv", list(rows[0]), rows)
     times = [f"2026-04-08T12:25:{k // 2:02d}.{125 * (k % 2):03d}Z" for k in range(count)]
@@ -42,7 +43,7 @@ def lay(folder, count: int, grid=GRID, image=(32, 24)):
 
 
 def read_mcap(path):
-    """{sample_id: (row, image, label, total)}, and the metadata, with mcap's reader and its ROS 2 decoder."""
+    """{sample_id: (row, image, label, force and moment)}, and the metadata, with mcap's reader and its ROS 2 decoder."""
     from mcap_ros2.reader import read_ros2_messages
 
     found, facts, place = {}, None, {"along_x": 0, "along_y": 1, "normal": 2}
@@ -56,13 +57,14 @@ def read_mcap(path):
             sample["picture"] = bytes(said.data)
             assert message.schema.name == "sensor_msgs/msg/CompressedImage" and said.format in ("png", "jpeg")
         elif topic.endswith("/wrench"):
-            sample["total"] = [said.wrench.force.x, said.wrench.force.y, said.wrench.force.z]
+            both = said.wrench.force, said.wrench.torque
+            sample["wrench"] = [getattr(part, axis) for part in both for axis in "xyz"]
         elif topic.endswith("/sample"):
             sample["row"] = json.loads(said.data)
         else:
             grid = np.frombuffer(bytes(said.data), "<f4").reshape(said.height, said.width)
             sample["maps"][place[topic.rsplit("/", 1)[1]]] = grid
-    return {s["row"]["sample_id"]: (s["row"], s["picture"], np.stack([s["maps"][k] for k in range(3)]), s["total"])
+    return {s["row"]["sample_id"]: (s["row"], s["picture"], np.stack([s["maps"][k] for k in range(3)]), s["wrench"])
             for s in found.values()}, facts  # fmt: skip
 
 
@@ -88,7 +90,7 @@ def read_hdf5(path):
         }
         return {
             str(columns["sample_id"][k]): ({name: cell(columns[name][k]) for name in names}, bytes(file["picture"][k]),
-                                           file["forces"][k], file["total"][k].tolist())
+                                           file["forces"][k], [*file["total"][k].tolist(), *file["moment"][k].tolist()])
             for k in range(len(columns["sample_id"]))
         }, facts  # fmt: skip
 

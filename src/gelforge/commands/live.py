@@ -183,6 +183,12 @@ def reader_beside(picture: np.ndarray, model: ForceModel, name: str) -> Reader:
     return reader
 
 
+def await_page(server: PageServer, over: threading.Event) -> None:
+    """Wait until a page of the server was opened, or `over` is set: a film begins while somebody looks."""
+    while not (over.is_set() or server.watched.wait(0.1)):
+        pass
+
+
 def show(outputs: Outputs, found: Iterable[Reading], film: Film, over: threading.Event, frames: int | None) -> None:
     """Send readings to all outputs until they end or `over` is set, and serve viewers until it is set.
 
@@ -239,6 +245,8 @@ def main(args: Namespace) -> None:
         with stopping() as over, ExitStack() as stack:
             outputs = outputs_of(args, name, stack)
             paced = bool(outputs.servers) and not film.camera
+            if paced and args.web and not (args.foxglove or outputs.files):
+                await_page(outputs.servers[0], over)
             show(outputs, readings(reader, seen, paced, start), film, over, args.frames)
 
 

@@ -35,12 +35,14 @@ INK = "#12181f"
 class Pictured:
     """One sample with its label (3, rows, cols), force outside the image (3,), image (h, w, 3) or None, and sensor.
 
+    moment: of the label about the gel's apex, (3,) N mm.
     indenter: the part of its surface that the gel can touch, at the end of the path, in the gel frame, mm.
     """
 
     press: PosedPress
     label: np.ndarray
     outside: np.ndarray
+    moment: np.ndarray
     image: np.ndarray | None
     sensor: Sensor
     resolution: str
@@ -87,7 +89,9 @@ def load(data: Path, paths: dict, sample_id: str, sensors: dict, resolution: str
         )
     vertices, faces = read_stl(surface)
     indenter = vertices + [press.dx_mm, press.dy_mm, press.dz_mm], faces
-    return Pictured(press, found.label[at].astype(float), found.outside[at], image, sensor, resolution, indenter)
+    return Pictured(
+        press, found.label[at].astype(float), found.outside[at], found.moment[at], image, sensor, resolution, indenter
+    )
 
 
 def export_vtu(path, paths: dict, sample_id: str) -> None:
@@ -163,7 +167,8 @@ def draw(look: Pictured) -> Any:
         draw_component(axis, look.label[channel], channel, note, extent=extent, alpha=alpha, interpolation="nearest")
     figure.suptitle(
         f"{press.sample_id}: {press.indenter} on {press.sensor_id}, {-press.dz_mm:.2f} mm deep,"
-        f" shear ({press.dx_mm:.2f}, {press.dy_mm:.2f}) mm, label {look.resolution}",
+        f" shear ({press.dx_mm:.2f}, {press.dy_mm:.2f}) mm, label {look.resolution},"
+        f" moment ({', '.join(f'{value:.1f}' for value in look.moment)}) N mm",
         fontsize=12,
     )
     return figure

@@ -3,7 +3,8 @@
 Every image gives a picture and a map as .npy, float32 (3, rows, cols) in N per cell; all images share one totals.csv.
 After Ctrl-C it has the rows of the images read so far.
 Columns fx_n, fy_n, fz_n are the force along gel x (short side), y (long side) and z (pressing is negative).
-..._half_width_n: half of the 90 % prediction interval, for unseen sensors with gels as stiff as in training.
+mx_nm, my_nm, mz_nm are the moment in N m about the gel's apex, the middle of the image.
+..._half_width_n, ..._half_width_nm: half of the 90 % prediction interval, for unseen sensors with gels as stiff as in training.
 A network that reads pairs needs an image of the sensor while nothing touches it: --nocontact FILE or --profile FILE.
 Images are predicted independently, so an image gives the same forces here, in `gelforge live` and in Python. An image is
 flagged if the gel moved in its holder since the no-contact image was taken: take a new no-contact image then.
@@ -20,12 +21,20 @@ from gelforge.commands.sensoroptions import ENGINE, MODEL, NOCONTACT, PROFILE, S
 from gelforge.errors import BadInput, printable
 from gelforge.flow.cli import command, option
 from gelforge.flow.files import publish
-from gelforge.reading.forcereading import TOTAL_COLUMNS, ForceReading, goes_beyond, interval_text, total_columns
+from gelforge.reading.forcereading import (
+    DIGITS,
+    TOTAL_COLUMNS,
+    ForceReading,
+    goes_beyond,
+    intervals_text,
+    total_columns,
+)
 from gelforge.reading.model import load_model, require_sensor
 from gelforge.reading.profile import files_of
 from gelforge.reading.reader import Reader
-from gelforge.records.axes import CHANNELS
+from gelforge.records.axes import CHANNELS, MOMENTS
 from gelforge.records.image import read_image
+from gelforge.records.press import N_M
 from gelforge.records.regular import FOLDER, file_fault, refuse_to_replace
 from gelforge.records.table import GrowingTable
 
@@ -45,7 +54,10 @@ def totals_row(image: str, name: str, found: ForceReading) -> dict:
     return {
         "image": image,
         "map": f"{name}.npy",
-        **{column: "" if value is None else f"{value:.4f}" for column, value in total_columns(found).items()},
+        **{
+            column: "" if value is None else f"{value:.{DIGITS[column]}f}"
+            for column, value in total_columns(found).items()
+        },
         "vanished_markers": str(found.vanished),
         "flagged": int(found.flag),
         "reason": found.reason,
@@ -113,12 +125,14 @@ def line_of(row: dict) -> str:
     warning = f"  FLAGGED: {row['reason']}" if row["flagged"] else ""
     if row["edge_peak"] and goes_beyond(float(row["edge_peak"])):
         warning += "  CROPPED: the image shows only a part of the contact, so the total is too low"
-    halves = (row[f"{channel}_half_width_n"] for channel in CHANNELS)
-    forces = ", ".join(
-        f"{channel} {interval_text(float(row[f'{channel}_n']), float(half) if half else None)}"
-        for channel, half in zip(CHANNELS, halves, strict=True)
+    forces, halves, moments, halves_of_moments = (
+        np.array([float(row[f"{name}_{unit}"] or "nan") for name in names])
+        for names, unit in ((CHANNELS, "n"), (CHANNELS, "half_width_n"), (MOMENTS, "nm"), (MOMENTS, "half_width_nm"))
     )
-    return printable(f"{row['image']}: {forces} N{warning}")
+    said = f"{intervals_text(CHANNELS, forces, halves)} N"
+    if np.isfinite(moments).all():
+        said += f", {intervals_text(MOMENTS, moments / N_M, halves_of_moments / N_M)} N mm"
+    return printable(f"{row['image']}: {said}{warning}")
 
 
 @command(

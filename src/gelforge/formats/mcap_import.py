@@ -47,7 +47,7 @@ from gelforge.records.image import write_png
 from gelforge.records.labelfile import write_labels
 from gelforge.records.log import write_log
 from gelforge.records.nocontactimage import STILL
-from gelforge.records.press import FORCES, LoggedPress, pull_fault, size_fault
+from gelforge.records.press import FORCES, N_M, LoggedPress, pull_fault, size_fault
 
 DEFAULTS = {
     "latest_s": 0.02,
@@ -493,5 +493,7 @@ def write_totals(path: Path, rows: list[LoggedPress], forces: np.ndarray) -> Non
         "sample_id": np.array([rows[at].sample_id for at in order]),
         "status": np.array(["OK"] * len(rows)),
         "outside": np.full((len(rows), 3), np.nan),
+        "moment": np.array([rows[at].wrench[3:] for at in order]).reshape(-1, 3) / N_M,
+        "outside_moment": np.full((len(rows), 3), np.nan),
     }
     write_labels(path, [labels], labels.shape, arrays)

@@ -61,6 +61,12 @@ class Sensor:
         )
 
 
+def gelsight_mini() -> Sensor:
+    """A GelSight Mini with the image of its maker's driver: 15.77 px/mm, 320 x 240 (workflow/sensors.toml)."""
+    projection = np.array([[0.0, -15.77, 160.0], [-15.77, 0.0, 120.0], [0.0, 0.0, 1.0]])
+    return Sensor("gelsight_mini", (320, 240), projection)
+
+
 def transform(homography: np.ndarray, points: np.ndarray) -> np.ndarray:
     """Points (..., 2 or more) mapped by a homography (3, 3) to (..., 2); only the first two numbers are used."""
     points = np.asarray(points, float)[..., :2]

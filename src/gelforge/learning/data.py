@@ -10,9 +10,11 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json
 from gelforge.flow.layout import command_for
+from gelforge.labelling.sensor import Sensor, gelsight_mini, sensor_of
 from gelforge.learning.pictures import PICTURES
 from gelforge.learning.split import drawn
-from gelforge.records.press import PressRecord
+from gelforge.mechanics.material import REFERENCE_C10
+from gelforge.records.press import N_M, PressRecord
 from gelforge.records.rowfile import ChainedRows, RowFile, Rows, map_array
 from gelforge.records.samplefile import TRAINING, UNSEEN_BOTH, UNSEEN_SENSOR, VALIDATION, DatasetSample, read_samples
 
@@ -103,6 +105,20 @@ class Data:
         """Identity of the press of some rows, (k,): several images may show one; a row without group is its own."""
         samples = (self.table[row] for row in rows)
         return np.array([one.group or f"{one.press.sensor_id} {one.press.sample_id}" for one in samples])
+
+    def sensor(self, name: str) -> Sensor:
+        """A sensor of the dataset; a GelSight Mini's view for one that joined from another dataset."""
+        camera = self.info.get("cameras", {}).get(name)
+        return sensor_of(str(self.folder / "dataset.json"), name, camera) if camera else gelsight_mini()
+
+    @property
+    def c10(self) -> float:
+        """Stiffness of the gel, MPa; the reference where labels were measured or imported."""
+        return float(self.info.get("c10", REFERENCE_C10))
+
+    def moments(self, rows) -> np.ndarray:
+        """Moments of the labels of some rows about the gel's apex, (k, 3) N mm; NaN where unknown."""
+        return np.array([self.table[row].wrench[3:] for row in rows]).reshape(-1, 3) / N_M
 
     def totals(self, rows) -> np.ndarray:
         """Total force of the labels of some rows, (k, 3) float64 N."""

@@ -1,5 +1,6 @@
 """Errors of a trained network on presses that it did not learn from, with those of baselines and reference forces."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,8 +11,8 @@ from gelforge.flow.tables import EvaluateTable
 from gelforge.learning.data import Data, press_keys
 from gelforge.learning.predictions import Predicted, predict_rows, require_fit
 from gelforge.reading.model import ForceModel, datasets_of
-from gelforge.records.axes import CHANNELS
-from gelforge.records.press import FORCE
+from gelforge.records.axes import CHANNELS, MOMENTS
+from gelforge.records.press import FORCE, MOMENT, N_M
 from gelforge.records.samplefile import TRAINING, UNSEEN_BOTH, UNSEEN_SENSOR
 
 CONFIDENCE = 0.95
@@ -40,8 +41,8 @@ def bootstrap_mean(values, rng, resamplings: int, alike=None) -> tuple[np.ndarra
     return low, high
 
 
-def error_table(error, rng, resamplings: int, force_range=None, alike=None) -> dict:
-    """Summarise signed errors (n, 3) in N per component: MAE, its deviation and interval, bias, root mean square.
+def error_table(error, rng, resamplings: int, force_range=None, alike=None, names=CHANNELS) -> dict:
+    """Summarise signed errors (n, 3) in N per component of `names`: MAE, its deviation and interval, bias, root mean square.
 
     `force_range` (3,) N adds the MAE in percent of it (None for a range of 0); `alike` (n,) is as for
     `bootstrap_mean`.
@@ -49,7 +50,7 @@ def error_table(error, rng, resamplings: int, force_range=None, alike=None) -> d
     size = np.abs(error)
     low, high = bootstrap_mean(size, rng, resamplings, alike)
     table: dict[str, dict[str, float | None]] = {}
-    for i, axis in enumerate(CHANNELS):
+    for i, axis in enumerate(names):
         table[axis] = {
             "mae": float(size[:, i].mean()),
             "std": float(size[:, i].std()),
@@ -180,16 +181,23 @@ REFERENCES = {"sensor": "measured_{}", "truth": "true_{}"}
 FEWEST_DRAWN = 5
 
 
-def reference_totals(data: Data, kind: str) -> np.ndarray | None:
-    """Total forces (n, 3) N of a reference, NaN where a press has none; None if no press has one.
+def reference_totals(data: Data, kind: str, columns: Sequence[str] = FORCE) -> np.ndarray | None:
+    """Total forces (n, 3) N of a reference, or moments N m, NaN where a press has none; None if no press has one.
 
-    The label's force outside the image, where known, is subtracted, because the image does not show it.
+    columns: of the log, FORCE or MOMENT. What the label has outside the image, where known, is subtracted, because the
+    image does not show it.
     """
-    columns = [REFERENCES[kind].format(column) for column in FORCE]
-    totals = np.stack([data.column(name) for name in columns], axis=1)
-    outside = np.stack([data.column(f"outside_{name}") for name in FORCE], axis=1)
+    totals = np.stack([data.column(REFERENCES[kind].format(name)) for name in columns], axis=1)
+    outside = np.stack([data.column(f"outside_{name}") for name in columns], axis=1)
     totals = totals - np.nan_to_num(outside)
     return totals if np.isfinite(totals).all(1).any() else None
+
+
+def moment_table(error: np.ndarray, rng, resamplings: int, alike: np.ndarray) -> dict:
+    """`error_table` of moments (n, 3) N mm about the gel's apex, of the rows that have them, with their number `n`."""
+    known = np.isfinite(error).all(1)
+    found = error_table(error[known], rng, resamplings, alike=alike[known], names=MOMENTS) if known.any() else {}
+    return {"n": int(known.sum())} | found
 
 
 def another_of_each(press: np.ndarray, rng: np.random.Generator) -> np.ndarray | None:
@@ -301,6 +309,8 @@ def evaluate_split(
         if reference is None:
             continue
         known = np.isfinite(reference[rows]).all(1)
+        turning = reference_totals(data, kind, MOMENT)
+        moments = np.full((len(rows), 3), np.nan) if turning is None else turning[rows] / N_M
         if known.any():
             mine, labels = totals[known] - reference[rows][known], target[known] - reference[rows][known]
             against[kind] = {
@@ -308,7 +318,12 @@ def evaluate_split(
                 "network": error_table(mine, rng, settings.bootstrap, alike=alike[known]),
                 "labels": error_table(labels, rng, settings.bootstrap, alike=alike[known]),
                 "labels_over": slope(target[known], reference[rows][known]),
+                "moment": {
+                    "network": moment_table(predicted.moments - moments, rng, settings.bootstrap, alike),
+                    "labels": moment_table(data.moments(rows) - moments, rng, settings.bootstrap, alike),
+                },
             }
+    result["moment"] = moment_table(predicted.moments - data.moments(rows), rng, settings.bootstrap, alike)
     return result
 
 

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.labelling.grid import Grid
+from gelforge.labelling.moment import Arms
 from gelforge.learning.data import Data, Groups, press_keys
 from gelforge.reading.frame import Learnt, image_frame
 from gelforge.reading.interval import Errors, fit_intervals, half_widths
@@ -22,13 +24,14 @@ WARM_UP = 5  # runs that are not timed
 class Predicted:
     """Predictions for some rows: forces (n, 3, rows, cols) N, and half widths (n, 3) N of the totals' intervals.
 
-    half_widths: None where the model has no intervals. in_place: whether the cells coincide with those of the labels;
+    half_widths: None where the model has no intervals. moments: (n, 3) N mm, of the forces about the gel's apex. in_place: whether the cells coincide with those of the labels;
     False if a sensor's images were scaled or turned.
     """
 
     forces: np.ndarray
     half_widths: np.ndarray | None
     in_place: bool
+    moments: np.ndarray
 
 
 def predict_rows(model: ForceModel, data: Data, rows: np.ndarray) -> Predicted:
@@ -51,7 +54,17 @@ def predict_rows(model: ForceModel, data: Data, rows: np.ndarray) -> Predicted:
     totals = forces.sum((2, 3), dtype=float)
     widths = [half_widths(model.metadata, total) for total in totals]
     known = bool(widths) and widths[0] is not None
-    return Predicted(forces, np.array(widths) if known else None, in_place)
+    return Predicted(forces, np.array(widths) if known else None, in_place, moments_of(data, rows, forces))
+
+
+def moments_of(data: Data, rows: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    """Moments about the gel's apex, (k, 3) N mm, of maps (k, 3, rows, cols) N of some rows of a dataset."""
+    names, moments = data.names("sensor_id")[rows], np.zeros((len(rows), 3))
+    for name in np.unique(names).tolist():
+        arms = Arms(data.sensor(name), Grid(*forces.shape[2:]))
+        for at in np.flatnonzero(names == name).tolist():
+            moments[at] = arms.moment(forces[at], data.c10)
+    return moments
 
 
 def sees_as_logged(model: ForceModel, data: Data, name: str, row: int) -> bool:

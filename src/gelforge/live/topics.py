@@ -1,13 +1,16 @@
 """Readings of a running sensor as messages of ROS 2, the same for a live view and for a recording.
 
-Beside the topics of `formats.export.ros`: `wrench/low` and `wrench/high` (the 90 % interval of the total force, where the
-network has one) and `flag` (diagnostic_msgs/DiagnosticArray: WARN with its reason, or OK; the values are the reading's row).
+Beside the topics of `formats.export.ros`: `wrench/low` and `wrench/high` (the 90 % intervals of force and moment, where the
+network has them) and `flag` (diagnostic_msgs/DiagnosticArray: WARN with its reason, or OK; the values are the reading's row).
 """
 
 import time
 
+import numpy as np
+
 from gelforge.formats.export import ros
 from gelforge.live.reading import Reading
+from gelforge.records.press import N_M
 
 OK, WARN = 0, 1  # levels of a DiagnosticStatus
 
@@ -25,11 +28,12 @@ class RosMessages:
     def __call__(self, reading: Reading) -> tuple[int, list[ros.Message]]:
         """Time in ns since 1970, and the messages of a reading."""
         stamp, force = self.start_ns + round(1e9 * reading.time_s), reading.found
-        found = ros.sensor_messages(self.token, stamp, reading.jpeg, "jpeg", force.total.tolist(), force.cells)
+        found = ros.sensor_messages(self.token, stamp, reading.jpeg, "jpeg", force.wrench.tolist(), force.cells)
         top, header = f"/{self.token}", ros.header(stamp, f"{self.token}_gel")
-        if force.half_width is not None:
-            for name, ends in (("low", force.total - force.half_width), ("high", force.total + force.half_width)):
-                found.append((f"{top}/wrench/{name}", ros.wrench(header, ends)))
+        if force.half_width is not None and force.moment_half_width is not None:
+            half = np.concatenate([force.half_width, N_M * force.moment_half_width])
+            for name, ends in (("low", force.wrench - half), ("high", force.wrench + half)):
+                found.append((f"{top}/wrench/{name}", ros.wrench(header, ends.tolist())))
         values = [
             ros.message("diagnostic_msgs/msg/KeyValue", key=key, value="" if value is None else str(value))
             for key, value in reading.row().items()

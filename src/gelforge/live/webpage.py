@@ -60,6 +60,7 @@ class PageServer(ThreadingHTTPServer):
     def __init__(self, host: str, port: int):
         self.hub, self.local = Hub(), host in LOCAL
         self.said: dict = {}
+        self.watched = threading.Event()  # set once a page was opened
         try:
             super().__init__((host, port), Handler)
         except (OSError, OverflowError) as error:  # the latter for a port number out of range
@@ -125,6 +126,7 @@ class Handler(BaseHTTPRequestHandler):
 
     def stream(self) -> None:
         """Send events until the browser leaves."""
+        self.server.watched.set()
         try:
             for event in self.events():
                 self.wfile.write(f"data: {json.dumps(event)}\n\n".encode())

@@ -26,6 +26,15 @@ def friction_error_n(evidence: Mapping[str, Any], mu: float, error: float) -> fl
     return float(evidence["friction_n"]) * error / mu
 
 
+def moment_of_nodes(places: np.ndarray, forces: np.ndarray) -> np.ndarray:
+    """Moments (n, 3) N mm of forces (n, 3) N at places (n, 3) mm, about the gel's apex.
+
+    The apex is the middle of the gel's undeformed surface and the origin of the gel frame. places: of the deformed gel,
+    on which the moments of contact and base are in balance.
+    """
+    return np.cross(places, forces)
+
+
 class NoEquilibrium(Exception):
     """Newton's method found no equilibrium; the load stepping retries with a shorter step."""
 
@@ -53,6 +62,13 @@ class Result:
     def total(self) -> np.ndarray:
         """Resultant contact force on the gel, (3,) N."""
         return self.forces.sum(axis=0)
+
+    @property
+    def moment(self) -> np.ndarray:
+        """Moment of the contact force on the gel about its apex, (3,) N mm; 0 for a failed solve without mesh."""
+        if self.mesh is None:
+            return np.zeros(3)
+        return moment_of_nodes(self.mesh.nodes + self.displacement, self.forces).sum(axis=0)
 
     @property
     def error_n(self) -> float:

@@ -1,18 +1,25 @@
 """The prediction from one image, the same result from `predict` to the page of `live`, and its columns of a table.
 
 For each channel: CHANNEL_n, the total, and CHANNEL_half_width_n, half of its 90 % prediction interval, empty where it
-is not known. edge_peak shows where totals are too low, because the image crops the contact.
+is not known; likewise mx_nm, mx_half_width_nm and so on, the moment about the gel's apex in N m. edge_peak shows where totals are too low, because the image crops the contact.
 """
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
-from gelforge.records.axes import CHANNELS
+from gelforge.records.axes import CHANNELS, MOMENTS
+from gelforge.records.press import N_M
 
-KINDS = ("n", "half_width_n")
-TOTAL_COLUMNS = (*(f"{channel}_{kind}" for kind in KINDS for channel in CHANNELS), "edge_peak")
+# Columns and their decimal places: tenths of a millinewton, and micronewton metres.
+DIGITS = {
+    **{f"{channel}_{kind}": 4 for kind in ("n", "half_width_n") for channel in CHANNELS},
+    **{f"{moment}_{kind}": 6 for kind in ("nm", "half_width_nm") for moment in MOMENTS},
+    "edge_peak": 4,
+}
+TOTAL_COLUMNS = tuple(DIGITS)
 LEAST_PRESS = 0.2  # N of normal force below which a map has no shape: predictions on a released gel are smaller
 # `edge_peak` from which the image crops the contact. Of 51 real presses, those that end within the image have at most
 # 0.1, those that it crops 0.25 and more.
@@ -35,6 +42,9 @@ class ForceReading:
             0.2 the contact is cropped by the image and the total is too low. NaN where the map has fewer than three rows
             or columns.
         image: (h, w, 3) uint8, the picture below the cells, as the network reads it.
+        moment: (3,) N mm, of the forces about gel x, y and z through the apex, the middle of the gel's undeformed
+            surface, taken to be in the middle of the image; NaN where the map has fewer than three rows or columns.
+        moment_half_width: (3,) N mm, as half_width; it includes an error of place of the forces.
         vanished: number of markers that only one of image and no-contact image shows; both are compared without them.
     """
 
@@ -45,6 +55,13 @@ class ForceReading:
     edge_peak: float
     image: np.ndarray
     vanished: int = 0
+    moment: np.ndarray = field(default_factory=lambda: np.full(3, np.nan))
+    moment_half_width: np.ndarray | None = None
+
+    @property
+    def wrench(self) -> np.ndarray:
+        """Force and moment, (6,) N and N m."""
+        return np.concatenate([self.total, N_M * self.moment])
 
     @property
     def flag(self) -> bool:
@@ -52,9 +69,9 @@ class ForceReading:
         return bool(self.reason)
 
     def __repr__(self) -> str:
-        halves = (None, None, None) if self.half_width is None else self.half_width
-        totals = (f"{name} {interval_text(*pair)}" for name, *pair in zip(CHANNELS, self.total, halves, strict=True))
-        return f"ForceReading({', '.join(totals)} N{', flagged: ' if self.flag else ''}{self.reason})"
+        forces = intervals_text(CHANNELS, self.total, self.half_width)
+        moments = intervals_text(MOMENTS, self.moment, self.moment_half_width)
+        return f"ForceReading({forces} N, {moments} N mm{', flagged: ' if self.flag else ''}{self.reason})"
 
     def plot(self) -> Any:
         """Draw the three maps of force.
@@ -83,13 +100,21 @@ def interval_text(value: float, half: float | None = None) -> str:
     return f"{value:+.{digits}f} +- {half:.{digits}f}"
 
 
+def intervals_text(names: Sequence[str], values: np.ndarray, halves: np.ndarray | None) -> str:
+    """Values (3,) by name with their half widths (3,), as `interval_text`."""
+    pairs = zip(names, values, (None, None, None) if halves is None else halves, strict=True)
+    return ", ".join(f"{name} {interval_text(*pair)}" for name, *pair in pairs)
+
+
 def total_columns(found: ForceReading) -> dict[str, float | None]:
-    """Values of TOTAL_COLUMNS, N to four decimals."""
-    columns: dict[str, float | None] = {}
-    for kind, values in zip(KINDS, (found.total, found.half_width), strict=True):
-        for k, channel in enumerate(CHANNELS):
-            columns[f"{channel}_{kind}"] = None if values is None else round(float(values[k]), 4)
-    return columns | {"edge_peak": None if np.isnan(found.edge_peak) else round(found.edge_peak, 4)}
+    """Values of TOTAL_COLUMNS, N and N m, to their DIGITS; None where unknown."""
+    unknown = np.full(3, np.nan)
+    halves = [unknown if half is None else half for half in (found.half_width, found.moment_half_width)]
+    values = [*found.total, *halves[0], *(N_M * found.moment), *(N_M * halves[1]), found.edge_peak]
+    return {
+        name: None if np.isnan(value) else round(float(value), digits)
+        for (name, digits), value in zip(DIGITS.items(), values, strict=True)
+    }
 
 
 def edge_peak(forces: np.ndarray, shown: tuple[slice, slice]) -> float:

@@ -11,10 +11,14 @@ from typing import Any
 import numpy as np
 
 from gelforge.errors import BadInput
+from gelforge.labelling.grid import Grid
+from gelforge.labelling.moment import Arms
+from gelforge.labelling.sensor import Sensor, gelsight_mini
+from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.reading.faults import Asked, nocontact_fault, pair_fault, pull_fault
 from gelforge.reading.forcereading import ForceReading, edge_peak
 from gelforge.reading.frame import ImageFrame, Learnt
-from gelforge.reading.interval import half_widths
+from gelforge.reading.interval import half_widths, moment_half_widths
 from gelforge.reading.model import ForceModel, load_model
 from gelforge.reading.pair import NoContact, Pair, alone
 from gelforge.reading.profile import AS_READ, Gain, with_profile
@@ -51,6 +55,8 @@ class Reader:
             which holds one.
         profile: path of a profile that `gelforge sensor` wrote; its factor multiplies the forces.
         model: path of a model; None: the shipped one. A model that `load_model` returned is shared by its readers.
+        sensor: projection from gel to image in the network's frame, which places the cells for moments; None: a GelSight
+            Mini with the image of its maker's driver.
         device: "cpu", or "cuda" where onnxruntime has it; of a model that is loaded here.
         threads: per image; of a model that is loaded here.
 
@@ -69,14 +75,16 @@ class Reader:
         model: Any = None,
         device: str = "cpu",
         threads: int = 1,
+        sensor: Sensor | None = None,
     ):
         require_opencv()
         loaded = model if isinstance(model, ForceModel) else load_model(model, device, threads)
         picture = None if nocontact is None else check_image(nocontact)
-        self._set(loaded, *with_profile(None if profile is None else Path(profile), picture, loaded.metadata))
+        self._set(loaded, *with_profile(None if profile is None else Path(profile), picture, loaded.metadata), sensor)
 
-    def _set(self, model: ForceModel, picture: np.ndarray | None, gain: Gain) -> None:
-        self.model, self.gain, self._given = model, gain, picture
+    def _set(self, model: ForceModel, picture: np.ndarray | None, gain: Gain, sensor: Sensor | None = None) -> None:
+        self.model, self.gain, self._given, self._sensor = model, gain, picture, sensor
+        self.arms = Arms(sensor or gelsight_mini(), Grid(*model.metadata["grid"]))
         self.frame, self.nocontact, self.fault = ImageFrame(model.size, model.size), None, ""
         if model.needs_nocontact:
             if picture is None:
@@ -104,10 +112,15 @@ class Reader:
         pair = self.compare(image)
         cells = (self.forces(pair) - self.rest(pair)) * np.float32(self.gain.value)
         total = cells.sum((1, 2), dtype=float)
+        # a gel whose forces are multiplied by a factor is as many times as stiff
+        moment = self.arms.moment(cells, REFERENCE_C10 * self.gain.value)
+        half_width = half_widths(self.model.metadata, total, self.gain)
         return ForceReading(
             cells=cells,
             total=total,
-            half_width=half_widths(self.model.metadata, total, self.gain),
+            half_width=half_width,
+            moment=moment,
+            moment_half_width=moment_half_widths(total, moment, half_width),
             reason=self.fault or pair_fault(pair, Asked.READER) or pull_fault(float(total[2])),
             edge_peak=edge_peak(cells, self.frame.cells_shown(cells.shape[1:])),
             image=pair.image.image,
@@ -164,13 +177,15 @@ class Reader:
         return [self(image) for image in images]
 
     def __reduce__(self) -> tuple[Any, ...]:
-        return reader_with, (self.model, self._given, self.gain)
+        return reader_with, (self.model, self._given, self.gain, self._sensor)
 
 
-def reader_with(model: ForceModel, picture: np.ndarray | None, gain: Gain = AS_READ) -> Reader:
+def reader_with(
+    model: ForceModel, picture: np.ndarray | None, gain: Gain = AS_READ, sensor: Sensor | None = None
+) -> Reader:
     """A reader with a known factor on forces."""
     reader = Reader.__new__(Reader)
-    reader._set(model, picture, gain)
+    reader._set(model, picture, gain, sensor)
     return reader
 
 

@@ -6,4 +6,5 @@ All maps, totals, intervals and tables of gelforge use it. FEATS' order occurs o
 
 AXES = ("x", "y", "z")
 CHANNELS = ("fx", "fy", "fz")
+MOMENTS = ("mx", "my", "mz")  # about the gel's apex, the origin of the gel frame
 TITLES = tuple(f"{name}: force along gel {axis}" for name, axis in zip(CHANNELS, AXES, strict=True))

@@ -7,7 +7,7 @@ An uncompressed .npz. `n` samples; `k` contact nodes and `m` surface nodes, all 
 | sample_id, status, mesh | (n,) str | `status` names a `Status`, `mesh` what `gelforge.mechanics.mesh.names.load_mesh` takes |
 | ptr, node, force | (n+1,) int64, (k,) int32, (k, 3) float64 | N on the gel at `c10`; free nodes are left out |
 | surface_ptr, displacement | (n+1,) int64, (m, 3) float32 | mm, rows follow the mesh's `surface_nodes` |
-| total | (n, 3) float64 | total force, N |
+| total, moment | (n, 3) float64 | total force, N, and moment about the gel's apex, N mm |
 | c10 | () float64 | MPa |
 | c10_interval68, c10_interval95 | (2,) float64 | MPa, only where the material was calibrated |
 | extrapolated | (n,) float64 | factor that corrects `force`, not `displacement`, for the size of hexahedra; 1: none |
@@ -22,7 +22,7 @@ long.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -41,7 +41,10 @@ ERRORS = NUMBERS[1:]  # those in N, which scale with C10
 
 @dataclass(frozen=True)
 class SampleForces:
-    """One sample of a shard: forces (s, 3) N and displacements (s, 3) mm at `nodes` (s,), all surface nodes."""
+    """One sample of a shard: forces (s, 3) N and displacements (s, 3) mm at `nodes` (s,), all surface nodes.
+
+    moment: of the forces about the gel's apex, (3,) N mm.
+    """
 
     sample_id: str
     status: str
@@ -54,6 +57,7 @@ class SampleForces:
     error_n: float = np.nan
     cells_error_n: float = np.nan
     friction_error_n: float = np.nan
+    moment: np.ndarray = field(default_factory=lambda: np.zeros(3))
 
     @classmethod
     def failed(cls, sample_id: str, status: str, mesh: str = "", press_id: str = "") -> "SampleForces":
@@ -82,6 +86,7 @@ def write_forces(
         "surface_ptr": _pointer([len(s.displacement) for s in samples]),
         "displacement": _stack([s.displacement for s in samples], (0, 3), np.float32),
         "total": np.array([s.force.sum(axis=0) for s in samples], np.float64).reshape(-1, 3),
+        "moment": np.array([s.moment for s in samples], np.float64).reshape(-1, 3),
         "c10": np.float64(c10),
         **{name: np.array([getattr(s, name) for s in samples], np.float64) for name in NUMBERS},
     }
@@ -120,7 +125,7 @@ SCHEMA = Schema(
     "a forces shard",
     {
         "sample_id": ("U", 1), "status": ("U", 1), "mesh": ("U", 1), "ptr": ("i", 1), "node": ("i", 1), "force": ("f", 2),
-        "surface_ptr": ("i", 1), "displacement": ("f", 2), "total": ("f", 2), "c10": ("f", 0), **dict.fromkeys(NUMBERS, ("f", 1)),
+        "surface_ptr": ("i", 1), "displacement": ("f", 2), "total": ("f", 2), "moment": ("f", 2), "c10": ("f", 0), **dict.fromkeys(NUMBERS, ("f", 1)),
     },
     {"press_id": ("U", 1), **dict.fromkeys(INTERVALS, ("f", 1))},
 )  # fmt: skip
@@ -137,7 +142,7 @@ class ForceFile:
         self.path = path
         self._file = file = Archive(path, SCHEMA, HINT)
         self.sample_id, self.status, self.mesh = (file[k] for k in ("sample_id", "status", "mesh"))
-        self.ptr, self.total = file["ptr"], file["total"]
+        self.ptr, self.total, self.moment = file["ptr"], file["total"], file["moment"]
         self.c10 = float(file["c10"])
         self.intervals = {name: file[name] for name in INTERVALS if name in file}
         self.press_id = file.get("press_id", np.full(len(self.sample_id), ""))
@@ -187,7 +192,9 @@ class ForceFile:
         displacement = self.displacement[rows].astype(float)
         touched = slice(self.ptr[index], self.ptr[index + 1])
         names = str(self.sample_id[index]), str(self.status[index]), str(self.mesh[index])
-        press, numbers = str(self.press_id[index]), [float(self.numbers[name][index]) for name in NUMBERS]
+        press = str(self.press_id[index])
+        known: dict[str, Any] = {name: float(self.numbers[name][index]) for name in NUMBERS}
+        known["moment"] = self.moment[index]
         if not len(displacement):
             return SampleForces.failed(*names, press)
         if len(displacement) != len(surface_nodes):
@@ -197,4 +204,4 @@ class ForceFile:
             )
         force = np.zeros((len(surface_nodes), 3))
         force[np.searchsorted(surface_nodes, self.node[touched])] = self.force[touched]
-        return SampleForces(*names, surface_nodes, force, displacement, press, *numbers)
+        return SampleForces(*names, surface_nodes, force, displacement, press, **known)

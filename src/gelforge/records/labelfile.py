@@ -7,6 +7,7 @@ An uncompressed .npz. `n` samples:
 | sample_id, status | (n,) str | as in the forces; a sample without a valid state has labels of NaN |
 | label | (n, 3, rows, cols) float32 | N per cell along gel x, y, z |
 | outside | (n, 3) float64 | N that fell outside the image, along the same axes |
+| moment, outside_moment | (n, 3) float64 | N mm of the force in and outside the image about the gel's apex, from the nodes; absent in imported labels |
 | press_id | (n,) str | only if samples are frames of a press: its identifier |
 | extrapolated | (n,) float64 | factor that corrects forces, not displacement, for the size of hexahedra; 1: none |
 | error_n | (n,) float64 | N, 90 % bound on the error of the total force's magnitude; NaN: not known |
@@ -74,11 +75,12 @@ def _stream(archive: zipfile.ZipFile, name: str, shape: tuple[int, ...], blocks:
 
 # Optional arrays of a shard beside the forces, and their numbers of dimensions.
 FIELDS = {"displacement": 4, "traction": 4, "area": 3, "traction_deformed": 4, "area_deformed": 3}
+MOMENTS = ("moment", "outside_moment")
 SCHEMA = Schema(
     "a label shard",
     {"sample_id": ("U", 1), "status": ("U", 1), "label": ("f", 4), "outside": ("f", 2)},
     {
-        "press_id": ("U", 1), "c10": ("f", 0), **dict.fromkeys((*INTERVALS, *NUMBERS), ("f", 1)),
+        "press_id": ("U", 1), **dict.fromkeys(MOMENTS, ("f", 2)), "c10": ("f", 0), **dict.fromkeys((*INTERVALS, *NUMBERS), ("f", 1)),
         **{name: ("f", dimensions) for name, dimensions in FIELDS.items()},
     },
 )  # fmt: skip
@@ -86,13 +88,15 @@ SCHEMA = Schema(
 
 @dataclass(frozen=True)
 class LabelShard:
-    """Labels of n samples at one resolution; the arrays are those of the file."""
+    """Labels of n samples at one resolution; the arrays are those of the file, NaN for absent ones."""
 
     path: Path
     sample_id: np.ndarray
     status: list[Status]
     label: np.ndarray
     outside: np.ndarray
+    moment: np.ndarray
+    outside_moment: np.ndarray
     material: dict[str, float | list[float]]
     press_id: np.ndarray
     extrapolated: np.ndarray
@@ -131,14 +135,26 @@ def read_labels(path: str | Path) -> LabelShard:
         material |= {name: file[name].tolist() for name in INTERVALS if name in file}
         press = file.get("press_id", np.full(len(names), ""))
         unknown = np.full(len(names), np.nan)
+        moments = {name: file.get(name, np.full((len(names), 3), np.nan)) for name in MOMENTS}
         numbers = {name: file.get(name, unknown) for name in NUMBERS}
         fields = {name: file[name] for name in FIELDS if name in file}
     _check_shapes(path, names, states, label, outside, press, fields)
-    for name, values in numbers.items():
+    for name, values in (numbers | moments).items():
         if len(values) != len(names):
             raise BadInput(f"{path}: {len(values)} values of {name} for {len(names)} names; make the labels again")
     states_of = _statuses(path, names, states)
-    shard = LabelShard(Path(path), names, states_of, label, outside, material, press, **numbers, fields=fields)
+    shard = LabelShard(
+        Path(path),
+        names,
+        states_of,
+        label,
+        outside,
+        **moments,
+        material=material,
+        press_id=press,
+        **numbers,
+        fields=fields,
+    )
     _check_values(shard)
     return shard
 

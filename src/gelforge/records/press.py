@@ -24,6 +24,7 @@ MOST_NAMED = 5  # most images named in one message, and most presses named for a
 FORCE = ("fx_n", "fy_n", "fz_n")
 MOMENT = ("mx_nm", "my_nm", "mz_nm")
 FORCES = (*FORCE, *MOMENT)
+N_M = 1e-3  # N m in a N mm: columns named as the log's hold N m, arrays and Python's attributes N mm
 COLUMNS = ("sample_id", "time_utc", "sensor_id", "gel_id", "indenter", *POSE, *FORCES, "image")
 OPTIONAL = ("press_id", "mounting", *TILT)
 KNOWN = (*COLUMNS, *OPTIONAL)
@@ -174,6 +175,13 @@ class PressRecord:
         import numpy as np
 
         return np.array([self.fx_n, self.fy_n, self.fz_n], dtype=float)
+
+    @property
+    def wrench(self) -> "np.ndarray":
+        """Force and moment on the gel along its axes, (6,) N and N m; NaN where they were not measured."""
+        import numpy as np
+
+        return np.array([getattr(self, name) for name in FORCES], dtype=float)
 
     def cells(self) -> dict[str, str]:
         """The record as text; numbers in the shortest form that reads back to the same float."""

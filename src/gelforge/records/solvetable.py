@@ -7,7 +7,7 @@ from pathlib import Path
 
 from gelforge.errors import BadInput
 from gelforge.flow.layout import command_for
-from gelforge.records.press import FORCE, parse_number
+from gelforge.records.press import FORCES, N_M, parse_number
 from gelforge.records.status import Status
 from gelforge.records.table import read_table, write_table
 
@@ -17,14 +17,14 @@ EVIDENCE = (
     "cells_error_n", "slipping", "friction_error_n",
 )  # fmt: skip
 NAMES = ("sample_id", "status", "reason", "method", "mesh", "key")
-COLUMNS = (*NAMES, *FORCE, *EVIDENCE)
+COLUMNS = (*NAMES, *FORCES, *EVIDENCE)
 
 
 @dataclass(frozen=True)
 class Solved:
     """How one press was solved.
 
-    total: force on the gel, (3,) N at the reference C10. key: of its record in the store of solves. evidence:
+    total: force on the gel, (3,) N at the reference C10; moment: about its apex, (3,) N mm. key: of its record in the store of solves. evidence:
     diagnostics of the solve, cells by the names of EVIDENCE.
     """
 
@@ -37,6 +37,7 @@ class Solved:
     total: tuple[float, float, float]
     evidence: dict[str, object]
     press_id: str = ""
+    moment: tuple[float, float, float] = (math.nan, math.nan, math.nan)
 
     def number(self, name: str) -> float:
         """A number of the evidence, NaN if the solve gave none."""
@@ -46,7 +47,8 @@ class Solved:
     def cells(self) -> dict[str, object]:
         """One row of the table."""
         row: dict[str, object] = {name: getattr(self, name) for name in NAMES} | {"status": self.status.name}
-        row |= dict(zip(FORCE, (f"{force:.6g}" for force in self.total), strict=True))
+        wrench = (*self.total, *(N_M * moment for moment in self.moment))
+        row |= dict(zip(FORCES, (f"{value:.6g}" for value in wrench), strict=True))
         return row | {name: self.evidence.get(name, "") for name in EVIDENCE} | {"press_id": self.press_id}
 
 
@@ -64,13 +66,14 @@ def read_solves(path: str | Path) -> list[Solved]:
     """Read what `write_solves` wrote; anything else raises BadInput."""
     found, hint = [], f"delete it and run {command_for('fea', path)}"
     for at, row in enumerate(read_table(path, hint), 2):
-        forces = [_force(row.get(name) or "") for name in FORCE]
+        forces = [_force(row.get(name) or "") for name in FORCES]
         state = row.get("status") or ""
         if state not in Status.__members__ or None in forces or not row.get("sample_id"):
             raise BadInput(f"{path}: row {at} is not a solve of stage 30; {hint}")
-        x, y, z = (math.nan if force is None else force for force in forces)
+        x, y, z, *moment = (math.nan if force is None else force for force in forces)
+        mx, my, mz = (value / N_M for value in moment)
         names = {name: row.get(name) or "" for name in NAMES if name != "status"}
         evidence: dict[str, object] = {name: row.get(name) or "" for name in EVIDENCE}
         found.append(Solved(**names, status=Status[state], total=(x, y, z), evidence=evidence,
-                            press_id=row.get("press_id") or ""))  # fmt: skip
+                            press_id=row.get("press_id") or "", moment=(mx, my, mz)))  # fmt: skip
     return found

@@ -1,6 +1,8 @@
 """Tables of a network's errors for the report."""
 
-from gelforge.records.axes import CHANNELS
+from collections.abc import Sequence
+
+from gelforge.records.axes import CHANNELS, MOMENTS
 
 
 def cell_text(table: dict | None, axis: str) -> str:
@@ -19,6 +21,7 @@ def tables(result: dict) -> list[dict]:
     found = [
         _totals_and_cells(result),
         _intervals(result),
+        _moments(result),
         _controls(result),
         *(_groups(result, key, title) for key, title in groups),
     ]
@@ -30,9 +33,9 @@ def _table(title: str, columns: list[str], rows: list[list]) -> dict:
     return {"title": title, "columns": columns, "rows": rows}
 
 
-def _with_bias(errors: dict) -> list[str]:
+def _with_bias(errors: dict, names: Sequence[str] = CHANNELS) -> list[str]:
     """Mean absolute error and bias of each component as text."""
-    return [f"{errors[a]['mae']:.3f} (bias {errors[a]['bias']:+.3f})" for a in CHANNELS]
+    return [f"{errors[a]['mae']:.3f} (bias {errors[a]['bias']:+.3f})" for a in names]
 
 
 def _totals_and_cells(result: dict) -> dict:
@@ -68,6 +71,25 @@ def _intervals(result: dict) -> dict:
     return _table(
         title, ["split", "component", "95 % interval", "bias", "% of range", "coverage of 90 % intervals, %"], rows
     )
+
+
+def _moments(result: dict) -> dict:
+    """Moments against the labels, the force sensor and the true moments of a virtual rig, of all images that have them."""
+    rows = []
+    for name, split in result["splits"].items():
+        pairs = [("label", "network", split["moment"])]
+        pairs += [
+            (kind, who, pair["moment"][who])
+            for kind, pair in split["against"].items()
+            for who in ("network", "labels")
+        ]
+        rows += [
+            [name, reference, who, found["n"], *_with_bias(found, MOMENTS)]
+            for reference, who, found in pairs
+            if found["n"]
+        ]
+    title = "Moment about the gel's apex, mean absolute error, N mm"
+    return _table(title, ["split", "reference", "who", "images", *MOMENTS], rows)
 
 
 def control_rows(result: dict) -> list[list[str]]:

@@ -4,8 +4,8 @@ from typing import Any
 
 import numpy as np
 
-from gelforge.records.axes import CHANNELS
-from gelforge.records.press import POSE, TILT, PosedPress
+from gelforge.records.axes import CHANNELS, MOMENTS
+from gelforge.records.press import N_M, POSE, TILT, PosedPress
 from gelforge.records.samplefile import DatasetSample
 from gelforge.records.solvetable import Solved
 
@@ -13,7 +13,7 @@ TEXTS = ("indenter", "sensor", "gel", "split", "status", "reason", "method", "me
 NUMBERS = (
     *POSE,
     *TILT,
-    *(f"{kind}_{axis}" for kind in ("label", "network", "measured") for axis in CHANNELS),
+    *(f"{kind}_{axis}" for kind in ("label", "network", "measured") for axis in (*CHANNELS, *MOMENTS)),
     "error_n",
     "friction_error_n",
     "slipping",
@@ -29,13 +29,13 @@ def press_rows(
     rejected: list[dict],
     solved: dict[str, Solved],
     samples: dict[str, DatasetSample],
-    totals: dict,
+    wrenches: dict,
     gels: dict[str, str],
 ) -> list[dict]:
     """One dict a press, rejected rows of the log last.
 
     presses: (shard, press) of the pose tables. rejected: rows of the tables of rejections, with their shard. solved,
-    samples: of stages 30 and 60, by sample_id. totals: the network's total force (3,) N, by sample_id. gels: name of
+    samples: of stages 30 and 60, by sample_id. wrenches: the network's force and moment (6,) N and N mm, by sample_id. gels: name of
     the gel of each sensor.
     """
     rows = [
@@ -45,7 +45,7 @@ def press_rows(
             gels[press.sensor_id],
             solved.get(press.sample_id),
             samples.get(press.sample_id),
-            totals.get(press.sample_id),
+            wrenches.get(press.sample_id),
         )
         for shard, press in presses
     ]
@@ -60,7 +60,7 @@ def press_rows(
 
 
 def _press(
-    shard: str, press: PosedPress, gel: str, solve: Solved | None, sample: DatasetSample | None, total
+    shard: str, press: PosedPress, gel: str, solve: Solved | None, sample: DatasetSample | None, wrench
 ) -> dict:
     row: dict[str, Any] = {
         "id": press.sample_id,
@@ -75,13 +75,17 @@ def _press(
         row |= {name: getattr(solve, name) for name in ("reason", "method", "mesh")}
         row |= {name: solve.number(name) for name in ("seconds", "peak_mib")}
     row |= {name: getattr(press, name) for name in (*POSE, "stl")} | dict(zip(TILT, press.tilt, strict=True))
-    # Forces of the label, or of the solve for a press without an image, which is not in the dataset.
-    known = sample.total if sample else solve.total if solve and solve.status.valid else np.full(3, np.nan)
-    outside = np.nan_to_num(sample.outside) if sample else np.zeros(3)
-    row["outside_fz"] = outside[2]
-    for at, axis in enumerate(CHANNELS):
-        row[f"measured_{axis}"], row[f"label_{axis}"] = press.force[at], known[at]
-        row[f"network_{axis}"] = np.nan if total is None else total[at]
+    # Force (N) and moment (N mm) of the label, or of the solve for a press without an image, which is not in the dataset.
+    unit, known = np.repeat([1.0, N_M], 3), np.full(6, np.nan)
+    if sample:
+        known = sample.wrench / unit
+    elif solve and solve.status.valid:
+        known = np.array([*solve.total, *solve.moment])
+    row["outside_fz"] = np.nan_to_num(sample.outside)[2] if sample else 0.0
+    network = np.full(6, np.nan) if wrench is None else wrench
+    for at, axis in enumerate((*CHANNELS, *MOMENTS)):
+        row[f"measured_{axis}"], row[f"label_{axis}"] = press.wrench[at] / unit[at], known[at]
+        row[f"network_{axis}"] = network[at]
     if solve:
         row |= {name: solve.number(name) for name in ("error_n", "friction_error_n", "slipping")}
     return row

@@ -4,9 +4,11 @@ import hashlib
 import shutil
 import sys
 from argparse import Namespace
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from tqdm import tqdm
@@ -23,31 +25,37 @@ from gelforge.flow.params import read_parameters
 from gelforge.flow.tables import DatasetTable
 from gelforge.geometry.indenters import fold
 from gelforge.labelling.grid import Grid
-from gelforge.labelling.sensor import find_sensor, load_sensors
+from gelforge.labelling.moment import Arms
+from gelforge.labelling.sensor import Sensor, find_sensor, load_sensors
 from gelforge.learning.pictures import PICTURES, write_pairs
 from gelforge.learning.split import split_presses
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.records.image import read_logged_image
 from gelforge.records.labelfile import FIELDS, open_labels, read_labels
 from gelforge.records.log import read_poses, read_shard, without_duplicates
-from gelforge.records.press import FORCE, ID_RULE, PressRecord, describe_repeats, names_files, parse, repeats
+from gelforge.records.press import FORCE, ID_RULE, N_M, PressRecord, describe_repeats, names_files, parse, repeats
 from gelforge.records.rowfile import RowFile, array_on_disk, write_rows
 from gelforge.records.samplefile import DatasetSample, write_samples
 from gelforge.records.status import Status
 from gelforge.records.table import numbered_rows, read_table
 
-VERSION = 11
+VERSION = 12
 NO_IMAGE = "no image in the log"
 WRONG_IMAGE = "its image is not of this press"
 
 
+# Moment (3,) N mm of a label (3, rows, cols) N of the sensor of that name, on a gel of a material.
+MomentOf = Callable[[str, np.ndarray, Mapping[str, Any]], np.ndarray]
+
+
 def collect(
-    shards: list[tuple[Path, list]], truth: dict, wrong_images: Mapping[str, str]
+    shards: list[tuple[Path, list]], truth: dict, wrong_images: Mapping[str, str], moment_of: MomentOf
 ) -> tuple[list[DatasetSample], list, dict, dict]:
     """Samples with label and image, the places of their labels, counts of those left out, the first shard's material.
 
     shards: label files, each with the presses of its samples, from a pose table or a log. wrong_images: samples to
-    leave out. A place is (file number, index in the file). Samples left out are counted by reason.
+    leave out. A place is (file number, index in the file). Samples left out are counted by reason. moment_of: gives the
+    moment of a label that was imported without one.
     """
     found: list[DatasetSample] = []
     places: list[tuple[int, int]] = []
@@ -64,10 +72,21 @@ def collect(
             if reason or press is None:
                 left_out[reason] = left_out.get(reason, 0) + 1
                 continue
-            total, outside = totals[at], labels.outside[at]
-            found.append(DatasetSample(press, total, outside, truth.get(name, {})))
+            moment, beyond = labels.moment[at], labels.outside_moment[at]
+            if np.isnan(moment).any():
+                moment = moment_of(press.sensor_id, labels.label[at], labels.material)
+            wrench = np.concatenate([totals[at], N_M * moment])
+            found.append(
+                DatasetSample(press, wrench, np.concatenate([labels.outside[at], N_M * beyond]), truth.get(name, {}))
+            )
             places.append((number, at))
     return found, places, left_out, material
+
+
+def moments_by_cells(sensors: Mapping[str, Sensor], grid: Grid, where: str) -> MomentOf:
+    """Moments of labels from their cells."""
+    arms = lru_cache(None)(lambda name: Arms(find_sensor(sensors, name, where), grid))
+    return lambda name, label, material: arms(name).moment(label, material.get("c10", REFERENCE_C10))
 
 
 def _reason(press: PressRecord | None, status: Status) -> str:
@@ -263,9 +282,14 @@ def doubts_of_forces(found: Sequence[DatasetSample], material: Mapping) -> list[
         rot_deg=np.array([press.rot_deg for press in presses]),
         force=np.array([press.force for press in presses], float),
     )
-    labels = np.array([each.total + np.nan_to_num(each.outside) for each in ordered])
+    labels = np.array([each.total + np.nan_to_num(each.outside[:3]) for each in ordered])
     usual = REFERENCE_C10 / material["c10"] if "c10" in material else 1.0
     return of_labels(log, labels, [press.indenter for press in presses], usual)
+
+
+def camera(sensor: Sensor) -> dict[str, Any]:
+    """What places the cells of a sensor's maps on its gel, as a table of sensors.toml."""
+    return {"gel": sensor.gel, "image": list(sensor.image), "projection": sensor.projection.tolist()}
 
 
 def describe(name: str, grid: Grid, found: list[DatasetSample], splits, left_out, size, material: dict) -> dict:
@@ -384,13 +408,15 @@ def build(args: Namespace) -> dict:
         )
     elif params.poses.judge_images:
         wrong_images = wrong_imported(of, [press for _, presses in shards for press in presses])
-    found, places, left_out, material = collect(shards, read_truth(of.data), wrong_images)
+    sensors = load_sensors(of.parameters("sensors"))
+    by_cells = moments_by_cells(sensors, grid, str(of.log))
+    found, places, left_out, material = collect(shards, read_truth(of.data), wrong_images, by_cells)
     if not found:
         raise BadInput(nothing_left(of, left_out))
     presses = [each.press for each in found]
     inside, outside = (np.array([getattr(each, name)[2] for each in found]) for name in ("total", "outside"))
     refuse_unseen([press.sensor_id for press in presses], inside, np.nan_to_num(outside), of.parameters("sensors"))
-    size = image_size(presses, load_sensors(of.parameters("sensors")), str(of.log))
+    size = image_size(presses, sensors, str(of.log))
     rests = share_pictures(folder, of.data, presses, size)
     # all presses of the log are split, those without label too, so that one that is solved later moves no other
     every = [press for _, each in shards for press in each]
@@ -411,6 +437,7 @@ def build(args: Namespace) -> dict:
     short = ("sample_id", "group", "split")
     write_csv(folder / "split.csv", short, [{name: each.cells()[name] for name in short} for each in found])
     about = describe(of.data.name, grid, found, splits, left_out, size, material)
+    about["cameras"] = {name: camera(sensors[name]) for name in about["sensors"]}
     about |= {"repeated_pictures": len(repeated)} if repeated else {}
     about["doubts_of_forces"] = doubts_of_forces(found, material)
     for doubt in about["doubts_of_forces"]:

@@ -17,7 +17,7 @@ from gelforge.reporting import feats_tables
 from gelforge.reporting.errortables import tables
 from gelforge.reporting.networkcharts import draw_predictions
 
-VERSION = 20
+VERSION = 21
 
 
 def keep_predictions(path, data, model, predictions: dict) -> None:
@@ -25,7 +25,7 @@ def keep_predictions(path, data, model, predictions: dict) -> None:
 
     predictions: those that exist already, from `evaluate`.
     """
-    from gelforge.learning.predictions import predict_rows
+    from gelforge.learning.predictions import moments_of, predict_rows
 
     learnt = data.splits[TRAINING]
     parts = list(predictions.values())
@@ -34,7 +34,7 @@ def keep_predictions(path, data, model, predictions: dict) -> None:
     forces = np.zeros((len(data.table), *parts[0][1].shape[1:]), np.float32)
     for rows, predicted in parts:
         forces[rows] = predicted
-    write_predictions(path, data.names("sample_id"), forces)
+    write_predictions(path, data.names("sample_id"), forces, moments_of(data, np.arange(len(forces)), forces))
 
 
 def paper_table(result: dict) -> str:

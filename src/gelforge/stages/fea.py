@@ -84,7 +84,8 @@ def publish_solve(result: Result, key: str, store: SolveStore) -> dict:
         "status": result.status.name, "mesh": evidence.get("mesh", ""),
         # for a valid result: why another method than the requested one solved it
         "reason": str(evidence.get("replaced", "") if result.status.valid else evidence.get("reason") or result.status.value),
-        "method": evidence["method"], "total": result.total.tolist(), "evidence": evidence, "deck": {},
+        "method": evidence["method"], "total": result.total.tolist(), "moment": result.moment.tolist(),
+        "evidence": evidence, "deck": {},
     }  # fmt: skip
     arrays: dict[str, np.ndarray] = {}
     if result.status.valid and result.mesh is not None:
@@ -105,7 +106,7 @@ def solved(record: dict, press: PosedPress, interface: InterfaceTable) -> Solved
         evidence["friction_error_n"] = off
     return Solved(
         press.sample_id, Status[record["status"]], record["reason"], record["method"], record["mesh"], record["key"],
-        tuple(record["total"]), evidence, press.press_id,
+        tuple(record["total"]), evidence, press.press_id, tuple(record["moment"]),
     )  # fmt: skip
 
 

@@ -17,13 +17,14 @@ from gelforge.flow.params import read_parameters
 from gelforge.flow.tables import MaterialTable
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.mechanics.mesh.names import load_mesh
+from gelforge.mechanics.result import moment_of_nodes
 from gelforge.records.arrays import in_short
 from gelforge.records.forcefile import ERRORS, INTERVALS, SampleForces, write_forces
 from gelforge.records.solvestore import SolveStore
 from gelforge.records.solvetable import Solved, read_solves
 from gelforge.records.status import Status
 
-VERSION = 3
+VERSION = 4
 
 
 def read_sample(solve: Solved, store: SolveStore) -> tuple[SampleForces, str]:
@@ -37,6 +38,12 @@ def read_sample(solve: Solved, store: SolveStore) -> tuple[SampleForces, str]:
     try:
         with np.load(path, allow_pickle=False) as file:
             force, displacement = file["force"], file["displacement"]
+        shape = len(mesh.surface_nodes), 3
+        if not force.shape == displacement.shape == shape:
+            status = Status.UNREADABLE
+            reason = (
+                f"{path}: forces {force.shape} and displacement {displacement.shape} of a surface of {shape[0]} nodes"
+            )
     except DAMAGED as error:
         status, reason = Status.UNREADABLE, f"{path}: {in_short(error)}"
     if not status.valid:
@@ -55,6 +62,7 @@ def read_sample(solve: Solved, store: SolveStore) -> tuple[SampleForces, str]:
         solve.number("error_n"),
         solve.number("cells_error_n"),
         solve.number("friction_error_n"),
+        moment_of_nodes(mesh.nodes[top] + displacement, force).sum(axis=0),
     )
     return found, ""
 
@@ -98,7 +106,7 @@ def main(args: Namespace) -> None:
         # At a fixed Poisson's ratio and prescribed motion every force is proportional to C10.
         stiffer = c10 / REFERENCE_C10
         errors = {name: stiffer * getattr(sample, name) for name in ERRORS}
-        samples.append(replace(sample, force=sample.force * stiffer, **errors))
+        samples.append(replace(sample, force=stiffer * sample.force, moment=stiffer * sample.moment, **errors))
     write_forces(args.out, samples, c10, intervals)
     valid = sum(Status[sample.status].valid for sample in samples)
     print(json.dumps({"done": valid, "failed": lost}))

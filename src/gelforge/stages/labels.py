@@ -18,12 +18,13 @@ from gelforge.labelling.operator import Operator, assemble
 from gelforge.labelling.sensor import Sensor, find_sensor, sensors_of
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.names import load_mesh
+from gelforge.mechanics.result import moment_of_nodes
 from gelforge.records.forcefile import ForceFile
-from gelforge.records.labelfile import Stream, to_float32, write_labels
+from gelforge.records.labelfile import MOMENTS, Stream, to_float32, write_labels
 from gelforge.records.log import read_poses
 from gelforge.records.status import Status
 
-VERSION = 4
+VERSION = 5
 OPERATORS_KEPT = 64  # operators in memory
 BLOCK_BYTES = 64 * 2**20  # of float64 cells held at a time
 
@@ -48,6 +49,15 @@ def bin_samples(forces: ForceFile, members, operator: Operator) -> tuple[np.ndar
     label[sample[inside], axis[inside], binned.indices[inside]] = value
     outside[sample[~inside], axis[~inside]] = binned.data[~inside]
     return label.reshape(samples, 3, *operator.grid.shape), outside
+
+
+def moments_of(forces: ForceFile, at: int, operator: Operator, mesh: GelMesh) -> tuple[np.ndarray, np.ndarray]:
+    """Moments about the apex of one sample's force in the image and outside it, (3,) N mm each, from its nodes."""
+    sample = forces.sample(at, mesh.surface_nodes)
+    moment = moment_of_nodes(mesh.nodes[sample.nodes] + sample.displacement, sample.force)
+    binned = operator.spread([0, len(sample.nodes)], sample.nodes, moment)
+    outside = binned[:, -1].toarray().ravel()
+    return moment.sum(axis=0) - outside, outside
 
 
 def label_blocks(forces: ForceFile, operators: list, grid: Grid, outside: np.ndarray):
@@ -95,6 +105,7 @@ class Finder:
             lru_cache(OPERATORS_KEPT)(self._fields),
         )
         self.sensor = lru_cache(None)(self._sensor)
+        self.mesh = lru_cache(1)(load_mesh)
 
     def _sensor(self, name: str) -> Sensor:
         found = find_sensor(self.sensors, name, self.where)
@@ -103,10 +114,10 @@ class Finder:
 
     def _operator(self, mesh: str, sensor: str) -> Operator:
         unit = self.sensor(sensor)
-        return assemble(load_mesh(mesh), unit, self.grid)
+        return assemble(self.mesh(mesh), unit, self.grid)
 
     def _fields(self, name: str, sensor: str) -> tuple[SurfaceMap, Operator, GelMesh]:
-        mesh = load_mesh(name)
+        mesh = self.mesh(name)
         surface = surface_map(mesh, self.sensor(sensor), self.grid)
         return surface, self.operator(name, sensor), mesh
 
@@ -154,16 +165,21 @@ def label_shard(forces_path, poses_path, find: Finder, grid: Grid, out, channels
     """
     sensor_of = sensors_of_samples(poses_path)
     with ForceFile(forces_path) as forces:
-        operators = [_operator_of(forces, i, sensor_of, find.operator, poses_path) for i in range(len(forces))]
         if not np.isfinite(forces.force).all():
             raise BadInput(
                 f"{forces_path}: sample {_first_bad(forces)} has forces that are not finite;"
                 " delete the file and its solve in 30_fea, then run make again"
             )
+        operators, moments = [], np.zeros((2, len(forces), 3))
+        for i in range(len(forces)):
+            operators.append(_operator_of(forces, i, sensor_of, find.operator, poses_path))
+            if operators[i] is not None:
+                moments[:, i] = moments_of(forces, i, operators[i], find.mesh(str(forces.mesh[i])))
         valid = np.array([Status[str(status)].valid for status in forces.status], bool)
         outside = np.where(valid[:, None], np.zeros(3), np.nan)
+        moments[:, ~valid] = np.nan
         others = {"sample_id": forces.sample_id, "status": forces.status, "outside": outside, "c10": forces.c10}
-        others |= forces.numbers
+        others |= forces.numbers | dict(zip(MOMENTS, moments, strict=True))
         if forces.press_id.any():
             others["press_id"] = forces.press_id
         blocks = label_blocks(forces, operators, grid, outside)

@@ -36,7 +36,7 @@ from gelforge.reporting.parts import PART, forget_parts, in_parts, place_parts
 from gelforge.reporting.presses import as_columns, press_rows
 from gelforge.sweeps import verification
 
-VERSION = 6
+VERSION = 7
 ABSENT = "not installed"
 NO_MODEL = "none"  # of a page of a dataset without images
 FOLDED = ("trace.png",)  # plots shown folded, for readers who check a result
@@ -76,21 +76,27 @@ def with_forces(solves: list[Solved], path: Path) -> list[Solved]:
     if not path.exists():
         return solves
     with ForceFile(path) as shard:
-        ids, status, total = shard.sample_id.tolist(), shard.status.tolist(), shard.total.tolist()
+        ids, status = shard.sample_id.tolist(), shard.status.tolist()
+        total, moment = shard.total.tolist(), shard.moment.tolist()
         errors = {name: shard.numbers[name].tolist() for name in ERRORS}
     known = {
-        name: (status[at], total[at], {key: of[at] for key, of in errors.items()}) for at, name in enumerate(ids)
+        name: (status[at], total[at], moment[at], {key: of[at] for key, of in errors.items()})
+        for at, name in enumerate(ids)
     }
     return [_with_force(solve, *known[solve.sample_id]) if solve.sample_id in known else solve for solve in solves]
 
 
-def _with_force(solve: Solved, status: str, total: list[float], errors: dict[str, float]) -> Solved:
+def _with_force(
+    solve: Solved, status: str, total: list[float], moment: list[float], errors: dict[str, float]
+) -> Solved:
     if not solve.status.valid:
         return solve
     lost = "" if status in VALID else Status[status].value
-    x, y, z = total
-    evidence = {**solve.evidence, **errors}
-    return replace(solve, status=Status[status], reason=lost or solve.reason, total=(x, y, z), evidence=evidence)
+    (x, y, z), (mx, my, mz) = total, moment
+    evidence, reason = {**solve.evidence, **errors}, lost or solve.reason
+    return replace(
+        solve, status=Status[status], reason=reason, total=(x, y, z), moment=(mx, my, mz), evidence=evidence
+    )
 
 
 def calibration_section(results: Path) -> Section:
@@ -332,15 +338,14 @@ def open_explorer(
     """The table of presses with the network's predictions. gels: their names by sensor."""
     path = Layout(results).evaluation(resolution, model).with_suffix(".predictions.npz")
     predictions = read_predictions(path) if path.exists() else None
-    totals = (
-        dict(zip(predictions["sample_id"].tolist(), predictions["total"].tolist(), strict=True))
-        if predictions
-        else {}
-    )
+    wrenches = {}
+    if predictions:
+        values = np.concatenate([predictions["total"], predictions["moment"]], axis=1)
+        wrenches = dict(zip(predictions["sample_id"].tolist(), values.tolist(), strict=True))
     table = Layout(results).dataset(resolution) / "samples.csv"
     samples = {each.press.sample_id: each for each in (read_samples(table) if table.exists() else [])}
     rejected = read_tables(Layout(results), Layout(results).rejected)
-    rows = press_rows(read_presses(results), rejected, solved, samples, totals, gels)
+    rows = press_rows(read_presses(results), rejected, solved, samples, wrenches, gels)
     order = {name: at for at, name in enumerate(samples)}
     gel = load_gel(min(gels.values()))
     return Explorer(results, resolution, rows, order, gel, predictions)

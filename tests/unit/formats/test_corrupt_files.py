@@ -103,7 +103,7 @@ def whole(tmp_path_factory, root):
     sample = SampleForces("a", "OK", "m", np.arange(3), np.ones((3, 3)), np.zeros((3, 3)))
     write_forces(folder / "f.npz", [sample], 0.07)
     found["forces"] = (folder / "f.npz").read_bytes(), [forces]
-    write_predictions(folder / "p.npz", np.array(["a"]), np.zeros((1, 3, 2, 2), np.float32))
+    write_predictions(folder / "p.npz", np.array(["a"]), np.zeros((1, 3, 2, 2), np.float32), np.zeros((1, 3)))
     found["predictions"] = (folder / "p.npz").read_bytes(), [read_predictions]
     write_solves(folder / "s.csv", [Solved("a", Status.OK, "", "hex", "m", "f", (0.0, 0.1, -1.0), {"seconds": 1.5})])
     found["solves"] = (folder / "s.csv").read_bytes(), [read_solves]
@@ -111,7 +111,7 @@ def whole(tmp_path_factory, root):
     found["npy"] = (folder / "x.npy").read_bytes(), [read_npy]
     np.save(folder / "rows.npy", np.arange(12.0).reshape(4, 3))
     found["rows"] = (folder / "rows.npy").read_bytes(), [lambda path: RowFile(path)[:]]
-    found["solve"] = archive(np.savez, force=np.ones((3, 3)), displacement=np.zeros((3, 3))), [solved]
+    found["solve"] = archive(np.savez, force=np.ones((121, 3)), displacement=np.zeros((121, 3))), [solved]
     recording(folder / "r.mcap")
     found["mcap"] = (folder / "r.mcap").read_bytes(), [recorded]
     found["log"] = LOG.encode(), [log_rows, read_poses, read_samples]

@@ -40,7 +40,7 @@ def test_what_was_exported_comes_back_exactly(tmp_path, form, block):
         assert form == "lerobot" or (numbers >= {"fx_n", "dz_mm", "rot_deg"} and "sample_id" not in numbers)
         assert label.dtype == np.float32 and np.array_equal(label, sample.label)
         # LeRobot's state is single precision.
-        assert total == (pytest.approx(sample.total(), rel=1e-7) if form == "lerobot" else sample.total())
+        assert total == (pytest.approx(sample.wrench(), rel=1e-7) if form == "lerobot" else sample.wrench())
     assert facts == json.loads(samples.facts_text())
     assert {"units", "frame", "sensors", "calibration"} <= facts.keys() and set(facts["sensors"]) == {
         "mini_a",
@@ -127,7 +127,7 @@ def test_lerobot_finds_episodes_splits_and_what_it_normalises_by(tmp_path, image
     levels = np.stack([decode(sample.picture, sample.name) for sample in samples]).reshape(-1, 3) / 255
     for name, values, shape in (
         ("observation.forces", np.asarray(samples.labels, float).reshape(22, -1), (144,)),
-        ("observation.wrench", [record.total for record in samples.records], (3,)),
+        ("observation.wrench", [record.wrench for record in samples.records], (6,)),
         ("observation.images.gelsight", levels, (3, 1, 1)),
     ):
         assert reported[name].pop("count") == [22] and set(reported[name]) == {"min", "max", "mean", "std"}
@@ -171,8 +171,8 @@ def test_lerobots_own_factory_opens_and_iterates_an_export(tmp_path):
         assert of["sample_id"] == [samples.rows[at]["sample_id"] for at in rows]
         # a policy that looks back is given the frame before, too
         assert of["shape"] == ([3, 24, 32] if frames == 1 else [2, 3, 24, 32])
-        now = np.array(of["wrench"]).reshape(4, frames, 3)[:, -1]
-        np.testing.assert_allclose(now, [samples.sample(at).total() for at in rows[:4]], rtol=1e-6)
+        now = np.array(of["wrench"]).reshape(4, frames, 6)[:, -1]
+        np.testing.assert_allclose(now, [samples.sample(at).wrench() for at in rows[:4]], rtol=1e-6)
         assert 0.4 < of["mean"] < 0.6
     assert found["streamed"] == 22
     assert np.shape(found["stats"]["observation.images.gelsight"]["std"]) == (3, 1, 1)

@@ -19,7 +19,7 @@ def record(path, compression="LZ4", profile="ros2", encoding="ros2msg"):
         schema = writer.register_schema(KIND, encoding, ros.schema(KIND).encode())
         channel = writer.register_channel("/ft", "cdr" if encoding == "ros2msg" else "ros1", schema)
         for k in range(COUNT):
-            said = ros.encode(ros.wrench(ros.header(k * 10**7, "ft"), [0.0, 0.0, -k]))
+            said = ros.encode(ros.wrench(ros.header(k * 10**7, "ft"), [0.0, 0.0, -k, 0.0, 0.0, 0.0]))
             writer.add_message(channel, k * 10**7, said, k * 10**7)
         writer.finish()
     return path

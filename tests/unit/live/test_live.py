@@ -9,6 +9,7 @@ import socket
 import subprocess
 import sys
 import threading
+import time
 import urllib.request
 from argparse import Namespace
 from contextlib import ExitStack, contextmanager
@@ -100,6 +101,16 @@ def running(*words):
         child.send_signal(signal.SIGINT)
         said.append(child.communicate(timeout=HANG)[1])
         assert "Traceback" not in "".join(said), said
+
+
+def test_a_film_begins_when_its_page_is_opened(film):
+    with running("--video", film, "--web", "--port", "0") as (child, (page,), _):
+        time.sleep(1.0)  # far longer than sixteen frames take to read
+        with urllib.request.urlopen(f"{page}/events", timeout=HANG) as stream:
+            events = (json.loads(line.removeprefix(b"data: ")) for line in stream if line.strip())
+            first = next(event for event in events if "frame" in event or event.get("before"))
+        assert not first.get("before") and first["frame"] == SETTLING
+        assert child.poll() is None
 
 
 @needs_browser

@@ -80,7 +80,7 @@ def dataset(logged, cameras):
             press = PressRecord(
                 **LOGGED | {"row": len(table), "sample_id": f"{name}-{len(table)}", "sensor_id": name}
             )
-            table.append(DatasetSample(press, np.zeros(3), np.zeros(3), {}, split=TRAINING))
+            table.append(DatasetSample(press, np.zeros(6), np.zeros(6), {}, split=TRAINING))
             images.append(camera(picture))
     labels = np.zeros((len(table), 3, 6, 8), np.float32)
     splits, maps = {TRAINING: np.arange(len(table))}, np.ones(len(table), bool)

@@ -1,7 +1,7 @@
 """Export as one HDF5 file.
 
 /picture (n,) bytes of the image file, /media_type (n,) its type, /forces (n, 3, rows, cols) float32 N per cell,
-/total (n, 3) N along gel x, y, z, and every column of samples.csv below /samples: numbers as float64, NaN where
+/total (n, 3) N and /moment (n, 3) N m about the gel's apex along gel x, y, z, and every column of samples.csv below /samples: numbers as float64, NaN where
 unknown, else text. Attributes of the file state units, frame and calibration.
 """
 
@@ -73,8 +73,10 @@ def write_here(path: Path, samples: Samples) -> None:
                 pictures[at] = np.frombuffer(sample.picture, np.uint8)
             types[rows] = [sample.media_type for sample in block]
             forces[rows] = np.stack([sample.label for sample in block])
-        file["total"] = np.array([each.total for each in samples.records])
-        file["total"].attrs["unit"] = "N"
+        wrench = np.array([each.wrench for each in samples.records])
+        for name, unit, columns in (("total", "N", slice(0, 3)), ("moment", "N m", slice(3, 6))):
+            file[name] = wrench[:, columns]
+            file[name].attrs["unit"] = unit
         numbers = [record.numbers() for record in samples.records]
         for name in samples.rows[0]:
             if name in numbers[0]:

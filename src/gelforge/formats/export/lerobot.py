@@ -9,7 +9,7 @@ LeRobot has no agreed schema for touch yet (its proposals use point sets), so th
 | observation.images.gelsight | image | the image, as its original file |
 | observation.forces | float32 (3 * rows * cols,) | N per cell, force along gel x, y, z: reshape to (3, rows, cols) |
 | observation.state | float32 (7,) | pose of the indenter: x0, y0, z0, dx, dy, dz in mm, rotation in degrees |
-| observation.wrench | float32 (3,) | total force of the label along gel x, y, z, N |
+| observation.wrench | float32 (6,) | total force of the label and its moment about the gel's apex along gel x, y, z, N and N m |
 | sample_id, indenter, sensor_id, split | string | as in samples.csv |
 
 Forces are flat, because readers other than LeRobot's own support only features of one dimension.
@@ -26,7 +26,7 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import write_json, write_text
 from gelforge.formats.export.samples import Samples
 from gelforge.records.image import decode
-from gelforge.records.press import FORCE, POSE, TILT
+from gelforge.records.press import FORCE, MOMENT, POSE, TILT
 from gelforge.records.samplefile import TRAINING, DatasetSample
 from gelforge.records.table import read_table
 
@@ -38,6 +38,7 @@ FILE_BYTES = 100e6  # approximate size at which a data file is closed
 BLOCK = 256  # labels read at a time for the statistics
 NAMES = ("sample_id", "indenter", "sensor_id", "split")
 PATH = (*POSE, *TILT)
+COMPONENTS = (*FORCE, *MOMENT)
 PICTURE, FORCES, STATE, WRENCH = (
     "observation.images.gelsight",
     "observation.forces",
@@ -84,7 +85,7 @@ def features(samples: Samples) -> dict:
         PICTURE: {"dtype": "image", "shape": [height, width, 3], "names": ["height", "width", "channels"]},
         FORCES: {"dtype": "float32", "shape": [cells_of(samples)], "names": None},
         STATE: {"dtype": "float32", "shape": [len(PATH)], "names": list(PATH)},
-        WRENCH: {"dtype": "float32", "shape": [3], "names": list(FORCE)},
+        WRENCH: {"dtype": "float32", "shape": [len(COMPONENTS)], "names": list(COMPONENTS)},
         **{name: {"dtype": "string", **scalar} for name in NAMES},
         "timestamp": {"dtype": "float32", **scalar},
         **{name: {"dtype": "int64", **scalar} for name in INDICES},
@@ -99,7 +100,7 @@ def schema(samples: Samples):
         PICTURE: (pa.struct([("bytes", pa.binary()), ("path", pa.string())]), {"_type": "Image"}),
         FORCES: (pa.list_(pa.float32(), cells_of(samples)), sequence(cells_of(samples))),
         STATE: (pa.list_(pa.float32(), len(PATH)), sequence(len(PATH))),
-        WRENCH: (pa.list_(pa.float32(), 3), sequence(3)),
+        WRENCH: (pa.list_(pa.float32(), len(COMPONENTS)), sequence(len(COMPONENTS))),
         **{name: (pa.string(), {"dtype": "string", "_type": "Value"}) for name in NAMES},
         "timestamp": (pa.float32(), {"dtype": "float32", "_type": "Value"}),
         **{name: (pa.int64(), {"dtype": "int64", "_type": "Value"}) for name in INDICES},
@@ -227,7 +228,7 @@ def as_table(held: list, form):
         PICTURE: pictures,
         FORCES: fixed([sample.label.ravel() for sample in samples]),
         STATE: fixed([pose(sample.record) for sample in samples]),
-        WRENCH: fixed([sample.total() for sample in samples]),
+        WRENCH: fixed([sample.wrench() for sample in samples]),
         **{name: pa.array([sample.row[name] for sample in samples]) for name in NAMES},
         "timestamp": pa.array(np.array([time for *_, time in held], np.float32)),
         "frame_index": pa.array([frame for _, frame, *_ in held], pa.int64()),
@@ -318,7 +319,7 @@ def number_stats(samples: Samples) -> dict:
     found = {"min": low, "max": high, "mean": mean, "std": spread}
     cells = {name: value.ravel().tolist() for name, value in found.items()}
     state = np.array([pose(each) for each in samples.records])
-    wrench = np.array([each.total for each in samples.records])
+    wrench = np.array([each.wrench for each in samples.records])
     count = {"count": [len(forces)]}
     numbers = {
         name: values for name, values in ((STATE, state), (WRENCH, wrench)) if np.isfinite(values).any(0).all()

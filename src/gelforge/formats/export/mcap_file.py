@@ -24,7 +24,7 @@ def messages(sample: Sample, token: str, time: int) -> list[ros.Message]:
     """Messages of one sample; token: name of its sensor in topics and frames."""
     form = sample.media_type.removeprefix("image/")
     row = (f"/{token}/sample", text(json.dumps(sample.cells)))
-    return [*ros.sensor_messages(token, time, sample.picture, form, sample.total(), sample.label), row]
+    return [*ros.sensor_messages(token, time, sample.picture, form, sample.wrench(), sample.label), row]
 
 
 def write(path: Path, samples: Samples) -> None:

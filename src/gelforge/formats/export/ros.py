@@ -1,7 +1,7 @@
 """ROS 2 messages of recordings and live views, in rosbags' types, and a writer of MCAP by MCAP's own library.
 
 Topics are /SENSOR/… (see `topic_tokens`): `image/compressed` (sensor_msgs/CompressedImage), `wrench`
-(geometry_msgs/WrenchStamped, total force in the gel frame, no torque), `forces/normal`, `forces/along_x` and
+(geometry_msgs/WrenchStamped, total force and its moment about the gel's apex, the origin of the gel frame, N and N m), `forces/normal`, `forces/along_x` and
 `forces/along_y` (sensor_msgs/Image, 32FC1, N per cell).
 """
 
@@ -72,11 +72,11 @@ def header(nanoseconds: int, frame: str) -> Any:
     return message("std_msgs/msg/Header", stamp=stamp, frame_id=frame)
 
 
-def wrench(stamp: Any, force: Sequence[float]) -> Any:
-    """geometry_msgs/WrenchStamped of a force (3,) N along gel x, y, z; stamp: its header."""
+def wrench(stamp: Any, values: Sequence[float]) -> Any:
+    """geometry_msgs/WrenchStamped of force and moment (6,) N and N m along gel x, y, z; stamp: its header."""
     force_of, torque = (
-        message("geometry_msgs/msg/Vector3", **dict(zip("xyz", map(float, values), strict=True)))
-        for values in (force, np.zeros(3))
+        message("geometry_msgs/msg/Vector3", **dict(zip("xyz", map(float, part), strict=True)))
+        for part in (values[:3], values[3:])
     )
     both = message("geometry_msgs/msg/Wrench", force=force_of, torque=torque)
     return message("geometry_msgs/msg/WrenchStamped", header=stamp, wrench=both)
@@ -85,10 +85,10 @@ def wrench(stamp: Any, force: Sequence[float]) -> Any:
 def sensor_messages(
     token: str, time: int, picture: bytes, form: str, total: Sequence[float], label: np.ndarray
 ) -> list[Message]:
-    """Image, total force and force maps of one frame as messages.
+    """Image, wrench and force maps of one frame as messages.
 
     token: name of the sensor in topics and frames (`topic_tokens`). time: ns since 1970. picture: bytes of an image
-    file of format `form` (jpeg, png). total: (3,) N along gel x, y, z. label: (3, rows, cols) N per cell along the
+    file of format `form` (jpeg, png). total: (6,) N and N m along gel x, y, z. label: (3, rows, cols) N per cell along the
     same axes.
     """
     top, stamp = f"/{token}", header(time, f"{token}_gel")

@@ -47,9 +47,9 @@ class Sample:
         numbers = {name: value for name, value in self.record.numbers().items() if name in self.row}
         return self.row | {name: None if math.isnan(value) else value for name, value in numbers.items()}
 
-    def total(self) -> list[float]:
-        """Total force along gel x, y, z in N, as the dataset states it."""
-        return self.record.total.tolist()
+    def wrench(self) -> list[float]:
+        """Total force and moment about the gel's apex along gel x, y, z, (6,) N and N m, as the dataset states them."""
+        return self.record.wrench.tolist()
 
 
 @dataclass(frozen=True)
@@ -130,7 +130,12 @@ class Samples:
             "dataset": self.info["name"],
             "grid": list(self.grid),
             "image": self.info["image"],
-            "units": {"forces": "N per cell", "total": "N", "pose": "mm and degrees"},
+            "units": {
+                "forces": "N per cell",
+                "total": "N",
+                "moment": "N m about the origin of the frame",
+                "pose": "mm and degrees",
+            },
             "channels": [f"force along gel {axis}" for axis in AXES],
             "signs": "compression is negative z; force that acts on the gel, as FEATS",
             "frame": FRAME,

@@ -48,6 +48,10 @@ async function show(event) {
   if (!history.length || event.frame !== history.at(-1).frame) history.push(event);
   if (history.length > KEPT) history.shift();
   for (const [id, [name, channel]] of [["z", TOTALS[0]], ["x", TOTALS[1]], ["y", TOTALS[2]]]) el(id).textContent = fixed(event[name]) + (event.half_width ? ` ± ${fixed(event.half_width[channel])}` : "");
+  for (const name of ["mx", "my", "mz"]) {
+    const half = event[`${name}_half_width_nm`];
+    el(name).textContent = event[`${name}_nm`] == null ? "–" : fixed(1000 * event[`${name}_nm`], 1) + (half == null ? "" : ` ± ${fixed(1000 * half, 1)}`);
+  }
   el("edge").textContent = event.edge_peak == null ? "–" : `${fixed(100 * event.edge_peak, 0)} %`;
   const recent = history.slice(-30), span = recent.at(-1).time_s - recent[0].time_s;
   el("rate").textContent = span > 0 ? fixed((recent.length - 1) / span, 1) : "–";

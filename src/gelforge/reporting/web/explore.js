@@ -285,8 +285,8 @@ function frame(i) {
     ["shear, mm", `${fixed(COLUMNS.dx_mm[i])}, ${fixed(COLUMNS.dy_mm[i])}`], ["turned", `${fixed(COLUMNS.rot_deg[i], 1)}°`]];
   el("facts").replaceChildren(...facts.map(([name, value]) => make("div", {}, make("span", {}, `${name} `), value || "–")));
   el("reason").textContent = FAILED[i] ? `${COLUMNS.status[i]}: ${COLUMNS.reason[i] || "no reason was recorded"}` : "";
-  const rows = [["N", "x", "y", "z"], ...[["label", "label"], ["network", "network"], ["measured", "force sensor"]].map(([kind, title]) =>
-    [title, ...["fx", "fy", "fz"].map((axis) => fixed(COLUMNS[`${kind}_${axis}`][i]))])];
+  const rows = [["", "fx, N", "fy, N", "fz, N", "mx, N mm", "my, N mm", "mz, N mm"], ...[["label", "label"], ["network", "network"], ["measured", "force sensor"]].map(([kind, title]) =>
+    [title, ...["fx", "fy", "fz", "mx", "my", "mz"].map((axis) => fixed(COLUMNS[`${kind}_${axis}`][i]))])];
   el("totals").replaceChildren(...rows.map((row, k) => make("tr", {}, ...row.map((cell) => make(k ? "td" : "th", {}, cell)))));
   drawCurve(i); provenance(i);
 }
@@ -305,7 +305,7 @@ function buildDetail(box) {
       make("figure", {}, name === "picture" ? make("img", { id: "map-picture", alt: "picture of the sensor" }) : make("canvas", { id: `map-${name}` }), make("figcaption", { id: `cap-${name}` }, title)))),
     make("div", { className: "bar", id: "map-bar" }), make("div", { className: "ends" }, make("span", { id: "low" }), make("span", {}, "newtons a cell"), make("span", { id: "high" })),
     make("h3", {}, "Gel"), make("div", { id: "gel" }), make("div", { className: "row" }, toggle("indenter", "indenter"), toggle("forces", "forces on the gel"), make("span", { className: "note" }, "drag turns, wheel or two fingers zoom; colour: indentation")),
-    make("h3", {}, "Total force"), make("div", { className: "scroll" }, make("table", { id: "totals" })), make("canvas", { id: "curve", style: "width:100%;height:200px" }), make("p", { className: "note", id: "curve-note" }),
+    make("h3", {}, "Total force, and moment about the gel's apex"), make("div", { className: "scroll" }, make("table", { id: "totals" })), make("canvas", { id: "curve", style: "width:100%;height:200px" }), make("p", { className: "note", id: "curve-note" }),
     make("details", {}, make("summary", {}, "What made this press"), make("div", { className: "scroll" }, make("table", { id: "provenance" })), copyButton(() => provenanceRows(state.at))));
   for (const name of ["label", "network", "difference"]) {
     el(`map-${name}`).onpointermove = (event) => readCell(event, name);
