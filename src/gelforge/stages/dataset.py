@@ -36,7 +36,7 @@ from gelforge.records.samplefile import DatasetSample, write_samples
 from gelforge.records.status import Status
 from gelforge.records.table import numbered_rows, read_table
 
-VERSION = 11
+VERSION = 12
 NO_IMAGE = "no image in the log"
 WRONG_IMAGE = "its image is not of this press"
 
