@@ -81,6 +81,14 @@ NOCONTACT = (
         least=1.0,
         asked=Asked.READER,
     ),
+    Fault(
+        lambda rest: rest.stretch,
+        "the no-contact image is stretched: its markers stand {value:.2f} times as far apart one way as the other; give images as the camera"
+        " takes them, or crop them",
+        "1.05 at most in 45 sensors (films, FEATS, balls, demo); 1.33, images of 4:3 squeezed into a square, changes forces by -9 to +23 %",
+        most=1.15,
+        asked=Asked.READER,
+    ),
     *of_gel("no-contact image", "no gel", lambda rest: rest.picture),
     Fault(
         lambda rest: rest.picture.level,
