@@ -89,15 +89,20 @@ def environment() -> dict[str, str]:
     return {key: value for key, value in os.environ.items() if key in PASSED or not key.startswith(WITHHELD)}
 
 
+def script_of(command: list[str], profile: Profile) -> str:
+    """The script of a job: the lines of `setup`, of which none may fail, then the command, then its exit code."""
+    cores = " ".join(f"{each}_NUM_THREADS={profile.cores}" for each in ("OMP", "MKL", "OPENBLAS"))
+    said = f'echo "a line of setup failed: $BASH_COMMAND"; echo "{ENDED} 1"; exit 1'
+    first = [f"trap {shlex.quote(said)} ERR", *profile.setup, "trap - ERR"] if profile.setup else []
+    return "\n".join(["#!/bin/bash", *first, f"env {cores} {shlex.join(command)}", f'echo "{ENDED} $?"', ""])
+
+
 def run(command: list[str], profile: Profile, file: Path, stage: str) -> int:
     """Run a command as a job, print its output, and return its exit code; GelforgeError if it left none."""
     name = f"gelforge-{stage}-{secrets.token_hex(6)}"
     folder = Path(tempfile.mkdtemp(prefix=".slurm-", dir="results"))
-    cores = " ".join(f"{each}_NUM_THREADS={profile.cores}" for each in ("OMP", "MKL", "OPENBLAS"))
     script, output = folder / "script", folder / "out"
-    script.write_text(
-        "\n".join(["#!/bin/bash", *profile.setup, f"env {cores} {shlex.join(command)}", f'echo "{ENDED} $?"', ""])
-    )
+    script.write_text(script_of(command, profile))
     words = ["sbatch", "--wait", *profile.sbatch_options(), f"--job-name={name}", f"--chdir={os.getcwd()}",
              f"--output={str(output.absolute()).replace('%', '%%')}", "--open-mode=truncate", str(script)]  # fmt: skip
     said = ""

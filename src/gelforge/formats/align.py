@@ -22,6 +22,7 @@ REACH_S = 0.5  # each press is searched this far around a rough offset
 MOST_TRIED = 6  # peaks of the cross-correlation
 TOLERATED = 0.1  # fraction of a force's variance within a press that the other recording may leave unexplained
 RIVAL = 0.9  # another offset that explains this fraction of what the best one does may be the right one, too
+FEW_DIGITS = 1e6  # s: six digits of larger times end before the point
 FEWEST = 12  # samples that a press needs to give an offset
 ROUNDED = 0.1  # sampling intervals: error of the offset by corners between samples (five simulated benches: 0.07)
 DEGREE = 3  # of the polynomial of force over depth within a press
@@ -78,6 +79,8 @@ class Recording:
 def _mended(times: np.ndarray) -> str:
     """What to do about times (n,) s that do not increase."""
     steps = np.diff(times)
+    if (times % 10.0 == 0.0).all() and times[0] >= FEW_DIGITS:
+        return f"times were written with six digits ({times[0]:g}): write all of them, with milliseconds"
     if (times == np.round(times)).all() and (steps >= 0).all():
         return "times have whole seconds only: log them with milliseconds"
     back = steps[steps < 0]

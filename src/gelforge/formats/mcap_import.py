@@ -165,6 +165,11 @@ def field_of(said: Any, name: str) -> Any:
     return said
 
 
+def frame_of(said: Any) -> str:
+    """Name of the frame in which a message gives its forces; empty where it names none."""
+    return str(getattr(getattr(said, "header", said), "frame_id", ""))
+
+
 def within_limits(values: np.ndarray, where: str, topics: Topics) -> tuple[np.ndarray, list[str]]:
     """Which wrenches of images (n, 6) are within the limits of a log (n,), and notes on those that are not.
 
@@ -217,13 +222,21 @@ def pair(path: Path, topics: Topics) -> Pairs:
     readings: list[tuple[int, int]] = []
     read: list[np.ndarray] = []
     notes: list[str] = []
+    frames: dict[str, None] = {}
     where = f"{path}: topic {topics.wrench}"
     for topic, time, said in messages(path, (topics.image, topics.wrench)):
         if topic == topics.image:
             images.append((time, stamp_of(said)))
-        elif (force := wrench_of(said, where, topics)) is not None:
+            continue
+        frames[frame_of(said)] = None
+        if (force := wrench_of(said, where, topics)) is not None:
             readings.append((time, stamp_of(said)))
             read.append(force)
+    if len(frames) > 1:
+        raise BadInput(
+            f"{where} gives forces in several frames ({', '.join(map(repr, frames))}), and `rotation` is of one: let its driver keep to one,"
+            " and record again"
+        )
     image = MessageTimes.of(topics.image, images)
     values = np.array(read, float).reshape(-1, 6)
     kept = np.ones(len(values), bool)

@@ -74,9 +74,18 @@ def _unread(path: Path) -> str:
         return f"its recorder was killed, so it has no index: run `rosbag reindex {path.name}` and rename it to .bag"
     if path.is_dir() and not (path / METADATA).is_file():
         return f"a bag of ROS 2 without its {METADATA}: run `ros2 bag reindex {path.name}`"
+    if path.is_dir() and (unlisted := _unlisted(path)):
+        return f"its {METADATA} does not name {unlisted[0].name}, which lies beside it: run `ros2 bag reindex {path.name}`"
     if ".db3" in path.name:
         return f"a file of a bag of ROS 2: give its folder; without {METADATA} run `ros2 bag reindex` on it first"
     return ""
+
+
+def _unlisted(bag: Path) -> list[Path]:
+    """Recordings in the folder of a bag of ROS 2 that its metadata do not name, so that their messages would be lost."""
+    text = (bag / METADATA).read_text(encoding="utf-8", errors="replace")
+    found = sorted(path for path in bag.iterdir() if path.suffix in (".mcap", ".db3"))
+    return [path for path in found if not re.search(rf"(?<![\w-]){re.escape(path.name)}\b", text)]
 
 
 def messages(path: Path, topics: Collection[str]) -> Iterator[tuple[str, int, Any]]:

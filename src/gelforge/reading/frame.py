@@ -24,7 +24,8 @@ from gelforge.reading.markers import Markers, markers_in
 MOST_SIDE = 640  # px: longer side at which markers are looked for, and of the image in a profile
 PITCH_PX = 31.2  # between markers in the 320 x 240 images of the maker's driver (FEATS' sensor and another one)
 OF_WIDTH = 320.0
-MINI_PITCHES = (29.25, 33.39)  # px: smallest and largest pitch of the units that the shipped network learnt from
+# px: smallest and largest pitch of the units that the shipped network learnt from, as its file has them.
+MINI_PITCHES = (29.246747848073397, 33.39090842488236)
 # Fraction of the camera's image that the maker's driver crops at each side (gsrobotics, gs_sdk).
 DRIVER_CROP = 1 / 7
 GRID = (7, 9)  # markers of a Mini's gel, rows and columns

@@ -108,10 +108,10 @@ class Reference:
         seen, rest = _small(image[self.shown])[:, ::SPARSE], self._small[:, ::SPARSE]
         expected = light.gain[:, None] * rest + light.offset[:, None]
         good = _believed(rest) & _believed(seen)
-        fitted = [_fall(one, good) for one in np.log((seen + 1.0) / np.maximum(expected + 1.0, 1.0))]
-        if max(scale for _, scale in fitted) > FALL_SCALES[1]:
+        ratios = np.log((seen + 1.0) / np.maximum(expected + 1.0, 1.0))
+        falls, scales = _falls(ratios, good)
+        if scales.max() > FALL_SCALES[1]:
             return 0.0, 0.0
-        falls = np.array([fall for fall, _ in fitted])
         along, across, corners = falls.mean(axis=0)
         return max(float(np.hypot(along, across)), abs(float(corners))), float(np.hypot(*falls[:, :2].T).max())
 
@@ -180,17 +180,20 @@ def _agreed(seen: np.ndarray, rest: np.ndarray, fraction: float) -> Light:
     return Light(np.array(gain), np.array(offset), residual, fraction, True)
 
 
-def _fall(ratio: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, float]:
-    """Slopes along u and v and curvature (3,) of log level ratios (n,) outside a contact, and scale of residuals."""
-    weight, scale = good.astype(float), 0.0
+def _falls(ratios: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Slopes along u and v and curvature (3, 3) by colour of log level ratios (3, n) outside a contact, and scales (3,).
+
+    good: (n,) bool, places in use. Scales are those of the residuals.
+    """
+    weights, scales = np.repeat(good[None].astype(float), 3, axis=0), np.zeros(3)
+    found, middle = np.zeros((3, 4)), np.count_nonzero(good) // 2
     for _ in range(FALL_ROUNDS):
-        weighted = FALL * weight
+        weighted = FALL * weights[:, None]
         try:
-            found = np.linalg.solve(weighted @ FALL.T, weighted @ ratio)
+            found = np.linalg.solve(weighted @ FALL.T, weighted @ ratios[..., None])[..., 0]
         except np.linalg.LinAlgError:  # too few places are left for four coefficients
-            return np.zeros(3), 0.0
-        left = np.abs(ratio - found @ FALL)
-        within = left[good]
-        scale = max(FALL_SCALES[0], 1.4826 * float(np.partition(within, len(within) // 2)[len(within) // 2]))
-        weight = np.where(good, np.maximum(0.0, 1.0 - (left / (FALL_REACH * scale)) ** 2) ** 2, 0.0)
-    return found[1:], scale
+            return np.zeros((3, 3)), np.zeros(3)
+        left = np.abs(ratios - found @ FALL)
+        scales = np.maximum(FALL_SCALES[0], 1.4826 * np.partition(left[:, good], middle, axis=1)[:, middle])
+        weights = np.where(good, np.maximum(0.0, 1.0 - (left / (FALL_REACH * scales[:, None])) ** 2) ** 2, 0.0)
+    return found[:, 1:], scales

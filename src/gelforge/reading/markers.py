@@ -274,13 +274,13 @@ def _measure(rows: int, cols: int, index: np.ndarray, points: np.ndarray, widths
     turn = np.degrees(np.arctan2(right[1] - down[0], right[0] + down[1]))  # of the nearest rotation
     order = np.lexsort((index[:, 1], index[:, 0]))
     residual = float(np.sqrt(((points - fitted) ** 2).sum(axis=1).mean()))
-    pitch = np.array([_spacing(index, points, 1), _spacing(index, points, 0)])
+    pitch = np.array([spacing(index, points, 1), spacing(index, points, 0)])
     return MarkerGrid(
         rows, cols, index[order], points[order], pitch, float(turn), centre, residual, float(np.median(widths))
     )
 
 
-def _spacing(index: np.ndarray, points: np.ndarray, axis: int) -> float:
+def spacing(index: np.ndarray, points: np.ndarray, axis: int) -> float:
     """Mean distance of markers that are neighbours along rows (axis 1) or columns (axis 0)."""
     at = {tuple(i): k for k, i in enumerate(index.tolist())}
     step = (0, 1) if axis else (1, 0)

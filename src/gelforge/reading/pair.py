@@ -14,9 +14,9 @@ from functools import cached_property
 
 import numpy as np
 
-from gelforge.reading.frame import ImageFrame, Learnt, image_frame
+from gelforge.reading.frame import WHOLE, ImageFrame, Learnt, image_frame
 from gelforge.reading.light import Light, Reference
-from gelforge.reading.markers import MarkerTracker, Tracks, markers_in, rim_shift, shifted_back
+from gelforge.reading.markers import MarkerTracker, Tracks, markers_in, rim_shift, shifted_back, spacing
 from gelforge.reading.picture import Picture
 from gelforge.reading.untouched import touch_of
 from gelforge.reading.wear import appeared, painted_over, pale, places_in, printed_in, vanished
@@ -58,6 +58,15 @@ class NoContact:
     def touch(self) -> float:
         """How much it looks as if something touched the gel; above 1 something does."""
         return touch_of(self.picture.image, self.markers, self.frame.shown)
+
+    @cached_property
+    def stretch(self) -> float:
+        """Ratio of the distances of its markers along u and v, 1 or more; 1 where images are not cropped by their markers."""
+        index, used = self.markers.printed.lattice if self.frame.part != WHOLE else (NOWHERE, NOWHERE)
+        if not len(used) or not np.ptp(index, axis=0).all():
+            return 1.0
+        one, other = (spacing(index, self.markers.printed.points[used], axis) for axis in (0, 1))
+        return max(one / other, other / one)
 
     @cached_property
     def pale(self) -> float:

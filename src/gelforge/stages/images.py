@@ -29,7 +29,7 @@ from gelforge.reading.frame import BLUE_FIRST, image_frame
 from gelforge.records.log import read_poses
 from gelforge.records.press import SENSOR_TABLES, PosedPress
 
-VERSION = 3
+VERSION = 4
 CHUNK = 200  # presses per task of a process
 
 

@@ -2,35 +2,112 @@
 
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated, TypeVar
 
 import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_toml
+from gelforge.flow.schema import Number, ParameterTable, Place, Rule, Within, parse, plain
 from gelforge.reading.markers import markers_in
 
 COLOURS = ("red", "green", "blue")
 WIDTH, HEIGHT = 320, 240
 DEGREE = 4
 TERMS = [(i, j) for i in range(DEGREE + 1) for j in range(DEGREE + 1 - i)]
+FIFTEEN = Rule(lambda numbers: len(numbers) == len(TERMS), f"{len(TERMS)} of them")
+
+# Kinds of values of a unit, for the tables of one (`sensors.toml`) and for the ranges of many (`units.toml`).
+Share = Annotated[Number, Within(-1, 1)]
+Fraction = Annotated[Number, Within(0, 1)]
+Angle = Annotated[Number, Within(-360, 360, "degrees")]
+Position = Annotated[Number, Within(-1000, 1000, "px")]
+Pixels = Annotated[Number, Within(0, 100, "px")]
+Contrast = Annotated[Number, Within(0.001, 100)]
+Brightening = Annotated[Number, Within(0, 10)]
+Gain = Annotated[Number, Within(0.001, 10)]
+CameraMm = Annotated[Number, Within(5, 10000, "mm")]
+Levels = Annotated[Number, Within(0, 255)]
+Diameter = Annotated[Number, Within(0.1, 1000, "px")]
+Shadow = Annotated[Number, Within(0, 1000, "px")]
+Flecks = Annotated[Number, Within(0, 10)]
+Motion = Annotated[Number, Within(0, 2)]
+Coefficient = Annotated[Number, Within(-1e4, 1e4)]
+N = TypeVar("N")
+Pair = tuple[N, N]
+Colours = tuple[N, N, N]  # of red, green and blue
 
 
-SHAPES = {"background": (len(TERMS), 3), "tilt": (3, 2), "light": (3, 2)} | dict.fromkeys(
-    ("white_balance", "slope_gain", "brightening", "noise", "ink", "flecks", "shadow_length"), (3,)
-)
-BOUNDS = {
-    "background": (-1e4, 1e4), "tilt": (-10, 10), "light": (-1, 1), "white_balance": (0, 10), "gain": (0, 10),
-    "vignette": (-1, 1), "slope_gain": (0, 100), "slope_limit": (1e-3, 100), "brightening": (0, 10),
-    "camera_mm": (5, 1e4), "blur": (0, 100), "noise": (0, 255), "noise_blur": (0, 100), "markers": (-1e4, 1e4),
-    "diameter": (0.1, 1e3), "raggedness": (0, 1), "ink": (0, 1), "flecks": (0, 10), "shadow_depth": (0, 1),
-    "shadow_length": (0, 1e3), "normal_motion": (0, 2),
-}  # fmt: skip
+class FileTable(ParameterTable):
+    """A table of workflow/rig/sensors.toml."""
 
-# Keys in workflow/rig/sensors.toml that differ from the attribute, because they include the unit.
-KEYS = {
-    "camera_mm": "height_mm", "blur": "blur_px", "noise_blur": "noise_blur_px", "diameter": "diameter_px",
-    "shadow_length": "shadow_length_px", "light": "azimuth_deg",
-}  # fmt: skip
+    example = "workflow/rig/sensors.toml"
+
+
+class BackgroundTable(FileTable):
+    """Coefficients of the unloaded gel's levels (`Appearance.background`)."""
+
+    red: Annotated[tuple[Coefficient, ...], FIFTEEN]
+    green: Annotated[tuple[Coefficient, ...], FIFTEEN]
+    blue: Annotated[tuple[Coefficient, ...], FIFTEEN]
+
+
+class LightTable(FileTable):
+    """The three lights."""
+
+    azimuth_deg: Colours[Angle]
+    slope_gain: Colours[Contrast]
+    slope_limit: Contrast
+    brightening: Colours[Brightening] = (1.0, 1.0, 1.0)
+    tilt: Colours[Pair[Share]] = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
+
+
+class CameraTable(FileTable):
+    """The camera."""
+
+    height_mm: CameraMm
+    gain: Gain
+    white_balance: Colours[Gain]
+    vignette: Fraction
+    blur_px: Pixels
+    noise: Colours[Levels]
+    noise_blur_px: Pixels
+
+
+class PrintTable(FileTable):
+    """The printed markers; missing: numbers of those that are rubbed off, row by row."""
+
+    rows: Annotated[int, Within(2, 100)]
+    cols: Annotated[int, Within(2, 100)]
+    pitch_px: Pair[Diameter]
+    spread: Pair[Share]
+    centre_px: Pair[Position]
+    rotation_deg: Angle
+    jitter_px: Pixels
+    diameter_px: Diameter
+    raggedness: Fraction
+    ink: Colours[Fraction]
+    flecks: Colours[Flecks]
+    shadow_depth: Fraction
+    shadow_length_px: Colours[Shadow]
+    seed: Annotated[int, Within(0, 2**32)]
+    missing: tuple[Annotated[int, Within(0, 10**4)], ...] = ()
+    normal_motion: Motion = 1.0
+
+    def fault(self) -> str | None:
+        """Refuse missing markers that are not on the grid."""
+        if any(number >= self.rows * self.cols for number in self.missing):
+            return f"missing: there are {self.rows * self.cols} markers, counted from 0"
+        return None
+
+
+class AppearanceTable(FileTable):
+    """All of one unit."""
+
+    background: BackgroundTable
+    light: LightTable
+    camera: CameraTable
+    markers: PrintTable
 
 
 @dataclass(frozen=True)
@@ -136,17 +213,6 @@ class Appearance:
     jpeg: int = 0
     normal_motion: float = 1.0
 
-    def fault(self) -> str:
-        """Which value has a wrong shape or is out of BOUNDS, as the start of a sentence; empty if none."""
-        for name, shape in SHAPES.items():
-            if getattr(self, name).shape != shape:
-                return f"{KEYS.get(name, name)} has {getattr(self, name).shape} numbers, {shape} are needed"
-        for name, (low, high) in BOUNDS.items():
-            values = np.asarray(getattr(self, name), float)
-            if not ((low <= values) & (values <= high)).all():
-                return f"{KEYS.get(name, name)} is {np.array2string(values, threshold=4)}, each must be from {low:g} to {high:g}"
-        return ""
-
     def light_field(self) -> np.ndarray:
         """Image of the evenly lit, marker-free, unloaded gel, (240, 320, 3) float32 grey levels."""
         s, t = normalised_pixels()
@@ -166,19 +232,16 @@ def normalised_pixels() -> tuple[np.ndarray, np.ndarray]:
 def read_appearances(path) -> dict[str, Appearance]:
     """Read every sensor's appearance; a table may name another as `base` and give only what differs.
 
-    Raises BadInput for a table that is incomplete or malformed, or has values out of BOUNDS.
+    Raises BadInput for a table that is incomplete, or has an unknown key or a value that is not allowed.
     """
     path = Path(path)
     tables = read_toml(path)
-    for name, table in tables.items():
-        loose = (
-            [key for key, part in table.items() if key != "base" and not isinstance(part, dict)]
-            if isinstance(table, dict)
-            else [name]
-        )
-        if loose:
-            raise BadInput(f"{path}: {loose[0]} is outside any table; compare it with [mini_a]")
-    return {name: _appearance(name, _merged(name, tables, path), path) for name in tables}
+    if loose := [name for name, table in tables.items() if not isinstance(table, dict)]:
+        raise BadInput(f"{path}: {loose[0]} is outside any table; compare it with [mini_a]")
+    return {
+        name: _appearance(name, parse(AppearanceTable, _merged(name, tables, path), Place(str(path), (name,))))
+        for name in tables
+    }
 
 
 def _merged(name: str, tables: dict, path) -> dict:
@@ -188,58 +251,55 @@ def _merged(name: str, tables: dict, path) -> dict:
         return table
     if not isinstance(base, str) or base not in tables or "base" in tables[base]:
         raise BadInput(f"{path}: [{name}] has base = {base!r}, which must be a table without a base of its own")
-    merged = {part: dict(values) for part, values in tables[base].items()}
+    merged = dict(tables[base])
     for part, values in table.items():
         if part != "base":
-            merged.setdefault(part, {}).update(values)
+            both = isinstance(merged.get(part), dict) and isinstance(values, dict)
+            merged[part] = merged[part] | values if both else values
     return merged
 
 
-def _appearance(name: str, table: dict, path) -> Appearance:
-    try:
-        light, camera, markers = table["light"], table["camera"], table["markers"]
-        angle = np.deg2rad(np.array(light["azimuth_deg"], float))
-        appearance = Appearance(
-            name=name,
-            background=np.array([table["background"][colour] for colour in COLOURS], float).T,
-            tilt=np.array(light.get("tilt", np.zeros((3, 2))), float),
-            white_balance=np.array(camera["white_balance"], float),
-            gain=float(camera["gain"]),
-            vignette=float(camera["vignette"]),
-            light=np.stack([np.cos(angle), -np.sin(angle)], axis=1),
-            slope_gain=np.array(light["slope_gain"], float),
-            slope_limit=float(light["slope_limit"]),
-            brightening=np.array(light.get("brightening", np.ones(3)), float),
-            camera_mm=float(camera["height_mm"]),
-            blur=float(camera["blur_px"]),
-            noise=np.array(camera["noise"], float),
-            noise_blur=float(camera["noise_blur_px"]),
-            markers=marker_centres(markers),
-            diameter=float(markers["diameter_px"]),
-            raggedness=float(markers["raggedness"]),
-            ink=np.array(markers["ink"], float),
-            flecks=np.array(markers["flecks"], float),
-            shadow_depth=float(markers["shadow_depth"]),
-            shadow_length=np.array(markers["shadow_length_px"], float),
-            seed=int(markers["seed"]),
-            normal_motion=float(markers.get("normal_motion", 1.0)),
-        )
-    except (KeyError, TypeError, ValueError, AttributeError) as error:
-        raise BadInput(f"{path}: [{name}] is incomplete or malformed: {error!r}; compare it with [mini_a]") from error
-    fault = appearance.fault()
-    if fault:
-        raise BadInput(f"{path}: [{name}]: {fault}; compare it with [mini_a]")
-    return appearance
+def _appearance(name: str, table: AppearanceTable) -> Appearance:
+    light, camera, markers = table.light, table.camera, table.markers
+    return Appearance(
+        name=name,
+        background=np.array([getattr(table.background, colour) for colour in COLOURS], float).T,
+        tilt=np.array(light.tilt, float),
+        white_balance=np.array(camera.white_balance, float),
+        gain=float(camera.gain),
+        vignette=float(camera.vignette),
+        light=towards(np.array(light.azimuth_deg, float)),
+        slope_gain=np.array(light.slope_gain, float),
+        slope_limit=float(light.slope_limit),
+        brightening=np.array(light.brightening, float),
+        camera_mm=float(camera.height_mm),
+        blur=float(camera.blur_px),
+        noise=np.array(camera.noise, float),
+        noise_blur=float(camera.noise_blur_px),
+        markers=marker_centres(plain(markers)),
+        diameter=float(markers.diameter_px),
+        raggedness=float(markers.raggedness),
+        ink=np.array(markers.ink, float),
+        flecks=np.array(markers.flecks, float),
+        shadow_depth=float(markers.shadow_depth),
+        shadow_length=np.array(markers.shadow_length_px, float),
+        seed=int(markers.seed),
+        normal_motion=float(markers.normal_motion),
+    )
+
+
+def towards(azimuth_deg: np.ndarray) -> np.ndarray:
+    """Unit vectors (n, 2) in the image plane towards lights at angles (n,) in degrees, counter-clockwise from the right."""
+    angle = np.deg2rad(azimuth_deg)
+    return np.stack([np.cos(angle), -np.sin(angle)], axis=1)
 
 
 def marker_centres(markers: dict) -> np.ndarray:
     """Centres of the printed markers, (n, 2) px: a rotated grid with seeded misprints, without the missing ones.
 
-    Raises ValueError for fewer than 2 rows or columns and for `missing` that are not on the grid.
+    markers: the keys of `PrintTable` that say where they are.
     """
-    rows, cols, missing = markers["rows"], markers["cols"], np.array(markers.get("missing", []), int)
-    if min(rows, cols) < 2 or ((missing < 0) | (missing >= rows * cols)).any():
-        raise ValueError(f"{rows} rows and {cols} cols of markers: give 2 or more of both, and `missing` from 0 on")
+    rows, cols, missing = markers["rows"], markers["cols"], np.array(markers["missing"], int)
     row, col = np.divmod(np.arange(rows * cols), cols)
     half = np.array([cols - 1, rows - 1]) / 2
     place = np.stack([col, row], axis=1) - half

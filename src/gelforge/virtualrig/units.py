@@ -11,7 +11,29 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_toml
 from gelforge.flow.schema import SOME, Number, ParameterTable, Place, Span, Within, parse
 from gelforge.labelling.sensor import Sensor
-from gelforge.virtualrig.appearance import HEIGHT, WIDTH, Appearance, Drift, marker_centres, read_appearances
+from gelforge.virtualrig.appearance import (
+    HEIGHT,
+    WIDTH,
+    Angle,
+    Appearance,
+    Brightening,
+    CameraMm,
+    Contrast,
+    Diameter,
+    Drift,
+    Flecks,
+    Fraction,
+    Gain,
+    Levels,
+    Motion,
+    Pixels,
+    Position,
+    Shadow,
+    Share,
+    marker_centres,
+    read_appearances,
+    towards,
+)  # fmt: skip
 from gelforge.virtualrig.rigplan import DrawnUnits
 
 ROWS, COLS = 7, 9  # of the marker grid in a full view
@@ -32,51 +54,51 @@ class UnitRanges(ParameterTable):
     example = "workflow/rig/units.toml"
 
     backgrounds: Annotated[tuple[str, ...], SOME]
-    background_scatter: Span[Annotated[Number, Within(-1, 1)]]
-    tilt: Span[Annotated[Number, Within(-1, 1)]]
-    azimuth_deg: Span[Annotated[Number, Within(-360, 360, "degrees")]]
-    contrast: Span[Annotated[Number, Within(0.001, 100)]]
-    colour_contrast: Span[Annotated[Number, Within(0.001, 100)]]
-    slope_limit: Span[Annotated[Number, Within(0.001, 100)]]
-    brightening: Span[Annotated[Number, Within(0, 10)]]
-    camera_mm: Span[Annotated[Number, Within(5, 10000, "mm")]]
-    gain: Span[Annotated[Number, Within(0.001, 10)]]
-    white_balance: Span[Annotated[Number, Within(0.001, 10)]]
-    vignette: Span[Annotated[Number, Within(0, 1)]]
-    blur_px: Span[Annotated[Number, Within(0, 100, "px")]]
-    noise: Span[Annotated[Number, Within(0, 255)]]
-    noise_blur_px: Span[Annotated[Number, Within(0, 100, "px")]]
+    background_scatter: Span[Share]
+    tilt: Span[Share]
+    azimuth_deg: Span[Angle]
+    contrast: Span[Contrast]
+    colour_contrast: Span[Contrast]
+    slope_limit: Span[Contrast]
+    brightening: Span[Brightening]
+    camera_mm: Span[CameraMm]
+    gain: Span[Gain]
+    white_balance: Span[Gain]
+    vignette: Span[Fraction]
+    blur_px: Span[Pixels]
+    noise: Span[Levels]
+    noise_blur_px: Span[Pixels]
     scale_px_per_mm: Span[Annotated[Number, Within(1, 1000, "px/mm")]]
     perspective: Span[Annotated[Number, Within(-0.01, 0.01)]]
-    rotation_deg: Span[Annotated[Number, Within(-360, 360, "degrees")]]
-    shift_px: Span[Annotated[Number, Within(-1000, 1000, "px")]]
+    rotation_deg: Span[Angle]
+    shift_px: Span[Position]
     pitch_mm: Span[Annotated[Number, Within(0.1, 100, "mm")]]
-    grid_shift_px: Span[Annotated[Number, Within(-1000, 1000, "px")]]
-    grid_turn_deg: Span[Annotated[Number, Within(-360, 360, "degrees")]]
-    spread: Span[Annotated[Number, Within(-1, 1)]]
-    misprint_px: Span[Annotated[Number, Within(0, 100, "px")]]
-    diameter_px: Span[Annotated[Number, Within(0.1, 1000, "px")]]
-    raggedness: Span[Annotated[Number, Within(0, 1)]]
-    ink: Span[Annotated[Number, Within(0, 1)]]
-    flecks: Span[Annotated[Number, Within(0, 10)]]
-    shadow_depth: Span[Annotated[Number, Within(0, 1)]]
-    shadow_px: Span[Annotated[Number, Within(0, 1000, "px")]]
+    grid_shift_px: Span[Position]
+    grid_turn_deg: Span[Angle]
+    spread: Span[Share]
+    misprint_px: Span[Pixels]
+    diameter_px: Span[Diameter]
+    raggedness: Span[Fraction]
+    ink: Span[Fraction]
+    flecks: Span[Flecks]
+    shadow_depth: Span[Fraction]
+    shadow_px: Span[Shadow]
     missing_markers: Span[Annotated[Number, Within(0, ROWS * COLS - 1)]]
     specks: Span[Annotated[Number, Within(0, 10000)]]
-    drift_gain: Span[Annotated[Number, Within(-1, 1)]]
+    drift_gain: Span[Share]
     drift_offset: Span[Annotated[Number, Within(-255, 255)]]
-    drift_field: Span[Annotated[Number, Within(-1, 1)]]
-    relit_fraction: Annotated[Number, Within(0, 1)]
+    drift_field: Span[Share]
+    relit_fraction: Fraction
     relit_gradient: Span[Annotated[Number, Within(-0.9, 0.9)]]
     relit_colour_gradient: Span[Annotated[Number, Within(-0.9, 0.9)]]
     relit_vignette: Span[Annotated[Number, Within(-0.9, 0.9)]]
-    refocus_px: Span[Annotated[Number, Within(0, 100, "px")]]
-    worn_fraction: Annotated[Number, Within(0, 1)]
+    refocus_px: Span[Pixels]
+    worn_fraction: Fraction
     worn_markers: Span[Annotated[Number, Within(0, ROWS * COLS - 1)]]
-    worn_ink: Span[Annotated[Number, Within(0, 1)]]
-    normal_motion: Span[Annotated[Number, Within(0, 2)]]
+    worn_ink: Span[Fraction]
+    normal_motion: Span[Motion]
     shade_per_mm: Span[Annotated[Number, Within(-10, 10, "1/mm")]]
-    jpeg_fraction: Annotated[Number, Within(0, 1)]
+    jpeg_fraction: Fraction
     jpeg_quality: Span[Annotated[Number, Within(1, 100)]]
 
 
@@ -144,7 +166,7 @@ class Draw:
         """Appearance of the unit: illumination, camera, ink; bases: (k, 15, 3) backgrounds to mix."""
         weight = self.rng.dirichlet(np.ones(len(bases)))
         background = np.einsum("k,kij->ij", weight, bases) * (1.0 + self.of("background_scatter", bases[0].shape))
-        angle = np.deg2rad(AZIMUTH + self.of("azimuth_deg") + self.of("azimuth_deg", 3))
+        azimuth = AZIMUTH + self.of("azimuth_deg") + self.of("azimuth_deg", 3)
         weakest, strongest = np.log(self.ranges.contrast)
         contrast = np.exp(self.rng.uniform(weakest, strongest))
         markers = dict(sensor.markers) | {
@@ -160,7 +182,7 @@ class Draw:
             white_balance=self.of("white_balance", 3),
             gain=self.of("gain"),
             vignette=self.of("vignette"),
-            light=np.stack([np.cos(angle), -np.sin(angle)], axis=1),
+            light=towards(azimuth),
             slope_gain=contrast * self.of("colour_contrast", 3),
             slope_limit=self.of("slope_limit"),
             brightening=self.of("brightening", 3),

@@ -221,6 +221,10 @@ NO_PATHS = {  # what a path may not be, and what is said of it
         "time_utc,x_mm,y_mm,z_mm\n2026-01-01T00:00:00,1,2,5\n2026-01-01T00:00:00,1,2,5\n2026-01-01T00:00:01,1,2,5\n",
         "whole seconds only",
     ),
+    "six digits": (
+        "time_s,x_mm,y_mm,z_mm\n1.73234e+09,1,2,5\n1.73234e+09,1,2,5\n1.73234e+09,1,2,5\n",
+        "with six digits .1.73234e.09.: write all of them",
+    ),
     "nanoseconds without zeros": (
         "time_s,x_mm,y_mm,z_mm\n1.900000000,1,2,5\n2.5000000,1,2,5\n2.25000000,1,2,5\n",
         "nanoseconds without leading zeros",

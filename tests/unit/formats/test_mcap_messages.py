@@ -91,3 +91,14 @@ def test_a_folder_of_mcap_without_metadata_is_read(tmp_path):
     (tmp_path / "bag").mkdir()
     path = record(tmp_path / "bag" / "bag_0.mcap")
     assert recordings_of(tmp_path / "bag") == ([path], [])
+
+
+def test_files_of_a_bag_that_its_metadata_do_not_name_are_not_lost(tmp_path):
+    """The metadata of a recording that was cut into files may name the last one alone."""
+    bag = tmp_path / "bag"
+    bag.mkdir()
+    for name in ("bag_0.mcap", "bag_10.mcap"):
+        record(bag / name)
+    (bag / "metadata.yaml").write_text("rosbag2_bagfile_information:\n  relative_file_paths:\n    - bag_10.mcap\n")
+    with pytest.raises(BadInput, match="does not name bag_0.mcap, which lies beside it: run `ros2 bag reindex bag`"):
+        read(bag)

@@ -12,6 +12,7 @@ from gelforge.commands.camera import best_mode, camera_mode, camera_number, came
 from gelforge.commands.camera import main as camera
 from gelforge.reading.frame import AS_IT_IS, Orientation, image_frame
 from gelforge.reading.markers import markers_in
+from gelforge.reading.reader import Reader
 from gelforge.records.film import open_source
 from gelforge.records.image import read_image
 from tests.support.crops import CROPS, SIX, raw, resized
@@ -140,6 +141,13 @@ def test_a_square_crop_keeps_the_gels_shape(picture):
     right = np.where((along < 6) & (across > 6), across, np.inf).min(axis=1)
     down = np.where((across < 6) & (along > 6), along, np.inf).min(axis=1)
     assert np.median(right) == pytest.approx(np.median(down), rel=0.06)
+
+
+def test_an_image_that_is_squeezed_into_a_square_is_flagged(picture, shipped):
+    """A fifth more or less of the force was read of it, without a word."""
+    squeezed, square = resized(picture, 224, 224), resized(picture[:, 40:280], 480, 480)
+    for given, flagged in ((squeezed, True), (square, False), (picture, False), (resized(picture, 640, 480), False)):
+        assert ("the no-contact image is stretched" in Reader(given, model=shipped).fault) == flagged
 
 
 def test_an_image_of_another_mode_than_the_no_contact_image_is_resized_whole_and_flagged(picture):

@@ -113,17 +113,24 @@ def test_an_image_a_little_out_of_focus_is_used_and_one_far_out_is_not(demo_noco
             assert bool(pair_fault(judge(seen), Asked.LOG)) == flagged == bool(reader(seen).reason), (name, blur)
 
 
-def test_a_torn_frame_is_flagged(demo_nocontact, presses, shipped):
+TEARS = {  # of what the lower part of a torn frame is, and the least fraction of such frames that is flagged
+    "the free gel": (lambda image, rest, row: rest[row:], 0.8),
+    "its own, aside": (lambda image, rest, row: np.roll(image[row:], 30, axis=1), 0.8),
+}
+
+
+@pytest.mark.parametrize("lower", TEARS)
+def test_a_torn_frame_is_flagged(demo_nocontact, presses, shipped, lower):
     """Half of a press beside half of a free gel was read as a tenth of its force, and no such frame was flagged."""
-    found = []
+    found, (of, least) = [], TEARS[lower]
     readers = {name: Reader(picture, model=shipped) for name, picture in demo_nocontact.items()}
     for name, image, normal in presses:
         if normal > 5.0:
             rest = demo_nocontact[name]
             row = int(np.abs(image.astype(int) - rest).sum(axis=(1, 2)).argmax())  # through the contact
-            torn = readers[name].compare(np.concatenate([image[:row], rest[row:]]))
+            torn = readers[name].compare(np.concatenate([image[:row], of(image, rest, row)]))
             found.append("torn" in pair_fault(torn, Asked.READER))
-    assert len(found) > 10 and np.mean(found) >= 0.6
+    assert len(found) > 10 and np.mean(found) >= least, np.mean(found)
 
 
 def test_a_gel_that_pulls_on_what_touches_it_is_reported(demo_nocontact, presses, shipped):

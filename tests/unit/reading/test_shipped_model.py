@@ -10,6 +10,7 @@ import pytest
 from gelforge.commands import predict
 from gelforge.errors import BadInput
 from gelforge.flow.tables import SHIPPED_IMAGE
+from gelforge.reading.frame import as_shipped
 from gelforge.reading.model import SHIPPED, load_model, require_sensor
 from gelforge.reading.reader import Reader
 from gelforge.records.film import frames, open_source
@@ -72,3 +73,8 @@ def test_the_other_finger_of_a_gripper_is_flagged_and_ones_own_is_not(reference,
             for other, film in enumerate(films):
                 flagged[one == other] += [predictor(image).flag for image in some_frames(film)]
         assert np.mean(flagged[False]) >= 0.9 and np.mean(flagged[True]) <= 0.25, grasp
+
+
+def test_images_of_a_log_are_judged_in_exactly_its_view(shipped):
+    """A zoom that differs by a ten-thousandth changed levels, and a torn frame was flagged by a reader alone."""
+    assert as_shipped(shipped.size).table() == shipped.metadata["frame"]
