@@ -9,7 +9,7 @@ POSES := $(SHARDS:%=$D/10_poses/%.csv)
 .PHONY: poses
 poses: $(POSES)  ## check the log, place every indenter's surface as the CNC did
 
-$(POSES): $D/10_poses/%.csv: $(SHARD)/%.csv $(SHARD)/%.json $(SHARD)/%.pictures.json $P/poses.json $(CALIBRATION)
+$(POSES): $D/10_poses/%.csv: $(SHARD)/%.csv $(SHARD)/%.json $(SHARD)/%.pictures.json $P/poses.json $(CALIBRATION) | $D/00_plan/shards.csv
 	$(call step,gelforge.stages.poses $D $*)
 
 # Files of a shard: paths (by stage 10), bodies and sensors, images.
@@ -22,7 +22,7 @@ IMAGES_JUDGED := $(if $(IMPORTED),,$(if $(IMAGES),$D/15_images/images.json))
 .PHONY: images
 images: $(IMAGES_JUDGED)  ## compare the images of the log with its poses and no-contact images
 
-$D/15_images/images.json: $(POSES) $(USED) $(PICTURES) $(BESIDE)/nocontact.json $P/images.json $P/gels.json
+$D/15_images/images.json: $(POSES) $(USED) $(PICTURES) $(BESIDE)/nocontact.json $P/images.json $P/gels.json $P/spare.json
 	$(HANDS_SLOTS)$(call step,gelforge.stages.images $D)
 
 # 20: tetrahedra of each gel, which stage 30 bisects for each press. Stages that read meshes of presses read these, too.
@@ -126,5 +126,5 @@ SOLVED := $(if $(IMPORTED),,$(POSES) $(MESHED) $(FEA) $(FORCES) $(SHARDS:%=$D/50
 .PHONY: report
 report: $(REPORT)  ## one HTML page: presses, labels, errors, posterior, chart, failures
 
-$(REPORT): $(filter-out $P/networks.json,$(wildcard $P/*.json)) $(SHARDS:%=$(SHARD)/%.csv) $(USED) $(PICTURES) $(SOLVED) $(CALIBRATION) $(JUDGED) $(SHOWN)
+$(REPORT): $(PARAMETERS:%=$P/%.json) $(wildcard results/readme/exact.png) $(SHARDS:%=$(SHARD)/%.csv) $(USED) $(PICTURES) $(SOLVED) $(CALIBRATION) $(JUDGED) $(SHOWN)
 	$(call step,gelforge.stages.report $D $(RES1) $(PAGE_NET))

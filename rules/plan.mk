@@ -14,7 +14,7 @@ OF_RESULTS := status provenance
 NEEDS_PLAN := $(filter-out $(NO_PLAN) $(if $(wildcard $(DATA)/log.csv),,$(if $(wildcard $D/.),$(OF_RESULTS))),$(GOALS))
 
 # The plan's lists, empty if no plan is read. PLANNED_FROM: files that it read because others name them, such as images.
-LISTS := SHARDS BRANCHES PARETO_SCENES MODELS TUNED NEED_NOCONTACT LEARNER REPORT_MODEL CALIBRATION LEARN_ALSO IMAGES GELS MESHED_GELS CHARTED_GELS PLANNED_FROM
+LISTS := SHARDS BRANCHES PARETO_SCENES MODELS TUNED NEED_NOCONTACT LEARNER REPORT_MODEL CALIBRATION LEARN_ALSO IMAGES GELS MESHED_GELS CHARTED_GELS PARAMETERS PLANNED_FROM
 $(foreach v,$(LISTS),$(eval $v :=))
 
 ifneq ($(NEEDS_PLAN),)
@@ -33,9 +33,10 @@ PLAN_INPUTS := $(wildcard $(wildcard $(DATA) $(DATA)/log.csv $(DATA)/*.toml $(DA
 $(PLANNED): $(PLAN_INPUTS) $(wildcard $(CCX_FOUND)) | $(SETUP) $(CCX_FOUND)
 	$(call step,gelforge.stages.plan $D --ccx $(CCX_FOUND))
 
-# A file of the plan that was removed is written again.
+# A file of the plan that was removed is written again, and those of networks and scenes for the first goal that needs
+# them: the plan writes them where their folder exists.
 $D/00_plan/%: | $(PLANNED)
-	@test -e $@ || $(PY) -m gelforge.stages.plan $D --ccx $(CCX_FOUND) >/dev/null
+	@test -e $@ || { mkdir -p $(@D); $(PY) -m gelforge.stages.plan $D --ccx $(CCX_FOUND) >/dev/null; }
 
 # A file that the plan read and that is gone: the plan is made again without it.
 $(filter-out $(wildcard $(PLANNED_FROM)),$(PLANNED_FROM)):

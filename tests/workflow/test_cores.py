@@ -5,10 +5,11 @@ import shutil
 import subprocess
 from collections import Counter
 from itertools import pairwise
+from pathlib import Path
 
 import pytest
 
-from gelforge.flow.files import read_json
+from gelforge.flow.files import read_json, record_of
 from tests.support.sandbox import CALIBRATED, clean_environment, link_project, make
 
 # Four presses in four shards; labels follow their own calibration; there are no images, so the page ends at labels.
@@ -71,31 +72,52 @@ def test_steps_of_a_goal_overlap_and_its_output_is_clean(project):
     }  # fmt: skip
 
 
+def of_each_stage(results) -> list[dict]:
+    """The record of the last run of one target of each stage."""
+    found = {
+        (path.parent.relative_to(results / "metrics"), path.suffixes[0]): read_json(path)
+        for path in sorted((results / "metrics").rglob("*.json"))
+        if path.parent.name != "00_plan"
+    }
+    return list(found.values())
+
+
+def stands_for(project, name: str) -> set[str]:
+    """The files that a prerequisite stands for: itself, what was written with it, and pictures whose digests it holds."""
+    path = project / name
+    found = {name}
+    if "results" in path.parts and "00_plan" not in path.parts:
+        beside = [one for one in path.parent.iterdir() if one.name.startswith(f"{path.stem}.")]
+        beside += [path.with_name(each) for each in (record_of(path) or {}).get("sha256", ())]
+        found |= {str(one.relative_to(project)) for one in beside if one.suffix != ".lock"}
+    if path.name.endswith(".pictures.json") or path.parent.name == "beside":
+        data = Path("data", path.parts[path.parts.index("00_plan") - 1])
+        held = read_json(path)
+        found |= {str(data / each) for each in held.get("images", held)}
+    return found
+
+
 @pytest.mark.slow
-def test_a_stage_reads_its_prerequisites_and_nothing_else(root, project, tmp_path):
-    """Each target of the flow, made again in a folder that holds its prerequisites and the store of solves alone."""
+def test_a_stage_reads_its_prerequisites_and_nothing_else(root, project, whole, tmp_path):
+    """One target of each stage, made again in a folder that holds what it depends on and the store of solves alone."""
     assert make(project, "-j2", "demo").returncode == 0
-    results = project / "results/demo"
-    made = [
-        results / "metrics" / name
-        for name in ("calibrate/summary", "10_poses/0001", "30_fea/0001", "40_forces/0001", "50_labels/24x32/0001")
-    ]
-    for record in (read_json(path.with_suffix(".json")) for path in made):
-        alone = tmp_path / record["target"].replace("/", "-")
-        for name in ("src", ".venv"):
-            alone.mkdir(exist_ok=True)
-            (alone / name).symlink_to(root / name)
-        for name in record["inputs"]:
-            (alone / name).parent.mkdir(parents=True, exist_ok=True)
-            shutil.copy(project / name, alone / name)
-        shutil.copytree(project / "results/solves", alone / "results/solves")
-        words = [word for word in record["command"] if word != "--part"]
-        environment = clean_environment() | {"PYTHONPATH": str(root / "src")}
-        done = subprocess.run(words, cwd=alone, env=environment, capture_output=True, text=True, check=False)
-        assert done.returncode == 0, (record["target"], done.stderr)
-        ours = alone / record["target"]
-        if ours.suffix != ".json":  # a summary says how many solves were new
-            assert ours.read_bytes() == (project / record["target"]).read_bytes(), record["target"]
+    for made in (project / "results/demo", whole / "results/tiny"):
+        home = made.parent.parent
+        for record in of_each_stage(made):
+            alone = tmp_path / record["target"].replace("/", "-")
+            alone.mkdir()
+            for name in ("src", ".venv"):
+                (alone / name).symlink_to(root / name)
+            for name in {each for given in record["inputs"] for each in stands_for(home, given)}:
+                (alone / name).parent.mkdir(parents=True, exist_ok=True)
+                shutil.copy(home / name, alone / name)
+            shutil.copytree(home / "results/solves", alone / "results/solves")
+            words = [word for word in record["command"] if word != "--part"]
+            environment = clean_environment() | {"PYTHONPATH": str(root / "src")}
+            done = subprocess.run(words, cwd=alone, env=environment, capture_output=True, text=True, check=False)
+            assert done.returncode == 0, (record["target"], done.stderr)
+            ours = alone / record["target"]
+            assert ours.read_bytes() == (home / record["target"]).read_bytes(), record["target"]
 
 
 @pytest.mark.slow

@@ -2,7 +2,6 @@
 
 import os
 import re
-import shutil
 import signal
 import subprocess
 import time
@@ -10,10 +9,11 @@ import time
 import pytest
 
 from gelforge.flow.files import read_csv, write_csv
-from tests.support.sandbox import clean_environment, lay_dataset, link_project, make
+from tests.support.sandbox import clean_environment, lay_dataset, make
 from tests.support.waiting import wait_until
 
 BUILT = re.compile(r"^results/tiny/(\S+)  [\d.]+ s", re.MULTILINE)
+LABELS = "labels", "RES=6x8"
 PREDICTED = re.compile(r"gelforge\.flow\.step results/tiny/(\S+)", re.MULTILINE)
 
 
@@ -45,66 +45,52 @@ def stages(built):
     return sorted({name.split("/")[0] for name in built})
 
 
-@pytest.fixture(scope="module")
-def built(root, tmp_path_factory):
-    """A sandbox with the tiny dataset, built as far as labels, which tests copy and leave as it is."""
-    project = link_project(root, tmp_path_factory.mktemp("flow") / "project")
-    lay_dataset(project, root, "tiny", 4)
-    assert stages(build(project, "labels")) == ["10_poses", "15_images", "30_fea", "40_forces", "50_labels"]
-    return project
-
-
-@pytest.fixture
-def labelled(built, tmp_path):
-    """A copy of that sandbox, of which nothing is outdated."""
-    return shutil.copytree(built, tmp_path / "project", symlinks=True)
-
-
 @pytest.mark.slow
-def test_parameters_are_prerequisites_exactly(labelled):
-    assert predict(labelled, "labels") == [] and build(labelled, "labels") == []
+def test_parameters_are_prerequisites_exactly(whole):
+    assert predict(whole, *LABELS) == [] and build(whole, *LABELS) == []
 
-    edit(labelled, "\n[fea]\n", "\n# a comment\n[fea]\n")
-    assert predict(labelled, "labels") == [] and build(labelled, "labels") == []
+    edit(whole, "\n[fea]\n", "\n# a comment\n[fea]\n")
+    assert predict(whole, *LABELS) == [] and build(whole, *LABELS) == []
 
-    expected = predict(labelled, "labels", "RES=12x16")
+    expected = predict(whole, "labels", "RES=12x16")
     assert stages(expected) == ["50_labels"]
-    assert sorted(build(labelled, "labels", "RES=12x16")) == sorted(expected)
-    assert build(labelled, "labels", "RES=24x32") == []
+    assert sorted(build(whole, "labels", "RES=12x16")) == sorted(expected)
+    assert build(whole, *LABELS) == []
 
-    edit(labelled, "tolerance = 0.2", "tolerance = 0.21", "data/tiny/dataset.toml")
-    expected = predict(labelled, "labels")
+    edit(whole, "tolerance = 0.2", "tolerance = 0.21", "data/tiny/dataset.toml")
+    expected = predict(whole, *LABELS)
     assert stages(expected) == ["30_fea", "40_forces", "50_labels"]
     # a draft solve reads no tolerance, so the tables stay as they were and nothing after them is made again
-    assert sorted(build(labelled, "labels")) == sorted(name for name in expected if name.startswith("30_fea"))
-    assert build(labelled, "labels") == []
+    assert sorted(build(whole, *LABELS)) == sorted(name for name in expected if name.startswith("30_fea"))
+    assert build(whole, *LABELS) == []
 
 
 @pytest.mark.slow
-def test_appending_to_the_log_solves_only_what_is_new(labelled, root):
-    before = {p: p.stat().st_mtime_ns for p in (labelled / "results/tiny/30_fea").rglob("*") if p.is_file()}
-    lay_dataset(labelled, root, "tiny", 5)
+def test_appending_to_the_log_solves_only_what_is_new(whole, root):
+    before = {p: p.stat().st_mtime_ns for p in (whole / "results/tiny/30_fea").rglob("*") if p.is_file()}
+    table = (whole / "data/tiny/dataset.toml").read_text(encoding="utf-8")
+    lay_dataset(whole, root, "tiny", 9, table[table.index("[params") :])
     later = time.time() + 2
-    os.utime(labelled / "data/tiny/log.csv", (later, later))
-    built = build(labelled, "labels")
+    os.utime(whole / "data/tiny/log.csv", (later, later))
+    built = build(whole, *LABELS)
     assert set(built) == {
-        "10_poses/0002.csv", "15_images/images.json", "30_fea/0002.csv", "40_forces/0002.npz", "50_labels/24x32/0002.npz",
+        "10_poses/0002.csv", "15_images/images.json", "30_fea/0002.csv", "40_forces/0002.npz", "50_labels/6x8/0002.npz",
     }  # fmt: skip
     assert all(p.stat().st_mtime_ns == stamp for p, stamp in before.items())
 
 
-def test_a_truncated_artifact_is_refused_and_made_again_alone(labelled):
-    whole = labelled / "results/tiny/40_forces/0000.npz"
-    content = whole.read_bytes()
-    whole.write_bytes(content[: len(content) // 2])
-    done = make(labelled, "DATASET=tiny", "labels")
+def test_a_truncated_artifact_is_refused_and_made_again_alone(whole):
+    forces = whole / "results/tiny/40_forces/0000.npz"
+    content = forces.read_bytes()
+    forces.write_bytes(content[: len(content) // 2])
+    done = make(whole, "DATASET=tiny", *LABELS)
     assert (
         done.returncode
         and "0000.npz: missing or changed since it was made; remove it (rm results/tiny/40_f" in done.stdout
     )
-    whole.unlink()
-    assert build(labelled, "labels") == ["40_forces/0000.npz"]  # of the same content: labels are those of today
-    assert whole.read_bytes() == content
+    forces.unlink()
+    assert build(whole, *LABELS) == ["40_forces/0000.npz"]  # of the same content: labels are those of today
+    assert forces.read_bytes() == content
 
 
 def test_killing_make_in_a_solve_loses_at_most_that_solve(project):

@@ -36,6 +36,8 @@ gel = "{gel}"
 images = false
 [params.fea]
 method = "draft"
+[params.interface]
+law = "no_slip"
 """
 SENSOR = """
 [own]

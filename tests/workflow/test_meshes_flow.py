@@ -10,7 +10,15 @@ from gelforge.geometry.gel import load_gel
 from gelforge.mechanics.mesh.basemesh import LEAST_JACOBIAN, read
 from tests.support.sandbox import lay_dataset, link_project, make
 
-BY_CCX = '\n[params.fea]\nmethod = "ccx"\nedge_mm = 0.6\ninside_mm = 2.6\n'
+BY_CCX = """
+[params.interface]
+law = "no_slip"
+
+[params.fea]
+method = "ccx"
+edge_mm = 0.6
+inside_mm = 2.6
+"""
 
 
 @pytest.fixture(scope="module")

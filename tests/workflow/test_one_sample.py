@@ -30,7 +30,9 @@ def scaled_by_the_calibrated_material(project, first):
     plain = ForceFile(sample).force
     toml = project / "data/tiny/dataset.toml"
     toml.write_text(toml.read_text() + '\n[params.material]\nc10 = "calibrated"\n')
-    assert "calibrate/summary.json" in make(project, "DATASET=tiny", "sample", f"ID={first}").stdout  # made first
+    assert (
+        "calibrate/summary.json" in make(project, "-n", "DATASET=tiny", "sample", f"ID={first}").stdout
+    )  # made first
     summary = {"c10": {"median": 0.145, "interval68": [0.14, 0.15], "interval95": [0.13, 0.16]}, "parameters": {},
                "bench": {"offset": 0.0, "compliance": 0.0, "shear_compliance": 0.0}, "law": "no_slip", "used": []}  # fmt: skip
     write_json(project / "results/tiny/calibrate/summary.json", summary)

@@ -23,32 +23,18 @@ from tests.support.waiting import HANG
 BLOCK = np.array([[x, y, z] for z in (0, 6) for y in (0, 1) for x in (0, 1)], float)
 FACES = [[0, 2, 1], [1, 2, 3], [4, 5, 6], [5, 7, 6], [0, 1, 4], [1, 5, 4], [2, 6, 3], [3, 6, 7], [0, 4, 2], [2, 4, 6],
          [1, 3, 5], [3, 7, 5]]  # fmt: skip
-POSES = "gelforge.flow.step results/tiny/10_poses/0000.csv"
+POSES = "gelforge.flow.step results/tiny/10_poses/"
+LABELS = "labels", "DATASET=tiny", "RES=6x8"
 
 
 def block(path, wide):
     write_stl(path, (BLOCK - [0.5, 0.5, 0]) * [wide, wide, 1], np.array(FACES))
 
 
-@pytest.fixture(scope="module")
-def built(root, tmp_path_factory):
-    """A sandbox with a dataset of two presses, built as far as labels, which tests copy and leave as it is."""
-    project = link_project(root, tmp_path_factory.mktemp("planning") / "project")
-    lay_dataset(project, root, "tiny", 2)
-    assert make(project, "labels", "DATASET=tiny").returncode == 0
-    return project
-
-
 @pytest.fixture
-def labelled(built, tmp_path):
-    """A copy of that sandbox, of which nothing is outdated."""
-    return shutil.copytree(built, tmp_path / "project", symlinks=True)
-
-
-@pytest.fixture
-def log(labelled):
+def log(whole):
     """The log of that dataset."""
-    return labelled / "data/tiny/log.csv"
+    return whole / "data/tiny/log.csv"
 
 
 def test_a_shape_that_changes_under_its_name_is_another_shape(tmp_path):
@@ -75,24 +61,25 @@ def shown(project, *words, target="poses") -> str:
     return done.stdout
 
 
-def test_a_scene_that_is_retired_leaves_the_chart(labelled):
+def test_a_scene_that_is_retired_leaves_the_chart(whole):
     """The chart is drawn anew, and no scene is solved for that."""
-    scenes, folder = labelled / "workflow/scenes.toml", labelled / "results/tiny/pareto"
+    scenes, folder = whole / "workflow/scenes.toml", whole / "results/tiny/pareto"
     text = scenes.read_text(encoding="utf-8")
-    write_text(labelled / "results/tiny/20_meshes/gelsight_mini.npz", "")
+    write_text(whole / "results/tiny/20_meshes/gelsight_mini.npz", "")
+    assert make(whole, "results/tiny/00_plan/params/scenes/sphere_1mm.json", "DATASET=tiny").returncode == 0
     last = text.rindex("\n[")
     for name in [*tomllib.loads(text), "../pareto"]:
         write_text(folder / f"scenes/{name}.json", "{}")
-    assert "stages.pareto" not in shown(labelled, target="pareto")
+    assert "stages.pareto" not in shown(whole, target="pareto")
     write_text(scenes, text[:last])
-    said = shown(labelled, target="pareto")
+    said = shown(whole, target="pareto")
     assert "stages.pareto chart" in said and "stages.pareto scene" not in said
 
 
 @pytest.mark.slow
-def test_each_change_that_dates_do_not_tell_is_planned_once(labelled, log):
+def test_each_change_that_dates_do_not_tell_is_planned_once(whole, log):
     """Of the log and of a picture that it names: replaced by an older file, behind a link, gone and back. What is only touched is not."""
-    plan = labelled / "results/tiny/00_plan/plan.mk"
+    plan = whole / "results/tiny/00_plan/plan.mk"
     lines = log.read_text().splitlines(keepends=True)
     picture, other = (log.parent / line.strip().split(",")[-1] for line in lines[1:3])
     kept, behind = picture.read_bytes(), log.with_name("behind.csv")
@@ -107,7 +94,7 @@ def test_each_change_that_dates_do_not_tell_is_planned_once(labelled, log):
         log.unlink()
         log.symlink_to(behind)
 
-    assert POSES not in shown(labelled)
+    assert POSES not in shown(whole)
     for change, planned, due in (
         (lambda: replaced(log, "".join(lines[:-1]).encode()), True, True),
         (link, True, True),  # as it was when it was built, and dated anew
@@ -119,58 +106,58 @@ def test_each_change_that_dates_do_not_tell_is_planned_once(labelled, log):
         (lambda: write_text(log.parent / "nocontact/a note.txt", ""), True, True),  # an odd name disturbs nothing
     ):
         change()
-        said, at_first = shown(labelled), plan.stat().st_mtime_ns
+        said, at_first = shown(whole), plan.stat().st_mtime_ns
         assert ("plan.mk: made again" in said) == planned and (POSES in said) == due
-        assert (POSES in shown(labelled)) == (POSES in said) and plan.stat().st_mtime_ns == at_first
-    assert make(labelled, "-n", "dataset", "DATASET=tiny").returncode == 0
+        assert (POSES in shown(whole)) == (POSES in said) and plan.stat().st_mtime_ns == at_first
+    assert make(whole, "-n", "dataset", "DATASET=tiny").returncode == 0
 
 
-def test_a_shard_whose_log_lost_a_row_is_made_of_the_others(labelled, log):
+def test_a_shard_whose_log_lost_a_row_is_made_of_the_others(whole, log):
     lines = log.read_text().splitlines(keepends=True)
     log.write_text("".join(lines[:-1]))
-    assert make(labelled, "poses", "DATASET=tiny").returncode == 0
-    table = read_csv(labelled / "results/tiny/00_plan/shards.csv")
+    assert make(whole, "poses", "DATASET=tiny").returncode == 0
+    table = read_csv(whole / "results/tiny/00_plan/shards.csv")
     assert {row["sample_id"] for row in table if row["logged"] == "0"} == {lines[-1].split(",")[0]}
-    assert len(read_csv(labelled / "results/tiny/10_poses/0000.csv")) == 1
+    assert len(read_csv(whole / "results/tiny/10_poses/0001.csv")) == 3
 
 
-def test_a_replaced_picture_reruns_its_own_shard(labelled, log):
+def test_a_replaced_picture_reruns_its_own_shard(whole, log):
     """The hint of a rejected picture, to copy the file again, is seen by make; other shards stay as they are."""
-    picture = labelled / "data/tiny" / log.read_text().splitlines()[1].split(",")[-1]
-    whole = picture.read_bytes()
-    picture.write_bytes(whole[:100])
-    done = make(labelled, "poses", "DATASET=tiny")
+    picture = whole / "data/tiny" / log.read_text().splitlines()[1].split(",")[-1]
+    kept = picture.read_bytes()
+    picture.write_bytes(kept[:100])
+    done = make(whole, "poses", "DATASET=tiny")
     assert done.returncode == 0 and "rejected: " in done.stdout
-    assert "1 x image: " in make(labelled, "status", "DATASET=tiny").stdout
-    assert POSES not in shown(labelled)
-    picture.write_bytes(whole)
-    done = make(labelled, "poses", "DATASET=tiny")
+    assert "1 x image: " in make(whole, "status", "DATASET=tiny").stdout
+    assert POSES not in shown(whole)
+    picture.write_bytes(kept)
+    done = make(whole, "poses", "DATASET=tiny")
     assert done.returncode == 0, done.stdout
     assert "rejected: " not in done.stdout and "10_poses/0000.csv" in done.stdout
 
 
-def test_a_lost_label_file_is_made_again(labelled):
-    (labelled / "results/tiny/50_labels/24x32/0000.npz").unlink()
-    done = make(labelled, "labels", "DATASET=tiny")
-    assert done.returncode == 0 and "50_labels/24x32/0000.npz" in done.stdout
-    assert (labelled / "results/tiny/50_labels/24x32/0000.npz").exists()
-    assert "flow.step" not in make(labelled, "-n", "labels", "DATASET=tiny").stdout
+def test_a_lost_label_file_is_made_again(whole):
+    (whole / "results/tiny/50_labels/6x8/0000.npz").unlink()
+    done = make(whole, *LABELS)
+    assert done.returncode == 0 and "50_labels/6x8/0000.npz" in done.stdout
+    assert (whole / "results/tiny/50_labels/6x8/0000.npz").exists()
+    assert "flow.step" not in make(whole, "-n", *LABELS).stdout
 
 
-def test_what_a_stage_reads_alone_makes_it_due(labelled):
+def test_what_a_stage_reads_alone_makes_it_due(whole):
     """Changed where nothing between was made of it: another sensor's name in a pose table, another gel of a sensor."""
     of = "results/tiny/"
     for changed, kept, due in (
         ("10_poses/0000.csv", "30_fea/0000.csv", "labels"),
         ("00_plan/shards/0000.json", "10_poses/0000.csv", "fea"),
     ):
-        said = make(labelled, "-n", "-W", of + changed, "-o", of + kept, "labels", "DATASET=tiny").stdout
+        said = make(whole, "-n", "-W", of + changed, "-o", of + kept, *LABELS).stdout
         assert f"gelforge.stages.{due} " in said, said
 
 
-def test_all_targets_can_be_made_anew(labelled):
+def test_all_targets_can_be_made_anew(whole):
     """`make -B`: files that people give are none of them."""
-    done = make(labelled, "-n", "-B", "labels", "DATASET=tiny", timeout=HANG)
+    done = make(whole, "-n", "-B", *LABELS, timeout=HANG)
     assert done.returncode == 0 and POSES in done.stdout and "50_labels" in done.stdout
 
 
@@ -246,7 +233,7 @@ def test_results_follow_the_version_of_their_stage(root):
     for stage in STAGES:
         of_stage = [head for head, module in rules if module == f"gelforge.stages.{stage}"]
         # the page shows whatever was planned: it waits for the parameters of all stages
-        assert any({f"$P/{stage}.json", "$P/*.json))"} & set(head.split()) for head in of_stage), stage
+        assert any({f"$P/{stage}.json", "$(PARAMETERS:%=$P/%.json)"} & set(head.split()) for head in of_stage), stage
 
 
 def test_every_stage_that_make_runs_has_a_version(root):
@@ -259,27 +246,27 @@ def spelt_out(root):
     return "".join(path.read_text() for path in sorted((root / "rules").glob("*.mk"))).replace("\\\n", "")
 
 
-def test_a_gel_that_is_edited_calibrates_anew(labelled):
+def test_a_gel_that_is_edited_calibrates_anew(whole):
     """It keeps its name, and a calibration waits for no pose."""
-    sensors, gels = (labelled / f"workflow/{name}.toml" for name in ("sensors", "gels"))
+    sensors, gels = (whole / f"workflow/{name}.toml" for name in ("sensors", "gels"))
     write_text(sensors, sensors.read_text().replace('gel = "gelsight_mini"', 'gel = "dome"'))
-    table = labelled / "data/tiny/dataset.toml"
+    table = whole / "data/tiny/dataset.toml"
     write_text(table, table.read_text().replace("gelsight_mini", "dome"))
-    done = make(labelled, "poses", "DATASET=tiny")
+    done = make(whole, "poses", "DATASET=tiny")
     assert done.returncode == 0, done.stdout
-    write_text(labelled / "results/tiny/calibrate/summary.json", "{}")
+    write_text(whole / "results/tiny/calibrate/summary.json", "{}")
     text, due = gels.read_text(), "gelforge.stages.calibrate"
     edits = ((text + "\n", False), (text.replace("[dome]\nwidth = 18.0", "[dome]\nwidth = 19.0"), True))
     for edited, again in edits:
         write_text(gels, edited)
-        assert (due in make(labelled, "-n", "calibrate", "DATASET=tiny").stdout) == again
+        assert (due in make(whole, "-n", "calibrate", "DATASET=tiny").stdout) == again
 
 
-def test_a_log_without_images_has_none_to_judge(labelled):
+def test_a_log_without_images_has_none_to_judge(whole):
     """Neither a start of the program that would, nor a file of it."""
-    (labelled / "results/tiny/15_images/images.json").unlink()
+    (whole / "results/tiny/15_images/images.json").unlink()
     judges = "gelforge.stages.images"
-    assert judges in make(labelled, "-n", "labels", "DATASET=tiny").stdout
-    table = labelled / "data/tiny/dataset.toml"
+    assert judges in make(whole, "-n", *LABELS).stdout
+    table = whole / "data/tiny/dataset.toml"
     write_text(table, table.read_text() + "\n[params.poses]\nimages = false\n")
-    assert judges not in make(labelled, "-n", "labels", "DATASET=tiny").stdout
+    assert judges not in make(whole, "-n", *LABELS).stdout

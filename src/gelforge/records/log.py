@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from gelforge.errors import BadInput, printable
-from gelforge.flow.files import csv_text, write_csv
+from gelforge.flow.files import write_csv
 from gelforge.flow.layout import command_for
 from gelforge.records.press import (
     COLUMNS,
@@ -56,10 +56,12 @@ def read_shard(path: str | Path) -> list[RawRow]:
 def shard_text(rows: list[RawRow]) -> str:
     """Rows as the text of a shard's file: their line in the log, their cells, and what is wrong with the row."""
     header = list(dict.fromkeys(name for row in rows for name in row.cells))
-    columns = ["row", *header, *["fault"] * any(row.fault for row in rows)]
-    return csv_text(
-        columns, [{"row": row.row, **row.cells, **({"fault": row.fault} if row.fault else {})} for row in rows]
-    )
+    faults = any(row.fault for row in rows)
+    text = io.StringIO(newline="")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["row", *header, *["fault"] * faults])
+    writer.writerows([row.row, *map(row.cells.get, header), *[row.fault or None] * faults] for row in rows)
+    return text.getvalue()
 
 
 def _read(
@@ -86,7 +88,7 @@ def _read(
             raise BadInput(
                 f"{path}: column {name} is missing, which every press needs; rename {seen!r} if it is that"
             )
-    return [_row(line, cells, places, header) for line, cells in records[1:]]
+    return [_row(line, cells, places, len(header)) for line, cells in records[1:]]
 
 
 def _records(path: Path, text: str) -> list[tuple[int, list[str]]]:
@@ -136,14 +138,16 @@ def _places(path: Path, header: list[str], known: tuple[str, ...]) -> dict[str, 
     return {name: header.index(name) for name in header if name in known}
 
 
-def _row(line: int, cells: list[str], places: dict[str, int], header: list[str]) -> RawRow:
-    text = {name: cells[at].strip() if at < len(cells) else "" for name, at in places.items()}
+def _row(line: int, cells: list[str], places: dict[str, int], columns: int) -> RawRow:
+    """A record as a row; one with too few cells gets empty ones. places: of known columns, of `columns` in all."""
+    whole = cells if len(cells) >= columns else [*cells, *[""] * (columns - len(cells))]
+    text = {name: whole[at].strip() for name, at in places.items()}
     number, fault = text.pop("row", ""), text.pop("fault", "")
     if text and all(cell.lower() == name for name, cell in text.items()):
         fault = "second_header"
-    elif len(cells) > len(header):
+    elif len(cells) > columns:
         fault = "more_cells"
-    elif len(cells) < len(header):
+    elif len(cells) < columns:
         fault = "fewer_cells"
     return RawRow(int(number) if number.isdigit() else line, text, fault)
 

@@ -6,7 +6,7 @@ left out of the dataset, and all other findings are notes.
 
 import sys
 from argparse import Namespace
-from collections.abc import Callable, Collection, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -21,7 +21,7 @@ from gelforge.flow.cli import JOBS, stage
 from gelforge.flow.files import read_json, write_json
 from gelforge.flow.jobs import in_slots
 from gelforge.flow.layout import Layout
-from gelforge.flow.params import read_dataset_file, read_indenter_tables, read_parameters
+from gelforge.flow.params import read_parameters
 from gelforge.geometry.indenters import bodies_of, build
 from gelforge.geometry.solids import Body
 from gelforge.labelling.sensor import sensor_of
@@ -48,18 +48,14 @@ def in_chunks(presses: list[PosedPress]) -> Iterator[list[PosedPress]]:
         yield presses[start : start + CHUNK]
 
 
-def shapes_beside(of: Layout, named: Collection[str]) -> dict[str, dict]:
-    """Tables of the dataset's catalogue that no row names: a row that names a wrong indenter may mean one of them.
-
-    They only serve a hint, so editing them does not rerun the stage. STL files are left out, as measuring takes long.
-    """
-    catalogue = read_dataset_file(of.data / "dataset.toml").catalogue
-    tables = read_indenter_tables(of.workflow, of.data, catalogue)
-    return {
-        name: table
-        for name, table in tables.items()
-        if name not in named and isinstance(table, dict) and table.get("kind") != "stl"
-    }
+def used_tables(of: Layout) -> dict[str, dict]:
+    """Tables of the sensors and indenters that the planned shards use."""
+    tables: dict[str, dict] = {"sensors": {}, "indenters": {}}
+    for shard in of.names():
+        used = read_json(of.used(shard))
+        for kind, table in tables.items():
+            table |= used[kind]
+    return tables
 
 
 def shapes_of(
@@ -136,7 +132,7 @@ def main(args: Namespace) -> None:
     of = args.of
     judged = read_parameters(of.parameters("images")).poses
     seen, shapes = [], None
-    tables = {name: read_json(of.parameters(name)) for name in ("sensors", "indenters")}
+    tables = used_tables(of)
     presses = sorted((one for shard in of.names() for one in read_poses(of.poses(shard))), key=lambda one: one.row)
     if judged.images and judged.judge_images:
         parts = [(part, of.data, tables, of.workflow, of.surfaces) for part in in_chunks(presses)]
@@ -144,7 +140,7 @@ def main(args: Namespace) -> None:
         by_id = {one.sample_id: one for one in presses}
         if seen:
             bodies = bodies_of(presses, tables["indenters"], of.workflow, of.surfaces)
-            shapes = shapes_of(by_id, tables, bodies, shapes_beside(of, bodies.keys()))
+            shapes = shapes_of(by_id, tables, bodies, read_json(of.parameters("spare")))
     elif judged.images:
         for name in sorted({press.sensor_id for press in presses}):
             read_nocontact(of.data, name, sensor_of(SENSOR_TABLES, name, tables["sensors"][name]).image)

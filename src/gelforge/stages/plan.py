@@ -198,7 +198,7 @@ COLUMN_OF = {"sensors": "sensor_id", "indenters": "indenter"}  # of the log, by 
 
 def named(rows: list[RawRow], column: str) -> set[str]:
     """The values that rows of the log have in a column."""
-    return {row.cells.get(column, "").strip() for row in rows}
+    return {row.cells.get(column, "") for row in rows}
 
 
 def inside(data: Path, names: Iterable[str]) -> dict[str, str]:
@@ -259,7 +259,8 @@ def write_parameters(
 ) -> None:
     """Write the parameters of every stage, and the catalogue entries that this dataset uses, without comments.
 
-    calibration: path of the one that labels follow, "" for none.
+    Tables of single networks and of the chart's scenes are written where their folder exists: a rule of make makes the
+    folder for the goals that need them. calibration: path of the one that labels follow, "" for none.
     """
     source = Path(__file__).parent
     for name in STAGES:
@@ -268,12 +269,27 @@ def write_parameters(
     for name, entries in tables.items():
         write_if_changed(out / "params" / f"{name}.json", canonical(entries))
     write_if_changed(out / "params" / "networks.json", canonical(sorted(networks(workflow))))
-    # One file per network, so that a new network retrains no other.
-    for name, table in networks(workflow).items():
-        write_if_changed(out / "params" / "models" / f"{name}.json", canonical({name: table}))
-    for name, table in scenes.items():
-        write_if_changed(out / "params" / "scenes" / f"{name}.json", canonical(table))
     write_if_changed(out / "params" / "scenes.json", canonical([*scenes]))
+    # One file for each, so that a new network retrains no other.
+    for kind, every in (
+        ("models", {name: {name: table} for name, table in networks(workflow).items()}),
+        ("scenes", scenes),
+    ):
+        if (folder := out / "params" / kind).is_dir():
+            for name, table in every.items():
+                write_if_changed(folder / f"{name}.json", canonical(table))
+
+
+def spare(catalogue: dict, bodies: dict) -> dict:
+    """Indenters of the catalogue that no row names: a row with a wrong name may mean one of them (stage 15).
+
+    STL files are left out, because measuring them takes long.
+    """
+    return {
+        name: table
+        for name, table in catalogue.items()
+        if name not in bodies and isinstance(table, dict) and table.get("kind") != "stl"
+    }
 
 
 def used(catalogue: dict, names: set[str]) -> dict:
@@ -340,9 +356,7 @@ def followed(paths: Sequence[str], log: Path) -> list[str]:
 
     Says which others it cannot watch.
     """
-    there = [
-        path for path in dict.fromkeys(paths) if os.access(path, os.F_OK) and not stat.S_ISDIR(os.stat(path).st_mode)
-    ]
+    there = [path for path in dict.fromkeys(paths) if is_there(path)]
     lost = [path for path in there if not _WORD.fullmatch(path)]
     if lost:
         more = f" and {len(lost) - 1} more" if len(lost) > 1 else ""
@@ -352,6 +366,14 @@ def followed(paths: Sequence[str], log: Path) -> list[str]:
     watched = [path for path in there if _WORD.fullmatch(path)]
     folders = {os.path.dirname(path) for path in paths}  # whose date tells of a file that was absent
     return [*watched, *sorted(each for each in folders if _WORD.fullmatch(each) and os.access(each, os.F_OK))]
+
+
+def is_there(path: str) -> bool:
+    """Whether a path is that of something other than a folder."""
+    try:
+        return not stat.S_ISDIR(os.stat(path).st_mode)
+    except (OSError, ValueError):
+        return False
 
 
 def gel_files(workflow: Path) -> list[Path]:
@@ -430,6 +452,7 @@ def main(args: Namespace) -> None:
     tables = {
         "sensors": seen_by,
         "indenters": with_content(bodies, workflow),
+        "spare": spare(indenters, bodies),
         "gels": own_shapes(gels_of(seen_by)),
         "chart": used(sensors, {params.pareto.sensor}),
     }
@@ -447,6 +470,7 @@ def main(args: Namespace) -> None:
         "MESHED_GELS": [] if params.fea.method in IN_PROCESS and not params.fea.verify else logged_gels,
         "CHARTED_GELS": meshable({USUAL_GEL, *gels_of({**tables["chart"], **scenes})}),
         "IMAGES": ["yes"] if pictures and params.poses.images else [],
+        "PARAMETERS": [*STAGES, *tables],  # files that the report shows
         "PLANNED_FROM": followed([*map(str, read)], of.log),
     }
     text = "".join(make_list(name, values) for name, values in lists.items())

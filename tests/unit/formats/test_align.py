@@ -340,7 +340,7 @@ def test_a_bench_becomes_a_log_that_stage_10_takes_whole(tmp_path, capsys, root,
     """Of 41 rows it rejected 12, sideways forces and moments that nobody measured were 0, and negative origins were no number."""
     monkeypatch.chdir(root)
     seconds, dated = (36.0, 1.79e9) if name == "steady" else (62.0, 0.0)  # two presses, or three
-    words = lay_bench(tmp_path, name, seconds, (640, 480) if name == "delayed" else (64, 48), dated)
+    words = lay_bench(tmp_path, name, seconds, (400, 300) if name == "delayed" else (64, 48), dated)
     words += ["--origin", "-120.5,-88.2,-35.4"]
     drawn, save = [], canvas.save_png
     monkeypatch.setattr(canvas, "save_png", lambda path, figure: drawn.append(figure) or save(path, figure))

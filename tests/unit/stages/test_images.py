@@ -12,6 +12,7 @@ from gelforge.records.image import read_image, write_png
 from gelforge.records.log import read_poses
 from gelforge.stages import images
 from gelforge.stages.dataset import wrong_imported
+from gelforge.stages.plan import spare, used
 from tests.support.parameters import write_stage
 
 
@@ -21,15 +22,15 @@ def folder(root, tmp_path):
     of = Layout(tmp_path / "results/demo")
     for name in ("images", "nocontact"):
         shutil.copytree(root / "data/demo" / name, of.data / name)
-    shutil.copy(root / "data/demo/dataset.toml", of.data)
-    write_text(of.workflow / "indenters.toml", (root / "workflow/indenters.toml").read_text())
+    sensors, catalogue = (read_toml(root / "workflow" / f"{name}.toml") for name in ("sensors", "indenters"))
     rows = [row | {"row": at + 2} for at, row in enumerate(read_csv(root / "data/demo/log.csv"))]
     for name, part in (("0000", rows[:24]), ("0001", rows[24:])):
         write_csv(of.poses(name), list(rows[0]), part)
         write_text(of.shard(name), "")
-    for name in ("sensors", "indenters"):
-        write_json(of.parameters(name), read_toml(root / "workflow" / f"{name}.toml"))
-    write_json(of.parameters("gels"), {})
+        bodies = used(catalogue, {row["indenter"] for row in part})
+        write_json(of.used(name), {"sensors": sensors, "indenters": bodies})
+    write_json(of.parameters("sensors"), sensors)
+    write_json(of.parameters("spare"), spare(catalogue, used(catalogue, {row["indenter"] for row in rows})))
     return of.root
 
 
@@ -80,13 +81,16 @@ def test_shifted_images_stop_make_unless_all_are_to_be_used(folder, capsys):
 
 
 def test_an_indenter_that_no_row_names_is_recognised(folder, capsys):
-    of, tables = Layout(folder), read_json(Layout(folder).parameters("indenters"))
-    for name in ("0000", "0001"):
+    of = Layout(folder)
+    others = read_json(of.parameters("spare"))
+    for name in of.names():
         rows = read_csv(of.poses(name))
         named = [row | {"indenter": row["indenter"].replace("triangle_10", "cylinder_8")} for row in rows]
         write_csv(of.poses(name), list(rows[0]), named)
-    del tables["triangle_10"]
-    write_json(of.parameters("indenters"), tables)
+        tables = read_json(of.used(name))
+        others["triangle_10"] = tables["indenters"].pop("triangle_10")
+        write_json(of.used(name), tables)
+    write_json(of.parameters("spare"), others)
     status, said = judge(folder, capsys)
     assert status == 0 and "images of cylinder_8 show the shape of triangle_10" in said
 

@@ -23,7 +23,6 @@ from gelforge.flow.files import DAMAGED, canonical, publish
 from gelforge.geometry.gel import Gel, gel_shape
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.tetmesh import from_flat, mesh_report, orient, signed_volumes
-from gelforge.mechanics.mesh.tetwild import tetrahedralise
 
 EDGE_MM = 2.8  # length of the edges of a base mesh
 # How far pytetwild's mesh may be from the box: the first of the box's diagonal, at most the second of its height.
@@ -72,6 +71,8 @@ def shape_text(gel: Gel) -> str:
 
 def build(gel: Gel) -> BaseMesh:
     """Make the base mesh of a gel, in 1 to 2 s; BadInput if its edges fall too steeply for tetrahedra."""
+    from gelforge.mechanics.mesh.tetwild import tetrahedralise  # only stage 20 builds meshes
+
     began = _seconds()
     half = np.array([gel.width / 2, gel.length / 2])
     low, high = np.array([*-half, -gel.height]), np.array([*half, 0.0])

@@ -15,7 +15,6 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.geometry.gel import load_gel
-from gelforge.mechanics.mesh.basemesh import base_of
 from gelforge.mechanics.mesh.gelmesh import GelMesh
 from gelforge.mechanics.mesh.hexname import HexMeshName, is_hex_mesh_name
 from gelforge.mechanics.mesh.tetmesh import Sizes, bisected, from_flat
@@ -106,6 +105,8 @@ class TetMeshName:
 
     def mesh(self) -> GelMesh:
         """Build the mesh: the base mesh of the gel, bisected at the edge of contact and inside it."""
+        from gelforge.mechanics.mesh.basemesh import base_of  # of presses by CalculiX alone
+
         gel, c = load_gel(self.gel), self.contact
         base = base_of(gel)
         if base.digest != self.base:
