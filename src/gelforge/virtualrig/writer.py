@@ -107,7 +107,9 @@ class Dataset:
         of, presses = self.plan.mountings, self.plan.presses
         truth = {
             "truth": asdict(self.plan.truth),
-            "mountings": {of.name(k): asdict(self.plan.truth_at(k)) for k in range(0, presses, of.presses)} if of else {},
+            "mountings": {of.name(k): asdict(self.plan.truth_at(k)) for k in range(0, presses, of.presses)}
+            if of
+            else {},
             "plan": self.plan.identity(),
             "shapes": shapes,
             "looks": appearances,
