@@ -17,12 +17,12 @@ from tqdm import tqdm
 from gelforge.calibration import emulator as em
 from gelforge.calibration.parameters import FRICTION
 from gelforge.calibration.readings import Readings, slides
-from gelforge.calibration.tilts import ROUNDED_MM, Tilts, feels_tilt, nodes_of, response, rounded, solved_presses
+from gelforge.calibration.tilts import ROUNDED_MM, Tilts, nodes_of, response, rounded, solved_presses
 from gelforge.errors import BadInput, SolveFailed, nearest
 from gelforge.flow.files import record_of, write_json
 from gelforge.flow.jobs import in_slots
 from gelforge.geometry.gel import load_gel
-from gelforge.geometry.solids import Indenter, surface_digest
+from gelforge.geometry.solids import Indenter, feels_tilt, surface_digest
 from gelforge.mechanics.hexsettings import HexSettings
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.path.loadpath import first_touch

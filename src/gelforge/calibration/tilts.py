@@ -13,7 +13,7 @@ import numpy as np
 
 from gelforge.calibration.readings import Readings
 from gelforge.errors import BadInput
-from gelforge.geometry.solids import Indenter
+from gelforge.geometry.solids import Indenter, feels_tilt
 from gelforge.records.press import Press
 
 # Tilts about gel x and y at which a press is solved, degrees. A linear part of the force, beside the gel's apex, is left
@@ -22,16 +22,8 @@ STEP_DEG = 2.0
 NODES = ((0.0, 0.0), (STEP_DEG, 0.0), (0.0, STEP_DEG))
 MOST_FLAT, MOST_ROUND = 6, 2  # presses of a mounting that are solved at tilts
 FEWEST = 2  # straight presses of a mounting, with moments, of a body that feels tilt
-FELT_DEG, FELT_MM = 2.0, 0.03  # a body feels tilt if its lowest point then lies so much below its tip
 ROUNDED_MM = 0.05  # to which the depths of these solves are rounded, so that sessions of the same presses share them
 SHALLOWEST = 0.4  # of the depth that was solved: at less the response is that of this depth
-
-
-def feels_tilt(body: Indenter) -> bool:
-    """Whether tilt changes what a body presses: a flat side or an edge does, a ball does not."""
-    vertices = body.surface()[0]
-    turns = (Press(0, 0, 0, 0, 0, -1, 0.0, *tilt).pose(0.0, 0.0)[0] for tilt in ((FELT_DEG, 0.0), (0.0, FELT_DEG)))
-    return max(-float((vertices @ turn[2]).min()) for turn in turns) > FELT_MM
 
 
 def mountings_of(readings: Readings) -> tuple[str, ...]:

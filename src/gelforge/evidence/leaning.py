@@ -1,66 +1,155 @@
-"""By how much flat bodies lean against the gel, seen in their imprints: one side of the rim is pressed deeper.
+"""By how much a mounting leans against the gel, seen in the images of its flat presses.
 
-A press is compared with the imprints that it would make at a grid of tilts, each moved to where it fits best, so that
-an error of the projection does not look like a tilt. The light of a sensor shows slopes to one side more than to
-another; how much is taken from its round bodies, which do not feel tilt.
+An image shows slopes: each colour changes in proportion to the slope of the gel's surface, by a factor that the light
+decides and that changes across the image. A flat body that leans slopes where it touches, and presses one side of its
+rim deeper. So the colours of all presses of a sensor are fitted at a grid of tilts, balls and flat bodies together, and
+the tilt is the one at which the least is left. Balls roll aside by it, and show what the light does.
 """
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gelforge.evidence.imprints import Seen, displaced
+from gelforge.evidence.imprints import COLS, ROWS, Window
+from gelforge.geometry.solids import Indenter
+from gelforge.labelling.sensor import Sensor
+from gelforge.records.press import Press
 
-GRID_DEG = np.arange(-4.0, 4.1, 1.0)
+LARGEST_DEG = 4.0  # tilts about each axis are searched for up to here
+STEPS_DEG = (
+    2.0,
+    1.0,
+    0.5,
+)  # between the tilts of the first grid, over all of them, and of finer ones, three by three
 FEWEST = 3  # flat presses from which a tilt is said
-LEAST_DEG = 1.0  # least tilt that is said
-SURE = 2.0  # and least tilt over its error
+MOST_FLAT, MOST_ROUND = 8, 4  # presses that are looked at
+LEAST_DEG, SURE = 1.0, 2.0  # least difference from the assumed tilt that is said, and over its error
+# Error about each axis, degrees, however well the presses agree: of the tilts found in sessions of the rig.
+FLOOR_DEG = 0.4
+RIDGE = 1e-6  # of the normal equations: keeps the light's change across an image finite where few presses show it
 
-Expected = Callable[[Seen, tuple[float, float]], np.ndarray]  # expected map at a tilt about gel x and y, degrees
+
+@dataclass(frozen=True)
+class Shaded:
+    """A press as it is fitted: its image's signed change (30, 40, 3), window, indenter and path."""
+
+    change: np.ndarray
+    window: Window
+    body: Indenter
+    press: Press
 
 
 @dataclass(frozen=True)
 class Leaning:
-    """Tilt about gel x and y, (2,) degrees, its standard errors (2,), and from how many presses."""
+    """Tilt about gel x and y, (2,) degrees, and its standard errors (2,)."""
 
     tilt: np.ndarray
     error: np.ndarray
-    presses: int
+
+    def differs(self, assumed: Sequence[float]) -> bool:
+        """Whether it is not the assumed tilt, (2,) degrees."""
+        off = self.tilt - np.asarray(assumed)
+        size = float(np.hypot(*off))
+        return size >= LEAST_DEG and size >= SURE * float(np.hypot(*(self.error * off))) / size
+
+
+def leaning(flat: Sequence[Shaded], others: Sequence[Shaded]) -> Leaning:
+    """Tilt of `flat` presses beside round `others`; its error from leaving out one flat press by one."""
+
+    def at(tilts: np.ndarray) -> list[list[_Normal]]:
+        return [[_normal(one, leant(one.press, x, y)) for one in (*flat, *others)] for x, y in tilts]
+
+    axis = np.arange(-LARGEST_DEG, LARGEST_DEG + STEPS_DEG[0] / 2, STEPS_DEG[0])
+    tilts = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
+    found = tilts[np.argmin([sum(every, _Normal.empty()).left for every in at(tilts)])]
+    for step in STEPS_DEG[1:]:
+        tilts = found + step * NEIGHBOURS
+        grid = at(tilts)
+        found = np.clip(_least(tilts, grid), -LARGEST_DEG, LARGEST_DEG)
+    without = [[every[:k] + every[k + 1 :] for every in grid] for k in range(len(flat))]
+    parts = np.array([_least(tilts, every) for every in without])
+    spread = (len(flat) - 1) / len(flat) * ((parts - parts.mean(axis=0)) ** 2).sum(axis=0)
+    return Leaning(found, np.sqrt(spread + FLOOR_DEG**2))
+
+
+def leant(press: Press, x: float, y: float) -> Press:
+    """The press at another tilt, degrees."""
+    return replace(press, tilt_x_deg=float(x), tilt_y_deg=float(y))
+
+
+def sentence(found: Leaning, assumed: Sequence[float], sensor: Sensor) -> str:
+    """What the images say of a mounting's tilt, degrees, beside the one that labels assume."""
+    x, y = found.tilt - np.asarray(assumed)
+    # turned about x, the side at -y sinks; about y, that at +x
+    ends = np.asarray(sensor.project(np.array([[0.0, 0.0], [y, -x]])))
+    across, down = ends[1] - ends[0]
+    side = ("right" if across > 0 else "left") if abs(across) > abs(down) else ("lower" if down > 0 else "upper")
+    about = [
+        f"about {axis} {tilt:.1f} +- {error:.1f}"
+        for axis, tilt, error in zip("xy", found.tilt, found.error, strict=True)
+    ]
+    return (
+        f"flat bodies touch with their {side} side first: tilt {' and '.join(about)} degrees, labels assume {assumed[0]:.1f} and"
+        f" {assumed[1]:.1f}: set tilt_deg or mounting_tilt_deg in [params.poses], or log mx_nm and my_nm for make calibrate"
+    )
+
+
+@dataclass(frozen=True)
+class _Normal:
+    """Normal equations of the fit: X'X (k, k), X'Y (k, 3) and the sum of squares of Y."""
+
+    xx: np.ndarray
+    xy: np.ndarray
+    yy: float
+
+    @classmethod
+    def empty(cls) -> "_Normal":
+        return cls(np.zeros((TERMS, TERMS)), np.zeros((TERMS, 3)), 0.0)
+
+    def __add__(self, other: "_Normal") -> "_Normal":
+        return _Normal(self.xx + other.xx, self.xy + other.xy, self.yy + other.yy)
 
     @property
-    def said(self) -> bool:
-        """Whether the images show a tilt."""
-        size = float(np.hypot(*self.tilt))
-        error = float(np.hypot(*(self.error * self.tilt)) / size) if size else 0.0
-        return size >= LEAST_DEG and size >= SURE * error
+    def left(self) -> float:
+        """Sum of squares that the best fit leaves."""
+        ridge = RIDGE * np.trace(self.xx) * np.eye(TERMS)
+        return self.yy - float((np.linalg.solve(self.xx + ridge, self.xy) * self.xy).sum())
 
 
-def scores(seen: Seen, expected: Expected) -> np.ndarray:
-    """Largest likeness of a press with its expected imprint at each tilt of the grid, (tilts x, tilts y)."""
-    return np.array([[displaced(seen.measured, expected(seen, (x, y)))[0] for y in GRID_DEG] for x in GRID_DEG])
+TERMS = 8
 
 
-def leaning(found: Sequence[np.ndarray]) -> Leaning:
-    """Tilt at which the `scores` of all presses together are largest; its error from leaving out one by one."""
-    whole = np.array(found)
-    best = _largest(whole.mean(axis=0))
-    if len(whole) < 2:
-        return Leaning(best, np.full(2, np.inf), len(whole))
-    others = np.array([_largest(np.delete(whole, k, axis=0).mean(axis=0)) for k in range(len(whole))])
-    error = np.sqrt((len(whole) - 1) / len(whole) * ((others - others.mean(axis=0)) ** 2).sum(axis=0))
-    return Leaning(best, error, len(whole))
+def _normal(one: Shaded, press: Press) -> _Normal:
+    """Equations of one press; all presses weigh alike.
+
+    Terms: slopes along columns and rows, both also times the place in the image; the contact, which may be brighter or
+    darker as a whole, and the size of the slope, which only darkens.
+    """
+    along, down, contact = one.window.slopes(one.body, press)
+    v, u = np.meshgrid(np.linspace(-1.0, 1.0, ROWS), np.linspace(-1.0, 1.0, COLS), indexing="ij")
+    terms = [along, down, along * u, along * v, down * u, down * v, contact, np.hypot(along, down)]
+    design = np.stack(terms).reshape(TERMS, -1).T.astype(float)
+    change = one.change.reshape(-1, 3) - np.median(one.change.reshape(-1, 3), axis=0)
+    weight = 1.0 / max(float((change**2).sum()), 1e-12)
+    return _Normal(weight * design.T @ design, weight * design.T @ change, 1.0)
 
 
-def _largest(score: np.ndarray) -> np.ndarray:
-    """Where a map over the grid is largest, (2,) degrees, between its points by parabolas."""
-    at = np.array(np.unravel_index(score.argmax(), score.shape))
-    step = GRID_DEG[1] - GRID_DEG[0]
-    place = GRID_DEG[at].astype(float)
-    for axis in (0, 1):
-        k = int(np.clip(at[axis], 1, len(GRID_DEG) - 2))
-        before, middle, after = np.take(score, [k - 1, k, k + 1], axis=axis).take(at[1 - axis], axis=1 - axis)
-        bend = before - 2.0 * middle + after
-        if bend < 0.0:
-            place[axis] = GRID_DEG[k] + step * float(np.clip(0.5 * (before - after) / bend, -1.0, 1.0))
-    return place
+NEIGHBOURS = np.array([[x, y] for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])
+
+
+def _least(tilts: np.ndarray, grid: Sequence[list[_Normal]]) -> np.ndarray:
+    """Where a paraboloid through what is left at tilts (9, 2) is smallest, (2,) degrees, within their square.
+
+    grid: for each tilt, the equations of the presses. A paraboloid without a minimum gives the best of the tilts.
+    """
+    left = np.array([sum(every, _Normal.empty()).left for every in grid])
+    middle, step = tilts.mean(axis=0), np.ptp(tilts, axis=0) / 2.0
+    x, y = ((tilts - middle) / step).T
+    _, gx, gy, xx, yy, xy = np.linalg.lstsq(
+        np.column_stack([np.ones_like(x), x, y, x * x, y * y, x * y]), left, rcond=None
+    )[0]
+    bend = np.array([[2.0 * xx, xy], [xy, 2.0 * yy]])
+    if np.linalg.eigvalsh(bend).min() <= 0.0:
+        return tilts[left.argmin()]
+    return middle + step * np.clip(np.linalg.solve(bend, [-gx, -gy]), -1.0, 1.0)

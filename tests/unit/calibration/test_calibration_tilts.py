@@ -14,7 +14,6 @@ from gelforge.calibration.tilts import (
     NODES,
     Tilts,
     centre_fault,
-    feels_tilt,
     response,
     solved_presses,
     tilted_mountings,
@@ -44,10 +43,6 @@ def responses(n, flat=True) -> Tilts:
     moved = np.tile([[0.0, 0.3], [-0.3, 0.0]], (n, 1, 1)) if flat else np.tile([[0.0, 0.1], [-0.1, 0.0]], (n, 1, 1))
     force = np.full((n, 2), 0.0025 if flat else 0.0)
     return Tilts(np.full(n, 0.6), np.full(n, flat), force, np.zeros((n, 2)), moved)
-
-
-def test_a_flat_body_feels_tilt_and_a_ball_does_not():
-    assert feels_tilt(BLOCK) and not feels_tilt(BALL)
 
 
 def test_responses_are_those_of_the_solves_and_follow_depth():
