@@ -265,6 +265,14 @@ def emulate(
     return readings, emulator, {**spent, "unsolved": unsolved}
 
 
+def by_tilt(done: Calibration) -> dict[str, float]:
+    """Change of force per square degree of tilt, relative, of the indenters whose presses were solved at tilts."""
+    tilts, names = done.posterior.emulator.tilts, done.readings.indenters
+    if tilts is None:
+        return {}
+    return {str(name): float(np.abs(tilts.force[names == name]).max()) for name in np.unique(names)}
+
+
 def say_spent(spent: dict) -> str:
     """One line on the solves behind a result."""
     text = f"{spent['total']} finite element solves, {spent['new']} of them new"
@@ -319,7 +327,7 @@ def calibrated_log(of: Layout, read: StageParameters, folder: Path, jobs: int) -
     draw_plots(done, folder)
     result = summarise(done, params, seen)
     stated = {name: list(tilt) for name, tilt in read.poses.mounting_tilt_deg.items()}
-    result["bench"]["stated_tilt_deg"] = stated
+    result["bench"] |= {"stated_tilt_deg": stated, "by_tilt": by_tilt(done)}
     result["solves_spent"] = spent
     result["presses_logged"] = len(logged)
     said = [f"note: {line}" if line in seen else line for line in result["sentences"]]
