@@ -31,7 +31,8 @@ from gelforge.records.log import read_log, read_presses
 from gelforge.records.press import LoggedPress
 from gelforge.records.table import read_table
 from gelforge.stages import calibrate, fea, images, poses, rig
-from tests.support.figures import Figure, publish_figures
+from tests.benchmarks.parts.leant import wide_tilts
+from tests.support.figures import PUBLISHED_DATA, Figure, publish_figures
 
 PRESSES = 12
 HEAD = """dataset = "{name}"
@@ -229,6 +230,18 @@ def bench_figures(found: list[dict]) -> list[Figure]:
     ]  # fmt: skip
 
 
+def feats_figures() -> list[Figure]:
+    """FEATS' wide presses: one bench, whose tilt about x by hand is 2 to 3 degrees in each."""
+    tilts = np.array(list(wide_tilts(PUBLISHED_DATA).values()))[:, 0]
+    common = np.sign(np.median(tilts))
+    alike, sized = (np.sign(tilts) == common).mean(), ((np.abs(tilts) >= 1.5) & (np.abs(tilts) <= 3.5)).mean()
+    note = f"{len(tilts)} presses; median {np.median(tilts):.1f} degrees"
+    return [
+        Figure("FEATS' wide presses, tilt of one sign by images", 100 * alike, ">=", 100, "%", note),
+        Figure("FEATS' wide presses, tilt of 1.5 to 3.5 degrees by images", 100 * sized, ">=", 80, "%"),
+    ]
+
+
 @command(
     option("--out", type=Path),
     option("--jobs", type=int, default=1),
@@ -264,6 +277,8 @@ def main(args: Namespace) -> None:
             f"{accused} of {len(said)}",
         )
     )
+    if PUBLISHED_DATA.exists():
+        figures += feats_figures()
     publish_figures(args.out, figures)
 
 

@@ -57,18 +57,18 @@ class Leaning:
 def leaning(flat: Sequence[Shaded], others: Sequence[Shaded]) -> Leaning:
     """Tilt of `flat` presses beside round `others`; its error from leaving out one flat press by one."""
 
-    def at(tilts: np.ndarray) -> list[list[_Normal]]:
-        return [[_normal(one, leant(one.press, x, y)) for one in (*flat, *others)] for x, y in tilts]
+    def at(tilts: np.ndarray) -> list[list[Equations]]:
+        return [[equations(one, leant(one.press, x, y)) for one in (*flat, *others)] for x, y in tilts]
 
     axis = np.arange(-LARGEST_DEG, LARGEST_DEG + STEPS_DEG[0] / 2, STEPS_DEG[0])
     tilts = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
-    found = tilts[np.argmin([sum(every, _Normal.empty()).left for every in at(tilts)])]
+    found = tilts[np.argmin([sum(every, Equations.empty()).left for every in at(tilts)])]
     for step in STEPS_DEG[1:]:
         tilts = found + step * NEIGHBOURS
         grid = at(tilts)
-        found = np.clip(_least(tilts, grid), -LARGEST_DEG, LARGEST_DEG)
+        found = np.clip(least_left(tilts, grid), -LARGEST_DEG, LARGEST_DEG)
     without = [[every[:k] + every[k + 1 :] for every in grid] for k in range(len(flat))]
-    parts = np.array([_least(tilts, every) for every in without])
+    parts = np.array([least_left(tilts, every) for every in without])
     spread = (len(flat) - 1) / len(flat) * ((parts - parts.mean(axis=0)) ** 2).sum(axis=0)
     return Leaning(found, np.sqrt(spread + FLOOR_DEG**2))
 
@@ -96,7 +96,7 @@ def sentence(found: Leaning, assumed: Sequence[float], sensor: Sensor) -> str:
 
 
 @dataclass(frozen=True)
-class _Normal:
+class Equations:
     """Normal equations of the fit: X'X (k, k), X'Y (k, 3) and the sum of squares of Y."""
 
     xx: np.ndarray
@@ -104,11 +104,11 @@ class _Normal:
     yy: float
 
     @classmethod
-    def empty(cls) -> "_Normal":
+    def empty(cls) -> "Equations":
         return cls(np.zeros((TERMS, TERMS)), np.zeros((TERMS, 3)), 0.0)
 
-    def __add__(self, other: "_Normal") -> "_Normal":
-        return _Normal(self.xx + other.xx, self.xy + other.xy, self.yy + other.yy)
+    def __add__(self, other: "Equations") -> "Equations":
+        return Equations(self.xx + other.xx, self.xy + other.xy, self.yy + other.yy)
 
     @property
     def left(self) -> float:
@@ -120,7 +120,7 @@ class _Normal:
 TERMS = 8
 
 
-def _normal(one: Shaded, press: Press) -> _Normal:
+def equations(one: Shaded, press: Press) -> Equations:
     """Equations of one press; all presses weigh alike.
 
     Terms: slopes along columns and rows, both also times the place in the image; the contact, which may be brighter or
@@ -132,18 +132,18 @@ def _normal(one: Shaded, press: Press) -> _Normal:
     design = np.stack(terms).reshape(TERMS, -1).T.astype(float)
     change = one.change.reshape(-1, 3) - np.median(one.change.reshape(-1, 3), axis=0)
     weight = 1.0 / max(float((change**2).sum()), 1e-12)
-    return _Normal(weight * design.T @ design, weight * design.T @ change, 1.0)
+    return Equations(weight * design.T @ design, weight * design.T @ change, 1.0)
 
 
 NEIGHBOURS = np.array([[x, y] for x in (-1.0, 0.0, 1.0) for y in (-1.0, 0.0, 1.0)])
 
 
-def _least(tilts: np.ndarray, grid: Sequence[list[_Normal]]) -> np.ndarray:
+def least_left(tilts: np.ndarray, grid: Sequence[list[Equations]]) -> np.ndarray:
     """Where a paraboloid through what is left at tilts (9, 2) is smallest, (2,) degrees, within their square.
 
     grid: for each tilt, the equations of the presses. A paraboloid without a minimum gives the best of the tilts.
     """
-    left = np.array([sum(every, _Normal.empty()).left for every in grid])
+    left = np.array([sum(every, Equations.empty()).left for every in grid])
     middle, step = tilts.mean(axis=0), np.ptp(tilts, axis=0) / 2.0
     x, y = ((tilts - middle) / step).T
     _, gx, gy, xx, yy, xy = np.linalg.lstsq(
