@@ -4,7 +4,7 @@ The light is fitted to all presses of the unit together; a press' own depth and 
 of all.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -37,8 +37,8 @@ class Fitted:
     at: Place = (0.7, 0.0, 0.0)
 
     def equations(self, depth: float, x: float, y: float) -> Equations:
-        press = leant(self.shaded.press, x, y)
-        return equations(self.shaded, Press(press.x0, press.y0, 0.0, 0.0, 0.0, -depth, press.rot_deg, x, y))
+        upright = replace(self.shaded.press, dz=-depth)
+        return equations(replace(self.shaded, press=upright), leant(upright, x, y))
 
 
 def fitted_presses(reference: Path) -> list[Fitted]:
