@@ -291,7 +291,7 @@ def logged_readings(of: Layout, read: StageParameters, bodies: Bodies) -> Readin
     rows = [row for shard in of.names() for row in read_shard(of.shard(shard))]
     rows.sort(key=lambda row: row.row)
     nothing = dict.fromkeys(("touch_offset_mm", "compliance_mm_per_n", "shear_compliance_mm_per_n"), 0.0)
-    checks = altered(read.poses, **nothing, images=False)
+    checks = altered(read.poses, **nothing, mounting_touch_offset_mm={}, images=False)
     tables = {"sensors": sensors, "indenters": bodies.catalogue}
     _, rejected = judge(rows, log, of.data, tables, checks, bodies)
     gels = {name: sensor.gel for name, sensor in load_sensors(of.parameters("sensors")).items()}
