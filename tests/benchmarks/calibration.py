@@ -41,6 +41,7 @@ from gelforge.mechanics.hexsettings import HexSettings, quality
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.stages import calibrate as stage
 from gelforge.stages.fea import VERSION as SOLVER_VERSION
+from tests.support.calibration_law import one_mounting
 from tests.support.figures import Figure, publish_figures, table
 from tests.support.sandbox import make
 
@@ -76,7 +77,7 @@ def design() -> Readings:
     names, poses = np.array([name for name, _ in rows]), np.array([pose for _, pose in rows])
     ids = np.array([f"synthetic-{i:02d}" for i in range(n)])
     force, gels = np.full((n, 3), np.nan), np.array([USUAL_GEL] * n)
-    return Readings("synthetic", np.arange(2, n + 2), ids, names, poses, force, gels)
+    return Readings("synthetic", np.arange(2, n + 2), ids, names, poses, force, gels, *one_mounting(n))
 
 
 def rig_meshes() -> list[tuple[HexSettings, str]]:
@@ -203,6 +204,7 @@ def held_out(
     model = make_model(params, "no_slip", np.unique(readings.indenters).tolist())
     values = {name: np.zeros(1) for name in model.values(model.coordinates(np.full((1, len(model.free)), 0.5)))}
     values |= {"c10": np.array([REFERENCE_C10]), "indenter": np.zeros((1, len(model.indenters)))}
+    values |= {"touch": np.zeros((1, 1)), "tilt": np.zeros((1, 1, 2))}
     without = emulator.forces(readings.depth, values | {"mu": np.array([np.inf])})[0][0]
     yielded = HELD_COMPLIANCE * np.abs(without[:, 2])
     cases = [(mu, np.round(readings.depth - yielded + offset, 2)) for mu, offset in HELD]

@@ -26,7 +26,7 @@ from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvers.hex import solve_hex
 from gelforge.records.press import POSE, TILT, Press
 from gelforge.records.status import Status
-from tests.support.calibration_law import true_values
+from tests.support.calibration_law import one_mounting, true_values
 from tests.support.parameters import parameters
 
 SETTINGS = HexSettings(size=1.2, layers=3, press_steps=8, shear_steps=3, final_tolerance=1e-7)
@@ -55,6 +55,7 @@ def presses(*poses) -> Readings:
         np.hstack([np.array(poses, float), np.zeros((n, len(TILT)))]),
         force,
         gels,
+        *one_mounting(n),
     )
 
 

@@ -11,7 +11,7 @@ from gelforge.geometry.indenters import build
 from gelforge.mechanics.hexsettings import quality
 from gelforge.records.press import POSE, TILT
 from gelforge.stages.calibrate import solver_settings
-from tests.support.calibration_law import true_values
+from tests.support.calibration_law import one_mounting, true_values
 from tests.support.parameters import parameters
 
 # A ball of 4 mm pressed into the flat gel of a DIGIT, 2 mm thick: commanded depth (mm) and normal force (N).
@@ -29,7 +29,9 @@ def test_a_ball_on_a_thin_pad_is_as_stiff_as_measured(root, tmp_path, monkeypatc
     pose[:, 5] = -DEPTH
     names, gels = np.array(["ball"] * len(DEPTH)), np.array(["flat_2mm"] * len(DEPTH))
     force = np.column_stack([np.full((len(DEPTH), 2), np.nan), -FORCE])
-    readings = Readings("published", np.arange(len(DEPTH)), names, names, pose, force, gels)
+    readings = Readings(
+        "published", np.arange(len(DEPTH)), names, names, pose, force, gels, *one_mounting(len(DEPTH))
+    )
     ball = {"ball": build("ball", {"kind": "sphere", "diameter": 4.0, "height": 2.0})}
     table = parameters()
     coarse = replace(solver_settings(table.calibrate.solver), size=SIZE, press_steps=PRESS_STEPS)

@@ -5,6 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from gelforge.calibration.solves import centre_of
+from gelforge.calibration.tilts import NODES, Tilts, response
 from gelforge.geometry import touch
 from gelforge.geometry.indenters import build
 from gelforge.geometry.sampled import Sampled
@@ -87,3 +89,27 @@ def test_first_touch_of_a_tilted_flat_body_is_where_its_lowest_edge_meets_the_ge
     press = below_touch(CUBOID, Press(0.0, 0.0, 0.0, 0.0, 0.0, -0.4, 0.0, *tilt), 0.4)
     start = touch.first_touch(PAD, CUBOID, press)
     assert start is not None and abs(start * press.dz) < 0.02
+
+
+def end_of(body, press: Press) -> dict:
+    found = DRAFT.solve(Scene(PAD, Material(0.475), body, press, Interface()))
+    assert found.status.valid, found.evidence
+    return {"end": found.total, "centre": centre_of(found)}
+
+
+@pytest.mark.parametrize(("body", "flat"), [(CUBOID, True), (BALL, False)], ids=["block", "ball"])
+def test_three_solves_tell_force_and_centre_at_another_tilt_and_depth(body, flat):
+    """Of a block and of a ball, which rolls aside by its radius times the tilt."""
+    press = Press(0.0, 0.0, 0.0, 0.0, 0.0, -0.5, 10.0)
+    ends = [end_of(body, replace(press, tilt_x_deg=x, tilt_y_deg=y)) for x, y in NODES]
+    force, centre, moved = response(ends)
+    tilts = Tilts(np.array([0.5]), np.array([flat]), force[None] * flat, centre[None], moved[None])
+    tilt, depth = np.array([[[1.5, -1.0]]]), np.array([[0.6]])
+    upright, leant = (
+        end_of(body, replace(press, dz=-0.6, tilt_x_deg=x, tilt_y_deg=y)) for x, y in ((0.0, 0.0), tilt[0, 0])
+    )
+    # the linear part of the force and the third power of tilt are left out
+    assert leant["end"][2] / upright["end"][2] == pytest.approx(tilts.factor(tilt, depth)[0, 0], abs=0.01)
+    assert leant["centre"] == pytest.approx(tilts.centres(tilt, depth)[0, 0], abs=0.04)
+    if not flat:
+        assert moved == pytest.approx(6.0 * np.deg2rad([[0.0, 1.0], [-1.0, 0.0]]), abs=0.02)

@@ -64,13 +64,20 @@ def make_readings(depth, force, sheared=False) -> Readings:
     full = np.full((n, 3), np.nan)
     full[:, 2] = force
     return Readings(
-        "log.csv", np.arange(2, n + 2), ids, np.array(["sphere_15"] * n), pose, full, np.array([USUAL_GEL] * n)
-    )
+        "log.csv", np.arange(2, n + 2), ids, np.array(["sphere_15"] * n), pose, full, np.array([USUAL_GEL] * n),
+        *one_mounting(n),
+    )  # fmt: skip
+
+
+def one_mounting(n: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Mountings, moments and whether the tilt is stated, of n presses on one mounting without moments."""
+    return np.array([""] * n), np.full((n, 2), np.nan), np.zeros(n, bool)
 
 
 def true_values(**changes) -> dict:
     values = {name: np.array([value]) for name, value in {**TRUTH, **changes}.items()}
-    return {**values, "indenter": np.zeros((1, 1))}
+    shared = {"indenter": np.zeros((1, 1)), "touch": values["offset"][:, None], "tilt": np.zeros((1, 1, 2))}
+    return {**values, **shared}
 
 
 def law_posterior(rng, depth, stiffness=None, law="coulomb", noise=0.03, **truth) -> Posterior:
@@ -112,7 +119,7 @@ def law_session(seed=0, presses=24, noise=0.03, **truth) -> tuple[Readings, Emul
     force = emulator.forces(depth, values)[0][0] + noise * rng.standard_normal((presses, 3))
     ids = np.array([f"p{k:03d}" for k in range(presses)])
     rows, gels = np.arange(2, presses + 2), np.array([USUAL_GEL] * presses)
-    return Readings("log.csv", rows, ids, names, pose, force, gels), emulator
+    return Readings("log.csv", rows, ids, names, pose, force, gels, *one_mounting(presses)), emulator
 
 
 __all__ = [
@@ -123,5 +130,6 @@ __all__ = [
     "law_session",
     "make_readings",
     "normal_force",
+    "one_mounting",
     "true_values",
 ]

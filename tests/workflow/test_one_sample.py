@@ -34,7 +34,7 @@ def scaled_by_the_calibrated_material(project, first):
         "calibrate/summary.json" in make(project, "-n", "DATASET=tiny", "sample", f"ID={first}").stdout
     )  # made first
     summary = {"c10": {"median": 0.145, "interval68": [0.14, 0.15], "interval95": [0.13, 0.16]}, "parameters": {},
-               "bench": {"offset": 0.0, "compliance": 0.0, "shear_compliance": 0.0}, "law": "no_slip", "used": []}  # fmt: skip
+               "bench": {"offset": 0.0, "compliance": 0.0, "shear_compliance": 0.0, "mountings": {"": {"offset": 0.0}}, "stated_tilt_deg": {}}, "law": "no_slip", "used": []}  # fmt: skip
     write_json(project / "results/tiny/calibrate/summary.json", summary)
     say(project, "sample", f"ID={first}")
     np.testing.assert_allclose(ForceFile(sample).force, 2.0 * plain, rtol=1e-6)

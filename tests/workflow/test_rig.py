@@ -72,6 +72,23 @@ def test_one_press_seen_by_two_sensors_is_carried_out_once(tmp_path):
     assert len(list((data / "truth" / "surfaces").iterdir())) == 1
 
 
+def test_a_flat_press_on_a_tilted_mounting_pushes_beside_its_tip(tmp_path):
+    """Two mountings that lean otherwise: the log names them, and its moments show on which side each touches."""
+    table = "[mountings]\npresses = 1\ntilt_deg = [2, 3]\ntouch_offset_mm = [-0.1, -0.05]\n\n[truth]"
+    plan = plan_of(tmp_path, 2, ("[truth]", table), ('"sphere_10"', '"cuboid_10"'), ("[0.0, 0.4]", "[0.0, 0.0]"))
+    data = run(plan, tmp_path / "data", ROOT / "workflow")
+    log, truth = read_presses(data / "log.csv"), read_csv(data / "truth" / "presses.csv")
+    assert [press.mounting for press in log] == ["mounting_01", "mounting_02"]
+    drawn = read_json(data / "truth" / "truth.json")["mountings"]
+    for press, true in zip(log, truth, strict=True):
+        tilt = np.array([float(true["tilt_x_deg"]), float(true["tilt_y_deg"])])
+        np.testing.assert_allclose(tilt, drawn[press.mounting]["tilt_deg"], atol=1e-4)
+        assert press.tilt == (0.0, 0.0)  # the log does not know it
+        pushed = np.array([-press.my_nm, press.mx_nm]) / press.fz_n * 1e3 - [press.x0_mm, press.y0_mm]
+        lower = np.array([tilt[1], -tilt[0]])  # about y, the side at +x sinks; about x, the side at -y
+        assert pushed @ lower / np.hypot(*lower) > 0.1
+
+
 @pytest.mark.parametrize("friction", [0.0, pytest.param(0.7, marks=pytest.mark.slow)])
 def test_the_moments_of_a_press_are_frames_of_one_path_at_little_more_than_its_price(two, tmp_path, friction):
     """Six frames: rows that belong together, forces that grow, each with its own picture; the last is the press alone."""

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import PchipInterpolator, interp1d
 
+from gelforge.calibration.tilts import Tilts
 from gelforge.errors import BadInput
 from gelforge.mechanics.material import REFERENCE_C10
 
@@ -46,13 +47,16 @@ class Emulator:
     """Tables for n presses.
 
     table: (n, FRICTIONS, DEPTHS, 3) N at REFERENCE_C10. top: (n,) mm, deepest tabulated depth.
-    group: (n,) index of each press's indenter. travel: (n,) mm, sideways.
+    group: (n,) index of each press's indenter. travel: (n,) mm, sideways. mounting: (n,) index of its mounting; None:
+    all are of one. tilts: responses to tilt; None: no mounting's tilt is a parameter.
     """
 
     table: np.ndarray
     top: np.ndarray
     group: np.ndarray
     travel: np.ndarray
+    mounting: np.ndarray | None = None
+    tilts: Tilts | None = None
 
     def forces(self, depth, values: dict) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Forces (w, n, 3) N, slopes (w, n, 3) N per mm, and effective depths (w, n) mm, for w parameter sets.
@@ -60,19 +64,37 @@ class Emulator:
         depth: (n,) commanded depth, mm. values: arrays (w,) by name (parameters.NAMES). The
         effective depth is commanded + offset - compliance * |normal force|, solved exactly; slopes
         are with respect to the commanded depth. Beyond the table the last slope is extrapolated. Sideways, the frame
-        takes shear_compliance * |sideways force| of the travel.
+        takes shear_compliance * |sideways force| of the travel. Tilt changes all components alike, by the factor at the
+        depth that the press has without it: the difference of both is compliance times what tilt takes of the force.
         """
         from gelforge.calibration.kernel import Walkers, evaluate
 
         error = np.exp(values["discretisation"][:, None] + values["indenter"][:, self.group])
         scale = values["c10"][:, None] / REFERENCE_C10 * error
         axis = friction_axis(values["mu"]) * (FRICTIONS - 1)
-        walkers = Walkers(scale, values["offset"], values["compliance"], values["shear_compliance"], axis)
+        offset, tilt = (self._of_press(values[name]) for name in ("touch", "tilt"))
+        walkers = Walkers(scale, offset, values["compliance"], values["shear_compliance"], axis)
+        found = evaluate(self.table, self.top, np.asarray(depth, float), self.travel, walkers)
+        if self.tilts is None or not tilt.any():
+            return found
+        walkers = walkers._replace(scale=scale * self.tilts.factor(tilt, found[2]))
         return evaluate(self.table, self.top, np.asarray(depth, float), self.travel, walkers)
+
+    def centres(self, depth, values: dict) -> np.ndarray:
+        """Centre of the force on the gel, (w, n, 2) mm, at effective depths (w, n) mm; nan where it is not known."""
+        assert self.tilts is not None, "an emulator without tilts"
+        return self.tilts.centres(self._of_press(values["tilt"]), depth)
+
+    def _of_press(self, values: np.ndarray) -> np.ndarray:
+        """Values (w, mountings, ...) for each press, (w, n, ...)."""
+        index = np.zeros(len(self.top), int) if self.mounting is None else self.mounting
+        return np.ascontiguousarray(values[:, index])
 
     def take(self, rows) -> "Emulator":
         """The emulator of some of the presses."""
-        return Emulator(self.table[rows], self.top[rows], self.group[rows], self.travel[rows])
+        mounting = None if self.mounting is None else self.mounting[rows]
+        tilts = None if self.tilts is None else self.tilts.take(rows)
+        return Emulator(self.table[rows], self.top[rows], self.group[rows], self.travel[rows], mounting, tilts)
 
 
 def curve_table(curve: Curve, top: float) -> np.ndarray:

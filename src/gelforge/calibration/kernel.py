@@ -9,7 +9,7 @@ LEAST_WAY = 1e-6  # least fraction of the travel that is left
 
 
 class Walkers(NamedTuple):
-    """Values of w walkers: scale (w, n) of forces, friction (w,) in grid steps, others (w,) in mm and mm/N."""
+    """Values of w walkers: scale (w, n) of forces, offset (w, n) mm, friction (w,) in grid steps, others (w,) in mm/N."""
 
     scale: np.ndarray
     offset: np.ndarray
@@ -118,7 +118,7 @@ def evaluate(table, top, depth, travel, of):
     coefficient: under Coulomb's law it scales with both if these are scaled alike (Cattaneo 1938, Mindlin 1949), so
     its exponent in travel is 1 minus that in friction.
     """
-    walkers, presses = of.offset.size, depth.size
+    walkers, presses = of.offset.shape
     forces = np.zeros((walkers, presses, 3))
     slopes = np.zeros((walkers, presses, 3))
     depths = np.zeros((walkers, presses))

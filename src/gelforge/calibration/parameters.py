@@ -1,5 +1,6 @@
 """Parameters of the calibration and their priors."""
 
+from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, ClassVar
@@ -12,7 +13,10 @@ from gelforge.flow.tables import CalibrateTable, PriorTable
 from gelforge.mechanics.contact.law import Frictionless, NoSlip
 
 TARE = ("tare_x", "tare_y", "tare_z")
+TILT = ("tilt_x", "tilt_y")
+ORIGIN = ("origin_x", "origin_y")
 NAMES = ("c10", "offset", "compliance", "shear_compliance", "mu", *TARE, "noise", "scatter", "discretisation")
+MOMENTS = (*ORIGIN, "moment_noise")  # that only the centres of forces determine
 SIDEWAYS = ("shear_compliance", "tare_x", "tare_y")  # that only sideways forces determine
 LABELS = {
     "c10": "C10 (MPa)",
@@ -26,6 +30,11 @@ LABELS = {
     "noise": "noise (N)",
     "scatter": "touch scatter (mm)",
     "discretisation": "ln of scale, all forces",
+    "tilt_x": "tilt about x (degrees)",
+    "tilt_y": "tilt about y (degrees)",
+    "origin_x": "origin of the moments along x (mm)",
+    "origin_y": "origin of the moments along y (mm)",
+    "moment_noise": "noise of the moments (N mm)",
 }
 FRICTION = {Frictionless.name: 0.0, NoSlip.name: np.inf}  # coefficient that a law implies; Coulomb's is a parameter
 # Distributions of scipy.stats by kind of prior, from the numbers of its table.
@@ -44,6 +53,7 @@ CHECK = {
     "mu": "check dx_mm, dy_mm and the sideways forces",
     "discretisation": "check the unit of the forces",
     "indenter": "check this indenter's size and rot_deg",
+    "tilt": "check how the sensor is mounted, and the signs of mx_nm and my_nm",
 }
 # A median in a tail of its prior, on either side, with less than this probability is unusual: for a cauchy prior,
 # more than five spreads away.
@@ -109,13 +119,16 @@ class BenchModel:
     """An interface law, and which parameters are free.
 
     free: {name: Prior} in the order of NAMES, then "scale of INDENTER" if several indenters
-    are used. fixed: {name: value} of all others. indenters: names in the order of Emulator.group.
+    are used. fixed: {name: value} of all others. indenters: names in the order of Emulator.group. mountings: names in
+    the order of Emulator.mounting; with several of them, each has a parameter "offset of MOUNTING" and, if its tilt is
+    found, "tilt_x of MOUNTING" and "tilt_y of MOUNTING".
     """
 
     law: str
     free: dict[str, Prior]
     fixed: dict[str, float]
     indenters: tuple[str, ...] = ()
+    mountings: tuple[str, ...] = ("",)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -162,7 +175,7 @@ class BenchModel:
             prior = self.free[name]
             tail = BEYOND.get(prior.kind, BEYOND_OTHERS)
             low, high = (float(v) for v in prior.law.ppf([tail, 1.0 - tail]))
-            key = "indenter" if name.startswith("scale of ") else name
+            key = prior_name(name)
             if key in CHECK and not low <= value <= high:
                 said.append(
                     f"The {label_of(name)} is {value:.3g}, outside of what its prior expects ({low:.3g} to {high:.3g}): "
@@ -171,25 +184,51 @@ class BenchModel:
         return said
 
     def values(self, coordinates) -> dict[str, np.ndarray]:
-        """Every parameter as an array (w,) from coordinates (w, free), and `indenter`, (w, indenters)."""
+        """Every parameter as an array (w,) from coordinates (w, free), and those that several presses share.
+
+        `indenter`: (w, indenters), logarithms of factors. `touch`: (w, mountings), mm. `tilt`: (w, mountings, 2), degrees.
+        """
         coordinates = np.atleast_2d(coordinates)
         values = {name: np.full(len(coordinates), value) for name, value in self.fixed.items()}
         values |= zip(self.free, self._between(coordinates, self._tables[1]).T, strict=True)
         none = np.zeros(len(coordinates))
         scales = [values.get(f"scale of {name}", none) for name in self.indenters] or [none]
-        return {**values, "indenter": np.stack(scales, axis=1)}
+        touch = [values[self.of("offset", name)] for name in self.mountings]
+        tilt = [[values.get(self.of(axis, name), none) for axis in TILT] for name in self.mountings]
+        return {
+            **values,
+            "indenter": np.stack(scales, axis=1),
+            "touch": np.stack(touch, axis=1),
+            "tilt": np.moveaxis(np.array(tilt), 2, 0),
+        }
+
+    def of(self, name: str, mounting: str) -> str:
+        """Name of a parameter of a mounting."""
+        return name if len(self.mountings) == 1 else f"{name} of {mounting}"
 
 
-def make_model(params: CalibrateTable, law: str, indenters=(), sideways: bool = True) -> BenchModel:
+def make_model(
+    params: CalibrateTable,
+    law: str,
+    indenters=(),
+    sideways: bool = True,
+    mountings: tuple[str, ...] = ("",),
+    tilted: Collection[str] = (),
+) -> BenchModel:
     """Model of `law` from the table [calibrate].
 
     A parameter is free unless its prior says `free = false`; then it stays at `fixed`. Several
     indenters get a scale each, with the prior `indenter`. sideways: whether sideways forces are used; if not, the
-    parameters that only they determine (SIDEWAYS) are fixed at 0.
+    parameters that only they determine (SIDEWAYS) are fixed at 0. tilted: the mountings whose tilt is free.
     """
-    free, fixed = {}, {}
-    for name in NAMES:
-        table = params.priors.tare if name in TARE else getattr(params.priors, name)
+    free: dict[str, Prior] = {}
+    fixed: dict[str, float] = {}
+    model = BenchModel(law, free, fixed, tuple(indenters), tuple(mountings))
+    of_mountings = [model.of("offset", name) for name in mountings]
+    of_mountings += [model.of(axis, name) for name in mountings if name in tilted for axis in TILT]
+    shared = [name for name in NAMES if name != "offset"]
+    for name in ["c10", *of_mountings, *shared[1:], *(MOMENTS if tilted else ())]:
+        table = getattr(params.priors, prior_name(name))
         if name == "mu" and law in FRICTION:
             fixed[name] = FRICTION[law]
         elif not sideways and name in SIDEWAYS:
@@ -201,9 +240,21 @@ def make_model(params: CalibrateTable, law: str, indenters=(), sideways: bool = 
     if len(indenters) > 1 and params.priors.indenter.free is not False:
         prior = prior_of(params.priors.indenter)
         free.update({f"scale of {name}": prior for name in indenters})
-    return BenchModel(law, free, fixed, tuple(indenters))
+    return model
+
+
+def prior_name(name: str) -> str:
+    """Name of a parameter's table in [calibrate.priors]."""
+    if name.startswith("scale of "):
+        return "indenter"
+    kind = name.split(" of ", maxsplit=1)[0]
+    shared = ((TARE, "tare"), (TILT, "tilt"), (ORIGIN, "origin"))
+    return next((table for names, table in shared if kind in names), kind)
 
 
 def label_of(name: str) -> str:
     """Name of a parameter for people, with its unit."""
+    kind, _, mounting = name.partition(" of ")
+    if mounting and kind in LABELS:
+        return f"{LABELS[kind]} of {mounting}"
     return LABELS.get(name, name.replace("scale of ", "ln of scale, "))

@@ -6,13 +6,14 @@ import numpy as np
 from scipy.special import gammaln
 
 from gelforge.calibration.emulator import Emulator
-from gelforge.calibration.parameters import TARE, BenchModel
+from gelforge.calibration.parameters import ORIGIN, TARE, BenchModel
 
 # Relative errors of emulated forces from press to press, measured by solves on fine hexahedra at other friction and
 # depth (make benchmark-calibration): of all components, of sideways forces in addition, and of the normal force for
 # presses that hardly move sideways. Without them 0.1 % of a large force would decide friction.
 ERROR = 0.01
 SIDEWAYS_ERROR, SIDEWAYS_ERROR_OF_NORMAL = 0.03, 0.002
+CENTRE_ERROR = 0.05  # mm, of the emulated centre of a force
 ERRORS = np.array([ERROR, SIDEWAYS_ERROR, SIDEWAYS_ERROR_OF_NORMAL])
 
 
@@ -21,7 +22,8 @@ class Posterior:
     """Readings, emulator and model.
 
     depth: (n,) commanded, mm. observed: (n, 3) N on the gel, nan where a component is not used.
-    tail: degrees of freedom of Student's t, the robust likelihood (Lange, Little, Taylor 1989).
+    tail: degrees of freedom of Student's t, the robust likelihood (Lange, Little, Taylor 1989). centre: (n, 2) mm, where
+    the moments put the force of a press, nan where that is not used; None: of no press.
     """
 
     emulator: Emulator
@@ -29,6 +31,7 @@ class Posterior:
     depth: np.ndarray
     observed: np.ndarray
     tail: float
+    centre: np.ndarray | None = None
 
     def predict(self, coordinates) -> tuple[np.ndarray, np.ndarray]:
         """Noise-free readings and scale of each one's likelihood, each (w, n, 3) N.
@@ -55,12 +58,28 @@ class Posterior:
         from gelforge.calibration.kernel import log_likelihood
 
         values = self.model.values(coordinates)
-        forces, slopes, _ = self.emulator.forces(self.depth, values)
+        forces, slopes, depth = self.emulator.forces(self.depth, values)
         residual = self.observed - tare_of(values)[:, None] - forces
-        return log_likelihood(
+        found = log_likelihood(
             residual, np.isfinite(self.observed), forces, slopes, values["noise"], values["scatter"], ERRORS, self.tail,
             constants(self.tail),
         )  # fmt: skip
+        return found if self.centre is None else found + self._by_centre(values, depth)
+
+    def _by_centre(self, values: dict, depth: np.ndarray) -> np.ndarray:
+        """Log-likelihood (w, n) of the centres of forces; 0 for a press without one.
+
+        A centre is off by the noise of the moment over the force that was read, and by CENTRE_ERROR. All have the
+        sensor's origin in common.
+        """
+        assert self.centre is not None
+        origin = np.stack([values[name] for name in ORIGIN], axis=1)
+        residual = self.centre - origin[:, None] - self.emulator.centres(depth, values)
+        force = np.abs(self.observed[:, 2])
+        scale = np.hypot(values["moment_noise"][:, None] / force, CENTRE_ERROR)
+        square = (residual**2).sum(axis=2) / scale**2
+        found = constants(self.tail)[2] - 2.0 * np.log(scale) - 0.5 * (self.tail + 2) * np.log1p(square / self.tail)
+        return np.where(np.isfinite(found), found, 0.0)
 
     def __call__(self, coordinates) -> np.ndarray:
         """Log-probability (w,) at coordinates (w, free); -inf outside the priors, and where a force is NaN."""

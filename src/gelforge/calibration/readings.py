@@ -12,8 +12,9 @@ from gelforge.geometry.gel import USUAL_GEL
 from gelforge.mechanics.contact.law import Coulomb, NoSlip
 from gelforge.records.frames import NEAR_MM, presses_of
 from gelforge.records.log import read_log
-from gelforge.records.press import FORCE, POSE, LoggedPress, Press, RawRow, parse, with_tilt
+from gelforge.records.press import FORCE, MOMENT, POSE, TILT, LoggedPress, Press, RawRow, parse, with_tilt
 
+FIRM_N = 1.0  # least normal force whose centre of pressure is used
 SLIDES = 1.0  # travel over depth above which a contact slides as a whole at any usual friction
 
 
@@ -21,8 +22,9 @@ SLIDES = 1.0  # travel over depth above which a contact slides as a whole at any
 class Readings:
     """n presses with a force reading each.
 
-    rows: (n,) line numbers in the log. ids, indenters, gels: (n,) str. pose: (n, 9) in the order of POSE and TILT.
-    force: (n, 3) N on the gel; nan where a sideways component was not logged.
+    rows: (n,) line numbers in the log. ids, indenters, gels, mountings: (n,) str. pose: (n, 9) in the order of POSE
+    and TILT. force: (n, 3) N on the gel; nan where a sideways component was not logged. moment: (n, 2) N mm about gel x
+    and y, nan where one was not logged. stated: (n,) bool, whether the log or its dataset states the tilt.
     """
 
     source: str
@@ -32,6 +34,9 @@ class Readings:
     pose: np.ndarray
     force: np.ndarray
     gels: np.ndarray
+    mountings: np.ndarray
+    moment: np.ndarray
+    stated: np.ndarray
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -39,7 +44,7 @@ class Readings:
     def take(self, index) -> "Readings":
         return Readings(
             self.source, self.rows[index], self.ids[index], self.indenters[index], self.pose[index], self.force[index],
-            self.gels[index],
+            self.gels[index], self.mountings[index], self.moment[index], self.stated[index],
         )  # fmt: skip
 
     @property
@@ -57,6 +62,16 @@ class Readings:
         """Commanded sideways travel, (n,) mm."""
         return np.hypot(self.pose[:, 3], self.pose[:, 4])
 
+    @property
+    def centre(self) -> np.ndarray:
+        """Where the sensor's moments put the force of a straight press, (n, 2) mm along gel x and y; else nan.
+
+        Presses lighter than FIRM_N are left out: there the noise of the moments decides.
+        """
+        firm = ~self.sheared & (self.force[:, 2] < -FIRM_N)
+        normal = np.where(firm, self.force[:, 2], np.nan)[:, None]
+        return np.column_stack([-self.moment[:, 1], self.moment[:, 0]]) / normal
+
     def press(self, i: int, depth: float) -> Press:
         """Path of press i to another depth, with its own sideways travel."""
         x0, y0, z0, dx, dy, _, *turns = (float(v) for v in self.pose[i])
@@ -69,7 +84,7 @@ class Readings:
         return shown + (f" and {len(index) - 5} more" if len(index) > 5 else "")
 
 
-NEEDED = ("indenter", *POSE, *FORCE)
+NEEDED = ("indenter", *POSE, *FORCE, *MOMENT[:2])
 
 
 def read_readings(
@@ -100,6 +115,7 @@ def readings_of(
     if missing:
         raise BadInput(f"{log}: column {missing[0]} is missing; seen: {', '.join(rows[0].cells)}")
     presses: list = []
+    stated: set[int] = set()
     seen_by: dict = {}
     for raw in rows:
         if raw.row in known_bad or not raw.cells["fz_n"]:
@@ -110,6 +126,12 @@ def readings_of(
             raise BadInput(
                 f"{log}: row {first.row}, column {first.column}: {first.value!r}: {first.reason}; {first.hint}"
             )
+        if (
+            press.mounting in mounting_tilt_deg
+            or any(tilt_deg)
+            or any(getattr(press, name) is not None for name in TILT)
+        ):
+            stated.add(press.row)
         press = with_tilt(press, tilt_deg, mounting_tilt_deg)
         same = tuple(raw.cells.get(c) for c in ("time_utc", "indenter", *POSE, *FORCE))
         if seen_by.setdefault(same, press.sensor_id) == press.sensor_id:
@@ -122,6 +144,8 @@ def readings_of(
         log, np.array([p.row for p in presses]), np.array([p.sample_id for p in presses]),
         np.array([p.indenter for p in presses]), np.array([path_of(p) for p in presses]),
         np.array([p.force for p in presses]), np.array([gels.get(p.sensor_id, USUAL_GEL) for p in presses]),
+        np.array([p.mounting for p in presses]), 1e3 * np.array([(p.mx_nm, p.my_nm) for p in presses], dtype=float),
+        np.array([p.row in stated for p in presses]),
     )  # fmt: skip
 
 
@@ -199,11 +223,14 @@ def slides(readings: Readings) -> np.ndarray:
 def choose_presses(readings: Readings, most: int, law: str) -> np.ndarray:
     """Indices of at most `most` presses, spread over indenters and, within each, over depth.
 
-    Round robin over the indenters with most presses, at most half as many as `most`, because an indenter pressed to
+    Of several mountings each gives at most `most`. Round robin over the indenters with most presses, at most half as many as `most`, because an indenter pressed to
     only one depth adds little. Each gives its presses in bisection order of depth, so that any number of them spans
     the range. Under Coulomb's law at least a quarter are presses that slide, as far as there are any, because only
     those determine friction. Without slip these are left out, because the law does not hold for them.
     """
+    every = [np.flatnonzero(readings.mountings == name) for name in np.unique(readings.mountings)]
+    if len(every) > 1:
+        return np.sort(np.concatenate([of[choose_presses(readings.take(of), most, law)] for of in every]))
     sliding = slides(readings)
     firm, loose = np.flatnonzero(~sliding), np.flatnonzero(sliding)
     if law == Coulomb.name and len(loose) and len(readings) > most:

@@ -5,6 +5,7 @@ force against depth. So a press needs one solve per friction coefficient on coar
 hexahedra, at the largest coefficient of its law, which corrects them.
 """
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
 from functools import cache
 from itertools import chain
@@ -16,11 +17,12 @@ from tqdm import tqdm
 from gelforge.calibration import emulator as em
 from gelforge.calibration.parameters import FRICTION
 from gelforge.calibration.readings import Readings, slides
+from gelforge.calibration.tilts import ROUNDED_MM, Tilts, nodes_of, response, rounded, solved_presses
 from gelforge.errors import BadInput, SolveFailed, nearest
 from gelforge.flow.files import record_of, write_json
 from gelforge.flow.jobs import in_slots
 from gelforge.geometry.gel import load_gel
-from gelforge.geometry.solids import surface_digest
+from gelforge.geometry.solids import Indenter, feels_tilt, surface_digest
 from gelforge.mechanics.hexsettings import HexSettings
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.path.loadpath import first_touch
@@ -69,8 +71,14 @@ class SolvePlan:
 
     def compared(self, i: int) -> SolveJob:
         """Fine solve of press i at its last node: as commanded, or straight down to its end pose if it slides."""
-        press = self.readings.press(i, float(self.readings.depth[i]))
+        press = self.readings.press(i, float(self.compared_depth[i]))
         return self.job(i, press.straight_there if self.slides[i] else press, self.nodes[i][-1])
+
+    @property
+    def compared_depth(self) -> np.ndarray:
+        """Depth of the fine solve of each press, (n,) mm: as commanded, rounded for a straight one."""
+        depth = self.readings.depth
+        return np.where(self.readings.sheared, depth, rounded(depth))
 
     @property
     def slides(self) -> np.ndarray:
@@ -87,6 +95,8 @@ def make_plan(readings: Readings, reach: float, law: str, friction_nodes, nu: fl
     # ploughing depends on depth, so a press that slides is solved closer to its commanded depth
     sliding = slides(readings) & (law not in FRICTION)
     top = np.round(readings.depth + np.where(sliding, reach / 3, reach), 4)
+    # depths of straight presses are rounded up, so that sessions of the same presses share their solves
+    top = np.where(readings.sheared, top, np.round(np.ceil(top / ROUNDED_MM - 1e-6) * ROUNDED_MM, 4))
     leader = np.arange(len(readings))
     groups: dict[tuple, int] = {}
     for i in np.argsort(-top, kind="stable"):
@@ -125,9 +135,17 @@ def path_curve(result, press: Press, touch: float) -> dict:
         "depth": (-press.dz * np.array([*met, *down[:, 0]])).tolist(),
         "force": [*[[0.0] * 3] * len(met), *down[:, 1:].tolist()],
         "end": end.tolist(),
+        "centre": centre_of(result).tolist(),
         "status": result.status.name,
         "seconds": float(result.evidence["seconds"]),
     }
+
+
+def centre_of(result) -> np.ndarray:
+    """Where the normal force acts on the deformed gel, (2,) mm along gel x and y: its moments over the force."""
+    arm = result.solved_mesh.nodes + result.displacement
+    moment = np.cross(arm, result.forces).sum(axis=0)
+    return np.array([-moment[1], moment[0]]) / result.forces[:, 2].sum()
 
 
 def touch_of(scene: Scene) -> float:
@@ -167,7 +185,14 @@ def solve_job(job: SolveJob, indenter, settings: HexSettings) -> dict:
     if not usable(result, scene):
         raise SolveFailed(f"{job.indenter} at {job.press}, mu {job.mu:g}: {result.status.value}", result.evidence)
     if result.status is Status.NO_CONTACT:
-        return {"depth": [], "force": [], "end": [0.0] * 3, "status": "NO_CONTACT", "seconds": 0.0}
+        return {
+            "depth": [],
+            "force": [],
+            "end": [0.0] * 3,
+            "centre": [0.0] * 2,
+            "status": "NO_CONTACT",
+            "seconds": 0.0,
+        }
     return path_curve(result, job.press, touch_of(scene))
 
 
@@ -203,7 +228,7 @@ class SolveCache:
         if job.indenter not in self._shapes:
             self._shapes[job.indenter] = surface_digest(self.catalogue[job.indenter])
         scene, how = scene_of(job, self.catalogue[job.indenter]), hexahedra_key(self.settings)
-        return self.folder / f"{solve_key([scene], self._shapes[job.indenter], how, self.version)}.curve.json"
+        return self.folder / f"{solve_key([scene], self._shapes[job.indenter], how, self.version)}.path.json"
 
     def fill(self, jobs: list[SolveJob], workers: int = 1) -> None:
         """Solve the jobs that have no file yet, on `workers` processes."""
@@ -262,7 +287,8 @@ def build_emulator(plan: SolvePlan, cache: SolveCache) -> em.Emulator:
     table = np.array([press_table(plan, cache, i) for i in range(len(plan.top))])
     refuse_no_contact(plan.readings, table)
     group = np.unique(plan.readings.indenters, return_inverse=True)[1]
-    return em.Emulator(table, plan.top, group, plan.readings.travel)
+    mounting = np.unique(plan.readings.mountings, return_inverse=True)[1]
+    return em.Emulator(table, plan.top, group, plan.readings.travel, mounting)
 
 
 def press_table(plan: SolvePlan, cache: SolveCache, i: int) -> np.ndarray:
@@ -295,7 +321,7 @@ def refine(
     table = emulator.table.copy()
     for i, job in enumerate(jobs):
         grid = np.linspace(0.0, plan.top[i], em.DEPTHS)
-        before = np.array([np.interp(plan.readings.depth[i], grid, force) for force in table[i, -1].T])
+        before = np.array([np.interp(plan.compared_depth[i], grid, force) for force in table[i, -1].T])
         if plan.slides[i]:
             before = np.array(coarse.get(job)["end"])
         end = np.array(fine.get(job)["end"])
@@ -306,6 +332,41 @@ def refine(
             table[i] *= normal
             table[i, ..., :2] *= own ** em.sticking(table[i])[..., None]
     return replace(emulator, table=table)
+
+
+def with_tilts(
+    emulator: em.Emulator,
+    plan: SolvePlan,
+    catalogue: Mapping[str, Indenter],
+    tilted: Collection[str],
+    cache: SolveCache,
+    workers: int = 1,
+) -> em.Emulator:
+    """Emulator that also knows what tilt does to the presses of the mountings `tilted` (`calibration.tilts`).
+
+    Solved without slip, or under the plan's law if that has no coefficient to find. A solve that fails raises SolveFailed.
+    """
+    readings = plan.readings
+    flat = np.array([feels_tilt(catalogue[name]) for name in readings.indenters], bool)
+    asked = {}
+    for name in tilted:
+        mine = np.flatnonzero(readings.mountings == name)
+        for i in mine[solved_presses(readings.take(mine), flat[mine])]:
+            asked[i] = [plan.job(i, press, plan.nodes[i][-1]) for press in nodes_of(readings, i)]
+    cache.fill([job for jobs in asked.values() for job in jobs], workers)
+    n, depth = len(readings), readings.depth.copy()
+    force, centre, moved = np.zeros((n, 2)), np.full((n, 2), np.nan), np.zeros((n, 2, 2))
+    for i, jobs in asked.items():
+        force[i], centre[i], moved[i] = response([cache.get(job) for job in jobs])
+        depth[i] = -jobs[0].press.dz
+    force[~flat] = 0.0
+    # presses that were not solved are changed as the solved ones of their indenter are
+    for name in np.unique(readings.indenters[list(asked)]):
+        of = readings.indenters == name
+        solved = of & np.isin(np.arange(n), list(asked))
+        force[of & ~solved] = force[solved].mean(axis=0)
+        depth[of & ~solved] = depth[solved].mean()
+    return replace(emulator, tilts=Tilts(depth, flat, force, centre, moved))
 
 
 def press_curve(solve: dict, top: float) -> np.ndarray:

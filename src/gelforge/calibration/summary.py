@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.stats import norm
 
-from gelforge.calibration.parameters import NAMES, TARE, BenchModel, label_of
+from gelforge.calibration.parameters import MOMENTS, TARE, TILT, BenchModel, label_of
 from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.sampling import Chain
 
@@ -42,12 +42,26 @@ def normal_coordinate(law, values: np.ndarray) -> np.ndarray:
     return np.where(below < 0.5, norm.ppf(below), -norm.ppf(above))
 
 
-def bench(parameters: dict, fixed: dict) -> dict[str, float]:
-    """Parameters of the bench that change a path: medians, or their fixed values; mm and mm/N."""
-    return {
-        name: float(parameters[name]["median"] if name in parameters else fixed[name])
-        for name in ("offset", "compliance", "shear_compliance")
-    }
+def bench(parameters: dict, model: BenchModel) -> dict:
+    """Parameters of the bench that change a path: medians, or their fixed values; mm, mm/N and degrees.
+
+    mountings: by name, offset and, where it was found, tilt; `offset` is that of the middle one of several.
+    """
+
+    def value(name: str) -> float:
+        return float(parameters[name]["median"] if name in parameters else model.fixed[name])
+
+    mountings: dict[str, dict] = {}
+    for name in model.mountings:
+        mountings[name] = {"offset": value(model.of("offset", name))}
+        if model.of(TILT[0], name) in parameters:
+            mountings[name]["tilt_deg"] = [value(model.of(axis, name)) for axis in TILT]
+    offset = float(np.median([one["offset"] for one in mountings.values()]))
+    return (
+        {"offset": offset}
+        | {name: value(name) for name in ("compliance", "shear_compliance")}
+        | {"mountings": mountings}
+    )
 
 
 def correlations(chain, model) -> dict:
@@ -115,10 +129,27 @@ def sentences(parameters: dict, correlation: dict, model: BenchModel) -> list[st
     ]
     return (
         said
+        + _tilts(parameters, model)
         + model.beyond_priors({name: row["median"] for name, row in parameters.items()})
         + _trades(correlation)
         + _unseen(parameters)
     )
+
+
+def _tilts(parameters: dict, model: BenchModel) -> list[str]:
+    """A sentence on the tilt of each mounting that has one, with its 95 % interval."""
+    said = []
+    for name in model.mountings:
+        rows = [parameters.get(model.of(axis, name)) for axis in TILT]
+        if rows[0] and rows[1]:
+            about = [
+                f"{row['median']:.1f} degrees about {axis} ({row['interval95'][0]:.1f} to {row['interval95'][1]:.1f})"
+                for axis, row in zip("xy", rows, strict=True)
+                if row
+            ]
+            where = f"mounting {name!r}" if name else "the bench"
+            said.append(f"By the moments of its flat presses {where} leans by {' and '.join(about)}.")
+    return said
 
 
 def predictive_sentence(error: dict, shape: float) -> str:
@@ -142,12 +173,12 @@ def _trades(correlation: dict) -> list[str]:
 
 def _unseen(parameters: dict) -> list[str]:
     # Data cannot determine the emulator's scale, which only widens C10; a tare that stays as its prior is good news.
-    expected = ("discretisation", *TARE)
+    expected = ("discretisation", *TARE, *MOMENTS)
     blind = [
         n
-        for n in NAMES
-        if n in parameters
-        and n not in expected
+        for n in parameters
+        if n not in expected
+        and not n.startswith("scale of ")
         and parameters[n]["width_over_prior"] > 0.8
         and not _far(parameters[n])
     ]

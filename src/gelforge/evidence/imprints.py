@@ -25,6 +25,7 @@ HALF = (160, 120)  # width and height in px at which the change of colour is mea
 MARKER = 13  # px at that size: larger than a marker is wide
 INK = 0.15  # of the largest level, by which a marker is darker than its surroundings
 SMOOTH = 2.5  # px at that size: standard deviation of the average between markers
+DARK = 20.0  # levels: a darker no-contact image does not show by which fraction a colour changes
 STEEPEST = 0.5  # slope of the gel around an edge that is pressed into it
 SHOWN = 3.0  # levels of change that an imprint has at least
 # Expected slope from which every unit shows an imprint. In 48 presses of two units of the rig, the 99 % quantile of
@@ -42,6 +43,21 @@ def imprint(pair: Pair) -> np.ndarray:
     gel = _between_markers(half) * _between_markers(rest)
     mean = cv2.GaussianBlur(change * gel, (0, 0), SMOOTH) / (cv2.GaussianBlur(gel, (0, 0), SMOOTH) + 1e-3)
     return cv2.resize(mean, (COLS, ROWS), interpolation=cv2.INTER_AREA)
+
+
+def shading(pair: Pair) -> np.ndarray:
+    """Signed change of each colour (30, 40, 3) against the no-contact image, as a fraction of its level there."""
+    import cv2
+
+    assert pair.nocontact is not None
+    half, rest = _half(pair.lit.image), _half(pair.nocontact.picture.image)
+    gel = _between_markers(half) * _between_markers(rest)
+    shown = cv2.GaussianBlur(gel, (0, 0), SMOOTH)[..., None] + 1e-3
+    change, level = (
+        cv2.GaussianBlur(gel[..., None] * what.astype(np.float32), (0, 0), SMOOTH) / shown
+        for what in (half.astype(np.float32) - rest, rest)
+    )
+    return cv2.resize(change / np.maximum(level, DARK), (COLS, ROWS), interpolation=cv2.INTER_AREA)
 
 
 def _half(image: np.ndarray) -> np.ndarray:
@@ -81,13 +97,25 @@ class Window:
 
     def expected(self, indenter: Indenter, press: Press) -> np.ndarray:
         """Slope (30, 40) of the gel's undeformed surface where the indenter cuts into it at the end of a press."""
-        import cv2
+        return _smoothed(np.hypot(*np.gradient(self._depth(indenter, press))) / self.mm)
 
+    def slopes(self, indenter: Indenter, press: Press) -> np.ndarray:
+        """Slopes down the image's columns and rows of the surface as in `expected`, and where it is cut, (3, 30, 40)."""
+        depth = self._depth(indenter, press)
+        down, along = np.gradient(depth) / np.float32(self.mm)
+        return np.stack([_smoothed(one) for one in (along, down, (depth < 0.0).astype(np.float32))])
+
+    def _depth(self, indenter: Indenter, press: Press) -> np.ndarray:
+        """How deep the surface is cut, (30, 40) mm, at most 0."""
         points, inside = self._gel
         depth = np.minimum(touch.gap(indenter, press, points, press.end), 0.0)
-        depth = _draped(np.where(inside, depth, 0.0).reshape(ROWS, COLS).astype(np.float32), STEEPEST * self.mm)
-        slope = np.hypot(*np.gradient(depth)) / self.mm
-        return cv2.GaussianBlur(slope, (0, 0), SMOOTH * COLS / HALF[0])
+        return _draped(np.where(inside, depth, 0.0).reshape(ROWS, COLS).astype(np.float32), STEEPEST * self.mm)
+
+
+def _smoothed(values: np.ndarray) -> np.ndarray:
+    import cv2
+
+    return cv2.GaussianBlur(values, (0, 0), SMOOTH * COLS / HALF[0])
 
 
 def _draped(depth: np.ndarray, steepest: float) -> np.ndarray:

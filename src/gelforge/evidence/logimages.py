@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.evidence.imprints import Seen, Window, imprint
+from gelforge.evidence.imprints import Seen, Window, imprint, shading
 from gelforge.geometry.solids import Indenter
 from gelforge.labelling.sensor import Sensor
 from gelforge.reading.faults import Asked, nocontact_fault, pair_fault
@@ -104,6 +104,15 @@ class LogImages:
             return ""
         compare, window = known
         return pair_fault(compare(read_logged_image(self.data, press.image, window.sensor.image)), Asked.LOG)
+
+    def shading(self, press: PressRecord) -> tuple[np.ndarray, Window] | None:
+        """Signed change of the image of a press (30, 40, 3), and the window of its sensor; None as in `see`."""
+        known = self._of(press.sensor_id)
+        if known is None or not press.image:
+            return None
+        compare, window = known
+        image = read_logged_image(self.data, press.image, window.sensor.image)
+        return shading(compare.as_logged(image, compare(image))), window
 
     def see(self, press: PosedPress, body: Indenter) -> Seen | None:
         """What is kept of the image of a press, with its fault; None without an image or a no-contact image."""

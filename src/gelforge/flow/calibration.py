@@ -29,6 +29,7 @@ DIGITS = {
     "shear_compliance_mm_per_n": 4,
     "mu": 2,
     "mu_error": 2,
+    "tilt_deg": 1,
 }
 BENCH = {
     "touch_offset_mm": "offset",
@@ -38,9 +39,12 @@ BENCH = {
 INTERVALS = ("interval68", "interval95")
 SET = {
     "material": {"c10", *(f"c10_{name}" for name in INTERVALS)},
-    "poses": set(BENCH),
+    "poses": {*BENCH, "tilt_deg", "mounting_tilt_deg", "mounting_touch_offset_mm"},
     "interface": {"mu", "mu_error"},
 }
+
+
+STATED = {"tilt_deg", "mounting_tilt_deg"}  # keys of [poses] that a dataset may set although it is calibrated
 
 
 @dataclass(frozen=True)
@@ -63,7 +67,7 @@ def found_in(dataset: str, summary: Mapping[str, Any]) -> CalibratedValues:
         f"c10_{name}": [round(value, DIGITS["c10"]) for value in c10[name]] for name in INTERVALS
     }
     poses = {key: round(bench[name], DIGITS[key]) + 0.0 for key, name in BENCH.items()}
-    params = {"material": material, "poses": poses}
+    params = {"material": material, "poses": poses | of_mountings(bench["mountings"], bench["stated_tilt_deg"])}
     if "mu" in summary["parameters"]:
         mu = summary["parameters"]["mu"]
         low, high = mu["interval95"]
@@ -73,6 +77,20 @@ def found_in(dataset: str, summary: Mapping[str, Any]) -> CalibratedValues:
         }
     digest = hashlib.sha256(repr(params).encode()).hexdigest()[:6]
     return CalibratedValues(f"{dataset}-{digest}", summary["law"], tuple(summary["used"]), params)
+
+
+def of_mountings(found: Mapping[str, Mapping], stated: Mapping[str, Any]) -> dict[str, Any]:
+    """Values of [poses] for the mountings that a calibration found: tilt, and touch offsets where there are several.
+
+    stated: tilts that the dataset states itself, by mounting, which stay.
+    """
+    tilts = {name: [round(angle, DIGITS["tilt_deg"]) + 0.0 for angle in one["tilt_deg"]]
+             for name, one in found.items() if "tilt_deg" in one}  # fmt: skip
+    if len(found) == 1:
+        return {"tilt_deg": next(iter(tilts.values()))} if tilts else {}
+    offsets = {name: round(one["offset"], DIGITS["touch_offset_mm"]) + 0.0 for name, one in found.items() if name}
+    tilts = {**stated, **{name: tilt for name, tilt in tilts.items() if name}}
+    return {"mounting_touch_offset_mm": offsets} | ({"mounting_tilt_deg": tilts} if tilts else {})
 
 
 def write_frozen(path: Path, found: CalibratedValues) -> None:
@@ -85,8 +103,15 @@ def write_frozen(path: Path, found: CalibratedValues) -> None:
         f"presses = {json.dumps(found.presses)}  # presses of the calibration",
     ]
     for table, values in found.params.items():
-        lines += ["", f"[params.{table}]", *(f"{key} = {value}" for key, value in values.items())]
+        lines += ["", f"[params.{table}]", *(f"{key} = {_toml(value)}" for key, value in values.items())]
     write_text(path, "\n".join(lines) + "\n")
+
+
+def _toml(value: Any) -> str:
+    """A number, a list or a table of these as TOML."""
+    if isinstance(value, dict):
+        return "{" + ", ".join(f"{json.dumps(key)} = {one}" for key, one in value.items()) + "}"
+    return str(value)
 
 
 def read_frozen(path: Path) -> CalibratedValues:
@@ -150,8 +175,12 @@ def calibration_of(params: Params, dataset_toml: Path, posterior: Path) -> Path 
 
 def refuse_twice(given: Mapping[str, Any], dataset_toml: Path, calibration: Path | None) -> None:
     """Refuse values of a dataset's own tables `given` that its calibration sets as well; BadInput."""
+    frozen = calibration is not None and calibration.name == FROZEN and calibration.exists()
+    found = read_frozen(calibration).params if calibration and frozen else {}
     for table, keys in SET.items() if calibration else ():
         own = given.get(table) or {}
+        # a calibration finds no tilt of a mounting whose tilt is stated
+        keys = keys - (STATED - found.get(table, {}).keys())
         twice = sorted(key for key in keys & own.keys() if own[key] != "calibrated")
         if twice:
             raise BadInput(
@@ -171,4 +200,6 @@ def calibrated(read: StageParameters, base: Path) -> StageParameters:
 
 
 def _frozen_list(value: Any) -> Any:
+    if isinstance(value, dict):
+        return {name: _frozen_list(one) for name, one in value.items()}
     return tuple(value) if isinstance(value, list) else value

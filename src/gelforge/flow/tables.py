@@ -254,6 +254,9 @@ class PriorsTable(ParameterTable):
     scatter: PriorTable
     discretisation: PriorTable
     indenter: PriorTable
+    tilt: PriorTable
+    origin: PriorTable
+    moment_noise: PriorTable
 
     def fault(self) -> str | None:
         """C10 is fixed or outside the range of gels, or another parameter is fixed without its value."""
@@ -304,6 +307,7 @@ class PosesTable(ParameterTable):
     shear_compliance_mm_per_n: Annotated[Number, Within(0.0, 1.0, "mm/N")]
     tilt_deg: Tilt
     mounting_tilt_deg: dict[Name, Tilt]
+    mounting_touch_offset_mm: dict[Name, Annotated[Number, Within(-10.0, 10.0, "mm")]]
     images: bool
     judge_images: bool
     deepest_share: Annotated[Number, Within(TINY, 1.0)]

@@ -81,6 +81,17 @@ class Body(ABC):
         return f"{type(self).__name__}({self.name!r})"
 
 
+FELT_DEG, FELT_MM = 2.0, 0.03  # tilt, and how far it brings the lowest point of a body that feels it below its tip
+
+
+def feels_tilt(indenter: Indenter) -> bool:
+    """Whether tilt changes what an indenter presses: one with a flat side or an edge does, a ball does not."""
+    slope, level = np.sin(np.deg2rad(FELT_DEG)), np.cos(np.deg2rad(FELT_DEG))
+    vertices = indenter.surface()[0]
+    aside = slope * np.abs(vertices[:, :2]).max(axis=1)
+    return float((level * vertices[:, 2] - aside).min()) < -FELT_MM
+
+
 def surface_digest(indenter: Indenter, prefix: bytes = b"") -> str:
     """SHA-256 of `prefix` and an indenter's surface (vertices rounded to 1e-6 mm), which changes with the shape."""
     vertices, faces = indenter.surface()

@@ -1,5 +1,6 @@
 """Sensors: where a point of the gel appears in the image."""
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -131,7 +132,7 @@ def sensors_of(tables: dict, where: str) -> dict[str, Sensor]:
     return {name: sensor_of(where, name, table) for name, table in tables.items()}
 
 
-def find_sensor(sensors: dict, name: str, where: str, tables: str = SENSOR_TABLES) -> Sensor:
+def find_sensor(sensors: Mapping, name: str, where: str, tables: str = SENSOR_TABLES) -> Sensor:
     """The sensor called `name`; an unknown one raises BadInput with the known names. tables: the file of sensors."""
     if name not in sensors:
         raise BadInput(

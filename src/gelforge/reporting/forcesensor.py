@@ -8,18 +8,25 @@ import numpy as np
 
 from gelforge.flow.tables import CalibrateTable, MaterialTable
 
-COMPARED = ["press", "indenter", "label (N)", "95 % from", "to", "force sensor (N)", "label / sensor", "deviations",
-            "bench", "material", "mesh", "calibration"]  # fmt: skip
+# What the variance of label minus force sensor is made of: the sensor's noise and drift, the mesh, the interval of C10, that of
+# friction, the depth of touch (its scatter and the posterior of the zero), the posterior of tilt, and re-seatings.
+PARTS = ("sensor", "mesh", "material", "friction", "zero", "tilt", "seating")
+COMPARED = ["press", "indenter", "label (N)", "95 % from", "to", "force sensor (N)", "label / sensor", "deviations", *PARTS,
+            "calibration"]  # fmt: skip
 LEAST_N = 2.0  # at smaller forces the sensor's noise is a large part of the ratio
 NAMED = 3.0  # standard deviations above which a press is named
+# Standard deviation of the force of one gel at equal depth from mounting to mounting, as a fraction: 10 to 17 % in tables of a
+# public bench. It counts where a calibration has one C10 for several mountings.
+SEATING = 0.1
 STEEPEST = 2.0  # exponent of force over depth, largest of usual indenters: 1 for a flat punch, 1.5 for a sphere
 
 
 @dataclass(frozen=True)
 class Spreads:
-    """Standard deviations: c10 and mesh relative to a force, noise in N, touch (depth of first contact) in mm.
+    """Standard deviations: c10, mesh and seating relative to a force, noise in N, touch (depth of first contact) in mm.
 
-    low, high: ends of the 95 % interval of C10, relative to its value.
+    low, high: ends of the 95 % interval of C10, relative to its value. tilt: by indenter, relative to a force, of those
+    whose response to tilt is known.
     """
 
     c10: float
@@ -28,6 +35,8 @@ class Spreads:
     mesh: float
     noise: float
     touch: float
+    seating: float
+    tilt: Mapping[str, float]
 
 
 @dataclass(frozen=True)
@@ -35,7 +44,7 @@ class Compared:
     """Normal force of one press by its label and by the force sensor, N, and variances of their difference, N^2.
 
     label: with the force outside the image, which the force sensor measures, too. low, high: 95 % interval by C10, N.
-    bench, material, mesh: the variances. used: whether the calibration used the press.
+    parts: the variances, by PARTS. used: whether the calibration used the press.
     """
 
     name: str
@@ -44,14 +53,12 @@ class Compared:
     low: float
     high: float
     sensor: float
-    bench: float
-    material: float
-    mesh: float
+    parts: Mapping[str, float]
     used: bool
 
     @property
     def variance(self) -> float:
-        return self.bench + self.material + self.mesh
+        return sum(self.parts.values())
 
     @property
     def deviations(self) -> float:
@@ -63,8 +70,8 @@ class Compared:
         return self.label / self.sensor
 
     def fractions(self) -> list[str]:
-        """Fractions of the variance from the bench, the material and the mesh."""
-        return [f"{part / self.variance:.0%}" for part in (self.bench, self.material, self.mesh)]
+        """Fractions of the variance, in the order of PARTS."""
+        return [f"{self.parts[name] / self.variance:.0%}" for name in PARTS]
 
 
 def spreads(material: MaterialTable, summary: Mapping[str, Any], calibrate: CalibrateTable) -> Spreads:
@@ -78,19 +85,41 @@ def spreads(material: MaterialTable, summary: Mapping[str, Any], calibrate: Cali
         numbers = getattr(priors, name).numbers
         return float(found[name]["median"] if name in found else numbers.get("median", 0.0))
 
+    def width(name: str) -> float:
+        low, high = found[name]["interval68"] if name in found else (0.0, 0.0)
+        return float(high - low) / 2.0
+
+    bench = summary.get("bench", {})
+    several = len(bench.get("mountings", ())) > 1
+    zero = max((width(name) for name in found if name == "offset" or name.startswith("offset of ")), default=0.0)
     c10 = float(material.c10)
     pair68, pair95 = material.c10_interval68 or (c10, c10), material.c10_interval95 or (c10, c10)
     mesh = [float(getattr(priors, name).numbers.get("spread", 0.0)) for name in ("discretisation", "indenter")]
     return Spreads(
         c10=(pair68[1] - pair68[0]) / (2 * c10), low=pair95[0] / c10, high=pair95[1] / c10,
-        mesh=float(np.linalg.norm(mesh)), noise=middle("noise"), touch=middle("scatter"),
+        mesh=float(np.linalg.norm(mesh)), noise=middle("noise"), touch=float(np.hypot(middle("scatter"), zero)),
+        seating=SEATING if several else 0.0, tilt=_of_tilt(found, bench.get("by_tilt", {})),
     )  # fmt: skip
+
+
+def _of_tilt(found: Mapping[str, Any], by_tilt: Mapping[str, float]) -> dict[str, float]:
+    """Standard deviation of each indenter's force, relative, by the posterior of the mounting whose tilt does most.
+
+    by_tilt: change of force per square degree, relative, by indenter (`calibration.tilts`).
+    """
+    of_square = [0.0]
+    for name, row in found.items():
+        if name.split(" of ")[0] in ("tilt_x", "tilt_y"):
+            low, high = row["interval68"]
+            of_square.append(abs(high**2 - low**2) / 2.0 + ((high - low) / 2.0) ** 2)
+    return {indenter: change * max(of_square) for indenter, change in by_tilt.items()}
 
 
 def compare_forces(rows: Sequence[Mapping[str, Any]], of: Spreads, used: Collection[str]) -> list[Compared]:
     """Presses that have both a label and a force reading, in the order of the page's rows.
 
-    The bench's variance comes from the sensor's noise and from the touch error times the slope of force over depth.
+    That of the zero comes from the touch error times the slope of force over depth; that of friction is of the normal
+    force's part of the total one.
     """
     found = []
     for row in rows:
@@ -99,10 +128,21 @@ def compare_forces(rows: Sequence[Mapping[str, Any]], of: Spreads, used: Collect
             continue
         label += row["outside_fz"]
         depth = max(-(row["z0_mm"] + row["dz_mm"]), 0.05)
-        bench = of.noise**2 + (STEEPEST * sensor / depth * of.touch) ** 2
+        total = np.linalg.norm([row.get(f"label_{axis}") or 0.0 for axis in ("fx", "fy", "fz")])
+        errors = {
+            "sensor": of.noise,
+            "mesh": of.mesh * sensor,
+            "material": of.c10 * sensor,
+            "friction": float(np.nan_to_num(row.get("friction_error_n") or 0.0))
+            * abs(label)
+            / max(total, abs(label)),
+            "zero": STEEPEST * sensor / depth * of.touch,
+            "tilt": of.tilt.get(row["indenter"], 0.0) * sensor,
+            "seating": of.seating * sensor,
+        }
         low, high = sorted((label * of.low, label * of.high))
-        found.append(Compared(row["id"], row["indenter"], label, low, high, sensor, bench, (of.c10 * sensor) ** 2,
-                              (of.mesh * sensor) ** 2, row["id"] in used))  # fmt: skip
+        parts = {name: float(error) ** 2 for name, error in errors.items()}
+        found.append(Compared(row["id"], row["indenter"], label, low, high, sensor, parts, row["id"] in used))
     return found
 
 
@@ -124,10 +164,10 @@ def force_sentences(presses: Sequence[Compared]) -> list[str]:
         )
     odd = [p for p in presses if abs(p.deviations) > NAMED]
     for p in sorted(odd, key=lambda p: -abs(p.deviations)):
-        bench, material, mesh = p.fractions()
+        parts = [f"{part} {name}" for name, part in zip(PARTS, p.fractions(), strict=True) if part != "0%"]
         said.append(
             f"{p.name} ({p.indenter}): the label says {p.label:.2f} N ({p.high:.2f} to {p.low:.2f} by the interval of C10), the"
-            f" force sensor {p.sensor:.2f} N, {abs(p.deviations):.1f} standard deviations apart. Of the expected variance,"
-            f" {bench} comes from the bench, {material} from the material, {mesh} from the mesh: check its row, indenter and touch."
+            f" force sensor {p.sensor:.2f} N, {abs(p.deviations):.1f} standard deviations apart. The expected variance"
+            f" is {', '.join(parts)}: check its row, indenter and touch."
         )
     return said

@@ -10,10 +10,11 @@ import numpy as np
 
 from gelforge.calibration import summary
 from gelforge.calibration.emulator import Emulator
-from gelforge.calibration.parameters import TARE, BenchModel, make_model
+from gelforge.calibration.parameters import TARE, BenchModel, make_model, prior_name
 from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.readings import Readings, check_enough, check_readings, choose_presses, readings_of
 from gelforge.calibration.sampling import Chain, Figures, NotConverged, Rules, sample
+from gelforge.calibration.tilts import centre_fault, mountings_of, tilted_mountings
 from gelforge.errors import BadInput, SolveFailed
 from gelforge.evidence import forces as evidence
 from gelforge.flow.cli import JOBS, stage
@@ -27,7 +28,7 @@ from gelforge.records.log import read_shard
 from gelforge.reporting import cornerplots as plots
 from gelforge.stages.poses import Bodies, judge
 
-VERSION = 15
+VERSION = 16
 MOST_BANDS = 6  # indenters in the plot of predictive bands, the first by name: more would hide each other
 
 
@@ -52,19 +53,29 @@ def served(readings: Readings) -> np.ndarray:
     return observed
 
 
-def model_of(readings: Readings, params: CalibrateTable, law: str) -> BenchModel:
-    """The model of the readings under a contact law; too few readings raise BadInput."""
+def model_of(readings: Readings, params: CalibrateTable, law: str, tilted: Sequence[str] = ()) -> BenchModel:
+    """The model of the readings under a contact law; too few readings raise BadInput.
+
+    tilted: the mountings whose tilt is a parameter.
+    """
     observed = served(readings)
     check_enough(int(np.isfinite(observed).sum()))
-    return make_model(params, law, np.unique(readings.indenters).tolist(), bool(np.isfinite(observed[:, :2]).any()))
+    sideways = bool(np.isfinite(observed[:, :2]).any())
+    return make_model(params, law, np.unique(readings.indenters).tolist(), sideways, mountings_of(readings), tilted)
 
 
 def calibrate(
-    readings: Readings, emulator: Emulator, params: CalibrateTable, law: str, logged: Readings, usual: float
+    readings: Readings,
+    emulator: Emulator,
+    params: CalibrateTable,
+    law: str,
+    logged: Readings,
+    usual: float,
+    tilted: Sequence[str] = (),
 ) -> tuple[Calibration, list[str]]:
     """Sample the posterior under a contact law; return it with what the readings say about force sensor and log.
 
-    logged: all readings. usual: C10 of such gels, MPa. The chain's progress goes to the log. If it does not converge,
+    logged: all readings. usual: C10 of such gels, MPa. tilted: the mountings whose tilt is a parameter. The chain's progress goes to the log. If it does not converge,
     NotConverged also says what the readings say, because that is the likelier cause.
     """
 
@@ -75,7 +86,8 @@ def calibrate(
             file=sys.stderr, flush=True,
         )  # fmt: skip
 
-    posterior = Posterior(emulator, model_of(readings, params, law), readings.depth, served(readings), params.tail)
+    model, centre = model_of(readings, params, law, tilted), readings.centre if tilted else None
+    posterior = Posterior(emulator, model, readings.depth, served(readings), params.tail, centre)
     try:
         done = Calibration(readings, posterior, sample(posterior, sampling_rules(params), say))
     except NotConverged as error:
@@ -111,13 +123,12 @@ def summarise(done: Calibration, params: CalibrateTable, seen: list[str]) -> dic
     correlation = summary.correlations(chain, posterior.model)
     mean, scale = summary.predictions(chain, posterior)
     for name, row in parameters.items():
-        shared = "indenter" if name.startswith("scale of ") else "tare" if name in TARE else name
-        row["reason"] = getattr(params.priors, shared).reason or ""
+        row["reason"] = getattr(params.priors, prior_name(name)).reason or ""
     without, shape = summary.left_out(chain, posterior)
     error = summary.predictive_error(without, posterior.observed)
     said = summary.sentences(parameters, correlation, posterior.model)
     return {
-        "bench": summary.bench(parameters, posterior.model.fixed),
+        "bench": summary.bench(parameters, posterior.model),
         "used": done.readings.ids.tolist(),
         "c10": summary.describe(posterior.model.values(chain.flat())["c10"]),
         "unit": "MPa",
@@ -141,6 +152,7 @@ def usual_forces(posterior: Posterior, c10: float) -> np.ndarray:
     mu = model.fixed["mu"] if "mu" in model.fixed else model.free["mu"].law.median()
     values = {**nothing, "c10": np.array([c10]), "mu": np.array([mu])}
     values["indenter"] = np.zeros((1, max(1, len(model.indenters))))
+    values["touch"], values["tilt"] = np.zeros((1, len(model.mountings))), np.zeros((1, len(model.mountings), 2))
     return posterior.emulator.forces(posterior.depth, values)[0][0]
 
 
@@ -209,14 +221,21 @@ def solver_settings(table: CalibrateSolverTable):
 
 
 def emulate(
-    readings: Readings, catalogue: dict, params: CalibrateTable, law: str, nu: float, folder: Path, jobs: int
+    readings: Readings,
+    catalogue: dict,
+    params: CalibrateTable,
+    law: str,
+    nu: float,
+    folder: Path,
+    jobs: int,
+    tilted: Sequence[str] = (),
 ) -> tuple:
     """Readings whose presses could be solved, their emulator, and the counts of solves.
 
-    Counts: total, per interface law, fine, new, in_vain (SolveCache.spent), and the list `unsolved` of presses left
-    out, with the reason. BadInput is raised if more than half of the presses could not be solved.
+    tilted: the mountings whose tilt is a parameter. Counts: total, per interface law, fine, new, in_vain
+    (SolveCache.spent), and the list `unsolved` of presses left out, with the reason. BadInput is raised if more than half of the presses could not be solved.
     """
-    from gelforge.calibration.solves import SolveCache, build_emulator, make_plan, refine, solve_all
+    from gelforge.calibration.solves import SolveCache, build_emulator, make_plan, refine, solve_all, with_tilts
     from gelforge.mechanics.hexsettings import quality
     from gelforge.stages import fea
 
@@ -234,13 +253,24 @@ def emulate(
     readings = readings.take(np.setdiff1d(np.arange(len(readings)), list(failed)))
     plan = planned(readings)  # its solves exist already
     emulator = build_emulator(plan, cache)
-    spent = cache.spent
+    spent, fine = cache.spent, cache
     if params.refine != "none":
         fine = SolveCache(folder, catalogue, quality(params.refine), fea.VERSION)
         emulator = refine(emulator, plan, cache, fine, jobs)
+    if tilted:
+        emulator = with_tilts(emulator, plan, catalogue, tilted, fine, jobs)
+    if fine is not cache:
         more = {key: spent[key] + fine.spent[key] for key in ("total", "new", "in_vain")}
         spent = {**spent, **more, "fine": fine.spent["total"]}
     return readings, emulator, {**spent, "unsolved": unsolved}
+
+
+def by_tilt(done: Calibration) -> dict[str, float]:
+    """Change of force per square degree of tilt, relative, of the indenters whose presses were solved at tilts."""
+    tilts, names = done.posterior.emulator.tilts, done.readings.indenters
+    if tilts is None:
+        return {}
+    return {str(name): float(np.abs(tilts.force[names == name]).max()) for name in np.unique(names)}
 
 
 def say_spent(spent: dict) -> str:
@@ -261,7 +291,7 @@ def logged_readings(of: Layout, read: StageParameters, bodies: Bodies) -> Readin
     rows = [row for shard in of.names() for row in read_shard(of.shard(shard))]
     rows.sort(key=lambda row: row.row)
     nothing = dict.fromkeys(("touch_offset_mm", "compliance_mm_per_n", "shear_compliance_mm_per_n"), 0.0)
-    checks = altered(read.poses, **nothing, images=False)
+    checks = altered(read.poses, **nothing, mounting_touch_offset_mm={}, images=False)
     tables = {"sensors": sensors, "indenters": bodies.catalogue}
     _, rejected = judge(rows, log, of.data, tables, checks, bodies)
     gels = {name: sensor.gel for name, sensor in load_sensors(of.parameters("sensors")).items()}
@@ -286,12 +316,18 @@ def calibrated_log(of: Layout, read: StageParameters, folder: Path, jobs: int) -
     readings = logged.take(choose_presses(logged, params.max_presses, law))
     model_of(readings, params, law)  # refuses too few readings before anything is solved
     catalogue = {name: bodies[name] for name in sorted(set(readings.indenters.tolist()))}
-    readings, emulator, spent = emulate(readings, catalogue, params, law, nu, of.solves, jobs)
+    tilted, lacking = tilted_mountings(readings, catalogue)
+    if fault := centre_fault(readings) if tilted else "":
+        tilted, lacking = (), [*lacking, fault]
+    readings, emulator, spent = emulate(readings, catalogue, params, law, nu, of.solves, jobs, tilted)
     usual = REFERENCE_C10 if isinstance(read.material.c10, str) else float(read.material.c10)
-    done, seen = calibrate(readings, emulator, params, law, logged, usual)
+    done, seen = calibrate(readings, emulator, params, law, logged, usual, tilted)
+    seen += lacking
     refuse_beyond(done.posterior, done.chain, params.reach_mm, seen)
     draw_plots(done, folder)
     result = summarise(done, params, seen)
+    stated = {name: list(tilt) for name, tilt in read.poses.mounting_tilt_deg.items()}
+    result["bench"] |= {"stated_tilt_deg": stated, "by_tilt": by_tilt(done)}
     result["solves_spent"] = spent
     result["presses_logged"] = len(logged)
     said = [f"note: {line}" if line in seen else line for line in result["sentences"]]

@@ -6,7 +6,7 @@ left out of the dataset, and all other findings are notes.
 
 import sys
 from argparse import Namespace
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from types import MappingProxyType
@@ -16,6 +16,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.evidence.images import Seen, Shapes, findings, row_list
 from gelforge.evidence.imprints import Window
+from gelforge.evidence.leaning import FEWEST, MOST_FLAT, MOST_ROUND, Shaded, leaning, sentence
 from gelforge.evidence.logimages import KEEP, LogImages, nocontact_path, read_nocontact
 from gelforge.flow.cli import JOBS, stage
 from gelforge.flow.files import read_json, write_json
@@ -23,13 +24,14 @@ from gelforge.flow.jobs import in_slots
 from gelforge.flow.layout import Layout
 from gelforge.flow.params import read_parameters
 from gelforge.geometry.indenters import bodies_of, build
-from gelforge.geometry.solids import Body
+from gelforge.geometry.solids import Body, feels_tilt
 from gelforge.labelling.sensor import sensor_of
 from gelforge.reading.frame import BLUE_FIRST, image_frame
 from gelforge.records.log import read_poses
 from gelforge.records.press import SENSOR_TABLES, PosedPress
 
 VERSION = 4
+LEAST_MM = 0.2  # depth of a press whose image shows a tilt, and most sideways travel of it
 CHUNK = 200  # presses per task of a process
 
 
@@ -114,6 +116,35 @@ def judge(seen: list[Seen], shapes: Shapes | None, where: str) -> dict:
     }
 
 
+def tilts(presses: Sequence[PosedPress], images: LogImages, bodies: Mapping[str, Body]) -> list[dict]:
+    """Tilt of each sensor's mountings by the images of `presses`, with the one that their labels assume, degrees.
+
+    Presses that move sideways by more than LEAST_MM or are less deep are left out. A mounting with too few flat presses,
+    or without a no-contact image, is none of the result.
+    """
+    straight = [one for one in presses if np.hypot(one.dx_mm, one.dy_mm) < LEAST_MM < -one.dz_mm]
+    of: dict[tuple[str, str], list[PosedPress]] = {}
+    for one in straight:
+        of.setdefault((one.sensor_id, one.mounting), []).append(one)
+    found = []
+    for (sensor, mounting), every in sorted(of.items()):
+        flat = [one for one in every if feels_tilt(bodies[one.indenter])]
+        others = [one for one in every if not feels_tilt(bodies[one.indenter])]
+        shown = [
+            [Shaded(*shade, bodies[one.indenter], one.press) for one in some if (shade := images.shading(one))]
+            for some in (flat[:MOST_FLAT], others[:MOST_ROUND])
+        ]
+        if len(shown[0]) < FEWEST:
+            continue
+        seen, assumed = leaning(*shown), np.median([one.tilt for one in flat], axis=0).tolist()
+        found.append({
+            "sensor": sensor, "mounting": mounting, "presses": len(shown[0]), "assumed_deg": assumed,
+            "tilt_deg": seen.tilt.tolist(), "error_deg": seen.error.tolist(),
+            "note": sentence(seen, assumed, images.sensors[sensor]) if seen.differs(assumed) else "",
+        })  # fmt: skip
+    return found
+
+
 def told(found: dict, seen: list[Seen]) -> list[str]:
     """Contents of images.json as lines for a person."""
     rows: dict[str, list[int]] = {}
@@ -145,6 +176,13 @@ def main(args: Namespace) -> None:
         for name in sorted({press.sensor_id for press in presses}):
             read_nocontact(of.data, name, sensor_of(SENSOR_TABLES, name, tables["sensors"][name]).image)
     found = judge(seen, shapes, str(of.log))
+    if seen:
+        good = [one for one in presses if one.sample_id not in found["left_out"]]
+        sensors = {name: sensor_of(SENSOR_TABLES, name, table) for name, table in tables["sensors"].items()}
+        found["tilts"] = tilts(good, LogImages(of.data, sensors), bodies)
+        for one in found["tilts"]:
+            where = f"sensor {one['sensor']}" + (f", mounting {one['mounting']}" if one["mounting"] else "")
+            found["notes"] += [f"{where}: {one['note']}"] if one["note"] else []
     for name in sorted({one.sensor for one in seen}):
         picture = read_nocontact(of.data, name, sensor_of(SENSOR_TABLES, name, tables["sensors"][name]).image)
         if picture is not None and image_frame(picture, (picture.shape[0], picture.shape[1]))[0].blue_first:

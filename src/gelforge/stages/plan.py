@@ -91,14 +91,16 @@ def logged_rows(log: Path, sensor: str | None) -> list[RawRow]:
 
 
 def unknown_mountings(params: Params, rows: list[RawRow], dataset_toml: Path) -> None:
-    """Refuse a tilt of a mounting that no row of the log is of; BadInput."""
-    logged = named(rows, "mounting") - {""}
-    for name in params.poses.mounting_tilt_deg:
+    """Refuse a tilt or a touch offset of a mounting that no row of the log is of; BadInput."""
+    logged, poses = named(rows, "mounting") - {""}, params.poses
+    tables = (
+        ("mounting_tilt_deg", poses.mounting_tilt_deg),
+        ("mounting_touch_offset_mm", poses.mounting_touch_offset_mm),
+    )
+    for key, name in ((key, name) for key, table in tables for name in table):
         if name not in logged:
             meant = nearest(name, logged) if logged else "; the log names none, add a column mounting to it"
-            raise BadInput(
-                f"{dataset_toml}: [params.poses] mounting_tilt_deg: no row of the log is of {name!r}{meant}"
-            )
+            raise BadInput(f"{dataset_toml}: [params.poses] {key}: no row of the log is of {name!r}{meant}")
 
 
 def known_shards(table: Path) -> dict[str, int]:

@@ -57,8 +57,8 @@ def yielded(sample: LoggedPress, file: str, params: PosesTable) -> tuple[LoggedP
     """The sample with the path that its tip took relative to the gel, in place of the commanded one.
 
     Frame and gantry yield in proportion to the force read, and touch was found too high or too low: parameters
-    `compliance_mm_per_n`, `shear_compliance_mm_per_n` and `touch_offset_mm` (positive: deeper), as calibrate infers
-    them from the commanded path. A sample without the force reading that this needs is rejected.
+    `compliance_mm_per_n`, `shear_compliance_mm_per_n` and `touch_offset_mm` (positive: deeper), of which a mounting may
+    have its own, as calibrate infers them from the commanded path. A sample without the force reading that this needs is rejected.
     """
     normal, sideways = params.compliance_mm_per_n, params.shear_compliance_mm_per_n
     needed = {"fx_n": sideways, "fy_n": sideways, "fz_n": normal}
@@ -70,8 +70,8 @@ def yielded(sample: LoggedPress, file: str, params: PosesTable) -> tuple[LoggedP
     given = {name: c * (getattr(sample, f"f{name[1]}_n") or 0.0)
            for name, c in (("dx_mm", sideways), ("dy_mm", sideways), ("dz_mm", normal))}  # fmt: skip
     moved = {name: getattr(sample, name) - shift for name, shift in given.items() if shift}
-    if params.touch_offset_mm:
-        moved["z0_mm"] = sample.z0_mm - params.touch_offset_mm
+    if offset := params.mounting_touch_offset_mm.get(sample.mounting, params.touch_offset_mm):
+        moved["z0_mm"] = sample.z0_mm - offset
     if moved.get("dz_mm", sample.dz_mm) >= 0.0:
         hint = f"check fz_n, or compliance_mm_per_n = {normal:g} in [poses]"
         return sample, [

@@ -73,7 +73,7 @@ class Bench:
 
         If every attempt fails, the last frame's status is not valid. Earlier frames may be invalid in any case.
         """
-        truth, rng = self.plan.truth, generator(self.plan, order.index, streams.BENCH)
+        truth, rng = self.plan.truth_at(order.index), generator(self.plan, order.index, streams.BENCH)
         play = rng.uniform(-1.0, 1.0, size=6) * truth.cnc_um * 1e-3
         if order.shear == (0.0, 0.0):
             play[3:5] = 0.0  # axes that do not move have no error of travel
@@ -114,7 +114,7 @@ class Bench:
 
     def _reported(self, order: Order, real: Press, result: HexResult, play, noise, down) -> Pressing:
         """What the bench reports of one solved frame."""
-        truth = self.plan.truth
+        truth = self.plan.truth_at(order.index)
         scale = truth.c10_mpa / REFERENCE_C10
         force = scale * result.total
         arm = result.solved_mesh.nodes + result.displacement
@@ -154,13 +154,14 @@ class Bench:
         The stiffness is a fit to solves of 24 presses of the training plan, spheres to bars, 0.2 to 1.7 mm deep. Its
         dependence on thickness is fitted to balls and a block on pads of 3.6, 4 and 4.4 mm.
         """
-        place = Press(order.x, order.y, height, 0.0, 0.0, -depth, order.rot_deg, *self.plan.truth.tilt_deg)
+        truth = self.plan.truth_at(order.index)
+        place = Press(order.x, order.y, height, 0.0, 0.0, -depth, order.rot_deg, *truth.tilt_deg)
         _, _, sunk, cell = self._sunk(order.indenter, place)
         volume, area = sunk.sum() * cell, (sunk > 0).sum() * cell
         mean = volume / area if area else 0.0
         stiffness = 0.304 - 0.027 * mean - 0.00011 * area + 0.00124 * mean * area
         thinner = (self.gel.height / load_gel(order.gel).height) ** STIFFER
-        return self.plan.truth.c10_mpa / REFERENCE_C10 * volume * stiffness * thinner
+        return truth.c10_mpa / REFERENCE_C10 * volume * stiffness * thinner
 
     def _sunk(self, name: str, press: Press):
         """Gel points x, y under the body at the end of the path and its depth there, mm, and the cell area, mm^2."""

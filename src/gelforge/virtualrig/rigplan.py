@@ -18,7 +18,7 @@ from gelforge.flow.schema import SOME, Number, ParameterTable, Place, Span, With
 from gelforge.flow.tables import Finite, FromNone, Name, Stiffness
 from gelforge.geometry.gel import USUAL_GEL, Gel, load_gel
 from gelforge.records.press import LARGEST
-from gelforge.virtualrig.streams import MOST_FRAMES, ORDER, WHO_SEES
+from gelforge.virtualrig.streams import MOST_FRAMES, MOUNTING, ORDER, WHO_SEES
 
 EDGE = 2.0  # mm; least distance of the tip from the gel's outline
 TINY = 1e-9
@@ -58,6 +58,27 @@ class Truth(RigTable):
     moment_noise_nm: FromNone
     cnc_um: FromNone
     tilt_deg: tuple[Tilt, Tilt] = (0.0, 0.0)
+
+
+class Mountings(RigTable):
+    """Re-seatings of the gel: every `presses` presses begin a new mounting, with its own values.
+
+    tilt_deg: size of its tilt, whose direction is any. touch_offset_mm: what is added to that of the bench. Both are
+    uniform in these ranges. seating: standard deviation of the logarithm of a factor on the gel's stiffness.
+    """
+
+    presses: Annotated[int, Within(1, 1e7)]
+    tilt_deg: Span[Annotated[Number, Within(0.0, LARGEST["tilt_x_deg"], "degrees")]]
+    touch_offset_mm: Span[Millimetres]
+    seating: Annotated[Number, Within(0.0, 1.0)] = 0.0
+
+    def number(self, index: int) -> int:
+        """Number of the mounting of a press, from 0."""
+        return index // self.presses
+
+    def name(self, index: int) -> str:
+        """Name of the mounting of a press."""
+        return f"mounting_{self.number(index) + 1:02d}"
 
 
 class Kind(RigTable):
@@ -150,11 +171,30 @@ class Plan(RigTable):
     frames: Annotated[int, Within(1, MOST_FRAMES)] = 1
     film: FilmTable | None = None
     units: DrawnUnits | None = None
+    mountings: Mountings | None = None
 
     def identity(self) -> str:
         """Canonical text of everything that a press depends on; the number of presses is left out."""
         content = {key: value for key, value in asdict(self).items() if key not in ("params", "presses", "film")}
+        if self.mountings is None:
+            del content["mountings"]
         return json.dumps(content, sort_keys=True)
+
+    def truth_at(self, index: int) -> Truth:
+        """The truth of a press: the plan's, with the tilt, the height of touch and the stiffness of its mounting."""
+        of, truth = self.mountings, self.truth
+        if of is None:
+            return truth
+        rng = generator(self, of.number(index), MOUNTING)
+        size, heading = rng.uniform(*of.tilt_deg), rng.uniform(0.0, 2 * np.pi)
+        offset, stiffer = rng.uniform(*of.touch_offset_mm), of.seating * rng.standard_normal()
+        x, y = truth.tilt_deg
+        return replace(
+            truth,
+            c10_mpa=float(truth.c10_mpa * np.exp(stiffer)),
+            touch_offset_mm=truth.touch_offset_mm + offset,
+            tilt_deg=(x + size * float(np.cos(heading)), y + size * float(np.sin(heading))),
+        )
 
     def gel_of(self, sensor: str) -> str:
         """Name of a sensor's gel."""
@@ -180,7 +220,7 @@ class Order:
 
     index: number of the press. unit: number of the sensor among those that see it. gel: name of the gel. press_id:
     shared by all orders of a press. frame: number of the frame from 0. film_id: shared by the frames of a press by
-    one sensor; empty for a single frame.
+    one sensor; empty for a single frame. mounting: name of the mounting; empty in a plan without mountings.
     """
 
     index: int
@@ -199,6 +239,7 @@ class Order:
     frame: int = 0
     film_id: str = ""
     gel: str = USUAL_GEL
+    mounting: str = ""
 
 
 def read_plan(path) -> Plan:
@@ -389,4 +430,5 @@ def _order(plan: Plan, index: int, kind: Kind, number: int) -> Order:
         rot_deg=rng.uniform(*kind.rot_deg),
         max_force_n=kind.max_force_n,
         press_id=f"{plan.dataset}-{index:06d}",
+        mounting=plan.mountings.name(index) if plan.mountings else "",
     )

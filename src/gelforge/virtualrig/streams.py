@@ -10,6 +10,7 @@ MOST_FRAMES = 99  # frames of one press that a plan may ask for
 ORDER = 0  # what is pressed, where and how deep
 BENCH = 1  # axis errors, touch height, and the load cell's noise at a press's end
 WHO_SEES = 20_000  # which sensors see a press
+MOUNTING = 30_000  # tilt, height of touch and seating of a mounting, whose number stands for a press's
 
 # Camera noise: 2 + unit + 1000 * frame for the first FEW_FRAMES frames of FEW_UNITS units, which stays below the load
 # cell's numbers. Later frames, which would collide with these, and further units have numbers from _CAMERAS on.

@@ -104,8 +104,12 @@ class Dataset:
 
     def begin(self, shapes: dict[str, str], appearances: dict[str, str]) -> None:
         """Write what does not depend on the presses; shapes and appearances as of `check_same_plan`."""
+        of, presses = self.plan.mountings, self.plan.presses
         truth = {
             "truth": asdict(self.plan.truth),
+            "mountings": {of.name(k): asdict(self.plan.truth_at(k)) for k in range(0, presses, of.presses)}
+            if of
+            else {},
             "plan": self.plan.identity(),
             "shapes": shapes,
             "looks": appearances,
@@ -201,7 +205,8 @@ def logged(pressing: "Pressing") -> LoggedPress:
     values: dict[str, Any] = {name: float(value) for name, value in zip((*POSE, *FORCES), read, strict=True)}
     return LoggedPress(
         row=0, sample_id=order.sample_id, time_utc=time_of(order), sensor_id=order.sensor, gel_id=order.gel,
-        indenter=order.indenter, image=image_name(order), press_id=order.film_id, **values,
+        indenter=order.indenter, image=image_name(order), press_id=order.film_id, mounting=order.mounting,
+        **values,
     )  # fmt: skip
 
 

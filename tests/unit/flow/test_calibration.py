@@ -22,7 +22,7 @@ from tests.support.refused import refused
 
 SUMMARY = {
     "c10": {"median": 0.085349, "interval68": [0.0844, 0.0863], "interval95": [0.0835, 0.0871]},
-    "bench": {"offset": -0.01789, "compliance": 0.006049, "shear_compliance": -0.0},
+    "bench": {"offset": -0.01789, "compliance": 0.006049, "shear_compliance": -0.0, "mountings": {"": {"offset": -0.01789}}, "stated_tilt_deg": {}},
     "law": "coulomb", "used": ["a 1", 'b"2'],
     "parameters": {"noise": {"median": 0.04}, "scatter": {"median": 0.002}, "mu": {"median": 0.6849, "interval95": [0.612, 0.791]}},
 }  # fmt: skip

@@ -357,3 +357,28 @@ def test_streams_are_those_that_datasets_were_drawn_with():
     plan = read_plan(DEMO)
     drift = np.random.default_rng([plan.seed, 999_999_999])  # two numbers: numpy fills up with zeros
     assert (generator(plan, streams.EVERY_PRESS, streams.ORDER).random(9) == drift.random(9)).all()
+
+
+def test_a_mounting_has_its_own_tilt_touch_and_stiffness(tmp_path):
+    """Presses of one mounting share them; they are drawn in the plan's ranges and stay when the plan grows."""
+    table = "[mountings]\npresses = 5\ntilt_deg = [1, 3]\ntouch_offset_mm = [-0.15, 0.0]\nseating = 0.1\n\n[truth]"
+    plan = read_plan(changed(tmp_path, DEMO, ("[truth]", table)))
+    truths = [plan.truth_at(index) for index in range(200)]
+    tilts = np.array([truth.tilt_deg for truth in truths])
+    sizes, offsets = np.hypot(*tilts.T), np.array([truth.touch_offset_mm for truth in truths])
+    assert len(np.unique(tilts, axis=0)) == len(np.unique(offsets)) == 40
+    assert (tilts.reshape(40, 5, 2) == tilts[::5, None]).all()
+    assert sizes.min() >= 1.0 and sizes.max() <= 3.0 and {*np.sign(tilts[:, 0]), *np.sign(tilts[:, 1])} == {-1.0, 1.0}
+    added = offsets - plan.truth.touch_offset_mm
+    assert -0.15 <= added.min() < added.max() <= 0.0
+    stiffer = np.log([truth.c10_mpa / plan.truth.c10_mpa for truth in truths[::5]])
+    assert abs(stiffer.std() - 0.1) < 5 * 0.1 / np.sqrt(2 * 40)
+    assert replace(plan, presses=9).truth_at(199) == truths[199]
+    names = [order.mounting for order in orders(plan)]
+    assert names[:6] == [*5 * ["mounting_01"], "mounting_02"]
+
+
+def test_a_plan_without_mountings_is_the_one_it_was():
+    plan = read_plan(DEMO)
+    assert plan.truth_at(7) is plan.truth and "mountings" not in plan.identity()
+    assert {order.mounting for order in orders(plan)} == {""}

@@ -91,7 +91,7 @@ class ScenePath(Equilibrium):
     def __init__(self, scene: Scene, settings: PathSettings, mesh: GelMesh, system: System) -> None:
         super().__init__(scene, settings, mesh, system)
         self.t, self.rounds, self.steps, self.reason = 0.0, 0, 0, ""
-        self.pose_at = partial(path_pose, scene)
+        self.pose_at: Callable[[float], Pose] = partial(path_pose, scene)
         self.control = StepControl(settings.max_cuts, EASY)
         self.history: list[tuple[float, np.ndarray]] = []
         self.curve: list[list[float]] = []
