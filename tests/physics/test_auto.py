@@ -94,18 +94,18 @@ def test_no_try_of_a_press_repeats_an_earlier_one(tmp_path, monkeypatch, ccx):
             def __init__(self, *words):
                 self.settings = words[-1]
 
-            def solve(self, one, **_):
-                return self.solve_frames([one])[0]
+            def solve(self, one, finer=1, **_):
+                return self.solve_frames([one], finer)[0]
 
-            def solve_frames(self, scenes):
-                taken.append((kind, *steps_of(self.settings, scenes[-1])))
+            def solve_frames(self, scenes, finer=1):
+                taken.append((kind, *steps_of(self.settings, scenes[-1], finer)))
                 none = np.zeros((1, 3))
                 return [replace(Result(Status.DIVERGED, none, none, {}), mesh=None) for _ in scenes]
 
         return Failing
 
-    def of_tetrahedra(settings, one):
-        path = settings.path(one, 0.0)
+    def of_tetrahedra(settings, one, finer):
+        path = settings.path(one, 0.0, finer)
         return path.press_steps, path.shear_steps, path.settle_rounds
 
     settings = altered(parameters().fea, press_steps=2, step_mm=0.1)
@@ -115,7 +115,7 @@ def test_no_try_of_a_press_repeats_an_earlier_one(tmp_path, monkeypatch, ccx):
     mesh = type("Mesh", (), {"name": "mesh", "mesh": staticmethod(lambda: None)})
     monkeypatch.setattr(solve, "mesh_of", lambda *_: mesh)
     monkeypatch.setattr(solve, "CcxSolver", failing("ccx", of_tetrahedra))
-    hexahedra = failing("hex", lambda settings, _: (settings.press_steps, settings.shear_steps, settings.size))
+    hexahedra = failing("hex", lambda settings, *_: (settings.press_steps, settings.shear_steps, settings.size))
     hexahedra.solve_frames = lambda self, scenes, whole=hexahedra.solve_frames: [
         type("Failed", (Result,), {"mesh_name": None})(one.status, one.forces, one.displacement, {})
         for one in whole(self, scenes)
