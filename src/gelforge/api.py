@@ -207,12 +207,13 @@ def solve(
             press = Press(at[0], at[1], 0.0, shear[0], shear[1], -depth, rot_deg, *map(float, tilt))
             return Scene(load_gel(gel), Material(nu), body, press, interface)
 
-        if force is not None:
-            depth, result = press_to(
-                force * REFERENCE_C10 / c10, scene_at, lambda scene: solvers.solve(scene, method)
+        reached = depth or 0.0
+        if force is None:
+            result = solvers.solve(scene_at(reached), method)
+        else:
+            reached, result = press_to(
+                force * REFERENCE_C10 / c10, scene_at, lambda each: solvers.solve(each, method)
             )
-        elif depth is not None:
-            result = solvers.solve(scene_at(depth), method)
         if not (result.status.valid and result.evidence.get("mesh")):
             raise GelforgeError(f"the press was not solved: {result.evidence.get('reason') or result.status.value}")
         mesh = load_mesh(result.evidence["mesh"])
@@ -221,7 +222,7 @@ def solve(
     friction_n = stiffer * friction_error_n(result.evidence, interface.mu, FRICTION_ERROR)
     how = result.evidence["method"]
     return SolvedPress(
-        gel, mesh, forces, result.displacement, error_n, friction_n, result.evidence, body.name, how, depth
+        gel, mesh, forces, result.displacement, error_n, friction_n, result.evidence, body.name, how, reached
     )
 
 
