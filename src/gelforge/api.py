@@ -207,12 +207,13 @@ def solve(
             press = Press(at[0], at[1], 0.0, shear[0], shear[1], -depth, rot_deg, *map(float, tilt))
             return Scene(load_gel(gel), Material(nu), body, press, interface)
 
+        reached = depth or 0.0
         if force is None:
-            reached = float(depth or 0.0)
             result = solvers.solve(scene_at(reached), method)
         else:
-            wanted = force * REFERENCE_C10 / c10
-            reached, result = press_to(wanted, scene_at, lambda scene: solvers.solve(scene, method))
+            reached, result = press_to(
+                force * REFERENCE_C10 / c10, scene_at, lambda each: solvers.solve(each, method)
+            )
         if not (result.status.valid and result.evidence.get("mesh")):
             raise GelforgeError(f"the press was not solved: {result.evidence.get('reason') or result.status.value}")
         mesh = load_mesh(result.evidence["mesh"])

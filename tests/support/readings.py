@@ -14,6 +14,7 @@ def reading(number: int, flag: bool = False, image: np.ndarray = GREY, **changes
     forces[:, 1, 1] = 0.0, 0.0, -number
     said = {
         "half_width": np.array([0.1, 0.2, 0.3]), "reason": "dark" if flag else "", "edge_peak": 0.0, "image": image,
+        "moment": np.array([2.0, -1.5 * number, 0.1]), "moment_half_width": np.array([1.1, 1.2, 1.3]),
     }  # fmt: skip
     found = ForceReading(cells=forces, total=forces.sum((1, 2), dtype=np.float64), **(said | changes))
     return Reading(number, 0.01 * number, found, ms=3.0)

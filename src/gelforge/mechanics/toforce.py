@@ -21,9 +21,8 @@ from gelforge.records.status import Status
 CLOSE = 0.005  # largest relative error of the force
 FIRST_MM = 0.6  # depth below the first touch of the first coarse path
 BEYOND = 1.1  # a path is followed to this multiple of the force that it must contain
-# Least force of a solve over that of the coarse path: 0.88 under flat bodies, 0.96 under balls. So the first solve is a
-# little too deep, and the root lies on its curve.
-RATIO = 0.89
+# Force of a solve over that of the coarse path: 0.88 under flat bodies to 0.96 under balls.
+RATIO = 0.93
 DEEPEST = 0.6  # of the gel's thickness: largest depth that is tried
 MOST_PATHS, MOST_SOLVES = 5, 4
 
@@ -92,7 +91,8 @@ def _coarse(force: float, scene_at: Callable[[float], Scene]) -> DepthCurve:
         straight = replace(scene, press=replace(scene.press, dx=0.0, dy=0.0), interface=Interface())
         (frame,) = solver.coarse_path([straight])
         if frame is None:
-            break
+            depth = 0.5 * (touch + depth)
+            continue
         curve = DepthCurve.of(touch, depth, frame.curve)
         if curve.force[-1] >= force:
             return curve

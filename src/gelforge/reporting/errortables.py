@@ -16,17 +16,15 @@ def contacts_text(found: dict) -> str:
 
 
 def tables(result: dict) -> list[dict]:
-    """Tables of an evaluation for the report: title, columns, rows of text. References are last, if there are any."""
+    """Tables of an evaluation for the report: title, columns, rows of text. Moments and references are last, if there are any."""
     groups = (("per_indenter", "per indenter"), ("per_force", "per normal force"), ("per_sensor", "per sensor"))
     found = [
         _totals_and_cells(result),
         _intervals(result),
-        _moments(result),
         _controls(result),
         *(_groups(result, key, title) for key, title in groups),
     ]
-    references = _references(result)
-    return found + ([references] if references["rows"] else [])
+    return found + [table for table in (_moments(result), _references(result)) if table["rows"]]
 
 
 def _table(title: str, columns: list[str], rows: list[list]) -> dict:

@@ -83,7 +83,7 @@ def collect(
     return found, places, left_out, material
 
 
-def moments_by_cells(sensors: Mapping[str, Sensor], grid: Grid, where: str) -> MomentOf:
+def moments_by_cells(sensors: dict[str, Sensor], grid: Grid, where: str) -> MomentOf:
     """Moments of labels from their cells."""
     arms = lru_cache(None)(lambda name: Arms(find_sensor(sensors, name, where), grid))
     return lambda name, label, material: arms(name).moment(label, material.get("c10", REFERENCE_C10))

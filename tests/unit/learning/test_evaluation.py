@@ -27,6 +27,7 @@ from gelforge.learning.start import Start
 from gelforge.reading.reader import Reader
 from gelforge.records.axes import CHANNELS
 from gelforge.records.predictionfile import read_predictions
+from gelforge.records.press import FORCE, FORCES
 from gelforge.reporting.errortables import tables
 from gelforge.reporting.modelcard import write_card
 from gelforge.reporting.networkcharts import draw_curve, draw_predictions
@@ -255,20 +256,21 @@ def test_shuffling_leaves_no_press_a_prediction_of_its_own(data, models):
 
 def test_force_outside_the_picture_is_no_error_of_label_or_network(data, models):
     """The truth is of the whole gel; what fell outside is reported beside the label, and no picture shows it."""
-    beyond = np.array([0.3, -0.2, -1.5])
-    table = [
-        replace(
-            each,
-            outside=beyond,
-            truth={n: str(float(v) + beyond[at]) for at, (n, v) in enumerate(each.truth.items())},
-        )
-        for each in data.table
-    ]
+    beyond, turned = np.array([0.3, -0.2, -1.5, 0.01, -0.02, 0.001]), np.array([0.004, -0.003, 0.0002])  # N, N m
+    table = []
+    for each in data.table:
+        wrench = np.concatenate([each.total, turned])
+        true = np.concatenate([[float(each.truth[name]) for name in FORCE], turned]) + beyond
+        truth = {name: str(value) for name, value in zip(FORCES, true.tolist(), strict=True)}
+        table.append(replace(each, wrench=wrench, outside=beyond, truth=truth))
     against = evaluate(replace(data, table=table), models["pair"].model, EVALUATE)[0]["splits"]["test"]["against"][
         "truth"
     ]
     assert against["labels"]["fz"]["mae"] == pytest.approx(0.0, abs=1e-6)
     assert against["labels_over"]["fz"] == pytest.approx(1.0, abs=1e-6)
+    moments = against["moment"]["labels"]
+    assert moments["n"] == against["n"] and moments["mx"]["mae"] == pytest.approx(0.0, abs=1e-6)  # N mm
+    assert against["moment"]["network"]["my"]["mae"] > 0.0
 
 
 def test_the_error_on_sensors_that_training_never_saw_is_as_uncertain_as_they_differ(data):

@@ -52,6 +52,7 @@ def test_a_person_sees_what_is_read_and_how_it_ended(chromium, width):
         assert chromium.execute_script("return el('normal').width") == 5
         assert "90 %" in chromium.find_element("id", "band").text
         assert chromium.find_element("id", "z").text == "-3.00 ± 0.30"
+        assert chromium.find_element("id", "my").text == "-4.5 ± 1.2"
         server.announce(f"{'a_folder_without_a_space/' * 9}film.avi: ended after 3 frames")
         wait_for(chromium, "return el('said').textContent.includes('ended after 3')")
         server.send(reading(4))  # what was said stays
