@@ -13,6 +13,9 @@ from gelforge.calibration.parameters import ORIGIN, TARE, BenchModel
 # presses that hardly move sideways. Without them 0.1 % of a large force would decide friction.
 ERROR = 0.01
 SIDEWAYS_ERROR, SIDEWAYS_ERROR_OF_NORMAL = 0.03, 0.002
+# N mm: six-axis sensors resolve moments to 0.1 to 1 N mm and drift by as much. It is no parameter: a chain would take
+# longer, and a few presses do not show it.
+MOMENT_NOISE = 1.0
 CENTRE_ERROR = 0.05  # mm, of the emulated centre of a force
 ERRORS = np.array([ERROR, SIDEWAYS_ERROR, SIDEWAYS_ERROR_OF_NORMAL])
 
@@ -69,14 +72,14 @@ class Posterior:
     def _by_centre(self, values: dict, depth: np.ndarray) -> np.ndarray:
         """Log-likelihood (w, n) of the centres of forces; 0 for a press without one.
 
-        A centre is off by the noise of the moment over the force that was read, and by CENTRE_ERROR. All have the
+        A centre is off by MOMENT_NOISE over the force that was read, and by CENTRE_ERROR. All have the
         sensor's origin in common.
         """
         assert self.centre is not None
         origin = np.stack([values[name] for name in ORIGIN], axis=1)
         residual = self.centre - origin[:, None] - self.emulator.centres(depth, values)
         force = np.abs(self.observed[:, 2])
-        scale = np.hypot(values["moment_noise"][:, None] / force, CENTRE_ERROR)
+        scale = np.hypot(MOMENT_NOISE / force, CENTRE_ERROR)
         square = (residual**2).sum(axis=2) / scale**2
         found = constants(self.tail)[2] - 2.0 * np.log(scale) - 0.5 * (self.tail + 2) * np.log1p(square / self.tail)
         return np.where(np.isfinite(found), found, 0.0)
