@@ -61,7 +61,7 @@ class Emulator:
     def forces(self, depth, values: dict) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Forces (w, n, 3) N, slopes (w, n, 3) N per mm, and effective depths (w, n) mm, for w parameter sets.
 
-        depth: (n,) commanded depth, mm. values: arrays (w,) by name (parameters.NAMES). The
+        depth: (n,) commanded depth, mm. values: as of `BenchModel.values`. The
         effective depth is commanded + offset - compliance * |normal force|, solved exactly; slopes
         are with respect to the commanded depth. Beyond the table the last slope is extrapolated. Sideways, the frame
         takes shear_compliance * |sideways force| of the travel. Tilt changes all components alike, by the factor at the

@@ -16,7 +16,6 @@ TARE = ("tare_x", "tare_y", "tare_z")
 TILT = ("tilt_x", "tilt_y")
 ORIGIN = ("origin_x", "origin_y")
 NAMES = ("c10", "offset", "compliance", "shear_compliance", "mu", *TARE, "noise", "scatter", "discretisation")
-MOMENTS = (*ORIGIN, "moment_noise")  # that only the centres of forces determine
 SIDEWAYS = ("shear_compliance", "tare_x", "tare_y")  # that only sideways forces determine
 LABELS = {
     "c10": "C10 (MPa)",
@@ -34,7 +33,6 @@ LABELS = {
     "tilt_y": "tilt about y (degrees)",
     "origin_x": "origin of the moments along x (mm)",
     "origin_y": "origin of the moments along y (mm)",
-    "moment_noise": "noise of the moments (N mm)",
 }
 FRICTION = {Frictionless.name: 0.0, NoSlip.name: np.inf}  # coefficient that a law implies; Coulomb's is a parameter
 # Distributions of scipy.stats by kind of prior, from the numbers of its table.
@@ -227,7 +225,7 @@ def make_model(
     of_mountings = [model.of("offset", name) for name in mountings]
     of_mountings += [model.of(axis, name) for name in mountings if name in tilted for axis in TILT]
     shared = [name for name in NAMES if name != "offset"]
-    for name in ["c10", *of_mountings, *shared[1:], *(MOMENTS if tilted else ())]:
+    for name in ["c10", *of_mountings, *shared[1:], *(ORIGIN if tilted else ())]:
         table = getattr(params.priors, prior_name(name))
         if name == "mu" and law in FRICTION:
             fixed[name] = FRICTION[law]

@@ -13,7 +13,12 @@ from gelforge.calibration.parameters import ORIGIN, TARE, BenchModel
 # presses that hardly move sideways. Without them 0.1 % of a large force would decide friction.
 ERROR = 0.01
 SIDEWAYS_ERROR, SIDEWAYS_ERROR_OF_NORMAL = 0.03, 0.002
-CENTRE_ERROR = 0.05  # mm, of the emulated centre of a force
+# N mm: six-axis sensors resolve moments to 0.1 to 1 N mm and drift by as much. It is no parameter: a chain would take
+# longer, and a few presses do not show it.
+MOMENT_NOISE = 1.0
+# Error of the emulated centre of a force, mm, and as a fraction of its motion by tilt: where one side of a wide block leaves
+# the gel, at 3 degrees, it moves by a tenth less than in proportion.
+CENTRE_ERROR, CENTRE_SHARE = 0.05, 0.07
 ERRORS = np.array([ERROR, SIDEWAYS_ERROR, SIDEWAYS_ERROR_OF_NORMAL])
 
 
@@ -69,14 +74,18 @@ class Posterior:
     def _by_centre(self, values: dict, depth: np.ndarray) -> np.ndarray:
         """Log-likelihood (w, n) of the centres of forces; 0 for a press without one.
 
-        A centre is off by the noise of the moment over the force that was read, and by CENTRE_ERROR. All have the
+        A centre is off by MOMENT_NOISE over the force that was read, by CENTRE_ERROR, and by CENTRE_SHARE of what
+        tilt moves it. All have the
         sensor's origin in common.
         """
         assert self.centre is not None
         origin = np.stack([values[name] for name in ORIGIN], axis=1)
-        residual = self.centre - origin[:, None] - self.emulator.centres(depth, values)
+        centres, tilts = self.emulator.centres(depth, values), self.emulator.tilts
+        assert tilts is not None
+        residual = self.centre - origin[:, None] - centres
+        moved = CENTRE_SHARE * np.hypot(*np.moveaxis(centres - tilts.centre, 2, 0))
         force = np.abs(self.observed[:, 2])
-        scale = np.hypot(values["moment_noise"][:, None] / force, CENTRE_ERROR)
+        scale = np.hypot(np.hypot(MOMENT_NOISE / force, CENTRE_ERROR), moved)
         square = (residual**2).sum(axis=2) / scale**2
         found = constants(self.tail)[2] - 2.0 * np.log(scale) - 0.5 * (self.tail + 2) * np.log1p(square / self.tail)
         return np.where(np.isfinite(found), found, 0.0)

@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.stats import norm
 
-from gelforge.calibration.parameters import MOMENTS, TARE, TILT, BenchModel, label_of
+from gelforge.calibration.parameters import ORIGIN, TARE, TILT, BenchModel, label_of
 from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.sampling import Chain
 
@@ -173,7 +173,7 @@ def _trades(correlation: dict) -> list[str]:
 
 def _unseen(parameters: dict) -> list[str]:
     # Data cannot determine the emulator's scale, which only widens C10; a tare that stays as its prior is good news.
-    expected = ("discretisation", *TARE, *MOMENTS)
+    expected = ("discretisation", *TARE, *ORIGIN)
     blind = [
         n
         for n in parameters

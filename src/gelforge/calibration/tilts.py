@@ -23,6 +23,8 @@ NODES = ((0.0, 0.0), (STEP_DEG, 0.0), (0.0, STEP_DEG))
 MOST_FLAT, MOST_ROUND = 6, 2  # presses of a mounting that are solved at tilts
 FEWEST = 2  # straight presses of a mounting, with moments, of a body that feels tilt
 ROUNDED_MM = 0.05  # to which the depths of these solves are rounded, so that sessions of the same presses share them
+# mm; a flat body that leans by 3 degrees is pushed up to 2 mm beside its tip, but all to one side
+MOST_BESIDE_MM = 1.5
 SHALLOWEST = 0.4  # of the depth that was solved: at less the response is that of this depth
 
 
@@ -69,9 +71,6 @@ def centre_fault(readings: Readings) -> str:
         f"The moments put forces {spread:.1f} mm beside the presses, one to one side and one to another, and were not used: mx_nm and"
         " my_nm are moments on the gel about its apex, N m along gel x and y."
     )
-
-
-MOST_BESIDE_MM = 1.5  # a flat body that leans by 3 degrees is pushed up to 2 mm beside its tip, and all to one side
 
 
 def rounded(depth) -> np.ndarray:

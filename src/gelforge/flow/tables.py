@@ -256,7 +256,6 @@ class PriorsTable(ParameterTable):
     indenter: PriorTable
     tilt: PriorTable
     origin: PriorTable
-    moment_noise: PriorTable
 
     def fault(self) -> str | None:
         """C10 is fixed or outside the range of gels, or another parameter is fixed without its value."""

@@ -79,7 +79,7 @@ def test_centres_of_flat_presses_find_the_tilt_and_balls_the_origin_of_the_momen
     posterior = Posterior(emulator, model, depth, observed, 4.0, centre)
 
     def likelihood(tilt, beside):
-        given = {**values, "tilt": np.array(tilt)[None, None], "moment_noise": np.array([0.1])}
+        given = {**values, "tilt": np.array(tilt)[None, None]}
         given |= {f"origin_{axis}": np.array([by]) for axis, by in zip("xy", beside, strict=True)}
         return posterior._by_centre(given, emulator.forces(depth, given)[2]).sum()
 
@@ -90,7 +90,7 @@ def test_centres_of_flat_presses_find_the_tilt_and_balls_the_origin_of_the_momen
         assert likelihood(true + off, origin - [0.3 * off[1], -0.3 * off[0]]) < best
     without = replace(posterior, centre=np.full((5, 2), np.nan))
     assert without._by_centre(
-        {**values, **{name: np.ones(1) for name in ("origin_x", "origin_y", "moment_noise")}}, found
+        {**values, **{name: np.ones(1) for name in ("origin_x", "origin_y")}}, found
     ).tolist() == [[0.0] * 5]
 
 

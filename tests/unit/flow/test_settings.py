@@ -199,7 +199,7 @@ def test_the_datasets_that_come_along_are_sound(root):
 
 
 def test_words_of_the_schema_are_those_of_the_code():
-    from gelforge.calibration.parameters import NAMES, TARE
+    from gelforge.calibration.parameters import NAMES, ORIGIN, TILT, prior_name
     from gelforge.records.labelfile import FIELDS
 
     assert (
@@ -207,6 +207,7 @@ def test_words_of_the_schema_are_those_of_the_code():
         and set(t.IN_PROCESS) < set(t.METHODS)
         and set(t.PRIOR_KEYS) == set(get_args(kinds_of(t.PriorTable)["kind"]))
     )
-    assert set(NAMES) - set(TARE) | {"indenter", "tare"} == {field.name for field in fields(t.PriorsTable)}
+    every = (*NAMES, *TILT, *ORIGIN, "scale of ball", "tilt_x of mounting")
+    assert {prior_name(name) for name in every} == {field.name for field in fields(t.PriorsTable)}
     channels = get_args(get_args(split(kinds_of(t.LabelsTable)["channels"])[0])[0])
     assert set(channels) - {"force"} <= set(FIELDS)
