@@ -30,9 +30,9 @@ CLEAR, LEAST_CLEAR = 8, 0.2  # darkness up to which no marker is seen; least fra
 # Weights of six rows, which continue the line through them to the step beside them.
 EXTENT = np.array([0.5952, 0.4238, 0.2524, 0.081, -0.0905, -0.2619])
 SPREAD, SMOOTH = 1.48, 0.3  # deviation over median magnitude; levels
-# Levels and scales from which an image is torn. The largest of 391 whole pairs (films, FEATS, balls, rig) have 1.6 and
-# 2.4, drags by up to half a pitch 1.8.
-STRONG, SHARED = 1.7, 2.8
+# Levels and scales from which an image is torn. The largest of 703 whole pairs (552 frames of films, FEATS, balls, rig)
+# have 1.6 and 2.9, drags by up to half a pitch 1.8.
+STRONG, SHARED = 1.7, 3.1
 FLIPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "mirrored left to right": lambda image: image[:, ::-1],
     "mirrored top to bottom": lambda image: image[::-1],
