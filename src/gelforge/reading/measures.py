@@ -25,16 +25,14 @@ FAR_LOST = 0.1  # fraction of lost markers beyond which their motion is that of 
 # their difference that the step is at least; rows of a block of a compressed film.
 COARSE, MOST_STEPS, SIDE, KEEPS, BLOCK = 20, 6, 5, 0.7, 8
 MOST_EDGES = 15  # steps of a torn image; twice the next largest one is what its texture does by itself
-EXTENT = (
-    0.85,
-    0.45,
-    0.05,
-    -0.35,
-)  # weights of four rows, which continue the line through them to the step beside them
+WIDE = 10  # columns of the other sign, each as wide as a marker is far from the next
+CLEAR, LEAST_CLEAR = 8, 0.2  # darkness up to which no marker is seen; least fraction of a column's pixels without one
+# Weights of six rows, which continue the line through them to the step beside them.
+EXTENT = np.array([0.5952, 0.4238, 0.2524, 0.081, -0.0905, -0.2619])
 SPREAD, SMOOTH = 1.48, 0.3  # deviation over median magnitude; levels
-OF_COLUMNS = 0.6  # fraction of the columns that share a step
-# Levels and scales from which an image is torn. The largest of 391 whole pairs (films, FEATS, balls, rig) have 1.6 and 2.8.
-STRONG, SHARED = 1.7, 3.0
+# Levels and scales from which an image is torn. The largest of 703 whole pairs (552 frames of films, FEATS, balls, rig)
+# have 1.6 and 2.9, drags by up to half a pitch 1.8.
+STRONG, SHARED = 1.7, 3.1
 FLIPS: dict[str, Callable[[np.ndarray], np.ndarray]] = {
     "mirrored left to right": lambda image: image[:, ::-1],
     "mirrored top to bottom": lambda image: image[::-1],
@@ -150,21 +148,31 @@ def _same_light(image: np.ndarray, nocontact: np.ndarray, light: Light) -> bool:
 def tear(pair: Pair) -> float:
     """How much the image looks as if its lower part were of another frame; above 1 it is torn.
 
-    By one strong step of the difference between the two images from one row to the next, or by a weaker one that most
-    of its columns share.
+    By one strong step of the difference between the two images from one row to the next, or by a weaker one that half of
+    the image's width shares.
     """
     import cv2
 
     if pair.nocontact is None:
         return 0.0
-    difference = cv2.subtract(pair.lit.seen, pair.nocontact.picture.seen, dtype=cv2.CV_32F)
+    shown = pair.nocontact.frame.shown
+    difference = cv2.subtract(pair.lit.image, pair.nocontact.picture.image, dtype=cv2.CV_32F)
+    dark = cv2.dilate(cv2.max(pair.lit.darkness, pair.nocontact.picture.darkness), np.ones((3, 3), np.uint8))
+    clear = cv2.resize((dark <= CLEAR).astype(np.float32), difference.shape[1::-1], interpolation=cv2.INTER_NEAREST)
+    difference, clear = difference[shown], cv2.merge([clear] * 3)[shown]
     if pair.nocontact.frame.orientation.transposed:
-        difference = cv2.transpose(difference)
-    rows = len(difference)
-    if rows < MOST_EDGES + 2 * SIDE:
+        difference, clear = cv2.transpose(difference), cv2.transpose(clear)
+    if len(difference) < MOST_EDGES + 2 * SIDE:
         return 0.0
-    coarse = cv2.resize(difference, (COARSE, rows), interpolation=cv2.INTER_AREA).reshape(rows, -1)
-    return max(strong_step(coarse) / STRONG, shared_step(coarse) / SHARED)
+    shared = shared_step(_columns(difference * clear, WIDE), _columns(clear, WIDE))
+    return max(strong_step(_columns(difference, COARSE)) / STRONG, shared / SHARED)
+
+
+def _columns(values: np.ndarray, count: int) -> np.ndarray:
+    """Values (h, w, 3) averaged to (h, 3 count) columns."""
+    import cv2
+
+    return cv2.resize(values, (count, len(values)), interpolation=cv2.INTER_AREA).reshape(len(values), -1)
 
 
 def strong_step(coarse: np.ndarray) -> float:
@@ -188,18 +196,23 @@ def strong_step(coarse: np.ndarray) -> float:
     return found
 
 
-def shared_step(coarse: np.ndarray) -> float:
-    """Largest step of differences (rows, columns) between two rows that most columns share, over what they do elsewhere.
+def shared_step(sums: np.ndarray, clear: np.ndarray) -> float:
+    """Largest step of differences between two rows that half of the columns share, over what they do elsewhere.
 
-    A column's step is that between the lines through the EXTENT rows above and below. Its scale is the median over all
-    rows, and SMOOTH levels at least. A contact's edge steps in its own columns alone; beside it nothing does.
+    sums, clear: (rows, columns), differences outside of markers, and the fraction of such pixels, because a drag moves
+    the markers of one row alike. A column's step is that between the lines through the rows above and below (EXTENT). Its
+    scale is the median over all rows, and SMOOTH levels at least. A contact's edge steps in its own columns alone; beside
+    it nothing does.
     """
-    rows, reach = len(coarse), len(EXTENT)
-    above = np.arange(reach - 1, rows - reach)
-    size = np.abs(sum(part * (coarse[above + 1 + k] - coarse[above - k]) for k, part in enumerate(EXTENT)))
+    reach = len(EXTENT)
+    above = np.arange(reach - 1, len(sums) - reach)
+    means = sums / np.maximum(clear, LEAST_CLEAR)
+    size = np.abs(sum(part * (means[above + 1 + k] - means[above - k]) for k, part in enumerate(EXTENT)))
     middle = len(size) // 2  # a partition takes a third of the time of numpy's median
     scale = np.maximum(SPREAD * np.partition(size, middle, axis=0)[middle], SMOOTH)
-    rank = int((1.0 - OF_COLUMNS) * size.shape[1])
+    hidden = np.cumsum(np.pad(clear <= LEAST_CLEAR, ((1, 0), (0, 0))), axis=0)
+    size[hidden[above + 1 + reach] > hidden[above + 1 - reach]] = 0.0
+    rank = size.shape[1] // 2
     shared = np.partition(size / scale, rank, axis=1)[:, rank]
     return float((shared / np.where((above + 1) % BLOCK, 1.0, 3.0)).max())
 

@@ -199,6 +199,21 @@ def test_a_drag_farther_than_the_network_learnt_is_flagged(demo_nocontact, shipp
             assert ("its markers moved by" in reason) == flagged, (angle, pitches, reason)
 
 
+def test_a_drag_of_most_of_the_gel_is_no_torn_frame(demo_nocontact, shipped):
+    """It moves the markers of one row alike, whose edges then are steps from one row to the next."""
+    noise = np.random.default_rng(3)
+    for picture in demo_nocontact.values():
+        reader, (rows, cols) = Reader(picture, model=shipped), picture.shape[:2]
+        pitch = markers_in(picture).pitch
+        v, u = np.mgrid[:rows, :cols].astype(np.float32)
+        near = np.exp(-(((u - cols / 2) ** 2 + (v - rows / 2) ** 2) / (3.0 * pitch) ** 2)).astype(np.float32)
+        for pitches in (0.15, 0.3, 0.5):
+            for across, along in ((1.0, 0.0), (0.0, 1.0), (0.8, 0.6)):
+                moved = [side - np.float32(pitches * pitch * way) * near for side, way in ((u, across), (v, along))]
+                dragged = cv2.remap(picture, *moved, cv2.INTER_LINEAR) + noise.normal(0.0, 1.5, picture.shape)
+                assert "torn" not in reader(np.clip(np.rint(dragged), 0, 255).astype(np.uint8)).reason
+
+
 # By what a no-contact image is multiplied that was taken under another fall of light; x, y from -1 to 1 over the image.
 FALLS = {
     "corners 60 % darker": (lambda x, y: 1.0 - 0.3 * (x**2 + y**2), True),
