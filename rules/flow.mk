@@ -120,7 +120,8 @@ REPORT := $D/90_report/$(RES1)-$(PAGE_NET).html
 SHOWN := $(sort $(BRANCHES:%=$D/%) $(wildcard $D/calibrate/summary.json $D/pareto/pareto.json))
 # A network of one's own stands beside the shipped one, where that reads the dataset.
 BOTH := $(if $(filter $(SHIPPED_RES),$(RES1)),$(if $(wildcard $(DATA)/nocontact),shipped))
-JUDGED := $(if $(filter none,$(PAGE_NET)),,$D/60_dataset/$(RES1)/dataset.json $(patsubst %,$D/80_evaluate/$(RES1)/%.json,$(sort $(NET) $(BOTH))))
+OWN_NET := $(patsubst %,$D/70_train/$(RES1)/%.onnx,$(filter $(MODELS),$(NET)))
+JUDGED := $(if $(filter none,$(PAGE_NET)),,$D/60_dataset/$(RES1)/dataset.json $(OWN_NET) $(patsubst %,$D/80_evaluate/$(RES1)/%.json,$(sort $(NET) $(BOTH))))
 SOLVED := $(if $(IMPORTED),,$(POSES) $(MESHED) $(FEA) $(FORCES) $(SHARDS:%=$D/50_labels/$(RES1)/%.npz) $(IMAGES_JUDGED))
 
 .PHONY: report

@@ -69,6 +69,7 @@ STAGES = {
     "stability": Stage(STABILITY, ("fea",), solves=True),
     "pareto_models": Stage(PARETO_MODELS),
 }
+TABLES = ("sensors", "indenters", "gels", "chart")  # files of catalogue entries beside the stages' parameters
 FOLDERS = (
     PLAN,
     *dict.fromkeys(stage.folder for stage in STAGES.values()),

@@ -48,8 +48,10 @@ def cause(target: Path, inputs: Sequence[str], command: list[str]) -> tuple[str,
         return "it was not made yet", now
     if record.get("exit_code") != 0:
         return "its last run did not succeed", now
-    if not target.is_file() or any(lost_beside(target)):
-        return "it is missing, or a file beside it is", now
+    if not target.is_file():
+        return "it is missing", now
+    if lost := lost_beside(target):
+        return f"{named([*map(str, lost)])} is missing", now
     if record["sha256"] != digest_of(target):
         return "it changed since it was made", now
     if gone := sorted(known.keys() - set(inputs)):
@@ -72,9 +74,34 @@ def beside(path: Path) -> dict[Path, str]:
     return {path.with_name(name): digest for name, digest in (listed or {}).items()}
 
 
-def lost_beside(path: Path) -> Iterator[Path]:
-    """Files that a target names and that are missing."""
-    return (file for file in beside(path) if not file.is_file())
+def made_with(target: Path) -> list[str]:
+    """Names, relative to its folder, of the files that a target's command wrote beside it: STEM.*, and all in STEM/."""
+    found = [path for path in target.parent.glob(f"{target.stem}.*") if path.suffix not in (".part", ".lock")]
+    others = [path for path in found if metrics_of(path) != metrics_of(target) and metrics_of(path).exists()]
+    every = {*found, *(target.with_name(target.stem)).rglob("*")} - {target, *others}
+    return sorted(str(path.relative_to(target.parent)) for path in every if path.is_file())
+
+
+def lost_beside(path: Path) -> list[Path]:
+    """Files that were made with a target, or that it names, and that are missing."""
+    named = [path.parent / name for name in record_at(path).get("beside", ())]
+    return [file for file in (*named, *beside(path)) if not file.is_file()]
+
+
+def heal(path: Path) -> bool:
+    """Make a whole target again by its record if a file that was made with it is gone; return whether it was.
+
+    With the same content it keeps its date, because other targets were made of it.
+    """
+    record = record_at(path)
+    if record.get("exit_code") != 0 or not path.is_file() or not lost_beside(path):
+        return False
+    made = path.stat().st_mtime_ns
+    if record["sha256"] != digest_of(path) or build(path, [*record["inputs"]], record["command"]):
+        return False
+    if record_at(path)["sha256"] == record["sha256"]:
+        os.utime(path, ns=(made, made))
+    return True
 
 
 def refuse_corrupt(path: Path, now: State | None) -> None:
@@ -108,6 +135,9 @@ def build(target: Path, inputs: list[str], command: list[str]) -> int:
             write_json(metrics_of(target), record_at(target) | {"inputs": states})
             date(target, states, begun)
             return 0
+        healed = [path for path in states if heal(Path(path))]
+        if healed:
+            _, states = cause(target, inputs, command)
         for path, now in states.items():
             refuse_corrupt(Path(path), now)
         if record_at(target):
@@ -152,7 +182,7 @@ def publish_part(target: Path, part: Path, states: dict[str, State | None], comm
     cost |= {"target": str(target), "inputs": states, "counts": counts_in(log_path)}
     cost["bytes"] = part.stat().st_size if code == 0 else 0
     if code == 0:
-        cost["sha256"] = digest_of(part)
+        cost |= {"sha256": digest_of(part), "beside": made_with(target)}
         date(part, states, begun)
     write_json(metrics_of(target), cost)
     if code:

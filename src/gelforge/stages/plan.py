@@ -29,7 +29,7 @@ from gelforge.flow.files import (
     write_if_changed,
     write_text,
 )
-from gelforge.flow.layout import LOGGED, PLAN, STAGES, Layout, metrics_of, shard_name
+from gelforge.flow.layout import LOGGED, PLAN, STAGES, TABLES, Layout, metrics_of, shard_name
 from gelforge.flow.params import Params, stl_files, with_content
 from gelforge.flow.tables import ENOUGH_PRESSES, IN_PROCESS, SHIPPED
 from gelforge.records.log import read_log, shard_text
@@ -472,7 +472,7 @@ def main(args: Namespace) -> None:
         "MESHED_GELS": [] if params.fea.method in IN_PROCESS and not params.fea.verify else logged_gels,
         "CHARTED_GELS": meshable({USUAL_GEL, *gels_of({**tables["chart"], **scenes})}),
         "IMAGES": ["yes"] if pictures and params.poses.images else [],
-        "PARAMETERS": [*STAGES, *tables],  # files that the report shows
+        "PARAMETERS": [*STAGES, *TABLES],  # files that the report shows
         "PLANNED_FROM": followed([*map(str, read)], of.log),
     }
     text = "".join(make_list(name, values) for name, values in lists.items())

@@ -13,7 +13,7 @@ from tqdm import tqdm
 from gelforge.flow.calibration import calibrated, read_found
 from gelforge.flow.cli import stage
 from gelforge.flow.files import listed, read_csv, read_json, write_text
-from gelforge.flow.layout import PARETO, Layout
+from gelforge.flow.layout import PARETO, STAGES, TABLES, Layout
 from gelforge.flow.params import read_parameters
 from gelforge.flow.runs import COST, costs_of, installed, last_runs, stages
 from gelforge.flow.tables import ENOUGH_PRESSES, SHIPPED
@@ -268,7 +268,7 @@ def network_section(results: Path, resolution: str, model: str) -> Section:
             section.text(sentence)
         if rows := networkchoice.beside(metrics, shipped):
             section.table(networkchoice.COLUMNS, rows)
-    ours = published_here(path.parent)
+    ours = published_here(path, other)
     for table in [*metrics["tables"], *([feats_tables.comparison(ours)] if ours else [])]:
         section.table(table["columns"], table["rows"], folded=table["title"])
     curve, picture = Layout(results).curve(resolution, model), path.with_suffix(".png")
@@ -277,9 +277,9 @@ def network_section(results: Path, resolution: str, model: str) -> Section:
     return add_pictures(add_pictures(section, curve.parent, learning), picture.parent, predicted)
 
 
-def published_here(folder: Path) -> dict[str, dict]:
-    """Errors on FEATS' published test sets of every network that was evaluated on them, by name."""
-    found = {path.stem: read_json(path).get("published") for path in listed(folder, "*.json")}
+def published_here(*evaluations: Path) -> dict[str, dict]:
+    """Errors on FEATS' published test sets by network, of the evaluations that exist and are of these sets."""
+    found = {path.stem: read_json(path).get("published") for path in evaluations if path.exists()}
     return {name: errors for name, errors in found.items() if errors}
 
 
@@ -312,8 +312,9 @@ def versions_section(results: Path) -> Section:
     section, found = Section("Versions and parameters"), installed(PACKAGES)
     rows = [*([name, found.get(name, ABSENT)] for name in PACKAGES), ["CalculiX", calculix_version()]]
     section.table(["program", "version"], rows, folded="programs")
-    for path in listed(Layout(results).params, "*.json"):
-        section.code(json.dumps(read_json(path), indent=1), f"parameters of {path.stem}")
+    for path in map(Layout(results).parameters, sorted((*STAGES, *TABLES))):
+        if path.exists():
+            section.code(json.dumps(read_json(path), indent=1), f"parameters of {path.stem}")
     return section
 
 

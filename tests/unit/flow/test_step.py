@@ -195,7 +195,6 @@ def test_nothing_is_made_of_an_input_that_is_not_as_it_was_made(tmp_path):
         "cut off": (table, lambda: table.write_text(table.read_text()[:-4])),
         "one byte changed": (table, lambda: table.write_text(table.read_text().replace("labels", "Labels"))),
         "record lost": (table, lambda: record.write_text('{"exit_code": 0, "by')),
-        "file beside it gone": (array, array.unlink),
         "file beside it changed": (array, lambda: array.write_text("Labels\n")),
     }
     for harm, (named, do) in harms.items():
@@ -208,9 +207,33 @@ def test_nothing_is_made_of_an_input_that_is_not_as_it_was_made(tmp_path):
             f"{last}: {named}: missing or changed since it was made; remove it (rm {gone})"
         ), harm
         assert not last.exists()
+    # a file beside it that is gone is made again, by the table's own command
+    array.unlink()
+    code, said = read()
+    assert code == 0 and f"{table}: made again, because {array} is missing" in said and array.exists()
     # a run that failed since left the file of the one before
     assert wrapped(table, "bash", "-c", making)[0] == 0 and wrapped(table, "false")[0] == 1
     assert read()[0] == 0
+
+
+def test_what_was_written_beside_a_prerequisite_and_is_gone_is_made_again(tmp_path):
+    """By its stem or in a folder of its name; a target of its own that has the same stem is none of it."""
+    table, last = tmp_path / "results/d/10_poses/0000.csv", tmp_path / "results/d/30_fea/0000.csv"
+    inner, shown, own = (
+        table.with_name("0000") / "a.stl",
+        table.with_name("0000.png"),
+        table.with_name("0000.card.md"),
+    )
+    making = f"mkdir -p {inner.parent}; touch {inner} {shown}; echo rows > {table}.part"
+    assert wrapped(own, "bash", "-c", f"echo card > {own}.part")[0] == 0
+    assert wrapped(table, "bash", "-c", making)[0] == 0
+    for gone in (inner, shown):
+        gone.unlink()
+        code, said = wrapped(last, "bash", "-c", f"cat {gone} > {last}.part", reads=[table])
+        assert code == 0 and f"{table}: made again, because {gone} is missing" in said and gone.exists()
+        last.unlink()
+    own.unlink()
+    assert f"{table}: made" not in wrapped(last, "bash", "-c", f"echo > {last}.part", reads=[table])[1]
 
 
 def test_killing_what_started_the_wrapper_ends_wrapper_and_command(tmp_path):
