@@ -29,6 +29,7 @@ AT_LIMIT = 0.999  # share of its limit from which on a tangential traction count
 ROUGHEST = 5e-3  # residual accepted at the start of a walk if its Newton iterations do not get lower
 BEYOND = 1.001  # a slipping point's multiplier over its traction; at 1, rounding would decide which points stick
 SLACK = 0.25  # of a load step by which the steps of a walk may be longer than those of a path
+HOLDS, SETTLED = 8, 2e-3  # most held solves at the end of a path, and tangential force above the limit at which they end
 ACCEPTED = 1e-7  # residual over contact force that balances contact force and base reaction to 1e-6
 
 
@@ -436,23 +437,37 @@ class ScenePath(Equilibrium):
                     raise
 
     def _polish(self, pose: Pose) -> None:
-        """Equilibrium to the final tolerance. If points keep flipping between slip and stick, all stick for one step.
+        """Equilibrium to the final tolerance.
 
-        That retry accepts a larger residual, enough for a point that flips in rounding noise; if several flip,
-        shorter steps help. After a long slide many flip for ever: they are held at the tractions at which they slip.
+        Under a law with friction, points close to their limit may flip between slip and stick for ever. Then all points
+        are held at the tractions that the law gives them here, which is a smooth problem, and the law is asked again,
+        until the tractions found obey it to SETTLED.
         """
         final = self.settings.final_tolerance
+        if not self.law.frictional:
+            return self._polish_still(pose, final)
+        try:
+            return self.solve_here(pose, Aim(final, still=True))
+        except NoEquilibrium:
+            pass
+        for _ in range(HOLDS):
+            self.rounds += 1
+            _, self.tractions = self._out_of_balance(self.u, pose, self.penalty)
+            self._slide(pose)
+            self.state.go(1.0)
+            self.solve_here(pose, Aim(max(final, ACCEPTED), held=True))
+            if self.friction()["beyond_cone"] <= SETTLED:
+                break
+
+    def _polish_still(self, pose: Pose, final: float) -> None:
+        """Equilibrium to the final tolerance under a law without friction; larger residuals are a last resort."""
         for parts in (PARTS, SHORT):
             for tolerance, still in ((final, True), (max(final, ACCEPTED), False)):
                 try:
                     return self.solve_here(pose, Aim(tolerance, still, parts=parts))
                 except NoEquilibrium:
                     continue
-        if not self.law.frictional:
-            raise NoEquilibrium
-        self._slide(pose)
-        self.state.go(1.0)
-        return self.solve_here(pose, Aim(max(final, ACCEPTED), held=True))
+        raise NoEquilibrium
 
     # -- diagnostics
 
