@@ -45,7 +45,10 @@ def test_a_wrong_profile_is_named(tmp_path):
 def test_a_line_of_setup_that_fails_ends_the_job(tmp_path):
     """Such as a module that is not there: the command would run with other programs than those that were asked for."""
     profile = own(tmp_path, '[default]\nsetup = ["export WORD=said", "SETUP"]\n').read_text()
-    for line, said, ended in (("true", "said\n", "exit code 3"), ("cd /none", "setup failed: cd /none\n", "exit code 1")):
+    for line, said, ended in (
+        ("true", "said\n", "exit code 3"),
+        ("cd /none", "setup failed: cd /none\n", "exit code 1"),
+    ):
         path = own(tmp_path, profile.replace("SETUP", line))
         job = script_of(["bash", "-c", "echo $WORD; exit 3"], read_profile(path, "fea"))
         done = subprocess.run(["bash", "-c", job], capture_output=True, text=True, check=False)
