@@ -11,6 +11,7 @@ from PIL import Image
 
 from gelforge.calibration.readings import read_readings
 from gelforge.errors import GelforgeError, printable
+from gelforge.flow.files import csv_text
 from gelforge.flow.layout import Layout
 from gelforge.records import log
 from gelforge.records.image import bad_image, read_image
@@ -41,7 +42,7 @@ GOOD = {
     "mz_nm": "",
     "image": "images/a1.png",
 }
-WHOLE = log.csv_text(list(GOOD), [GOOD])
+WHOLE = csv_text(list(GOOD), [GOOD])
 HEADER = ",".join(COLUMNS)
 
 
@@ -62,7 +63,7 @@ def read(tmp_path, text):
 def renamed(**names):
     """The good row under other names of columns."""
     cells = {names.get(name, name): value for name, value in GOOD.items()}
-    return log.csv_text(list(cells), [cells])
+    return csv_text(list(cells), [cells])
 
 
 def judged(path):
@@ -185,7 +186,7 @@ def test_headers_and_rows_that_are_spelt_otherwise_are_read(tmp_path):
     texts = [
         *(renamed(sample_id=name) for name in ("Sample_ID", "SAMPLE ID", "sample-id", "sample_Id ")),
         renamed(dz_mm="Dz mm", image="Image"),
-        log.csv_text([*GOOD, "Image"], [{**GOOD, "Image": "other.png"}]),
+        csv_text([*GOOD, "Image"], [{**GOOD, "Image": "other.png"}]),
         quoted + "\n",
         *("\ufeff" * marks + WHOLE for marks in (1, 2, 3)),
     ]
