@@ -28,7 +28,7 @@ from gelforge.mechanics.ccx.program import need_ccx, run_ccx
 from gelforge.mechanics.hexsettings import quality
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.scene import Interface, Scene
-from gelforge.mechanics.solve import Solvers
+from gelforge.mechanics.solve import Solvers, settings_of
 from gelforge.records.press import Press
 from gelforge.records.status import VALID
 from gelforge.stages import pareto as branch
@@ -39,7 +39,6 @@ from gelforge.sweeps.methods import LARGE_REFERENCE, REFERENCE, Method, method_o
 from gelforge.sweeps.scenes import NamedScene, parse_scene, read_tables
 from gelforge.sweeps.trial import (
     ChartBench,
-    ccx_settings,
     kept,
     load_bench,
     measure,
@@ -331,7 +330,7 @@ def envelope_settings(params: StageParameters, method: Method) -> list:
     """What the records of a method depend on."""
     if method.solver == "hex":
         return [params.version, asdict(quality(method.name))]
-    return [params.version, *ccx_settings(params)]
+    return [params.version, *settings_of("ccx", params.fea, load_gel(USUAL_GEL))]
 
 
 def envelope_figures(found: dict[str, list[dict]]) -> list[Figure]:

@@ -29,7 +29,10 @@ AT_LIMIT = 0.999  # share of its limit from which on a tangential traction count
 ROUGHEST = 5e-3  # residual accepted at the start of a walk if its Newton iterations do not get lower
 BEYOND = 1.001  # a slipping point's multiplier over its traction; at 1, rounding would decide which points stick
 SLACK = 0.25  # of a load step by which the steps of a walk may be longer than those of a path
-HOLDS, SETTLED = 8, 2e-3  # most held solves at the end of a path, and tangential force above the limit at which they end
+HOLDS, SETTLED = (
+    8,
+    2e-3,
+)  # most held solves at the end of a path, and tangential force above the limit at which they end
 ACCEPTED = 1e-7  # residual over contact force that balances contact force and base reaction to 1e-6
 
 
@@ -445,9 +448,11 @@ class ScenePath(Equilibrium):
         """
         final = self.settings.final_tolerance
         if not self.law.frictional:
-            return self._polish_still(pose, final)
+            self._polish_still(pose, final)
+            return
         try:
-            return self.solve_here(pose, Aim(final, still=True))
+            self.solve_here(pose, Aim(final, still=True))
+            return
         except NoEquilibrium:
             pass
         for _ in range(HOLDS):
