@@ -280,6 +280,7 @@ def test_a_press_that_meets_the_gel_only_on_its_way_sideways_has_no_curve_of_its
     ended = SimpleNamespace(
         status=Status.OK,
         total=np.array([0.1, 0.0, -0.4]),
+        moment=np.array([0.2, 0.1, 0.0]),
         evidence={"path": [[1.5, 0.0, 0.0, -0.1], [2.0, 0.1, 0.0, -0.4]], "seconds": 1.0},
     )
     found = path_curve(ended, press, 1.2)

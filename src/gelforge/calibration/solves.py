@@ -143,9 +143,8 @@ def path_curve(result, press: Press, touch: float) -> dict:
 
 def centre_of(result) -> np.ndarray:
     """Where the normal force acts on the deformed gel, (2,) mm along gel x and y: its moments over the force."""
-    arm = result.solved_mesh.nodes + result.displacement
-    moment = np.cross(arm, result.forces).sum(axis=0)
-    return np.array([-moment[1], moment[0]]) / result.forces[:, 2].sum()
+    moment, normal = result.moment, result.total[2]
+    return np.array([-moment[1], moment[0]]) / normal if normal else np.zeros(2)
 
 
 def touch_of(scene: Scene) -> float:
