@@ -53,7 +53,7 @@ def tilted_mountings(readings: Readings, catalogue: Mapping[str, Indenter]) -> t
             of = f" of mounting {name!r}" if name else ""
             said.append(
                 f"The tilt{of} is not calibrated, and labels assume that there is none: that needs {FEWEST} straight presses of"
-                f" flat bodies with mx_nm and my_nm in the log, which has {count or 'none'}."
+                f" flat bodies with mx_nm and my_nm in the log, which has {count or 'none'} of them."
             )
     return tuple(found), said
 
