@@ -151,6 +151,8 @@ def test_what_a_target_reads_and_is_gone_is_made_again_by_the_same_make(whole):
         path.unlink()
     done = make(whole, *REPORTED)
     assert done.returncode == 0, done.stdout
-    assert {path for path in gone if path.suffix != ".png" and path.read_bytes() != before[path]} == set()
     assert all(path.exists() for path in gone)
+    # pictures hold dates, and the page holds what each step cost
+    same = [path for path in gone if path.suffix not in (".png", ".html")]
+    assert {path for path in same if path.read_bytes() != before[path]} == set()
     assert "flow.step" not in make(whole, "-n", *REPORTED).stdout
