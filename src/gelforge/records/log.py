@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from gelforge.errors import BadInput, printable
-from gelforge.flow.files import write_csv
+from gelforge.flow.files import csv_text, write_csv
 from gelforge.flow.layout import command_for
 from gelforge.records.press import (
     COLUMNS,
@@ -56,12 +56,10 @@ def read_shard(path: str | Path) -> list[RawRow]:
 def shard_text(rows: list[RawRow]) -> str:
     """Rows as the text of a shard's file: their line in the log, their cells, and what is wrong with the row."""
     header = list(dict.fromkeys(name for row in rows for name in row.cells))
-    faults = any(row.fault for row in rows)
-    text = io.StringIO(newline="")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["row", *header, *["fault"] * faults])
-    writer.writerows([row.row, *map(row.cells.get, header), *[row.fault or None] * faults] for row in rows)
-    return text.getvalue()
+    columns = ["row", *header, *["fault"] * any(row.fault for row in rows)]
+    return csv_text(
+        columns, [{"row": row.row, **row.cells, **({"fault": row.fault} if row.fault else {})} for row in rows]
+    )
 
 
 def _read(

@@ -12,7 +12,7 @@ from gelforge.mechanics.hexsettings import HexSettings, quality
 from gelforge.mechanics.material import REFERENCE_C10, Material
 from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvers.hex import HexResult, HexSolver
-from gelforge.records.press import Press
+from gelforge.records.press import N_M, Press
 from gelforge.virtualrig import streams
 from gelforge.virtualrig.fields import FAR, RoughBody, body_of
 from gelforge.virtualrig.rigplan import Order, Plan, Truth, generator
@@ -117,8 +117,7 @@ class Bench:
         truth = self.plan.truth_at(order.index)
         scale = truth.c10_mpa / REFERENCE_C10
         force = scale * result.total
-        arm = result.solved_mesh.nodes + result.displacement
-        moment = np.cross(arm, scale * result.forces).sum(axis=0) * 1e-3
+        moment = N_M * scale * result.moment
         log = believed(order, real, play, force, truth)
         read = force + load_cell_error(self.plan, order.index) + noise[0]
         return Pressing(order, real, log, force, moment, read, moment + noise[1], result, down)
