@@ -16,8 +16,8 @@ from gelforge.mechanics.path.equilibrium import System
 from gelforge.mechanics.path.loadpath import first_touch
 from gelforge.mechanics.path.scenepath import ScenePath
 from gelforge.mechanics.scene import Interface, Scene
-from gelforge.mechanics.solve import CCX_ERROR, GUIDE
-from gelforge.mechanics.solvers.ccx import CcxSettings, mesh_of
+from gelforge.mechanics.solve import GUIDE
+from gelforge.mechanics.solvers.ccx import ERROR, CcxSettings, mesh_of
 from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.records.press import Press
 from gelforge.records.status import Status
@@ -55,4 +55,4 @@ def test_two_builds_of_a_base_mesh_give_the_same_forces(tmp_path):
                 forces.setdefault(number, []).append(found.contact_forces().sum(axis=0))
     assert digests == [made.digest, mirrored.digest] and made.digest != mirrored.digest
     for one, other in forces.values():
-        assert np.linalg.norm(one - other) <= min(ALIKE, CCX_ERROR) * np.linalg.norm(other)
+        assert np.linalg.norm(one - other) <= min(ALIKE, ERROR) * np.linalg.norm(other)

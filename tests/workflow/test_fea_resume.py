@@ -28,7 +28,7 @@ GEL = GELS["gelsight_mini"]
 HEADER = "sample_id,sensor_id,gel_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg\n"
 ROWS = [f"s{i},cam,g,ball,{i},0,0,0,0,-0.2,0\n" for i in range(3)]
 STICKS = {"law": "no_slip"}
-BY_CCX = {"method": "ccx", "edge_mm": 0.5, "inside_mm": 2.6}
+BY_CCX = {"method": "ccx", "tolerance": 0.03}
 
 
 @pytest.fixture

@@ -16,8 +16,7 @@ law = "no_slip"
 
 [params.fea]
 method = "ccx"
-edge_mm = 0.6
-inside_mm = 2.6
+tolerance = 0.04
 """
 
 

@@ -31,7 +31,7 @@ def folder(root, tmp_path):
 
 
 def solve(folder, verify: float, **fea_table) -> list[Verified]:
-    table = {"method": "auto", "tolerance": 0.05, "edge_mm": 0.5, "inside_mm": 2.6, "verify": verify, **fea_table}
+    table = {"method": "auto", "tolerance": 0.05, "verify": verify, **fea_table}
     write_stage(folder / "00_plan/params", "fea", fea=table)
     assert fea.main([str(folder), "0000"]) == 0
     return verification.read_verified([folder / "30_fea" / "0000"])

@@ -340,8 +340,6 @@ class FeaTable(ParameterTable):
     method: Method
     tolerance: Annotated[Number, Within(TINY, 1.0)]
     verify: Fraction
-    edge_mm: Size
-    inside_mm: Size
     timeout_s: Seconds
     # Load steps of the in-process load path from which CalculiX gets the contact: a point sticks where it first touched.
     # Four and six press steps differ by 0.03 % of the force of a 15 mm sphere at 1 mm, but by 0.6 % at 2 mm, so no press

@@ -22,7 +22,7 @@ from gelforge.mechanics.mesh.basemesh import base_of
 from gelforge.mechanics.path.transfer import LoadPath
 from gelforge.mechanics.result import Result, Solve
 from gelforge.mechanics.scene import Scene
-from gelforge.mechanics.solvers.ccx import EDGE_MM, CcxSettings, CcxSolver, mesh_of
+from gelforge.mechanics.solvers.ccx import CELLS_ERROR, ERROR, CcxSettings, CcxSolver, mesh_of
 from gelforge.mechanics.solvers.ccxcontact import CELLS_ERROR as CONTACT_CELLS
 from gelforge.mechanics.solvers.ccxcontact import ERROR as CONTACT_ERROR
 from gelforge.mechanics.solvers.ccxcontact import INCREMENTS, ContactSettings, solve_contact
@@ -35,9 +35,6 @@ GUIDE = "label"
 # raised (stages/fea.py).
 NO_RESULT = {"timeout_s"}
 OVERDUE = {"stopped_after_s"}  # evidence that a press ran out of time
-# 90 % bounds on the error of `ccx` over the force, of the total and summed over cells, with edges of EDGE_MM, and the
-# power of edge_mm with which they grow: from presses of known force and the benchmark scenes.
-CCX_ERROR, CCX_CELLS, CCX_ORDER = 0.024, 0.048, 1.5
 FINER = 4  # times as many load steps where a press on hexahedra failed
 
 
@@ -90,7 +87,7 @@ class Solvers:
         """
         tried: list[tuple[float, list[Result]]] = []
         for method in TAKEN:
-            if method == "ccx" and min(share for share, _ in tried) <= self._coarser(CCX_ERROR):
+            if method == "ccx" and min(share for share, _ in tried) <= self.ccx.coarser(ERROR):
                 continue
             found = self.solve_frames(scenes, method)
             tried.append((found[-1].error_share, found))
@@ -161,14 +158,10 @@ class Solvers:
         result.evidence |= {
             "mesh": mesh.name,
             "method": "ccx",
-            "error_n": self._coarser(CCX_ERROR) * force,
-            "cells_error_n": self._coarser(CCX_CELLS) * force,
+            "error_n": self.ccx.coarser(ERROR) * force,
+            "cells_error_n": self.ccx.coarser(CELLS_ERROR) * force,
         }
         return result
-
-    def _coarser(self, bound: float) -> float:
-        """A bound on the error of `ccx` with edges of EDGE_MM, for the edges of the settings."""
-        return bound * (self.ccx.edge_mm / EDGE_MM) ** CCX_ORDER
 
     def _solve_contact(self, scene: Scene, increment: float) -> Result:
         """Solve by CalculiX' own contact on a mesh with even edges under the indenter."""
@@ -228,5 +221,5 @@ def settings_of(method: str, fea: FeaTable, gel: Gel) -> list:
     if method == "ccx-contact":
         own = {f.name: getattr(fea, f.name) for f in fields(ContactSettings) if f.name not in NO_RESULT}
         return [method, base_of(gel).digest, own, asdict(quality(GUIDE))]
-    ccx = {f.name: getattr(fea, f.name) for f in fields(CcxSettings) if f.name not in NO_RESULT}
+    ccx = {key: value for key, value in asdict(CcxSettings.of(fea)).items() if key not in NO_RESULT}
     return [method, base_of(gel).digest, ccx, asdict(quality(GUIDE))]

@@ -22,13 +22,12 @@ BALL = {"kind": "sphere", "diameter": 15, "height": 10}
 SCENE = Scene(load_gel("gelsight_mini"), Material(), build("ball", BALL), Press(0.1, 0.2, 0.0, 0.1, 0.2, -1.0, 5.0))
 # Another value of each parameter of [fea].
 OTHER = {
-    "method": None, "edge_mm": 0.9, "inside_mm": 1.3, "tolerance": 0.05,
+    "method": None, "tolerance": 0.05,
     "press_steps": 5, "shear_steps": 4, "step_mm": 0.3, "stiffness": 1000.0, "rounds": 9,
     "pull_tolerance": 3e-3, "penetration_mm": 3e-3, "residual": 2e-5, "contact_mm": 0.8, "contact_stiffness": 100.0, "timeout_s": 3600.0, "verify": 0.5,
 }  # fmt: skip
 CALCULIX = {
-    "edge_mm",
-    "inside_mm",
+    "tolerance",
     "press_steps",
     "shear_steps",
     "step_mm",
@@ -38,7 +37,7 @@ CALCULIX = {
     "penetration_mm",
     "residual",
 }
-READ = {"ccx": CALCULIX, "ccx-contact": {"contact_mm", "contact_stiffness"}, "auto": CALCULIX | {"tolerance"}}
+READ = {"ccx": CALCULIX, "ccx-contact": {"contact_mm", "contact_stiffness"}, "auto": CALCULIX}
 
 
 def key(scene=SCENE, fea=FEA, shape=BALL, version=1, frames=None):

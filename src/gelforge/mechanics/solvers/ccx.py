@@ -36,9 +36,14 @@ from gelforge.records.status import Status
 
 AROUND = quality("label")  # its fine box bounds the area in which contact is looked for
 PIXELS = 64  # across the longer side of that box
-# Longest edges at the edge of contact, in sides of these hexahedra, which are smaller under a narrow contact; and the
-# edge_mm to which this belongs. Longer ones are shortened under narrower contacts, in the same proportion.
-LONGEST, EDGE_MM = 1.5, 0.45
+# 90 % bounds on the error over the force, of the total and summed over cells, with edges of EDGE_MM where the contact
+# ends, and the power of these edges with which they grow: from presses of known force and the benchmark scenes.
+ERROR, CELLS_ERROR, EDGE_MM, ORDER = 0.024, 0.048, 0.45, 1.5
+# Shortest and longest edges where the contact ends, mm, and longest edges inside it: those of the gel's base mesh.
+SHORTEST_MM, WIDEST_MM, INSIDE_MM = 0.3, 1.0, 2.8
+# Longest edges at the edge of contact, in sides of these hexahedra, which are smaller under a narrow contact, for
+# edges of EDGE_MM. Longer ones are shortened under narrower contacts, in the same proportion.
+LONGEST = 1.5
 # Gap, in widths of a coarse hexahedron, up to which points between its contact points count as touching, too; and
 # width in pixels of holes in the contact that are closed.
 PORES, CLOSED = 0.02, 1
@@ -55,7 +60,8 @@ MOST_DIFFERENT = 1e-5
 class CcxSettings:
     """Settings of `ccx`: its keys of [fea]; workflow/params.toml gives the reasons for their values.
 
-    edge_mm, inside_mm: longest edges of tetrahedra at the edge of contact, and inside it.
+    edge_mm, inside_mm: longest edges of tetrahedra at the edge of contact, and inside it. The force depends mostly on
+    edge_mm, which follows from the error that [fea] tolerates.
     press_steps, shear_steps: least load steps of the in-process path. step_mm: longest press step.
     stiffness: contact penalty, multiples of C10 per mm. rounds: most contact iterations at the end of the path.
     pull_tolerance, penetration_mm: limits of a valid state: tension over normal force, and penetration.
@@ -77,7 +83,13 @@ class CcxSettings:
     @classmethod
     def of(cls, table: FeaTable) -> "CcxSettings":
         """The settings of a table [fea]."""
-        return cls(**{field.name: getattr(table, field.name) for field in fields(cls)})
+        edge = EDGE_MM * (table.tolerance / ERROR) ** (1.0 / ORDER)
+        sizes = {"edge_mm": round(float(np.clip(edge, SHORTEST_MM, WIDEST_MM)), 2), "inside_mm": INSIDE_MM}
+        return cls(**sizes, **{f.name: getattr(table, f.name) for f in fields(cls) if f.name not in sizes})
+
+    def coarser(self, bound: float) -> float:
+        """A bound on an error with edges of EDGE_MM, for these edges."""
+        return bound * (self.edge_mm / EDGE_MM) ** ORDER
 
     def path(self, scene: Scene, touch_at: float, finer: int = 1) -> PathSettings:
         """Settings of the path of a scene on tetrahedra; touch_at: path parameter of the first touch.
