@@ -212,7 +212,9 @@ def interpolated(known: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.nd
     return np.einsum("pk,pki->pi", weights / weights.sum(axis=1, keepdims=True), values[index])
 
 
-def anchored(path: LoadPath, points: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def anchored(
+    path: LoadPath, points: np.ndarray, near: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Contact of surface points (m, 3) at the end of a path with friction on coarse hexahedra.
 
     Which have touched (m,) bool, the place (m, 3) of the indenter's frame to which each is bound, its tangential
