@@ -45,6 +45,7 @@ class Pressed:
     force: float
     coarse: Coarse
     edge: Edge
+    frictional: bool
 
     def off(self, numbers: Convergence) -> float:
         """Error of the corrected force, in %."""
@@ -53,7 +54,7 @@ class Pressed:
 
     def stated(self, numbers: Convergence) -> float:
         """The error bound that the correction states, in %."""
-        return 100.0 * numbers.error(self.coarse, self.force)
+        return 100.0 * numbers.error(self.coarse, self.force, self.frictional)
 
 
 def cases() -> list[tuple[str, str, float, float, Scene]]:
@@ -82,7 +83,10 @@ def solved(which: str, work: Path) -> list[Pressed]:
             write_json(path, kept)
             print(f"{which} {name}: {100 * (kept[name]['force'] / true - 1):+.2f} % uncorrected", flush=True)
         one = kept[name]
-        found.append(Pressed(name, body, depth, true, one["force"], Coarse(**one["coarse"]), Edge(**one["edge"])))
+        slips = scene.interface.contact.frictional
+        found.append(
+            Pressed(name, body, depth, true, one["force"], Coarse(**one["coarse"]), Edge(**one["edge"]), slips)
+        )
     return found
 
 

@@ -144,7 +144,7 @@ def figures_of(which: str, rows: list[dict]) -> list[Figure]:
         figure("error, median", np.median(off), goals.get("median", 0.0), "%", f"{len(known)} presses"),
         figure("error, worst", off.max(), goals.get("worst", 0.0), "%", str(worst["press"])),
         figure("Newton iterations, median", np.median(iterations), middle),
-        figure("Newton iterations, worst", iterations.max(), most, "", "a path that falls back to fine hexahedra"),
+        figure("Newton iterations, worst", iterations.max(), most),
         figure("processor time over that without slip, median", over, goals.get("over", 0.0)),
         figure("fell back to a path on fine hexahedra", sum(bool(row["fell_back"]) for row in rows), 0.0, "presses"),
         Figure(f"{which}: failed", float(failed), "==", 0.0, "presses"),

@@ -37,8 +37,8 @@ class ContactState:
     multiplier: (m, 3) tangential traction of sticking points at zero elastic slip (laws with friction only).
     goal, carried: (m, 3) values that stick_point and multiplier approach as pending changes are carried out;
     fading: (m, 3) remaining traction of released points (at the end of a path nothing is pending).
-    share: (m,) part of a load step that is left after a point first touched in it; 1 for points that touched before
-    (laws with friction only).
+    share: (m,) part of a load step that is left after a point first touched in it; 1 for points that touched before, 0
+    for points that slip where a walk begins: their tangential traction is the multiplier (laws with friction only).
     """
 
     face: np.ndarray

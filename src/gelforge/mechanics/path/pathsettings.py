@@ -33,7 +33,7 @@ class PathSettings:
     shear_steps: int = 3
     press_mm: float = 0.05
     shear_mm: float = 0.1
-    walk_mm: float = 0.05
+    walk_mm: float = 0.1
     slide_mm: float = 0.2
     tolerance: float = 1e-4
     final_tolerance: float = 1e-9

@@ -30,6 +30,7 @@ CREASED = 0.1
 LEFT = 0.05  # additional gap, in widths of a coarse hexahedron, at which a point that touched counts as released
 WALKED = 0.25  # most of a path with friction that is walked on a finer mesh
 NEIGHBOURS = 4  # coarse points from which slip and multiplier of a point of the fine mesh are interpolated
+ALL = 0.99  # weight of those that slip from which on the point slips, too
 
 
 @dataclass(frozen=True)
@@ -37,12 +38,13 @@ class Anchors:
     """Points that stick or slip at one load step under a law with friction.
 
     reference: (k, 3) undeformed mm. place: (k, 3) mm of the indenter's frame to which each is bound. multiplier:
-    (k, 3) MPa, its tangential traction there.
+    (k, 3) MPa, its tangential traction there. slips: (k,) bool.
     """
 
     reference: np.ndarray
     place: np.ndarray
     multiplier: np.ndarray
+    slips: np.ndarray
 
 
 @dataclass(frozen=True)
@@ -210,18 +212,22 @@ def interpolated(known: np.ndarray, values: np.ndarray, at: np.ndarray) -> np.nd
     return np.einsum("pk,pki->pi", weights / weights.sum(axis=1, keepdims=True), values[index])
 
 
-def anchored(path: LoadPath, points: np.ndarray, near: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def anchored(
+    path: LoadPath, points: np.ndarray, near: float
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """Contact of surface points (m, 3) at the end of a path with friction on coarse hexahedra.
 
-    Which have touched (m,) bool, the place (m, 3) of the indenter's frame to which each is bound, and its tangential
-    traction (m, 3) MPa. The place is that of first touch, from the point's own trajectory, plus the slip since then;
-    slip and traction are interpolated between the coarse points. near: as in `touches`.
+    Which have touched (m,) bool, the place (m, 3) of the indenter's frame to which each is bound, its tangential
+    traction (m, 3) MPa, and which slip (m,) bool: those whose coarse neighbours all do. The place is that of first
+    touch, from the point's own trajectory, plus the slip since then; slip and traction are interpolated between the
+    coarse points. near: as in `touches`.
     """
     touched, places = touches(path, points, near)
     anchors = path.anchors[-1]
     if anchors is None or not len(anchors.place):
-        return touched, places, np.zeros_like(places)
+        return touched, places, np.zeros_like(places), np.zeros(len(places), bool)
     _, first = touches(path, anchors.reference, near)
     xy = anchors.reference[:, :2]
-    slip = interpolated(xy, np.concatenate([anchors.place - first, anchors.multiplier], axis=1), points[:, :2])
-    return touched, places + slip[:, :3], slip[:, 3:]
+    values = np.column_stack([anchors.place - first, anchors.multiplier, anchors.slips])
+    slip = interpolated(xy, values, points[:, :2])
+    return touched, places + slip[:, :3], slip[:, 3:6], slip[:, 6] > ALL

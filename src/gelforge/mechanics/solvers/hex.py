@@ -211,13 +211,14 @@ class HexSolver:
             evidence |= {"error_n": UNCORRECTED * force, "cells_error_n": UNCORRECTED_CELLS * force}
             return
         both = Coarse(coarse.force, coarse.area)
+        share = numbers.error(both, force, scene.interface.contact.frictional)
         factor = 1.0 / (1.0 + numbers.correction(edge, both, force))
         # base reactions scale with the forces, so they stay balanced; new arrays, because equal frames share them
         result.forces = factor * result.forces
         result.contact = replace(contact, traction=factor * contact.traction)
         evidence |= {
             "path": [[t, *(factor * np.array(step)).tolist()] for t, *step in evidence["path"]], "extrapolated": factor,
-            "error_n": numbers.error(both, force) * factor * force, "cells_error_n": numbers.cells * edge.near * factor * force,
+            "error_n": share * factor * force, "cells_error_n": numbers.cells * edge.near * factor * force,
         }  # fmt: skip
 
     def _box(self, scene: Scene) -> FineBox:
