@@ -182,16 +182,19 @@ def test_a_correction_is_the_share_of_what_the_sizes_differ_by_and_never_more_th
         assert found == pytest.approx(right, abs=1e-12) and abs(found) <= 0.15
 
 
-@pytest.mark.parametrize(("body", "travel", "mu"), [(BALL, 0.2, 0.5)])
-def test_friction_is_carried_to_fine_hexahedra(body, travel, mu):
-    """A path on coarse hexahedra with a walk at its end gives the force of a path of many steps on the fine ones."""
-    scene = Scene(Gel(), Material(), body, Press(0, 0, 0, travel, 0, -0.5), Interface("coulomb", mu))
+@pytest.mark.parametrize(("travel", "depth", "mu"), [(0.2, 0.5, 0.5), (0.0, 1.0, 0.2)])
+def test_friction_is_carried_to_fine_hexahedra(travel, depth, mu):
+    """A path on coarse hexahedra with a walk at its end gives the force of a path of many steps on the fine ones.
+
+    Without the traction of slipping points the second, most of which slips, was 0.9 % low.
+    """
+    scene = Scene(Gel(), Material(), BALL, Press(0, 0, 0, travel, 0, -depth), Interface("coulomb", mu))
     small = replace(PATH, size=0.7)
     nested = solve_hex(scene, replace(small, nested=Nested()))
     whole = solve_hex(scene, replace(small, nested=None, press_mm=0.02, shear_mm=0.05))
     assert nested.evidence["newton_iterations"] < whole.evidence["newton_iterations"] / 3
     assert "fell_back" not in nested.evidence
-    assert np.linalg.norm(nested.total - whole.total) < 0.01 * np.linalg.norm(whole.total)
+    assert np.linalg.norm(nested.total - whole.total) < 0.006 * np.linalg.norm(whole.total)
     assert nested.evidence["beyond_cone"] < 1e-9 and 0.0 < nested.evidence["slipping"] <= 1.0
 
 
