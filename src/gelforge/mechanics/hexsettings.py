@@ -24,7 +24,8 @@ class Nested:
     """Settings of a path on coarser hexahedra, of which only the end is solved on the fine ones.
 
     factor: size of the coarse hexahedra over that of the fine ones. layers, widened, growth: as in HexSettings.
-    press_steps, shear_steps: load steps of the path. convergence: extrapolation of the force from both sizes
+    press_steps, shear_steps: load steps of the path; press_mm: longest one of the press under a law with friction.
+    convergence: extrapolation of the force from both sizes
     (mechanics.extrapolate); None: none. It multiplies all nodal forces of a press by one factor, so balance and
     direction stay; displacements are not changed, and their base reaction is the force without that factor.
     """
@@ -35,6 +36,7 @@ class Nested:
     growth: float = 2.5
     press_steps: int = 6
     shear_steps: int = 3
+    press_mm: float = 0.1
     convergence: Convergence | None = None
 
 
@@ -79,7 +81,7 @@ class HexSettings(PathSettings):
         n = self.nested or Nested()
         return replace(
             self, size=n.factor * self.size, layers=n.layers, widened=n.widened, growth=n.growth, nested=None, tolerance=COARSE_TOLERANCE,
-            final_tolerance=COARSE_TOLERANCE, press_steps=n.press_steps, shear_steps=n.shear_steps,
+            final_tolerance=COARSE_TOLERANCE, press_steps=n.press_steps, shear_steps=n.shear_steps, press_mm=n.press_mm,
             thin_below=n.factor * self.thin_below, steepness=self.steepness**n.factor,
         )  # fmt: skip
 
