@@ -2,9 +2,11 @@
 
 No force was measured with these images. Known are: the force under a ball of known diameter
 (`tests/benchmarks/parts/balls.py`); zero force on a released gel; the direction of a tangential force, by the
-markers' motion; FEATS' published maps of 51 presses; the sizes of the square under a cuboid and of the ring under a
-tube. The same images are also corrupted on purpose (`tests/benchmarks/parts/spoilt.py`), and balls are rendered whose
-markers move less than by finite elements.
+markers' motion; the sizes of the square under a cuboid and of the ring under a tube; and, of 28 of FEATS' presses, the
+force by shading and by markers outside of the contact, whose mean is the consensus below. FEATS' published maps of 51
+presses are no truth: they are solves without the tilt of their bench. Their totals have no goal. The same images are
+also corrupted on purpose (`tests/benchmarks/parts/spoilt.py`); balls are rendered whose markers move otherwise than by
+finite elements, and flat bodies that lean (`tests/benchmarks/parts/twins.py`).
 """
 
 import itertools
@@ -26,12 +28,14 @@ from gelforge.reading.model import ForceModel, fingerprint, load_model
 from gelforge.reading.profile import fit_gain
 from gelforge.reading.reader import Reader
 from gelforge.records.image import read_image
+from gelforge.records.table import read_table
 from tests.benchmarks.parts.ball_presses import BACKGROUND, read_presses
 from tests.benchmarks.parts.balls import FOLDER as BALLS
 from tests.benchmarks.parts.balls import ball_figures, motion_figures
 from tests.benchmarks.parts.films import finger_figures, read_film, released_figures, sideways_figures
 from tests.benchmarks.parts.imprint import found_radius
 from tests.benchmarks.parts.spoilt import EACH, Series, spoilt_figures
+from tests.benchmarks.parts.twins import FOOT, twin_figures
 from tests.support.feats_film import feats_maps
 from tests.support.figures import PUBLISHED_DATA, Figure, publish_figures
 
@@ -45,10 +49,12 @@ SQUARE = np.s_[4:20, 8:23]
 # Diameter of the ring under a tube of 10 and 7 mm with rounded edges, in the rig's labels (140 presses; +- 0.05 mm).
 TUBE_MM = 8.6
 TUBES = (9, 31, 45, 49)  # frames of FEATS' film in which the whole ring of that tube presses
-FOOT = 0.35  # fraction of a map's largest force from which a cell counts as pressed
 NEWTONS = 0.30, 0.17  # N per cell at the end of FEATS' colour scale: both values are in its code
 SIDEWAYS_NEWTONS = 0.07  # the same for its tangential maps, which goes with the first value
-PARTS = ("films", "maps", "balls", "drawn", "cuboid")
+PARTS = ("films", "maps", "balls", "spoilt", "drawn", "twins", "cuboid")
+HOLD = 88.0, 95.0  # per cent of forces that 90 % intervals may hold
+WIDTH, PROFILED_WIDTH = 45.0, 35.0  # per cent of the force: goals of half an interval without and with a profile
+CONSENSUS = "the consensus"
 LEAST_TOTAL = 0.05  # N, lower bound of predicted totals before a logarithm
 # Folders of the reference data, and files that each must hold.
 HELD = {"gripper_videos": "*.avi", "feats/images": "*.gif", BALLS: "background.png"}
@@ -81,76 +87,87 @@ def gif_figures(own: list[np.ndarray], of_feats: list[np.ndarray]) -> list[Figur
         Figure("normal map against FEATS' maps, correlation, median", likeness(both, own_mm), ">=", 0.9, "", note),
         Figure("the same after one scale and shift for all of them", best, ">=", 0.93, "", moved_so),
         Figure("place of an imprint beside FEATS' maps", float(np.hypot(*how[1:])), "<=", 0.25, "cells"),
-        Figure("totals against the sums of FEATS' maps, rank correlation", ranks_alike(both), ">=", 0.9),
+        Figure("totals against the sums of FEATS' maps, rank correlation", ranks_alike(both), "", 0.0),
     ]  # fmt: skip
 
 
-def newton_figures(own: list[np.ndarray], of_feats: np.ndarray, normal: list[np.ndarray]) -> list[Figure]:
-    """Total normal force against FEATS' maps in newtons. of_feats: (n,) sums of its maps, with one scale from 0 to 1.
-
-    normal: FEATS' maps (24, 32), whose cells above `FOOT` of the largest are the area of contact.
-    """
+def newton_figures(own: list[np.ndarray], of_feats: np.ndarray) -> list[Figure]:
+    """Total normal force against FEATS' maps in newtons. of_feats: (n,) sums of its maps, with one scale from 0 to 1."""
     total = np.array([one[SEEN].sum(dtype=float) for one in own])
     logarithms = np.log(np.maximum(total, LEAST_TOTAL) / of_feats)
     median, other = (float(np.exp(np.median(logarithms))) / newtons for newtons in NEWTONS)
-    note = f"{len(logarithms)} presses; with {NEWTONS[1]:.2f} N a cell {other:.2f}"
-    nine = float(np.quantile(np.abs(np.exp(np.median(logarithms) - logarithms) - 1.0), 0.9))
+    note = f"{len(logarithms)} presses; median {median:.2f} at {NEWTONS[0]:.2f} N a cell, {other:.2f} at {NEWTONS[1]:.2f}; solves without tilt"
+    return [Figure("totals over FEATS' maps, deviation of the logarithm", float(logarithms.std()), "", 0.0, "", note)]
+
+
+def consensus_figures(
+    reference: Path, model: ForceModel, read: Sequence[ForceReading], normal: Sequence[np.ndarray]
+) -> tuple[list[Figure], tuple[np.ndarray, np.ndarray, np.ndarray]]:
+    """Total normal force against the mean of two estimates of 28 presses, and evidence for intervals.
+
+    read: of all of FEATS' presses. normal: FEATS' maps (24, 32) of them, whose cells above `FOOT` of the largest are
+    the area of contact. The estimates are forces by shading and by the motion of markers outside of the contact. Their
+    own difference is stated: independent errors give their mean half of its deviation.
+    """
+    rows = read_table(reference / "feats/consensus.csv", "restore it")
+    frames = [int(row["frame"]) for row in rows]
+    shading, motion, feats = (
+        np.array([float(row[name]) for row in rows]) for name in ("shading_n", "motion_n", "feats_n")
+    )
+    force, total = np.sqrt(shading * motion), np.array([-float(read[frame].total[2]) for frame in frames])
+    off = np.log(np.maximum(total, LEAST_TOTAL) / force)
     # cells under the label box belong to no map: they would count as pressed
-    area = np.array([((one > FOOT * one[SEEN].max()) & SEEN).sum() for one in normal])
-    trend = float(np.corrcoef(logarithms, np.log(area))[0, 1])
+    area = np.array([((normal[k] > FOOT * normal[k][SEEN].max()) & SEEN).sum() for k in frames])
+    trend, median = float(np.corrcoef(off, np.log(area))[0, 1]), float(np.exp(np.median(off)))
+    note = (
+        f"{len(rows)} presses; FEATS' maps {np.log(feats / force).std():.2f}; deviation of the two estimates"
+        f" from each other {np.log(shading / motion).std():.2f}"
+    )
     return [
-        Figure("totals over FEATS' maps, deviation of the logarithm", float(logarithms.std()), "<=", 0.29, "", f"{len(logarithms)} presses"),
-        Figure("the same after their median: nine of ten within", 100 * nine, "<=", 46.0, "%"),
-        Figure("the same: correlation with the logarithm of the area of contact", abs(trend), "<=", 0.3, "", f"{trend:+.2f}"),
-        Figure(f"the same at {NEWTONS[0]:.2f} N a cell, median: at least", median, ">=", 0.85, "", note),
-        Figure(f"the same at {NEWTONS[0]:.2f} N a cell, median: at most", median, "<=", 1.15),
-    ]  # fmt: skip
+        Figure("totals over the consensus, deviation of the logarithm", float(off.std()), "<=", 0.2, "", note),
+        Figure("totals over the consensus, median: at least", median, ">=", 0.9, "", f"mean of the logarithm {off.mean():+.3f}"),
+        Figure("totals over the consensus, median: at most", median, "<=", 1.1),
+        Figure("totals over the consensus, correlation with the logarithm of the area of contact", abs(trend), "<=", 0.3, "", f"{trend:+.2f}"),
+    ], (total, force, own_half_widths(model, [read[frame] for frame in frames]))  # fmt: skip
 
 
 def interval_figures(
-    evidence: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]],
+    model: ForceModel, evidence: dict[str, tuple[np.ndarray, np.ndarray, np.ndarray]]
 ) -> tuple[list[Figure], dict[str, float]]:
-    """Coverage of 90 % intervals on real sensors, and the fraction of force by which they must widen.
+    """Coverage and width of the stated 90 % intervals, and the fractions of force by which they must widen.
 
-    evidence: by kind, the predicted and the known force and half the width of the network's own interval, (n,) N
-    each. Without a profile, each kind is tested with the width that the other kinds need. With a profile, its factor
-    comes from ten presses, and the rest of the kind is tested with the width that the other kinds need.
+    evidence: by kind, the predicted and the known force and half the width of the network's own interval, (n,) N each.
+    With a profile, its factor comes from ten presses of the kind. The fractions are those at which the intervals hold
+    nine of ten presses of all kinds together: the kinds are two sensors, too few for a fraction by each.
     """
-    unprofiled, profiled, rest = {}, {}, {}
+    real, figures = model.metadata["intervals"].get("real", {}), []
+    own: dict[str, list[tuple[np.ndarray, np.ndarray, np.ndarray]]] = {"unprofiled": [], "profiled": []}
     for kind, (read, force, half) in evidence.items():
-        unprofiled[kind] = real_width(read, force, half)
         ten = np.round(np.linspace(0, len(read) - 1, 10)).astype(int)
-        gain = fit_gain(force[ten], read[ten])
-        others = np.setdiff1d(np.arange(len(read)), ten)
-        scaled = gain.value * read[others], force[others], gain.value * half[others]
-        profiled[kind], rest[kind] = (
-            real_width(scaled[0], scaled[1], np.hypot(scaled[2], gain.unsure * scaled[0])),
-            (*scaled, gain),
-        )
-    figures = []
-    for kind, (read, force, half) in evidence.items():
-        width = max(value for other, value in unprofiled.items() if other != kind)
-        held = 100 * float(np.mean(np.abs(read - force) <= np.hypot(half, width * read)))
-        own = 100 * float(np.mean(np.abs(read - force) <= half))
-        note = f"+- {100 * width:.0f} %; the network's own hold {own:.0f} %; {len(read)} images need {100 * unprofiled[kind]:.0f} %"
-        figures.append(
-            Figure(
-                f"90 % interval without a profile, width by other sensors: holds on {kind}",
-                held,
-                ">=",
-                85.0,
-                "%",
-                note,
-            )
-        )
-        read, force, half, gain = rest[kind]
-        width = max(value for other, value in profiled.items() if other != kind)
-        held = 100 * float(np.mean(np.abs(read - force) <= np.hypot(half, np.hypot(gain.unsure, width) * read)))
-        note = f"factor {gain.value:.2f} from ten; +- {100 * width:.0f} % beside it; {len(read)} images need {100 * profiled[kind]:.0f} %"
-        figures.append(
-            Figure(f"the same with a profile of ten presses: holds on {kind}", held, ">=", 85.0, "%", note)
-        )
-    return figures, {"unprofiled": round(max(unprofiled.values()), 3), "profiled": round(max(profiled.values()), 3)}
+        others, gain = np.setdiff1d(np.arange(len(read)), ten), fit_gain(force[ten], read[ten])
+        scaled = gain.value * read[others]
+        cases = {"unprofiled": (read, force, half),
+                 "profiled": (scaled, force[others], np.hypot(gain.value * half[others], gain.unsure * scaled))}  # fmt: skip
+        for (case, found), name, widest in zip(
+            cases.items(),
+            ("without a profile", "with a profile of ten presses"),
+            (WIDTH, PROFILED_WIDTH),
+            strict=True,
+        ):
+            own[case].append(found)
+            found_read, known, width = found[0], found[1], np.hypot(found[2], real.get(case, 0.0) * found[0])
+            what, held = f"90 % interval {name}", 100 * float(np.mean(np.abs(found_read - known) <= width))
+            note = f"{len(known)} images; factor {gain.value:.2f}" if case == "profiled" else f"{len(known)} images"
+            figures += [
+                Figure(f"{what} holds on {kind}: at least", held, ">=", HOLD[0], "%", note),
+                Figure(f"{what} holds on {kind}: at most", held, "<=", HOLD[1], "%"),
+                Figure(f"{what}, half of it over the force, median on {kind}",
+                       100 * float(np.median(width / found_read)), "<=", widest, "%"),
+            ]  # fmt: skip
+    widths = {
+        case: round(real_width(*map(np.concatenate, zip(*found, strict=True))), 3) for case, found in own.items()
+    }
+    return figures, widths
 
 
 def sideways_width(model: ForceModel, read: Sequence[ForceReading]) -> float:
@@ -164,18 +181,12 @@ def sideways_width(model: ForceModel, read: Sequence[ForceReading]) -> float:
     return real_sideways(aside, whole, half) if len(half) == len(read) else 0.0
 
 
-def aside_figures(kind: str, read: Sequence[ForceReading], known: np.ndarray | None = None) -> list[Figure]:
-    """Predicted tangential forces: the largest error, and the coverage of their intervals.
-
-    known: true ones, (n, 2) N along gel x and y; None for presses straight down, where they are zero.
-    """
-    aside = np.array([one.total[:2] for one in read])
-    error = np.abs(aside if known is None else aside - known)
+def aside_figures(kind: str, read: Sequence[ForceReading]) -> list[Figure]:
+    """Predicted tangential forces of presses straight down, where they are zero: the largest, and whether intervals hold zero."""
+    error = np.abs(np.array([one.total[:2] for one in read]))
     widths = np.array([one.half_width[:2] for one in read if one.half_width is not None])
     normal = abs(read[int(error.max(axis=1).argmax())].total[2])
     note = f"of {normal:.1f} N; median {np.median(error):.2f} N; {len(read)} presses"
-    if known is not None:
-        note += f"; correlation {np.corrcoef(aside.ravel(), known.ravel())[0, 1]:.2f}"
     held = 100 * float(np.mean(error <= widths)) if len(widths) == len(error) else 0.0
     return [
         Figure(f"{kind}: sideways force, largest error", float(error.max()), "<=", 0.6, "N", note),
@@ -183,44 +194,41 @@ def aside_figures(kind: str, read: Sequence[ForceReading], known: np.ndarray | N
     ]  # fmt: skip
 
 
-def evidence_of(
-    model: ForceModel, read: Sequence[ForceReading], forces: np.ndarray, seen: np.ndarray | slice = np.s_[:]
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Predicted normal force, known one, and half the width of the network's own interval, (n,) N each.
-
-    seen: cells that count.
-    """
+def own_half_widths(model: ForceModel, read: Sequence[ForceReading]) -> np.ndarray:
+    """Half the widths of the network's own intervals of normal force, without what real sensors add, (n,) N."""
     own = {**model.metadata, "intervals": {**model.metadata["intervals"], "real": {}}}
     widths = [half_widths(own, one.total) for one in read]
-    half = np.array([0.0 if width is None else float(width[2]) for width in widths])
-    return np.array([-float(one.cells[2][seen].sum(dtype=float)) for one in read]), forces, half
+    return np.array([0.0 if width is None else float(width[2]) for width in widths])
 
 
 def feats_figures(
     reference: Path, model: ForceModel, nocontact: np.ndarray
-) -> tuple[list[Figure], tuple[np.ndarray, np.ndarray, np.ndarray]]:
-    """Figures of FEATS' presses, and their `evidence_of` intervals."""
+) -> tuple[list[Figure], tuple[np.ndarray, np.ndarray, np.ndarray], Series]:
+    """Figures of FEATS' presses; predicted force, consensus and half the network's own interval of 28; what is spoilt."""
     folder, predictor = reference / "feats/images", Reader(nocontact, model=model)
     presses = feats_maps(folder / "demo.gif", nocontact)
-    read = [predictor(image) for image, _ in presses]
+    read, normal = [predictor(image) for image, _ in presses], [normal for _, normal in presses]
     own = [-one.cells[2] for one in read]
     with np.load(folder / "demo_maps.npz") as stored:
         sums, *aside = (stored[axis][:, SEEN].sum(axis=1, dtype=float) for axis in "zyx")  # FEATS' x is gel y
     series = Series("FEATS' presses", model, nocontact, [image for image, _ in presses[::EACH]], read[::EACH])
+    known, evidence = consensus_figures(reference, model, read, normal)
+    off = np.abs(np.array([one.total[:2] for one in read]) - SIDEWAYS_NEWTONS * np.stack(aside, axis=1))
     figures = [
-        *gif_figures(own, [normal for _, normal in presses]),
+        *gif_figures(own, normal),
         *tube_figures(own),
-        *newton_figures(own, sums, [normal for _, normal in presses]),
-    ]
-    flagged = Figure("good FEATS' presses flagged", 100 * float(np.mean([one.flag for one in read])), "<=", 2.0, "%")
-    figures += aside_figures("FEATS' presses", read, SIDEWAYS_NEWTONS * np.stack(aside, axis=1))
-    return [*figures, flagged, *spoilt_figures(series)], evidence_of(model, read, NEWTONS[0] * sums, SEEN)
+        *newton_figures(own, sums),
+        *known,
+        Figure("sideways totals against FEATS' maps, median error", float(np.median(off)), "", 0.0, "N", f"largest {off.max():.1f} N"),
+        Figure("good FEATS' presses flagged", 100 * float(np.mean([one.flag for one in read])), "<=", 2.0, "%"),
+    ]  # fmt: skip
+    return figures, evidence, series
 
 
 def real_ball_figures(
     folder: Path, model: ForceModel
-) -> tuple[list[Figure], tuple[np.ndarray, np.ndarray, np.ndarray], list[ForceReading]]:
-    """Figures of the presses of a ball, which are straight down, their `evidence_of` intervals, and what is read."""
+) -> tuple[list[Figure], tuple[np.ndarray, np.ndarray, np.ndarray], list[ForceReading], Series]:
+    """Figures of the presses of a ball, which are straight down, evidence as in `feats_figures`, readings, what is spoilt."""
     background = read_image(folder / BACKGROUND)
     presses = read_presses(folder, PX_PER_MM)
     predictor = Reader(background, model=model)
@@ -229,9 +237,9 @@ def real_ball_figures(
     figures = [
         *ball_figures(presses, read, np.array([found_radius(predictor.compare(press.image)) for press in presses])),
         *aside_figures("real balls", read),
-        *spoilt_figures(series),
     ]
-    return figures, evidence_of(model, read, np.array([press.force for press in presses])), read
+    normal, force = np.array([-one.total[2] for one in read]), np.array([press.force for press in presses])
+    return figures, (normal, force, own_half_widths(model, read)), read, series
 
 
 def ranks_alike(maps: list[tuple[np.ndarray, np.ndarray]]) -> float:
@@ -310,19 +318,23 @@ def main(args: Namespace) -> None:
         read = {path.stem: read_film(path, model) for path in tqdm(films, "films", len(films))}
         figures += [*released_figures(read), *finger_figures(read), *sideways_figures(read)]
     if "maps" in args.parts:
-        found, evidence["FEATS' presses"] = feats_figures(args.reference, model, nocontact)
+        found, evidence[CONSENSUS], feats = feats_figures(args.reference, model, nocontact)
         figures += found
     if "balls" in args.parts:
-        found, evidence["real balls"], straight = real_ball_figures(args.reference / BALLS, model)
+        found, evidence["real balls"], straight, balls = real_ball_figures(args.reference / BALLS, model)
         figures += found
+    if {"maps", "balls", "spoilt"} <= set(args.parts):
+        figures += [figure for series in (feats, balls) for figure in spoilt_figures(series)]
     if "drawn" in args.parts:
         figures += motion_figures(model)
+    if "twins" in args.parts:
+        figures += twin_figures(args.reference, model)
     if "cuboid" in args.parts:
         cuboid = read_cuboid(args.reference, model, nocontact)
         figures += cuboid_figures(cuboid)
     told = {}
     if {"maps", "balls", "cuboid"} <= set(args.parts):
-        intervals, real = interval_figures(evidence)
+        intervals, real = interval_figures(model, evidence)
         straight = [*straight, cuboid]  # both are pressed straight down
         figures, told = (
             [*figures, *intervals],

@@ -15,6 +15,7 @@ from gelforge.records.log import read_log
 from gelforge.records.press import FORCE, MOMENT, POSE, TILT, LoggedPress, Press, RawRow, parse, with_tilt
 
 FIRM_N = 1.0  # least normal force whose centre of pressure is used
+FEWEST = 2  # straight presses of a mounting, with moments, of a body that feels tilt, from which its tilt is found
 SLIDES = 1.0  # travel over depth above which a contact slides as a whole at any usual friction
 
 
@@ -220,24 +221,37 @@ def slides(readings: Readings) -> np.ndarray:
     return readings.travel > SLIDES * readings.depth
 
 
-def choose_presses(readings: Readings, most: int, law: str) -> np.ndarray:
+def choose_presses(readings: Readings, most: int, law: str, flat: Collection[str] = ()) -> np.ndarray:
     """Indices of at most `most` presses, spread over indenters and, within each, over depth.
 
-    Of several mountings each gives at most `most`. Round robin over the indenters with most presses, at most half as many as `most`, because an indenter pressed to
-    only one depth adds little. Each gives its presses in bisection order of depth, so that any number of them spans
-    the range. Under Coulomb's law at least a quarter are presses that slide, as far as there are any, because only
-    those determine friction. Without slip these are left out, because the law does not hold for them.
+    flat: names of indenters that feel tilt. Of several mountings each gives at most `most`. Round robin over the
+    indenters with most presses, at most half as many as `most`, because an indenter pressed to only one depth adds
+    little. Each gives its presses in bisection order of depth, so that any number of them spans the range. Under
+    Coulomb's law at least a quarter are presses that slide, as far as there are any, because only those determine
+    friction. Without slip these are left out, because the law does not hold for them. FEWEST straight presses of flat
+    bodies with moments are among them, as far as there are any, because only those determine the tilt.
     """
     every = [np.flatnonzero(readings.mountings == name) for name in np.unique(readings.mountings)]
     if len(every) > 1:
-        return np.sort(np.concatenate([of[choose_presses(readings.take(of), most, law)] for of in every]))
+        return np.sort(np.concatenate([of[choose_presses(readings.take(of), most, law, flat)] for of in every]))
     sliding = slides(readings)
     firm, loose = np.flatnonzero(~sliding), np.flatnonzero(sliding)
     if law == Coulomb.name and len(loose) and len(readings) > most:
         loose = loose[spread(readings.take(loose), max(most // 4, most - len(firm)))]
-        return np.sort(np.append(firm[spread(readings.take(firm), most - len(loose))], loose))
+        return np.sort(np.append(firm[firmly_spread(readings.take(firm), most - len(loose), flat)], loose))
     served = firm if law == NoSlip.name and len(firm) > 1 else np.arange(len(readings))
-    return served[spread(readings.take(served), most)]
+    return served[firmly_spread(readings.take(served), most, flat)]
+
+
+def firmly_spread(readings: Readings, most: int, flat: Collection[str]) -> np.ndarray:
+    """Indices of at most `most` presses by `spread`, with FEWEST that show the tilt if there are so many."""
+    chosen = spread(readings, most)
+    showing = np.flatnonzero(np.isin(readings.indenters, list(flat)) & np.isfinite(readings.centre).all(axis=1))
+    if np.isin(chosen, showing).sum() >= FEWEST or not len(showing):
+        return chosen
+    showing = showing[spread(readings.take(showing), min(FEWEST, most))]
+    others = np.setdiff1d(np.arange(len(readings)), showing)
+    return np.sort(np.append(showing, others[spread(readings.take(others), most - len(showing))]))
 
 
 def spread(readings: Readings, most: int) -> np.ndarray:
@@ -253,7 +267,7 @@ def spread(readings: Readings, most: int) -> np.ndarray:
     chosen: list[int] = []
     for turn in range(max(map(len, queues))):
         chosen.extend(queue[turn] for queue in queues if turn < len(queue))
-    return np.sort(chosen[:most])
+    return np.sort(np.array(chosen[:most], int))
 
 
 def bisection_order(n: int) -> list[int]:

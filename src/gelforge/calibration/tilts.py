@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gelforge.calibration.readings import Readings
+from gelforge.calibration.readings import FEWEST, Readings
 from gelforge.errors import BadInput
 from gelforge.geometry.solids import Indenter, feels_tilt
 from gelforge.records.press import Press
@@ -21,7 +21,6 @@ from gelforge.records.press import Press
 STEP_DEG = 2.0
 NODES = ((0.0, 0.0), (STEP_DEG, 0.0), (0.0, STEP_DEG))
 MOST_FLAT, MOST_ROUND = 6, 2  # presses of a mounting that are solved at tilts
-FEWEST = 2  # straight presses of a mounting, with moments, of a body that feels tilt
 ROUNDED_MM = 0.05  # to which the depths of these solves are rounded, so that sessions of the same presses share them
 # mm; a flat body that leans by 3 degrees is pushed up to 2 mm beside its tip, but all to one side
 MOST_BESIDE_MM = 1.5

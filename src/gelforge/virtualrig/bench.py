@@ -73,7 +73,7 @@ class Bench:
 
         If every attempt fails, the last frame's status is not valid. Earlier frames may be invalid in any case.
         """
-        truth, rng = self.plan.truth_at(order.index), generator(self.plan, order.index, streams.BENCH)
+        truth, rng = self.plan.truth_of(order.mounting), generator(self.plan, order.index, streams.BENCH)
         play = rng.uniform(-1.0, 1.0, size=6) * truth.cnc_um * 1e-3
         if order.shear == (0.0, 0.0):
             play[3:5] = 0.0  # axes that do not move have no error of travel
@@ -114,7 +114,7 @@ class Bench:
 
     def _reported(self, order: Order, real: Press, result: HexResult, play, noise, down) -> Pressing:
         """What the bench reports of one solved frame."""
-        truth = self.plan.truth_at(order.index)
+        truth = self.plan.truth_of(order.mounting)
         scale = truth.c10_mpa / REFERENCE_C10
         force = scale * result.total
         moment = N_M * scale * result.moment
@@ -153,7 +153,7 @@ class Bench:
         The stiffness is a fit to solves of 24 presses of the training plan, spheres to bars, 0.2 to 1.7 mm deep. Its
         dependence on thickness is fitted to balls and a block on pads of 3.6, 4 and 4.4 mm.
         """
-        truth = self.plan.truth_at(order.index)
+        truth = self.plan.truth_of(order.mounting)
         place = Press(order.x, order.y, height, 0.0, 0.0, -depth, order.rot_deg, *truth.tilt_deg)
         _, _, sunk, cell = self._sunk(order.indenter, place)
         volume, area = sunk.sum() * cell, (sunk > 0).sum() * cell

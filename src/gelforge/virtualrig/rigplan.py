@@ -61,24 +61,38 @@ class Truth(RigTable):
 
 
 class Mountings(RigTable):
-    """Re-seatings of the gel: every `presses` presses begin a new mounting, with its own values.
+    """Mountings of the gel, each with its own values.
 
-    tilt_deg: size of its tilt, whose direction is any. touch_offset_mm: what is added to that of the bench. Both are
+    Either every `presses` presses begin a new one, or each of `sensors` is one, which bears its name; the other sensors
+    then share the bench's values. tilt_deg: size of its tilt, whose direction is any. touch_offset_mm: what is added to that of the bench. Both are
     uniform in these ranges. seating: standard deviation of the logarithm of a factor on the gel's stiffness.
     """
 
-    presses: Annotated[int, Within(1, 1e7)]
     tilt_deg: Span[Annotated[Number, Within(0.0, LARGEST["tilt_x_deg"], "degrees")]]
     touch_offset_mm: Span[Millimetres]
+    presses: Annotated[int, Within(1, 1e7)] | None = None
+    sensors: tuple[str, ...] = ()
     seating: Annotated[Number, Within(0.0, 1.0)] = 0.0
 
-    def number(self, index: int) -> int:
-        """Number of the mounting of a press, from 0."""
-        return index // self.presses
+    def fault(self) -> str | None:
+        """Not one of the two ways to divide presses into mountings."""
+        if (self.presses is None) == (not self.sensors):
+            return "give either presses, after how many the gel is re-seated, or sensors, each of which is a mounting"
+        return None
 
-    def name(self, index: int) -> str:
-        """Name of the mounting of a press."""
-        return f"mounting_{self.number(index) + 1:02d}"
+    def number(self, index: int, sensor: str) -> int | None:
+        """Number of the mounting of a press by a sensor, from 0; None if it has none of its own."""
+        if self.presses is not None:
+            return index // self.presses
+        return self.sensors.index(sensor) if sensor in self.sensors else None
+
+    def name(self, number: int) -> str:
+        return f"mounting_{number + 1:02d}" if self.presses is not None else self.sensors[number]
+
+    def names(self, presses: int) -> dict[str, int]:
+        """Number of each mounting of so many presses, by its name."""
+        count = len(self.sensors) if self.presses is None else -(-presses // self.presses)
+        return {self.name(number): number for number in range(count)}
 
 
 class Kind(RigTable):
@@ -180,12 +194,17 @@ class Plan(RigTable):
             del content["mountings"]
         return json.dumps(content, sort_keys=True)
 
-    def truth_at(self, index: int) -> Truth:
-        """The truth of a press: the plan's, with the tilt, the height of touch and the stiffness of its mounting."""
+    def mounting(self, index: int, sensor: str) -> str:
+        """Name of the mounting of a press by a sensor; empty if the plan gives it none."""
+        number = None if self.mountings is None else self.mountings.number(index, sensor)
+        return "" if self.mountings is None or number is None else self.mountings.name(number)
+
+    def truth_of(self, mounting: str) -> Truth:
+        """The truth of a mounting: the plan's, with its own tilt, height of touch and stiffness."""
         of, truth = self.mountings, self.truth
-        if of is None:
+        if of is None or not mounting:
             return truth
-        rng = generator(self, of.number(index), MOUNTING)
+        rng = generator(self, of.names(self.presses)[mounting], MOUNTING)
         size, heading = rng.uniform(*of.tilt_deg), rng.uniform(0.0, 2 * np.pi)
         offset, stiffer = rng.uniform(*of.touch_offset_mm), of.seating * rng.standard_normal()
         x, y = truth.tilt_deg
@@ -294,6 +313,11 @@ def _check_values(plan: Plan, path) -> None:
             f"{path}: [film] presses = {list(plan.film.presses)}: the plan has presses 0 to {plan.presses - 1}"
         )
     for k, kind in enumerate(plan.kinds, 1):
+        if kind.seen_by > 1 and plan.mountings and plan.mountings.sensors:
+            raise BadInput(
+                f"{path}: [[kind]] {k}: seen_by = {kind.seen_by}: a press is of one mounting, and [mountings] sensors makes each"
+                " sensor one; leave out one of the two"
+            )
         thinnest = min((load_gel(plan.gel_of(name)) for name in kind.sensors), key=lambda gel: gel.height)
         _check_kind(kind, thinnest, min(map(len, by_gel(plan, kind.sensors).values())), f"{path}: [[kind]] {k}")
 
@@ -331,6 +355,7 @@ def _check_kind(kind: Kind, gel: Gel, fewest: int, where: str) -> None:
 def check_names(plan: Plan, indenters, sensors, appearances, path) -> None:
     """Raise BadInput for a plan that names undefined indenters, sensors or appearances."""
     units = [*plan.sensors, *plan.held_out_sensors, *([plan.film.sensor] if plan.film else [])]
+    units += plan.mountings.sensors if plan.mountings else ()
     for what, asked, known, where in (
         ("indenter", plan.indenters, indenters, plan.catalogue),
         ("sensor", units, sensors, "workflow/sensors.toml"),
@@ -430,5 +455,5 @@ def _order(plan: Plan, index: int, kind: Kind, number: int) -> Order:
         rot_deg=rng.uniform(*kind.rot_deg),
         max_force_n=kind.max_force_n,
         press_id=f"{plan.dataset}-{index:06d}",
-        mounting=plan.mountings.name(index) if plan.mountings else "",
+        mounting=plan.mounting(index, sensor),
     )

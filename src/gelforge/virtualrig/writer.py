@@ -104,10 +104,10 @@ class Dataset:
 
     def begin(self, shapes: dict[str, str], appearances: dict[str, str]) -> None:
         """Write what does not depend on the presses; shapes and appearances as of `check_same_plan`."""
-        of, presses = self.plan.mountings, self.plan.presses
+        of = self.plan.mountings
         truth = {
             "truth": asdict(self.plan.truth),
-            "mountings": {of.name(k): asdict(self.plan.truth_at(k)) for k in range(0, presses, of.presses)}
+            "mountings": {name: asdict(self.plan.truth_of(name)) for name in of.names(self.plan.presses)}
             if of
             else {},
             "plan": self.plan.identity(),

@@ -36,11 +36,10 @@ DRAWN = (
     (0.5, 0.5, 1.0), (-3.5, 0.0, 1.5), (3.5, 1.0, 0.5), (0.0, -6.0, 0.9),
 )  # fmt: skip
 UNITS = {"mini_a": "weak", "mini_b": "strong"}  # of the rig's own, and how their light answers to a slope
-MOTIONS = (
-    1.0,
-    0.7,
-    0.5,
-)  # factors on the in-plane motion of the way down; around real balls it is half of what is solved
+# Factors on the in-plane motion of the way down; around real balls it is half of what is solved, and trainings end at 1.1.
+MOTIONS = (1.15, 1.0, 0.7, 0.5)
+OFF_PERCENT = {1.15: 10.0}  # error of predicted forces that is allowed, where it is not ALLOWED_PERCENT
+ALLOWED_PERCENT = 8.0
 RIG_C10 = 0.0785  # MPa, of the plans that the shipped network learnt from
 
 
@@ -145,7 +144,7 @@ def motion_figures(model: ForceModel) -> list[Figure]:
             note = f"median {np.median(ratio):.2f}, {ratio.min():.2f} to {ratio.max():.2f}; {len(ratio)} presses of {contrast} contrast"
             off = 100 * abs(float(np.median(ratio)) - 1)
             what = f"drawn balls, {unit}, in-plane motion times {motion:g}: predicted force, error"
-            figures.append(Figure(what, off, "<=", 8.0, "%", note))
+            figures.append(Figure(what, off, "<=", OFF_PERCENT.get(motion, ALLOWED_PERCENT), "%", note))
             if motion == 1.0:
                 for what, change in gone.items():
                     shares[what].append(100 * float(np.median(1 - drawn_totals(model, unit, **change) / read)))

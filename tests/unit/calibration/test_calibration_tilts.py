@@ -129,6 +129,18 @@ def test_each_mounting_gives_presses():
     assert [(found.mountings[chosen] == name).sum() for name in "ab"] == [8, 8]
 
 
+def test_straight_presses_of_flat_bodies_are_among_the_chosen():
+    """Blocks that are pressed sideways outnumber the two that are not, which alone show the tilt."""
+    found = session(["ball"] * 6 + ["block"] * 12)
+    found.pose[8:, 3] = 0.1
+    for law in ("coulomb", "no_slip"):
+        for most in (2, 5, 8, 17):
+            chosen = choose_presses(found, most, law, ["block"])
+            assert len(set(chosen)) == most and {6, 7} <= set(chosen)
+    assert not {6, 7} <= set(choose_presses(found, 2, "coulomb"))
+    assert len(choose_presses(found, 99, "coulomb", ["block"])) == 18
+
+
 def test_readings_know_mounting_moments_and_whether_the_tilt_is_stated():
     cells = {"sample_id": "p", "indenter": "ball", **dict.fromkeys(POSE, "0"), "dz_mm": "-0.5", "fx_n": "0", "fy_n": "0",
              "fz_n": "-2", "mx_nm": "0.003", "my_nm": "-0.004", "mounting": "a"}  # fmt: skip

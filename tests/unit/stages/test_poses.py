@@ -254,10 +254,12 @@ YIELDING = replace(RIGID, compliance_mm_per_n=0.01, shear_compliance_mm_per_n=0.
 
 
 def test_the_paths_of_a_yielding_bench_are_those_the_tip_took(root):
-    """The rig's own truth: with its compliance and touch offset, logged paths are the real ones to its tolerances."""
-    bench = json.loads((root / "data/demo/truth/truth.json").read_text())["truth"]
+    """The rig's own truth: with its compliance and touch offsets, logged paths are the real ones to its tolerances."""
+    truth = json.loads((root / "data/demo/truth/truth.json").read_text())
+    bench, mountings = truth["truth"], truth["mountings"]
     params = {name: bench[name] for name in ("compliance_mm_per_n", "shear_compliance_mm_per_n")}
     params["touch_offset_mm"] = -bench["touch_offset_mm"]  # the rig counts heights, [poses] depths
+    params["mounting_touch_offset_mm"] = {name: -one["touch_offset_mm"] for name, one in mountings.items()}
     table = replace(parameters().poses, **params)
     real = {row["sample_id"]: row for row in read(root / "data/demo/truth/presses.csv")}
     off, uncorrected = [], []

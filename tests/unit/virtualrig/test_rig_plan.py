@@ -362,8 +362,8 @@ def test_streams_are_those_that_datasets_were_drawn_with():
 def test_a_mounting_has_its_own_tilt_touch_and_stiffness(tmp_path):
     """Presses of one mounting share them; they are drawn in the plan's ranges and stay when the plan grows."""
     table = "[mountings]\npresses = 5\ntilt_deg = [1, 3]\ntouch_offset_mm = [-0.15, 0.0]\nseating = 0.1\n\n[truth]"
-    plan = read_plan(changed(tmp_path, DEMO, ("[truth]", table)))
-    truths = [plan.truth_at(index) for index in range(200)]
+    plan = replace(read_plan(changed(tmp_path, SHAPES, ("[truth]", table))), presses=200)
+    truths = [plan.truth_of(f"mounting_{index // 5 + 1:02d}") for index in range(200)]
     tilts = np.array([truth.tilt_deg for truth in truths])
     sizes, offsets = np.hypot(*tilts.T), np.array([truth.touch_offset_mm for truth in truths])
     assert len(np.unique(tilts, axis=0)) == len(np.unique(offsets)) == 40
@@ -373,12 +373,26 @@ def test_a_mounting_has_its_own_tilt_touch_and_stiffness(tmp_path):
     assert -0.15 <= added.min() < added.max() <= 0.0
     stiffer = np.log([truth.c10_mpa / plan.truth.c10_mpa for truth in truths[::5]])
     assert abs(stiffer.std() - 0.1) < 5 * 0.1 / np.sqrt(2 * 40)
-    assert replace(plan, presses=9).truth_at(199) == truths[199]
-    names = [order.mounting for order in orders(plan)]
-    assert names[:6] == [*5 * ["mounting_01"], "mounting_02"]
+    assert replace(plan, presses=9).truth_of("mounting_02") == truths[9]
+    names = {order.index: order.mounting for order in orders(plan)}
+    assert [names[k] for k in range(6)] == [*5 * ["mounting_01"], "mounting_02"]
 
 
-def test_a_plan_without_mountings_is_the_one_it_was():
+def test_a_sensor_may_be_a_mounting(tmp_path):
     plan = read_plan(DEMO)
-    assert plan.truth_at(7) is plan.truth and "mountings" not in plan.identity()
+    named = {(order.sensor, order.mounting) for order in orders(plan)}
+    assert named == {("mini_a", ""), ("mini_e", ""), ("mini_b", "mini_b")}
+    assert plan.truth_of("") is plan.truth and plan.truth_of("mini_b").tilt_deg != (0.0, 0.0)
+    for old, new, said in (
+        ('sensors = ["mini_b"]\ntilt', "tilt", "give either presses"),
+        ('sensors = ["mini_b"]\ntilt', 'presses = 3\nsensors = ["mini_b"]\ntilt', "give either presses"),
+        ('sensors = ["mini_b"]\ntilt', 'sensors = ["mini_z"]\ntilt', "unknown sensor mini_z"),
+        ("max_force_n = 40\n", "max_force_n = 40\nseen_by = 2\n", "a press is of one mounting"),
+    ):
+        refused(said, check, changed(tmp_path, DEMO, (old, new)), ROOT / "workflow")
+
+
+def test_a_plan_without_mountings_has_one_truth():
+    plan = read_plan(SHAPES)
+    assert plan.truth_of("") is plan.truth and "mountings" not in plan.identity()
     assert {order.mounting for order in orders(plan)} == {""}
