@@ -49,13 +49,14 @@ def test_a_planted_fault_of_every_kind_is_reported(tmp_path, monkeypatch):
     assert [said for _, said in PLANTED.values() if said not in found] == []
 
 
-def test_a_planted_fault_that_fits_no_file_or_names_no_test_fails_the_list(tmp_path):
+def test_planted_faults_fit_the_code_and_one_that_does_not_is_named(tmp_path):
     known, missing = tmp_path / "list.toml", "tests/unit/test_repository.py::test_nothing"
     known.write_text(
         f'[[fault]]\nname = "odd"\nfile = "Makefile"\nold = "none such"\nnew = ""\ntests = ["{missing}"]\n'
     )
-    asked = [sys.executable, "-m", "tests.benchmarks.faults", "--list", str(known)]
-    done = subprocess.run(asked, capture_output=True, text=True)
+    check = [sys.executable, "-m", "tests.benchmarks.faults", "--check"]
+    assert subprocess.run(check, capture_output=True, text=True).stdout == ""
+    done = subprocess.run([*check, "--list", str(known)], capture_output=True, text=True)
     assert done.returncode == 1
     for said in (
         "its old text stands 0 times in Makefile",
