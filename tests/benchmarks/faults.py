@@ -96,9 +96,10 @@ def gaps(faults: list[Fault], root: Path = ROOT) -> Iterator[str]:
 
 
 def copied(folder: Path) -> Path:
-    """A copy of all tracked files in their current state, with a link to the environment."""
+    """A copy of all tracked files in their current state and of what numba compiled, with a link to the environment."""
     said = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    for name in filter(None, said.split("\0")):
+    kernels = (str(path.relative_to(ROOT)) for path in (ROOT / "src").rglob("*.nb[ic]"))
+    for name in (*filter(None, said.split("\0")), *kernels):
         if (ROOT / name).is_file():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, folder / name)
@@ -123,12 +124,11 @@ def grouped(faults: list[Fault], root: Path = ROOT) -> list[list[Fault]]:
     return groups
 
 
-def tested(project: Path, tests: Collection[str], compiled: Path) -> subprocess.CompletedProcess:
-    """Run tests. compiled: folder for numba's compiled code."""
+def tested(project: Path, tests: Collection[str], compiled: Path | None = None) -> subprocess.CompletedProcess:
+    """Run tests. compiled: folder for numba's compiled code; None: beside the sources."""
     environment = {
-        **clean_environment(), "PYTHONPATH": str(project / "src"), "NUMBA_CACHE_DIR": str(compiled),
-        "GELFORGE_REFERENCE": str(PUBLISHED_DATA.resolve()),
-    }  # fmt: skip
+        **clean_environment(), "PYTHONPATH": str(project / "src"), "GELFORGE_REFERENCE": str(PUBLISHED_DATA.resolve()),
+    } | ({"NUMBA_CACHE_DIR": str(compiled)} if compiled else {})  # fmt: skip
     words = ["-q", "-m", "", "-p", "no:cacheprovider", "--tb=line", f"--timeout={SECONDS}"]
     return subprocess.run(
         [sys.executable, "-m", "pytest", *words, *tests],
@@ -167,9 +167,8 @@ def planted(group: list[Fault], project: Path, moment: int) -> Iterator[None]:
 
 def outcomes(group: list[Fault], project: Path, moment: int) -> Iterator[tuple[Fault, str]]:
     """Whether each fault of a group is noticed, or why it could not be judged. moment: as for `planted`."""
-    # numba does not see that compiled code calls a changed function
-    anew = group[0].compiled(project)
-    compiled = project.parent / ("anew" if anew else "compiled")
+    # numba does not see that compiled code calls a changed function: then all is compiled anew
+    compiled = project.parent / "anew" if group[0].compiled(project) else None
     shutil.rmtree(project.parent / "anew", ignore_errors=True)
     with planted(group, project, moment):
         done = tested(project, sorted({test for fault in group for test in fault.tests}), compiled)
@@ -182,7 +181,7 @@ def outcomes(group: list[Fault], project: Path, moment: int) -> Iterator[tuple[F
                 yield from outcomes([fault], project, moment + at + 1)
         return
     # a test that also fails without the faults has noticed nothing
-    unsound = failures(tested(project, sorted(failed), project.parent / "compiled")) if failed else {}
+    unsound = failures(tested(project, sorted(failed))) if failed else {}
     for fault in group:
         mine = {name: words for name, words in failed.items() if fault.names(name)}
         noticed = {name: words for name, words in mine.items() if name not in unsound}
