@@ -141,7 +141,7 @@ def run(command: list[str], profile: Profile, file: Path, stage: str) -> int:
 STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 
-def stop_once(*_) -> None:
+def stop_once(*_: object) -> None:
     """Stop at the first signal. A terminal and make both send one; the second must not stop the scancel of the first."""
     for number in STOPS:
         signal.signal(number, signal.SIG_IGN)
