@@ -110,7 +110,7 @@ def copied(folder: Path) -> Path:
 def grouped(faults: list[Fault], root: Path = ROOT) -> list[list[Fault]]:
     """Faults by what is planted at once: one of each package, whose tests share no file.
 
-    Compiled files are planted apart from others, because then all is compiled anew.
+    Compiled files are planted apart from others, and last, because then all is compiled anew.
     """
     groups: list[list[Fault]] = []
     for fault in faults:
@@ -121,7 +121,7 @@ def grouped(faults: list[Fault], root: Path = ROOT) -> list[list[Fault]]:
                 break
         else:
             groups.append([fault])
-    return groups
+    return sorted(groups, key=lambda group: (group[0].compiled(root), -len(group)))
 
 
 def tested(project: Path, tests: Collection[str], compiled: Path | None = None) -> subprocess.CompletedProcess:
