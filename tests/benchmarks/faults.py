@@ -28,7 +28,7 @@ LEAST = 4  # faults per package
 SECONDS = 600  # limit of a test, because a fault may make it wait for ever
 # Pytest's exit status. Others mean that nothing was judged, for example because a file cannot be imported.
 PASSED, FAILED = 0, 1
-CAUGHT, TIMED_OUT, SURVIVES, UNJUDGED = "caught", "timed out", "SURVIVES", "not judged"
+CAUGHT, TIMED_OUT, SURVIVES, UNJUDGED, UNFIT = "caught", "timed out", "SURVIVES", "not judged", "DOES NOT FIT"
 
 
 @dataclass(frozen=True)
@@ -73,18 +73,21 @@ def listed(path: Path) -> list[Fault]:
     return [Fault(**table | {"tests": tuple(table["tests"])}) for table in tables]
 
 
-def misfits(faults: list[Fault], root: Path = ROOT) -> Iterator[str]:
-    """Errors in the list: faults that do not fit their file, tests that are missing, packages with too few faults."""
-    for fault in faults:
-        path = root / fault.file
-        count = path.read_text(encoding="utf-8").count(fault.old) if path.is_file() else 0
-        if count != 1:
-            yield f"{fault.name!r}: its old text stands {count} times in {fault.file}, not once"
-        for test in fault.tests:
-            file, _, name = test.partition("::")
-            text = (root / file).read_text(encoding="utf-8") if (root / file).is_file() else ""
-            if not text or (name and f"def {name}(" not in text):
-                yield f"{fault.name!r}: there is no test {test}"
+def misfits(fault: Fault, root: Path = ROOT) -> Iterator[str]:
+    """Why a fault cannot be planted, or its tests cannot be run."""
+    path = root / fault.file
+    count = path.read_text(encoding="utf-8").count(fault.old) if path.is_file() else 0
+    if count != 1:
+        yield f"its old text stands {count} times in {fault.file}, not once"
+    for test in fault.tests:
+        file, _, name = test.partition("::")
+        text = (root / file).read_text(encoding="utf-8") if (root / file).is_file() else ""
+        if not text or (name and f"def {name}(" not in text):
+            yield f"there is no test {test}"
+
+
+def gaps(faults: list[Fault], root: Path = ROOT) -> Iterator[str]:
+    """Packages with too few faults."""
     package = root / "src" / "gelforge"
     for room in sorted(["rules", *(path.name for path in package.iterdir() if any(path.glob("*.py")))]):
         found = sum(fault.room == room for fault in faults)
@@ -93,9 +96,10 @@ def misfits(faults: list[Fault], root: Path = ROOT) -> Iterator[str]:
 
 
 def copied(folder: Path) -> Path:
-    """A copy of all tracked files in their current state, with a link to the environment."""
+    """A copy of all tracked files in their current state and of what numba compiled, with a link to the environment."""
     said = subprocess.run(["git", "ls-files", "-z"], cwd=ROOT, capture_output=True, text=True, check=True).stdout
-    for name in filter(None, said.split("\0")):
+    kernels = (str(path.relative_to(ROOT)) for path in (ROOT / "src").rglob("*.nb[ic]"))
+    for name in (*filter(None, said.split("\0")), *kernels):
         if (ROOT / name).is_file():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, folder / name)
@@ -106,7 +110,7 @@ def copied(folder: Path) -> Path:
 def grouped(faults: list[Fault], root: Path = ROOT) -> list[list[Fault]]:
     """Faults by what is planted at once: one of each package, whose tests share no file.
 
-    Compiled files are planted apart from others, because then all is compiled anew.
+    Compiled files are planted apart from others, and last, because then all is compiled anew.
     """
     groups: list[list[Fault]] = []
     for fault in faults:
@@ -117,15 +121,14 @@ def grouped(faults: list[Fault], root: Path = ROOT) -> list[list[Fault]]:
                 break
         else:
             groups.append([fault])
-    return groups
+    return sorted(groups, key=lambda group: (group[0].compiled(root), -len(group)))
 
 
-def tested(project: Path, tests: Collection[str], compiled: Path) -> subprocess.CompletedProcess:
-    """Run tests. compiled: folder for numba's compiled code."""
+def tested(project: Path, tests: Collection[str], compiled: Path | None = None) -> subprocess.CompletedProcess:
+    """Run tests. compiled: folder for numba's compiled code; None: beside the sources."""
     environment = {
-        **clean_environment(), "PYTHONPATH": str(project / "src"), "NUMBA_CACHE_DIR": str(compiled),
-        "GELFORGE_REFERENCE": str(PUBLISHED_DATA.resolve()),
-    }  # fmt: skip
+        **clean_environment(), "PYTHONPATH": str(project / "src"), "GELFORGE_REFERENCE": str(PUBLISHED_DATA.resolve()),
+    } | ({"NUMBA_CACHE_DIR": str(compiled)} if compiled else {})  # fmt: skip
     words = ["-q", "-m", "", "-p", "no:cacheprovider", "--tb=line", f"--timeout={SECONDS}"]
     return subprocess.run(
         [sys.executable, "-m", "pytest", *words, *tests],
@@ -164,9 +167,8 @@ def planted(group: list[Fault], project: Path, moment: int) -> Iterator[None]:
 
 def outcomes(group: list[Fault], project: Path, moment: int) -> Iterator[tuple[Fault, str]]:
     """Whether each fault of a group is noticed, or why it could not be judged. moment: as for `planted`."""
-    # numba does not see that compiled code calls a changed function
-    anew = group[0].compiled(project)
-    compiled = project.parent / ("anew" if anew else "compiled")
+    # numba does not see that compiled code calls a changed function: then all is compiled anew
+    compiled = project.parent / "anew" if group[0].compiled(project) else None
     shutil.rmtree(project.parent / "anew", ignore_errors=True)
     with planted(group, project, moment):
         done = tested(project, sorted({test for fault in group for test in fault.tests}), compiled)
@@ -179,7 +181,7 @@ def outcomes(group: list[Fault], project: Path, moment: int) -> Iterator[tuple[F
                 yield from outcomes([fault], project, moment + at + 1)
         return
     # a test that also fails without the faults has noticed nothing
-    unsound = failures(tested(project, sorted(failed), project.parent / "compiled")) if failed else {}
+    unsound = failures(tested(project, sorted(failed))) if failed else {}
     for fault in group:
         mine = {name: words for name, words in failed.items() if fault.names(name)}
         noticed = {name: words for name, words in mine.items() if name not in unsound}
@@ -196,17 +198,22 @@ def outcomes(group: list[Fault], project: Path, moment: int) -> Iterator[tuple[F
     option("--out", type=Path, default=None, metavar="FILE", help="where the figures go (JSON)"),
     option("--list", type=Path, default=LIST, metavar="FILE"),
     option("--only", default="", metavar="TEXT", help="faults whose name or file contains it"),
+    option("--check", action="store_true", help="only say which faults no longer fit the code"),
     option("--kept", type=Path, default=ROOT / "build" / "faults.json", metavar="FILE",
            help="outcomes of earlier runs, which count while a fault, its file and its tests are the same"),
 )  # fmt: skip
 def main(args: Namespace) -> int:
-    """Plant every fault, and print those that survive."""
+    """Plant every fault, and print those that survive or no longer fit the code."""
     every = listed(args.list)
-    if wrong := list(misfits(every)):
-        print(*(f"{args.list.name}: {said}" for said in wrong), sep="\n")
-        return 1
+    unfit = {fault.name: "; ".join(said) for fault in every if (said := list(misfits(fault)))}
+    wrong = [*(f"{name!r}: {said}" for name, said in unfit.items()), *gaps(every)]
+    print(*(f"{args.list.name}: {said}" for said in wrong), sep="\n", end="\n" if wrong else "")
+    if args.check:
+        return bool(wrong)
     faults = [fault for fault in every if args.only in fault.name or args.only in fault.file]
     kept = {key: said for key, said in (record_of(args.kept) or {}).items() if not said.startswith(UNJUDGED)}
+    found = {fault.name: f"{UNFIT}: {unfit[fault.name]}" for fault in faults if fault.name in unfit}
+    faults = [fault for fault in faults if fault.name not in unfit]
     for fault in faults:
         if fault.key() in kept:
             print(f"{kept[fault.key()]:10}  {fault.file}: {fault.name}", flush=True)
@@ -217,17 +224,17 @@ def main(args: Namespace) -> int:
                 kept = (record_of(args.kept) or {}) | kept | {fault.key(): said}
                 print(f"{said.partition(': ')[0]:10}  {fault.file}: {fault.name}", flush=True)
             write_json(args.kept, kept)
-    found = {fault.name: kept[fault.key()] for fault in faults}
-    print(*(f"{name}: {said}" for name, said in found.items() if said.startswith(UNJUDGED)), sep="\n")
+    found |= {fault.name: kept[fault.key()] for fault in faults}
+    print(*(f"{name}: {said}" for name, said in found.items() if said.startswith((UNJUDGED, UNFIT))), sep="\n")
     noticed = sum(said in (CAUGHT, TIMED_OUT) for said in found.values())
     waits = [name for name, said in found.items() if said == TIMED_OUT]
     survivors = [name for name, said in found.items() if said not in (CAUGHT, TIMED_OUT)]
-    note = f"{noticed} of {len(faults)}, {len(waits)} of them because a test waits for ever; survivors: {survivors or 'none'}"
-    fraction = 100.0 * noticed / max(len(faults), 1)
+    note = f"{noticed} of {len(found)}, {len(waits)} of them because a test waits for ever; survivors: {survivors or 'none'}"
+    fraction = 100.0 * noticed / max(len(found), 1)
     publish_figures(
         None if args.only else args.out, [Figure("planted faults caught", fraction, ">=", 95.0, "%", note)]
     )
-    return 0
+    return bool(wrong)
 
 
 if __name__ == "__main__":

@@ -83,19 +83,6 @@ def test_flat_punch_on_a_bonded_layer(ratio, kappa):
     assert found.force == pytest.approx(8 * MU * radius * depth * kappa, rel=8e-3)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("body", "edge", "fine"),
-    [(sphere(15), (0.0, 3.3), 0.12), (punch(10, 0.3), (4.6, 5.0), 0.04), (tube(10, 7, 0.7), (3.5, 5.0), 0.07)],
-)
-def test_forces_hardly_move_where_elements_or_steps_are_halved(body, edge, fine):
-    plain = Fineness(edge, fine)
-    ways = (plain, plain.halved(), Fineness(edge, fine, steps=24))
-    (coarse,), (halved,), (slow,) = (press(body, Layer(), [0.4], way) for way in ways)
-    assert halved.force == pytest.approx(coarse.force, rel=2e-3)
-    assert slow.force == pytest.approx(coarse.force, rel=1e-3)
-
-
 def coulomb_presses(body, mu: float, *depths: float) -> list:
     return press(body, Layer(2.0, radius=5.0), list(depths), Fineness((0.0, 1.5), 0.25, steps=8), mu)
 
@@ -141,12 +128,12 @@ def test_friction_acts_against_slip_and_stick_points_stay():
 
 
 def test_stored_presses_are_converged_in_elements_and_load_steps():
-    """Halving elements and doubling load steps moves the force of each press under Coulomb's law by 0.2 % at most."""
+    """Halving elements or doubling load steps moves forces by 0.7 % at most, under Coulomb's law by 0.2 %."""
     presses = [one for path in json.loads(KEPT.read_text())["paths"] for one in path["presses"]]
-    rubbing = [one for one in presses if one["interface"] == "coulomb"]
-    assert rubbing
-    for one in rubbing:
-        assert one["elements_halved"]["total"] < 2e-3 and one["steps_doubled"]["total"] < 2e-3, one["name"]
+    assert {one["interface"] for one in presses} >= {"coulomb", "no_slip", "frictionless"}
+    for one in presses:
+        most = 2e-3 if one["interface"] == "coulomb" else 7e-3
+        assert max(one[how]["total"] for how in ("elements_halved", "steps_doubled")) < most, one["name"]
 
 
 @pytest.mark.slow

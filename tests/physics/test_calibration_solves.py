@@ -209,16 +209,12 @@ def test_refined_forces_are_those_of_the_fine_mesh_where_the_law_ends(catalogue,
     assert abs(aside - ends[2, 2] / before[2, 2]) > 0.005
 
 
-# sideways over normal force: 0.808 by the emulator; 0.845 by the solve in 32 shear steps, 0.795 in 8
-BEYOND = pytest.mark.xfail(
-    strict=True,
-    reason="4.4 % too little beyond the friction that is solved, where a solve itself depends on its steps",
-)
+def test_a_press_that_slides_is_dragged_by_friction_times_its_normal_force(catalogue, tmp_path):
+    """Within 2 % of a solve in four times as many steps, between the friction coefficients that are solved.
 
-
-@pytest.mark.parametrize("mu", [0.4, pytest.param(0.8, marks=[pytest.mark.slow, BEYOND])])
-def test_a_press_that_slides_is_dragged_by_friction_times_its_normal_force(catalogue, tmp_path, mu):
-    """Within 2 % of a solve in four times as many steps, between and beyond the friction coefficients that are solved."""
+    Beyond them it is up to 5 % too little, and a solve itself depends on its steps as much.
+    """
+    mu = 0.4
     readings = presses((-0.5, 0.2, 0, 1.2, 0.9, -0.5, 0))
     plan = make_plan(readings, 0.15, LAW, [0.25, 0.6], NU)
     assert plan.slides.tolist() == [True] and plan.nodes == [[0.25, 0.6, np.inf]]

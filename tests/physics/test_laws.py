@@ -42,6 +42,15 @@ def force(result: HexResult) -> float:
     return float(np.linalg.norm(result.total))
 
 
+def test_a_lens_presses_as_the_sphere_it_is_a_part_of():
+    """The cap of a sphere of 200 mm: the same force, node by node, while its rim stays clear of the gel."""
+    of, solver = {"kind": "sphere", "diameter": 200.0}, HexSolver(COARSE)
+    whole, *caps = (solver.solve(press(build("lens", of | {"height": high}))) for high in (100.0, 0.5, 2.0))
+    assert force(whole) > 1.0
+    for cap in caps:
+        np.testing.assert_allclose(cap.forces, whole.forces, atol=1e-6 * force(whole))
+
+
 @pytest.mark.parametrize(
     # what no slip adds to no friction at least; measured of the block: 2.1 %
     ("body", "depth", "gain"), [(WIDE, 1.0, 0.03), pytest.param(BLOCK, 0.4, 0.015, marks=pytest.mark.slow)]

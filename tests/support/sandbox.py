@@ -67,7 +67,9 @@ def make(
     )
 
 
-# Coarse and in process, because the flow is tested here, not the mechanics.
+# Coarse and in process, because the flow is tested here, not the mechanics; presses are straight and shallow for the same
+# reason.
+DEEPEST_MM = 0.25
 FAST = """
 [params.plan]
 shard_size = 2
@@ -86,9 +88,11 @@ REPORTED = ("evaluate", "report", "MODEL=tiny", "DATASET=tiny", "RES=6x8")
 
 
 def lay_dataset(project, root, name, count, overrides=FAST):
-    """Copy the first `count` presses of the demo log into data/NAME of a sandbox."""
+    """Copy the first `count` presses of the demo log, made shallow, into data/NAME of a sandbox."""
     demo, data = root / "data" / "demo", project / "data" / name
     rows = read_csv(demo / "log.csv")[:count]
+    for row in rows:
+        row |= {"dx_mm": "0", "dy_mm": "0", "dz_mm": str(max(float(row["dz_mm"]), -DEEPEST_MM))}
     write_csv(data / "log.csv", list(rows[0]), rows)
     base = (demo / "dataset.toml").read_text(encoding="utf-8").split("[params")[0]
     write_text(data / "dataset.toml", base + overrides)

@@ -37,7 +37,7 @@ def alone(root, tmp_path):
 
 @pytest.fixture(scope="session")
 def made_whole(root, tmp_path_factory, worker_id):
-    """A sandbox whose dataset `tiny`, eight presses in two shards, is made up to its report; tests copy it.
+    """A sandbox whose dataset `tiny`, six presses in two shards, is made up to its report; tests copy it.
 
     Workers of pytest share it: the first one makes it while the others wait.
     """
@@ -52,10 +52,10 @@ def made_whole(root, tmp_path_factory, worker_id):
 
 def make_whole(root, project):
     link_project(root, project)
-    data = lay_dataset(project, root, "tiny", 8, FAST.replace("shard_size = 2", "shard_size = 4") + TRAINED)
+    data = lay_dataset(project, root, "tiny", 6, FAST.replace("shard_size = 2", "shard_size = 3") + TRAINED)
     shutil.copytree(root / "data/demo/nocontact", data / "nocontact")
     names = [row["sample_id"] for row in read_csv(data / "log.csv")]
-    splits = [{"sample_id": name, "split": "val" if at > 5 else "train"} for at, name in enumerate(names)]
+    splits = [{"sample_id": name, "split": "val" if at > 4 else "train"} for at, name in enumerate(names)]
     write_csv(data / "splits.csv", ["sample_id", "split"], splits)
     models = project / "workflow/models.toml"
     write_text(models, models.read_text(encoding="utf-8") + NETWORK)

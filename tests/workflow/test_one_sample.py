@@ -13,7 +13,9 @@ def say(project, *words):
     return done.stdout
 
 
-def test_look_finds_what_sample_made_and_a_calibration_scales_it(project):
+def test_look_finds_what_sample_made_and_a_calibration_scales_it(whole):
+    """Its solve is in the store; nothing of the dataset is made."""
+    project = whole
     first = read_csv(project / "data/tiny/log.csv")[0]["sample_id"]
     assert "has no label at 24x32 yet" in make(project, "DATASET=tiny", "look", f"ID={first}").stdout
     assert f"all files of {first} are in" in say(project, "sample", f"ID={first}")
@@ -21,7 +23,7 @@ def test_look_finds_what_sample_made_and_a_calibration_scales_it(project):
     scaled_by_the_calibrated_material(project, first)
     made = {path.name for path in (project / "results/tiny/look").iterdir()}
     assert made == {f"{first}-24x32.png", f"{first}-indenter.stl", f"{first}.vtu"}
-    assert not (project / "results/tiny/50_labels").exists()
+    assert not (project / "results/tiny/50_labels/24x32").exists()
 
 
 def scaled_by_the_calibrated_material(project, first):
@@ -50,13 +52,13 @@ def test_a_sample_that_stage_10_rejects_says_why(project):
     assert "not a finite number" in done.stdout and "was rejected, see above" in done.stdout
 
 
-def test_a_row_that_fills_up_a_labelled_shard_is_looked_at_alone(project, root):
-    log = project / "data/tiny/log.csv"
-    whole = read_csv(log)[:2]
-    write_csv(log, list(whole[0]), whole[:1])
-    say(project, "labels")
-    write_csv(log, list(whole[0]), whole)
-    new = whole[1]["sample_id"]
-    say(project, "sample", f"ID={new}")
-    say(project, "look", f"ID={new}")
-    assert (project / f"results/tiny/look/{new}-24x32.png").exists()
+def test_a_row_that_fills_up_a_labelled_shard_is_looked_at_alone(whole):
+    log = whole / "data/tiny/log.csv"
+    rows = read_csv(log)
+    write_csv(log, list(rows[0]), rows[:-1])
+    say(whole, "labels", "RES=6x8")
+    write_csv(log, list(rows[0]), rows)
+    new = rows[-1]["sample_id"]
+    say(whole, "sample", f"ID={new}", "RES=6x8")
+    say(whole, "look", f"ID={new}", "RES=6x8")
+    assert (whole / f"results/tiny/look/{new}-6x8.png").exists()

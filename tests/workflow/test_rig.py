@@ -48,6 +48,17 @@ def two(pressed, tmp_path):
     return shutil.copytree(pressed, tmp_path / "two" / pressed.name)
 
 
+BOTH = 'sensors = ["mini_a"]', 'sensors = ["mini_a", "mini_e"]\nseen_by = 2'
+
+
+@pytest.fixture(scope="module")
+def seen_by_both(tmp_path_factory):
+    """The folder of a plan and of its dataset: one press that two sensors see. Tests leave it as it is."""
+    folder = tmp_path_factory.mktemp("both")
+    run(plan_of(folder, 1, BOTH), folder / "data", ROOT / "workflow")
+    return folder
+
+
 def test_log_and_images_are_what_the_importer_expects(two):
     rows = read_log(two / "log.csv")
     for row in rows:
@@ -60,9 +71,8 @@ def test_log_and_images_are_what_the_importer_expects(two):
     assert {path.stem for path in (two / "nocontact").iterdir()} == {"mini_a", "mini_b", "mini_e"}
 
 
-def test_one_press_seen_by_two_sensors_is_carried_out_once(tmp_path):
-    both = 'sensors = ["mini_a"]', 'sensors = ["mini_a", "mini_e"]\nseen_by = 2'
-    data = run(plan_of(tmp_path, 1, both), tmp_path / "data", ROOT / "workflow")
+def test_one_press_seen_by_two_sensors_is_carried_out_once(seen_by_both):
+    data = seen_by_both / "data/demo"
     one, other = read_csv(data / "log.csv")
     assert [one.pop("sensor_id"), other.pop("sensor_id")] == ["mini_a", "mini_e"]
     pictures = [cv2.imread(str(data / row.pop("image"))) for row in (one, other)]
@@ -139,27 +149,21 @@ def assert_same_rows(rows: list[dict], others: list[dict]) -> None:
 
 
 def test_growth_appends_and_repeats_nothing_and_equals_a_fresh_run(two, tmp_path):
-    before = (two / "log.csv").read_text()
-    times = {path: path.stat().st_mtime_ns for path in (two / "images").iterdir()}
-    gone = two / "images" / "demo-000001.png"
-    image = cv2.imread(str(gone))
-    gone.unlink()
-    (two / "truth" / "surfaces" / "demo-000001.npz").unlink()  # so that the press is repeated, on another process
-    plan = plan_of(tmp_path, 3)
-    assert (
-        main(["--plan", str(plan), "--data", str(two.parent), "--workflow", str(ROOT / "workflow"), "--jobs", "2"])
-        == 0
-    )
-    after = (two / "log.csv").read_text()
-    assert after.startswith(before)
-    assert len(after.splitlines()) == 4
-    assert np.abs(cv2.imread(str(gone)).astype(int) - image).max() <= 1
-    kept = two / "images" / "demo-000000.png"
-    assert kept.stat().st_mtime_ns == times[kept]
-    run(plan, two.parent, ROOT / "workflow")
-    assert (two / "log.csv").read_text() == after
-    fresh = run(plan, tmp_path / "fresh", ROOT / "workflow")
-    assert_same_rows(read_csv(fresh / "log.csv"), read_csv(two / "log.csv"))
+    """The second press is carried out by another process."""
+    grown = run(plan_of(tmp_path, 1), tmp_path / "grown", ROOT / "workflow")
+    before, kept = (grown / "log.csv").read_text(), grown / "images" / "demo-000000.png"
+    stamp, plan = kept.stat().st_mtime_ns, plan_of(tmp_path, 2)
+    words = ["--plan", str(plan), "--data", str(grown.parent), "--workflow", str(ROOT / "workflow"), "--jobs", "2"]
+    assert main(words) == 0
+    after = (grown / "log.csv").read_text()
+    assert after.startswith(before) and len(after.splitlines()) == 3
+    assert kept.stat().st_mtime_ns == stamp
+    run(plan, grown.parent, ROOT / "workflow")
+    assert (grown / "log.csv").read_text() == after
+    assert_same_rows(read_csv(two / "log.csv"), read_csv(grown / "log.csv"))
+    for fresh in (two / "images").iterdir():
+        drawn = cv2.imread(str(grown / "images" / fresh.name)).astype(int)
+        assert np.abs(drawn - cv2.imread(str(fresh))).max() <= 1
 
 
 def test_a_lost_picture_is_drawn_again_from_the_kept_surface(two, tmp_path, capsys):
@@ -173,15 +177,14 @@ def test_a_lost_picture_is_drawn_again_from_the_kept_surface(two, tmp_path, caps
     assert (two / "log.csv").read_bytes() == log
 
 
-def test_a_camera_that_is_made_anew_takes_the_same_picture(tmp_path, monkeypatch):
+def test_a_camera_that_is_made_anew_takes_the_same_picture(seen_by_both, tmp_path, monkeypatch):
     """A process keeps few of a plan's cameras; which of them does not show."""
-    both = 'sensors = ["mini_a"]', 'sensors = ["mini_a", "mini_e"]\nseen_by = 2'
-    data = run(plan_of(tmp_path, 1, both), tmp_path / "data", ROOT / "workflow")
-    pictures = {path: path.read_bytes() for path in (data / "images").iterdir()}
+    folder = shutil.copytree(seen_by_both, tmp_path / "both")
+    pictures = {path: path.read_bytes() for path in (folder / "data/demo/images").iterdir()}
     monkeypatch.setattr(rig, "CAMERAS", 1)
     for path in pictures:
         path.unlink()
-    run(tmp_path / "plan.toml", tmp_path / "data", ROOT / "workflow")
+    run(folder / "plan.toml", folder / "data", ROOT / "workflow")
     assert len(pictures) == 2 and all(path.read_bytes() == picture for path, picture in pictures.items())
 
 

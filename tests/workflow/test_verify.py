@@ -8,12 +8,17 @@ import pytest
 from gelforge.errors import BadInput
 from gelforge.flow.files import read_json, read_toml, write_text
 from gelforge.flow.layout import Layout
+from gelforge.geometry.gel import GELS
+from gelforge.geometry.indenters import build
+from gelforge.mechanics.material import Material
+from gelforge.mechanics.scene import Interface, Scene
+from gelforge.records.press import Press
 from gelforge.stages import fea
 from gelforge.stages.report import verified_section
 from gelforge.sweeps import verification
 from gelforge.sweeps.verification import Verified
 from tests.support.meshed import place_mesh
-from tests.support.parameters import write_stage, write_used
+from tests.support.parameters import parameters, write_stage, write_used
 
 HEADER = "sample_id,sensor_id,gel_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg\n"
 
@@ -60,19 +65,20 @@ def test_a_verified_press_has_a_difference_and_limits(folder, ccx):
     assert solve(folder, 0.0) == [] and kept(folder) == times
 
 
-@pytest.mark.slow
-def test_calculix_own_contact_checks_ccx_without_friction(folder, ccx):
-    """Three solves: of the press, which sticks, and of its end without friction, whose contact CalculiX finds once."""
-    (found,) = solve(folder, 1.0, method="ccx")
-    assert (found.method, found.second, found.reason) == ("ccx", "ccx-contact", "")
-    assert 0 < found.total < 0.03 and not found.beyond
-    assert sorted(read_json(path)["method"] for path in Layout(folder).solves.glob("*.json")) == [
-        "ccx",
-        "ccx",
-        "ccx-contact",
+def test_calculix_own_contact_checks_ccx_without_friction():
+    """At the end of the path alone, with a hard penalty; how near both are: tests/physics/test_calculix_contact.py."""
+    press = Press(0.0, 0.0, 0.0, 0.3, 0.0, -0.4)
+    ball = build("ball", {"kind": "sphere", "diameter": 15, "height": 10})
+    frames = [
+        Scene(GELS["gelsight_mini"], Material(), ball, end, Interface("coulomb", 0.5)) for end in (press, press)
     ]
-    times = kept(folder)
-    assert solve(folder, 1.0, method="ccx") == [found] and kept(folder) == times
+    check = verification.check_of("ccx", frames, parameters().fea)
+    (end,) = check.scenes
+    assert end.interface.law == "frictionless" and end.press.x0 + end.press.dx == pytest.approx(0.3)
+    assert (check.first.method, check.second.method) == ("ccx", "ccx-contact")
+    assert check.second.contact_stiffness == verification.HARD
+    other = verification.check_of("label", frames, parameters().fea)
+    assert other.scenes == frames and other.first is None and other.second.method == "ccx"
 
 
 def made(name: str, total: float, cells: float) -> Verified:

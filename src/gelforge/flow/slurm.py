@@ -138,6 +138,16 @@ def run(command: list[str], profile: Profile, file: Path, stage: str) -> int:
     )
 
 
+STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+
+def stop_once(*_: object) -> None:
+    """Stop at the first signal. A terminal and make both send one; the second must not stop the scancel of the first."""
+    for number in STOPS:
+        signal.signal(number, signal.SIG_IGN)
+    raise KeyboardInterrupt
+
+
 def main(argv: list[str] | None = None) -> int:
     words = sys.argv[1:] if argv is None else argv
     if len(words) < 3 or words[0] != "--profile" or "-m" not in words:
@@ -145,8 +155,8 @@ def main(argv: list[str] | None = None) -> int:
     if not shutil.which("sbatch"):
         raise BadInput("sbatch: not found; EXECUTOR=slurm needs Slurm's programs on PATH")
     stage = words[words.index("-m") + 1].rpartition(".")[2]
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, lambda *_: (_ for _ in ()).throw(KeyboardInterrupt))
+    for number in STOPS:
+        signal.signal(number, stop_once)
     die_with_parent()  # by SIGTERM, so that the job ends with a make that is killed
     return run(words[2:], read_profile(Path(words[1]), stage), Path(words[1]), stage)
 

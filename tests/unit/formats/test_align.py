@@ -339,8 +339,9 @@ def lay_bench(folder, name, seconds, size, began=0.0, origin=(-120.5, -88.2, -35
 def test_a_bench_becomes_a_log_that_stage_10_takes_whole(tmp_path, capsys, root, monkeypatch, name):
     """Of 41 rows it rejected 12, sideways forces and moments that nobody measured were 0, and negative origins were no number."""
     monkeypatch.chdir(root)
-    seconds, dated = (36.0, 1.79e9) if name == "steady" else (62.0, 0.0)  # two presses, or three
-    words = lay_bench(tmp_path, name, seconds, (400, 300) if name == "delayed" else (64, 48), dated)
+    dated = 1.79e9 if name == "steady" else 0.0
+    few = name in ("steady", "delayed")  # two presses, or three
+    words = lay_bench(tmp_path, name, 36.0 if few else 62.0, (400, 300) if name == "delayed" else (64, 48), dated)
     words += ["--origin", "-120.5,-88.2,-35.4"]
     drawn, save = [], canvas.save_png
     monkeypatch.setattr(canvas, "save_png", lambda path, figure: drawn.append(figure) or save(path, figure))
@@ -358,7 +359,7 @@ def test_a_bench_becomes_a_log_that_stage_10_takes_whole(tmp_path, capsys, root,
     good, wrong = judge(read_log(log), "log.csv", tmp_path / "bench", tables, parameters().poses, bodies)
     assert not wrong and len(good) == len(rows)
     presses = {row.press_id for row in rows}
-    assert len(presses) == (2 if dated else 3)
+    assert len(presses) == (2 if few else 3)
     for row in rows:
         assert (row.x0_mm, row.dx_mm, row.z0_mm) == pytest.approx((0, 0, 0), abs=1e-6)
         assert -row.fz_n == pytest.approx(3.0 * max(-row.dz_mm, 0.0) ** 1.6, abs=0.15)

@@ -32,11 +32,12 @@ from tests.support.pictures import moved
 from tests.support.refused import refused
 
 BALL = {"kind": "sphere", "diameter": 10, "height": 10}
+STICKS = math.inf  # the friction that costs least to solve
 
 
 @pytest.fixture(scope="module")
 def press():
-    return gelforge.solve(BALL, depth=0.5)
+    return gelforge.solve(BALL, depth=0.5, friction=STICKS)
 
 
 def test_solving_a_press(press):
@@ -58,29 +59,30 @@ def test_the_sensor_of_a_label_is_that_of_the_workflow(root):
 
 
 def test_deeper_is_harder(press):
-    assert gelforge.solve(BALL, depth=0.8).total[2] < press.total[2]
+    assert gelforge.solve(BALL, depth=0.8, friction=STICKS).total[2] < press.total[2]
 
 
 def test_force_is_proportional_to_stiffness_and_grows_as_the_gel_keeps_its_volume(press):
-    twice = gelforge.solve(BALL, depth=0.5, c10=2 * REFERENCE_C10)
-    once = gelforge.solve(BALL, depth=0.5, c10=REFERENCE_C10)
-    np.testing.assert_allclose(twice.total, 2 * once.total, rtol=1e-12, atol=0)
-    assert twice.error_n == pytest.approx(2 * once.error_n) and 0.0 < once.error_n < -0.05 * once.total[2]
-    looser = gelforge.solve(BALL, depth=0.5, nu=0.4)
+    twice = gelforge.solve(BALL, depth=0.5, c10=2 * REFERENCE_C10, friction=STICKS)
+    np.testing.assert_allclose(twice.total, 2 * press.total, rtol=1e-12, atol=0)
+    assert twice.error_n == pytest.approx(2 * press.error_n) and 0.0 < press.error_n < -0.05 * press.total[2]
+    looser = gelforge.solve(BALL, depth=0.5, nu=0.4, friction=STICKS)
     assert 0.0 > looser.total[2] > 0.95 * press.total[2]
 
 
-def test_a_name_of_the_catalogue_is_its_body(root):
+def test_a_name_of_the_catalogue_is_its_body(press, root):
     """An installed package has no workflow/ to read it from."""
     assert CATALOGUE.read_bytes() == (root / "workflow/indenters.toml").read_bytes()
-    by_name = gelforge.solve("sphere_10", depth=0.5)
-    np.testing.assert_array_equal(by_name.forces, gelforge.solve(BALL, depth=0.5).forces)
+    by_name = gelforge.solve("sphere_10", depth=0.5, friction=STICKS)
+    np.testing.assert_array_equal(by_name.forces, press.forces)
     assert len(repr(by_name)) < 160 and "sphere_10" in repr(by_name)
 
 
 def test_methods_agree_within_what_they_state(press):
     """CalculiX, which others wrote, and the choice by stated errors; the name says what solved it."""
-    found = {method: gelforge.solve(BALL, depth=0.5, method=method) for method in ("label", "ccx", "auto")}
+    found = {
+        method: gelforge.solve(BALL, depth=0.5, friction=STICKS, method=method) for method in ("label", "ccx", "auto")
+    }
     assert [one.method for one in found.values()] == ["label", "ccx", "draft"]
     for one in found.values():
         assert abs(one.total[2] - press.total[2]) < one.error_n + press.error_n
@@ -121,8 +123,8 @@ def test_a_force_has_the_digits_that_its_interval_allows(value, half, text):
 def test_a_drag_is_felt_along_itself():
     """Whichever way a round indenter is turned."""
     for along, turned in ((0, 0.0), (1, 40.0)):
-        drag = tuple(0.3 * (k == along) for k in (0, 1))
-        total = gelforge.solve(BALL, depth=0.5, shear=drag, rot_deg=turned).total
+        drag = tuple(0.2 * (k == along) for k in (0, 1))
+        total = gelforge.solve(BALL, depth=0.3, shear=drag, rot_deg=turned).total
         assert total[along] > 0.1 * -total[2] and abs(total[1 - along]) < 0.1 * total[along]
 
 
