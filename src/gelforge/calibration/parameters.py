@@ -201,8 +201,8 @@ class BenchModel:
         }
 
     def of(self, name: str, mounting: str) -> str:
-        """Name of a parameter of a mounting."""
-        return name if len(self.mountings) == 1 else f"{name} of {mounting}"
+        """Name of a parameter of a mounting; that of rows which name none is as if there were one alone."""
+        return name if len(self.mountings) == 1 or not mounting else f"{name} of {mounting}"
 
 
 def make_model(

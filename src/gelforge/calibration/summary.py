@@ -45,7 +45,8 @@ def normal_coordinate(law, values: np.ndarray) -> np.ndarray:
 def bench(parameters: dict, model: BenchModel) -> dict:
     """Parameters of the bench that change a path: medians, or their fixed values; mm, mm/N and degrees.
 
-    mountings: by name, offset and, where it was found, tilt; `offset` is that of the middle one of several.
+    mountings: by name, offset and, where it was found, tilt. `offset` is that of the rows that name no mounting; if all
+    name one, that of the middle one.
     """
 
     def value(name: str) -> float:
@@ -56,7 +57,8 @@ def bench(parameters: dict, model: BenchModel) -> dict:
         mountings[name] = {"offset": value(model.of("offset", name))}
         if model.of(TILT[0], name) in parameters:
             mountings[name]["tilt_deg"] = [value(model.of(axis, name)) for axis in TILT]
-    offset = float(np.median([one["offset"] for one in mountings.values()]))
+    middle = float(np.median([one["offset"] for one in mountings.values()]))
+    offset = mountings[""]["offset"] if "" in mountings else middle
     return (
         {"offset": offset}
         | {name: value(name) for name in ("compliance", "shear_compliance")}
@@ -147,7 +149,11 @@ def _tilts(parameters: dict, model: BenchModel) -> list[str]:
                 for axis, row in zip("xy", rows, strict=True)
                 if row
             ]
-            where = f"mounting {name!r}" if name else "the bench"
+            where = (
+                f"mounting {name!r}"
+                if name
+                else "the bench" + " without a named mounting" * (len(model.mountings) > 1)
+            )
             said.append(f"By the moments of its flat presses {where} leans by {' and '.join(about)}.")
     return said
 

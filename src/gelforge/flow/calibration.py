@@ -82,15 +82,19 @@ def found_in(dataset: str, summary: Mapping[str, Any]) -> CalibratedValues:
 def of_mountings(found: Mapping[str, Mapping], stated: Mapping[str, Any]) -> dict[str, Any]:
     """Values of [poses] for the mountings that a calibration found: tilt, and touch offsets where there are several.
 
-    stated: tilts that the dataset states itself, by mounting, which stay.
+    stated: tilts that the dataset states itself, by mounting, which stay. Of several mountings the tilt of rows that name
+    none holds for these rows alone: a named one whose tilt was not found has none.
     """
     tilts = {name: [round(angle, DIGITS["tilt_deg"]) + 0.0 for angle in one["tilt_deg"]]
              for name, one in found.items() if "tilt_deg" in one}  # fmt: skip
+    unnamed = {"tilt_deg": tilts.pop("")} if "" in tilts else {}
     if len(found) == 1:
-        return {"tilt_deg": next(iter(tilts.values()))} if tilts else {}
-    offsets = {name: round(one["offset"], DIGITS["touch_offset_mm"]) + 0.0 for name, one in found.items() if name}
-    tilts = {**stated, **{name: tilt for name, tilt in tilts.items() if name}}
-    return {"mounting_touch_offset_mm": offsets} | ({"mounting_tilt_deg": tilts} if tilts else {})
+        return unnamed or ({"tilt_deg": next(iter(tilts.values()))} if tilts else {})
+    named = [name for name in found if name]
+    offsets = {name: round(found[name]["offset"], DIGITS["touch_offset_mm"]) + 0.0 for name in named}
+    none = {name: [0.0, 0.0] for name in named} if unnamed else {}
+    tilts = {**none, **stated, **tilts}
+    return {"mounting_touch_offset_mm": offsets} | ({"mounting_tilt_deg": tilts} if tilts else {}) | unnamed
 
 
 def write_frozen(path: Path, found: CalibratedValues) -> None:

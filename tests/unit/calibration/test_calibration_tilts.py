@@ -176,3 +176,19 @@ def test_what_was_found_of_several_is_each_ones_and_frozen(tmp_path):
     path.parent.mkdir(parents=True)
     write_frozen(path, values)
     assert read_found(path) == values
+
+
+def test_rows_that_name_no_mounting_follow_what_was_found_of_them():
+    """Not the middle of all mountings; and a mounting whose tilt was not found does not take theirs."""
+    found = {
+        "offset": 0.012,
+        "offset of a": -0.069,
+        "offset of b": 0.2,
+        "tilt_x": 0.1,
+        "tilt_y": -0.4,
+        "tilt_x of a": 1.3,
+    }
+    poses = found_in("lab", summary_of(("", "a", "b"), ("", "a"), **found)).params["poses"]
+    assert poses["touch_offset_mm"] == 0.012 and poses["mounting_touch_offset_mm"] == {"a": -0.069, "b": 0.2}
+    assert poses["tilt_deg"] == [0.1, -0.4]
+    assert poses["mounting_tilt_deg"] == {"a": [1.3, 0.0], "b": [0.0, 0.0], "c": [0.5, 0.0]}
