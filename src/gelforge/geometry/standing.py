@@ -64,7 +64,7 @@ def standing(vertices: np.ndarray, faces: np.ndarray) -> Standing:
         _, turn, beyond, (one, other) = _edges(vertices, faces, normal)
         what = f"a flat side of {area:.3g} mm2"
         if ((flat[one] != flat[other]) & (turn > SHARP_DEG) & (beyond < 0.0)).any():
-            what += " with sharp edges (taken as rounded by about half of `spacing`; model the real radius, it decides the force)"
+            what += " with sharp edges (the grid rounds them by 0 to 0.6 `spacing`; model the real radius, it decides the force)"
     x, y = section.middle
     touches = (
         f"of {size[0]:.3g} x {size[1]:.3g} x {size[2]:.3g} mm, x by y by z; {what} touches first, {wide[0]:.3g} x {wide[1]:.3g} mm"
