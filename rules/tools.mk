@@ -1,7 +1,8 @@
 # Tools for a dataset, for recordings and for the virtual rig. Text from the command line is quoted.
+# 141: what reads the output, as in `make status | head`, has closed it.
 .PHONY: status
 status: | $(SETUP)  ## samples done, failed with reasons and pending, per stage
-	@$(PY) -m gelforge.commands.status $D
+	@$(PY) -m gelforge.commands.status $D || [ $$? = 141 ]
 
 .PHONY: sample
 sample: $(MESHED) $(CALIBRATION) | $(SETUP)  ## run one sample through all stages and show its log: make sample ID=…

@@ -1,5 +1,6 @@
 """The indenter catalogue: tables of a TOML file become rigid bodies."""
 
+import os
 from collections.abc import Callable, Iterable
 from pathlib import Path
 
@@ -234,9 +235,13 @@ def _stl(t: _Table, **common) -> Body:
     spacing, reach = t.number("spacing", 0.2), t.number("reach", 4.0)
     if not isinstance(file, str):
         t.fail("file", file, "give the path of an STL file, from the catalogue's folder")
-    path = t.folder / file
+    path = Path(os.path.normpath(t.folder / file))
     if not path.is_file():
-        t.fail("file", file, f"there is no file {path}; relative paths start at {t.folder}")
+        t.fail(
+            "file",
+            file,
+            f"there is no file {path}; copy it there, or correct `file`, a path from the folder of this table",
+        )
     planned = t.take("sha256", None)
     if planned is not None and planned != digest_of(path):
         t.fail("file", file, f"{path} changed while this was planned; run make again")

@@ -48,8 +48,9 @@ def size_of(vertices: np.ndarray) -> str:
 class Sampled(Body):
     """A closed surface as a cubic spline of its signed distance on a grid of `spacing` mm up to the height `reach`.
 
-    The error is of the order of spacing^2 / edge radius; a sharp edge is rounded with about half the spacing. Outside
-    the grid, where nothing touches, the distance is only an upper bound. Too many grid points raise BadInput.
+    The error is of the order of spacing^2 / edge radius; a sharp edge stays sharp where it lies on points of the
+    grid, and is rounded with up to 0.6 of the spacing elsewhere (boxes of 8.00 to 8.17 mm). Outside the grid, where
+    nothing touches, the distance is only an upper bound. Too many grid points raise BadInput.
     """
 
     def __init__(self, name, vertices, faces, spacing=0.2, reach=4.0, **flags):

@@ -59,13 +59,35 @@ def standing(vertices: np.ndarray, faces: np.ndarray) -> Standing:
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     flat = (corners[..., 2].max(axis=1) < TIP_MM / 2.0) & (normal[:, 2] < -LEVEL * np.linalg.norm(normal, axis=1))
     area = -0.5 * float(normal[flat, 2].sum())
-    what = f"a flat side of {area:.3g} mm2" if area > FLAT_SHARE * section.area else "a tip or a rounded side"
+    what = "a tip or a rounded side"
+    if area > FLAT_SHARE * section.area:
+        _, turn, beyond, (one, other) = _edges(vertices, faces, normal)
+        what = f"a flat side of {area:.3g} mm2"
+        if ((flat[one] != flat[other]) & (turn > SHARP_DEG) & (beyond < 0.0)).any():
+            what += " with sharp edges (the grid rounds them by 0 to 0.6 `spacing`; model the real radius, it decides the force)"
     x, y = section.middle
     touches = (
         f"of {size[0]:.3g} x {size[1]:.3g} x {size[2]:.3g} mm, x by y by z; {what} touches first, {wide[0]:.3g} x {wide[1]:.3g} mm"
         f" wide {TIP_MM:g} mm above its lowest point, its middle {np.hypot(x, y):.2f} mm beside the axis (x {x:.2f}, y {y:.2f})"
     )
     return Standing(touches, [*_aside(low, high), *_lying((vertices, faces), size), *_ridge(vertices, faces, normal)])
+
+
+def _edges(
+    vertices: np.ndarray, faces: np.ndarray, normal: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, tuple[np.ndarray, np.ndarray]]:
+    """Of each edge of a closed surface: ends, degrees between its sides' normals, convexity, and the faces of both sides.
+
+    The edge is convex where the third is below 0: the middle of one side beyond the plane of the other.
+    """
+    half = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    order = np.lexsort(half.T)
+    one, other = order[::2] // 3, order[1::2] // 3  # every edge of a closed surface has two sides
+    ends = vertices[half[order[::2]]]
+    unit = normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
+    turn = np.degrees(np.arccos(np.clip(np.einsum("ij,ij->i", unit[one], unit[other]), -1.0, 1.0)))
+    beyond = np.einsum("ij,ij->i", unit[one], vertices[faces[other]].mean(axis=1) - ends[:, 0])
+    return ends, turn, beyond, (one, other)
 
 
 def _aside(low: np.ndarray, high: np.ndarray) -> list[str]:
@@ -103,14 +125,9 @@ def _lying(mesh: Mesh, size: np.ndarray) -> list[str]:
 
 def _ridge(vertices: np.ndarray, faces: np.ndarray, normal: np.ndarray) -> list[str]:
     """A ridge between two rising sides that touches first and is sharper than elements can resolve."""
-    half = np.sort(faces[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    order = np.lexsort(half.T)
-    one, other = order[::2] // 3, order[1::2] // 3  # every edge of a closed surface has two sides
-    ends = vertices[half[order[::2]]]
-    unit = normal / np.maximum(np.linalg.norm(normal, axis=1), 1e-300)[:, None]
-    turn = np.degrees(np.arccos(np.clip(np.einsum("ij,ij->i", unit[one], unit[other]), -1.0, 1.0)))
-    beyond = np.einsum("ij,ij->i", unit[one], vertices[faces[other]].mean(axis=1) - ends[:, 0])
-    rising = (unit[one, 2] > -LEVEL) & (unit[other, 2] > -LEVEL)
+    ends, turn, beyond, (one, other) = _edges(vertices, faces, normal)
+    level = normal[:, 2] > -LEVEL * np.maximum(np.linalg.norm(normal, axis=1), 1e-300)
+    rising = level[one] & level[other]
     found = (ends[..., 2].max(axis=1) < TIP_MM) & (turn > SHARP_DEG) & (beyond < 0.0) & rising
     if not found.any():
         return []

@@ -46,6 +46,8 @@ def open_source(
         raise BadInput(f"{video}: {fault}; name an AVI or MP4 file{camera_there}")
     # silent, because OpenCV's decoder prints thousands of lines about a corrupt film and `Film` raises one error
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
+    # of a camera that is not there OpenCV prints two warnings before the sentence below
+    cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_ERROR)
     source = cv2.VideoCapture(str(video)) if camera is None else cv2.VideoCapture(camera)
     if not source.isOpened():
         what = (

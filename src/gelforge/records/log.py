@@ -124,13 +124,18 @@ def _places(path: Path, header: list[str], known: tuple[str, ...]) -> dict[str, 
     if "sample_id" not in header:
         seen = printable(", ".join(header))[:200] or "no header"
         other = other_separator(header)
-        hint = f"; separate cells by commas, not by {other!r}" if other else ""
-        raise BadInput(f"{path}: column sample_id is missing, so it holds no presses; seen: {seen}{hint}")
+        hint = (
+            f"separate cells by commas, not by {other!r}"
+            if other
+            else "workflow/guide/your-data.md lists the columns"
+        )
+        raise BadInput(f"{path}: column sample_id is missing, so it holds no presses; seen: {seen}; {hint}")
     for name in known:
         if header.count(name) > 1:
             raise BadInput(f"{path}: column {name} occurs {header.count(name)} times in the header; keep one of them")
     for name in header:
-        near = get_close_matches(name.lower(), OPTIONAL, 1, 0.8)
+        same_letters = [of for of in OPTIONAL if sorted(of) == sorted(name.lower())]
+        near = same_letters or get_close_matches(name.lower(), OPTIONAL, 1, 0.8)
         if near and name not in known:
             raise BadInput(f"{path}: column {name!r} is unknown; write {near[0]}, or give it another name")
     return {name: header.index(name) for name in header if name in known}

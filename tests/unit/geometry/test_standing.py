@@ -92,6 +92,13 @@ def test_what_stands_wrongly_is_said(mesh, said):
     assert any(said in doubt for doubt in doubts) if said else doubts == []
 
 
+@pytest.mark.parametrize(("mesh", "sharp"), [
+    (wedge(60.0, blunt=1.0), True), (CATALOGUE["cuboid_7"].surface(), False), (tool(), False), (wedge(60.0), False),
+])  # fmt: skip
+def test_sharp_edges_of_a_flat_side_are_said(mesh, sharp):
+    assert ("with sharp edges" in standing(*mesh).touches) == sharp
+
+
 def test_what_touches_first_is_measured():
     flat, ball = (standing(*CATALOGUE[name].surface()).touches for name in ("cuboid_7", "sphere_10"))
     assert "a flat side of 25 mm2 touches first" in flat and "0.00 mm beside the axis" in flat

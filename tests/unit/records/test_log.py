@@ -168,6 +168,8 @@ def test_files_that_are_no_log_are_refused(tmp_path):
         (WHOLE + log_line(gel_id="x" * 200_000) + "\n", "row 3: field larger than field limit"),
         (f"{HEADER},x0_mm\n{log_line()},1\n", "column x0_mm occurs 2 times"),
         (f"{HEADER},pressid\n{log_line()},p1\n", "'pressid' is unknown; write press_id"),
+        (f"{HEADER},tilt_deg_x\n{log_line()},1\n", "'tilt_deg_x' is unknown; write tilt_x_deg"),
+        ("depth_mm,fz\n0.3,-0.1\n", "seen: depth_mm, fz; workflow/guide/your-data.md lists the columns"),
         (renamed(image="Image", mz_nm="IMAGE"), "column image occurs 2 times"),
     ):
         refused(said, read, tmp_path, text)
