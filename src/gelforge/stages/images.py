@@ -30,7 +30,7 @@ from gelforge.reading.frame import BLUE_FIRST, image_frame
 from gelforge.records.log import read_poses
 from gelforge.records.press import SENSOR_TABLES, PosedPress
 
-VERSION = 4
+VERSION = 5
 LEAST_MM = 0.2  # depth of a press whose image shows a tilt, and most sideways travel of it
 CHUNK = 200  # presses per task of a process
 
