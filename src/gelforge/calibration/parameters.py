@@ -1,5 +1,6 @@
 """Parameters of the calibration and their priors."""
 
+import re
 from collections.abc import Collection
 from dataclasses import dataclass
 from functools import cached_property
@@ -256,3 +257,8 @@ def label_of(name: str) -> str:
     if mounting and kind in LABELS:
         return f"{LABELS[kind]} of {mounting}"
     return LABELS.get(name, name.replace("scale of ", "ln of scale, "))
+
+
+def plain_name(name: str) -> str:
+    """Name of a parameter for people, without its unit."""
+    return re.sub(r" \(.*?\)", "", label_of(name))

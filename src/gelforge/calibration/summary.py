@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.stats import norm
 
-from gelforge.calibration.parameters import ORIGIN, TARE, TILT, BenchModel, label_of
+from gelforge.calibration.parameters import ORIGIN, TARE, TILT, BenchModel, plain_name
 from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.sampling import Chain
 
@@ -172,7 +172,7 @@ def _trades(correlation: dict) -> list[str]:
     said = []
     for name, r in strong:
         hint = "press other indenters" if name.startswith("scale of ") else "measure that one separately"
-        what = label_of(name).split(" (")[0]
+        what = plain_name(name)
         said.append(f"C10 trades off against the {what} (correlation {r:+.2f}): {hint} to narrow C10.")
     return said
 
@@ -190,7 +190,7 @@ def _unseen(parameters: dict) -> list[str]:
     ]
     if not blind:
         return []
-    names = ", ".join(label_of(n).split(" (")[0] for n in blind)
+    names = ", ".join(plain_name(n) for n in blind)
     return [f"The data say almost nothing about {names}: the posterior is the prior."]
 
 
