@@ -108,7 +108,7 @@ def test_a_no_contact_image_of_another_unit_or_size_stops_make(folder, capsys):
     picture = read_image(mine)
     shutil.copy(other, mine)
     with pytest.raises(
-        BadInput, match=r"sensor mini_a: 31 of 34 images .* are of different sensors.*judge_images = false"
+        BadInput, match=r"sensor mini_a: 3\d of 34 images .* are of different sensors.*judge_images = false"
     ):
         judge(folder, capsys)
     assert judge(folder, capsys, judge_images=False) == (0, "")
