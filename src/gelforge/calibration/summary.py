@@ -3,7 +3,7 @@
 import numpy as np
 from scipy.stats import norm
 
-from gelforge.calibration.parameters import ORIGIN, TARE, TILT, BenchModel, plain_name
+from gelforge.calibration.parameters import ORIGIN, TARE, TILT, BenchModel, label_of, plain_name
 from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.sampling import Chain
 
