@@ -84,8 +84,9 @@ class CcxSettings:
     def of(cls, table: FeaTable) -> "CcxSettings":
         """The settings of a table [fea]."""
         edge = EDGE_MM * (table.tolerance / ERROR) ** (1.0 / ORDER)
-        sizes = {"edge_mm": round(float(np.clip(edge, SHORTEST_MM, WIDEST_MM)), 2), "inside_mm": INSIDE_MM}
-        return cls(**sizes, **{f.name: getattr(table, f.name) for f in fields(cls) if f.name not in sizes})
+        edge = round(float(np.clip(edge, SHORTEST_MM, WIDEST_MM)), 2)
+        own = {field.name for field in fields(cls)} - {"edge_mm", "inside_mm"}
+        return cls(edge_mm=edge, inside_mm=INSIDE_MM, **{name: getattr(table, name) for name in own})
 
     def coarser(self, bound: float) -> float:
         """A bound on an error with edges of EDGE_MM, for these edges."""
