@@ -159,7 +159,7 @@ def test_pictures_of_a_dataset_are_registered_and_without_worn_markers(logged, t
     data = dataset(logged, [CAMERAS["as the driver"]] * len(logged))
     images = np.stack(data.images)
     images[0] = np.roll(images[0], 6, axis=1)
-    images[1][100:130, 150:190] = images[1][100:130, 150:190].max(axis=(0, 1))
+    images[2][100:130, 150:190] = images[2][100:130, 150:190].max(axis=(0, 1))
     data = with_pictures(data, images, data.nocontact, tmp_path)
     assert len(data.rests) > len(data.nocontact)
     assert largest_difference(data, metadata_of(data))[0] <= 1
