@@ -81,7 +81,7 @@ def test_each_change_that_dates_do_not_tell_is_planned_once(whole, log):
     """Of the log and of a picture that it names: replaced by an older file, behind a link, gone and back. What is only touched is not."""
     plan = whole / "results/tiny/00_plan/plan.mk"
     lines = log.read_text().splitlines(keepends=True)
-    picture, other = (log.parent / line.strip().split(",")[-1] for line in lines[1:3])
+    picture, other = (log.parent / row["image"] for row in read_csv(log)[:2])
     kept, behind = picture.read_bytes(), log.with_name("behind.csv")
 
     def replaced(path, by):
@@ -123,7 +123,7 @@ def test_a_shard_whose_log_lost_a_row_is_made_of_the_others(whole, log):
 
 def test_a_replaced_picture_reruns_its_own_shard(whole, log):
     """The hint of a rejected picture, to copy the file again, is seen by make; other shards stay as they are."""
-    picture = whole / "data/tiny" / log.read_text().splitlines()[1].split(",")[-1]
+    picture = log.parent / read_csv(log)[0]["image"]
     kept = picture.read_bytes()
     picture.write_bytes(kept[:100])
     done = make(whole, "poses", "DATASET=tiny")
