@@ -96,9 +96,7 @@ def see(bench: Bench, order: Order, cameras: dict[str, Renderer], sensors: dict[
     """Each unit's view of one press, with the force inside its image; empty if the press has no equilibrium."""
     truth, gel = bench.plan.truth, load_gel(order.gel)
     pressing = bench.press(order)[-1]
-    scene = Scene(
-        gel, Material(truth.nu), bench.indenters[order.indenter], pressing.real, Interface.of_friction(truth.friction)
-    )
+    scene = Scene(gel, Material(truth.nu), bench.indenters[order.indenter], pressing.real, Interface())
     solved = HexSolver(quality("label")).solve(scene)
     if not (pressing.result.status.valid and solved.status.valid):
         return []
