@@ -64,8 +64,9 @@ class Mountings(RigTable):
     """Mountings of the gel, each with its own values.
 
     Either every `presses` presses begin a new one, or each of `sensors` is one, which bears its name; the other sensors
-    then share the bench's values. tilt_deg: size of its tilt, whose direction is any. touch_offset_mm: what is added to that of the bench. Both are
-    uniform in these ranges. seating: standard deviation of the logarithm of a factor on the gel's stiffness.
+    then share the bench's values. tilt_deg: size of its tilt, whose direction is any. touch_offset_mm: what is added to
+    that of the bench. Both are uniform in these ranges. seating: standard deviation of the logarithm of a factor on the
+    gel's stiffness.
     """
 
     tilt_deg: Span[Annotated[Number, Within(0.0, LARGEST["tilt_x_deg"], "degrees")]]
