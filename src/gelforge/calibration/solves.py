@@ -121,11 +121,15 @@ def path_curve(result, press: Press, touch: float) -> dict:
     """Converged load steps of a result: depth and force before shear, from first touch on, and the force at the end.
 
     touch: path parameter of the first touch, below 0 where the path starts inside the gel.
-    Forces within the path are those of coarse hexahedra, scaled so that the last is the force of the fine ones.
+    Without nested settings, points that come into contact during a step have no friction until its end, and contact is
+    iterated once more at the end of the path. So forces of steps are a steady 0.5 to 1.5 % below converged ones; those
+    of a straight press are scaled to its converged end.
     """
     steps = np.array(result.evidence["path"], float).reshape(-1, 4)
     down = steps[steps[:, 0] <= 1.0 + 1e-9]
     end = result.total if result.status.valid else steps[-1, 1:]
+    if not (press.dx or press.dy):
+        down[:, 1:] *= end[2] / down[-1, 3]
     # a press that touches the gel only while it moves sideways has no curve of force against depth
     met = [touch] if len(down) else []
     return {
