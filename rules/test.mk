@@ -54,7 +54,7 @@ $(BENCHMARKS): benchmark-%: $(SETUP) $(CCX_FOUND)
 	@$(PY_HERE) -m tests.benchmarks $* --out results/benchmarks/$*.json
 
 .PHONY: benchmark-tables
-benchmark-tables: $(SETUP)  ## write figures of results/benchmarks/ into README, name what changed
+benchmark-tables: $(SETUP)  ## write figures of results/benchmarks/ into README and the network's card, name what changed
 	@$(PY_HERE) -m tests.lint.tables
 
 .PHONY: real-check

@@ -113,8 +113,7 @@ def by_forces(data: Path, mounting: str, folder: Path, jobs: int) -> dict:
     rows = [row for row in read_log(data / "log.csv") if row.cells["mounting"] == mounting]
     logged = readings_of(rows, str(data / "log.csv"))
     catalogue = load_catalogue("workflow/indenters.toml", sorted(set(logged.indenters.tolist())))
-    flat = [name for name, body in catalogue.items() if feels_tilt(body)]
-    readings = logged.take(choose_presses(logged, params.calibrate.max_presses, LAW, flat))
+    readings = logged.take(choose_presses(logged, params.calibrate.max_presses, LAW, catalogue))
     tilted, _ = tilted_mountings(readings, catalogue)
     readings, emulator, _ = calibrate.emulate(
         readings, catalogue, params.calibrate, LAW, float(params.material.nu), folder / "solves", jobs, tilted

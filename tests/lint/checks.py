@@ -16,7 +16,8 @@ from gelforge.records.press import FORCE, POSE
 from gelforge.records.samplefile import SPLITS, TEST, TRAINING
 from tests.lint.parameters_page import page
 from tests.lint.readme_pictures import outdated
-from tests.lint.tables import KEPT, PAGE, rendered
+from tests.lint.tables import KEPT
+from tests.lint.tables import generated as with_figures
 
 ROOT = Path(__file__).resolve().parents[2]
 PACKAGE = ROOT / "src" / "gelforge"
@@ -243,7 +244,7 @@ def undated_figures() -> Iterator[str]:
 def generated() -> dict[Path, str]:
     """Files that are made from others, and their text."""
     return {
-        ROOT / PAGE: rendered((ROOT / PAGE).read_text(encoding="utf-8")),
+        **with_figures(),
         ROOT / "workflow/guide/parameters.md": page(ROOT / "workflow" / "params.toml"),
     }
 

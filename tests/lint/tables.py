@@ -1,12 +1,16 @@
-"""Tables of measured figures in README.md, rendered from the JSON of the benchmarks: make benchmark-tables."""
+"""Measured figures in README.md and in the shipped network's card, from the JSON of the benchmarks: make benchmark-tables."""
 
 import re
+from pathlib import Path
 
 from gelforge.flow.files import read_json, write_text
+from gelforge.reading.model import SHIPPED, fingerprint, load_model
+from gelforge.reporting.modelcard import measured
 from tests.support.figures import ROOT, digest_of_sources
 
-PAGE = "README.md"
+PAGE, CARD = ROOT / "README.md", SHIPPED.with_suffix(".md")
 KEPT = ROOT / "results" / "benchmarks"
+SECTIONS = re.compile(r"(?<=\n)## Benchmarks: .*?(?=## Limits\n)", re.DOTALL)  # of the card
 BLOCK = re.compile(r"(<!-- figures: (.+?) -->\n)(.*?)(<!-- end of figures -->)", re.DOTALL)
 FIELD = re.compile(r"\{(\w+): (.+?)\|(\.\d[fg])\}")  # {benchmark: name of a figure|format}
 
@@ -51,6 +55,14 @@ def chosen(text: str) -> str:
     return FIELD.sub(value, text).strip()
 
 
+def rendered_card(text: str) -> str:
+    """The shipped network's card with the figures that were measured of it."""
+    model = fingerprint(load_model(SHIPPED).metadata)
+    of = [found for name in ("unseen", "real") if (found := read_json(KEPT / f"{name}.json"))["model"] == model]
+    figures, readings = ([row for found in of for row in found.get(key, [])] for key in ("figures", "readings"))
+    return SECTIONS.sub(lambda _: measured(figures, readings), text)
+
+
 def rendered(text: str) -> str:
     """A page with its tables made anew."""
 
@@ -60,6 +72,11 @@ def rendered(text: str) -> str:
     return BLOCK.sub(block, text)
 
 
+def generated() -> dict[Path, str]:
+    """Files with measured figures, and their text."""
+    return {path: make(path.read_text(encoding="utf-8")) for path, make in ((PAGE, rendered), (CARD, rendered_card))}
+
+
 def outdated() -> list[str]:
     """Benchmarks with figures of other sources than those that lie here."""
     names = sorted(path.stem for path in KEPT.glob("*.json"))
@@ -67,5 +84,6 @@ def outdated() -> list[str]:
 
 
 if __name__ == "__main__":
-    write_text(ROOT / PAGE, rendered((ROOT / PAGE).read_text(encoding="utf-8")))
+    for path, text in generated().items():
+        write_text(path, text)
     print("measured on other sources than today's:", ", ".join(outdated()) or "none")

@@ -9,6 +9,7 @@ import numpy as np
 
 from gelforge.errors import BadInput
 from gelforge.geometry.gel import USUAL_GEL
+from gelforge.geometry.solids import Indenter, feels_tilt
 from gelforge.mechanics.contact.law import Coulomb, NoSlip
 from gelforge.records.frames import NEAR_MM, presses_of
 from gelforge.records.log import read_log
@@ -221,10 +222,12 @@ def slides(readings: Readings) -> np.ndarray:
     return readings.travel > SLIDES * readings.depth
 
 
-def choose_presses(readings: Readings, most: int, law: str, flat: Collection[str] = ()) -> np.ndarray:
+def choose_presses(
+    readings: Readings, most: int, law: str, bodies: Mapping[str, Indenter] = MappingProxyType({})
+) -> np.ndarray:
     """Indices of at most `most` presses, spread over indenters and, within each, over depth.
 
-    flat: names of indenters that feel tilt. Of several mountings each gives at most `most`. Round robin over the
+    bodies: the indenters by name, of which those that feel tilt are flat. Of several mountings each gives at most `most`. Round robin over the
     indenters with most presses, at most half as many as `most`, because an indenter pressed to only one depth adds
     little. Each gives its presses in bisection order of depth, so that any number of them spans the range. Under
     Coulomb's law at least a quarter are presses that slide, as far as there are any, because only those determine
@@ -233,7 +236,8 @@ def choose_presses(readings: Readings, most: int, law: str, flat: Collection[str
     """
     every = [np.flatnonzero(readings.mountings == name) for name in np.unique(readings.mountings)]
     if len(every) > 1:
-        return np.sort(np.concatenate([of[choose_presses(readings.take(of), most, law, flat)] for of in every]))
+        return np.sort(np.concatenate([of[choose_presses(readings.take(of), most, law, bodies)] for of in every]))
+    flat = [name for name in np.unique(readings.indenters).tolist() if name in bodies and feels_tilt(bodies[name])]
     sliding = slides(readings)
     firm, loose = np.flatnonzero(~sliding), np.flatnonzero(sliding)
     if law == Coulomb.name and len(loose) and len(readings) > most:

@@ -24,17 +24,33 @@ def named(sensors: list[str]) -> str:
     return ", ".join(sensors) if len(sensors) <= FEW else f"{len(sensors)} from {in_order[0]} to {in_order[-1]}"
 
 
+def template(name: str):
+    """A template of web/ for Markdown."""
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined
+
+    read = Environment(
+        loader=FileSystemLoader(WEB),
+        trim_blocks=True,
+        keep_trailing_newline=True,
+        undefined=StrictUndefined,
+        autoescape=False,
+    )
+    read.filters |= {"listing": listing, "named": named, "contacts": contacts_text}
+    return read.get_template(name)
+
+
+def measured(figures: Sequence[dict], readings: Sequence[dict]) -> str:
+    """The card's sections of figures that benchmarks measured, as Markdown (web/measured.md)."""
+    return template("measured.md").render(figures=figures, readings=readings)
+
+
 def write_card(metadata: dict, evaluation: dict, figures: Sequence[dict] = (), readings: Sequence[dict] = ()) -> str:
     """Return the card of a model as Markdown, from its metadata, its evaluation, and figures of benchmarks.
 
     readings: rows of benchmark-unseen on the errors left after a few readings of a force sensor.
     """
-    from jinja2 import Environment, StrictUndefined
-
-    read = Environment(trim_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined, autoescape=False)
-    read.filters |= {"listing": listing, "named": named, "contacts": contacts_text}
     datasets = [metadata["data"], *metadata["also"]]
-    return read.from_string((WEB / "card.md").read_text(encoding="utf-8")).render(
+    return template("card.md").render(
         model={"start": None} | metadata,
         pair=kind_of(metadata["model"]).pair,
         datasets=datasets,

@@ -22,7 +22,6 @@ from gelforge.flow.files import read_json, write_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.params import StageParameters, altered, read_parameters
 from gelforge.flow.tables import CalibrateSolverTable, CalibrateTable
-from gelforge.geometry.solids import feels_tilt
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.records.log import read_shard
@@ -314,10 +313,9 @@ def calibrated_log(of: Layout, read: StageParameters, folder: Path, jobs: int) -
     params, law, nu = read.calibrate, read.interface.law, float(read.material.nu)
     bodies = Bodies(read_json(of.parameters("indenters")), of.workflow, of.surfaces)
     logged = logged_readings(of, read, bodies)
-    flat = [name for name in sorted(set(logged.indenters.tolist())) if feels_tilt(bodies[name])]
-    readings = logged.take(choose_presses(logged, params.max_presses, law, flat))
+    catalogue = {name: bodies[name] for name in sorted(set(logged.indenters.tolist()))}
+    readings = logged.take(choose_presses(logged, params.max_presses, law, catalogue))
     model_of(readings, params, law)  # refuses too few readings before anything is solved
-    catalogue = {name: bodies[name] for name in sorted(set(readings.indenters.tolist()))}
     tilted, lacking = tilted_mountings(readings, catalogue)
     if fault := centre_fault(readings) if tilted else "":
         tilted, lacking = (), [*lacking, fault]
