@@ -1,6 +1,23 @@
-"""What tests of networks share: small networks, trained once."""
+"""What unit tests may cost, and what tests of networks share: small networks, trained once."""
 
 import pytest
+
+PROCESSES = ("subprocess.Popen.__init__", "os.fork", "multiprocessing.util.spawnv_passfds")
+SOLVES = ("gelforge.mechanics.solvers.hex.HexSolver.solve_frames", "gelforge.mechanics.solvers.ccx.CcxSolver.solve")
+
+
+@pytest.fixture(autouse=True)
+def cheap(request, monkeypatch):
+    """A unit test solves no press, and starts no process unless it is marked `processes`."""
+
+    def refused(*_args, **_named):
+        pytest.fail(
+            "a unit test that solves or starts a process: move it to physics/ or workflow/, or mark it `processes`"
+        )
+
+    marked = request.node.get_closest_marker("processes")
+    for name in SOLVES if marked else (*SOLVES, *PROCESSES):
+        monkeypatch.setattr(name, refused)
 
 
 @pytest.fixture(scope="session")

@@ -113,7 +113,7 @@ def test_what_another_method_solved_says_so_and_is_solved_again_with_a_longer_li
     assert (
         row["reason"].startswith("solved by label, because ccx: DIVERGED") and row["reason"] in capfd.readouterr().out
     )
-    assert "raise timeout_s in [fea]" in row["reason"]
+    assert "raise timeout_s in [fea]" in row["reason"] and row["attempt"] == "label"
     shown = failures_section(folder, {solve.sample_id: solve for solve in read_solves(table)}).items
     assert "Labels by another method than requested" in str(shown) and "DIVERGED" in str(shown)
 

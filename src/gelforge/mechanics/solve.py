@@ -123,10 +123,15 @@ class Solvers:
         return tries
 
     def _first_valid(self, scene: Scene, tries: list[tuple[str, Solve]]) -> Result:
-        """The first valid result of the tries, else the last one; its evidence lists the failed tries."""
+        """The first valid result of the tries, else the last one; its evidence lists the failed tries.
+
+        After a try that the time limit stopped, the others of the same method are passed over: they take longer.
+        """
         failed: list[str] = []
         overdue: dict[str, Any] = {}
         for name, attempt in tries:
+            if overdue and name.startswith(tries[0][0]):
+                continue
             result = attempt(scene)
             result.evidence["attempt"] = name
             # if CalculiX disagrees with the solver in process, no fallback makes its answer right

@@ -76,6 +76,7 @@ def test_gelforge_lists_its_commands(capsys):
 
 
 @pytest.mark.parametrize("words", [[], ["--help"], ["status", "--help"]])
+@pytest.mark.processes
 def test_a_reader_that_is_gone_is_no_error(words):
     """As `gelforge | head -1` leaves it."""
     read, write = os.pipe()

@@ -114,6 +114,7 @@ def test_an_interrupted_call_leaves_no_table_of_an_earlier_one(given, tmp_path, 
     assert not (tmp_path / "out/totals.csv").exists()
 
 
+@pytest.mark.processes
 def test_who_interrupts_keeps_the_rows_of_what_was_read(given, tmp_path):
     """A person who reads a hundred pictures and presses Ctrl-C at the second line."""
     command = [sys.executable, "-m", "gelforge.commands.predict", *[str(given[0])] * 99, *given[1]]
@@ -128,6 +129,7 @@ def test_who_interrupts_keeps_the_rows_of_what_was_read(given, tmp_path):
     assert all((tmp_path / "out" / f"p{'' if k == 0 else f'-{k + 1}'}.npy").exists() for k in range(len(rows)))
 
 
+@pytest.mark.processes
 def test_a_full_disk_leaves_each_map_with_its_row(given, tmp_path):
     """Maps and their rows are written together: the disk took a map of which no table said anything."""
     with small_disk(tmp_path / "disk") as disk:

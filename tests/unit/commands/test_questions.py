@@ -5,6 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from gelforge.commands.look import shard_paths
 from gelforge.commands.provenance import lines, provenance
 from gelforge.flow.files import write_csv
@@ -70,6 +72,7 @@ def test_a_sample_that_is_not_in_the_log_is_one_sentence(tmp_path):
     refused("not in the log", provenance, results, "../../x", "24x32")
 
 
+@pytest.mark.processes
 def test_provenance_reads_the_same_files_however_many_samples_there_are(tmp_path, root):
     """15 000 samples: only the sample's own records are opened, beside the plan."""
     results = tmp_path / "results/d"

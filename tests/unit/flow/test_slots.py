@@ -48,6 +48,7 @@ other:
 
 
 @pytest.mark.parametrize(("slots", "goal"), [(3, "both"), (2, "tasks")])
+@pytest.mark.processes
 def test_processes_and_other_jobs_together_take_all_slots_and_no_more(tmp_path, slots, goal):
     for name in ("begun", "running", "seen"):
         (tmp_path / name).mkdir()
@@ -72,6 +73,7 @@ def pair(k):
     return k
 
 
+@pytest.mark.processes
 def test_without_slots_of_a_make_there_are_as_many_as_are_asked_for(monkeypatch):
     for flags in ("", f"-j --jobserver-auth={2**20},{2**20 + 1}", "--jobserver-auth=fifo:/nowhere"):
         monkeypatch.setenv("MAKEFLAGS", flags)
@@ -92,6 +94,7 @@ def test_descriptors_that_are_no_slots_are_not_handed_on(tmp_path):
     assert handed_on({}) == ((), {})
 
 
+@pytest.mark.processes
 def test_a_task_that_fails_is_not_passed_over():
     with pytest.raises(ZeroDivisionError):
         list(in_slots(divmod, [(1, 1), (1, 0)], 2))

@@ -4,6 +4,8 @@ import re
 import subprocess
 from pathlib import Path
 
+import pytest
+
 from gelforge.flow.slurm import read_profile, script_of
 from tests.support.refused import refused
 
@@ -42,6 +44,7 @@ def test_a_wrong_profile_is_named(tmp_path):
         refused(re.escape(words), read_profile, own(tmp_path, f"[labels]\n{line}\n"), "labels")
 
 
+@pytest.mark.processes
 def test_a_line_of_setup_that_fails_ends_the_job(tmp_path):
     """Such as a module that is not there: the command would run with other programs than those that were asked for."""
     profile = own(tmp_path, '[default]\nsetup = ["export WORD=said", "SETUP"]\n').read_text()

@@ -22,6 +22,8 @@ from tests.support.no_locks import without_locks
 from tests.support.sandbox import clean_environment
 from tests.support.waiting import HANG, heed_interrupts, wait_until
 
+pytestmark = pytest.mark.processes
+
 FOR_EVER = f"exec sleep {2 * HANG:g}"  # what is waited for to be ended must not end by itself meanwhile
 
 

@@ -24,6 +24,7 @@ from tests.support.no_locks import without_locks
 
 
 @pytest.mark.parametrize("form", FORMATS)
+@pytest.mark.processes
 def test_what_was_exported_comes_back_exactly(tmp_path, form, block):
     """Row by row through the format's own library, also from a second block, file and folder of files."""
     samples = lay(tmp_path, 22)
@@ -192,6 +193,7 @@ def test_a_dataset_without_pictures_is_refused(tmp_path):
         type(samples).open(samples.data, samples.dataset, tmp_path / "sensors.json")
 
 
+@pytest.mark.processes
 def test_a_lost_picture_is_named_and_nothing_is_left(tmp_path):
     samples = lay(tmp_path, 6)
     (samples.data / "images/s3.png").unlink()
@@ -231,6 +233,7 @@ SLOW_BUT_HDF5 = [pytest.param(form, marks=() if form == "hdf5" else pytest.mark.
 
 
 @pytest.mark.parametrize("form", SLOW_BUT_HDF5)
+@pytest.mark.processes
 def test_a_disk_that_is_full_or_fills_while_writing_is_a_sentence(tmp_path, form):
     """There is no room, or enough when the export begins and none later: then the limit is on the file, not on the disk."""
     samples = lay(tmp_path, 60)

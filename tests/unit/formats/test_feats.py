@@ -268,6 +268,7 @@ def test_a_sensor_that_is_none_is_to_be_added_where_an_import_reads_it(tmp_path)
     assert "own sensors.toml" not in str(refused.value)
 
 
+@pytest.mark.processes
 def test_the_command_names_what_is_missing(root):
     done = subprocess.run(
         [sys.executable, "-m", "gelforge.commands.feats", "import", "--from", "", "--data", "data/x"],

@@ -22,6 +22,8 @@ from tests.support.feats_published import publish
 from tests.support.hub_server import hub
 from tests.support.waiting import HANG, wait_until
 
+pytestmark = pytest.mark.processes
+
 COUNT = 20
 
 

@@ -100,6 +100,7 @@ def test_a_file_of_rows_that_is_cut_short_or_lies_otherwise_is_named(tmp_path):
         RowFile(path)
 
 
+@pytest.mark.processes
 def test_reading_rows_takes_no_memory_for_the_file(tmp_path):
     """Its pages are the system's, not the process's, which a mapped file of this size would fill."""
     np.lib.format.open_memmap(tmp_path / "a.npy", "w+", np.uint8, (300, 1_000_000))  # takes no room on the disk

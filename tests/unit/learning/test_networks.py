@@ -3,6 +3,7 @@
 import subprocess
 import sys
 
+import pytest
 import torch
 
 from gelforge.learning.nets import BasicBlock, UNet, build, map_grid, network_input, parameter_count, strides
@@ -64,6 +65,7 @@ for before in (3, 4, 8):
 """
 
 
+@pytest.mark.processes
 def test_narrow_networks_train_without_corrupting_memory():
     ran = subprocess.run([sys.executable, "-c", NARROW], capture_output=True, text=True, check=False)
     assert ran.returncode == 0, ran.stderr[-500:]

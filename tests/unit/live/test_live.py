@@ -103,6 +103,7 @@ def running(*words):
         assert "Traceback" not in "".join(said), said
 
 
+@pytest.mark.processes
 def test_a_film_begins_when_its_page_is_opened(film):
     with running("--video", film, "--web", "--port", "0") as (child, (page,), _):
         time.sleep(1.0)  # far longer than sixteen frames take to read
@@ -114,6 +115,7 @@ def test_a_film_begins_when_its_page_is_opened(film):
 
 
 @needs_browser
+@pytest.mark.processes
 def test_all_outputs_of_one_run_hold_the_same(film, tmp_path, chromium):
     table = tmp_path / "new/folder/live.csv"
     with running("--video", film, "--web", "--foxglove", "--port", "0", "--record", tmp_path / "kept", "--csv", table) as (
@@ -292,6 +294,7 @@ with ExitStack() as stack:
 
 
 @pytest.mark.parametrize("viewed", [False, True])
+@pytest.mark.processes
 def test_a_full_disk_leaves_no_recording_and_viewers_go_on(tmp_path, viewed):
     """The shell's limit on the size of a file stands for the disk."""
     asked = f"web={viewed}, record=Path(sys.argv[1]), csv=None"
@@ -300,6 +303,7 @@ def test_a_full_disk_leaves_no_recording_and_viewers_go_on(tmp_path, viewed):
     assert (int(ran.stdout.split()[0]) == 40) == viewed and not list((tmp_path / "kept").iterdir())
 
 
+@pytest.mark.processes
 def test_a_full_disk_leaves_whole_rows(tmp_path):
     ran = limited_python(
         64, "-c", FILL.format(asked="web=False, record=None, csv=Path(sys.argv[1])"), tmp_path / "a.csv"

@@ -21,6 +21,7 @@ GEL = GELS["gelsight_mini"]
 CUBE = box([0.0, 0.0, 0.0], [2.0, 2.0, 2.0])
 
 
+@pytest.mark.processes
 def test_a_base_mesh_fills_the_box_and_is_good_enough():
     base = base_of(GEL)
     own = signed_volumes(base.nodes, base.tets)
@@ -30,6 +31,7 @@ def test_a_base_mesh_fills_the_box_and_is_good_enough():
     assert report.items() <= base.report.items() and base.report["cpu_seconds"] > 0
 
 
+@pytest.mark.processes
 def test_a_mesh_in_a_folder_is_made_once_and_nothing_is_written_elsewhere(tmp_path, monkeypatch):
     home, kept = tmp_path / "home", tmp_path / "meshes"
     home.mkdir()
@@ -46,6 +48,7 @@ def test_a_mesh_in_a_folder_is_made_once_and_nothing_is_written_elsewhere(tmp_pa
     assert os.listdir(kept) == ["gelsight_mini.npz"] and os.listdir(home) == []
 
 
+@pytest.mark.processes
 def test_files_that_are_no_mesh_of_the_gel_are_refused_with_a_cure(tmp_path):
     path, changed = tmp_path / "gelsight_mini.npz", tmp_path / "changed.npz"
     base_of(GEL).write(path)
@@ -77,6 +80,7 @@ def test_the_flow_makes_no_mesh_where_one_is_missing_or_cut(tmp_path):
     refused("remove it and run make meshes DATASET=lab$", base_of, GEL)
 
 
+@pytest.mark.processes
 def test_what_cannot_be_meshed_is_refused():
     vertices, faces = CUBE
     refused("lid: pytetwild .*closed.* draft, label or fine", tetrahedralise, "lid", vertices, faces[:2], 1.0, 0.01)
@@ -96,6 +100,7 @@ def test_without_pytetwild_the_methods_that_are_left_out_are_named(monkeypatch):
     )
 
 
+@pytest.mark.processes
 def test_a_mesher_that_is_killed_or_has_no_room_leaves_a_sentence_and_no_file(tmp_path, monkeypatch):
     killed = tmp_path / "python"
     killed.write_text("#!/bin/sh\nkill -9 $$\n")

@@ -52,6 +52,7 @@ def test_a_named_program_that_is_not_there_is_not_replaced_by_another(nowhere, m
 
 
 @pytest.mark.parametrize("ending", ["echo CalculiX Version 2; exit 3", "kill -9 $$"])
+@pytest.mark.processes
 def test_a_run_that_ends_before_it_answers_leaves_no_answer_of_an_earlier_one(tmp_path, monkeypatch, ending):
     monkeypatch.setenv("CCX", program(tmp_path / "bin/ccx", ending))
     (tmp_path / "press.dat").write_text("displacements (vx,vy,vz) for set NALL and time  0.1000000E+01\n")
@@ -62,6 +63,7 @@ def test_a_run_that_ends_before_it_answers_leaves_no_answer_of_an_earlier_one(tm
 @pytest.mark.parametrize(
     "ending, said", [("exit 1", "code 1 and printed: nothing"), ("exit 0", "code 0"), ("echo no libspooles.so; exit 127", "no libspooles")]
 )  # fmt: skip
+@pytest.mark.processes
 def test_a_program_that_does_not_even_print_its_name_is_refused(tmp_path, monkeypatch, ending, said):
     """Every press would be solved without it, each after some attempts."""
     monkeypatch.setenv("CCX", program(tmp_path / "bin/ccx", ending))
@@ -69,6 +71,7 @@ def test_a_program_that_does_not_even_print_its_name_is_refused(tmp_path, monkey
         run_ccx("press", tmp_path, 60.0)
 
 
+@pytest.mark.processes
 def test_the_memory_of_a_run_is_its_own(tmp_path, monkeypatch):
     """Neither that of a larger one before it, nor that of the process which starts it."""
     held = np.ones(2**25)  # 256 MiB

@@ -87,6 +87,7 @@ print(hashlib.sha256(x.tobytes()).hexdigest())
 """
 
 
+@pytest.mark.processes
 def test_the_threads_of_blas_change_nothing():
     """Nor do they take part: where cores are busy, each inner product waited for all of them."""
     reported = {

@@ -4,6 +4,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 SOLVE = """
 import sys
 sys.modules["pypardiso.pardiso_wrapper"] = None  # as if it were not installed: the import fails
@@ -18,6 +20,7 @@ for _ in range(2):
 """
 
 
+@pytest.mark.processes
 def test_without_mkl_solves_go_on_and_say_once_that_they_are_slow():
     env = {"PYTHONPATH": str(Path(__file__).parents[3] / "src"), "PATH": "/usr/bin:/bin"}
     done = subprocess.run([sys.executable, "-c", SOLVE], capture_output=True, text=True, env=env)

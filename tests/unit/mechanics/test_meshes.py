@@ -92,6 +92,7 @@ def gel(request, tmp_path):
         yield load_gel(request.param)
 
 
+@pytest.mark.processes
 def test_a_mesh_has_the_shape_of_its_gel_wherever_the_contact_lies(gel):
     for at in ((0.0, 0.0), (0.45 * gel.width, 0.45 * gel.length), (0.0, -0.5 * gel.length)):
         mesh = made_here(TetMeshName(gel.name, BASE, 0.6, 1.2, disc(1.5, at))).mesh()

@@ -70,6 +70,7 @@ def test_every_number_of_a_press_counts(field):
     assert key(replace(SCENE, press=press)) != key()
 
 
+@pytest.mark.processes
 def test_inputs_count_by_what_they_are():
     thin = load_gel("gelsight_mini-3.6mm")
     others = [

@@ -103,6 +103,7 @@ save_weights(Path(sys.argv[1]), torch.nn.Linear(400, 250), {})
 """
 
 
+@pytest.mark.processes
 def test_weights_for_which_there_is_no_room_are_an_error_of_the_disk(tmp_path):
     ran = limited_python(100, "-c", WRITES_A_MODEL, tmp_path / "m.safetensors")
     assert ran.returncode and ran.stderr.splitlines()[-1].startswith("OSError"), ran.stderr
@@ -193,6 +194,7 @@ def test_a_runtime_that_computes_otherwise_than_the_file_says_is_refused(shipped
         load_model(tmp_path / "m.onnx")
 
 
+@pytest.mark.processes
 def test_an_opencv_that_is_not_whole_is_refused_in_a_sentence(tmp_path):
     """Two of its packages in one environment, of which one was removed; one that lacks a library of the desktop."""
     for content, said in (

@@ -22,6 +22,7 @@ from tests.support.refused import refused
 from tests.support.small_networks import IMAGE
 
 
+@pytest.mark.processes
 def test_a_corrupt_film_is_reported_by_one_line_and_not_by_its_decoder(data, tmp_path):
     """The decoder printed a line for each block that it could not make out, thousands of them."""
     noise = np.random.default_rng(0).integers(0, 256, (30, *data.images.shape[1:]), np.uint8)

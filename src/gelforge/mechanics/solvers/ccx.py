@@ -271,7 +271,8 @@ class _Run:
     def solve(self, prescribed: np.ndarray, start: np.ndarray) -> "Answer | CcxResult":
         """Equilibrium with the nodes `prescribed` (k,) displaced as in `start` (n, 3) mm, or a failed CcxResult.
 
-        Newton's method starts there; if that fails, the displacements are increased from zero in increments.
+        Newton's method starts there; if that fails, the displacements are increased from zero in increments. What the
+        time limit stopped is not tried again, because increments take longer.
         """
         mesh, s, folder = self.solver.mesh, self.settings, self.solver.folder
         problem = Status.DIVERGED, "no point touches"
@@ -290,6 +291,8 @@ class _Run:
             except DatError as error:
                 problem = status_of(error), f"{error}; {job.reason()}"
                 self.failed_attempts.append(f"{method}, first increment {increment:g}: {problem[1]}")
+            if self.overdue:
+                break
         zero = np.zeros_like(mesh.nodes)
         return CcxResult(problem[0], zero, zero.copy(), self._evidence() | {"reason": problem[1]}, mesh)
 
