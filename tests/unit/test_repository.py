@@ -14,6 +14,8 @@ from tests.lint.readme_pictures import outdated, publish_picture
 from tests.support import figures
 from tests.support.figures import Figure, digest_of_sources, publish_figures, sources
 
+pytestmark = pytest.mark.processes
+
 
 def test_planted_faults_fit_the_code_and_one_that_does_not_is_named(tmp_path):
     known, missing = tmp_path / "list.toml", "tests/unit/test_repository.py::test_nothing"

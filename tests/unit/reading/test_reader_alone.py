@@ -18,6 +18,8 @@ from gelforge.commands.gelforge import COMMANDS
 from gelforge.flow.cli import EXTRAS
 from tests.support.films import write_film
 
+pytestmark = pytest.mark.processes
+
 # Several commands with only the base dependencies importable: a package of an extra is as if not installed.
 ALONE = """
 import sys

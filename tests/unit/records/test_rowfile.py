@@ -3,6 +3,8 @@
 import subprocess
 import sys
 
+import pytest
+
 from gelforge.records.rowfile import RowFile
 from tests.support.memory import PEAK_KIB
 
@@ -19,6 +21,7 @@ print(peak_kib() - before)
 """
 
 
+@pytest.mark.processes
 def test_what_was_written_is_no_memory_of_the_process(tmp_path):
     path = tmp_path / "images.npy"
     done = subprocess.run([sys.executable, "-c", WRITE, path], check=True, capture_output=True, text=True)

@@ -24,6 +24,7 @@ from gelforge.virtualrig.fields import Surface
 from tests.support.limited import small_disk
 from tests.support.press_records import press_record
 
+pytestmark = pytest.mark.processes
 RNG = np.random.default_rng(0)
 PRESS = Press(0.0, 0.0, 0.0, 0.0, 0.0, -1.0, 0.0)
 

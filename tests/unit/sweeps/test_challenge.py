@@ -33,6 +33,8 @@ from gelforge.sweeps.scenes import parse_scene, read_tables
 from gelforge.sweeps.trial import GRID, load_bench, measure
 from tests.support.parameters import parameters, place_workflow
 
+pytestmark = pytest.mark.processes
+
 
 @pytest.fixture(scope="module")
 def folder(root, tmp_path_factory):

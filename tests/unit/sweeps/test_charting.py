@@ -32,6 +32,8 @@ from tests.support.parameters import parameters, stage_of
 from tests.support.refused import refused
 from tests.support.waiting import HANG, wait_until
 
+pytestmark = pytest.mark.processes
+
 NUMBERS = st.floats(-50, 50, allow_nan=False)
 CELLS = arrays(float, (3, 4, 5), elements=NUMBERS)
 
