@@ -12,7 +12,7 @@ import pytest
 from gelforge.commands import look, predict, sample
 from gelforge.commands.projection import read_picture
 from gelforge.errors import BadInput
-from gelforge.flow.files import write_csv, write_json
+from gelforge.flow.files import write_csv
 from gelforge.flow.layout import Layout
 from gelforge.formats.featsfile import read_npy
 from gelforge.formats.mcap_messages import messages
@@ -24,6 +24,7 @@ from gelforge.records.labelfile import read_labels
 from gelforge.records.samplefile import read_samples
 from gelforge.records.solvetable import read_solves
 from gelforge.records.table import numbered_rows
+from tests.support.parameters import write_stage
 from tests.support.press_records import press_record
 from tests.support.refused import refused
 
@@ -40,15 +41,16 @@ def test_a_sample_id_that_may_name_no_file_never_does(tmp_path, monkeypatch):
     """Of a log that has a row of that name, which stage 10 rejects."""
     monkeypatch.chdir(tmp_path)
     of = Layout(tmp_path / "results/demo")
-    write_json(of.calibration(), {})
-    write_json(of.parameters("poses"), {})
+    for stage in ("poses", "forces"):
+        write_stage(of.params, stage)
     names = ("..", "../../../x", "a/b", "$(touch f)", "", "-rf", "a" * 101, "a\x1b[2Jb\n\u202ec")
     for path in (of.shard_table, of.shard("0000")):
         write_csv(path, ["sample_id", "shard", "row"], [{"sample_id": name, "shard": 0, "row": 2} for name in names])
     there = sorted(tmp_path.rglob("*"))
     for name in names:
-        refused("", sample.main, ["results/demo", f"--id={name}"])
-        refused("", look.main, ["--data", "data/demo", "--results", "results/demo", f"--id={name}"])
+        said = "is not usable as a file name" if name else "no sample named"
+        refused(said, sample.main, ["results/demo", f"--id={name}"])
+        refused(said, look.main, ["--data", "data/demo", "--results", "results/demo", f"--id={name}"])
     assert sorted(tmp_path.rglob("*")) == there
 
 
