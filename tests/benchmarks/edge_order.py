@@ -54,7 +54,7 @@ class Pressed:
 
     def stated(self, numbers: Convergence) -> float:
         """The error bound that the correction states, in %."""
-        return 100.0 * numbers.error(self.edge, self.coarse, self.force, self.frictional)
+        return 100.0 * numbers.error(self.coarse, self.force, self.frictional)
 
 
 def cases() -> list[tuple[str, str, float, float, Scene]]:

@@ -20,9 +20,6 @@ BESIDE = 1.6  # distance, in spacings of contact points, within which touching a
 ROUND, SINGULAR = 1.2, 1.6
 BENT = 2.0  # largest bend of a body's surface over the size of a hexahedron; more counts as this, an edge
 MOST = 0.15  # largest correction as a fraction of the force: larger ones mean that the hexahedra are too coarse
-# Largest part of the difference between coarse and fine force that is taken off: the largest of the presses of known force
-# to which the coefficients were fitted. A sharp block that is a fifth as deep as wide would get 1.4, and 4 % too little.
-MOST_SHARE = 1.0
 # Error bounds of an uncorrected force, as fractions of it: the largest errors measured.
 UNCORRECTED, UNCORRECTED_CELLS = 0.06, 0.2
 # Error of the end of a path with friction that is taken over from coarse hexahedra, as a fraction of the force: 0.3 % in
@@ -56,26 +53,19 @@ class Convergence:
     floor: float = 0.004
     cells: float = 0.45
 
-    def share(self, edge: "Edge") -> float:
-        """Excess of the fine force over the true one, as a fraction of that of the coarse force over the fine one."""
-        return (
-            self.smooth + self.small * (edge.size <= SMALLEST) + edge.singular * (self.edge + self.corner * edge.bend)
-        )
-
     def correction(self, edge: "Edge", coarse: "Coarse", force: float) -> float:
         """Relative excess of the force (N) on fine hexahedra over the true one, within -MOST to MOST."""
-        difference, share = coarse.force / force - 1.0, min(self.share(edge), MOST_SHARE)
+        difference = coarse.force / force - 1.0
+        share = (
+            self.smooth + self.small * (edge.size <= SMALLEST) + edge.singular * (self.edge + self.corner * edge.bend)
+        )
         area = np.log(coarse.area / edge.area) if coarse.area > 0.0 else 0.0
         found = share * difference + self.width * edge.singular * area + self.height * (edge.size / edge.height) ** 2
         return float(np.clip(found, -MOST, MOST))
 
-    def error(self, edge: "Edge", coarse: "Coarse", force: float, frictional: bool) -> float:
-        """Bound on the remaining relative error of the corrected force; frictional: of a press that may slip.
-
-        What MOST_SHARE leaves out of the correction counts as error.
-        """
-        spread = self.spread + max(self.share(edge) - MOST_SHARE, 0.0)
-        return spread * abs(coarse.force / force - 1.0) + self.floor + ARRIVAL * frictional
+    def error(self, coarse: "Coarse", force: float, frictional: bool) -> float:
+        """Bound on the remaining relative error of the corrected force; frictional: of a press that may slip."""
+        return self.spread * abs(coarse.force / force - 1.0) + self.floor + ARRIVAL * frictional
 
 
 @dataclass(frozen=True)

@@ -211,7 +211,7 @@ class HexSolver:
             evidence |= {"error_n": UNCORRECTED * force, "cells_error_n": UNCORRECTED_CELLS * force}
             return
         both = Coarse(coarse.force, coarse.area)
-        share = numbers.error(edge, both, force, scene.interface.contact.frictional)
+        share = numbers.error(both, force, scene.interface.contact.frictional)
         factor = 1.0 / (1.0 + numbers.correction(edge, both, force))
         # base reactions scale with the forces, so they stay balanced; new arrays, because equal frames share them
         result.forces = factor * result.forces
