@@ -18,6 +18,7 @@ import sys
 import time
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
+from functools import partial
 from pathlib import Path
 from types import FrameType
 
@@ -28,6 +29,7 @@ from gelforge.flow.layout import dataset_folder, log_of, metrics_of, place_in
 from gelforge.flow.runs import installed
 
 TAIL_LINES = 20
+STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # that tell a step to stop
 LEFT_BEHIND_S = 2.0  # how long to wait for orphaned processes
 NOTICES = ("rejected: ", "failed: ", "note: ")  # lines of a log that a person must see although the step succeeded
 
@@ -202,15 +204,18 @@ def run(command: list[str], log_path: Path) -> tuple[int, dict]:
     with log_path.open("w", encoding="utf-8", errors="replace") as log:
         log.write(f"$ {' '.join(command)}\n")
         log.flush()
+        # a signal that comes while the child is forked would be a traceback of Python's in the child
+        usual = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
         child = subprocess.Popen(
             [*shlex.split(environment.pop("GELFORGE_LAUNCHER", "")), *command],
             stdout=log,
             stderr=subprocess.STDOUT,
-            preexec_fn=die_with_parent,
+            preexec_fn=partial(begin, usual),
             env=environment,
             pass_fds=slots,
         )
         stopped = pass_on_stops(child)
+        signal.pthread_sigmask(signal.SIG_SETMASK, usual)
         code = child.wait()
         reap()
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -235,6 +240,15 @@ def reap() -> None:
                 time.sleep(0.01)
 
 
+def begin(usual: Iterable[int]) -> None:
+    """What the child does before its command: it ends with its parent, and a signal that waits ends it without a word."""
+    die_with_parent()
+    for name in STOPS:
+        if signal.getsignal(name) is not signal.SIG_IGN:
+            signal.signal(name, signal.SIG_DFL)
+    signal.pthread_sigmask(signal.SIG_SETMASK, usual)
+
+
 def pass_on_stops(child: subprocess.Popen) -> list[int]:
     """From now on pass signals that tell this process to stop on to a child; return the list that collects them."""
     came: list[int] = []
@@ -245,7 +259,7 @@ def pass_on_stops(child: subprocess.Popen) -> list[int]:
             with suppress(ProcessLookupError):
                 os.kill(child.pid, number)
 
-    for name in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+    for name in STOPS:
         signal.signal(name, stop)
     return came
 

@@ -135,10 +135,10 @@ def test_straight_presses_of_flat_bodies_are_among_the_chosen():
     found.pose[8:, 3] = 0.1
     for law in ("coulomb", "no_slip"):
         for most in (2, 5, 8, 17):
-            chosen = choose_presses(found, most, law, ["block"])
+            chosen = choose_presses(found, most, law, CATALOGUE)
             assert len(set(chosen)) == most and {6, 7} <= set(chosen)
     assert not {6, 7} <= set(choose_presses(found, 2, "coulomb"))
-    assert len(choose_presses(found, 99, "coulomb", ["block"])) == 18
+    assert len(choose_presses(found, 99, "coulomb", CATALOGUE)) == 18
 
 
 def test_readings_know_mounting_moments_and_whether_the_tilt_is_stated():
