@@ -227,8 +227,8 @@ def choose_presses(
 ) -> np.ndarray:
     """Indices of at most `most` presses, spread over indenters and, within each, over depth.
 
-    bodies: the indenters by name, of which those that feel tilt are flat. Of several mountings each gives at most `most`. Round robin over the
-    indenters with most presses, at most half as many as `most`, because an indenter pressed to only one depth adds
+    bodies: the indenters by name, of which those that feel tilt are flat. Of several mountings each gives at most
+    `most`. Round robin over the indenters with most presses, at most half as many as `most`, because an indenter pressed to only one depth adds
     little. Each gives its presses in bisection order of depth, so that any number of them spans the range. Under
     Coulomb's law at least a quarter are presses that slide, as far as there are any, because only those determine
     friction. Without slip these are left out, because the law does not hold for them. FEWEST straight presses of flat

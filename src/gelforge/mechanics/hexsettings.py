@@ -53,8 +53,8 @@ class HexSettings(PathSettings):
     widened: number of low layers with hexahedra twice as wide; of these, number with four times as wide, and so on.
     growth, largest: factor by which, and side in mm up to which, hexahedra grow away from the press.
     box: fixed fine part (FineBox) in place of one that follows the press.
-    nested: settings of a path on coarser hexahedra, of which only the end is solved on these (with Coulomb friction the
-    last `walk_mm`); None: the whole path is followed on these.
+    nested: settings of a path on coarser hexahedra, of which only the end is solved on these (with Coulomb friction
+    after a walk, see `walk_mm`); None: the whole path is followed on these.
     """
 
     across: int = 0

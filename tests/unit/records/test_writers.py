@@ -52,8 +52,7 @@ def mesh(path, n):
 
 
 def grid(path, _):
-    mesh = build_mesh(load_gel("gelsight_mini"), FineBox(-1.0, 1.0, -1.0, 1.0, 0.1), 2)
-    write_vtu(path, mesh)
+    write_vtu(path, build_mesh(load_gel("gelsight_mini"), FineBox(-1.0, 1.0, -1.0, 1.0, 0.1), 2))
 
 
 # Each writes a file of n rows or so; one of 30 000 is far larger than `small_disk`.
@@ -96,7 +95,6 @@ def killed_at_its_name(write, path) -> int:
         write(path, 50)
     finally:
         os._exit(0)
-    return 0
 
 
 def test_a_kill_leaves_what_was_there_and_the_next_writer_replaces_it(tmp_path):

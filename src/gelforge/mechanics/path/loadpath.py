@@ -15,7 +15,7 @@ from gelforge.records.frames import MOST_DEEPER_MM, MOST_FARTHER_MM
 ROUNDING_MM = 1e-6  # far below the resolution of an axis
 # Part of the way down that a press under friction is walked at least. Walked 0.1 mm for 0.2, blocks and punches with edges of
 # 0.1 mm, 1 mm deep, were 2 to 4 % too low: points at the edge that slip on coarse hexahedra stick on fine ones.
-WALKED_SHARE = 0.2
+LEAST_WALKED = 0.2
 WITHIN = 1.0  # mm from the indenter's path within which a face may come into contact
 
 
@@ -42,7 +42,7 @@ def fitted(settings: PathSettings, scene: Scene, start: float) -> PathSettings:
     return replace(
         settings, press_steps=max(settings.press_steps, math.ceil(down / settings.press_mm)),
         shear_steps=max(settings.shear_steps, math.ceil(aside / settings.shear_mm)),
-        walk_mm=settings.slide_mm if slides(scene, start) else max(settings.walk_mm, WALKED_SHARE * down),
+        walk_mm=settings.slide_mm if slides(scene, start) else max(settings.walk_mm, LEAST_WALKED * down),
     )  # fmt: skip
 
 

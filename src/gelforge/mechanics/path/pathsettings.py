@@ -20,8 +20,8 @@ class PathSettings:
     be halved. settle_rounds: most contact iterations at the end of the path. pull_tolerance: tension allowed at a
     sticking point, as a fraction of the largest pressure.
     press_mm, shear_mm: longest load steps of the two legs under a law with friction, mm. walk_mm: way at the end of a path on
-    coarse hexahedra that is walked on this mesh under such a law; slide_mm: that of a press that moves sideways by more
-    than it presses, all of whose points slip.
+    coarse hexahedra that is walked on this mesh under such a law, more for a deep press
+    (`loadpath.fitted`); slide_mm: that of a press that moves sideways by more than it presses, all of whose points slip.
     touched: gap up to which a point counts as having touched on a path on wider hexahedra, in widths of those.
     """
 
