@@ -8,7 +8,10 @@ SOLVES = ("gelforge.mechanics.solvers.hex.HexSolver.solve_frames", "gelforge.mec
 
 @pytest.fixture(autouse=True)
 def cheap(request, monkeypatch):
-    """A unit test solves no press, and starts no process unless it is marked `processes`."""
+    """A unit test solves no press, and starts no process unless it is marked `processes`.
+
+    Nor does it use a base mesh that a marked test before it had made by pytetwild, in a process.
+    """
 
     def refused(*_args, **_named):
         pytest.fail(
@@ -18,6 +21,8 @@ def cheap(request, monkeypatch):
     marked = request.node.get_closest_marker("processes")
     for name in SOLVES if marked else (*SOLVES, *PROCESSES):
         monkeypatch.setattr(name, refused)
+    if not marked:
+        monkeypatch.setattr("gelforge.mechanics.mesh.basemesh._known", {})
 
 
 @pytest.fixture(scope="session")

@@ -61,6 +61,7 @@ for form in FORMATS:
 
 
 @pytest.mark.slow
+@pytest.mark.processes
 @pytest.mark.parametrize("number", [errno.ENOLCK, errno.ENOTSUP])
 def test_a_file_system_without_locks_takes_every_export(tmp_path, number):
     done = without_locks(number, sys.executable, "-c", WRITES_ALL, tmp_path)

@@ -17,6 +17,9 @@ from gelforge.mechanics.solve import settings_of, solve_key
 from gelforge.records.press import Press
 from tests.support.parameters import parameters
 
+# The methods of CalculiX count the base mesh, which pytetwild makes in a process.
+pytestmark = pytest.mark.processes
+
 FEA = parameters().fea
 BALL = {"kind": "sphere", "diameter": 15, "height": 10}
 SCENE = Scene(load_gel("gelsight_mini"), Material(), build("ball", BALL), Press(0.1, 0.2, 0.0, 0.1, 0.2, -1.0, 5.0))
@@ -70,7 +73,6 @@ def test_every_number_of_a_press_counts(field):
     assert key(replace(SCENE, press=press)) != key()
 
 
-@pytest.mark.processes
 def test_inputs_count_by_what_they_are():
     thin = load_gel("gelsight_mini-3.6mm")
     others = [
