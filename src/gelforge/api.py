@@ -155,7 +155,7 @@ def solve(
         friction: Coulomb friction coefficient between indenter and gel, 0 or more; 0: none, math.inf: points that touch
             stick.
         method: "draft", "label" or "fine": hexahedra, fast to slow; "ccx": CalculiX, which must be installed; "auto":
-            the first of draft, label, ccx that states an error within 4 %, else the one that states the least.
+            the first of draft, label, ccx that states an error within 2.4 %, else the one that states the least.
         gels: file with your own gels, such as workflow/gels.toml; `gel` may then name one of them.
         meshes: folder in which the mesh of each gel is kept for "ccx" and "auto", so that it is made once and results
             repeat; None: it is made once in each process, by pytetwild, whose meshes differ from run to run.

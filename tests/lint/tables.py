@@ -28,7 +28,7 @@ CHOSEN = {
 | read force of real balls over that of finite elements: median; eight of ten, over this median | {real: real balls, read over finite elements, median: at least|.2f}; {real: real balls, read over finite elements: over the median, 10 %|.2f} to {real: real balls, read over finite elements: over the median, 90 %|.2f} | one sensor, little range of force (correlation {real: real balls, read over finite elements: correlation|.2f}) |
 | the same with a factor from every other press | {real: real balls, factor of every other press, median: at least|.2f}; {real: real balls, factor of every other press: over the median, 10 %|.2f} to {real: real balls, factor of every other press: over the median, 90 %|.2f} | a profile corrects the level, not the scatter |
 | read force over the consensus of 28 of FEATS' presses: median; deviation of its natural logarithm | {real: totals over the consensus, median: at least|.2f}; {real: totals over the consensus, deviation of the logarithm|.2f} | one sensor; mean of two estimates, by shading and by markers, which themselves differ by 0.31 |
-| bad image pairs that are flagged | {unseen: pairs that are read wrong by over 15 % of the range and flagged|.2g} % | drawn sensors, pairs read wrong by over 15 % of the range; {unseen: good pairs that are flagged|.2g} % of good drawn pairs and {real: good FEATS' presses flagged|.2g} % of real ones are, too |
+| bad image pairs that are flagged | {unseen: pairs that are read wrong by over 15 % of the range and flagged|.2g} % | drawn sensors, pairs read wrong by over 15 % of the range; {unseen: good pairs that are flagged|.2g} % of good drawn pairs and {real: good FEATS' presses flagged|.2g} % of FEATS' presses are, too |
 """,
 }  # fmt: skip
 

@@ -280,7 +280,7 @@ class CalibrateTable(ParameterTable):
     # one with all of them. Forces at other coefficients are interpolated: within 1 % of solved ones from 0.5 on, 2 % at
     # 0.2.
     friction_nodes: ClassVar[tuple[float, ...]] = (0.25, 0.6)
-    # Presses are solved this much deeper than commanded, because touch may have been found too high: five times the
+    # Presses are solved this much deeper than commanded, because touch may have been found too late: five times the
     # spread of the prior of the touch offset.
     reach_mm: ClassVar[float] = 0.15
     # Degrees of freedom of Student's t distribution of the residuals. 4 is close to a normal distribution in its middle,

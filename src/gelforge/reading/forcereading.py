@@ -35,8 +35,8 @@ class ForceReading:
             picture of a GelSight Mini gel y points to the left and gel x upwards.
         total: (3,) N, their sums.
         half_width: (3,) N, half of the 90 % prediction intervals of the totals, for sensors unseen in training with
-        gels of
-            the stiffness seen there, or with the uncertainty of a profile's factor; None where the model has none.
+            gels of the stiffness seen there, or with the uncertainty of a profile's factor; None where the model has
+            none.
         reason: what is wrong with the pictures, empty for nothing.
         edge_peak: largest normal force of a cell at the edge of what the picture shows, over the largest of all; above
             0.2 the contact is cropped by the image and the total is too low. NaN where the map has fewer than three rows
