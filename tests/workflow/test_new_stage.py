@@ -24,11 +24,7 @@ def test_a_stage_is_a_line_of_the_table_a_module_and_a_rule(root, tmp_path):
     layout = project / "src/gelforge/flow/layout.py"
     source = layout.read_text(encoding="utf-8")
     table = re.search(r"^STAGES = \{\n", source, re.MULTILINE)
-    source = (
-        source[: table.end()]
-        + textwrap.indent(textwrap.dedent(entry), "    ")
-        + source[table.end() :]
-    )
+    source = source[: table.end()] + textwrap.indent(textwrap.dedent(entry), "    ") + source[table.end() :]
     first = source.index("    plan = File(")
     source = source[:first] + textwrap.indent(textwrap.dedent(line), "    ") + source[first:]
     layout.write_text(source, encoding="utf-8")
