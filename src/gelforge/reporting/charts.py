@@ -15,14 +15,14 @@ def _shown(row, kind, which):
 
 
 def _spot(axis, row, kind, slowest):
-    """Draw one method at its median, hollow where a scene failed, with a line up to its worst scene."""
+    """Draw one method at its median, hollow where a scene has no result, with a line up to its worst scene."""
     middle, worst = _shown(row, kind, "median"), _shown(row, kind, "worst")
     colour, x = COLOURS[row["solver"]], row["cpu_seconds_median"]
     ship = row["method"] in ("label", "ccx", "auto")
     axis.plot([x, x], [middle, worst], color=colour, lw=0.8, alpha=0.5, zorder=1)
     axis.plot([x], [worst], "_", color=colour, ms=7, zorder=2)
     size = 11 if row["solver"] == "auto" else 8 if ship else 5
-    inside, edge = "white" if row["failed"] else colour, "black" if ship else colour
+    inside, edge = "white" if row["failed"] or row["left_out"] else colour, "black" if ship else colour
     # auto coincides with the solver that it chooses and is drawn over it; names of label settings go to the right
     auto = row["solver"] == "auto"
     left = auto or not ship or x > slowest / 2
@@ -69,7 +69,7 @@ def pareto_chart(rows: list[dict], scenes: list[dict]) -> bytes:
     solvers = dict.fromkeys(row["solver"] for row in usable)
     handles = [Line2D([], [], ls="", marker=MARKERS[f], color=COLOURS[f], label=f) for f in solvers]
     handles += [Line2D([], [], color="0.35", label="frontier of the worst scene"),
-                Line2D([], [], ls="", marker="o", mfc="white", color="0.3", label="hollow: failed on some scene"),
+                Line2D([], [], ls="", marker="o", mfc="white", color="0.3", label="hollow: not solved on some scene"),
                 Line2D([], [], ls="", marker="_", color="0.3", label="worst scene")]  # fmt: skip
     figure.legend(handles=handles, loc="outside lower center", ncols=len(handles), fontsize=8)
     reference = scenes[0]["reference"]

@@ -46,8 +46,8 @@ def hex_method(size: float, layers: int, steps: int) -> Method:
     return Method(f"hex-{size:g}-{steps}", "hex", size, layers, steps)
 
 
-def every_method(pareto: ParetoTable) -> list[Method]:
-    """The methods of the whole chart, cheap ones first, the reference last.
+def every_method(pareto: ParetoTable, scene: str) -> list[Method]:
+    """The methods of the chart on a scene, cheap ones first, the reference last.
 
     Mesh density is varied at the first of `load_steps`, load steps at the first of each solver's sizes.
     """
@@ -57,7 +57,8 @@ def every_method(pareto: ParetoTable) -> list[Method]:
     hexahedra += [hex_method(*sizes[0], n) for n in others]
     varied = [(size, usual) for size in pareto.ccx_sizes_mm] + [(pareto.ccx_sizes_mm[0], n) for n in others]
     tets = [Method(f"ccx-{size:g}-{n}", "ccx", size, steps=n) for size, n in varied]
-    return [*(method_of(name) for name in METHODS), *hexahedra, *tets, LARGE_REFERENCE]
+    names = [name for name in METHODS if name != "ccx-contact" or scene in pareto.contact_scenes]
+    return [*(method_of(name) for name in names), *hexahedra, *tets, LARGE_REFERENCE]
 
 
 @cache

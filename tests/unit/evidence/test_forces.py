@@ -308,13 +308,15 @@ def test_presses_of_one_depth_or_one_force_stop_nothing():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("seed", range(2))
 def test_a_calibration_of_a_clean_session_says_nothing(seed):
     assert fitted(*law_session(seed)) == []
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("trouble", [name for name in TROUBLES if name != "drift"])
+@pytest.mark.parametrize(
+    "trouble", ["kilograms-force", "next row", "small drift", "tare along y", "end of the range", "noise"]
+)
 def test_a_calibration_names_the_trouble_and_nothing_else(trouble):
     session, emulator = law_session(3)
     change, said = TROUBLES[trouble]

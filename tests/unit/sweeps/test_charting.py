@@ -97,10 +97,11 @@ def test_a_method_that_failed_on_a_scene_takes_no_other_off_the_frontier():
         }
         for name, error in (("easy", 0.01), ("hard", None))
     ]
+    scenes[0]["methods"]["seldom"] = record(0.5, 0.001)
     found = {
         row["method"]: (row["failed"], row["frontier_total"], row["frontier_cells"]) for row in summarise(scenes)
     }
-    assert found == {"sound": (0, True, True), "failing": (1, False, False)}
+    assert found == {"sound": (0, True, True), "failing": (1, False, False), "seldom": (0, False, False)}
 
 
 def test_scenes_are_many_shapes(scenes):
@@ -118,14 +119,16 @@ def test_a_scene_that_is_wrong_is_named():
 
 
 def test_the_chart_holds_what_was_asked(params):
-    methods = every_method(params.pareto)
+    methods = every_method(params.pareto, params.pareto.contact_scenes[0])
     assert len({m.name for m in methods}) == len(methods)
     for solver in ("hex", "ccx"):
         own = [m for m in methods if m.solver == solver and m.size]
         # one factor at a time: a full product would be hours
         assert len({m.size for m in own}) >= 2 and len({m.steps for m in own}) >= 2
         assert len(own) == len({m.size for m in own}) + len({m.steps for m in own}) - 1
-    assert {"draft", "label", "fine", "ccx", "auto", "reference"} <= {m.name for m in methods}
+    usual = {m.name for m in every_method(params.pareto, "punch")}
+    assert {"draft", "label", "fine", "ccx", "auto", "reference"} <= usual
+    assert {m.name for m in methods} - usual == {"ccx-contact"}
 
 
 def test_a_key_follows_what_the_method_depends_on_and_nothing_else(params, scenes, tmp_path):
