@@ -191,28 +191,38 @@ METHODS = {"draft": "#4292c6", "label": "#084594", "fine": "#9ecae1", "ccx": "#d
 
 
 def exact(args: Namespace) -> None:
-    """Processor time of presses whose force is known against their error, each method: a dot a press, a ring at the medians."""
+    """Processor time of presses whose force is known against their error, by method.
+
+    A dot or, under Coulomb's law, a triangle is a press; large ones are medians.
+    """
+    from gelforge.mechanics.contact.law import Coulomb
     from gelforge.reporting.canvas import canvas_with_axes, to_png
     from gelforge.reporting.charts import plain_ticks
 
-    figure, axes = canvas_with_axes(1, 2, 12, 5.4)
+    figure, axes = canvas_with_axes(1, 2, 12, 5.8)
     presses = [row for row in read_json(args.data[0])["presses"] if row["total"] is not None]
     for axis, (kind, what) in zip(
         axes[0], (("total", "total force"), ("rings", "rings of 0.5 mm, summed")), strict=True
     ):
         for method, colour in METHODS.items():
             own = [row for row in presses if row["method"] == method and row[kind] is not None]
-            x, y = [row["seconds"] for row in own], [max(abs(row[kind]), LEAST_SHOWN) for row in own]
-            if not own:
-                continue
-            axis.plot(x, y, ".", color=colour, ms=5, alpha=0.55)
-            label = f"{method}, {len(own)} presses" if kind == "total" else None
-            axis.plot([np.median(x)], [np.median(y)], "o", color=colour, ms=11, mec="black", mew=1.2, label=label)
+            for law, small, large in (("", ".", "o"), ("Coulomb", "^", "^")):
+                of_law = [row for row in own if (row.get("interface") == Coulomb.name) == bool(law)]
+                x, y = [row["seconds"] for row in of_law], [max(abs(row[kind]), LEAST_SHOWN) for row in of_law]
+                if not of_law:
+                    continue
+                axis.plot(x, y, small, color=colour, ms=5, alpha=0.55)
+                label = f"{method}, {len(of_law)} presses" + (f", {law}" if law else "")
+                axis.plot([np.median(x)], [np.median(y)], large, color=colour, ms=11, mec="black", mew=1.2,
+                          label=label if kind == "total" else None)  # fmt: skip
         plain_ticks(axis)
         axis.set(xlabel="processor seconds of a press, one thread", ylabel=f"error of {what}, %")
         axis.grid(alpha=0.25, which="both")
     figure.legend(loc="outside lower center", ncols=len(METHODS) // 2, fontsize=11)
-    figure.suptitle("Axisymmetric presses of known force: a dot for each press, a ring at the medians", fontsize=12)
+    figure.suptitle(
+        "Axisymmetric presses of known force; large: medians; triangles: presses that slip in part (Coulomb's law)",
+        fontsize=12,
+    )
     publish_picture(args.out, to_png(figure), args.data)
 
 

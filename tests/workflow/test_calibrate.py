@@ -62,7 +62,7 @@ def test_summary_and_report_say_what_is_known(done, tmp_path):
     assert 0.05 < summary["c10"]["median"] < 0.15  # soft silicone
     assert summary["solves_spent"]["total"] == 1
     figures = summary["diagnostics"]
-    assert figures["taus"] >= 50 and figures["rhat"] < 1.02
+    assert figures["taus"] >= 50 and figures["rhat"] < 1.04
     assert set(summary["parameters"]) == set(summary["correlations"]["names"])
     assert summary["evidence"] == []
     assert 0.0 < summary["left_out_mae_n"]["fz"] < 2.0

@@ -18,9 +18,10 @@ CHUNK = 600  # least steps between checks; half of the chain once that is more
 STARTS = 200  # draws from the priors per walker; walkers start at the most probable ones
 TAIL = 5.0  # degrees of freedom of the fitted proposal, whose tails are heavier than the posterior's
 INDEPENDENT = 0.5  # fraction of steps that use it, after the first warm-up run
-# Vehtari, Gelman, Simpson, Carpenter, Bürkner (2021, Bayesian Analysis 16:667) advise 1.01 for four long chains.
-# With dozens of walkers each has fewer draws, and chance alone leaves as much.
-LARGEST_RHAT = 1.02
+# Vehtari, Gelman, Simpson, Carpenter, Bürkner (2021, Bayesian Analysis 16:667) advise 1.01 for four long chains. Here
+# each of dozens of walkers is a chain of n autocorrelation times, and chance alone leaves 1 + 1/n, 1.02 at 50 and a bit
+# more in the worst of a dozen parameters. Walkers that never visit each other's region leave 1.1 and more.
+LARGEST_RHAT = 1.04
 
 
 @dataclass(frozen=True)

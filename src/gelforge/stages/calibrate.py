@@ -28,7 +28,7 @@ from gelforge.records.log import read_shard
 from gelforge.reporting import cornerplots as plots
 from gelforge.stages.poses import Bodies, judge
 
-VERSION = 17
+VERSION = 18
 MOST_BANDS = 6  # indenters in the plot of predictive bands, the first by name: more would hide each other
 
 
