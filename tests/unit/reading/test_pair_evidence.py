@@ -58,12 +58,12 @@ def test_every_fault_names_the_data_behind_its_limit():
 
 
 def test_good_pairs_are_good(demo_nocontact, presses):
-    assert not any(fault(image, demo_nocontact[name]) for name, image, _ in presses)
+    assert not any(fault(image, demo_nocontact[name]) for name, image, _ in presses[::2])
 
 
 def test_what_happened_to_a_picture_is_named(demo_nocontact, presses):
     for what, (corrupt, named) in CORRUPTION.items():
-        faults = [fault(corrupt(image), demo_nocontact[name]) for name, image, _ in presses[::3]]
+        faults = [fault(corrupt(image), demo_nocontact[name]) for name, image, _ in presses[::5]]
         seen = [one for one in faults if one]
         assert len(seen) >= 0.85 * len(faults), what
         assert any(any(word in one for word in named.split("|")) for one in seen), what
@@ -72,7 +72,7 @@ def test_what_happened_to_a_picture_is_named(demo_nocontact, presses):
 def test_the_picture_of_another_unit_is_no_nocontact_image(demo_nocontact, presses):
     units = list(demo_nocontact)
     other = dict(zip(units, [*units[1:], units[0]], strict=True))
-    faults = [fault(image, demo_nocontact[other[name]]) for name, image, _ in presses]
+    faults = [fault(image, demo_nocontact[other[name]]) for name, image, _ in presses[::3]]
     assert sum(map(bool, faults)) >= 0.9 * len(faults)
 
 
@@ -113,24 +113,19 @@ def test_an_image_a_little_out_of_focus_is_used_and_one_far_out_is_not(demo_noco
             assert bool(pair_fault(judge(seen), Asked.LOG)) == flagged == bool(reader(seen).reason), (name, blur)
 
 
-TEARS = {  # of what the lower part of a torn frame is, and the least fraction of such frames that is flagged
-    "the free gel": (lambda image, rest, row: rest[row:], 0.8),
-    "its own, aside": (lambda image, rest, row: np.roll(image[row:], 30, axis=1), 0.8),
-}
+def test_a_torn_frame_is_flagged(demo_nocontact, presses):
+    """Half of a press beside half of a free gel was read as a tenth of its force, and no such frame was flagged.
 
-
-@pytest.mark.parametrize("lower", TEARS)
-def test_a_torn_frame_is_flagged(demo_nocontact, presses, shipped, lower):
-    """Half of a press beside half of a free gel was read as a tenth of its force, and no such frame was flagged."""
-    found, (of, least) = [], TEARS[lower]
-    readers = {name: Reader(picture, model=shipped) for name, picture in demo_nocontact.items()}
-    for name, image, normal in presses:
+    Four of five frames whose lower part is the free gel, or their own that lies aside.
+    """
+    found = []
+    for name, image, normal in presses[::2]:
         if normal > 5.0:
             rest = demo_nocontact[name]
             row = int(np.abs(image.astype(int) - rest).sum(axis=(1, 2)).argmax())  # through the contact
-            torn = readers[name].compare(np.concatenate([image[:row], of(image, rest, row)]))
-            found.append("torn" in pair_fault(torn, Asked.READER))
-    assert len(found) > 10 and np.mean(found) >= least, np.mean(found)
+            lower = rest[row:], np.roll(image[row:], 30, axis=1)
+            found.append(["torn" in fault(np.concatenate([image[:row], one]), rest) for one in lower])
+    assert len(found) > 10 and (np.mean(found, axis=0) >= 0.8).all(), np.mean(found, axis=0)
 
 
 def test_a_gel_that_pulls_on_what_touches_it_is_reported(demo_nocontact, presses, shipped):
@@ -163,7 +158,8 @@ def test_a_no_contact_image_that_shows_a_press_is_named(demo_nocontact, presses)
     """From half a newton on, of a unit of weak contrast as of a strong one."""
     assert all(touch(picture) < 1.0 for picture in demo_nocontact.values())
     for unit in demo_nocontact:
-        named = [touch(image) > 1.0 for name, image, force in presses if name == unit and force > 0.5]
+        own = [image for name, image, force in presses if name == unit and force > 0.5]
+        named = [touch(image) > 1.0 for image in own[:10]]
         assert sum(named) >= 0.9 * len(named) > 5, unit
 
 
@@ -171,12 +167,11 @@ def test_what_is_left_of_worn_markers_is_no_touch(demo_nocontact):
     """Stains that are a seventh off in colour where eight markers were; between markers they are a touch."""
     for picture in demo_nocontact.values():
         markers = markers_in(picture)
-        for seed in range(3):
-            lost = np.random.default_rng(seed).permutation(len(markers.points))[:8]
-            points = markers.points[lost] - 0.5
-            gone = painted_over(picture, points, markers.diameter)
-            assert touch(stained(gone, points, markers.diameter)) < 1.0
-            assert touch(stained(gone, points + markers.pitch / 2, markers.diameter)) > 1.0
+        lost = np.random.default_rng(0).permutation(len(markers.points))[:8]
+        points = markers.points[lost] - 0.5
+        gone = painted_over(picture, points, markers.diameter)
+        assert touch(stained(gone, points, markers.diameter)) < 1.0
+        assert touch(stained(gone, points + markers.pitch / 2, markers.diameter)) > 1.0
 
 
 def test_a_drag_farther_than_the_network_learnt_is_flagged(demo_nocontact, shipped):
@@ -207,8 +202,8 @@ def test_a_drag_of_most_of_the_gel_is_no_torn_frame(demo_nocontact, shipped):
         pitch = markers_in(picture).pitch
         v, u = np.mgrid[:rows, :cols].astype(np.float32)
         near = np.exp(-(((u - cols / 2) ** 2 + (v - rows / 2) ** 2) / (3.0 * pitch) ** 2)).astype(np.float32)
-        for pitches in (0.15, 0.3, 0.5):
-            for across, along in ((1.0, 0.0), (0.0, 1.0), (0.8, 0.6)):
+        for pitches in (0.15, 0.5):
+            for across, along in ((0.0, 1.0), (0.8, 0.6)):
                 moved = [side - np.float32(pitches * pitch * way) * near for side, way in ((u, across), (v, along))]
                 dragged = cv2.remap(picture, *moved, cv2.INTER_LINEAR) + noise.normal(0.0, 1.5, picture.shape)
                 assert "torn" not in reader(np.clip(np.rint(dragged), 0, 255).astype(np.uint8)).reason
@@ -222,18 +217,19 @@ FALLS = {
 }
 
 
-@pytest.mark.parametrize("fall", FALLS)
 def test_a_no_contact_image_under_another_fall_of_light_is_flagged_or_changes_a_force_little(
-    demo_nocontact, presses, shipped, fall
+    demo_nocontact, presses, shipped
 ):
     name, image, _ = max(presses, key=lambda press: press[2])
-    picture, (field, flagged) = demo_nocontact[name], FALLS[fall]
-    y, x = (np.linspace(-1.0, 1.0, size)[:, None] for size in picture.shape[:2])
-    otherwise = np.clip(picture * field(x[:, 0], y)[..., None], 0, 255).astype(np.uint8)
-    usual, found = (Reader(rest, model=shipped)(image) for rest in (picture, otherwise))
+    picture = demo_nocontact[name]
+    usual = Reader(picture, model=shipped)(image)
     assert usual.reason == ""
-    assert found.flag == flagged
-    assert flagged or found.total[2] == pytest.approx(usual.total[2], rel=0.1)
+    y, x = (np.linspace(-1.0, 1.0, size)[:, None] for size in picture.shape[:2])
+    for fall, (field, flagged) in FALLS.items():
+        otherwise = np.clip(picture * field(x[:, 0], y)[..., None], 0, 255).astype(np.uint8)
+        found = Reader(otherwise, model=shipped)(image)
+        assert found.flag == flagged, fall
+        assert flagged or found.total[2] == pytest.approx(usual.total[2], rel=0.1)
 
 
 def test_light_alone_is_no_relief_and_no_fault(demo_nocontact, presses):
