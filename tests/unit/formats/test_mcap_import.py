@@ -36,6 +36,7 @@ from tests.support.recordings import (
     write_bag,
     write_foxglove,
 )
+from tests.support.refused import refused
 
 
 @pytest.fixture
@@ -43,7 +44,7 @@ def sensor(root):
     return load_sensors(root / "workflow" / "sensors.toml")["gelsight_mini"]
 
 
-@pytest.mark.parametrize("delay", [80.0, 200.0, 0.0, "jitter"])
+@pytest.mark.parametrize("delay", [200.0, "jitter"])
 def test_an_image_has_the_force_of_its_own_moment(tmp_path, sensor, delay):
     """Logged late it had the force of another one: 2 N off after 0.2 s at 10 N/s."""
     rng = np.random.default_rng(3)
@@ -55,12 +56,12 @@ def test_an_image_has_the_force_of_its_own_moment(tmp_path, sensor, delay):
     assert not [note for note in found["notes"] if "log times" in note]
 
 
-@pytest.mark.parametrize("bare", ["images", "wrenches", "both", "a type without header"])
+@pytest.mark.parametrize("bare", ["images", "wrenches", "a type without header"])
 def test_without_stamps_the_log_is_used_and_that_is_reported(tmp_path, sensor, capsys, bare):
     images, forces = filmed(FILM, lambda k: 80.0), ramp()
-    if bare in ("images", "both"):
+    if bare == "images":
         images = [(time, said | {"header": ros.header(0, "gel")}) for time, said in images]
-    if bare in ("wrenches", "both"):
+    if bare == "wrenches":
         forces = [(time, said | {"header": ros.header(0, "ft")}) for time, said in forces]
     if bare == "a type without header":
         forces = [(time, said["wrench"]) for time, said in forces]
@@ -68,16 +69,15 @@ def test_without_stamps_the_log_is_used_and_that_is_reported(tmp_path, sensor, c
     write_text(tmp_path / "topics.toml", f'image = "{IMAGE}"\nwrench = "{WRENCH}"\n')
     mcap_import(["--from", str(path), "--topics", str(tmp_path / "topics.toml"), "--data", str(tmp_path / "lab")])
     said = capsys.readouterr().out
-    named = [IMAGE] * (bare in ("images", "both")) + [WRENCH] * (bare != "images")
-    assert all(f"messages of {topic} have no time in their headers" in said for topic in named)
+    assert f"messages of {IMAGE if bare == 'images' else WRENCH} have no time in their headers" in said
     assert said.count("log times were used") == 1 and "at most" in said and "ms apart" in said
     rows = read_csv(tmp_path / "lab/log.csv")
     assert np.abs(moments(rows) - FILM - 79.0).max() <= 5.0
 
 
-@pytest.mark.parametrize("clock", [-START, 3600 * 10**9, 2 * 10**9])
+@pytest.mark.parametrize("clock", [-START, 2 * 10**9])
 def test_stamps_of_two_clocks_are_not_compared(tmp_path, sensor, clock):
-    """A camera that counts from its start, one in another time zone, one that nobody set."""
+    """A camera that counts from its start, and one that nobody set."""
     images = filmed(FILM, lambda k: 1.0, clock=clock)
     found, rows = imported(tmp_path, write(tmp_path / "a.mcap", images, ramp()), sensor)
     assert any("different clocks" in note and "log times were used" in note for note in found["notes"])
@@ -166,7 +166,7 @@ def test_recordings_that_are_apart_are_of_several_presses(tmp_path, sensor):
     assert (np.diff(moments(rows)) > 0).all()
 
 
-@pytest.mark.parametrize(("offset", "reported"), [(20.0, True), (0.5, True), (0.1, False), (0.0, False)])
+@pytest.mark.parametrize(("offset", "reported"), [(0.5, True), (0.1, False)])
 def test_a_sensor_that_reads_a_force_all_the_time_is_reported(tmp_path, sensor, offset, reported):
     forces = [(time, wrench(time - MS, said["wrench"]["force"]["z"] - offset)) for time, said in ramp()]
     found, _ = imported(tmp_path, write(tmp_path / "a.mcap", filmed(FILM, lambda k: 0.0), forces), sensor)
@@ -181,8 +181,7 @@ def test_a_recording_compressed_as_a_whole_is_not_passed_over_beside_others(tmp_
     packed = whole.with_name("a.mcap.zstd")
     packed.write_bytes(zstandard.compress(whole.read_bytes()))
     whole.unlink()
-    with pytest.raises(BadInput, match=r"a\.mcap\.zstd: cannot be read as a recording .*zstd -d"):
-        imported(tmp_path, packed.parent, sensor)
+    refused(r"a\.mcap\.zstd: cannot be read as a recording .*zstd -d", imported, tmp_path, packed.parent, sensor)
     whole.write_bytes(zstandard.decompress(packed.read_bytes()))
     assert imported(tmp_path, packed.parent, sensor)[0]["files"] == 2
 
@@ -232,29 +231,23 @@ def test_readings_that_are_no_numbers_are_left_out(tmp_path, sensor):
     assert found["images"] == 5 and found["without_wrench"] == 1
 
 
+DATA = 'force = ["ati.data.0", "ati.data.1", "ati.data.2"]\n'
 KINDS = {  # names, writers, and what the topics file says besides
-    "film of Foxglove": (
-        "a.mcap",
-        lambda *said: write_foxglove(*said, "video"),
-        'force = ["ati.data.0", "ati.data.1", "ati.data.2"]',
-    ),
-    "images of Foxglove": (
-        "a.mcap",
-        lambda *said: write_foxglove(*said, "protobuf"),
-        'force = ["ati.data.0", "ati.data.1", "ati.data.2"]',
-    ),
+    "film of Foxglove": ("a.mcap", lambda *said: write_foxglove(*said, "video"), DATA),
+    "images of Foxglove": ("a.mcap", lambda *said: write_foxglove(*said, "protobuf"), DATA),
     "JSON": (
         "a.mcap",
         lambda *said: write_foxglove(*said, "json"),
-        'force = ["ati.data.0", "ati.data.1", "ati.data.2"]\ntorque = ["ati.data.3", "ati.data.4", "ati.data.5"]',
+        DATA + 'torque = ["ati.data.3", "ati.data.4", "ati.data.5"]',
     ),
     "bag of ROS 1": ("a.bag", write_bag, ""),
     "bag of ROS 2": ("bag", write_bag, ""),
 }
 
 
-@pytest.mark.parametrize("kind", KINDS)
-@pytest.mark.parametrize("size", [(240, 320), (480, 640)])
+@pytest.mark.parametrize(
+    ("kind", "size"), [("images of Foxglove", (480, 640)), *((kind, (240, 320)) for kind in KINDS)]
+)
 def test_recordings_of_every_kind_give_the_same_rows(tmp_path, sensor, kind, size):
     """The public recordings of dotted Minis with a force sensor are films of Foxglove with a wrench of a schema of their own."""
     name, write_kind, more = KINDS[kind]
@@ -287,8 +280,7 @@ def test_fields_that_a_message_lacks_and_films_without_a_beginning_are_named(tmp
         ('force = ["ati.x", "ati.y", "ati.z"]', "holds no wrench"),
         ('force = ["a"]', "give three fields"),
     ):
-        with pytest.raises(BadInput, match=said):
-            imported(tmp_path, path, sensor, more)
+        refused(said, imported, tmp_path, path, sensor, more)
     frames = encoded([coloured(k) for k in range(6)])
     message = SimpleNamespace(format="h264", data=frames[3])
     with pytest.raises(BadInput, match="must begin with a keyframe"):
@@ -350,8 +342,7 @@ def test_forces_beyond_the_limits_of_a_log_leave_nothing(tmp_path, sensor, case)
     change, said = REFUSED_FORCES[case]
     forces = [(time, wrench(time - MS, change(each["wrench"]["force"]["z"]))) for time, each in ramp()]
     path = write(tmp_path / "a.mcap", filmed(FILM, lambda k: 0.0), forces)
-    with pytest.raises(BadInput, match=rf"a\.mcap: topic {WRENCH}: .*{said}"):
-        imported(tmp_path, path, sensor)
+    refused(rf"a\.mcap: topic {WRENCH}: .*{said}", imported, tmp_path, path, sensor)
     assert not (tmp_path / "lab").exists()
 
 
@@ -396,8 +387,7 @@ WRONG_TOPICS = [
 def test_wrong_topics_are_one_sentence(tmp_path):
     for text, said in WRONG_TOPICS:
         write_text(tmp_path / "topics.toml", text)
-        with pytest.raises(BadInput, match=said):
-            Topics.read(tmp_path / "topics.toml")
+        refused(said, Topics.read, tmp_path / "topics.toml")
 
 
 @pytest.mark.parametrize("harm", ["cut", "a time beyond all clocks", "no such topic", "no such file"])
@@ -417,8 +407,7 @@ def test_a_recording_that_cannot_be_used_leaves_nothing(tmp_path, harm, sensor):
 
 
 def test_what_is_not_named_is_asked_for(tmp_path):
-    with pytest.raises(BadInput, match="FROM="):
-        mcap_import(["--from", str(tmp_path / "none"), "--topics", "", "--data", str(tmp_path / "lab")])
+    refused("FROM=", mcap_import, ["--from", str(tmp_path / "none"), "--topics", "", "--data", str(tmp_path / "lab")])
 
 
 def test_the_nearest_wrench_is_taken_within_its_time():
@@ -435,7 +424,7 @@ def presses(times):
 
 def pressed(tmp_path, off=0.0, late=0.002, read=presses, shown=None):
     """A recording of presses by image and wrench; off: of the wrench's stamps, late: of the wrench's log times, s."""
-    at = np.arange(0.0, 7.0, 0.04)
+    at = np.arange(0.0, 7.0, 0.06)
     seen = presses(at) if shown is None else shown(at)
     images = [
         (
@@ -475,8 +464,7 @@ def test_stamps_of_another_clock_are_not_believed(tmp_path, sensor):
 
 def test_where_neither_clock_agrees_with_the_pictures_nothing_is_imported(tmp_path, sensor):
     path, _ = pressed(tmp_path, -0.4, 0.4)
-    with pytest.raises(BadInput, match="by header times .* and by log times .*: their clocks differ"):
-        imported(tmp_path, path, sensor)
+    refused("by header times .* and by log times .*: their clocks differ", imported, tmp_path, path, sensor)
 
 
 def wild(times):
@@ -493,9 +481,8 @@ def stuck(times):
 
 LEFT_OUT = {  # what is said, and what the recording is made of
     "wild": ("2 of 700 readings are contradicted by their neighbours", {"read": wild}),
-    "clipped": ("at the end of its range; their images", {"read": lambda times: np.minimum(presses(times), 5.0)}),
-    "jitter": (
-        "at the end of its range",
+    "clipped": (
+        "at the end of its range; their images",
         {"read": lambda t: np.minimum(presses(t), 7.0) - 0.01 * (np.arange(len(t)) % 3 == 0)},
     ),
     "stuck": ("images repeat the one before them although the force changed", {"shown": stuck}),
@@ -524,13 +511,12 @@ def test_forces_in_several_frames_are_refused(tmp_path, sensor):
         for k, (time, said) in enumerate(ramp())
     ]
     path = write(tmp_path / "a.mcap", filmed(FILM, lambda k: 1.0), forces)
-    with pytest.raises(BadInput, match="in several frames .'tool0', 'base'."):
-        imported(tmp_path, path, sensor)
+    refused("in several frames .'tool0', 'base'.", imported, tmp_path, path, sensor)
 
 
 def test_a_topic_that_is_not_there_is_named_beside_those_that_are(tmp_path, sensor):
     """A topic of compressed images was named without its last part."""
-    path, _ = pressed(tmp_path)
+    path = write(tmp_path / "a.mcap", filmed(FILM[:3], lambda k: 0.0), ramp(30))
     write_text(tmp_path / "topics.toml", f'image = "/gel"\nwrench = "{WRENCH}"\n')
     with pytest.raises(BadInput, match=f"has no topic /gel, but {WRENCH}, {IMAGE}"):
         import_recordings(path, tmp_path / "lab", Topics.read(tmp_path / "topics.toml"), sensor)
