@@ -5,7 +5,6 @@ import shutil
 import numpy as np
 import pytest
 
-from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, read_json, read_toml, write_csv, write_json, write_text
 from gelforge.flow.layout import Layout
 from gelforge.records.image import read_image, write_png
@@ -14,17 +13,25 @@ from gelforge.stages import images
 from gelforge.stages.dataset import wrong_imported
 from gelforge.stages.plan import spare, used
 from tests.support.parameters import write_stage
+from tests.support.refused import refused
+
+# Rows of the demo: fourteen of mini_a and one of mini_e; and what tells an order or a shape, the first 23 of mini_a.
+FEW = [0, 1, 2, 3, 5, 6, 7, 9, 10, 13, 16, 17, 26, 32, 37]
+MORE = [0, 1, 2, *range(5, 11), *range(13, 19), 21, *range(23, 27), 29, 30, 31]
 
 
-@pytest.fixture
-def folder(root, tmp_path):
-    """The demo's presses as stage 10 leaves them, and their images."""
-    of = Layout(tmp_path / "results/demo")
-    for name in ("images", "nocontact"):
-        shutil.copytree(root / "data/demo" / name, of.data / name)
+@pytest.fixture(params=[FEW], ids=["few"])
+def folder(request, root, tmp_path):
+    """Some of the demo's presses as stage 10 leaves them, and their images."""
+    of, demo = Layout(tmp_path / "results/demo"), root / "data/demo"
+    shutil.copytree(demo / "nocontact", of.data / "nocontact")
+    (of.data / "images").mkdir()
     sensors, catalogue = (read_toml(root / "workflow" / f"{name}.toml") for name in ("sensors", "indenters"))
-    rows = [row | {"row": at + 2} for at, row in enumerate(read_csv(root / "data/demo/log.csv"))]
-    for name, part in (("0000", rows[:24]), ("0001", rows[24:])):
+    every = read_csv(demo / "log.csv")
+    rows = [every[at] | {"row": at + 2} for at in request.param]
+    for row in rows:
+        shutil.copy(demo / row["image"], of.data / "images")
+    for name, part in (("0000", rows[:8]), ("0001", rows[8:])):
         write_csv(of.poses(name), list(rows[0]), part)
         write_text(of.shard(name), "")
         bodies = used(catalogue, {row["indenter"] for row in part})
@@ -51,7 +58,7 @@ def exchange(folder, one: int, other: int) -> None:
 def test_wrong_images_are_left_out(folder, capsys):
     assert judge(folder, capsys) == (0, "")
     found = read_json(folder / "15_images/images.json")
-    assert found["judged"] == 48 and not found["left_out"] and not found["notes"]
+    assert found["judged"] == len(FEW) and not found["left_out"] and not found["notes"]
     exchange(folder, 26, 32)  # of the second shard
     shutil.copy(Layout(folder).data / "images/demo-000003.png", Layout(folder).data / "images/demo-000005.png")
     status, said = judge(folder, capsys)
@@ -69,17 +76,18 @@ def test_wrong_images_are_left_out(folder, capsys):
     )
 
 
+@pytest.mark.parametrize("folder", [MORE], indirect=True, ids=["more"])
 def test_shifted_images_stop_make_unless_all_are_to_be_used(folder, capsys):
-    names = [f"images/demo-{at:06d}.png" for at in range(48)]
+    after = dict(zip(MORE, [*MORE[1:], MORE[0]], strict=True))
     for table in (folder / "10_poses").glob("*.csv"):
-        rows = [row | {"image": names[(int(row["row"]) - 1) % 48]} for row in read_csv(table)]
+        rows = [row | {"image": f"images/demo-{after[int(row['row']) - 2]:06d}.png"} for row in read_csv(table)]
         write_csv(table, list(rows[0]), rows)
-    with pytest.raises(BadInput, match=r"shifted by one row.*judge_images = false"):
-        judge(folder, capsys)
+    refused(r"shifted by one row.*judge_images = false", judge, folder, capsys)
     assert not (folder / "15_images/images.json").exists()
     assert judge(folder, capsys, judge_images=False) == (0, "")
 
 
+@pytest.mark.parametrize("folder", [MORE], indirect=True, ids=["more"])
 def test_an_indenter_that_no_row_names_is_recognised(folder, capsys):
     of = Layout(folder)
     others = read_json(of.parameters("spare"))
@@ -97,8 +105,7 @@ def test_an_indenter_that_no_row_names_is_recognised(folder, capsys):
 
 def test_a_pressed_no_contact_image_stops_make(folder, capsys):
     shutil.copy(Layout(folder).data / "images/demo-000003.png", Layout(folder).data / "nocontact/mini_e.png")
-    with pytest.raises(BadInput, match=r"nocontact/mini_e.png: .* touch the gel"):
-        judge(folder, capsys)
+    refused(r"nocontact/mini_e.png: .* touch the gel", judge, folder, capsys)
 
 
 def test_a_no_contact_image_of_another_unit_or_size_stops_make(folder, capsys):
@@ -107,16 +114,13 @@ def test_a_no_contact_image_of_another_unit_or_size_stops_make(folder, capsys):
     mine, other = of.data / "nocontact/mini_a.png", of.data / "nocontact/mini_e.png"
     picture = read_image(mine)
     shutil.copy(other, mine)
-    with pytest.raises(
-        BadInput, match=r"sensor mini_a: 3\d of 34 images .* are of different sensors.*judge_images = false"
-    ):
-        judge(folder, capsys)
+    refused(
+        r"sensor mini_a: 1\d of 14 images .* are of different sensors.*judge_images = false", judge, folder, capsys
+    )
     assert judge(folder, capsys, judge_images=False) == (0, "")
-    for width, height in ((640, 480), (160, 120)):
-        write_png(mine, np.ascontiguousarray(np.resize(picture, (height, width, 3))))
-        for judged in (True, False):
-            with pytest.raises(BadInput, match=rf"mini_a.png.*{width} x {height}.*320 x 240"):
-                judge(folder, capsys, judge_images=judged)
+    write_png(mine, np.ascontiguousarray(np.resize(picture, (480, 640, 3))))
+    for judged in (True, False):
+        refused(r"mini_a.png.*640 x 480.*320 x 240", judge, folder, capsys, judge_images=judged)
 
 
 def test_a_sensor_all_of_whose_images_are_as_opencv_reads_them_is_noted(folder, capsys):
@@ -125,17 +129,17 @@ def test_a_sensor_all_of_whose_images_are_as_opencv_reads_them_is_noted(folder, 
     for path in [*data.glob("images/*.png"), *data.glob("nocontact/*.png")]:
         write_png(path, np.ascontiguousarray(read_image(path)[..., ::-1]))
     status, said = judge(folder, capsys)
-    assert status == 0 and said.count("not in OpenCV's BGR") == 3 and "nocontact/mini_e.png: red and blue" in said
+    assert status == 0 and said.count("not in OpenCV's BGR") == 2 and "nocontact/mini_e.png: red and blue" in said
 
 
 def test_imported_images_are_judged_where_the_dataset_is_made(folder, capsys):
     """Without poses there is no stage 15: an image of another unit and a mirrored one are named by their rows."""
-    mirrored = Layout(folder).data / "images/demo-000004.png"
+    mirrored = Layout(folder).data / "images/demo-000006.png"
     write_png(mirrored, np.ascontiguousarray(read_image(mirrored)[:, ::-1]))
     shutil.copy(Layout(folder).data / "images/demo-000003.png", Layout(folder).data / "images/demo-000005.png")
     found = wrong_imported(Layout(folder), read_poses(folder / "10_poses/0000.csv"))
-    assert found.keys() == {"demo-000004", "demo-000005"} and "mirrored left to right" in found["demo-000004"]
-    assert "(row 6)" in capsys.readouterr().err
+    assert found.keys() == {"demo-000005", "demo-000006"} and "mirrored left to right" in found["demo-000006"]
+    assert "(row 8)" in capsys.readouterr().err
 
 
 def test_every_press_is_in_one_chunk(block):
