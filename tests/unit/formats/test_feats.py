@@ -13,7 +13,6 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from gelforge.commands import feats
-from gelforge.errors import BadInput
 from gelforge.flow.files import read_csv, write_csv
 from gelforge.formats.feats_folder import export_dataset, import_folder
 from gelforge.formats.featsfile import (
@@ -31,6 +30,7 @@ from gelforge.learning.data import open_data
 from gelforge.records.labelfile import read_labels
 from gelforge.records.samplefile import SPLITS, read_samples
 from tests.support.pressed_dataset import collect, label, write_pressed
+from tests.support.refused import refused
 
 IMAGE = np.random.default_rng(0).integers(0, 255, (240, 320, 3), np.uint8)
 RAW = {
@@ -51,14 +51,10 @@ RAW = {
     "m_z": 0.0,
 }
 GRID = np.random.default_rng(1).normal(0, 0.1, (24, 32))
-LABEL = {
-    "gs_img": IMAGE,
-    "grid_x": GRID,
-    "grid_y": 2 * GRID,
-    "grid_z": -np.abs(GRID),
-    "f_x": GRID.sum(),
-    "f_y": 2 * GRID.sum(),
-    "f_z": -np.abs(GRID).sum(),
+GRIDS = {"x": GRID, "y": 2 * GRID, "z": -np.abs(GRID)}
+LABEL = {"gs_img": IMAGE}
+LABEL |= {f"grid_{axis}": grid for axis, grid in GRIDS.items()} | {
+    f"f_{axis}": grid.sum() for axis, grid in GRIDS.items()
 }
 
 
@@ -91,47 +87,39 @@ def test_raw_samples_come_under_our_columns(tmp_path):
     assert sample.values["dz_mm"] == -1.5 and sample.values["fz_n"] == -7.5 and sample.values["rot_deg"] == 30.0
 
 
-@pytest.mark.parametrize(
-    "base, change, words",
-    [
-        (RAW, {"d_z": None}, ["d_z", "finite number"]),
-        (RAW, {"d_z": float("nan")}, ["d_z", "nan"]),
-        (RAW, {"d_z": np.float32("-inf")}, ["d_z", "inf"]),
-        (RAW, {"x_0": 10**400}, ["x_0", "finite number"]),
-        (RAW, {"f_x": "strong"}, ["f_x", "strong"]),
-        (RAW, {"indenter": 3}, ["indenter"]),
-        (RAW, {"deg": True}, ["deg"]),
-        (RAW, {"gs_img": IMAGE.astype(float)}, ["gs_img", "float64"]),
-        (RAW, {"gs_img": IMAGE[..., 0]}, ["gs_img"]),
-        (LABEL, {"grid_x": GRID[:5]}, ["grid_y", "must agree"]),
-        (LABEL, {"grid_z": GRID * np.nan}, ["grid_z", "NaN"]),
-        (LABEL, {"f_z": 3.0}, ["f_z", "sum"]),
-        (LABEL, {"grid_y": "x"}, ["grid_y"]),
-    ],
+BAD_FIELDS = (
+    (RAW, {"d_z": None}, "d_z.*finite number"),
+    (RAW, {"d_z": float("nan")}, "d_z.*nan"),
+    (RAW, {"x_0": 10**400}, "x_0.*finite number"),
+    (RAW, {"f_x": "strong"}, "f_x.*strong"),
+    (RAW, {"indenter": 3}, "indenter"),
+    (RAW, {"deg": True}, "deg"),
+    (RAW, {"gs_img": IMAGE.astype(float)}, "gs_img.*float64"),
+    (RAW, {"gs_img": IMAGE[..., 0]}, "gs_img"),
+    (LABEL, {"grid_x": GRID[:5]}, "grid_y.*must agree"),
+    (LABEL, {"grid_z": GRID * np.nan}, "grid_z.*NaN"),
+    (LABEL, {"f_z": 3.0}, "f_z.*sum"),
+    (LABEL, {"grid_y": "x"}, "grid_y"),
 )
-def test_bad_fields_are_named(tmp_path, base, change, words):
-    path = save(tmp_path / "bad.npy", {**base, **change})
-    with pytest.raises(BadInput) as error:
-        read_sample(path)
-    assert all(word in str(error.value) for word in ["bad.npy", *words]), error.value
 
 
-@pytest.mark.parametrize("size", [1.0, 1e5])
-def test_cells_of_half_precision_are_summed_exactly(tmp_path, size):
-    grid = (size * np.abs(GRID)).astype(np.float16)
+def test_bad_fields_are_named(tmp_path):
+    for base, change, said in BAD_FIELDS:
+        refused(f"bad.npy.*{said}", read_sample, save(tmp_path / "bad.npy", {**base, **change}))
+
+
+def test_cells_of_half_precision_are_summed_exactly(tmp_path):
+    grid = (1e5 * np.abs(GRID)).astype(np.float16)
     grids, total = dict.fromkeys(("grid_x", "grid_y", "grid_z"), grid), grid.sum(dtype=float)
     held = {"gs_img": IMAGE, **grids, **dict.fromkeys(("f_x", "f_y", "f_z"), total)}
     assert read_sample(save(tmp_path / "half.npy", held)).label.sum() == pytest.approx(3 * total)
-    with pytest.raises(BadInput, match="its cells sum to"):
-        read_sample(save(tmp_path / "half.npy", held | {"f_z": 1.01 * total}))
+    refused("its cells sum to", read_sample, save(tmp_path / "half.npy", held | {"f_z": 1.01 * total}))
 
 
 def test_missing_fields_are_named(tmp_path):
     path = save(tmp_path / "bad.npy", {name: value for name, value in RAW.items() if name != "x_0"})
-    with pytest.raises(BadInput, match="bad.npy: field x_0 is missing"):
-        read_sample(path)
-    with pytest.raises(BadInput, match="hold a dict of named fields"):
-        read_sample(save(tmp_path / "list.npy", np.zeros(3)))
+    refused("bad.npy: field x_0 is missing", read_sample, path)
+    refused("hold a dict of named fields", read_sample, save(tmp_path / "list.npy", np.zeros(3)))
 
 
 @settings(max_examples=30)
@@ -151,8 +139,7 @@ def test_normalisation_survives_the_round_trip(tmp_path):
     write_normalisation(tmp_path / "n.npy", ranges)
     assert read_normalisation(tmp_path / "n.npy") == ranges
     for other in ({"f_z": 3}, {3: ranges["f_z"]}, {b"f_z": ranges["f_z"]}):
-        with pytest.raises(BadInput, match="not a normalisation file"):
-            read_normalisation(save(tmp_path / "m.npy", other))
+        refused("not a normalisation file", read_normalisation, save(tmp_path / "m.npy", other))
 
 
 def test_a_folder_becomes_a_dataset(tmp_path, sensor):
@@ -176,27 +163,25 @@ def test_a_folder_becomes_a_dataset(tmp_path, sensor):
     assert 'sensor = "feats_mini"' in said and 'gel = "gelsight_mini"' in said
 
 
-@pytest.mark.parametrize(
-    "files, words",
-    [
-        ({"a.npy": {**RAW, "gs_img": IMAGE[:100]}}, ["a.npy", "gs_img", "320 x 100", "320 x 240"]),
-        ({"a.npy": LABEL, "b.npy": LABEL}, ["b.npy", "same image", "a.npy"]),
-        ({"a.npy": RAW, "b.npy": RAW}, ["b.npy", "same image", "a.npy"]),
-        ({"x/a.npy": RAW, "y/a.npy": {**RAW, "gs_img": IMAGE[::-1]}}, ["a.npy", "same|differ|name"]),
-        ({}, ["no .npy files"]),
-        ({"normalization_1.npy": {"f": {"min": 0, "max": 1}}}, ["normalisation files only"]),
-        ({"a.npy": RAW, "b.npy": {**RAW, "d_z": "deep"}}, ["b.npy", "d_z"]),
-    ],
+BAD_FOLDERS = (
+    ({"a.npy": {**RAW, "gs_img": IMAGE[:100]}}, "a.npy.*gs_img.*320 x 100.*320 x 240"),
+    ({"a.npy": LABEL, "b.npy": LABEL}, "b.npy.*same image.*a.npy|a.npy.*same image.*b.npy"),
+    ({"a.npy": RAW, "b.npy": RAW}, "b.npy.*same image.*a.npy|a.npy.*same image.*b.npy"),
+    ({"x/a.npy": RAW, "y/a.npy": {**RAW, "gs_img": IMAGE[::-1]}}, "a.npy.*(same|differ|name)"),
+    ({}, "no .npy files"),
+    ({"normalization_1.npy": {"f": {"min": 0, "max": 1}}}, "normalisation files only"),
+    ({"a.npy": RAW, "b.npy": {**RAW, "d_z": "deep"}}, "b.npy.*d_z"),
 )
-def test_a_bad_folder_leaves_nothing_behind(tmp_path, sensor, files, words):
-    source = tmp_path / "feats"
-    source.mkdir()
-    for name, value in files.items():
-        save(source / name, value)
-    with pytest.raises(BadInput) as error:
-        import_folder(source, tmp_path / "out/data", sensor)
-    assert all(any(part in str(error.value) for part in word.split("|")) for word in words), error.value
-    assert not (tmp_path / "out").exists() or not list((tmp_path / "out").iterdir())
+
+
+def test_a_bad_folder_leaves_nothing_behind(tmp_path, sensor):
+    for k, (files, said) in enumerate(BAD_FOLDERS):
+        source, out = tmp_path / f"feats{k}", tmp_path / f"out{k}"
+        source.mkdir()
+        for name, value in files.items():
+            save(source / name, value)
+        refused(said, import_folder, source, out / "data", sensor)
+        assert not out.exists() or not list(out.iterdir())
 
 
 def test_a_hostile_file_stops_the_import(tmp_path, sensor):
@@ -206,16 +191,14 @@ def test_a_hostile_file_stops_the_import(tmp_path, sensor):
 
     save(tmp_path / "feats/a.npy", RAW)
     save(tmp_path / "feats/evil.npy", np.array({"gs_img": Trap()}, dtype=object))
-    with pytest.raises(BadInput, match="evil.npy: refused, it holds the name"):
-        import_folder(tmp_path / "feats", tmp_path / "data", sensor)
+    refused("evil.npy: refused, it holds the name", import_folder, tmp_path / "feats", tmp_path / "data", sensor)
     assert not (tmp_path / "ran").exists() and not (tmp_path / "data").exists()
 
 
 def test_an_existing_dataset_is_not_overwritten(tmp_path, sensor):
     (tmp_path / "data").mkdir()
     save(tmp_path / "feats/a.npy", RAW)
-    with pytest.raises(BadInput, match="exists already"):
-        import_folder(tmp_path / "feats", tmp_path / "data", sensor)
+    refused("exists already", import_folder, tmp_path / "feats", tmp_path / "data", sensor)
 
 
 def test_our_labels_go_out_and_come_back(tmp_path, sensor):
@@ -261,11 +244,8 @@ def test_a_second_export_leaves_no_sample_of_the_first_in_another_split(tmp_path
 def test_a_sensor_that_is_none_is_to_be_added_where_an_import_reads_it(tmp_path):
     """Not to a dataset's own file: before the import there may be no such folder."""
     asked = ["--from", str(tmp_path), "--data", str(tmp_path / "data"), "--sensor", "lab_a"]
-    with pytest.raises(
-        BadInput, match=r"'lab_a' is not in workflow/sensors.toml, which has .*add it there"
-    ) as refused:
-        feats.bring_in(asked)
-    assert "own sensors.toml" not in str(refused.value)
+    said = refused(r"'lab_a' is not in workflow/sensors.toml, which has .*add it there", feats.bring_in, asked)
+    assert "own sensors.toml" not in said
 
 
 @pytest.mark.processes
@@ -297,8 +277,7 @@ def test_a_published_dataset_keeps_its_six_splits(tmp_path, sensor):
 
 def test_files_outside_of_the_splits_are_asked_about(tmp_path, sensor):
     publish_feats(tmp_path / "feats", outside=True)
-    with pytest.raises(BadInput, match="is in none of the folders"):
-        import_folder(tmp_path / "feats", tmp_path / "lab", sensor)
+    refused("is in none of the folders", import_folder, tmp_path / "feats", tmp_path / "lab", sensor)
     assert not (tmp_path / "lab").exists()
 
 
@@ -326,22 +305,18 @@ def test_raw_samples_beside_the_splits_leave_them_as_published(tmp_path, sensor)
 def test_a_press_of_two_splits_is_asked_about(tmp_path, sensor):
     publish_feats(tmp_path / "feats")
     publish_raw(tmp_path / "feats", "train")
-    with pytest.raises(BadInput, match="lie in train and"):
-        import_folder(tmp_path / "feats", tmp_path / "lab", sensor)
+    refused("lie in train and", import_folder, tmp_path / "feats", tmp_path / "lab", sensor)
     assert not (tmp_path / "lab").exists()
 
 
-@pytest.mark.parametrize(
-    ("base", "change", "said"),
-    [
+def test_numbers_beyond_the_limits_of_a_log_are_named(tmp_path, sensor):
+    pulls, large = 3 * np.abs(GRID), -99 * np.abs(GRID)
+    for base, change, said in (
         (RAW, {"f_z": -684.0}, "field f_z is -684, larger than 500; check the unit"),
         (RAW, {"d_x": 2000.0}, "field d_x is 2000, larger than 1000"),
-        (LABEL, {"grid_z": 3 * np.abs(GRID), "f_z": 3 * np.abs(GRID).sum()}, "field f_z is .*pulls"),
-        (LABEL, {"grid_z": -99 * np.abs(GRID), "f_z": -99 * np.abs(GRID).sum()}, "field f_z is .*larger than 500"),
-    ],
-)
-def test_numbers_beyond_the_limits_of_a_log_are_named(tmp_path, sensor, base, change, said):
-    save(tmp_path / "feats/a.npy", base | change)
-    with pytest.raises(BadInput, match=f"a.npy: {said}"):
-        import_folder(tmp_path / "feats", tmp_path / "data", sensor)
-    assert not (tmp_path / "data").exists()
+        (LABEL, {"grid_z": pulls, "f_z": pulls.sum()}, "field f_z is .*pulls"),
+        (LABEL, {"grid_z": large, "f_z": large.sum()}, "field f_z is .*larger than 500"),
+    ):
+        save(tmp_path / "feats/a.npy", base | change)
+        refused(f"a.npy: {said}", import_folder, tmp_path / "feats", tmp_path / "data", sensor)
+        assert not (tmp_path / "data").exists()
