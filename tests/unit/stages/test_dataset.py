@@ -208,8 +208,7 @@ def test_nocontact_images_come_along_where_they_were_photographed(tmp_path, root
     assert np.array_equal(seen[..., :3], lit)
     assert (seen[..., 3:] == picture[..., ::-1]).all()
     assert np.array_equal(data.seen(other, False), data.images[other])
-    with pytest.raises(BadInput, match="nocontact/mini_a.png"):
-        data.seen(other, True)
+    refused("nocontact/mini_a.png", data.seen, other, True)
 
 
 def test_the_truth_of_a_virtual_rig_goes_into_its_columns(tmp_path, root):
@@ -228,17 +227,15 @@ def test_resolutions_share_split_and_images(made):
     assert [r["split"] for r in read_csv(fine / "samples.csv")] == [r["split"] for r in read_csv(fine / "split.csv")]
 
 
-@pytest.mark.parametrize("harm", ["flipped", "cut"])
-def test_a_picture_array_that_was_corrupted_in_place_is_drawn_again(tmp_path, root, monkeypatch, harm):
+def test_a_picture_array_that_was_corrupted_in_place_is_drawn_again(tmp_path):
     """images.npy is a link to what resolutions share: making it again must not link the corruption."""
-    monkeypatch.chdir(root)
     made = write_pressed(tmp_path, count=4)
     label(made, "4x4")
     path = collect(made, "4x4") / "images.npy"
     whole = path.read_bytes()
     with path.open("r+b") as stream:
-        stream.truncate(len(whole) // 2) if harm == "cut" else stream.seek(len(whole) // 2)
-        stream.write(bytes([whole[len(whole) // 2] ^ 255])) if harm == "flipped" else None
+        stream.seek(len(whole) // 2)
+        stream.write(bytes([whole[len(whole) // 2] ^ 255]))
     assert path.read_bytes() != whole
     path.unlink()  # as the wrapper does with what it finds corrupt
     assert (collect(made, "4x4") / "images.npy").read_bytes() == whole

@@ -16,16 +16,16 @@ from gelforge.stages.poses import write_posed
 from tests.support.parameters import parameters
 
 PRESS = Press(1.2, -2.0, 0.3, 0.4, -0.3, -1.1, 25.0)
-NAMES = ("sphere_15", "cuboid_10", "cylinder_8", "triangle_10", "pyramid_10", "rod_30")
+NAMES = ("sphere_15", "cylinder_8", "triangle_10", "rod_30")
 SAME_MM = 0.01
 
 
 def bodies(folder):
-    """Bodies of the catalogue, and one read from an STL file."""
+    """One read from an STL file, and bodies of the catalogue."""
     tables = read_catalogue(CATALOGUE)
-    yield from (build(name, tables[name]) for name in NAMES)
     write_stl(folder / "ball.stl", *build("ball", {"kind": "sphere", "diameter": 12, "height": 8}).surface())
     yield build("ball", {"kind": "stl", "file": "ball.stl"}, folder=folder)
+    yield from (build(name, tables[name]) for name in NAMES)
 
 
 def test_a_posed_file_is_where_the_distance_is_zero(tmp_path):
@@ -42,7 +42,7 @@ def test_a_posed_file_is_where_the_distance_is_zero(tmp_path):
 
 
 def test_calculix_own_contact_reads_that_file_and_moves_it_along(tmp_path):
-    for body in bodies(tmp_path):
+    for body in [*bodies(tmp_path)][::2]:
         path = tmp_path / f"{body.name}.stl"
         write_posed(path, body, PRESS, parameters().poses)
         scene = Scene(GELS["gelsight_mini"], Material(), body, PRESS, posed=PosedFile(path, PRESS))

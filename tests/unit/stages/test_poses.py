@@ -81,29 +81,29 @@ def test_posed_surface_is_the_body_turned_and_moved(lab, root):
     assert np.abs(body.distance(local[low])[0]).max() < 0.006
 
 
-@pytest.mark.parametrize(
-    ("cells", "column", "says"),
-    [
-        ({"z0_mm": 1.5}, "dz_mm", "never touches"),
-        ({"x0_mm": 25.0}, "dz_mm", "never touches"),
-        ({"x0_mm": 10.0, "y0_mm": 12.0, "dz_mm": -0.2}, "dz_mm", "never touches"),
-        ({"dz_mm": -3.5}, "dz_mm", "deeper than the gel"),
-        ({"dz_mm": -900.0}, "dz_mm", "deeper than the gel"),
-        ({"dx_mm": 30.0}, "dx_mm", "too far sideways"),
-        ({"sensor_id": "nobody"}, "sensor_id", "no such sensor"),
-        ({"indenter": "spoon"}, "indenter", "no such indenter"),
-        ({"image": "images/b.png"}, "image", "cannot be read"),
-        ({"image": "../a.png"}, "image", "leaves the dataset"),
-    ],
+UNUSABLE = (
+    ({"z0_mm": 1.5}, "dz_mm", "never touches"),
+    ({"x0_mm": 25.0}, "dz_mm", "never touches"),
+    ({"x0_mm": 10.0, "y0_mm": 12.0, "dz_mm": -0.2}, "dz_mm", "never touches"),
+    ({"dz_mm": -3.5}, "dz_mm", "deeper than the gel"),
+    ({"dz_mm": -900.0}, "dz_mm", "deeper than the gel"),
+    ({"dx_mm": 30.0}, "dx_mm", "too far sideways"),
+    ({"sensor_id": "nobody"}, "sensor_id", "no such sensor"),
+    ({"indenter": "spoon"}, "indenter", "no such indenter"),
+    ({"image": "images/b.png"}, "image", "cannot be read"),
+    ({"image": "../a.png"}, "image", "leaves the dataset"),
 )
-def test_unusable_press_is_rejected_and_the_others_go_on(lab, capsys, cells, column, says):
-    table, rejected, folder = lab([sample("bad", **cells), sample("good")])
-    assert [row["sample_id"] for row in table] == ["good"]
-    assert [(r["sample_id"], r["column"], r["row"]) for r in rejected] == [("bad", column, "2")]
-    assert says in rejected[0]["reason"]
-    assert rejected[0]["file"].endswith("data/lab/log.csv")
-    assert f"row 2, bad: {column}" in capsys.readouterr().err
-    assert [p.name for p in folder.iterdir()] == ["good.stl"]
+
+
+def test_unusable_presses_are_rejected_and_the_others_go_on(lab, capsys):
+    bad = [sample(f"bad{k}", **cells) for k, (cells, _, _) in enumerate(UNUSABLE)]
+    table, rejected, folder = lab([*bad, sample("good")])
+    said = capsys.readouterr().err
+    assert [row["sample_id"] for row in table] == ["good"] and [p.name for p in folder.iterdir()] == ["good.stl"]
+    for k, (row, (_, column, says)) in enumerate(zip(rejected, UNUSABLE, strict=True)):
+        assert (row["sample_id"], row["column"], row["row"]) == (f"bad{k}", column, str(k + 2))
+        assert says in row["reason"] and row["file"].endswith("data/lab/log.csv")
+    assert "row 2, bad0: dz_mm" in said
 
 
 def test_faults_that_do_not_depend_on_each_other_are_reported_together(lab):
@@ -165,26 +165,25 @@ def test_users_shape_goes_through(lab, tmp_path, root):
     assert [(row["column"], "mine.stl" in row["hint"]) for row in rejected] == [("indenter", True)]
 
 
-@pytest.mark.parametrize(
-    ("table", "says"),
-    [
-        ({"image": None}, "image"),
-        ({"gel": None}, "gel"),
-        ({"gel": "jelly"}, "jelly"),
-        ({"image": "320x240"}, "image"),
-        ({"projection": [[0.0, 14.0, 160.0], [-14.0, 0.0, 120.0], [0.0, 0.0, 1.0]]}, "mirrored"),
-    ],
-)
-def test_sensor_without_its_facts_keeps_out_its_presses(lab, root, table, says):
+def test_sensors_without_their_facts_keep_out_their_presses(lab, root):
     """What labels need of a sensor is asked before anything is solved, and one sensor's fault is its own presses'."""
-    path = root / "workflow/sensors.toml"
-    tables = tomllib.loads(path.read_text())
-    changed = {key: value for key, value in (tables["gelsight_mini"] | table).items() if value is not None}
-    lab.sensors(tables | {"mini_z": changed})
-    good, rejected, _ = lab([sample("a", sensor_id="mini_z"), sample("b")])
+    tables = tomllib.loads((root / "workflow/sensors.toml").read_text())
+    wrong = {
+        "no_image": ({"image": None}, "image"),
+        "no_gel": ({"gel": None}, "gel"),
+        "jelly": ({"gel": "jelly"}, "jelly"),
+        "words": ({"image": "320x240"}, "image"),
+        "mirror": ({"projection": [[0.0, 14.0, 160.0], [-14.0, 0.0, 120.0], [0.0, 0.0, 1.0]]}, "mirrored"),
+    }
+    for name, (table, _) in wrong.items():
+        changed = {key: value for key, value in (tables["gelsight_mini"] | table).items() if value is not None}
+        tables[name] = changed
+    lab.sensors(tables)
+    good, rejected, _ = lab([*(sample(name, sensor_id=name) for name in wrong), sample("b")])
     assert [row["sample_id"] for row in good] == ["b"]
-    assert [row["column"] for row in rejected] == ["sensor_id"]
-    assert says in rejected[0]["hint"] and "workflow/sensors.toml" in rejected[0]["hint"]
+    assert [(row["sample_id"], row["column"]) for row in rejected] == [(name, "sensor_id") for name in wrong]
+    for row, (_, says) in zip(rejected, wrong.values(), strict=True):
+        assert says in row["hint"] and "workflow/sensors.toml" in row["hint"]
 
 
 def test_nearest_finds_a_grazing_touch(root):
@@ -213,32 +212,30 @@ def test_a_ring_thinner_than_the_points_of_the_gel_touches(root):
     assert touch.nearest(gel, ring, Press(0.0, 0.0, 1.0, 0, 0, -0.5)) > 0.0
 
 
-@pytest.mark.parametrize("unit", [25.4, 10.0])
-def test_a_body_that_would_vanish_in_the_gel_is_reported_with_its_size(lab, tmp_path, root, unit):
-    """A file in inches or centimetres: the gel closes above a body that is lower than the press is deep."""
+def test_a_body_that_would_vanish_in_the_gel_is_reported_with_its_size(lab, tmp_path, root):
+    """A file in inches: the gel closes above a body that is lower than the press is deep."""
     vertices, faces = load_catalogue(root / "workflow" / "indenters.toml", ["sphere_15"])["sphere_15"].surface()
     (tmp_path / "workflow").mkdir()
-    triangles.write_stl(tmp_path / "workflow/ball.stl", vertices / unit, faces)
+    triangles.write_stl(tmp_path / "workflow/ball.stl", vertices / 25.4, faces)
     mine = {"kind": "stl", "file": "ball.stl", "spacing": 0.1}
     write_used(lab.of, indenters={"mine": mine})
     deep = sample("deep", indenter="mine", dz_mm=-1.2)
     table, rejected, _ = lab([deep, sample("light", indenter="mine", dz_mm=-0.2)])
     assert [row["sample_id"] for row in table] == ["light"]
     (row,) = rejected
-    size = " x ".join(f"{side / unit:.3g}" for side in np.ptp(vertices, axis=0))
+    size = " x ".join(f"{side / 25.4:.3g}" for side in np.ptp(vertices, axis=0))
     assert row["column"] == "indenter" and f"{size} mm large; is its file in inches (scale = 25.4)" in row["hint"]
 
 
 def test_cropped_is_closed_ends_where_asked_and_is_what_an_exact_cut_leaves(root):
     """Of every kind of indenter; the exact cut is libigl's, with a box."""
     catalogue = load_catalogue(root / "workflow" / "indenters.toml")
-    for name, body in catalogue.items():
-        whole = body.surface()
-        for height in (0.5, 1.5, 2.5):
-            vertices, faces = cropped(body, height)
-            assert triangles.is_watertight(faces), name
-            assert vertices[:, 2].max() == pytest.approx(min(height, whole[0][:, 2].max()), abs=1e-9)
-            assert 0.0 < triangles.volume(vertices, faces) <= triangles.volume(*whole)
+    for k, (name, body) in enumerate(catalogue.items()):
+        whole, height = body.surface(), (0.5, 1.5, 2.5)[k % 3]
+        vertices, faces = cropped(body, height)
+        assert triangles.is_watertight(faces), name
+        assert vertices[:, 2].max() == pytest.approx(min(height, whole[0][:, 2].max()), abs=1e-9)
+        assert 0.0 < triangles.volume(vertices, faces) <= triangles.volume(*whole)
     box = triangles.stacked(
         [np.array([[[-50, -50], [50, -50], [50, 50], [-50, 50]]] * 2, float)], np.array([-1.0, 1.5])
     )
@@ -320,22 +317,21 @@ def test_a_bench_that_gives_way_by_more_than_the_press_is_rejected():
     ]
 
 
-@pytest.mark.parametrize(
-    ("way", "force", "column"),
-    [((0.1, 0.0), (6.0, 0.0), "dx_mm"), ((0.0, -0.1), (0.0, -5.0), "dy_mm"), ((0.3, 0.1), (20.0, 0.0), "dx_mm")],
-)
-def test_a_bench_that_gives_way_sideways_by_more_than_the_press_moves_is_rejected(way, force, column):
+def test_a_bench_that_gives_way_sideways_by_more_than_the_press_moves_is_rejected():
     """The path that is left would go the other way: no press goes there, whatever drags the gel."""
-    forces = {"fx_n": force[0], "fy_n": force[1], "fz_n": -9.0}
-    _, wrong = poses.yielded(sample(dx_mm=way[0], dy_mm=way[1], **forces), "log.csv", YIELDING)
-    assert [(r.column, "times the bench compliance exceeds the sideways travel" in r.reason) for r in wrong] == [
-        (column, True)
-    ]
-    assert "shear_compliance_mm_per_n = 0.02" in wrong[0].hint and "sign of fx_n, fy_n" in wrong[0].hint
-    # a third of it leaves a press, and a way that no axis can distinguish from none is none
-    half = {"fx_n": force[0] / 3, "fy_n": force[1] / 3, "fz_n": -9.0}
-    assert poses.yielded(sample(dx_mm=way[0], dy_mm=way[1], **half), "log.csv", YIELDING)[1] == []
-    assert poses.yielded(sample(dx_mm=0.005, dy_mm=0.0, **forces), "log.csv", YIELDING)[1] == []
+    for way, force, column in (
+        ((0.1, 0.0), (6.0, 0.0), "dx_mm"),
+        ((0.0, -0.1), (0.0, -5.0), "dy_mm"),
+        ((0.3, 0.1), (20.0, 0.0), "dx_mm"),
+    ):
+        cells = {"dx_mm": way[0], "dy_mm": way[1], "fx_n": force[0], "fy_n": force[1], "fz_n": -9.0}
+        _, (row,) = poses.yielded(sample(**cells), "log.csv", YIELDING)
+        assert row.column == column and "times the bench compliance exceeds the sideways travel" in row.reason
+        assert "shear_compliance_mm_per_n = 0.02" in row.hint and "sign of fx_n, fy_n" in row.hint
+        # a third of it leaves a press, and a way that no axis can distinguish from none is none
+        third = {"fx_n": force[0] / 3, "fy_n": force[1] / 3}
+        for change in (third, {"dx_mm": 0.005, "dy_mm": 0.0}):
+            assert poses.yielded(sample(**cells | change), "log.csv", YIELDING)[1] == []
 
 
 def test_frames_that_go_back_are_rejected_and_the_table_says_which_press(lab):
