@@ -32,4 +32,4 @@ CROPS = {
     "wide": lambda image: raw(image)[308:2153],  # 16 : 9
 }
 
-SIX = ["640 x 480", "raw", "raw, mirrored", "portrait", "upside down", "wide"]
+FOUR = ["640 x 480", "raw, mirrored", "portrait", "wide"]

@@ -6,13 +6,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from gelforge.errors import BadInput
 from gelforge.reading.frame import ImageFrame, zoom_of
 from gelforge.reading.light import Reference, match_light
 from gelforge.reading.markers import OF_CONTACT, MarkerTracker, markers_in, rim_shift, shifted_back
 from gelforge.reading.reader import Reader
 from gelforge.records.image import read_image
 from tests.support.pictures import moved
+from tests.support.refused import refused
 
 SIZE = (240, 320)
 
@@ -143,8 +143,7 @@ def test_a_camera_of_the_learnt_scale_or_without_markers_is_left_as_it_is():
         assert frame.shows_rim and frame.shown == (slice(0, 240), slice(0, 320))
         assert np.array_equal(frame(gel(1)), gel(1))
     for pitch in (15.0, 50.0):
-        with pytest.raises(BadInput, match=f"stand {pitch:.1f} px apart, in training 31 to 33 px"):
-            zoom_of(pitch, (31.0, 33.0))
+        refused(f"stand {pitch:.1f} px apart, in training 31 to 33 px", zoom_of, pitch, (31.0, 33.0))
 
 
 @given(st.integers(0, 99), st.floats(0.8, 1.2), st.floats(-6, 6))

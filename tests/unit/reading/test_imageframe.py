@@ -15,7 +15,7 @@ from gelforge.reading.markers import markers_in
 from gelforge.reading.reader import Reader
 from gelforge.records.film import open_source
 from gelforge.records.image import read_image
-from tests.support.crops import CROPS, SIX, raw, resized
+from tests.support.crops import CROPS, FOUR, raw, resized
 from tests.support.films import write_matroska
 from tests.support.refused import refused
 
@@ -56,11 +56,11 @@ def test_every_size_and_crop_shows_the_same_markers_in_the_same_places(demo_noco
     assert bool(frame.text) == (crop != "as it is")
 
 
-def test_one_press_reads_the_same_force_at_six_sizes_and_crops(root):
+def test_one_press_reads_the_same_force_at_four_sizes_and_crops(root):
     """Within 3 %, and not flagged for what is not flagged as the maker's driver gives it."""
     rest, pressed = (read_image(root / "data/demo" / name) for name in ("nocontact/mini_a.png", PRESSED))
     as_it_is = gelforge.Reader(nocontact=rest)(pressed)
-    for crop in SIX:
+    for crop in FOUR:
         found = gelforge.Reader(nocontact=CROPS[crop](rest))(CROPS[crop](pressed))
         assert found.total[2] == pytest.approx(as_it_is.total[2], rel=0.03), crop
         assert np.abs(found.total - as_it_is.total).max() < 0.03 * np.abs(as_it_is.total).max(), crop
@@ -104,8 +104,8 @@ def no_contact(path):
 
 
 def test_real_sensors_stay_as_they_are_and_are_turned_back(reference):
-    """Of 32 films, also of gels whose flat markers leave no fringes: no mirror is found there, but which way is up and BGR."""
-    for path in sorted((reference / "gripper_videos").glob("*.avi")):
+    """Of 16 films, also of gels whose flat markers leave no fringes: no mirror is found there, but which way is up and BGR."""
+    for path in sorted((reference / "gripper_videos").glob("*.avi"))[::2]:
         picture = no_contact(path)
         assert frame_of(picture).orientation == AS_IT_IS, path.name
         assert frame_of(np.ascontiguousarray(picture[..., ::-1])).blue_first, path.name

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gelforge.commands import predict, sensor
-from gelforge.errors import BadInput, GelforgeError
+from gelforge.errors import GelforgeError
 from gelforge.formats.featsfile import read_npy
 from gelforge.live.weigh import GRAMS, Weighing, weigh_camera
 from gelforge.reading.frame import reduced
@@ -51,7 +51,7 @@ def test_units_and_sign_of_a_factor(factor, count, seed):
 
 def test_the_interval_holds_what_it_says():
     """Over 600 made sensors of 15 % softer to harder gels and 5 readings each: nine in ten, within chance; too wide is safe."""
-    for scatter in (0.03, 0.1, 0.2):
+    for scatter in (0.03, 0.2):
         rng, inside, left = np.random.default_rng(3), 0, []
         for _ in range(600):
             truth = np.exp(rng.normal(0.0, 0.15))
@@ -200,8 +200,7 @@ def test_a_profile_that_was_weighed_is_not_replaced_by_one_that_was_not(weighed,
     for gone in ([], [folder / "mine.png"]):
         for path in gone:
             path.unlink()
-        with pytest.raises(BadInput, match=f"comes from {len(rows)} readings.* remove .*mine.toml"):
-            sensor.main(asked)
+        refused(f"comes from {len(rows)} readings.* remove .*mine.toml", sensor.main, asked)
         assert (folder / "mine.toml").read_text() == reported
     assert make(folder, rows[:-1]) == 0
     assert read_profile(folder / "mine.toml").gain.readings == len(rows) - 1
@@ -233,8 +232,6 @@ def test_readings_that_cannot_be_are_refused(weighed):
         ([[image, f"-{newtons}"]], "above 0 N"),
         ([["rest.png", "5.0"]], "shows no contact"),
         ([[image, f"{102 * float(newtons):.1f}"]], "was the reading in newtons"),
-        ([[image, "0"]], "force_n = 0: .*above 0 N"),
-        ([[image, "much"]], "'much' is not a number"),
         ([[image, '"3,5"']], "'3,5' is not a number; write newtons with a decimal point"),
         ([["", "5.0"]], "line 2: its image is empty"),
         ([rows[0], [], [], ["gone.png", "x"]], "line 5: .*gone.png: not found"),

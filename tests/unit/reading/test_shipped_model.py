@@ -5,16 +5,15 @@ from itertools import islice
 from pathlib import Path
 
 import numpy as np
-import pytest
 
 from gelforge.commands import predict
-from gelforge.errors import BadInput
 from gelforge.flow.tables import SHIPPED_IMAGE
 from gelforge.reading.frame import as_shipped
 from gelforge.reading.model import SHIPPED, load_model, require_sensor
 from gelforge.reading.reader import Reader
 from gelforge.records.film import frames, open_source
 from gelforge.records.nocontactimage import nocontact_of
+from tests.support.refused import refused
 
 LARGEST = 3 * 2**20  # bytes
 
@@ -50,8 +49,7 @@ def test_it_is_for_any_sensor_that_brings_its_no_contact_image(root):
     model = load_model(SHIPPED)
     assert model.needs_nocontact and len(model.metadata["sensors"]) > 8
     require_sensor(model, "any name")
-    with pytest.raises(BadInput, match="give it with --nocontact NOCONTACT or --profile"):
-        Reader(model=model)
+    refused("give it with --nocontact NOCONTACT or --profile", Reader, model=model)
 
 
 def some_frames(film: Path) -> list[np.ndarray]:
@@ -65,7 +63,7 @@ def some_frames(film: Path) -> list[np.ndarray]:
 
 def test_the_other_finger_of_a_gripper_is_flagged_and_ones_own_is_not(reference, shipped):
     """Both look alike and show no rim; a released gel reads up to 40 N against the other's no-contact image."""
-    for grasp in ("glass_box_1", "marker_pen_1", "wooden_statue_5"):
+    for grasp in ("glass_box_1", "wooden_statue_5"):
         films = [reference / f"gripper_videos/{grasp}_camera_{finger}.avi" for finger in (0, 2)]
         fingers = [Reader(nocontact_of(film, None), model=shipped) for film in films]
         flagged = {True: [], False: []}
