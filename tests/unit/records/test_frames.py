@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gelforge.flow.files import read_csv, write_csv
@@ -114,6 +114,7 @@ def filmed(*ways):
 
 
 @given(st.floats(0.001, 0.009), st.floats(0, 6.28))
+@settings(max_examples=25)
 @pytest.mark.parametrize("says", ["rises", "deeper after", "goes back", "leaves the line"])
 def test_a_press_that_is_filmed_slowly_may_go_back_no_farther_than_any_other(says, step, angle):
     """Each step is too small to distinguish from the one before it; what they come to is not."""
@@ -197,8 +198,7 @@ def test_no_press_is_on_two_sides_of_a_split():
     rng = np.random.default_rng(3)
     presses = [press_record(sample_id=f"s{k}", press_id=f"p{k // 6}", x0_mm=rng.uniform(-9, 9), y0_mm=rng.uniform(-9, 9))
                for k in range(300)]  # fmt: skip
-    settings = SETTINGS
-    split, group = split_presses(presses, set(), {}, settings)
+    split, group = split_presses(presses, set(), {}, SETTINGS)
     for k in range(0, 300, 6):
         assert len(set(split[k : k + 6])) == len(set(group[k : k + 6])) == 1
     assert {"train", "val", "test"} <= set(split)

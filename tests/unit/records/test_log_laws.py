@@ -27,8 +27,8 @@ SAMPLES = st.builds(
 )
 
 
-@given(samples=st.lists(SAMPLES, min_size=1, max_size=5))
-@settings(max_examples=60)
+@given(samples=st.lists(SAMPLES, min_size=1, max_size=3))
+@settings(max_examples=30)
 def test_log_reads_back_to_the_last_digit(tmp_path_factory, samples):
     path = tmp_path_factory.mktemp("log") / "log.csv"
     log.write_log(path, samples)
@@ -44,7 +44,7 @@ CELLS = st.text(max_size=30) | st.sampled_from(ODD)
 
 
 @given(cells=st.dictionaries(st.sampled_from([*press.KNOWN, "other"]), CELLS))
-@settings(max_examples=200)
+@settings(max_examples=150)
 def test_any_row_is_either_typed_or_explained(cells):
     sample, wrong = press.parse(press.RawRow(2, cells), "log.csv")
     assert (sample is None) == bool(wrong)
@@ -64,7 +64,7 @@ JUNK = st.text(st.characters(codec="utf-8", exclude_characters='\r\n"'), max_siz
 
 
 @given(lines=st.lists(JUNK | st.integers(0, 99), max_size=12))
-@settings(max_examples=300)
+@settings(max_examples=150)
 def test_no_line_of_a_log_keeps_another_press_out(tmp_path_factory, lines):
     path = tmp_path_factory.mktemp("log") / "log.csv"
     text = [GOOD.format(f"p{at}") if isinstance(line, int) else line for at, line in enumerate(lines)]

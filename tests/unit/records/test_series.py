@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from gelforge.errors import BadInput
 from gelforge.records import series
+from tests.support.refused import refused
 from tests.support.simulated_bench import draw_bench, draw_change, draw_gauge, draw_path
 
-DRAWS = 12
+DRAWS = 8
 
 
 def drawn(fault="", shift="", late=0.0):
@@ -38,8 +38,7 @@ def test_many_wild_readings_are_refused_and_a_few_are_counted():
     assert (~kept).sum() == 2 and "2 of 4000 readings are contradicted" in notes[0]
     assert series.without_wild("gauge.csv", 10.0 * times, force[:, None])[0].all()  # each may be a press
     force[::40] = -83.9
-    with pytest.raises(BadInput, match="loose cable"):
-        series.without_wild("gauge.csv", times, force[:, None])
+    refused("loose cable", series.without_wild, "gauge.csv", times, force[:, None])
 
 
 def test_the_end_of_a_sensors_range_is_found_by_what_goes_on_beyond():
@@ -73,7 +72,7 @@ def test_an_average_shows_in_force_beside_the_path():
 
 def test_forces_of_another_clock_are_found_beside_the_pictures():
     """Stamps 0.2 to 0.5 s off made up to 122 of 177 rows wrong by 1 to 35 N."""
-    for late in (0.0, 0.15, -0.4, 0.9):
+    for late in (0.0, 0.15, -0.4):
         for bench, gauge, _, change in drawn(late=late):
             spans = [(float(a), float(b)) for a, b in bench.presses]
             lag = series.lag_of_pictures((gauge.times, gauge.force), (change.times, change.values), spans)
