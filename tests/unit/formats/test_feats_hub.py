@@ -11,7 +11,6 @@ from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 import numpy as np
 import pytest
 
-from gelforge.commands import feats
 from gelforge.flow.files import read_csv
 from gelforge.formats.feats_folder import import_folder, split_of
 from gelforge.formats.featsfile import LabelSample, read_sample, write_label
@@ -21,12 +20,11 @@ from gelforge.records.labelfile import read_labels
 from gelforge.records.samplefile import SPLITS
 from tests.support.feats_published import publish
 from tests.support.hub_server import hub
-from tests.support.refused import refused
 from tests.support.waiting import HANG, wait_until
 
 pytestmark = pytest.mark.processes
 
-COUNT = 12
+COUNT = 20
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +57,7 @@ def fetch(root, folder, url, *options, limit_kib=None):
     return ran
 
 
-def failed(ran, folder, *said):
+def refused(ran, folder, *said):
     """Assert that it failed in one sentence, and left no dataset."""
     (sentence,) = [line for line in ran.stderr.splitlines() if line.startswith("error: ")]
     assert ran.returncode == 2 and all(word in sentence for word in said), sentence
@@ -72,6 +70,8 @@ def test_what_is_published_becomes_a_dataset_with_its_splits(root, tmp_path, pub
         ran = fetch(root, tmp_path, server.url)
         assert ran.returncode == 0 and f"{COUNT} presses" in ran.stdout, ran.stderr
         assert set(server.loaded.values()) == {1} and "README.md" not in server.loaded
+        again = fetch(root, tmp_path, server.url)
+        assert again.returncode == 2 and "exists already; remove it" in again.stderr
         # with the dataset removed: what changed here and what changed there comes again, and nothing else
         shutil.rmtree(tmp_path / "data")
         mine, theirs = sorted((tmp_path / "loaded/labels/train").iterdir())[:2]
@@ -113,7 +113,7 @@ def test_a_fetch_that_was_killed_goes_on(root, tmp_path, published):
         child.communicate()
         there = {str(path.relative_to(tmp_path / "loaded")) for path in files.rglob("*.npy")}
         assert 4 <= len(there) < COUNT and not (tmp_path / "data").exists()
-        failed(
+        refused(
             fetch(root, tmp_path, "http://127.0.0.1:1"), tmp_path, "check the connection"
         )  # not content with a part
         server.pace_s = 0.0
@@ -125,7 +125,7 @@ def test_a_fetch_that_was_killed_goes_on(root, tmp_path, published):
 
 def test_single_splits_come_alone_and_one_that_is_none_is_named(root, tmp_path, published):
     with hub(published) as server:
-        sentence = failed(
+        sentence = refused(
             fetch(root, tmp_path, server.url, "--split", "train exam"), tmp_path, "SPLIT=exam", "no such"
         )
         assert not server.loaded and "test, test_unseen_indenter, test_unseen_sensor, train, val" in sentence
@@ -151,7 +151,7 @@ def test_a_proxy_that_answers_with_a_page_is_one_sentence(root, tmp_path):
     with ThreadingHTTPServer(("127.0.0.1", 0), Page) as server:
         threading.Thread(target=server.serve_forever, daemon=True).start()
         url = f"http://127.0.0.1:{server.server_address[1]}"
-        failed(fetch(root, tmp_path, url), tmp_path, url, "any proxy", "FROM=folder")
+        refused(fetch(root, tmp_path, url), tmp_path, url, "any proxy", "FROM=folder")
         server.shutdown()
 
 
@@ -159,18 +159,20 @@ def test_a_full_disk_keeps_what_was_loaded(root, tmp_path, published):
     """The shell's limit on the size of a file stands for the disk: no sample fits it."""
     with hub(published) as server:
         ran = fetch(root, tmp_path, server.url, limit_kib=100)
-    failed(ran, tmp_path, "File too large", "free space")
+    refused(ran, tmp_path, "File too large", "free space")
 
 
-def test_a_copy_is_imported_without_the_hub(tmp_path, published):
-    def fetched(source, splits):
-        feats.fetch(["--from", str(published / source), "--split", splits, "--data", str(tmp_path / "data")])
-
-    refused("SPLIT=exam: .*has no such folder.*train", fetched, "labels", "exam")
-    refused("not a folder", fetched, "x", "")
-    assert not (tmp_path / "data").exists()
-    fetched("labels", "train val")
-    assert {row["split"] for row in read_csv(tmp_path / "data/splits.csv")} == {"train", "val"}
+def test_a_copy_is_imported_without_the_hub(root, tmp_path, published):
+    ran = fetch(root, tmp_path, "http://127.0.0.1:1", "--from", published / "labels", "--split", "train val")
+    assert ran.returncode == 0 and {row["split"] for row in read_csv(tmp_path / "data/splits.csv")} == {
+        "train",
+        "val",
+    }
+    gone = fetch(root, tmp_path / "b", "http://127.0.0.1:1", "--from", published / "labels", "--split", "exam")
+    refused(gone, tmp_path / "b", "SPLIT=exam", "has no such folder", "train")
+    refused(
+        fetch(root, tmp_path / "b", "http://127.0.0.1:1", "--from", published / "x"), tmp_path / "b", "not a folder"
+    )
 
 
 def test_folders_stand_for_splits():
