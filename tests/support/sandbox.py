@@ -83,7 +83,7 @@ tolerance = 0.2
 """
 
 
-# What makes the sandbox `made_whole` of tests/workflow as far as its report.
+# What makes the sandbox `whole` of tests/workflow as far as its report.
 REPORTED = ("evaluate", "report", "MODEL=tiny", "DATASET=tiny", "RES=6x8")
 
 

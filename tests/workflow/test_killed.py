@@ -10,15 +10,16 @@ from gelforge.flow.files import write_text
 from tests.support.sandbox import clean_environment, lay_dataset, link_project, make
 from tests.support.waiting import HANG
 
-# In the place of what Python imports of itself at its start: counts renames of all processes, and kills them all at one.
+# In the place of what Python imports of itself at its start: notes what all processes rename to, and kills them all before one.
 AT_START = """
 import os, signal
 rename = os.replace
 def replace(*paths, **options):
-    with open(os.environ["RENAMED"], "a") as count:
-        count.write("x")
-    if os.stat(os.environ["RENAMED"]).st_size == int(os.environ.get("KILL_AT", "0")):
+    name = os.path.relpath(paths[1])
+    if name == os.environ.get("KILL_AT"):
         os.killpg(0, signal.SIGKILL)
+    with open(os.environ["RENAMED"], "a") as stream:
+        stream.write(name + "\\n")
     return rename(*paths, **options)
 if "RENAMED" in os.environ:
     os.replace = replace
@@ -27,7 +28,7 @@ MADE = ("00_plan", "10_poses", "15_images", "40_forces", "50_labels")  # stage 3
 
 
 def laid(root, folder):
-    """A sandbox with a dataset of one press, whose processes count their renames."""
+    """A sandbox with a dataset of one press, whose processes note their renames."""
     project = link_project(root, folder)
     (project / "src").unlink()
     (project / "src").mkdir()
@@ -58,20 +59,21 @@ def contents(project) -> dict[str, bytes]:
 
 
 @pytest.mark.slow
-def test_a_make_that_is_killed_at_a_rename_ends_as_one_that_was_not(root, tmp_path):
-    whole = laid(root, tmp_path / "whole")
+def test_a_make_that_is_killed_at_renames_ends_as_one_that_was_not(root, tmp_path):
+    """At an early one, then at later ones, each time that it goes on: in the plan, in a stage, and of the last target and its record."""
+    whole, project = laid(root, tmp_path / "whole"), laid(root, tmp_path / "killed")
     said, _ = (first := begun(whole)).communicate(timeout=HANG)
     assert first.returncode == 0, said
-    count, expected = (whole / "renamed").stat().st_size, contents(whole)
-    assert count > 40 and len(expected) > 25
-    for number, at in enumerate((2, count // 2, count - 4, count - 1)):
-        project = laid(root, tmp_path / str(number))
-        killed = begun(project, KILL_AT=str(at))
-        killed.communicate(timeout=HANG)
-        assert killed.returncode == -signal.SIGKILL
-        said, _ = (again := begun(project)).communicate(timeout=HANG)
-        assert again.returncode == 0, said
-        assert contents(project) == expected, f"killed at rename {at} of {count}"
+    renamed, expected = (whole / "renamed").read_text().splitlines(), contents(whole)
+    names = [name for name in dict.fromkeys(renamed) if name.startswith("results/")]
+    assert len(names) > 40 and len(expected) > 25
+    for name in (names[1], names[len(names) // 2], names[-4], names[-1]):
+        killed = begun(project, KILL_AT=name)
+        said, _ = killed.communicate(timeout=HANG)
+        assert killed.returncode == -signal.SIGKILL, (name, said)
+    said, _ = (again := begun(project)).communicate(timeout=HANG)
+    assert again.returncode == 0, said
+    assert contents(project) == expected
 
 
 def test_two_makes_that_plan_at_once_end_as_one(root, tmp_path):
