@@ -11,7 +11,7 @@ import subprocess
 import sys
 import tempfile
 from argparse import Namespace
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -116,9 +116,11 @@ def difference(results: list[dict]) -> tuple[float, float]:
     return 100 * total / size, 100 * cell / size
 
 
-def compare(way: str, folder: Path, workflow: Path, names: list[str] | None = None) -> dict[str, tuple[float, float]]:
+def compare(
+    way: str, folder: Path, workflow: Path, names: list[str] | None = None, cases: Sequence[str] = tuple(CASES)
+) -> dict[str, tuple[float, float]]:
     """Differences between the cases by scene, for one of WAYS; infinite if their statuses differ."""
-    machines = [on_machine(case, way, names, folder, workflow) for case in CASES]
+    machines = [on_machine(case, way, names, folder, workflow) for case in cases]
     found = {}
     for name in machines[0]:
         results = [machine[name] for machine in machines]
@@ -127,12 +129,12 @@ def compare(way: str, folder: Path, workflow: Path, names: list[str] | None = No
     return found
 
 
-def figures_of(way: str, differences: dict[str, tuple[float, float]]) -> list[Figure]:
-    """The worst scene's differences for one of WAYS."""
+def figures_of(way: str, differences: dict[str, tuple[float, float]], count: int) -> list[Figure]:
+    """The worst scene's differences for one of WAYS on so many machines."""
     figures = []
     for place, (what, goal) in enumerate((("total force", TOTAL), ("cells", CELLS))):
         worst = max(differences, key=lambda name, place=place: differences[name][place])
-        figures.append(Figure(f"{'ccx label' if way == 'ccx' else f'hex {way}'}: {what}, worst of {len(differences)} scenes over {len(CASES)} machines",
+        figures.append(Figure(f"{'ccx label' if way == 'ccx' else f'hex {way}'}: {what}, worst of {len(differences)} scenes over {count} machines",
                               differences[worst][place], "<=", goal, "%", worst))  # fmt: skip
     return figures
 
@@ -141,6 +143,7 @@ def figures_of(way: str, differences: dict[str, tuple[float, float]]) -> list[Fi
     option("--workflow", type=Path, default=Path("workflow")),
     option("--ways", nargs="+", choices=WAYS, default=WAYS, help="only these"),
     option("--solve", choices=WAYS, default=None, help="solve in this process and write the results"),
+    option("--cases", nargs="+", choices=tuple(CASES), default=tuple(CASES), help="only these machines"),
     option("--scenes", nargs="+", default=None, help="only these of workflow/scenes.toml"),
     option("--out", type=Path, help="results/benchmarks/machines.json"),
 )
@@ -151,7 +154,8 @@ def main(args: Namespace) -> None:
     folder = args.out.parent / "machines"
     figures = []
     for way in args.ways:
-        figures += figures_of(way, compare(way, folder, args.workflow, args.scenes))
+        differences = compare(way, folder, args.workflow, args.scenes, args.cases)
+        figures += figures_of(way, differences, len(args.cases))
     publish_figures(args.out, figures)
 
 

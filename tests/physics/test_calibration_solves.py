@@ -104,12 +104,11 @@ def test_presses_on_gels_of_two_thicknesses_share_no_solve(catalogue, tmp_path):
 
 
 def test_history_of_one_solve_is_the_curve_of_many(built, catalogue):
-    """With other load steps points stick elsewhere: FINDINGS' spread over steps is 1 to 2 %."""
+    """With other load steps points stick elsewhere: FINDINGS' spread over steps is 1 to 2 %. A deeper press: below."""
     readings, _, _, emulator = built
     values = true_values(c10=REFERENCE_C10, offset=0.0, compliance=0.0, mu=MU)
     forces = emulator.forces(readings.depth, values)[0][0]
-    for i in (0, 1):
-        assert forces[i, 2] == pytest.approx(solve(catalogue, readings.press(i, readings.depth[i]))[2], rel=0.02)
+    assert forces[0, 2] == pytest.approx(solve(catalogue, readings.press(0, readings.depth[0]))[2], rel=0.02)
 
 
 def test_compliance_and_offset_press_less_deep(built, catalogue):
@@ -154,7 +153,7 @@ def test_forces_between_the_friction_nodes_are_those_of_solves(root, tmp_path):
     plan, cache = make_plan(readings, 0.15, LAW, nodes, NU), SolveCache(tmp_path, flat, SETTINGS, SOLVER)
     assert not solve_all(plan, cache) and plan.nodes == [[nodes[0], np.inf]]
     emulator = build_emulator(plan, cache)
-    for mu in (0.2, 0.7, 1.2):
+    for mu in (0.2, 1.0):
         scene = Scene(Gel(), Material(NU), flat["cylinder_8"], readings.press(0, 1.0), Interface.of_friction(mu))
         direct = solve_hex(scene, SETTINGS).total[2]
         values = true_values(c10=REFERENCE_C10, offset=0.0, compliance=0.0, mu=mu)
@@ -192,7 +191,7 @@ def test_press_that_cannot_be_solved_is_not_tried_again(catalogue, tmp_path):
 
 def test_refined_forces_are_those_of_the_fine_mesh_where_the_law_ends(catalogue, tmp_path):
     """As commanded; sideways force has a ratio of its own, which without slip is another one than the normal force's."""
-    readings = presses((0.5, 0, 0, 0, 0, -0.8, 0), (0.5, 0, 0, 0, 0, -1.4, 0), (1.0, 1.0, 0, 0.3, 0.1, -1.3, 0))
+    readings = presses((0.5, 0, 0, 0, 0, -0.8, 0), (1.0, 1.0, 0, 0.3, 0.1, -1.3, 0))
     plan = make_plan(readings, 0.15, "no_slip", [MU], NU)
     cache = SolveCache(tmp_path, catalogue, SETTINGS, SOLVER)
     assert not solve_all(plan, cache)
@@ -201,12 +200,12 @@ def test_refined_forces_are_those_of_the_fine_mesh_where_the_law_ends(catalogue,
     refined = refine(emulator, plan, cache, fine)
     values = true_values(c10=REFERENCE_C10, offset=0.0, compliance=0.0, mu=np.inf)
     before, after = (of.forces(readings.depth, values)[0][0] for of in (emulator, refined))
-    ends = np.array([fine.get(plan.compared(i))["end"] for i in range(3)])
+    ends = np.array([fine.get(plan.compared(i))["end"] for i in range(2)])
     np.testing.assert_allclose(after[:, 2], ends[:, 2], rtol=1e-6)
     assert np.all(after[:, 2] / before[:, 2] < 1.0)
-    aside = np.hypot(*ends[2, :2]) / np.hypot(*before[2, :2])
-    np.testing.assert_allclose(np.hypot(*after[2, :2]), np.hypot(*ends[2, :2]), rtol=1e-6)
-    assert abs(aside - ends[2, 2] / before[2, 2]) > 0.005
+    aside = np.hypot(*ends[1, :2]) / np.hypot(*before[1, :2])
+    np.testing.assert_allclose(np.hypot(*after[1, :2]), np.hypot(*ends[1, :2]), rtol=1e-6)
+    assert abs(aside - ends[1, 2] / before[1, 2]) > 0.005
 
 
 def test_a_press_that_slides_is_dragged_by_friction_times_its_normal_force(catalogue, tmp_path):
@@ -303,14 +302,13 @@ def test_an_emulator_with_tilts_is_the_solver_on_a_mounting_that_leans(root, tmp
     values |= {"touch": offset[None], "tilt": np.array([[tilt, [0.0, 0.0]]]), "indenter": np.zeros((1, 2))}
     forces, _, depths = emulator.forces(readings.depth, values)
     centres = emulator.centres(depths, values)[0]
-    for i, lean in ((0, tilt), (1, tilt), (2, tilt), (3, (0.0, 0.0))):
-        press = replace(
-            readings.press(i, depths[0, i]), tilt_x_deg=float(lean[0]), tilt_y_deg=float(lean[1])
-        )  # fmt: skip
-        assert depths[0, i] == pytest.approx(readings.depth[i] + offset[i // 3])
+    assert depths[0] == pytest.approx(readings.depth + offset[[0, 0, 0, 1]])
+    for i in range(3):
+        press = replace(readings.press(i, depths[0, i]), tilt_x_deg=float(tilt[0]), tilt_y_deg=float(tilt[1]))
         found = solve_hex(Scene(Gel(), Material(NU), bodies[names[i]], press, Interface()), SETTINGS)
         # curves of few load steps are 1 to 2 % off; a linear part of the force, 0.7 % here, is left out
         assert forces[0, i, 2] == pytest.approx(found.total[2], rel=0.03)
-        if i < 3:
-            assert centres[i] == pytest.approx(centre_of(found), abs=0.08)
-    assert np.isnan(centres[3]).all()
+        assert centres[i] == pytest.approx(centre_of(found), abs=0.08)
+    # the other mounting does not feel it
+    level, _, _ = emulator.forces(readings.depth, values | {"tilt": np.zeros((1, 2, 2))})
+    assert np.isnan(centres[3]).all() and forces[0, 3] == pytest.approx(level[0, 3], rel=1e-9)

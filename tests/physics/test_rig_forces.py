@@ -24,9 +24,9 @@ def plan(root):
     return replace(demo, truth=replace(demo.truth, friction=0.0, compliance_mm_per_n=0.0, cnc_um=0.0))
 
 
-@pytest.mark.parametrize("name", [pytest.param("sphere_10", marks=pytest.mark.slow), "triangle_10"])
-def test_hidden_forces_are_those_of_fine_hexahedra(plan, root, name):
+def test_hidden_forces_are_those_of_fine_hexahedra(plan, root):
     """Within 1.5 % of label; they act below the tip, so that their moment about the gel's apex is known."""
+    name = "triangle_10"  # a ball: below, on another gel
     catalogue = load_catalogue(root / "workflow" / "indenters.toml", [name])
     bench = Bench(plan, catalogue, Gel())
     order = replace(orders(plan)[0], indenter=name, x=1.3, y=-2.1, depth=1.0, rot_deg=70.0, shear=(0.0, 0.0))
@@ -72,18 +72,17 @@ def test_a_flat_body_with_friction_converges_at_every_frame(plan, root):
     assert all(np.diff([-result.total[2] for result in results[:3]]) > 0)
 
 
-@pytest.mark.parametrize("thickness", [3.6, pytest.param(4.4, marks=pytest.mark.slow)])
-def test_hidden_forces_on_a_gel_of_other_thickness_are_those_of_fine_hexahedra(plan, root, thickness):
+def test_hidden_forces_on_a_gel_of_other_thickness_are_those_of_fine_hexahedra(plan, root):
     """At one depth a thinner gel is stiffer."""
     catalogue, gel = (
         load_catalogue(root / "workflow" / "indenters.toml", ["sphere_15"]),
-        load_gel(f"gelsight_mini-{thickness}mm"),
+        load_gel("gelsight_mini-3.6mm"),
     )
     bench = Bench(plan, catalogue, Gel())
     order = replace(orders(plan)[0], indenter="sphere_15", x=1.3, y=-2.1, depth=1.0, rot_deg=70.0, shear=(0.0, 0.0))
     usual, pressed = bench.press(order)[-1], bench.press(replace(order, gel=gel.name))[-1]
-    # at one depth a gel a tenth thinner or thicker is 16 % stiffer or 11 % softer; a bench that yields takes a part of it back
-    assert (pressed.force[2] / usual.force[2] - 1) * (4.0 - thickness) > 0.03
+    # at one depth a gel a tenth thinner is 16 % stiffer
+    assert pressed.force[2] / usual.force[2] > 1.075
     scene = Scene(gel, Material(nu=plan.truth.nu), catalogue["sphere_15"], pressed.real, Interface("frictionless"))
     exact = HexSolver(quality("label")).solve(scene).total[2] * plan.truth.c10_mpa / REFERENCE_C10
     assert pressed.force[2] == pytest.approx(exact, rel=0.015)

@@ -18,7 +18,18 @@ QUICK = {
     "dag": ["--samples", "20"],
     "face": ["--parts", "exports", "provenance", "--presses", "50"],
     # scenes where rounding decided once: which steps were cut, and which released points
-    "machines": ["--ways", "draft", "--scenes", "cylinder", "sloping_cuboid", "pyramid"],
+    "machines": [
+        "--ways",
+        "draft",
+        "--cases",
+        "as it is",
+        "two threads",
+        "generic",
+        "--scenes",
+        "cylinder",
+        "sloping_cuboid",
+        "pyramid",
+    ],
     "rig": ["--parts", "likeness"],  # an indenter's force factor alone takes 20 s
 }
 # What makes no small form worth its time, and where the same is tested.
