@@ -59,5 +59,6 @@ def test_shells_inside_change_no_force(bodies, method, request, tmp_path):
 
     full = force("full")
     assert full[2] < -1.0
-    for name in set(bodies) - {"full"}:
+    # CalculiX gets the same distances: the worst of them alone
+    for name in list(bodies)[1:] if method == "draft" else ["cavity oriented outwards, a core in it"]:
         np.testing.assert_allclose(force(name), full, rtol=1e-3, atol=1e-3 * np.abs(full).max(), err_msg=name)

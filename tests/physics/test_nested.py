@@ -252,7 +252,7 @@ def framed(body, depths, shear=()):
 
 @pytest.mark.parametrize(("body", "shear"), [(BALL, ()), pytest.param(CUBOID, (0.5, 1.0), marks=pytest.mark.slow)])
 def test_frames_of_one_press_are_what_single_presses_to_them_give(body, shear):
-    scenes = framed(body, (0.3, 0.6, 0.9), shear)
+    scenes = framed(body, (0.4, 0.9), shear)
     solver = HexSolver(FRAMED)
     frames = solver.solve_frames(scenes)
     for scene, frame in zip(scenes, frames, strict=True):
@@ -282,7 +282,7 @@ def test_frames_of_one_press_are_what_single_presses_to_them_give(body, shear):
 def test_frames_that_a_whole_path_passes_are_ends_of_shorter_ones(law):
     """Not nested: the contact of each frame is iterated where the path passes it, and the path goes on as if nobody had looked."""
     settings = replace(PATH, size=0.8)
-    scenes = [replace(scene, interface=law) for scene in framed(CUBOID, (0.3, 0.6, 0.9), (0.5, 1.0))]
+    scenes = [replace(scene, interface=law) for scene in framed(CUBOID, (0.4, 0.9), (0.5, 1.0))]
     frames = HexSolver(settings).solve_frames(scenes)
     for scene, frame in zip(scenes, frames, strict=True):
         alone = solve_hex(scene, replace(settings, box=frames[-1].mesh_name.box))

@@ -36,7 +36,7 @@ def made(tmp_path_factory):
     rows = [dict(zip(COLUMNS, (name, *press), strict=True)) for name, press in PRESSES.items()]
     write_csv(of.poses("0000"), COLUMNS, rows)
     write_text(of.shard("0000"), "")
-    write_stage(of.params, "fea", fea={"method": "draft"})
+    write_stage(of.params, "fea", fea={"method": "draft"}, interface={"law": "no_slip"})
     write_stage(of.params, "forces")
     write_stage(of.params, "labels")
     write_used(of, sensors=read_toml("workflow/sensors.toml"), indenters={"ball": BALL})
