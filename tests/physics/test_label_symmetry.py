@@ -1,4 +1,4 @@
-"""The label of a mirrored or turned press is the mirrored or turned label: solver, binning and axes share one frame."""
+"""The label of a mirrored press is the mirrored label: solver, binning and axes share one frame."""
 
 import math
 
@@ -10,7 +10,7 @@ import gelforge
 BALL = {"kind": "sphere", "diameter": 10, "height": 8}
 AT, SHEAR = (1.7, -2.3), (0.25, 0.15)
 # Factors of x and y. Rows of an image run against gel x, columns against gel y.
-CASES = {"mirrored in x": (-1, 1), "mirrored in y": (1, -1), "turned by 180 degrees": (-1, -1)}
+CASES = {"mirrored in x": (-1, 1), "mirrored in y": (1, -1)}  # turned by 180 degrees: both
 SMOOTH = 1e-6  # of the largest cell: smooth scenes do not depend on rounding beyond it
 
 

@@ -41,7 +41,7 @@ def test_contact_and_base_turn_the_gel_against_each_other(law):
 
 @pytest.mark.parametrize(("name", "press"), PRESSES)
 def test_cells_and_nodes_have_the_same_moment(name, press):
-    solved = gelforge.solve(name, **press)
+    solved = gelforge.solve(name, **press, friction=np.inf)
     found = Arms(gelsight_mini(), Grid(24, 32)).moment(gelforge.label(solved))
     force = np.linalg.norm(solved.total)
     assert np.abs(found - solved.moment).max() < 0.02 * force * LEVER_MM
