@@ -32,7 +32,8 @@ from gelforge.records.status import Status
 from tests.support.calibration_law import one_mounting, true_values
 from tests.support.parameters import parameters
 
-SETTINGS = HexSettings(size=1.2, layers=3, press_steps=8, shear_steps=3, final_tolerance=1e-7)
+# load steps of twice the usual length under friction
+SETTINGS = HexSettings(size=1.2, layers=3, press_steps=8, shear_steps=3, press_mm=0.1, final_tolerance=1e-7)
 SOLVER = 1  # version of the solver; any will do
 NU = 0.475
 MU = 0.5
