@@ -15,31 +15,13 @@ CATALOGUE = load_catalogue("workflow/indenters.toml")
 def wedge(angle_deg: float, height: float = 6.0, length: float = 8.0, blunt: float = 0.0) -> Mesh:
     """A fin along x that widens by an angle from its lower edge, `blunt` mm wide there."""
     top, low = blunt / 2 + height * np.tan(np.deg2rad(angle_deg) / 2), max(blunt / 2, 0.0)
+    section = [(low, 0.0), (top, height), (-top, height), (-low, 0.0)][: 4 if low else 3]
+    vertices = [(x, y, z) for x in (-length / 2, length / 2) for y, z in section]
     if low == 0.0:
-        vertices = [
-            (x, y, z) for x in (-length / 2, length / 2) for y, z in ((0.0, 0.0), (top, height), (-top, height))
-        ]
         faces = [(0, 2, 1), (3, 4, 5), (0, 1, 4), (0, 4, 3), (1, 2, 5), (1, 5, 4), (2, 0, 3), (2, 3, 5)]
-        return np.array(vertices), np.array(faces)
-    vertices = [
-        (x, y, z)
-        for x in (-length / 2, length / 2)
-        for y, z in ((low, 0.0), (top, height), (-top, height), (-low, 0.0))
-    ]
-    faces = [
-        (0, 2, 1),
-        (0, 3, 2),
-        (4, 5, 6),
-        (4, 6, 7),
-        (0, 1, 5),
-        (0, 5, 4),
-        (1, 2, 6),
-        (1, 6, 5),
-        (2, 3, 7),
-        (2, 7, 6),
-        (3, 0, 4),
-        (3, 4, 7),
-    ]
+    else:
+        faces = [(0, 2, 1), (0, 3, 2), (4, 5, 6), (4, 6, 7), (0, 1, 5), (0, 5, 4), (1, 2, 6), (1, 6, 5), (2, 3, 7),
+                 (2, 7, 6), (3, 0, 4), (3, 4, 7)]  # fmt: skip
     return np.array(vertices), np.array(faces)
 
 
@@ -66,37 +48,31 @@ def tool() -> Mesh:
     return vertices, np.array(faces)
 
 
-@pytest.mark.parametrize("name", CATALOGUE)
-def test_no_body_of_the_catalogue_is_doubted(name):
-    assert standing(*CATALOGUE[name].surface()).doubts == []
+def test_no_good_body_is_doubted():
+    good = {name: body.surface() for name, body in CATALOGUE.items()}
+    good |= {"tool": tool(), "fin": wedge(60.0, blunt=1.0), "low fin": wedge(90.0, height=3.0, blunt=0.5)}
+    for name, mesh in good.items():
+        assert standing(*mesh).doubts == [], name
 
 
-@pytest.mark.parametrize("mesh", [tool(), wedge(60.0, blunt=1.0), wedge(90.0, height=3.0, blunt=0.5)])
-def test_no_good_body_is_doubted(mesh):
-    assert standing(*mesh).doubts == []
-
-
-@pytest.mark.parametrize(
-    ("mesh", "said"),
-    [
+def test_what_stands_wrongly_is_said():
+    (vertices, faces), (cuboid, sides), (bar, ends) = tool(), *(CATALOGUE[n].surface() for n in ("cuboid_7", "bar_5"))
+    for mesh, said in (
         (turned(tool(), 1), "it lies: 12 mm along x"), (turned(tool(), 2), "it lies: 12 mm along y"),
-        ((tool()[0] * [1, -1, -1], tool()[1]), ""), ((tool()[0] + [4, 4, 0], tool()[1]), "beside the axis"),
-        ((CATALOGUE["cuboid_7"].surface()[0] + [3.5, 3.5, 0], CATALOGUE["cuboid_7"].surface()[1]), "4.95 mm beside the axis"),
-        ((CATALOGUE["bar_5"].surface()[0] + [15, 0, 0], CATALOGUE["bar_5"].surface()[1]), "15 mm beside the axis"),
+        ((vertices * [1, -1, -1], faces), ""), ((vertices + [4, 4, 0], faces), "beside the axis"),
+        ((cuboid + [3.5, 3.5, 0], sides), "4.95 mm beside the axis"), ((bar + [15, 0, 0], ends), "15 mm beside the axis"),
         (wedge(60.0), "a ridge of 60 degrees, 8 mm long"), (wedge(90.0), "a ridge of 90 degrees"),
         (wedge(30.0, blunt=0.02), ""),
-    ],
-)  # fmt: skip
-def test_what_stands_wrongly_is_said(mesh, said):
-    doubts = standing(*mesh).doubts
-    assert any(said in doubt for doubt in doubts) if said else doubts == []
+    ):  # fmt: skip
+        doubts = standing(*mesh).doubts
+        assert any(said in doubt for doubt in doubts) if said else doubts == []
 
 
-@pytest.mark.parametrize(("mesh", "sharp"), [
-    (wedge(60.0, blunt=1.0), True), (CATALOGUE["cuboid_7"].surface(), False), (tool(), False), (wedge(60.0), False),
-])  # fmt: skip
-def test_sharp_edges_of_a_flat_side_are_said(mesh, sharp):
-    assert ("with sharp edges" in standing(*mesh).touches) == sharp
+def test_sharp_edges_of_a_flat_side_are_said():
+    for mesh, sharp in (
+        (wedge(60.0, blunt=1.0), True), (CATALOGUE["cuboid_7"].surface(), False), (tool(), False), (wedge(60.0), False)
+    ):  # fmt: skip
+        assert ("with sharp edges" in standing(*mesh).touches) == sharp
 
 
 def test_what_touches_first_is_measured():
@@ -107,17 +83,18 @@ def test_what_touches_first_is_measured():
     assert section.area == pytest.approx(16.0) and section.high - section.low == pytest.approx([8.0, 2.0])
 
 
-@pytest.mark.parametrize("angle", [5.0, 10.0, 20.0])
-def test_a_fin_that_the_grid_of_distances_loses_is_refused(tmp_path, angle):
+def test_walls_that_the_grid_of_distances_loses_are_refused(tmp_path):
+    """Its distance would say that nothing is there."""
     path = tmp_path / "fin.stl"
-    write_stl(path, *wedge(angle, height=2.0, length=1.0))
-    refused("too thin.*spacing", sampled_from_stl, path, name="fin")
-    if angle == 20.0:
-        fine = sampled_from_stl(path, spacing=0.05, reach=0.5, name="fin")
-        assert fine.distance(np.array([[0.0, 0.0, 0.2]]))[0][0] < 0.0
+    for angle in (5.0, 20.0):
+        write_stl(path, *wedge(angle, height=2.0, length=1.0))
+        said = r"indenter fin: .*too thin for spacing = 0.2 mm.*half the wall thickness"
+        refused(said, sampled_from_stl, path, name="fin")
+    fine = sampled_from_stl(path, spacing=0.05, reach=0.5, name="fin")
+    assert fine.distance(np.array([[0.0, 0.0, 0.2]]))[0][0] < 0.0
 
 
-@pytest.mark.parametrize("mesh", [wedge(60.0, blunt=0.5), wedge(90.0), tool(), CATALOGUE["cylinder_10_7"].surface()])
+@pytest.mark.parametrize("mesh", [wedge(90.0), CATALOGUE["cylinder_10_7"].surface()], ids=["ridge", "ring"])
 def test_what_the_grid_holds_is_not_refused_and_what_touches_is_said_once(tmp_path, capfd, mesh):
     path = tmp_path / "body.stl"
     write_stl(path, *mesh)
