@@ -39,9 +39,15 @@ from tests.support.small_networks import EVALUATE, GRID, IMAGE, MODELS
 from tests.support.synthetic_presses import SETTINGS, write_dataset
 
 
+@pytest.fixture(scope="module")
+def evaluated(data, models):
+    """What `evaluate` gives of each network."""
+    return {name: evaluate(data, trained.model, EVALUATE) for name, trained in models.items()}
+
+
 @pytest.mark.parametrize("name", ["pair", "unet"])
-def test_evaluation_holds_what_is_asked(data, models, name):
-    result, predictions = evaluate(data, models[name].model, EVALUATE)
+def test_evaluation_holds_what_is_asked(data, evaluated, name):
+    result, predictions = evaluated[name]
     assert set(result["splits"]) == {"val", "test", "test_unseen_indenter", "test_unseen_sensor"}
     test = result["splits"]["test"]
     rows, forces = predictions["test"]
@@ -137,8 +143,8 @@ def test_errors_of_contacts_are_those_of_two_bumps_by_hand():
     assert found == pytest.approx({"n": 2, "mae": 1.0, "percent": 100 * (1 / 6 + 1 / 4) / 2})
 
 
-def test_sensor_and_truth_are_compared_on_the_right_axis(data, models):
-    against = evaluate(data, models["pair"].model, EVALUATE)[0]["splits"]["test"]["against"]
+def test_sensor_and_truth_are_compared_on_the_right_axis(evaluated):
+    against = evaluated["pair"][0]["splits"]["test"]["against"]
     for axis in CHANNELS:
         # The made-up force sensor reads 0.1 N too much, the made-up truth is the label (float32 sums).
         assert against["sensor"]["labels"][axis]["bias"] == pytest.approx(-0.1, abs=1e-5)
@@ -147,9 +153,8 @@ def test_sensor_and_truth_are_compared_on_the_right_axis(data, models):
     assert slope(np.full((4, 3), 0.98), np.ones((4, 3))) == pytest.approx(dict.fromkeys(CHANNELS, 0.98))
 
 
-def test_evaluation_is_of_what_predict_gives(data, models):
-    model = models["pair"].model
-    found = evaluate(data, model, EVALUATE)[0]["splits"]["test"]
+def test_evaluation_is_of_what_predict_gives(data, models, evaluated):
+    model, found = models["pair"].model, evaluated["pair"][0]["splits"]["test"]
     rows = data.splits["test"]
     names = data.names("sensor_id")[rows]
     forces = [
@@ -171,9 +176,8 @@ def test_a_dataset_of_few_presses_is_read_by_a_network_that_did_not_learn_from_i
     assert read_predictions(tmp_path / "p.npz")
 
 
-def test_pictures_and_card_are_written(data, models, tmp_path):
-    about = models["pair"].metadata
-    result, predictions = evaluate(data, models["pair"].model, EVALUATE)
+def test_pictures_and_card_are_written(data, models, evaluated, tmp_path):
+    about, (result, predictions) = models["pair"].metadata, evaluated["pair"]
     draw_curve(tmp_path / "curve.png", about["curve"], about["best_epoch"], "small")
     draw_predictions(tmp_path / "predictions.png", data, predictions)
     for name in ("curve", "predictions"):
@@ -222,12 +226,12 @@ def test_the_choice_is_faster_and_nowhere_worse():
     assert pareto_models.choose([base, fast, best]) is None and pareto_models.choose([fast]) is None
 
 
-def test_chart_of_models_against_latency(data, models, paths, tmp_path, monkeypatch):
+def test_chart_of_models_against_latency(data, models, evaluated, paths, tmp_path, monkeypatch):
     of = Layout(tmp_path / "results/made")
     of.dataset("6x8").parent.mkdir(parents=True)
     of.dataset("6x8").symlink_to(data.folder)
-    for name, trained in models.items():
-        write_json(of.evaluation("6x8", name), evaluate(data, trained.model, EVALUATE)[0])
+    for name in models:
+        write_json(of.evaluation("6x8", name), evaluated[name][0])
         of.network("6x8", name).parent.mkdir(parents=True, exist_ok=True)
         of.network("6x8", name).symlink_to(paths[name])
     monkeypatch.setattr(pareto_models, "SECONDS", 0.05)
@@ -296,6 +300,7 @@ def test_sensors_are_drawn_whole_where_a_network_learnt_from_other_data_or_senso
     nocontact = {f"unit{n}": data.nocontact["mini0"] for n in range(FEWEST_DRAWN)}
     other, model = replace(data, table=table, nocontact=nocontact), models["pair"].model
     name, rows = next((name, rows) for name, rows in other.splits.items() if name != "train" and len(rows))
+    other = replace(other, splits={"train": other.splits["train"], name: rows})
     units = sorted(set(other.names("sensor_id").tolist()))
     here = model.metadata | {"known_sensors": units, "sensors": units}
     elsewhere = here | {"data": here["data"] | {"name": "elsewhere", "pressed": ["0123456789"]}}
@@ -334,7 +339,13 @@ def seen_by_three(tmp_path_factory):
     return open_data(folder)
 
 
-def test_intervals_are_set_and_judged_on_presses_and_sensors_that_chose_nothing(seen_by_three):
+@pytest.fixture(scope="module")
+def learnt(seen_by_three):
+    """A network that learnt from them for one epoch."""
+    return train(seen_by_three, "pair", MODELS["pair"], with_values(SETTINGS, epochs=1))
+
+
+def test_intervals_are_set_and_judged_on_presses_and_sensors_that_chose_nothing(seen_by_three, learnt):
     """Half of validation chooses epoch and scale, the other half and a half of the unseen sensors set the size."""
     data = seen_by_three
     groups = groups_of(data, data)
@@ -342,7 +353,7 @@ def test_intervals_are_set_and_judged_on_presses_and_sensors_that_chose_nothing(
     assert len(chose) and len(size_on)
     parts = [set(press_keys(data, rows).tolist()) for rows in (groups.train, chose, size_on, data.splits["test"])]
     assert sum(map(len, parts)) == len(set.union(*parts))  # no press in two of them
-    model = train(data, "pair", MODELS["pair"], with_values(SETTINGS, epochs=1)).model
+    model = learnt.model
     sensors = set(data.names("sensor_id")[size_on])
     assert model.metadata["intervals"]["sensors"] == sorted(sensors)
 
@@ -354,7 +365,8 @@ def test_intervals_are_set_and_judged_on_presses_and_sensors_that_chose_nothing(
     rows = data.splits["test_unseen_sensor"]
     others = ~np.isin(press_keys(data, rows), model.metadata["intervals"]["presses"])
     assert others.any()
-    split = evaluate(data, model, EVALUATE)[0]["splits"]["test_unseen_sensor"]
+    judged = replace(data, splits={"train": data.splits["train"], "test_unseen_sensor": rows})
+    split = evaluate(judged, model, EVALUATE)[0]["splits"]["test_unseen_sensor"]
     assert list(split["held"].values()) == pytest.approx(held(rows)[others].mean(axis=0).tolist())
 
 
@@ -372,13 +384,12 @@ def test_groups_of_presses_stay_where_they_are_alone_and_joined(seen_by_three):
     assert not np.isin(press_keys(joined, both.calibrate), used).any()
 
 
-def test_a_press_that_the_start_of_a_network_learnt_from_is_not_tested(seen_by_three):
+def test_a_press_that_the_start_of_a_network_learnt_from_is_not_tested(seen_by_three, learnt):
     """A fine-tuned network is judged on presses that neither it nor the network that it began as has learnt from."""
     data = seen_by_three
-    first = train(data, "pair", MODELS["pair"], with_values(SETTINGS, epochs=1))
     swapped = replace(data, splits=data.splits | {"train": data.splits["test"], "test": data.splits["train"]})
     further = train(
-        swapped, "pair", MODELS["pair"], with_values(SETTINGS, epochs=1), start=Start(first.net, first.metadata)
+        swapped, "pair", MODELS["pair"], with_values(SETTINGS, epochs=1), start=Start(learnt.net, learnt.metadata)
     )
     known = known_rows(further.model, data)
     assert known[data.splits["train"]].all() and known[data.splits["test"]].all()
