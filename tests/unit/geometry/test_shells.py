@@ -1,5 +1,7 @@
 """Bodies of several shells: the surface that is seen from outside decides, or a sentence names the shell."""
 
+from itertools import product
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -34,15 +36,12 @@ BESIDE = {
 }
 
 
-@pytest.mark.parametrize("where", BESIDE)
-def test_a_second_shell_of_any_sense_leaves_the_outer_surface(where):
-    low, size, expected = BESIDE[where]
-    for inverted in (False, True):
-        for other_diagonals in (False, True):
-            surface = outer(BODY, box(low, size, inverted, other_diagonals))
-            assert is_watertight(surface[1]) and volume(*surface) == pytest.approx(expected, abs=1e-9)
-            if where == "inside":
-                np.testing.assert_array_equal(surface[0], cleaned(*BODY)[0])
+def test_a_second_shell_of_any_sense_leaves_the_outer_surface():
+    for (where, (low, size, expected)), inverted, diagonals in product(BESIDE.items(), (False, True), (False, True)):
+        surface = outer(BODY, box(low, size, inverted, diagonals))
+        assert is_watertight(surface[1]) and volume(*surface) == pytest.approx(expected, abs=1e-9), where
+        if where == "inside":
+            np.testing.assert_array_equal(surface[0], cleaned(*BODY)[0])
 
 
 corner, side = st.tuples(*[st.integers(0, 5)] * 3), st.tuples(*[st.integers(1, 4)] * 3)
