@@ -152,38 +152,36 @@ def test_all_outputs_of_one_run_hold_the_same(film, tmp_path, chromium):
     assert event["fz_n"] == float(rows[-1]["fz_n"]) and event["frame"] == FRAMES - 1
 
 
-@pytest.mark.parametrize(
-    "frames, in_doubt", [("", False), ("deep rest", False), ("rest", True), ("deep rest rest", True)]
-)
-def test_one_odd_frame_before_its_end_does_not_spoil_a_film(root, frames, in_doubt):
+def test_one_odd_frame_before_its_end_does_not_spoil_a_film(root, shipped):
     """Against a lightly pressed no-contact image a released gel reads less than both do once they change places, a deep press more."""
     names = ["images/demo-000024.png", "nocontact/mini_a.png", "images/demo-000032.png"]
     light, rest, deep = (
         np.ascontiguousarray(cv2.imread(str(root / "data/demo" / name))[..., ::-1]) for name in names
     )
-    predictor, shown = Reader(light, model=load_model(None)), {"rest": rest, "deep": deep}
-    start = StartInDoubt(predictor, "f.avi")
+    predictor, shown = Reader(light, model=shipped), {"rest": rest, "deep": deep}
+    total = {name: float(predictor(picture).total[2]) for name, picture in shown.items()}
 
-    def read():
-        for number, name in enumerate(frames.split()):
-            start.look(10 * number, shown[name], float(predictor(shown[name]).total[2]))
+    def read(*frames):
+        start = StartInDoubt(predictor, "f.avi")
+        for number, name in enumerate(frames):
+            start.look(10 * number, shown[name], total[name])
         start.end()
 
-    if in_doubt:
-        refused("begins in a press", read)
-    else:
-        read()
+    for good in ((), ("deep", "rest")):
+        read(*good)
+    for bad in (("rest",), ("deep", "rest", "rest")):
+        refused("begins in a press", read, *bad)
 
 
-@pytest.mark.parametrize("press", [9, 13, 18])
-def test_a_film_that_begins_in_a_press_is_refused_once_the_gel_reads_as_pressed(root, tmp_path, press):
+def test_a_film_that_begins_in_a_press_is_refused_once_the_gel_reads_as_pressed(root, tmp_path):
     """Or as soon as its no-contact image shows the contact; the same film is read with its no-contact image."""
-    names = [f"images/demo-{press:06d}.png", "nocontact/mini_a.png"]
-    pressed, rest = (cv2.imread(str(root / "data/demo" / name)) for name in names)
     words = ["--csv", str(tmp_path / "live.csv"), "--video"]
-    for released in (APART + 1, 14):  # the former are looked at twice: too few to be sure while the film goes on
+    rest = cv2.imread(str(root / "data/demo/nocontact/mini_a.png"))
+    said = "(begins in a press: .* N are predicted for frame|something seems to touch the gel) .*give a no-contact image with --nocontact"
+    # the first is looked at twice: too few to be sure while the film goes on
+    for press, released in ((9, APART + 1), (9, 14), (13, 14), (18, APART + 1)):
+        pressed = cv2.imread(str(root / f"data/demo/images/demo-{press:06d}.png"))
         film = write_film(tmp_path / "film.avi", [pressed] * 14 + [rest] * released, 10.0)
-        said = "(begins in a press: .* N are predicted for frame|something seems to touch the gel) .*give a no-contact image with --nocontact"
         refused(said, live.main, [*words, str(film)])
     live.main([*words, str(film), "--nocontact", str(root / "data/demo/nocontact/mini_a.png")])
     live.main([*words, str(write_film(tmp_path / "right.avi", [rest] * 14 + [pressed] * 14, 10.0))])
@@ -256,15 +254,9 @@ def test_a_recording_is_whole_or_absent(tmp_path, monkeypatch):
         McapRecording(tmp_path / kept[0], messages)
 
 
-def folder_gone(recording):
-    recording.part.unlink()
-
-
-def place_taken(recording):
-    recording.path.mkdir()
-
-
-@pytest.mark.parametrize("spoil", [folder_gone, place_taken])
+@pytest.mark.parametrize(
+    "spoil", [lambda made: made.part.unlink(), lambda made: made.path.mkdir()], ids=["gone", "taken"]
+)
 def test_a_recording_that_cannot_be_kept_leaves_nothing_and_all_hear_of_it(tmp_path, spoil, capsys):
     with ExitStack() as stack:
         to = outputs(stack, web=True, record=tmp_path / "kept", csv=tmp_path / "a.csv")
