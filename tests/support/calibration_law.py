@@ -1,5 +1,6 @@
 """A smooth force law in place of finite element curves, for tests of the inference alone."""
 
+import emcee  # noqa: F401, its first import starts a process (uname), which no unit test may
 import numpy as np
 
 from gelforge.calibration.emulator import Curve, Emulator, curve_table, friction_axis, friction_table
@@ -7,7 +8,6 @@ from gelforge.calibration.parameters import make_model
 from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.readings import Readings
 from gelforge.geometry.gel import USUAL_GEL
-from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.records.press import POSE, TILT
 from tests.support.parameters import parameters
 
@@ -15,17 +15,8 @@ TOP = 2.4
 MUS = (0.0, 0.4, np.inf)
 NODES = (0.0, 0.1, 0.2, 0.4, 0.8, 1.6, np.inf)
 PARAMS = parameters().calibrate
-TRUTH = {
-    "c10": 0.085,
-    "offset": 0.03,
-    "compliance": 0.006,
-    "shear_compliance": 0.0,
-    "mu": 0.7,
-    "tare_x": 0.0,
-    "tare_y": 0.0,
-    "tare_z": 0.0,
-    "discretisation": 0.0,
-}
+TRUTH = {"c10": 0.085, "offset": 0.03, "compliance": 0.006, "shear_compliance": 0.0, "mu": 0.7,
+         "tare_x": 0.0, "tare_y": 0.0, "tare_z": 0.0, "discretisation": 0.0}  # fmt: skip
 
 
 def normal_force(depth, mu, stiffness=4.0):
@@ -46,12 +37,8 @@ def law_curve(mu, stiffness=4.0, ratio=0.0) -> Curve:
 def law_emulator(stiffness=(4.0,)) -> Emulator:
     """Emulator with one press per stiffness."""
     tables = [friction_table(MUS, [curve_table(law_curve(mu, k), TOP) for mu in MUS]) for k in stiffness]
-    return Emulator(
-        np.array(tables),
-        np.full(len(stiffness), TOP),
-        np.zeros(len(stiffness), int),
-        np.zeros(len(stiffness)),
-    )
+    n = len(stiffness)
+    return Emulator(np.array(tables), np.full(n, TOP), np.zeros(n, int), np.zeros(n))
 
 
 def make_readings(depth, force, sheared=False) -> Readings:
@@ -97,11 +84,8 @@ def law_session(seed=0, presses=24, noise=0.03, **truth) -> tuple[Readings, Emul
     under Coulomb's law.
     """
     rng = np.random.default_rng(seed)
-    depth, travel, way = (
-        rng.uniform(0.4, 1.6, presses),
-        rng.uniform(0.1, 0.4, presses),
-        rng.uniform(0, 2 * np.pi, presses),
-    )
+    ranges = ((0.4, 1.6), (0.1, 0.4), (0.0, 2 * np.pi))
+    depth, travel, way = (rng.uniform(low, high, presses) for low, high in ranges)
     names = np.array([f"ball_{k % 3}" for k in range(presses)])
     tables = []
     for k in range(presses):
@@ -120,16 +104,3 @@ def law_session(seed=0, presses=24, noise=0.03, **truth) -> tuple[Readings, Emul
     ids = np.array([f"p{k:03d}" for k in range(presses)])
     rows, gels = np.arange(2, presses + 2), np.array([USUAL_GEL] * presses)
     return Readings("log.csv", rows, ids, names, pose, force, gels, *one_mounting(presses)), emulator
-
-
-__all__ = [
-    "REFERENCE_C10",
-    "law_curve",
-    "law_emulator",
-    "law_posterior",
-    "law_session",
-    "make_readings",
-    "normal_force",
-    "one_mounting",
-    "true_values",
-]

@@ -34,7 +34,10 @@ RULES = Rules(taus=50, max_steps=3000, seed=3)
 
 
 def test_good_readings_pass():
+    """And a repeated press that has its own reading; one that pulls is no sign error."""
     check_readings(make_readings(DEPTH, FORCE))
+    check_readings(make_readings(DEPTH, np.where(DEPTH == 1.5, 5.0, FORCE)))
+    check_readings(make_readings([0.5, 1.0, 1.0, 2.0], [-1.65, -5.96, -5.99, -23.3]))
 
 
 def test_a_press_that_two_sensors_saw_is_one_reading(tmp_path):
@@ -67,30 +70,17 @@ def test_forces_that_pull_are_turned_round_or_of_a_sensor_that_was_not_tared():
             check_readings(make_readings(DEPTH, light + bias))
 
 
-def test_one_pulling_reading_is_no_sign_error():
-    force = FORCE.copy()
-    force[2] = 5.0
-    check_readings(make_readings(DEPTH, force))
+def test_rows_without_depth_and_copied_rows_are_named():
+    for depth, force, said in (
+        ([0.5, 1.0, 0.0, 2.0], FORCE, r"row 4 \(p002\).*no depth and no contact"),
+        ([0.5, 1.0, 1.0, 2.0], [-1.65, -5.96, -5.96, -23.3], r"row 4 \(p002\): pose and force repeat an earlier row"),
+    ):
+        refused(said, check_readings, make_readings(depth, force))
 
 
-def test_no_depth_is_named():
-    with pytest.raises(BadInput, match=r"row 4 \(p002\).*no depth and no contact"):
-        check_readings(make_readings([0.5, 1.0, 0.0, 2.0], FORCE))
-
-
-def test_duplicated_rows_are_named():
-    with pytest.raises(BadInput, match=r"row 4 \(p002\): pose and force repeat an earlier row"):
-        check_readings(make_readings([0.5, 1.0, 1.0, 2.0], [-1.65, -5.96, -5.96, -23.3]))
-
-
-def test_repeated_press_with_its_own_reading_is_no_copy():
-    check_readings(make_readings([0.5, 1.0, 1.0, 2.0], [-1.65, -5.96, -5.99, -23.3]))
-
-
-@pytest.mark.parametrize("value", [-3.2, 0.0])
-def test_constant_sensor_is_named(value):
-    with pytest.raises(BadInput, match=r"in all 4 rows though the presses differ"):
-        check_readings(make_readings(DEPTH, np.full(4, value)))
+def test_constant_sensor_is_named():
+    for value in (-3.2, 0.0):
+        refused("in all 4 rows though the presses differ", check_readings, make_readings(DEPTH, np.full(4, value)))
 
 
 def test_depth_without_contact_is_named():
@@ -199,34 +189,26 @@ def test_draws_whose_forces_are_no_numbers_matter_only_where_too_few_others_are_
             start_points(mute, 30, np.random.default_rng(5))
 
 
-@pytest.mark.parametrize(
-    ("text", "message"),
-    [
-        ("sample_id,indenter\na,s\n", "column x0_mm is missing"),
-        ("{h}\na,s,0,0,0,0,0,-1,0,,,,\n", "no row has a normal force"),
-        ("{h}\na,s,0,0,0,0,0,-1,0,,,x,\n", r"row 2, column fz_n: 'x': not a finite number"),
-        ("{h}\na,s,0,0,0,0,0,nan,0,,,-1,\n", r"row 2, column dz_mm: 'nan': not a finite number"),
-    ],
-)
-def test_unreadable_logs(tmp_path, text, message):
+def test_unreadable_logs(tmp_path):
     header = "sample_id,indenter,x0_mm,y0_mm,z0_mm,dx_mm,dy_mm,dz_mm,rot_deg,fx_n,fy_n,fz_n,image"
-    (tmp_path / "log.csv").write_text(text.replace("{h}", header))
-    with pytest.raises(BadInput, match=message):
-        read_readings(tmp_path / "log.csv")
+    for text, said in (
+        ("sample_id,indenter\na,s\n", "column x0_mm is missing"),
+        (f"{header}\na,s,0,0,0,0,0,-1,0,,,,\n", "no row has a normal force"),
+        (f"{header}\na,s,0,0,0,0,0,-1,0,,,x,\n", r"row 2, column fz_n: 'x': not a finite number"),
+        (f"{header}\na,s,0,0,0,0,0,nan,0,,,-1,\n", r"row 2, column dz_mm: 'nan': not a finite number"),
+    ):
+        (tmp_path / "log.csv").write_text(text)
+        refused(said, read_readings, tmp_path / "log.csv")
 
 
-@pytest.mark.parametrize(
-    ("table", "message"),
-    [
+def test_unusable_priors():
+    for table, said in (
         ({"kind": "gauss"}, "kind = 'gauss': give"),
         ({"kind": "normal", "mean": 0.0}, "spread is missing: a prior of kind"),
         ({"kind": "normal", "mean": 0.0, "spread": 0.0}, "has no width"),
         ({"kind": "lognormal", "median": -1.0, "spread": 1.0}, "needs a positive one"),
-    ],
-)
-def test_unusable_priors(table, message):
-    with pytest.raises(BadInput, match=message):
-        parse(PriorTable, table, Place("a test", ("calibrate", "priors", "c10")))
+    ):
+        refused(said, parse, PriorTable, table, Place("a test", ("calibrate", "priors", "c10")))
 
 
 def planned(tmp_path, *rows, columns=COLUMNS, **poses):

@@ -1,6 +1,7 @@
 """The inference on a smooth force law: exact inversions, recovery, resuming, scores."""
 
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 import pytest
@@ -44,18 +45,18 @@ RULES = Rules(taus=50, max_steps=40000, seed=5)
 DEPTH = np.linspace(0.4, 2.0, 10)
 
 
-@pytest.mark.parametrize("power", [1.0, 1.5, 1.9])
-@pytest.mark.parametrize("points", [1, 2, 4])
-def test_table_follows_a_power_of_depth_from_the_first_touch_on(power, points):
+def test_table_follows_a_power_of_depth_from_the_first_touch_on():
     """One point alone is continued as a ball's."""
-    touch, depth = 0.1, np.linspace(0.1, TOP, points + 1)[1:]
-    force = np.zeros((points + 1, 3))
-    force[1:, 2] = -4.0 * (depth - touch) ** power
-    table = curve_table(Curve(np.append(touch, depth), force), TOP)[:, 2]
-    grid = np.linspace(0.0, TOP, len(table))
-    assert not table[grid <= touch].any()
-    if points > 1 or power == 1.5:
-        np.testing.assert_allclose(table[grid > touch], -4.0 * (grid[grid > touch] - touch) ** power, rtol=1e-9)
+    touch = 0.1
+    for points, power in ((1, 1.0), (1, 1.5), (2, 1.0), (4, 1.5), (4, 1.9)):
+        depth = np.linspace(touch, TOP, points + 1)[1:]
+        force = np.zeros((points + 1, 3))
+        force[1:, 2] = -4.0 * (depth - touch) ** power
+        table = curve_table(Curve(np.append(touch, depth), force), TOP)[:, 2]
+        grid = np.linspace(0.0, TOP, len(table))
+        assert not table[grid <= touch].any()
+        if points > 1 or power == 1.5:
+            np.testing.assert_allclose(table[grid > touch], -4.0 * (grid[grid > touch] - touch) ** power, rtol=1e-9)
 
 
 def test_table_follows_a_thin_layer_between_four_points():
@@ -89,32 +90,33 @@ def dragged(travel: float, mu: float) -> float:
     return mu * np.tanh(1.5 * travel / mu)
 
 
-@pytest.mark.parametrize("mu", [0.4, 0.8, 3.0])
-def test_a_frame_that_yields_sideways_takes_its_part_of_the_travel(mu):
+def test_a_frame_that_yields_sideways_takes_its_part_of_the_travel():
     """The force is that of the travel which is left, found from friction alone; at 0 nothing changes."""
     travel, compliance = 0.3, 0.01
     nodes = friction_of(np.linspace(0.0, 1.0, 33)[1:-1])
     curves = [law_curve(0.0, ratio=dragged(travel, one)) for one in nodes]
     table = friction_table(nodes, [curve_table(curve, TOP) for curve in curves])[None]
     emulator = replace(law_emulator(), table=table, travel=np.array([travel]))
-    values = {"c10": REFERENCE_C10, "offset": 0.0, "compliance": 0.0, "mu": mu}
-    whole = emulator.forces([1.6], true_values(**values))[0][0, 0]
-    found = emulator.forces([1.6], true_values(**values, shear_compliance=compliance))[0][0, 0]
-    left = brentq(lambda way: way + compliance * abs(whole[2]) * dragged(way, mu) - travel, 0.0, travel)
-    assert found[2] == whole[2]
-    assert found[0] / found[2] == pytest.approx(dragged(left, mu), rel=0.004)
-    assert abs(found[0]) < abs(whole[0])
+    for mu in (0.4, 0.8, 3.0):
+        values = {"c10": REFERENCE_C10, "offset": 0.0, "compliance": 0.0, "mu": mu}
+        whole = emulator.forces([1.6], true_values(**values))[0][0, 0]
+        found = emulator.forces([1.6], true_values(**values, shear_compliance=compliance))[0][0, 0]
+
+        def over(way, mu=mu, pressing=abs(whole[2])):
+            return way + compliance * pressing * dragged(way, mu) - travel
+
+        assert found[2] == whole[2] and abs(found[0]) < abs(whole[0])
+        assert found[0] / found[2] == pytest.approx(dragged(brentq(over, 0.0, travel), mu), rel=0.004)
 
 
-@pytest.mark.parametrize("exponent", [0.0, 0.1, 0.5, 0.9, 1.0])
-@pytest.mark.parametrize("yielded", [0.0, 0.01, 0.3, 0.9, 5.0])
-def test_what_is_left_of_a_sideways_force_meets_its_equation(yielded, exponent):
+def test_what_is_left_of_a_sideways_force_meets_its_equation():
     """Way of the frame and way that is left make up the travel; a force that takes all of it is cut, never wrong."""
-    left = sideways_left(yielded, exponent)
-    assert 0.0 < left <= 1.0
-    if yielded < 0.5 or (yielded < 1.0 and exponent >= 0.5):
-        way = left ** (1.0 / exponent) if exponent > 0 else 1.0 - yielded
-        assert way + yielded * left == pytest.approx(1.0, abs=0.01)
+    for yielded, exponent in product((0.0, 0.01, 0.3, 0.9, 5.0), (0.0, 0.1, 0.5, 0.9, 1.0)):
+        left = sideways_left(yielded, exponent)
+        assert 0.0 < left <= 1.0
+        if yielded < 0.5 or (yielded < 1.0 and exponent >= 0.5):
+            way = left ** (1.0 / exponent) if exponent > 0 else 1.0 - yielded
+            assert way + yielded * left == pytest.approx(1.0, abs=0.01), (yielded, exponent)
 
 
 def test_no_force_above_the_gel():
@@ -243,20 +245,6 @@ def test_the_likelihood_has_the_errors_that_emulated_forces_were_measured_to_hav
         assert measured[f"emulated {name}"] <= error <= 1.5 * measured[f"emulated {name}"]
 
 
-@pytest.mark.slow
-def test_a_press_is_predicted_without_itself():
-    """A press that is off is off by more where it is left out, and nothing else changes by much."""
-    posterior = law_posterior(np.random.default_rng(3), DEPTH, noise=0.002)
-    observed = posterior.observed.copy()
-    observed[6, 2] *= 1.1
-    posterior = replace(posterior, observed=observed)
-    chain = sample(posterior, RULES)
-    (mean, _), (without, shape) = summary.predictions(chain, posterior), summary.left_out(chain, posterior)
-    given, left = (np.abs(m[:, 2] - observed[:, 2]) for m in (mean, without))
-    assert left[6] > given[6] and left.mean() > given.mean() and np.isfinite(shape)
-    np.testing.assert_allclose(left[:6], given[:6], atol=0.02)
-
-
 def test_a_press_that_is_left_out_is_predicted_as_if_none_of_its_axes_had_been_read():
     """Of one free parameter the posterior is known without sampling. Each axis of a press that is a third too strong says so."""
     readings, emulator = law_session(1, presses=3)
@@ -274,14 +262,15 @@ def test_a_press_that_is_left_out_is_predicted_as_if_none_of_its_axes_had_been_r
         draws = np.interp((np.arange(2000) + 0.5) / 2000, below / below[-1], z)
         return Chain(draws[:, None, None], Figures(2000, 0, 1.0, 2000.0, 0.5, 1.0, "c10")), posterior
 
-    without, _ = summary.left_out(*known(observed))
+    without, shape = summary.left_out(*known(observed))
+    assert np.isfinite(shape)
     unread, _ = summary.predictions(*known(np.where([[False], [False], [True]], np.nan, observed)))
     np.testing.assert_allclose(without[2], unread[2], rtol=1e-3)
 
 
 @pytest.mark.slow
 def test_a_chain_is_the_same_again():
-    posterior = law_posterior(np.random.default_rng(3), DEPTH, law="no_slip")
+    posterior = law_posterior(np.random.default_rng(3), DEPTH[::3], law="no_slip")
     one, two = (sample(posterior, replace(RULES, taus=5)).coordinates for _ in range(2))
     np.testing.assert_array_equal(one, two)
 

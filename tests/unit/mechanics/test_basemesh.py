@@ -52,22 +52,17 @@ def test_a_mesh_in_a_folder_is_made_once_and_nothing_is_written_elsewhere(tmp_pa
 def test_files_that_are_no_mesh_of_the_gel_are_refused_with_a_cure(tmp_path):
     path, changed = tmp_path / "gelsight_mini.npz", tmp_path / "changed.npz"
     base_of(GEL).write(path)
-    refused(
-        "another gel than gelsight_mini-5mm.* make it again",
-        read,
-        path,
-        load_gel("gelsight_mini-5mm"),
-        "make it again",
-    )
+    other, again = load_gel("gelsight_mini-5mm"), "make it again"
+    refused("another gel than gelsight_mini-5mm.* make it again", read, path, other, again)
     with np.load(path) as whole:
         parts = dict(whole)
     np.savez(changed, **parts | {"nodes": parts["nodes"] + 1e-9})
-    refused("was changed since it was written; make it again", read, changed, GEL, "make it again")
+    refused("was changed since it was written; make it again", read, changed, GEL, again)
     for content in (path.read_bytes()[:-100], path.read_bytes()[:1000], b"", b"text"):
         changed.write_bytes(content)
-        refused("is no whole mesh file.*make it again", read, changed, GEL, "make it again")
+        refused("is no whole mesh file.*make it again", read, changed, GEL, again)
     np.savez(changed, nodes=parts["nodes"])
-    refused("is no whole mesh file", read, changed, GEL, "make it again")
+    refused("is no whole mesh file", read, changed, GEL, again)
 
 
 def test_the_flow_makes_no_mesh_where_one_is_missing_or_cut(tmp_path):
@@ -90,14 +85,8 @@ def test_what_cannot_be_meshed_is_refused():
 
 def test_without_pytetwild_the_methods_that_are_left_out_are_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "pytetwild", None)
-    refused(
-        r"leaves out the methods ccx, ccx-contact and auto.*pip install '\.\[mesh\]'",
-        tetrahedralise,
-        "cube",
-        *CUBE,
-        1.0,
-        0.01,
-    )
+    said = r"leaves out the methods ccx, ccx-contact and auto.*pip install '\.\[mesh\]'"
+    refused(said, tetrahedralise, "cube", *CUBE, 1.0, 0.01)
 
 
 @pytest.mark.processes

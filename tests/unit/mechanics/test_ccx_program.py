@@ -6,11 +6,11 @@ import sys
 import numpy as np
 import pytest
 
-from gelforge.errors import BadInput
 from gelforge.mechanics.ccx.dat import DatError, Unfinished, read_dat
 from gelforge.mechanics.ccx.program import ccx_program, need_ccx, run_ccx
 from gelforge.mechanics.solvers.ccx import status_of
 from gelforge.records.status import Status
+from tests.support.refused import refused
 
 
 def program(path, text="exit 0"):
@@ -32,8 +32,7 @@ def nowhere(tmp_path, monkeypatch):
 
 def test_without_calculix_nothing_is_found(nowhere):
     assert ccx_program() is None
-    with pytest.raises(BadInput, match="make setup"):
-        need_ccx()
+    refused("make setup", need_ccx)
 
 
 def test_the_one_that_conda_installed_in_the_environment_is_used_where_path_has_none(nowhere, monkeypatch):
@@ -51,24 +50,23 @@ def test_a_named_program_that_is_not_there_is_not_replaced_by_another(nowhere, m
     assert ccx_program() is None
 
 
-@pytest.mark.parametrize("ending", ["echo CalculiX Version 2; exit 3", "kill -9 $$"])
 @pytest.mark.processes
-def test_a_run_that_ends_before_it_answers_leaves_no_answer_of_an_earlier_one(tmp_path, monkeypatch, ending):
-    monkeypatch.setenv("CCX", program(tmp_path / "bin/ccx", ending))
-    (tmp_path / "press.dat").write_text("displacements (vx,vy,vz) for set NALL and time  0.1000000E+01\n")
-    job = run_ccx("press", tmp_path, 60.0)
-    assert job.returncode != 0 and not (tmp_path / "press.dat").exists()
+def test_a_run_that_ends_before_it_answers_leaves_no_answer_of_an_earlier_one(tmp_path, monkeypatch):
+    for ending in ("echo CalculiX Version 2; exit 3", "kill -9 $$"):
+        monkeypatch.setenv("CCX", program(tmp_path / "bin/ccx", ending))
+        (tmp_path / "press.dat").write_text("displacements (vx,vy,vz) for set NALL and time  0.1000000E+01\n")
+        job = run_ccx("press", tmp_path, 60.0)
+        assert job.returncode != 0 and not (tmp_path / "press.dat").exists()
 
 
-@pytest.mark.parametrize(
-    "ending, said", [("exit 1", "code 1 and printed: nothing"), ("exit 0", "code 0"), ("echo no libspooles.so; exit 127", "no libspooles")]
-)  # fmt: skip
 @pytest.mark.processes
-def test_a_program_that_does_not_even_print_its_name_is_refused(tmp_path, monkeypatch, ending, said):
+def test_a_program_that_does_not_even_print_its_name_is_refused(tmp_path, monkeypatch):
     """Every press would be solved without it, each after some attempts."""
-    monkeypatch.setenv("CCX", program(tmp_path / "bin/ccx", ending))
-    with pytest.raises(BadInput, match=f"bin/ccx is not a working CalculiX: it ended with .*{said}"):
-        run_ccx("press", tmp_path, 60.0)
+    for ending, said in (
+        ("exit 1", "code 1 and printed: nothing"), ("exit 0", "code 0"), ("echo no libspooles.so; exit 127", "no libspooles")
+    ):  # fmt: skip
+        monkeypatch.setenv("CCX", program(tmp_path / "bin/ccx", ending))
+        refused(f"bin/ccx is not a working CalculiX: it ended with .*{said}", run_ccx, "press", tmp_path, 60.0)
 
 
 @pytest.mark.processes

@@ -32,16 +32,14 @@ def text_of(node) -> str:
     return "".join(str(part.value) if isinstance(part, ast.Constant) else "100.0" for part in parts)
 
 
-@pytest.mark.parametrize("module", [faults, frame, untouched, wear], ids=lambda module: module.__name__)
-def test_every_reason_for_a_flag_is_written_whole_above_its_picture(module):
-    tree = ast.parse(Path(module.__file__).read_text(encoding="utf-8"))
-    strings = [node for node in ast.walk(tree) if isinstance(node, ast.JoinedStr | ast.Constant)]
-    texts = [
-        text for text in map(text_of, strings) if " " in text and "\n" not in text
-    ]  # docstrings have several lines
-    for text in texts:
-        lines = wrapped(f"press_0001 | FLAGGED: {text}", PANEL_PX - 2 * MARGIN_PX, WARNING_LINES)
-        assert not lines[-1].endswith("..."), text
+def test_every_reason_for_a_flag_is_written_whole_above_its_picture():
+    for module in (faults, frame, untouched, wear):
+        tree = ast.parse(Path(module.__file__).read_text(encoding="utf-8"))
+        strings = [node for node in ast.walk(tree) if isinstance(node, ast.JoinedStr | ast.Constant)]
+        for text in map(text_of, strings):
+            if " " in text and "\n" not in text:  # docstrings have several lines
+                lines = wrapped(f"press_0001 | FLAGGED: {text}", PANEL_PX - 2 * MARGIN_PX, WARNING_LINES)
+                assert not lines[-1].endswith("..."), text
 
 
 @pytest.mark.filterwarnings("error")

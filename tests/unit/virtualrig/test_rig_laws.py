@@ -34,7 +34,7 @@ def camera(name: str) -> Renderer:
 
 
 @given(short=st.integers(1, 60), more=st.integers(0, 60))
-@settings(max_examples=25)
+@settings(max_examples=8)
 def test_growing_a_plan_appends(short, more):
     plan = read_plan(PLAN)
     few = orders(replace(plan, presses=short))
@@ -90,7 +90,7 @@ def marker_centres(image: np.ndarray) -> np.ndarray:
     turn=st.floats(-2.0, 2.0),
 )
 @example(name="mini_c", shift=(0.5, 0.0), stretch=1.0, turn=0.0)
-@settings(max_examples=20)
+@settings(max_examples=8)
 def test_markers_go_where_the_gel_goes(name, shift, stretch, turn):
     eye = camera(name)
     field, moves = linear_field(np.array(shift), stretch, turn)
@@ -121,7 +121,7 @@ def clean_appearance(name: str, markers: np.ndarray) -> Appearance:
 
 
 @given(name=st.sampled_from(UNITS), shift=st.tuples(st.floats(-0.5, 0.5), st.floats(-0.5, 0.5)))
-@settings(max_examples=10)
+@settings(max_examples=5)
 def test_a_dot_stands_where_labels_have_its_point_of_the_gel(name, shift):
     sensor = load_sensors(ROOT / "workflow/sensors.toml")[name]
     gel = np.array([[-4.3, -6.2], [-1.1, 0.4], [3.7, 5.1], [4.2, -4.0]])
@@ -143,7 +143,7 @@ def test_a_dot_stands_where_labels_have_its_point_of_the_gel(name, shift):
 
 
 @given(name=st.sampled_from(UNITS), seed=st.integers(0, 1000))
-@settings(max_examples=10)
+@settings(max_examples=4)
 def test_a_nocontact_field_is_the_nocontact_image(name, seed):
     eye = camera(name)
     plain = eye.image(rng=np.random.default_rng(seed)).astype(int)
@@ -169,7 +169,7 @@ def test_what_is_pressed_looks_larger(depth):
     down=st.floats(0.0, 0.8),
 )
 @example(name="mini_a", x=5.0, y=6.5, down=0.5)
-@settings(max_examples=12)
+@settings(max_examples=6)
 def test_a_body_shows_where_the_gel_that_it_presses_shows(name, x, y, down):
     """Off the apex, too, where the gel lies lower without having moved: there its label's cell is."""
     gel, eye, radius = Gel(), camera(name), 3.0

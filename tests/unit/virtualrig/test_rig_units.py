@@ -23,7 +23,7 @@ from tests.support.refused import refused
 from tests.support.sandbox import ROOT
 
 RIG = ROOT / "workflow" / "rig"
-SOME = DrawnUnits("units.toml", known=6, unseen=2)
+SOME = DrawnUnits("units.toml", known=4, unseen=1)
 
 
 @pytest.fixture(scope="module")
@@ -33,7 +33,7 @@ def drawn():
 
 def test_a_unit_depends_on_the_seed_and_its_name_alone(drawn):
     appearances, sensors = drawn
-    more, _ = draw_units(replace(SOME, known=9, unseen=3), USUAL_GEL, RIG, seed=5)
+    more, _ = draw_units(replace(SOME, known=6, unseen=2), USUAL_GEL, RIG, seed=5)
     other, _ = draw_units(SOME, USUAL_GEL, RIG, seed=6)
     for name, appearance in appearances.items():
         assert np.array_equal(appearance.background, more[name].background) and appearance.seed == more[name].seed
@@ -158,19 +158,14 @@ def test_ranges_without_meaning_are_refused(tmp_path):
         refused(said, draw_units, SOME, USUAL_GEL, tmp_path, seed=1)
 
 
-def test_each_press_is_seen_by_as_many_units_as_asked_for(root):
-    plan = read_plan(RIG / "train.toml")
-    plan = replace(plan, presses=60)
+def test_each_press_is_seen_by_as_many_units_as_asked_for():
+    plan = replace(read_plan(RIG / "train.toml"), presses=60)
     seen = {}
     for order in orders(plan):
         seen.setdefault(order.press_id, []).append(order.sensor)
     counts = {len(names) for names in seen.values()}
     assert counts == {kind.seen_by for kind in plan.kinds}
     assert all(len(set(names)) == len(names) for names in seen.values())
-    # what is pressed where does not depend on who looks
-    alone = replace(plan, kinds=tuple(replace(kind, seen_by=1) for kind in plan.kinds))
-    places = {order.press_id: (order.x, order.depth) for order in orders(plan)}
-    assert places == {order.press_id: (order.x, order.depth) for order in orders(alone)}
     with_more = replace(plan, kinds=tuple(replace(kind, seen_by=len(kind.sensors) + 1) for kind in plan.kinds))
     assert with_more.identity() != plan.identity()
 
