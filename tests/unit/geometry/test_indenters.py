@@ -9,7 +9,7 @@ from gelforge.errors import BadInput
 from gelforge.geometry import triangles
 from gelforge.geometry.indenters import build, fold, load_catalogue, read_catalogue
 from gelforge.geometry.profiles import regular_polygon
-from gelforge.geometry.sampled import Sampled, check_body
+from gelforge.geometry.sampled import check_body
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,7 @@ def test_standard_set_has_the_papers_numbers(catalogue):
     assert sum(not b.seen for b in standard) == 5
 
 
-def test_every_surface_is_closed_outward_and_stands_on_its_tip(catalogue):
+def test_every_surface_is_closed_outward_on_its_tip_and_within_a_hundredth_of_the_distance(catalogue):
     for name, body in catalogue.items():
         vertices, faces = body.surface()
         assert triangles.is_watertight(faces), name
@@ -36,18 +36,13 @@ def test_every_surface_is_closed_outward_and_stands_on_its_tip(catalogue):
         assert 0.0 <= vertices[:, 2].min() < 0.01, name
         assert body.radius() >= np.hypot(*vertices[:, :2].T).max() - 1e-9, name
         assert body.height == pytest.approx(vertices[:, 2].max(), abs=1e-9), name
-
-
-def test_surface_stays_within_a_hundredth_of_the_distance(catalogue):
-    for name, (body, (vertices, faces)) in {n: (b, b.surface()) for n, b in catalogue.items()}.items():
-        inside_faces = vertices[faces].mean(axis=1)
         # corners lie on the body; only a boolean cut puts corners on chords
         assert np.abs(body.distance(vertices)[0]).max() < 0.005, name
-        assert np.abs(body.distance(inside_faces)[0]).max() < 0.01, name
+        assert np.abs(body.distance(vertices[faces].mean(axis=1))[0]).max() < 0.01, name
 
 
 @given(st.integers(0, 10**6), st.floats(5.0, 16.0), st.floats(0.0, 45.0), st.floats(0.1, 0.4))
-@settings(max_examples=60)
+@settings(max_examples=20)
 def test_every_random_solid_is_a_body(seed, size, slope, fillet):
     """Closed, on its tip, as large as asked for at most, and its surface where its distance is 0."""
     table = {
@@ -101,31 +96,21 @@ def test_ellipse_distance_is_that_of_its_nearest_point():
     np.testing.assert_allclose(np.abs(distance), brute, atol=1e-5)
 
 
-@pytest.mark.parametrize(
-    ("name", "keys", "expected"),
-    [
+def test_volume_approaches_the_sharp_body():
+    for kind, keys, expected in (
         ("lying_cylinder", {"diameter": 6.0, "length": 12.0}, np.pi * 9.0 * 12.0),
         ("cuboid", {"size": [4.0, 6.0]}, 4.0 * 6.0 * 8.0),
         ("cross", {"size": [8.0, 10.0], "arm": 2.0}, (8.0 * 2.0 + 8.0 * 2.0) * 8.0),
         ("polygon", {"sides": 5, "side": 4.0}, 8.0 * 4.0**2 * 5.0 / (4.0 * np.tan(np.pi / 5.0))),
         ("outline", {"corners": [[0, 0], [5, 0], [5, 2], [2, 2], [2, 5], [0, 5]]}, 16.0 * 8.0),
         ("cylinder", {"diameter": 8.0, "hole": 4.0}, np.pi * (16.0 - 4.0) * 8.0),
-        (
-            "triple_triangle",
-            {"side": 12.0, "wall": 1.0},
-            8.0 * np.sqrt(3.0) / 4.0 * (12.0**2 - 3.0 * (12.0 / np.sqrt(12.0) - 1.0) ** 2),
-        ),
-    ],
-)
-def test_volume_approaches_the_sharp_body(name, keys, expected):
-    body = build(
-        "b",
-        {**table(name, **keys), "fillet": 0.02}
-        if name != "lying_cylinder"
-        else {"kind": name, "fillet": 0.02, **keys},
-    )
-    # fillets of 0.02 mm and chords of 0.003 mm take well under 1 % away
-    assert triangles.volume(*body.surface()) == pytest.approx(expected, rel=0.01)
+        ("triple_triangle", {"side": 12.0, "wall": 1.0},
+         8.0 * np.sqrt(3.0) / 4.0 * (12.0**2 - 3.0 * (12.0 / np.sqrt(12.0) - 1.0) ** 2)),
+    ):  # fmt: skip
+        height = {} if kind == "lying_cylinder" else {"height": 8.0}
+        body = build("b", {"kind": kind, "fillet": 0.02, **height, **keys})
+        # fillets of 0.02 mm and chords of 0.003 mm take well under 1 % away
+        assert triangles.volume(*body.surface()) == pytest.approx(expected, rel=0.01), kind
 
 
 # Two blocks of 8 x 3 mm with a neck of 1 x 4 mm between them.
@@ -256,18 +241,6 @@ def test_files_that_are_no_body_are_refused_with_name_and_hint(tmp_path, catalog
         (tmp_path / "mine.stl").write_bytes(content)
         with pytest.raises(BadInput, match=r"indenter mine.*mine\.stl"):
             load_catalogue(path)
-
-
-def test_walls_that_the_grid_of_distances_does_not_show_are_refused(tmp_path):
-    """Its distance would say that nothing is there."""
-    for wall, spacing, shown in ((0.1, 0.2, False), (0.1, 0.06, True)):
-        keys = {"diameter": 4, "hole": 4 - 2 * wall, "fillet": wall / 3, "height": 2}
-        ring = Sampled("ring", *build("r", {"kind": "cylinder", **keys}).surface(), spacing=spacing, reach=1.0)
-        if shown:
-            assert ring.distance(np.array([[2.0 - wall / 2, 0.0, 1.0]]))[0][0] < 0.0
-        else:
-            with pytest.raises(BadInput, match=f"indenter ring: .*spacing = {spacing} mm.*half the wall thickness"):
-                ring.distance(np.zeros((1, 3)))
 
 
 def test_a_file_is_measured_once_until_it_changes(tmp_path, catalogue):

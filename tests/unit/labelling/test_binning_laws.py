@@ -115,21 +115,9 @@ def test_rounding_to_float32_keeps_sums(seed, scale):
 
 def test_upright_faces_keep_their_nodes_force():
     """A face seen edge-on has no projected area: its nodes' force goes to the neighbours, a lone one to its point."""
-    nodes = np.array(
-        [
-            [0, 0, 0],
-            [2, 0, 0],
-            [2, 2, 0],
-            [0, 2, 0],
-            [0, 0, -2],
-            [2, 0, -2],
-            [4, 4, 0],
-            [4, 4, -2],
-            [5, 5, 0],
-            [5, 5, -2],
-        ],
-        float,
-    )
+    nodes = np.array([
+        [0, 0, 0], [2, 0, 0], [2, 2, 0], [0, 2, 0], [0, 0, -2], [2, 0, -2], [4, 4, 0], [4, 4, -2], [5, 5, 0], [5, 5, -2]
+    ], float)  # fmt: skip
     faces = np.array([[0, 1, 2, 3], [1, 0, 4, 5], [6, 8, 9, 7]])
     mesh = replace(MESHES["hex8"], nodes=nodes, faces=faces.astype(np.int32))
     sensor = load_sensors("workflow/sensors.toml")["gelsight_mini"]

@@ -107,21 +107,18 @@ def test_shear_counts_as_much_as_normal_force_where_weights_are_chosen(folder, t
     assert plain["val_score"] == pytest.approx(expected)
 
 
-def test_same_seed_same_curve_other_seed_other_curve(folder):
-    data = open_data(folder)
+def test_same_seed_same_curve_other_seed_other_curve(few):
     curves = [
-        train(data, "small", SMALL, with_values(SETTINGS, epochs=2, seed=seed)).metadata["curve"]
-        for seed in (5, 5, 6)
+        train(few, "small", SMALL, with_values(SETTINGS, epochs=2, seed=n)).metadata["curve"] for n in (5, 5, 6)
     ]
     assert curves[0] == curves[1] != curves[2]
 
 
 @pytest.mark.parametrize(
-    "name, most, averaged", [("pair", 11, 0.0), ("pair", 0, 0.8), pytest.param("unet", 0, 0.0, marks=pytest.mark.slow)]
+    "name, most, averaged", [("pair", 11, 0.8), pytest.param("unet", 0, 0.0, marks=pytest.mark.slow)]
 )  # fmt: skip
-def test_resumed_training_has_the_same_curve_and_weights(folder, tmp_path, name, most, averaged):
-    data = open_data(folder)
-    norm = scales(data)
+def test_resumed_training_has_the_same_curve_and_weights(few, tmp_path, name, most, averaged):
+    data, norm = few, scales(few)
 
     def start():
         settings = with_values(
@@ -195,9 +192,8 @@ def test_a_network_that_goes_on_begins_as_the_one_it_goes_on_from(few, trained):
 def test_a_deeper_network_begins_as_the_one_it_goes_on_from(few, trained):
     deeper = {**SMALL, "blocks": SMALL["blocks"] + 2}
     spoilt = with_values(SETTINGS, epochs=1, learning_rate=1.0)
-    begun = train(
-        few, "deeper", deeper, spoilt, start=start_of(trained)
-    )  # spoilt at once, so what it began as is kept
+    # spoilt at once, so what it began as is kept
+    begun = train(few, "deeper", deeper, spoilt, start=start_of(trained))
     rows, norm = few.splits["test"], trained.metadata["normalisation"]
     reported = [predict_rows(found.model, few, rows).forces for found in (begun, trained)]
     assert np.allclose(*reported, atol=1e-5)
@@ -243,11 +239,11 @@ def test_weights_between_first_and_last_are_tried(few, trained):
 
 
 def test_few_presses_teach_more_to_a_network_that_goes_on(few, trained, tmp_path):
-    alone = with_values(SETTINGS, **LEARNING)
+    alone = with_values(SETTINGS, **LEARNING | {"epochs": 20})
     further = with_values(alone, learning_rate=2e-4, frozen_share=1.0)
-    others = open_data(write_dataset(tmp_path / "6x8", 96, IMAGE, GRID, seed=9))
+    others = open_data(write_dataset(tmp_path / "6x8", 64, IMAGE, GRID, seed=9))
     few = replace(few, splits=few.splits | {"train": few.splits["train"][:12]})
-    rows, errors = np.arange(96), []
+    rows, errors = np.arange(64), []
     for settings, start in ((further, start_of(trained)), (alone, None)):
         found = train(few, "tuned", SMALL, settings, start=start)
         reported = predict_rows(found.model, others, rows).forces.sum((2, 3), dtype=float)

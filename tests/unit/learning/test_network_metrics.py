@@ -57,7 +57,7 @@ def test_bootstrap_interval_covers_at_its_rate():
     rng = np.random.default_rng(1)
     hits = 0
     for _ in range(200):
-        low, high = metrics.bootstrap_mean(rng.normal(2.0, 1.0, (30, 1)), rng, 200)
+        low, high = metrics.bootstrap_mean(rng.normal(2.0, 1.0, (30, 1)), rng, 100)
         hits += low[0] <= 2.0 <= high[0]
     # 95 % nominal; the percentile bootstrap of 30 values covers about 93 %, and 200 trials scatter by 1.8 %.
     assert 0.87 <= hits / 200 <= 0.99

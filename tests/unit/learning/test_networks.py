@@ -6,6 +6,7 @@ import sys
 import pytest
 import torch
 
+from gelforge.flow.files import read_toml
 from gelforge.learning.nets import BasicBlock, UNet, build, map_grid, network_input, parameter_count, strides
 from gelforge.stages.train import resolve
 from tests.support.parameters import parameters
@@ -58,7 +59,7 @@ from gelforge.learning.nets import BasicBlock
 
 for before in (3, 4, 8):
     block = BasicBlock(before, 2 * before, stride=2).to(memory_format=torch.channels_last)
-    for step in range(40):
+    for step in range(20):
         x = torch.randn(8, before, 48, 64).to(memory_format=torch.channels_last).requires_grad_()
         block(x).square().sum().backward()
         beside = [torch.randn(7, step + 1) for _ in range(5)]
@@ -72,8 +73,6 @@ def test_narrow_networks_train_without_corrupting_memory():
 
 
 def test_every_network_of_the_table_builds(root):
-    from gelforge.flow.files import read_toml
-
     models = read_toml(root / "workflow" / "models.toml")
     settings = parameters().train
     assert models
@@ -93,7 +92,7 @@ def test_a_kind_may_get_epochs_of_its_own():
 def test_a_unet_is_refused_exactly_the_images_that_it_cannot_read():
     for widths in ([2], [2, 2, 2]):
         read = []
-        for side in range(1, 100):
+        for side in (*range(1, 50), 99):
             try:
                 with torch.inference_mode():
                     UNet(GRID, widths)(torch.zeros(1, 3, side, 100))

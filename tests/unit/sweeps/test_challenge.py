@@ -61,13 +61,8 @@ def record(folder, name) -> dict:
             outside[:] = force
         else:
             cells[:, *at] = force
-    return {
-        "cells": cells,
-        "outside": outside,
-        "total": cells.sum(axis=(1, 2)) + outside,
-        "status": "OK",
-        "scene": name,
-    }
+    total = cells.sum(axis=(1, 2)) + outside
+    return {"cells": cells, "outside": outside, "total": total, "status": "OK", "scene": name}
 
 
 def charted_scene(name: str, found: dict) -> dict:

@@ -382,6 +382,9 @@ def test_a_mounting_has_its_own_tilt_touch_and_stiffness(tmp_path):
 
 def test_a_sensor_may_be_a_mounting(tmp_path):
     plan = read_plan(DEMO)
+    none = read_plan(SHAPES)
+    assert none.truth_of("") is none.truth and "mountings" not in none.identity()
+    assert {order.mounting for order in orders(none)} == {""}
     named = {(order.sensor, order.mounting) for order in orders(plan)}
     assert named == {("mini_a", ""), ("mini_e", ""), ("mini_b", "mini_b")}
     assert plan.truth_of("") is plan.truth and plan.truth_of("mini_b").tilt_deg != (0.0, 0.0)
@@ -392,9 +395,3 @@ def test_a_sensor_may_be_a_mounting(tmp_path):
         ("max_force_n = 40\n", "max_force_n = 40\nseen_by = 2\n", "a press is of one mounting"),
     ):
         refused(said, check, changed(tmp_path, DEMO, (old, new)), ROOT / "workflow")
-
-
-def test_a_plan_without_mountings_has_one_truth():
-    plan = read_plan(SHAPES)
-    assert plan.truth_of("") is plan.truth and "mountings" not in plan.identity()
-    assert {order.mounting for order in orders(plan)} == {""}
