@@ -105,7 +105,7 @@ def test_presses_on_gels_of_two_thicknesses_share_no_solve(catalogue, tmp_path):
 
 
 def test_history_of_one_solve_is_the_curve_of_many(built, catalogue):
-    """With other load steps points stick elsewhere: FINDINGS' spread over steps is 1 to 2 %. A deeper press: below."""
+    """With other load steps points stick elsewhere: forces spread by 1 to 2 % over steps. A deeper press: below."""
     readings, _, _, emulator = built
     values = true_values(c10=REFERENCE_C10, offset=0.0, compliance=0.0, mu=MU)
     forces = emulator.forces(readings.depth, values)[0][0]
