@@ -91,9 +91,11 @@ def test_second_run_solves_nothing_anew_and_says_what_it_sees(done, tmp_path, ca
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", ["frictionless", "coulomb"])  # no slip: tests/physics/test_published_curve.py
-def test_each_law_follows_a_ball_on_a_thin_pad_that_others_measured(root, tmp_path, law):
-    """Each press that is left out is predicted, with a touch offset and a compliance that a hand-held bench may have."""
+def test_a_calibration_follows_a_ball_on_a_thin_pad_that_others_measured(root, tmp_path):
+    """Each press that is left out is predicted, with a touch offset and a compliance that a hand-held bench may have.
+
+    Under Coulomb's law; without slip: tests/physics/test_published_curve.py.
+    """
     data = tmp_path / "data/lab"
     data.mkdir(parents=True)
     header = ",".join(COLUMNS)
@@ -105,12 +107,12 @@ def test_each_law_follows_a_ball_on_a_thin_pad_that_others_measured(root, tmp_pa
     sensors.write_text(
         '[digit]\ngel = "flat_2mm"\nimage = [240, 320]\nprojection = [[0.0, -15.0, 120.0], [-15.0, 0.0, 160.0], [0.0, 0.0, 1.0]]\n'
     )
-    of = prepared(root, tmp_path, law, refine="draft", solver={"size": 0.5})
+    of = prepared(root, tmp_path, "coulomb", refine="draft", solver={"size": 0.5})
     write_json(of.parameters("sensors"), read_toml(sensors))
     assert calibrate.main([str(of.root)]) == 0
     summary = read_json(of.calibration())
     assert 0.06 < summary["c10"]["median"] < 0.11 and summary["evidence"] == []
-    assert summary["law"] == law and ("mu" in summary["parameters"]) == (law == "coulomb")
+    assert summary["law"] == "coulomb" and "mu" in summary["parameters"]
     # the most and the least deep of five presses are predicted beyond the others
     assert summary["left_out_mae_n"]["fz"] < 0.15 * np.mean([force for _, force in BALL_ON_PAD])
 
