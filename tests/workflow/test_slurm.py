@@ -117,8 +117,11 @@ class TestWork:
         for path in made:
             one, other = np.load(labels / path.name), np.load(path)
             assert one.files == other.files
-            for key in one.files:  # NaN: not stated
-                np.testing.assert_array_equal(one[key], other[key], key)
+            for key in one.files:
+                if one[key].dtype.kind == "f":  # sums in another order, at most; NaN: not stated
+                    np.testing.assert_allclose(one[key], other[key], rtol=1e-5, atol=1e-8, err_msg=key)
+                else:
+                    np.testing.assert_array_equal(one[key], other[key], key)
 
     def test_a_changed_input_reaches_the_end_in_one_make(self, project, lab):
         """What was only touched is dated anew, and no job is submitted for it."""
