@@ -214,17 +214,19 @@ def main(args: Namespace) -> int:
     kept = {key: said for key, said in (record_of(args.kept) or {}).items() if not said.startswith(UNJUDGED)}
     found = {fault.name: f"{UNFIT}: {unfit[fault.name]}" for fault in faults if fault.name in unfit}
     faults = [fault for fault in faults if fault.name not in unfit]
+    # of the files as they are now, whoever edits them in the meantime
+    keys = {fault.name: fault.key() for fault in faults}
     for fault in faults:
-        if fault.key() in kept:
-            print(f"{kept[fault.key()]:10}  {fault.file}: {fault.name}", flush=True)
+        if keys[fault.name] in kept:
+            print(f"{kept[keys[fault.name]]:10}  {fault.file}: {fault.name}", flush=True)
     with tempfile.TemporaryDirectory(prefix="gelforge-faults-") as folder:
         project = copied(Path(folder) / "project")
-        for at, group in enumerate(grouped([fault for fault in faults if fault.key() not in kept])):
+        for at, group in enumerate(grouped([fault for fault in faults if keys[fault.name] not in kept])):
             for fault, said in outcomes(group, project, 1_000_000_000 + 100 * at):
-                kept = (record_of(args.kept) or {}) | kept | {fault.key(): said}
+                kept = (record_of(args.kept) or {}) | kept | {keys[fault.name]: said}
                 print(f"{said.partition(': ')[0]:10}  {fault.file}: {fault.name}", flush=True)
             write_json(args.kept, kept)
-    found |= {fault.name: kept[fault.key()] for fault in faults}
+    found |= {name: kept[key] for name, key in keys.items()}
     print(*(f"{name}: {said}" for name, said in found.items() if said.startswith((UNJUDGED, UNFIT))), sep="\n")
     noticed = sum(said in (CAUGHT, TIMED_OUT) for said in found.values())
     waits = [name for name, said in found.items() if said == TIMED_OUT]
