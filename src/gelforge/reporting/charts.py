@@ -22,7 +22,7 @@ def _spot(axis, row, kind, slowest):
     axis.plot([x, x], [middle, worst], color=colour, lw=0.8, alpha=0.5, zorder=1)
     axis.plot([x], [worst], "_", color=colour, ms=7, zorder=2)
     size = 11 if row["solver"] == "auto" else 8 if ship else 5
-    inside, edge = "white" if row["failed"] or row["left_out"] else colour, "black" if ship else colour
+    inside, edge = colour if row["whole"] else "white", "black" if ship else colour
     # auto coincides with the solver that it chooses and is drawn over it; names of label settings go to the right
     auto = row["solver"] == "auto"
     left = auto or not ship or x > slowest / 2

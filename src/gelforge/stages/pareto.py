@@ -24,7 +24,7 @@ from gelforge.sweeps.trial import ChartBench, given_check, load_bench, measure
 
 VERSION = 5
 GOAL_TOTAL, GOAL_CELLS = 0.02, 0.08  # largest relative errors that a method for labels should have over all scenes
-COLUMNS = ("method", "solver", "size_mm", "load_steps", "scenes", "left_out", "failed", "cpu_seconds_median",
+COLUMNS = ("method", "solver", "size_mm", "load_steps", "scenes", "failed", "whole", "cpu_seconds_median",
            "cpu_seconds_worst",
            "total_median", "total_worst", "total_worst_scene", "cells_median", "cells_worst", "cells_worst_scene",
            "frontier_total", "frontier_cells")  # fmt: skip
@@ -51,7 +51,7 @@ def solve_scene(bench: ChartBench, scene: NamedScene, methods: list[Method]) -> 
 
 
 def summarise(scenes: list[dict]) -> list[dict]:
-    """One row per method over all scenes: cost, errors, failures and whether it lies on a frontier.
+    """One row per method over all scenes: cost, errors, failures, whether all were solved, and whether it lies on a frontier.
 
     A method without a result on some scene counts for no frontier, because its worst error leaves that scene out.
     """
@@ -59,7 +59,7 @@ def summarise(scenes: list[dict]) -> list[dict]:
     reference = {scene["reference"] for scene in scenes} | {DOUBLED}
     rows = [_row(name, scenes) for name in names if name not in reference]
     for kind in ("total", "cells"):
-        usable = [row for row in rows if row[f"{kind}_worst"] is not None and is_whole(row)]
+        usable = [row for row in rows if row[f"{kind}_worst"] is not None and row["whole"]]
         best = frontier([(row["cpu_seconds_median"], row[f"{kind}_worst"]) for row in usable])
         for row in rows:
             row[f"frontier_{kind}"] = False
@@ -68,17 +68,12 @@ def summarise(scenes: list[dict]) -> list[dict]:
     return rows
 
 
-def is_whole(row: dict) -> bool:
-    """Whether a row's method has a result on every scene."""
-    return not (row["failed"] or row["left_out"])
-
-
 def _row(name: str, scenes: list[dict]) -> dict:
     records = {scene["scene"]: scene["methods"][name] for scene in scenes if name in scene["methods"]}
     method = next(iter(records.values()))["method"]
     good = {scene: record for scene, record in records.items() if record["errors"]}
     row = {"method": name, "solver": method["solver"], "size_mm": method["size"], "load_steps": method["steps"],
-           "scenes": len(records), "left_out": len(scenes) - len(records), "failed": len(records) - len(good)}  # fmt: skip
+           "scenes": len(records), "failed": len(records) - len(good), "whole": len(good) == len(scenes)}  # fmt: skip
     seconds = [record["cpu_seconds"] for record in good.values()]
     row |= {"cpu_seconds_median": _median(seconds), "cpu_seconds_worst": max(seconds, default=None)}
     for kind in ("total", "cells"):
@@ -102,7 +97,7 @@ def failures(scenes: list[dict]) -> list[dict]:
 
 def reading(rows: list[dict], scenes: list[dict], fails: list[dict]) -> list[str]:
     """The results of the chart in sentences."""
-    meets = [row for row in rows if row["total_worst"] is not None and is_whole(row)
+    meets = [row for row in rows if row["total_worst"] is not None and row["whole"]
              and row["total_worst"] <= GOAL_TOTAL and row["cells_worst"] <= GOAL_CELLS]  # fmt: skip
     said = [f"{len(scenes)} scenes against {scenes[0]['reference']}; seconds are processor seconds of one thread."]
     if meets:

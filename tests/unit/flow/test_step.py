@@ -399,14 +399,14 @@ def test_a_failed_run_is_repeated_though_nothing_changed(tmp_path):
 def test_of_any_number_of_inputs_each_stands_in_the_record(tmp_path):
     """More than a command line holds go by a list."""
     target, count = tmp_path / "results/d/50_labels/24x32/labels.json", tmp_path / "count"
-    reads = [tmp_path / f"{k:04d}" for k in range(300)]
+    reads = [tmp_path / f"{k:04d}" for k in range(3000)]
     for path in reads:
         path.write_text(path.name)
     (tmp_path / "list").write_text("\n".join(map(str, reads)))
     command = counting(target, reads[0], count)
     assert wrapped(target, *command, reads=[f"@{tmp_path}/list"])[0] == 0
     assert list(last_runs(tmp_path / "results/d")[0].record["inputs"]) == list(map(str, reads))
-    reads[299].write_text("changed")
+    reads[2999].write_text("changed")
     for _ in range(2):
         assert wrapped(target, *command, reads=[f"@{tmp_path}/list"])[0] == 0
     assert count.read_text() == "ran\nran\n"
