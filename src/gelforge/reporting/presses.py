@@ -67,6 +67,7 @@ def _press(
         "indenter": press.indenter,
         "sensor": press.sensor_id,
         "gel": gel,
+        "mounting": press.mounting,
         "shard": shard,
     }
     row |= {"split": sample.split, "group": sample.group} if sample else {}

@@ -30,7 +30,16 @@ from gelforge.records.solvetable import Solved, read_solves
 from gelforge.records.status import VALID, Status
 from gelforge.reporting import feats_tables, networkchoice
 from gelforge.reporting.explorer import Explorer
-from gelforge.reporting.forcesensor import COMPARED, compare_forces, force_rows, force_sentences, spreads
+from gelforge.reporting.forcesensor import (
+    CAUSES,
+    COMPARED,
+    common_sentences,
+    compare_forces,
+    expected_rows,
+    force_rows,
+    force_sentences,
+    spreads,
+)
 from gelforge.reporting.page import Explored, Section, render
 from gelforge.reporting.parts import PART, forget_parts, in_parts, place_parts
 from gelforge.reporting.presses import as_columns, press_rows
@@ -130,34 +139,46 @@ def calibration_section(results: Path) -> Section:
     return add_pictures(section, path.parent, captions)
 
 
-def force_section(results: Path, rows: list[dict], doubts: Sequence[str] = ()) -> Section:
-    """Labels against the force sensor's readings, press by press. doubts: what stage 60 says about the readings."""
+def force_section(results: Path, rows: list[dict], doubts: Sequence[str] = ()) -> tuple[Section, list[str]]:
+    """Labels against the force sensor's readings, press by press, and what presses share that labels do not follow.
+
+    doubts: what stage 60 says about the readings.
+    """
     of, section = Layout(results), Section("Labels against the force sensor")
     none = "The log has no force readings of presses that were labelled."
     if not any(row.get("measured_fz") for row in rows):  # as where labels came with the dataset
-        return section.text(none, absent=True)
+        return section.text(none, absent=True), []
     read, path = read_parameters(of.parameters("forces")), of.calibration()
     found = read_found(of.base / read.calibration) if read.calibration else None
-    spread = spreads(
-        calibrated(read, of.base).material,
-        read_json(path) if path.exists() else {},
-        read_parameters(of.parameters("calibrate")).calibrate,
-    )
+    summary = read_json(path) if path.exists() else {}
+    material = calibrated(read, of.base).material
+    spread = spreads(material, summary, read_parameters(of.parameters("calibrate")).calibrate, found is not None)
     presses = compare_forces(rows, spread, set(found.presses) if found else set())
     if not presses:
-        return section.text(none, absent=True)
+        return section.text(none, absent=True), []
+    common = (
+        [] if found or "c10" not in summary else common_sentences(rows, presses, summary, assumed(of, material.c10))
+    )
     if found is None:
-        section.text(
-            "Labels follow no calibration: they have the stiffness and the paths of params.toml. [params.material] c10 ="
-            ' "calibrated" in dataset.toml makes them follow this log\'s.'
-        )
+        section.text("Labels follow no calibration: they have the stiffness and the paths of params.toml.")
     else:
         section.text(
             f"Labels follow {read.calibration}: {found.name} ({found.law}), found from {len(found.presses)} presses."
         )
-    for sentence in [*doubts, *force_sentences(presses)]:
+    for sentence in [*common, *doubts, *force_sentences(presses)]:
         section.text(sentence)
-    return section.table(COMPARED, force_rows(presses), folded="Every press")
+    section.table(CAUSES, expected_rows(presses, rows, spread), folded="Why readings and labels differ as a rule")
+    return section.table(COMPARED, force_rows(presses), folded="Every press"), [*common, *doubts]
+
+
+def assumed(of: Layout, c10: float) -> dict[str, float]:
+    """Values of labels that follow no calibration, by the names of a posterior's parameters."""
+    poses, law = (read_parameters(of.parameters(stage)) for stage in ("poses", "fea"))
+    tilt = dict(zip(("tilt_x", "tilt_y"), poses.poses.tilt_deg, strict=True))
+    return {
+        "c10": c10, "offset": poses.poses.touch_offset_mm, "compliance": poses.poses.compliance_mm_per_n,
+        "mu": law.interface.mu, "tare_z": 0.0, **tilt,
+    }  # fmt: skip
 
 
 def add_pictures(section: Section, folder: Path, captions: dict[str, str]) -> Section:
@@ -364,15 +385,16 @@ def explorer_data(explorer: Explorer, known: dict) -> dict:
     }
 
 
-def sections_of(explorer: Explorer, model: str, solved: dict[str, Solved]) -> list[Section]:
-    """Sections of the page below the explorer."""
+def sections_of(explorer: Explorer, model: str, solved: dict[str, Solved]) -> tuple[list[Section], list[str]]:
+    """Sections of the page below the explorer, and what the readings of many presses say against their labels."""
     results, resolution = explorer.results, explorer.resolution
     verified = read_verified(results)
     table = Layout(results).dataset_table(resolution)
     doubts = [] if model == NO_MODEL else read_json(table).get("doubts_of_forces", [])
-    return [
+    forces, common = force_section(results, explorer.rows, doubts)
+    sections = [
         network_section(results, resolution, model),
-        force_section(results, explorer.rows, doubts),
+        forces,
         calibration_section(results),
         branch_section(
             results,
@@ -386,14 +408,19 @@ def sections_of(explorer: Explorer, model: str, solved: dict[str, Solved]) -> li
         fidelities_section(solved),
         versions_section(results),
     ]
+    return sections, common
 
 
-def lead_of(rows: list[dict], resolution: str, samples: int) -> str:
-    """One sentence on how many presses were labelled. samples: size of the dataset, whose labels may be imported."""
+def lead_of(rows: list[dict], resolution: str, samples: int, common: Sequence[str]) -> str:
+    """How many presses were labelled, and what most of them say against their labels.
+
+    samples: size of the dataset, whose labels may be imported. common: sentences, the most important first.
+    """
     labelled = sum(row["status"] in VALID for row in rows)
     if samples and not labelled:
         return f"{samples} pictures with labels that came with the dataset, at {resolution} cells a picture; no press was solved here."
-    return f"{labelled} of {len(rows)} presses labelled by finite elements at {resolution} cells a picture."
+    said = f"{labelled} of {len(rows)} presses labelled by finite elements at {resolution} cells a picture."
+    return " ".join([said, *common[:1]])
 
 
 @stage(Layout.report)
@@ -409,8 +436,8 @@ def main(args: Namespace) -> None:
         args.out.parent, in_parts(tqdm(explorer.presses(), "presses", len(explorer.rows))), limit
     )
     data = explorer_data(explorer, known) | {"parts": {"size": PART, "beside": folder}}
-    sections = sections_of(explorer, model, solved)
-    lead = lead_of(explorer.rows, resolution, len(explorer.samples))
+    sections, common = sections_of(explorer, model, solved)
+    lead = lead_of(explorer.rows, resolution, len(explorer.samples), common)
     explored = Explored(data, embedded) if explorer.rows else None
     write_text(args.out, render(of.data.name, lead, sections, explored))
     forget_parts(args.out.parent, folder)
