@@ -155,7 +155,7 @@ def draw(look: Pictured) -> Any:
     first.add_collection(LineCollection([*outline(look)], colors="#3fd0ff", linewidths=1.2))
     first.plot(*look.sensor.project(lowest(look)[None])[0], "+", color="#3fd0ff", markersize=11, markeredgewidth=1.6)
     first.set_title(
-        "indenter (blue, + at its lowest part), pressure (contours at 5, 35, 65 % of its peak)", fontsize=10
+        "indenter (blue, + at its lowest part)\npressure (contours at 5, 35, 65 % of its peak)", fontsize=10
     )
     for channel, axis in enumerate(others):
         if look.image is not None:
@@ -167,7 +167,7 @@ def draw(look: Pictured) -> Any:
         draw_component(axis, look.label[channel], channel, note, extent=extent, alpha=alpha, interpolation="nearest")
     figure.suptitle(
         f"{press.sample_id}: {press.indenter} on {press.sensor_id}, {-press.dz_mm:.2f} mm deep,"
-        f" shear ({press.dx_mm:.2f}, {press.dy_mm:.2f}) mm, label {look.resolution},"
+        f" shear ({press.dx_mm:.2f}, {press.dy_mm:.2f}) mm\nlabel {look.resolution},"
         f" moment ({', '.join(f'{value:.1f}' for value in look.moment)}) N mm",
         fontsize=12,
     )

@@ -45,7 +45,7 @@ from gelforge.reporting.parts import PART, forget_parts, in_parts, place_parts
 from gelforge.reporting.presses import as_columns, press_rows
 from gelforge.sweeps import verification
 
-VERSION = 7
+VERSION = 8
 ABSENT = "not installed"
 NO_MODEL = "none"  # of a page of a dataset without images
 FOLDED = ("trace.png",)  # plots shown folded, for readers who check a result
@@ -259,12 +259,14 @@ def fidelities_section(solved: dict[str, Solved]) -> Section:
 def branch_section(results: Path, title: str, folder: str, what: str, shipped: Path) -> Section:
     """Charts of a branch from its folder, or the one that gelforge ships if there are none."""
     section = Section(title)
-    charts = listed(results / folder, "*.png", below=True) or [png for png in (shipped,) if png.exists()]
+    charts = {png: png.stem.replace("_", " ") for png in listed(results / folder, "*.png", below=True)}
+    if not charts and shipped.exists():
+        charts = {shipped: "Presses whose force is known, as gelforge ships it: processor time against error."}
     if not charts:
         return section.text(f"Not made: {Layout(results).command(folder)}.", absent=True)
     section.text(what)
-    for png in charts:
-        section.picture(png.read_bytes(), png.stem.replace("_", " "))
+    for png, caption in charts.items():
+        section.picture(png.read_bytes(), caption)
     return section
 
 

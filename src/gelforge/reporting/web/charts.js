@@ -90,12 +90,15 @@ function drawFlow() {
   stages.forEach((s) => level(s.name));
   const levels = Math.max(...Object.values(depth)) + 1, lanes = Array.from({ length: levels }, () => []);
   stages.forEach((s) => lanes[depth[s.name]].push(s.name));
-  const wide = 150, high = 74, most = Math.max(...lanes.map((l) => l.length)), total = stages.reduce((a, s) => a + s.cpu_seconds, 0) || 1;
-  const svg = draw("svg", { viewBox: `0 0 ${levels * wide} ${most * high + 10}`, width: levels * wide, role: "img" }), at = {};
-  lanes.forEach((lane, x) => lane.forEach((name, y) => { at[name] = [x * wide + 8, (y + (most - lane.length) / 2) * high + 8]; }));
+  // Levels go to the right, on a narrow page downwards.
+  const most = Math.max(...lanes.map((l) => l.length)), total = stages.reduce((a, s) => a + s.cpu_seconds, 0) || 1, down = box.clientWidth < 700;
+  const [wide, high] = down ? [140, 84] : [142, 74], columns = down ? most : levels, rows = down ? levels : most, at = {};
+  const svg = draw("svg", { viewBox: `0 0 ${columns * wide} ${rows * high + 10}`, width: columns * wide, style: "max-width:100%;min-width:0", role: "img" });
+  lanes.forEach((lane, x) => lane.forEach((name, y) => { const beside = y + (most - lane.length) / 2; at[name] = down ? [beside * wide + 8, x * high + 8] : [x * wide + 8, beside * high + 8]; }));
   for (const stage of stages) for (const from of stage.reads.filter((r) => at[r])) {
     const [x1, y1] = at[from], [x2, y2] = at[stage.name];
-    svg.append(draw("path", { d: `M${x1 + 124},${y1 + 27} C${x1 + 144},${y1 + 27} ${x2 - 24},${y2 + 27} ${x2},${y2 + 27}`, fill: "none", stroke: "#9aa5b1", "stroke-width": 1.5 }));
+    const d = down ? `M${x1 + 62},${y1 + 54} C${x1 + 62},${y1 + 74} ${x2 + 62},${y2 - 20} ${x2 + 62},${y2}` : `M${x1 + 124},${y1 + 27} C${x1 + 144},${y1 + 27} ${x2 - 24},${y2 + 27} ${x2},${y2 + 27}`;
+    svg.append(draw("path", { d, fill: "none", stroke: "#9aa5b1", "stroke-width": 1.5 }));
   }
   for (const stage of stages) {
     const [x, y] = at[stage.name], fraction = stage.cpu_seconds / total;
