@@ -19,7 +19,7 @@ Importing this loads nothing else; each name is loaded when it is first used.
 from typing import Any as _Any
 
 __version__ = "0.2.0"
-__all__ = ["Reader", "Sensor", "label", "predict", "solve"]
+__all__ = ["ForceReading", "Reader", "Sensor", "SolvedPress", "label", "predict", "solve"]
 
 _HOMES = {
     "solve": "gelforge.api",
@@ -27,6 +27,8 @@ _HOMES = {
     "predict": "gelforge.reading.reader",
     "Reader": "gelforge.reading.reader",
     "Sensor": "gelforge.labelling.sensor",
+    "SolvedPress": "gelforge.api",
+    "ForceReading": "gelforge.reading.forcereading",
 }
 
 

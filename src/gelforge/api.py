@@ -87,11 +87,11 @@ class SolvedPress:
             f" mx {mx:+.2f}, my {my:+.2f}, mz {mz:+.2f} +- {self.moment_error:.2f} N mm, {len(self.mesh.nodes)} nodes)"
         )
 
-    def plot(self, resolution: str = "24x32", sensor: Sensor | None = None) -> Any:
+    def plot(self, resolution: str | tuple[int, int] = "24x32", sensor: Sensor | None = None) -> Any:
         """Draw the three maps of force per cell.
 
         Args:
-            resolution: rows x columns of the grid, as text.
+            resolution: rows and columns of the grid, as in `label`.
             sensor: as in `label`.
 
         Returns:
@@ -252,12 +252,14 @@ def _finite(*values: Any) -> bool:
 
 
 @_needs_extra
-def label(solved: SolvedPress, resolution: str = "24x32", sensor: Sensor | None = None) -> np.ndarray:
+def label(
+    solved: SolvedPress, resolution: str | tuple[int, int] = "24x32", sensor: Sensor | None = None
+) -> np.ndarray:
     """Bin a solved press into force per cell of an image grid.
 
     Args:
         solved: what `solve` returned.
-        resolution: rows x columns of the grid, as text.
+        resolution: rows and columns of the grid, such as "24x32" or (24, 32).
         sensor: projection from gel to image; None: a GelSight Mini with the image of its maker's driver.
 
     Returns:
@@ -270,6 +272,6 @@ def label(solved: SolvedPress, resolution: str = "24x32", sensor: Sensor | None 
     from gelforge.labelling.operator import assemble
 
     nodes = np.flatnonzero(solved.forces.any(axis=1))
-    operator = assemble(solved.mesh, sensor or gelsight_mini(), Grid.parse(resolution))
+    operator = assemble(solved.mesh, sensor or gelsight_mini(), Grid.of(resolution))
     cells, _outside = operator.apply([0, len(nodes)], nodes, solved.forces[nodes])
     return cells[0]

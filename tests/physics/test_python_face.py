@@ -1,5 +1,6 @@
 """What a Python program uses of gelforge: each example of five lines runs, and importing costs nothing."""
 
+import importlib
 import math
 import pickle
 import re
@@ -14,6 +15,7 @@ import pytest
 import gelforge
 from gelforge.api import gelsight_mini
 from gelforge.commands import predict
+from gelforge.commands import solve as commands_solve
 from gelforge.errors import BadInput
 from gelforge.geometry.indenters import CATALOGUE
 from gelforge.labelling.sensor import load_sensors
@@ -49,6 +51,25 @@ def test_a_label_holds_the_whole_force(press):
     cells = gelforge.label(press, resolution="12x16")
     assert cells.shape == (3, 12, 16)
     assert cells[2].sum() == pytest.approx(press.total[2], rel=1e-6), "this contact lies inside the image"
+    assert np.array_equal(gelforge.label(press, (12, 16)), cells)
+
+
+def test_a_press_is_solved_and_labelled_from_a_shell_as_in_python(tmp_path, capsys):
+    """Numbers that begin with a minus, too; a pair that is none is refused."""
+    commands_solve.main(["sphere_10", "--depth", "0.2", "--shear", "-0.1,0", "--out", str(tmp_path / "one")])
+    press = gelforge.solve("sphere_10", 0.2, shear=(-0.1, 0.0))
+    assert str(press) in capsys.readouterr().out
+    np.testing.assert_allclose(np.load(tmp_path / "one.npy"), gelforge.label(press), atol=1e-9)
+    assert read_image(tmp_path / "one.png").size
+    with pytest.raises(SystemExit):
+        commands_solve.main(["sphere_10", "--tilt", "1"])
+
+
+def test_every_name_of_the_documentation_is_one_of_gelforge(root):
+    named = re.findall(r"^::: ([\w.]+)\.(\w+)$", (root / "workflow/guide/api.md").read_text(), re.M)
+    assert sorted(name for _, name in named) == sorted(gelforge.__all__)
+    for home, name in named:
+        assert getattr(gelforge, name) is getattr(importlib.import_module(home), name)
 
 
 def test_the_sensor_of_a_label_is_that_of_the_workflow(root):

@@ -10,6 +10,7 @@ COMMANDS = {
     "predict": "force maps and totals from images",
     "live": "force maps of a video or a camera, frame by frame",
     "camera": "modes of a camera, and the one to use",
+    "solve": "force and label of one press, by finite elements",
     "rig": "simulate presses and write a raw log with images",
     "sensor": "a profile of your sensor, from a no-contact image and force readings",
     "status": "samples of a dataset that are done, failed, pending",

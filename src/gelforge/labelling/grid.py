@@ -25,6 +25,11 @@ class Grid:
             )
         return cls(*(int(n) for n in found.groups()))
 
+    @classmethod
+    def of(cls, resolution: "str | tuple[int, int]") -> "Grid":
+        """The grid of "24x32" or (24, 32); anything else raises BadInput."""
+        return cls.parse(resolution if isinstance(resolution, str) else "x".join(map(str, resolution)))
+
     def __str__(self) -> str:
         return f"{self.rows}x{self.cols}"
 

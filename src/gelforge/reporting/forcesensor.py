@@ -202,7 +202,8 @@ def _beside_others(presses: list[Compared], shared: Mapping[str, np.ndarray]) ->
     effects, own = np.hstack(list(shared.values())), np.array([p.own for p in presses])
     away = np.array([p.ratio - 1.0 for p in presses])
     covariance = np.diag(own**2) + effects @ effects.T
-    judged, odd = np.zeros((2, len(presses))), []
+    judged = np.zeros((2, len(presses)))
+    odd: list[int] = []
     while True:
         kept = np.setdiff1d(np.arange(len(presses)), odd)
         inverse = np.linalg.inv(covariance[np.ix_(kept, kept)])

@@ -157,7 +157,9 @@ def force_section(results: Path, rows: list[dict], doubts: Sequence[str] = ()) -
     if not presses:
         return section.text(none, absent=True), []
     common = (
-        [] if found or "c10" not in summary else common_sentences(rows, presses, summary, assumed(of, material.c10))
+        []
+        if found or "c10" not in summary
+        else common_sentences(rows, presses, summary, assumed(of, float(material.c10)))
     )
     if found is None:
         section.text("Labels follow no calibration: they have the stiffness and the paths of params.toml.")
