@@ -5,6 +5,7 @@ file=$1
 cd "$(dirname "$0")/.."
 . envs/apt.sh
 leave_what_is_linked "$file"
+mkdir -p "$(dirname "$file")"
 here=$PWD/$(dirname "$file")/conda
 
 find_ccx() {

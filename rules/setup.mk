@@ -55,6 +55,7 @@ export MKL_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
 SETUP := .venv/ready
+CHECKS := .venv/checks.ready
 CCX_FOUND := .venv/ccx.path
 COMPILED := .venv/kernels.compiled
 # A linked environment belongs to another checkout: it is used as it is and never outdated.
@@ -71,10 +72,14 @@ endif
 setup: $(SETUP) $(CCX_FOUND) $(COMPILED)  ## virtual environment and CalculiX, inside the project; only system packages go outside
 
 $(SETUP): $(if $(VENV_IS_LINK),,envs/requirements.lock pyproject.toml envs/venv.sh)
-	@envs/venv.sh $@
+	@envs/venv.sh $@ envs/requirements.lock
 
-$(CCX_FOUND): envs/ccx.sh | $(SETUP)
+# What only tests, lint and docs need.
+$(CHECKS): $(if $(VENV_IS_LINK),,envs/checks.lock) | $(SETUP)
+	@envs/venv.sh $@ envs/checks.lock
+
+$(CCX_FOUND): envs/ccx.sh
 	@envs/ccx.sh $@
 
-$(COMPILED): envs/kernels.py | $(SETUP) $(CCX_FOUND)
-	@$(PY) $< $@ $(CCX_FOUND)
+$(COMPILED): envs/kernels.py | $(SETUP)
+	@$(PY) $< $@

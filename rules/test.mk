@@ -8,7 +8,7 @@ CHROMIUM_FOUND := .venv/chromium.found
 SLURM_FOUND := .venv/slurm.found
 
 $(CHROMIUM_FOUND): | $(SLURM_FOUND)
-$(CHROMIUM_FOUND) $(SLURM_FOUND): .venv/%.found: envs/%.sh | $(SETUP) $(CCX_FOUND)
+$(CHROMIUM_FOUND) $(SLURM_FOUND): .venv/%.found: envs/%.sh | $(CCX_FOUND)
 	@envs/$*.sh $@
 
 test test-all benchmark-face benchmark-slurm: $(CHROMIUM_FOUND) $(SLURM_FOUND)
@@ -23,42 +23,43 @@ $(LEROBOT_READY): envs/lerobot.sh envs/lerobot.lock | $(SETUP)
 	@envs/lerobot.sh $@
 
 .PHONY: test
-test: $(SETUP) $(CCX_FOUND) $(COMPILED)  ## the tests of every change, in minutes: all but the slow ones
+test: $(CHECKS) $(CCX_FOUND) $(COMPILED)  ## the tests of every change, in minutes: all but the slow ones
 	@$(PYTEST) -m 'not slow' $(or $(value TESTS),tests)
 
 .PHONY: test-all
-test-all: $(SETUP) $(CCX_FOUND) $(COMPILED)  ## all tests, in half an hour; MARKED=slow: those that `make test` leaves out
+test-all: $(CHECKS) $(CCX_FOUND) $(COMPILED)  ## all tests, in half an hour; MARKED=slow: those that `make test` leaves out
 	@$(PYTEST) $(if $(value MARKED),-m '$(value MARKED)') $(or $(value TESTS),tests)
 
 .PHONY: lint
-lint: $(SETUP)  ## check style, names, types and imports of the code, and that generated files are up to date
+lint: $(CHECKS)  ## check style, names, types and imports of the code, and that generated files are up to date
 	@$(PY) -m ruff check
 	@$(PY) -m ruff format --check
 	@$(PY) -m mypy
 	@$(PY_HERE) -m tests.lint.checks
 
 .PHONY: format
-format: $(SETUP)  ## format the code, and write what is generated: tables of figures, parameters.md, digests of stages
+format: $(CHECKS)  ## format the code, and write what is generated: tables of figures, parameters.md, digests of stages
 	@$(PY) -m ruff check --fix
 	@$(PY) -m ruff format
 	@$(PY_HERE) -m tests.lint.checks --fix
 
 .PHONY: lock
-lock: $(SETUP)  ## write envs/requirements.lock from the installed packages
-	@$(PY) -m pip freeze --exclude-editable | sed 's/+cpu$$//' > envs/.requirements.part
-	@mv envs/.requirements.part envs/requirements.lock
+lock: $(CHECKS)  ## write envs/requirements.lock from the installed packages, and envs/checks.lock from those that it names
+	@$(PY) -m pip freeze --exclude-editable | sed 's/+cpu$$//' | awk -F== \
+	    'NR == FNR {checks[$$1]; next} {print > ($$1 in checks ? "envs/.checks.part" : "envs/.requirements.part")}' envs/checks.lock -
+	@for name in checks requirements; do mv envs/.$$name.part envs/$$name.lock; done
 
 BENCHMARKS := $(patsubst tests/benchmarks/%.py,benchmark-%,$(filter-out %/__init__.py %/__main__.py,$(wildcard tests/benchmarks/*.py)))
 .PHONY: $(BENCHMARKS)
-$(BENCHMARKS): benchmark-%: $(SETUP) $(CCX_FOUND)
+$(BENCHMARKS): benchmark-%: $(CHECKS) $(CCX_FOUND)
 	@$(PY_HERE) -m tests.benchmarks $* --out results/benchmarks/$*.json
 
 .PHONY: benchmark-tables
-benchmark-tables: $(SETUP)  ## write figures of results/benchmarks/ into README and the network's card, name what changed
+benchmark-tables: $(CHECKS)  ## write figures of results/benchmarks/ into README and the network's card, name what changed
 	@$(PY_HERE) -m tests.lint.tables
 
 .PHONY: real-check
-real-check: $(SETUP)  ## run benchmark-real; real images with their predictions: results/real-check/index.html
+real-check: $(CHECKS)  ## run benchmark-real; real images with their predictions: results/real-check/index.html
 	@$(PY_HERE) -m tests.benchmarks.real $(AT_REFERENCE) --page results/real-check/index.html
 
 .PHONY: benchmark-X

@@ -30,7 +30,7 @@ clean-%:
 	    "$D: has no results of a stage $*")
 
 .PHONY: docs
-docs: $(SETUP)  ## the guide and the Python interface as a site: build/docs/index.html
+docs: $(CHECKS)  ## the guide and the Python interface as a site: build/docs/index.html
 	@$(PY) -m mkdocs build --strict --quiet
 	@echo build/docs/index.html
 
@@ -83,7 +83,7 @@ rig: $(SETUP)  ## simulate the presses of a plan, write them to data/: make rig 
 AT_REFERENCE = $(if $(value REFERENCE),--reference '$(value REFERENCE)')
 
 .PHONY: rig-check
-rig-check: $(SETUP)  ## run benchmark-rig; images of the rig beside real ones: results/rig-check/index.html
+rig-check: $(CHECKS)  ## run benchmark-rig; images of the rig beside real ones: results/rig-check/index.html
 	@$(PY_HERE) -m tests.benchmarks.rig $(AT_REFERENCE) --page results/rig-check/index.html
 
 # Pictures of the README and the guide. `make lint` fails if the data of press.png or real.png changed after it was
@@ -96,5 +96,5 @@ readme-pictures: $(README_PICTURES)  ## draw the pictures of README and guide: a
 results/readme/press.png: workflow/indenters.toml workflow/rig/sensors.toml
 results/readme/real.png: $(SHIPPED).onnx
 results/readme/exact.png: results/benchmarks/exact.json
-$(README_PICTURES): results/readme/%.png: | $(SETUP)
+$(README_PICTURES): results/readme/%.png: | $(CHECKS)
 	@$(PY_HERE) -m tests.lint.readme_pictures $* --data $^ $(AT_REFERENCE) --out $@
