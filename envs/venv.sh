@@ -48,7 +48,7 @@ for half in 0 1; do
     awk -v half=$half 'NR % 2 == half' "$lock" >"$venv/half-$half.lock"
     install half-$half -r "$venv/half-$half.lock" &
 done
-[ "$lock" != envs/requirements.lock ] || install gelforge -e . &
+[ "$lock" != envs/requirements.lock ] || { all=$((all + 1)); install gelforge -e . & }
 for ((second = 1; ; second++)); do
     [ -n "$(jobs -rp)" ] || break
     sleep 1

@@ -55,6 +55,7 @@ export MKL_NUM_THREADS ?= 1
 export OPENBLAS_NUM_THREADS ?= 1
 
 SETUP := .venv/ready
+FORMATS := .venv/formats.ready
 CHECKS := .venv/checks.ready
 CCX_FOUND := .venv/ccx.path
 COMPILED := .venv/kernels.compiled
@@ -74,9 +75,11 @@ setup: $(SETUP) $(CCX_FOUND) $(COMPILED)  ## virtual environment and CalculiX, i
 $(SETUP): $(if $(VENV_IS_LINK),,envs/requirements.lock pyproject.toml envs/venv.sh)
 	@envs/venv.sh $@ envs/requirements.lock
 
-# What only tests, lint and docs need.
-$(CHECKS): $(if $(VENV_IS_LINK),,envs/checks.lock) | $(SETUP)
-	@envs/venv.sh $@ envs/checks.lock
+# Packages that only other formats, and only tests, lint and docs need.
+$(FORMATS) $(CHECKS): .venv/%.ready: $(if $(VENV_IS_LINK),,envs/%.lock) | $(SETUP)
+	@envs/venv.sh $@ envs/$*.lock
+
+$(CHECKS): | $(FORMATS)
 
 $(CCX_FOUND): envs/ccx.sh
 	@envs/ccx.sh $@

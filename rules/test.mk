@@ -44,10 +44,10 @@ format: $(CHECKS)  ## format the code, and write what is generated: tables of fi
 	@$(PY_HERE) -m tests.lint.checks --fix
 
 .PHONY: lock
-lock: $(CHECKS)  ## write envs/requirements.lock from the installed packages, and envs/checks.lock from those that it names
-	@$(PY) -m pip freeze --exclude-editable | sed 's/+cpu$$//' | awk -F== \
-	    'NR == FNR {checks[$$1]; next} {print > ($$1 in checks ? "envs/.checks.part" : "envs/.requirements.part")}' envs/checks.lock -
-	@for name in checks requirements; do mv envs/.$$name.part envs/$$name.lock; done
+lock: $(CHECKS)  ## write the lock files from the installed packages; a new package goes to envs/requirements.lock
+	@$(PY) -m pip freeze --exclude-editable | sed 's/+cpu$$//' | awk -F== '{if (FILENAME != "-") of[$$1] = FILENAME; \
+	    else print > (($$1 in of ? of[$$1] : "envs/requirements.lock") ".part")}' envs/checks.lock envs/formats.lock -
+	@for name in checks formats requirements; do mv envs/$$name.lock.part envs/$$name.lock; done
 
 BENCHMARKS := $(patsubst tests/benchmarks/%.py,benchmark-%,$(filter-out %/__init__.py %/__main__.py,$(wildcard tests/benchmarks/*.py)))
 .PHONY: $(BENCHMARKS)

@@ -45,17 +45,17 @@ clean-all:  ## remove all results of this dataset
 # -- import and export
 
 .PHONY: export
-export: $D/60_dataset/$(RES1)/dataset.json  ## export the dataset: FORMAT=mcap, lerobot or hdf5
+export: $D/60_dataset/$(RES1)/dataset.json | $(FORMATS)  ## export the dataset: FORMAT=mcap, lerobot or hdf5
 	@$(PY) -m gelforge.commands.export --data $(DATA) --dataset $(<D) --sensors $P/sensors.json --format '$(value FORMAT)'
 
 .PHONY: mcap-import
-mcap-import: $(SETUP)  ## import recordings as images with total force: make mcap-import FROM=folder TOPICS=topics.toml
+mcap-import: $(FORMATS)  ## import recordings as images with total force: make mcap-import FROM=folder TOPICS=topics.toml
 	@$(PY) -m gelforge.commands.mcap --from '$(value FROM)' --topics '$(value TOPICS)' --data $(DATA)
 
 EXPORTED := $(RES:%=$D/feats/%/normalization_gelforge.npy)
 
 .PHONY: feats-fetch
-feats-fetch: $(SETUP)  ## import FEATS' published dataset to data/feats, all of it or SPLIT="train val", from the hub or a copy FROM=folder
+feats-fetch: $(FORMATS)  ## import FEATS' published dataset to data/feats, all of it or SPLIT="train val", from the hub or a copy FROM=folder
 	@$(PY) -m gelforge.commands.feats fetch --from '$(value FROM)' --split '$(value SPLIT)' --downloads downloads/feats --data $(DATA)
 
 .PHONY: feats-import
