@@ -198,6 +198,19 @@ def test_reading_many_images_of_one_sensor(root):
             read(wrong)
 
 
+def test_what_a_reader_keeps_does_not_change_with_the_buffer_that_it_came_in(root):
+    """A camera writes its next frame into the array of the last one."""
+    nocontact, image = (
+        read_image(root / f"data/demo/{name}") for name in ("nocontact/mini_a.png", "images/demo-000000.png")
+    )
+    expected, buffer = Reader(nocontact=nocontact.copy())(image.copy()), nocontact.copy()
+    reader = Reader(nocontact=buffer)
+    buffer[:] = image
+    found = reader(buffer)
+    buffer[:] = 0
+    assert np.array_equal(found.cells, expected.cells) and np.array_equal(found.image, expected.image)
+
+
 def test_a_nocontact_image_that_shows_nothing_is_reported(root):
     """What is read against it may be any number: an unmarked gel, one out of focus, three rows, part of it."""
     rest = read_image(root / "data/demo/nocontact/mini_a.png")

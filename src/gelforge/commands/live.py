@@ -132,6 +132,8 @@ def refuse_unusable(args: Namespace) -> None:
         refuse_to_replace(
             f"--csv {args.csv}", [args.csv], [args.video, args.nocontact, *files_of(args.profile), args.model]
         )
+        if args.csv.is_file() and args.csv.stat().st_size:
+            raise BadInput(f"--csv {args.csv}: exists already and would be replaced; name another file, or remove it")
 
 
 def need_frames(asked: int | None) -> None:

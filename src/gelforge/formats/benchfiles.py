@@ -122,7 +122,8 @@ def _samples(path: Path) -> tuple[np.ndarray, np.ndarray, list[int]]:
         places[:, axis] = unit * _numbers(path, rows, column)
         known.add(column)
     if "rot_deg" in rows[0]:
-        places[:, 3] = _numbers(path, rows, "rot_deg")
+        # without jumps from 360 to 0, between which other angles would be interpolated
+        places[:, 3] = np.unwrap(_numbers(path, rows, "rot_deg"), period=360.0)
     other = [name for name in rows[0] if name not in known and not name.startswith("time_")]
     if other:
         raise BadInput(
@@ -171,7 +172,7 @@ def _reports(path: Path, text: str) -> tuple[np.ndarray, np.ndarray, list[int]]:
                     " moved; remove the lines before or after this one"
                 )
             offset = seen
-        found.append([_date(time) if "-" in time else float(time), *axes[:3], 0.0])
+        found.append([_time(path, number, "time_utc" if "-" in time else "time_s", time), *axes[:3], 0.0])
         lines.append(number)
     table = np.array(found, float).reshape(-1, 5)
     if frame == "M":

@@ -190,8 +190,8 @@ def reader_with(
 
 
 def check_image(image: np.ndarray) -> np.ndarray:
-    """An image (h, w, 3) uint8; anything else raises BadInput."""
-    image = np.asarray(image)
+    """A copy of an image (h, w, 3) uint8, because its owner may write into it again; anything else raises BadInput."""
+    image = np.array(image)
     if image.ndim != 3 or image.shape[2] != 3 or image.dtype != np.uint8 or not image.size:
         raise BadInput(f"an image of shape {image.shape} and type {image.dtype}: give (height, width, 3) uint8 RGB")
     return image

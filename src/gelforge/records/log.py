@@ -1,7 +1,5 @@
 """Files of presses: the raw log, its shards, the pose table and rejections; rows are numbered by lines of the log."""
 
-import csv
-import io
 import re
 from collections.abc import Iterable
 from dataclasses import asdict
@@ -30,10 +28,35 @@ from gelforge.records.press import (
     reject,
 )
 from gelforge.records.regular import read_text
-from gelforge.records.table import other_separator, write_table
+from gelforge.records.table import other_separator, records, refuse_twice, write_table
 
 P = TypeVar("P", bound=PressRecord)
 
+# Words that end a column's name as its unit.
+UNITS = {
+    *(
+        "n",
+        "mn",
+        "kn",
+        "g",
+        "gf",
+        "kg",
+        "kgf",
+        "lb",
+        "lbf",
+        "oz",
+        "ozf",
+        "newton",
+        "newtons",
+        "nm",
+        "nmm",
+        "n_m",
+        "n_mm",
+        "mnm",
+    ),
+    *("m", "mm", "um", "cm", "in", "inch", "inches", "deg", "degree", "degrees", "rad", "radians"),
+}
+NAMED = {"mm": ", in mm", "deg": ", in degrees", "n": ", in N", "nm": ", in N m"}
 MOST_NOTES = 100  # rows at the top of a file among which a misplaced header is looked for
 REJECTION_COLUMNS = ("file", "row", "sample_id", "column", "value", "reason", "hint")
 POSED_COLUMNS = ("row", "sample_id", "sensor_id", "gel_id", "indenter", *POSE, *FORCES, "image", "stl")
@@ -68,13 +91,11 @@ def _read(
     hint: str = "a dataset needs its raw log there",
     needed: tuple[str, ...] = (),
 ) -> list[RawRow]:
-    records = _records(path, read_text(path, hint))
-    header = _spelt([cell.strip() for cell in records[0][1]], known) if records else []
+    found = records(path, read_text(path, hint), "workflow/guide/your-data.md describes the log")
+    header = _spelt([cell.strip() for cell in found[0][1]], known) if found else []
     if "sample_id" not in header:
         below = [
-            at
-            for at, cells in records[1:MOST_NOTES]
-            if "sample_id" in _spelt([cell.strip() for cell in cells], known)
+            at for at, cells in found[1:MOST_NOTES] if "sample_id" in _spelt([cell.strip() for cell in cells], known)
         ]
         if below:
             raise BadInput(f"{path}: its header is in line {below[0]}; remove the lines above it")
@@ -86,22 +107,7 @@ def _read(
             raise BadInput(
                 f"{path}: column {name} is missing, which every press needs; rename {seen!r} if it is that"
             )
-    return [_row(line, cells, places, len(header)) for line, cells in records[1:]]
-
-
-def _records(path: Path, text: str) -> list[tuple[int, list[str]]]:
-    """First line and cells of each record of a CSV file, blank lines skipped; BadInput if it is not strict CSV."""
-    reader, found, start = csv.reader(io.StringIO(text, newline=""), skipinitialspace=True, strict=True), [], 1
-    try:
-        for cells in reader:
-            found += [(start, cells)] if cells else []
-            start = reader.line_num + 1
-    except csv.Error as error:
-        raise BadInput(
-            f"{path}: row {start}: {error}; close each quotation mark that opens a cell, double those within it, and quote cells that hold"
-            " a comma"
-        ) from error
-    return found
+    return [_row(line, cells, places, len(header)) for line, cells in found[1:]]
 
 
 def _some(rows: list[RawRow], path: str | Path) -> list[RawRow]:
@@ -130,15 +136,31 @@ def _places(path: Path, header: list[str], known: tuple[str, ...]) -> dict[str, 
             else "workflow/guide/your-data.md lists the columns"
         )
         raise BadInput(f"{path}: column sample_id is missing, so it holds no presses; seen: {seen}; {hint}")
-    for name in known:
-        if header.count(name) > 1:
-            raise BadInput(f"{path}: column {name} occurs {header.count(name)} times in the header; keep one of them")
+    refuse_twice(path, header, known)
     for name in header:
-        same_letters = [of for of in OPTIONAL if sorted(of) == sorted(name.lower())]
-        near = same_letters or get_close_matches(name.lower(), OPTIONAL, 1, 0.8)
-        if near and name not in known:
-            raise BadInput(f"{path}: column {name!r} is unknown; write {near[0]}, or give it another name")
+        if name in known:
+            continue
+        plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+        meant = next((of for of in (*OPTIONAL, *POSE, *FORCES) if of not in header and _resembles(plain, of)), "")
+        if not meant:
+            continue
+        unit = NAMED.get(meant.rpartition("_")[2], "")
+        raise BadInput(
+            f"{path}: column {printable(name)[:60]!r} is unknown; write it as {meant}{unit}, or give it another name"
+        )
     return {name: header.index(name) for name in header if name in known}
+
+
+def _resembles(name: str, known: str) -> bool:
+    """Whether an unknown column is nearly a known one: its name without unit, with another unit, or misspelt."""
+    stem = known.rpartition("_")[0]
+    other = name.removeprefix(f"{stem}_")
+    return bool(name) and (
+        name in (known, stem, known.removesuffix("ing"))
+        or (other != name and other in UNITS)
+        or sorted(name) == sorted(known)
+        or bool(known in OPTIONAL and get_close_matches(name, [known], 1, 0.8))
+    )
 
 
 def _row(line: int, cells: list[str], places: dict[str, int], columns: int) -> RawRow:

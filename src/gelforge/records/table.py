@@ -8,7 +8,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from gelforge.errors import BadInput
+from gelforge.errors import BadInput, printable
 from gelforge.flow.files import write_csv
 from gelforge.records.press import OPTIONAL
 from gelforge.records.regular import read_text
@@ -69,26 +69,51 @@ def numbered_rows(path: str | Path, hint: str, comments: bool = False) -> list[t
 
     comments: whether lines that begin with # count as blank.
     """
-    text = list(io.StringIO(read_text(Path(path), hint), newline=""))
-    if comments:
-        text = ["\n" if line.startswith("#") else line for line in text]
-    top = next((at for at, line in enumerate(text) if line.strip()), 0)
-    lines = csv.DictReader(text[top:], restval=None, skipinitialspace=True, strict=True)
-    try:
-        rows = [(top + lines.line_num, row) for row in lines]
-    except csv.Error as error:
-        raise BadInput(f"{path}: row {top + lines.line_num}: {error}; {hint}") from error
-    if not lines.fieldnames:
+    found = records(path, read_text(Path(path), hint), hint, comments)
+    if not found:
         raise BadInput(f"{path}: is empty, without even a header; {hint}")
-    other = other_separator(lines.fieldnames)
+    header = [name.strip() for name in found[0][1]]
+    other = other_separator(header)
     if other:
         raise BadInput(f"{path}: cells are separated by {other!r}; separate them by commas; {hint}")
-    for at, row in rows:
-        if None in row or None in row.values():
+    refuse_twice(path, header)
+    for at, cells in found[1:]:
+        if len(cells) != len(header):
             raise BadInput(
                 f"{path}: row {at} has another number of cells than the header, with commas between the cells; {hint}"
             )
-    return rows
+    return [(at, dict(zip(header, cells, strict=True))) for at, cells in found[1:]]
+
+
+def records(path: str | Path, text: str, hint: str, comments: bool = False) -> list[tuple[int, list[str]]]:
+    """Line and cells of each record of a CSV file, blank lines skipped.
+
+    BadInput if it is not strict CSV, or if a quoted cell goes on in the next line: as a rule a lone quotation mark, which
+    swallows the rows up to the next one. comments: whether lines that begin with # count as blank.
+    """
+    lines = ("\n" if comments and line.startswith("#") else line for line in io.StringIO(text, newline=""))
+    reader, found, at = csv.reader(lines, skipinitialspace=True, strict=True), [], 1
+    try:
+        for cells in reader:
+            if reader.line_num > at:
+                raise csv.Error(f"a quotation mark opens a cell that ends in line {reader.line_num}")
+            found += [(at, cells)] if cells else []
+            at = reader.line_num + 1
+    except csv.Error as error:
+        raise BadInput(
+            f"{path}: row {at}: {error}; close each quotation mark that opens a cell, double those within it, and quote cells that hold"
+            f" a comma; {hint}"
+        ) from error
+    return found
+
+
+def refuse_twice(path: str | Path, header: Sequence[str], names: Sequence[str] = ()) -> None:
+    """BadInput if a column occurs twice in a header. names: of the columns that count, all if empty."""
+    for name in names or header:
+        if name and header.count(name) > 1:
+            raise BadInput(
+                f"{path}: column {printable(name)[:60]} occurs {header.count(name)} times in the header; keep one of them"
+            )
 
 
 def other_separator(header: Sequence[str]) -> str:

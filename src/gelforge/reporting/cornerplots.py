@@ -18,9 +18,11 @@ def _save(figure, path) -> None:
         save_png(part, figure)
 
 
-def corner_names(names) -> list[str]:
-    """Parameters in the corner plot; beyond READABLE of them, scales of single indenters are left out."""
-    return [name for name in names if len(names) <= READABLE or not name.startswith("scale of ")]
+def corner_names(names, values) -> list[str]:
+    """Parameters in the corner plot, in order: the first, C10, and those that correlate most with it, at most READABLE."""
+    with_c10 = {name: abs(np.corrcoef(values[names[0]], values[name])[0, 1]) for name in names}
+    shown = sorted(names, key=lambda name: -with_c10[name])[:READABLE]
+    return [name for name in names if name in shown]
 
 
 def corner_plot(path, chain, model) -> None:
@@ -30,8 +32,8 @@ def corner_plot(path, chain, model) -> None:
     """
     import corner
 
-    names = corner_names(model.names)
     values = model.values(chain.flat(20000))
+    names = corner_names(model.names, values)
     data = np.stack([values[name] for name in names], axis=1)
     labels = [label_of(name).replace(" (", "\n(").replace(", ", ",\n") for name in names]
     figure = canvas(1.9 * len(names), 1.9 * len(names), None)
@@ -46,7 +48,7 @@ def corner_plot(path, chain, model) -> None:
         axis.set_title(f"${middle:.3g}^{{+{high - middle:#.2g}}}_{{-{middle - low:#.2g}}}$", fontsize=10)
     hidden = len(model.names) - len(names)
     if hidden:
-        figure.text(0.6, 0.9, f"{hidden} scales of single indenters: see the trace", fontsize=11)
+        figure.text(0.6, 0.9, f"{hidden} parameters that correlate less with C10: see the trace", fontsize=11)
     with publish(path) as part:
         Path(part).write_bytes(to_png(figure))
 
@@ -55,7 +57,7 @@ def trace_plot(path, chain, model) -> None:
     """Trace of every walker, thinned, with the burn-in shaded."""
     coordinates, figure = chain.coordinates, canvas(9, 1.5 * len(model.names))
     axes = np.atleast_1d(figure.subplots(len(model.names), 1, sharex=True))
-    thin = max(1, len(coordinates) // 1500)
+    thin = max(1, len(coordinates) // 300)
     steps = np.arange(0, len(coordinates), thin)
     shown = coordinates[::thin]
     values = model.values(shown.reshape(-1, shown.shape[-1]))

@@ -17,7 +17,7 @@ from types import MappingProxyType
 from gelforge.errors import BadInput, nearest, printable
 from gelforge.evidence.settings import check_dataset
 from gelforge.flow import params as config
-from gelforge.flow.calibration import calibration_of, refuse_twice
+from gelforge.flow.calibration import FROZEN, calibration_of, read_found, refuse_twice
 from gelforge.flow.cli import option, stage
 from gelforge.flow.files import (
     State,
@@ -90,17 +90,40 @@ def logged_rows(log: Path, sensor: str | None) -> list[RawRow]:
     ]
 
 
-def unknown_mountings(params: Params, rows: list[RawRow], dataset_toml: Path) -> None:
-    """Refuse a tilt or a touch offset of a mounting that no row of the log is of; BadInput."""
-    logged, poses = named(rows, "mounting") - {""}, params.poses
-    tables = (
-        ("mounting_tilt_deg", poses.mounting_tilt_deg),
-        ("mounting_touch_offset_mm", poses.mounting_touch_offset_mm),
-    )
-    for key, name in ((key, name) for key, table in tables for name in table):
-        if name not in logged:
-            meant = nearest(name, logged) if logged else "; the log names none, add a column mounting to it"
-            raise BadInput(f"{dataset_toml}: [params.poses] {key}: no row of the log is of {name!r}{meant}")
+def refuse_other_log(params: Params, rows: list[RawRow], dataset_toml: Path, calibration: Path | None) -> None:
+    """Refuse settings that were made for another log: of mountings that it lacks, or from none of its presses; BadInput.
+
+    calibration: the one that labels follow, None for none.
+    """
+    logged, settings = named(rows, "mounting") - {""}, [(dataset_toml, vars(params.poses))]
+    if calibration is not None and calibration.name == FROZEN:
+        found, ids = read_found(calibration), named(rows, "sample_id")
+        lost = [name for name in found.presses if name not in ids]
+        if 2 * len(lost) > len(found.presses):
+            raise BadInput(
+                f"{calibration}: {len(lost)} of its {len(found.presses)} presses are not in the log, the first {printable(lost[0])[:60]!r}: it was"
+                f" found for another gel or bench; remove it, or run make freeze DATASET={calibration.parent.name}"
+            )
+        settings.append((calibration, found.params.get("poses", {})))
+    for path, poses in settings:
+        for key in ("mounting_tilt_deg", "mounting_touch_offset_mm"):
+            for name in poses.get(key, {}):
+                if name not in logged:
+                    meant = nearest(name, logged) if logged else "; the log names none, add a column mounting to it"
+                    raise BadInput(f"{path}: [params.poses] {key}: no row of the log is of {name!r}{meant}")
+
+
+def refuse_near_names(rows: list[RawRow], log: Path) -> None:
+    """Refuse names in one column that differ in case or punctuation alone: as a rule one thing, written in two ways."""
+    for column in ("mounting", "gel_id", "sensor_id"):
+        seen: dict[str, str] = {}
+        for name in sorted(named(rows, column)):
+            plain = re.sub(r"[^a-z0-9]", "", name.lower())
+            if plain and seen.setdefault(plain, name) != name:
+                raise BadInput(
+                    f"{log}: column {column} has {printable(seen[plain])[:60]!r} and {printable(name)[:60]!r}, which differ in case or"
+                    " punctuation alone: write one name for one thing, and names that differ in letters or digits for two"
+                )
 
 
 def known_shards(table: Path) -> dict[str, int]:
@@ -449,7 +472,8 @@ def main(args: Namespace) -> None:
     beside = files_beside(data)
     states = states_of([*read, *beside.values()], known)
     check_dataset(dataset_toml, dataset, params, used(sensors, named(rows, "sensor_id")), sensors, indenters, models)
-    unknown_mountings(params, rows, dataset_toml)
+    refuse_near_names(rows, of.log)
+    refuse_other_log(params, rows, dataset_toml, found)
     seen_by = used(sensors, named(rows, "sensor_id"))
     tables = {
         "sensors": seen_by,

@@ -175,7 +175,8 @@ def test_one_odd_frame_before_its_end_does_not_spoil_a_film(root, shipped):
 
 def test_a_film_that_begins_in_a_press_is_refused_once_the_gel_reads_as_pressed(root, tmp_path):
     """Or as soon as its no-contact image shows the contact; the same film is read with its no-contact image."""
-    words = ["--csv", str(tmp_path / "live.csv"), "--video"]
+    table = tmp_path / "live.csv"
+    words = ["--csv", str(table), "--video"]
     rest = cv2.imread(str(root / "data/demo/nocontact/mini_a.png"))
     said = "(begins in a press: .* N are predicted for frame|something seems to touch the gel) .*give a no-contact image with --nocontact"
     # the first is looked at twice: too few to be sure while the film goes on
@@ -183,7 +184,12 @@ def test_a_film_that_begins_in_a_press_is_refused_once_the_gel_reads_as_pressed(
         pressed = cv2.imread(str(root / f"data/demo/images/demo-{press:06d}.png"))
         film = write_film(tmp_path / "film.avi", [pressed] * 14 + [rest] * released, 10.0)
         refused(said, live.main, [*words, str(film)])
+        table.unlink(missing_ok=True)
     live.main([*words, str(film), "--nocontact", str(root / "data/demo/nocontact/mini_a.png")])
+    recorded = table.read_text()
+    refused("live.csv: exists already and would be replaced", live.main, [*words, str(film)])
+    assert table.read_text() == recorded
+    table.unlink()
     live.main([*words, str(write_film(tmp_path / "right.avi", [rest] * 14 + [pressed] * 14, 10.0))])
 
 

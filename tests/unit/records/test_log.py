@@ -1,6 +1,7 @@
 """The raw log: every kind of bad cell, row and file is refused with its place and a hint, and keeps no good row out."""
 
 import io
+import re
 import zipfile
 from dataclasses import replace
 
@@ -15,7 +16,7 @@ from gelforge.flow.files import csv_text
 from gelforge.flow.layout import Layout
 from gelforge.records import log
 from gelforge.records.image import bad_image, read_image
-from gelforge.records.press import COLUMNS, RawRow
+from gelforge.records.press import COLUMNS, FORCES, POSE, RawRow
 from gelforge.records.press import parse as parse_row
 from gelforge.stages.plan import write_shards
 from tests.support.press_records import log_line, write_lines
@@ -120,7 +121,7 @@ def test_missing_columns_are_named(tmp_path):
         sample, wrong = parse_row(RawRow(2, {k: v for k, v in GOOD.items() if k != column}), "log.csv")
         assert sample is None
         assert [(r.column, r.reason) for r in wrong] == [(column, "the column is missing in the header")]
-    for column, instead in (("dz_mm", "dz"), ("indenter", "indentor"), ("rot_deg", "rotation_deg")):
+    for column, instead in (("indenter", "indentor"), ("rot_deg", "rotation_deg")):
         said = f"column {column} is missing.*rename '{instead}'"
         refused(said, read, tmp_path, renamed(**{column: instead}))
     for image in ("images/a1.png", ""):
@@ -149,8 +150,8 @@ def test_files_that_are_no_log_are_refused(tmp_path):
         (WHOLE + log_line(image='"images/b".png') + "\n", "row 3: .* expected after"),
         (WHOLE + log_line(gel_id="x" * 200_000) + "\n", "row 3: field larger than field limit"),
         (f"{HEADER},x0_mm\n{log_line()},1\n", "column x0_mm occurs 2 times"),
-        (f"{HEADER},pressid\n{log_line()},p1\n", "'pressid' is unknown; write press_id"),
-        (f"{HEADER},tilt_deg_x\n{log_line()},1\n", "'tilt_deg_x' is unknown; write tilt_x_deg"),
+        (f"{HEADER},pressid\n{log_line()},p1\n", "'pressid' is unknown; write it as press_id"),
+        (f"{HEADER},tilt_deg_x\n{log_line()},1\n", "'tilt_deg_x' is unknown; write it as tilt_x_deg"),
         ("depth_mm,fz\n0.3,-0.1\n", "seen: depth_mm, fz; workflow/guide/your-data.md lists the columns"),
         (renamed(image="Image", mz_nm="IMAGE"), "column image occurs 2 times"),
     ):
@@ -212,7 +213,7 @@ def test_a_row_that_is_wrong_keeps_out_itself_alone(tmp_path):
 
 
 def test_every_reader_of_a_log_counts_its_lines(tmp_path):
-    """A blank line is a line, a note of two lines is two: stage 10, its shards and calibration name the same row."""
+    """A blank line is a line: stage 10, its shards and calibration name the same row."""
     lines = [log_line(sample_id="s1", fz_n=-1), "", log_line(sample_id="s2", fz_n=-2, dz_mm="deep"),
              log_line(sample_id="s3", fz_n=-3)]  # fmt: skip
     path = write_lines(tmp_path / "log.csv", *lines)
@@ -223,9 +224,29 @@ def test_every_reader_of_a_log_counts_its_lines(tmp_path):
     assert [(r.row, r.sample_id) for r in wrong] == [(4, "s2")]
     readings = read_readings(path, {r.row for r in wrong})
     assert readings.ids.tolist() == ["s1", "s3"] and readings.rows.tolist() == [2, 5]
-    noted = [log_line(sample_id="a") + ',"two\nlines"', log_line(sample_id="b") + ","]
-    path = write_lines(tmp_path / "log.csv", *noted, columns=(*COLUMNS, "notes"))
-    assert judged(path) == (["a", "b"], []) and [row.row for row in log.read_log(path)] == [2, 4]
+
+
+def test_a_name_that_is_nearly_that_of_a_number_is_refused_with_the_right_name(tmp_path):
+    """Without its unit, in another unit, in brackets: its values were ignored, or lost where the advice was followed."""
+    for name in (*POSE, *FORCES, "tilt_x_deg", "tilt_y_deg"):
+        stem, unit = name.rsplit("_", 1)
+        for instead in (stem, f"{stem}_g", f"{stem}_inches", f"{stem} [{unit}]", f"{stem}({unit.upper()})"):
+            columns = [instead if column == name else column for column in (*COLUMNS, "tilt_x_deg", "tilt_y_deg")]
+            path = write_lines(tmp_path / "log.csv", log_line() + ",0,0", columns=columns)
+            refused(f"column '{re.escape(instead)}' is unknown; write it as {name}, in ", log.read_log, path)
+    beside = write_lines(
+        tmp_path / "log.csv", log_line() + ",1,2,3", columns=(*COLUMNS, "fz_g", "fz_raw", "gel_batch")
+    )
+    assert log.read_log(beside)[0].cells.keys() == set(COLUMNS)
+
+
+def test_a_quotation_mark_swallows_no_rows(tmp_path):
+    """A ditto mark in two rows took all rows between into one cell."""
+    rows = [
+        log_line(sample_id=name) + f",{note}" for name, note in (("a", "new"), ("b", '"'), ("c", "x"), ("d", '"'))
+    ]
+    path = write_lines(tmp_path / "log.csv", *rows, columns=(*COLUMNS, "notes"))
+    refused("row 3: a quotation mark opens a cell that ends in line 5", log.read_log, path)
 
 
 def test_a_row_that_was_cut_is_refused_wherever_it_was_cut(tmp_path):

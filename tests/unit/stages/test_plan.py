@@ -243,9 +243,9 @@ def test_names_that_are_none_are_refused_at_the_plan(lab, monkeypatch):
 def test_a_tilt_of_a_mounting_that_the_log_names_is_planned(lab):
     params = parameters(poses={"mounting_tilt_deg": {"again": [2.0, 0.0]}})
     rows = [RawRow(2, {"sample_id": "a", "mounting": "again"}), RawRow(3, {"sample_id": "b", "mounting": ""})]
-    plan.unknown_mountings(params, rows, Path("dataset.toml"))
+    plan.refuse_other_log(params, rows, Path("dataset.toml"), None)
     with pytest.raises(BadInput, match="'again'; did you mean agin"):
-        plan.unknown_mountings(params, [RawRow(2, {"mounting": "agin"})], Path("dataset.toml"))
+        plan.refuse_other_log(params, [RawRow(2, {"mounting": "agin"})], Path("dataset.toml"), None)
 
 
 def test_sensors_sit_on_gels_of_one_shape_each_of_its_own_thickness(lab, monkeypatch):
@@ -340,3 +340,37 @@ def test_few_presses_are_read_by_the_network_that_ships(tmp_path, presses, nocon
         (tmp_path / "nocontact").mkdir()
     params = parameters(report={"model": named})
     assert reported_model(tmp_path / "dataset.toml", params, {"tuned": {}}, presses) == shown
+
+
+def test_a_calibration_of_another_log_is_refused(lab, tmp_path):
+    """A folder that was copied as a template: labels were 1.7 times too large. Rows that were added since are no fault."""
+    frozen = tmp_path / "calibration.toml"
+    text = 'name = "old-1a2b3c"\nlaw = "coulomb"\npresses = ["a", "b", "c"]\n\n[params.material]\nc10 = 0.12\n'
+    frozen.write_text(text)
+    rows = [RawRow(at, {"sample_id": name, "mounting": ""}) for at, name in enumerate("abd", 2)]
+    plan.refuse_other_log(parameters(), rows, Path("dataset.toml"), frozen)
+    said = "calibration.toml: 2 of its 3 presses are not in the log, the first 'b': it was found for another gel or bench"
+    refused(said, plan.refuse_other_log, parameters(), rows[:1], Path("dataset.toml"), frozen)
+    frozen.write_text(f"{text}[params.poses]\nmounting_touch_offset_mm = {{again = 0.01}}\n")
+    refused(
+        "calibration.toml: .* no row of the log is of 'again'",
+        plan.refuse_other_log,
+        parameters(),
+        rows,
+        Path("dataset.toml"),
+        frozen,
+    )
+
+
+def test_names_that_differ_in_case_or_punctuation_are_refused(tmp_path):
+    """The second of two mountings `reseated` and `Reseated` had no tilt, which is a third of a flat body's force."""
+    for column in ("mounting", "gel_id", "sensor_id"):
+        rows = [RawRow(2, {column: "reseated"}), RawRow(3, {column: ""}), RawRow(4, {column: "other"})]
+        plan.refuse_near_names(rows, tmp_path / "log.csv")
+        for name in ("Reseated", "re-seated"):
+            refused(
+                f"column {column} has .* differ in case",
+                plan.refuse_near_names,
+                [*rows, RawRow(5, {column: name})],
+                tmp_path / "log.csv",
+            )
