@@ -89,7 +89,7 @@ train: $D/70_train/$(RES1)/$(LEARNT).onnx  ## train one network, write it as ONN
 $(TRAINED): $D/70_train/$(RES1)/%.onnx: $D/60_dataset/$(RES1)/dataset.json $P/models/%.json $P/train.json $(LEARNT_WITH)
 	$(call step,gelforge.stages.train $D $(RES1) $*)
 
-$(TUNED:%=$D/70_train/$(RES1)/%.onnx): $(SHIPPED).safetensors
+$(TUNED:%=$D/70_train/$(RES1)/%.onnx): $(SHIPPED).safetensors $(SHIPPED).onnx
 
 ifeq ($(EXECUTOR),slurm)
 $(FEA) $(TRAINED): LAUNCHED := $(ON_CLUSTER)

@@ -149,11 +149,14 @@ def summarise(values) -> dict:
     return {"median_ms": float(middle), "p10_ms": float(low), "p90_ms": float(high), "runs": len(values)}
 
 
-def intervals_of(model: ForceModel, data: Data, groups: Groups) -> dict[str, Any]:
+def intervals_of(
+    model: ForceModel, data: Data, groups: Groups, start: Mapping[str, Any] | None = None
+) -> dict[str, Any]:
     """The part of a model's metadata on its 90 % prediction intervals.
 
-    How they grow with force is fitted to the rows of `data` that chose the epoch, their size to those that calibrate. Empty
-    if the model's grid is not the dataset's; without intervals if there are too few presses.
+    How they grow with force is fitted to the rows of `data` that chose the epoch, their size to those that calibrate. start:
+    metadata of the network that it was fine-tuned from, whose widening on real sensors it keeps. Empty if the model's
+    grid is not the dataset's; without intervals if there are too few presses.
     """
     if list(model.metadata["grid"]) != list(data.grid):
         return {}
@@ -161,6 +164,9 @@ def intervals_of(model: ForceModel, data: Data, groups: Groups) -> dict[str, Any
     found = fit_intervals(errors_of(model, data, choose), errors_of(model, data, size_on)) if len(size_on) else {}
     sensors = sorted(set(data.names("sensor_id")[size_on].tolist()))
     pressed = sorted(set(press_keys(data, np.union1d(choose, size_on)).tolist()))
+    real = (start or {}).get("intervals", {}).get("real")
+    if found and real:
+        found |= {"real": real}
     return {"intervals": found | {"sensors": sensors, "data": data.name, "presses": pressed}}
 
 

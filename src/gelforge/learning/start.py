@@ -8,9 +8,10 @@ from torch import nn
 
 from gelforge.errors import BadInput
 from gelforge.learning.data import Data
+from gelforge.learning.export import load_weights
 from gelforge.reading.frame import at_scale
 from gelforge.reading.markers import markers_in
-from gelforge.reading.model import datasets_of
+from gelforge.reading.model import SHIPPED, datasets_of, load_model
 from gelforge.records.samplefile import VALIDATION
 
 # Validation presses; weights selected by a single one had five times the errors of the initial weights on others.
@@ -35,6 +36,12 @@ class Start:
             "sensors": self.metadata["sensors"],
             "learnt": datasets_of(self.metadata),
         }
+
+
+def shipped() -> Start:
+    """The network that ships, with the intervals of its model file, which alone knows how it reads real sensors."""
+    net, metadata = load_weights(SHIPPED.with_suffix(".safetensors"))
+    return Start(net, metadata | {"intervals": load_model(SHIPPED).metadata["intervals"]})
 
 
 def scales_before(

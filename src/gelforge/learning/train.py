@@ -111,7 +111,7 @@ def make_model(
         metadata |= {"start": metadata["start"] | {"fraction": training.fraction}}
     net = training.net.cpu()
     model = model_of(metadata, export(net, metadata))
-    intervals = intervals_of(model, data, groups)
+    intervals = intervals_of(model, data, groups, start.metadata if start else None)
     seconds = training.cost["seconds"] + time.perf_counter() - began
     peak_gib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
     cost = {"cost": training.cost | {"seconds": seconds, "peak_gib": peak_gib}}

@@ -15,7 +15,7 @@ from gelforge.flow.tables import SHIPPED as SHIPS
 from gelforge.flow.tables import TrainingTable, TrainTable
 from gelforge.records.networkkind import kind_of
 
-VERSION = 24
+VERSION = 25
 
 
 def resolve(models: dict, name: str, train: TrainTable) -> tuple[dict, TrainingTable]:
@@ -51,10 +51,8 @@ def train(data, name: str, model: dict, settings: TrainingTable, checkpoint=None
 @stage(Layout.network)
 def main(args: Namespace) -> None:
     from gelforge.learning.data import open_data
-    from gelforge.learning.export import load_weights
-    from gelforge.learning.start import Start
+    from gelforge.learning.start import shipped
     from gelforge.learning.train import save_trained
-    from gelforge.reading.model import SHIPPED
     from gelforge.reporting.networkcharts import draw_curve
 
     of = args.of
@@ -62,8 +60,7 @@ def main(args: Namespace) -> None:
     model, settings = resolve(read_json(of.parameters(f"models/{args.model}")), args.model, params)
     checkpoint = beside(args.out, ".checkpoint.pt")
     data = open_data(of.dataset(args.resolution))
-    weights = SHIPPED.with_suffix(".safetensors")
-    start = Start(*load_weights(weights)) if model.pop("start", None) else None
+    start = shipped() if model.pop("start", None) else None
     also = [open_data(Layout(of.root.parent / name).lesson(args.resolution)) for name in params.also]
     trained = train(data, args.model, model, settings, checkpoint, start, also)
     curve = trained.metadata["curve"]

@@ -22,8 +22,10 @@ from gelforge.learning.evaluate import (
     what_errs_alike,
 )
 from gelforge.learning.pictures import write_pairs
-from gelforge.learning.predictions import predict_rows
+from gelforge.learning.predictions import intervals_of, predict_rows
 from gelforge.learning.start import Start
+from gelforge.learning.start import shipped as shipped_start
+from gelforge.reading.interval import half_widths
 from gelforge.reading.reader import Reader
 from gelforge.records.axes import CHANNELS
 from gelforge.records.predictionfile import read_predictions
@@ -395,3 +397,23 @@ def test_a_press_that_the_start_of_a_network_learnt_from_is_not_tested(seen_by_t
     known = known_rows(further.model, data)
     assert known[data.splits["train"]].all() and known[data.splits["test"]].all()
     assert "test" not in evaluate(swapped, further.model, EVALUATE)[0]["splits"]
+
+
+def test_a_fine_tuned_network_keeps_what_widens_the_intervals_of_its_start_on_real_sensors(seen_by_three, learnt):
+    """Only sideways intervals grow, by the fraction of the force's magnitude in quadrature."""
+    data, real = seen_by_three, {"unprofiled": 0.0, "profiled": 0.0, "sideways": 0.2}
+    wider = learnt.metadata | {"intervals": learnt.metadata["intervals"] | {"real": real}}
+    groups, force = groups_of(data, data), np.array([0.0, 3.0, -4.0])
+    own, kept = (intervals_of(learnt.model, data, groups, start) for start in (learnt.metadata, wider))
+    assert "real" not in own["intervals"] and kept["intervals"]["real"] == real
+    fx, fy, fz = half_widths(kept, force) ** 2 - half_widths(own, force) ** 2
+    assert (fx, fy, fz) == pytest.approx((1.0, 1.0, 0.0))
+    further = train(data, "pair", MODELS["pair"], with_values(SETTINGS, epochs=1), start=Start(learnt.net, wider))
+    assert further.metadata["intervals"]["real"] == real
+
+
+def test_the_shipped_network_starts_with_the_intervals_of_its_model_file(shipped):
+    """Its weights were written before real sensors were measured."""
+    begun = shipped_start().metadata["intervals"]
+    assert begun == shipped.metadata["intervals"]
+    assert begun["real"]["sideways"] > 0.0
