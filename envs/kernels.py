@@ -43,6 +43,7 @@ if __name__ == "__main__":
     else:
         print("compiling the solver")
         both = [subprocess.Popen([sys.executable, sys.argv[0], kind]) for kind in KINDS]
-        if any([one.wait() for one in both]):
+        codes = [one.wait() for one in both]  # waits for each, even if one fails
+        if any(codes):
             sys.exit(1)
         Path(sys.argv[1]).touch()
