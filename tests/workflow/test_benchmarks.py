@@ -40,6 +40,7 @@ LEFT_OUT = {
     "edge_order": "solves every press of known force on hexahedra: tests/physics/test_laws.py",
     "faults": "plants 154 faults, for more than half an hour: tests/unit/test_repository.py",
     "exact": "solves every press of known force by every method: tests/physics/test_axisymmetric.py",
+    "first": "sets up a clone, runs its demo and all its tests: tests/workflow/test_benchmarks.py, a clone of one rule",
     "goodlogs": "fits thousands of simulated logs: tests/unit/evidence/test_forces.py",
     "troubles": "labels the demo: tests/unit/evidence and tests/unit/stages/test_images.py",
     "outside": "GetFEM takes minutes for a scene: tests/workflow/test_outside.py",
@@ -101,6 +102,31 @@ class TestOfACluster:
 
     def test_its_overhead_is_measured(self, tmp_path):
         assert missed(run_small("slurm", ["--only", "overhead", "--shards", "5"], tmp_path)) == []
+
+
+def test_first_contact_is_timed_in_a_clone(root, tmp_path):
+    source, out = tmp_path / "source", tmp_path / "first.json"
+    source.mkdir()
+    rule = "setup:\n\t@test ! -e made && head -c 1000000 /dev/zero > made && ln made again && ln -s / whole\n"
+    (source / "Makefile").write_text(rule)
+    who = ["-c", "user.name=a", "-c", "user.email=a@example.org"]
+    for words in (["init", "-q"], ["add", "Makefile"], [*who, "commit", "-q", "-m", "rule"]):
+        subprocess.run(["git", *words], cwd=source, check=True)
+    (source / "made").touch()  # what is not committed is not in the clone
+    environment = {**clean_environment(), "PYTHONPATH": f"{root}:{root / 'src'}"}
+
+    def run(until):
+        asked = [sys.executable, "-m", "tests.benchmarks", "first", "--until", until, "--out", str(out)]
+        return subprocess.run(asked, cwd=source, env=environment, capture_output=True, text=True)
+
+    done = run("setup")
+    assert done.returncode == 0, done.stderr
+    found = {f["name"]: f["value"] for f in read_json(out)["figures"]}
+    assert set(found) == {"make setup", "disk after make setup"}
+    assert 1e-3 < found["disk after make setup"] < 2e-3  # the linked file once, and nothing of /
+    done = run("demo")
+    assert done.returncode != 0
+    assert "make demo failed" in done.stderr
 
 
 def test_no_benchmark_is_forgotten(root):
