@@ -1,16 +1,20 @@
 # Branches: calibrate, pareto, stability, the chart of networks, and shipping a network.
 
-# Posterior of C10 and of the bench's errors, from the forces and the commanded paths of the log's rows. Solves, chain
-# and pictures lie beside the summary, which is written last. A log that gives no posterior gives a summary that says
+# Posterior of C10 and of the bench's errors, from the forces and the commanded paths of the log's rows. Pictures are
+# drawn beside the stages that follow it. A log that gives no posterior gives a summary that says
 # why: the report shows it, `make calibrate` fails with it.
 POSTERIOR := $D/calibrate/summary.json
+PLOTS := $D/calibrate/plots.json
 
 .PHONY: calibrate
-calibrate: $(POSTERIOR)  ## posterior of C10, touch offset, compliance and friction from the log's force readings
+calibrate: $(POSTERIOR) $(PLOTS)  ## posterior of C10, touch offset, compliance and friction from the log's force readings
 	@$(PY) -m gelforge.commands.freeze --show $D
 
 $(POSTERIOR): $(SHARDS:%=$(SHARD)/%.csv) $P/calibrate.json $P/indenters.json $P/sensors.json $P/gels.json
 	$(HANDS_SLOTS)$(call step,gelforge.stages.calibrate $D)
+
+$(PLOTS): $(POSTERIOR) $P/plots.json
+	$(call step,gelforge.stages.plots $D)
 
 .PHONY: freeze
 freeze: $(POSTERIOR)  ## write the posterior to data/DATASET/calibration.toml: labels follow it until the next make freeze

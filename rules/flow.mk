@@ -118,6 +118,7 @@ $(EVALUATED:.json=.card.md): $D/80_evaluate/$(RES1)/%.card.md: $D/80_evaluate/$(
 PAGE_NET := $(if $(IMPORTED)$(IMAGES),$(NET),none)
 REPORT := $D/90_report/$(RES1)-$(PAGE_NET).html
 SHOWN := $(sort $(BRANCHES:%=$D/%) $(wildcard $D/calibrate/summary.json $D/pareto/pareto.json))
+SHOWN += $(if $(filter $D/calibrate/summary.json,$(SHOWN)),$D/calibrate/plots.json)
 # A network of one's own stands beside the shipped one, where that reads the dataset.
 BOTH := $(if $(filter $(SHIPPED_RES),$(RES1)),$(if $(wildcard $(DATA)/nocontact),shipped))
 OWN_NET := $(patsubst %,$D/70_train/$(RES1)/%.onnx,$(filter $(MODELS),$(NET)))

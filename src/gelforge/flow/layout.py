@@ -65,6 +65,7 @@ STAGES = {
         ),
         solves=True,
     ),
+    "plots": Stage(CALIBRATE),
     "pareto": Stage(PARETO, ("fea", "material.nu")),
     "stability": Stage(STABILITY, ("fea",), solves=True),
     "pareto_models": Stage(PARETO_MODELS),
@@ -256,6 +257,7 @@ class Layout:
     stability_map = File(f"{STABILITY}/map.json")
     feats = File(f"{FEATS}/{{resolution}}/normalization_gelforge.npy")  # written after the labels
     calibration = File(f"{CALIBRATE}/summary.json", shared=True)  # samples follow the posterior of their dataset
+    plots = File(f"{CALIBRATE}/plots.json")  # captions of the pictures of the posterior beside it
     surfaces = Folder(
         f"{PLAN}/{SURFACES}", shared=True
     )  # measured surfaces of STL files, by a digest of their content

@@ -291,7 +291,7 @@ class CalibrateTable(ParameterTable):
     # Sampling by emcee. The chain ends after this many autocorrelation times (as emcee advises) if its walkers agree. It
     # fails after max_steps steps.
     seed: ClassVar[int] = 1
-    autocorrelation_times: ClassVar[int] = 50
+    autocorrelation_times: ClassVar[int] = 25
     max_steps: ClassVar[int] = 60000
     refine: Literal["none", "draft", "label", "fine"]
     solver: CalibrateSolverTable

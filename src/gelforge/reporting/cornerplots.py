@@ -4,7 +4,6 @@ from pathlib import Path
 
 import numpy as np
 
-from gelforge.calibration.parameters import label_of
 from gelforge.flow.files import publish
 from gelforge.reporting.canvas import canvas, save_png, to_png
 
@@ -18,53 +17,46 @@ def _save(figure, path) -> None:
         save_png(part, figure)
 
 
-def corner_names(names, values) -> list[str]:
-    """Parameters in the corner plot, in order: the first, C10, and those that correlate most with it, at most READABLE."""
-    with_c10 = {name: abs(np.corrcoef(values[names[0]], values[name])[0, 1]) for name in names}
-    shown = sorted(names, key=lambda name: -with_c10[name])[:READABLE]
-    return [name for name in names if name in shown]
+def most_correlated(values: np.ndarray) -> np.ndarray:
+    """Columns (at most READABLE,) of draws (s, k), in order: the first, C10, and those that correlate most with it."""
+    with_first = np.abs(np.atleast_2d(np.corrcoef(values, rowvar=False))[0])
+    return np.sort(np.argsort(-with_first, kind="stable")[:READABLE])
 
 
-def corner_plot(path, chain, model) -> None:
-    """One- and two-dimensional marginals of the parameters, with medians and 68 % intervals.
+def corner_plot(path, labels, values) -> None:
+    """One- and two-dimensional marginals of parameters, with medians and 68 % intervals.
 
-    Axes span the central 99.5 % of the draws, so that a long tail does not set them.
+    labels: (k,), C10 first. values: draws (s, k). Axes span the central 99.5 % of the draws, so that a long tail does not
+    set them.
     """
     import corner
 
-    values = model.values(chain.flat(20000))
-    names = corner_names(model.names, values)
-    data = np.stack([values[name] for name in names], axis=1)
-    labels = [label_of(name).replace(" (", "\n(").replace(", ", ",\n") for name in names]
-    figure = canvas(1.9 * len(names), 1.9 * len(names), None)
+    shown = most_correlated(values)
+    data, hidden = values[:, shown], values.shape[1] - len(shown)
+    figure = canvas(1.9 * len(shown), 1.9 * len(shown), None)
     corner.corner(
-        data, labels=labels, quantiles=[0.16, 0.5, 0.84], label_kwargs={"fontsize": 9}, color=BAND, fig=figure,
-        range=[0.995] * len(names), labelpad=0.15, max_n_ticks=4,
+        data, labels=[labels[k].replace(" (", "\n(").replace(", ", ",\n") for k in shown], quantiles=[0.16, 0.5, 0.84],
+        label_kwargs={"fontsize": 11}, color=BAND, fig=figure, range=[0.995] * len(shown), labelpad=0.15, max_n_ticks=3,
     )  # fmt: skip
     for axis in figure.axes:
-        axis.tick_params(labelsize=7)
-    for column, axis in enumerate(figure.axes[:: len(names) + 1]):
+        axis.tick_params(labelsize=9)
+    for column, axis in enumerate(figure.axes[:: len(shown) + 1]):
         low, middle, high = np.quantile(data[:, column], [0.16, 0.5, 0.84])
-        axis.set_title(f"${middle:.3g}^{{+{high - middle:#.2g}}}_{{-{middle - low:#.2g}}}$", fontsize=10)
-    hidden = len(model.names) - len(names)
+        axis.set_title(f"${middle:.3g}^{{+{high - middle:#.2g}}}_{{-{middle - low:#.2g}}}$", fontsize=12)
     if hidden:
-        figure.text(0.6, 0.9, f"{hidden} parameters that correlate less with C10: see the trace", fontsize=11)
+        figure.text(0.5, 0.9, f"{hidden} parameters that correlate less with C10:\nsee the trace", fontsize=13)
     with publish(path) as part:
         Path(part).write_bytes(to_png(figure))
 
 
-def trace_plot(path, chain, model) -> None:
-    """Trace of every walker, thinned, with the burn-in shaded."""
-    coordinates, figure = chain.coordinates, canvas(9, 1.5 * len(model.names))
-    axes = np.atleast_1d(figure.subplots(len(model.names), 1, sharex=True))
-    thin = max(1, len(coordinates) // 300)
-    steps = np.arange(0, len(coordinates), thin)
-    shown = coordinates[::thin]
-    values = model.values(shown.reshape(-1, shown.shape[-1]))
-    for axis, name in zip(axes, model.names, strict=True):
-        axis.plot(steps, values[name].reshape(shown.shape[:2]), lw=0.3, alpha=0.4, color=BAND)
-        axis.axvspan(0, chain.figures.burn, color="0.9", zorder=0)
-        axis.set_ylabel(label_of(name).replace(" (", "\n("), fontsize=8)
+def trace_plot(path, labels, values, steps, burn: int) -> None:
+    """Trace of every walker, with the burn-in shaded. labels: (k,). values: (t, walkers, k) at the steps (t,)."""
+    figure = canvas(9, 1.5 * len(labels))
+    axes = np.atleast_1d(figure.subplots(len(labels), 1, sharex=True))
+    for column, (axis, label) in enumerate(zip(axes, labels, strict=True)):
+        axis.plot(steps, values[:, :, column], lw=0.3, alpha=0.4, color=BAND)
+        axis.axvspan(0, burn, color="0.9", zorder=0)
+        axis.set_ylabel(label.replace(" (", "\n("), fontsize=8)
         axis.margins(x=0)
     axes[-1].set_xlabel("step (grey: burn-in, not used)")
     _save(figure, path)

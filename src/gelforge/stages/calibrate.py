@@ -10,7 +10,7 @@ import numpy as np
 
 from gelforge.calibration import summary
 from gelforge.calibration.emulator import Emulator
-from gelforge.calibration.parameters import TARE, BenchModel, make_model, prior_name
+from gelforge.calibration.parameters import TARE, BenchModel, label_of, make_model, prior_name
 from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.readings import Readings, check_enough, check_readings, choose_presses, readings_of
 from gelforge.calibration.sampling import Chain, Figures, NotConverged, Rules, sample
@@ -18,17 +18,17 @@ from gelforge.calibration.tilts import centre_fault, mountings_of, tilted_mounti
 from gelforge.errors import BadInput, SolveFailed
 from gelforge.evidence import forces as evidence
 from gelforge.flow.cli import JOBS, stage
-from gelforge.flow.files import read_json, write_json
+from gelforge.flow.files import publish, read_json, write_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.params import StageParameters, altered, read_parameters
 from gelforge.flow.tables import CalibrateSolverTable, CalibrateTable
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.records.log import read_shard
-from gelforge.reporting import cornerplots as plots
 from gelforge.stages.poses import Bodies, judge
 
-VERSION = 18
+VERSION = 19
+DRAWN, TRACED = 20000, 300  # draws of the corner plot, steps of the trace
 MOST_BANDS = 6  # indenters in the plot of predictive bands, the first by name: more would hide each other
 
 
@@ -179,14 +179,13 @@ def evidence_of(done: Calibration, logged: Readings, usual: float) -> list[str]:
     return evidence.of_log(log, fitted)
 
 
-def draw_bands(done: Calibration) -> list:
-    """Predictive bands of normal force for the deepest press of MOST_BANDS indenters; see plots.predictive_plot."""
+def bands_of(done: Calibration) -> dict[str, np.ndarray]:
+    """Predictive bands of normal force for the deepest press of MOST_BANDS indenters, as `cornerplots.predictive_plot` takes them."""
     readings, posterior = done.readings, done.posterior
     rng = np.random.default_rng(0)
-    coordinates = done.chain.flat(600)
-    values = posterior.model.values(coordinates)
-    bands = []
-    for name in np.unique(readings.indenters)[:MOST_BANDS]:
+    values = posterior.model.values(done.chain.flat(600))
+    found: dict[str, np.ndarray] = {}
+    for number, name in enumerate(np.unique(readings.indenters)[:MOST_BANDS]):
         members = np.flatnonzero(readings.indenters == name)
         deepest = members[np.argmax(readings.depth[members])]
         grid = np.linspace(0.0, readings.depth[deepest], 60)
@@ -198,19 +197,28 @@ def draw_bands(done: Calibration) -> list:
             np.abs(readings.pose[members][:, [0, 1, 6]] - readings.pose[deepest, [0, 1, 6]]).max(axis=1) < 0.01
         ]
         quantiles = np.quantile(fresh, [0.025, 0.16, 0.5, 0.84, 0.975], axis=0)
-        bands.append((str(name), grid, quantiles, readings.depth[same], -readings.force[same, 2]))
-    return bands
+        measured = np.stack([readings.depth[same], -readings.force[same, 2]])
+        found |= {f"band{number}": np.vstack([grid, quantiles]), f"measured{number}": measured}
+    return found | {"bands": np.unique(readings.indenters)[:MOST_BANDS]}
 
 
-def draw_plots(done: Calibration, folder: Path) -> None:
-    """Corner plot, predictive bands and trace, as PNG in `folder`."""
+def draws_of(done: Calibration) -> dict[str, np.ndarray]:
+    """What stage `plots` draws of a posterior: parameters of draws and of the thinned chain, and predictions of the readings."""
     posterior, chain = done.posterior, done.chain
     mean, scale = summary.predictions(chain, posterior)
-    plots.corner_plot(folder / "corner.png", chain, posterior.model)
-    plots.trace_plot(folder / "trace.png", chain, posterior.model)
-    plots.predictive_plot(
-        folder / "predictive.png", draw_bands(done), posterior.observed, mean, scale, done.readings.ids,
-    )  # fmt: skip
+    steps = np.arange(0, len(chain.coordinates), max(1, len(chain.coordinates) // TRACED))
+    names, shown = posterior.model.names, chain.coordinates[steps]
+
+    def values(coordinates: np.ndarray) -> np.ndarray:
+        of = posterior.model.values(coordinates)
+        return np.stack([of[name] for name in names], axis=1).astype(np.float32)
+
+    return {
+        "labels": np.array([label_of(name) for name in names]), "draws": values(chain.flat(DRAWN)), "steps": steps,
+        "trace": values(shown.reshape(-1, shown.shape[-1])).reshape(*shown.shape[:2], -1),
+        "burn": np.array(chain.figures.burn), "observed": posterior.observed, "mean": mean, "scale": scale,
+        "ids": done.readings.ids.astype(str), **bands_of(done),
+    }  # fmt: skip
 
 
 def solver_settings(table: CalibrateSolverTable):
@@ -306,7 +314,7 @@ def logged_readings(of: Layout, read: StageParameters, bodies: Bodies) -> Readin
 
 
 def calibrated_log(of: Layout, read: StageParameters, folder: Path, jobs: int) -> tuple[dict, list[str]]:
-    """Contents of summary.json for a dataset, and what to print besides; plots go to `folder`.
+    """Contents of summary.json for a dataset, and what to print besides; what plots show goes to `folder`.
 
     Raises GelforgeError if the log's readings give no posterior.
     """
@@ -324,7 +332,8 @@ def calibrated_log(of: Layout, read: StageParameters, folder: Path, jobs: int) -
     done, seen = calibrate(readings, emulator, params, law, logged, usual, tilted)
     seen += lacking
     refuse_beyond(done.posterior, done.chain, params.reach_mm, seen)
-    draw_plots(done, folder)
+    with publish(folder / "summary.draws.npz") as part:
+        np.savez_compressed(part, **draws_of(done))
     result = summarise(done, params, seen)
     stated = {name: list(tilt) for name, tilt in read.poses.mounting_tilt_deg.items()}
     result["bench"] |= {"stated_tilt_deg": stated, "by_tilt": by_tilt(done)}

@@ -48,7 +48,7 @@ from gelforge.sweeps import verification
 VERSION = 8
 ABSENT = "not installed"
 NO_MODEL = "none"  # of a page of a dataset without images
-FOLDED = ("trace.png",)  # plots shown folded, for readers who check a result
+FOLDED = ("plots.trace.png",)  # plots shown folded, for readers who check a result
 PACKAGES = (
     "gelforge", "numpy", "scipy", "torch", "pymeshlab", "pyvista", "emcee", "opencv-contrib-python-headless",
 )  # fmt: skip
@@ -131,12 +131,8 @@ def calibration_section(results: Path) -> Section:
         )
     for press in summary.get("solves_spent", {}).get("unsolved", []):
         section.text(f"Left out: {press['sample_id']}: {press['reason']}")
-    captions = {
-        "predictive.png": "Readings beside what the posterior predicts of them.",
-        "corner.png": "Posterior of every parameter, and of every two.",
-        "trace.png": "Walkers of the chain.",
-    }
-    return add_pictures(section, path.parent, captions)
+    plots = Layout(results).plots()
+    return add_pictures(section, path.parent, read_json(plots) if plots.exists() else {})
 
 
 def force_section(results: Path, rows: list[dict], doubts: Sequence[str] = ()) -> tuple[Section, list[str]]:
