@@ -6,21 +6,23 @@ date, because make compares only dates. An input @FILE stands for the paths that
 environment stands in front of the command that is run, as on a cluster (`flow/slurm.py`), and is no part of the record.
 """
 
+import atexit
 import fcntl
 import json
 import os
 import resource
+import runpy
 import shlex
 import shutil
 import signal
-import subprocess
 import sys
 import time
+import traceback
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
-from functools import partial
 from pathlib import Path
 from types import FrameType
+from typing import NoReturn
 
 from gelforge.errors import BadInput, unwritable
 from gelforge.flow.files import State, changed, digest_of, record_of, states_of, take, write_json
@@ -206,17 +208,16 @@ def run(command: list[str], log_path: Path) -> tuple[int, dict]:
         log.flush()
         # a signal that comes while the child is forked would be a traceback of Python's in the child
         usual = signal.pthread_sigmask(signal.SIG_BLOCK, STOPS)
-        child = subprocess.Popen(
-            [*shlex.split(environment.pop("GELFORGE_LAUNCHER", "")), *command],
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            preexec_fn=partial(begin, usual),
-            env=environment,
-            pass_fds=slots,
-        )
+        launcher = shlex.split(environment.pop("GELFORGE_LAUNCHER", ""))
+        child = os.fork()
+        if not child:
+            for slot in slots:
+                os.set_inheritable(slot, True)
+            become([*launcher, *command], environment, log.fileno(), usual, inside=not launcher)
         stopped = pass_on_stops(child)
         signal.pthread_sigmask(signal.SIG_SETMASK, usual)
-        code = child.wait()
+        code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        stopped.over = True
         reap()
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
     return code, {
@@ -240,6 +241,37 @@ def reap() -> None:
                 time.sleep(0.01)
 
 
+def become(command: list[str], environment: dict[str, str], log: int, usual: Iterable[int], inside: bool) -> NoReturn:
+    """In the child: carry out `command` with output to the log, and end with its exit code.
+
+    inside: whether `python -m MODULE WORDS` runs in this interpreter, which saves the start of another one.
+    """
+    code = 1
+    try:
+        os.dup2(log, 1)
+        os.dup2(log, 2)
+        begin(usual)
+        if not inside or Path(command[0]).absolute() != Path(sys.executable) or command[1:2] != ["-m"]:
+            os.execvpe(command[0], command, environment)
+        os.environ.clear()
+        os.environ.update(environment)
+        sys.argv = command[2:]
+        try:
+            runpy.run_module(command[2], run_name="__main__", alter_sys=True)
+            code = 0
+        except SystemExit as ended:
+            code = ended.code if isinstance(ended.code, int) else int(ended.code is not None)
+        except BaseException:
+            traceback.print_exc()
+        atexit._run_exitfuncs()
+        sys.stdout.flush()
+        sys.stderr.flush()
+    except OSError as error:
+        print(f"{command[0]}: {error.strerror}", file=sys.stderr, flush=True)
+    finally:
+        os._exit(code)  # without the ends of what the parent had begun, such as its lock
+
+
 def begin(usual: Iterable[int]) -> None:
     """What the child does before its command: it ends with its parent, and a signal that waits ends it without a word."""
     die_with_parent()
@@ -249,15 +281,21 @@ def begin(usual: Iterable[int]) -> None:
     signal.pthread_sigmask(signal.SIG_SETMASK, usual)
 
 
-def pass_on_stops(child: subprocess.Popen) -> list[int]:
+class Stopped(list):
+    """Signals that came; over: whether the child has ended."""
+
+    over = False
+
+
+def pass_on_stops(child: int) -> Stopped:
     """From now on pass signals that tell this process to stop on to a child; return the list that collects them."""
-    came: list[int] = []
+    came = Stopped()
 
     def stop(number: int, _frame: FrameType | None) -> None:
         came.append(number)
-        if child.returncode is None:
+        if not came.over:
             with suppress(ProcessLookupError):
-                os.kill(child.pid, number)
+                os.kill(child, number)
 
     for name in STOPS:
         signal.signal(name, stop)

@@ -5,6 +5,7 @@ from argparse import Namespace
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -202,7 +203,7 @@ def bands_of(done: Calibration) -> dict[str, np.ndarray]:
     return found | {"bands": np.unique(readings.indenters)[:MOST_BANDS]}
 
 
-def draws_of(done: Calibration) -> dict[str, np.ndarray]:
+def draws_of(done: Calibration) -> dict[str, Any]:
     """What stage `plots` draws of a posterior: parameters of draws and of the thinned chain, and predictions of the readings."""
     posterior, chain = done.posterior, done.chain
     mean, scale = summary.predictions(chain, posterior)

@@ -318,7 +318,7 @@ def test_the_demo_has_presses_that_slide_and_a_calibration_of_it_chooses_some(ro
     assert read_dataset_file(demo / "dataset.toml").params["interface"]["law"] == "coulomb"
     readings = read_readings(demo / "log.csv")
     far = readings.travel > 2 * readings.depth
-    assert far.sum() == 6 and (slides(readings) == far).all()
+    assert far.sum() == 3 and (slides(readings) == far).all()
     chosen = choose_presses(readings, PARAMS.max_presses, "coulomb")
     for name, there in zip(*np.unique(readings.mountings[far], return_counts=True), strict=True):
         assert far[chosen][readings.mountings[chosen] == name].sum() == min(PARAMS.max_presses // 4, there)
