@@ -10,7 +10,7 @@ PLOTS := $D/calibrate/plots.json
 calibrate: $(POSTERIOR) $(PLOTS)  ## posterior of C10, touch offset, compliance and friction from the log's force readings
 	@$(PY) -m gelforge.commands.freeze --show $D
 
-$(POSTERIOR): $(SHARDS:%=$(SHARD)/%.csv) $P/calibrate.json $P/indenters.json $P/sensors.json $P/gels.json
+$(POSTERIOR): $(SHARDS:%=$(SHARD)/%.csv) $P/calibrate.json $P/indenters.json $P/sensors.json $P/gels.json | $(IMAGES_JUDGED)
 	$(HANDS_SLOTS)$(call step,gelforge.stages.calibrate $D)
 
 $(PLOTS): $(POSTERIOR) $P/plots.json

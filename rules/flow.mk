@@ -3,6 +3,20 @@
 # What labels follow: CALIBRATION is data/DATASET/calibration.toml if there is one, else the posterior if the dataset
 # asks for it ([material] c10 = "calibrated"), else nothing. It moves poses, scales forces and sets friction.
 
+# Files of a shard: bodies and sensors, images.
+USED := $(SHARDS:%=$(SHARD)/%.json)
+PICTURES := $(SHARDS:%=$(SHARD)/%.pictures.json)
+
+# 15: checks that the images of the whole log show what its rows describe, by commanded paths, before anything is solved:
+# a calibration, on which stage 10 may wait, waits for this stage.
+IMAGES_JUDGED := $(if $(IMPORTED),,$(if $(IMAGES),$D/15_images/images.json))
+
+.PHONY: images
+images: $(IMAGES_JUDGED)  ## compare the images of the log with its poses and no-contact images
+
+$D/15_images/images.json: $(SHARDS:%=$(SHARD)/%.csv) $(USED) $(PICTURES) $(BESIDE)/nocontact.json $P/images.json $P/gels.json $P/spare.json
+	$(HANDS_SLOTS)$(call step,gelforge.stages.images $D)
+
 # 10: checks each row of the log, places each indenter's surface as the CNC did.
 POSES := $(SHARDS:%=$D/10_poses/%.csv)
 
@@ -11,19 +25,6 @@ poses: $(POSES)  ## check the log, place every indenter's surface as the CNC did
 
 $(POSES): $D/10_poses/%.csv: $(SHARD)/%.csv $(SHARD)/%.json $(SHARD)/%.pictures.json $P/poses.json $(CALIBRATION) | $D/00_plan/shards.csv
 	$(call step,gelforge.stages.poses $D $*)
-
-# Files of a shard: paths (by stage 10), bodies and sensors, images.
-USED := $(SHARDS:%=$(SHARD)/%.json)
-PICTURES := $(SHARDS:%=$(SHARD)/%.pictures.json)
-
-# 15: checks that the images of the whole log show what its rows describe, before anything is solved.
-IMAGES_JUDGED := $(if $(IMPORTED),,$(if $(IMAGES),$D/15_images/images.json))
-
-.PHONY: images
-images: $(IMAGES_JUDGED)  ## compare the images of the log with its poses and no-contact images
-
-$D/15_images/images.json: $(POSES) $(USED) $(PICTURES) $(BESIDE)/nocontact.json $P/images.json $P/gels.json $P/spare.json
-	$(HANDS_SLOTS)$(call step,gelforge.stages.images $D)
 
 # 20: tetrahedra of each gel, which stage 30 bisects for each press. Stages that read meshes of presses read these, too.
 MESH = $D/20_meshes/%.npz

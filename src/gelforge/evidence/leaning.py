@@ -6,7 +6,7 @@ rim deeper. So the colours of all presses of a sensor are fitted at a grid of ti
 the tilt is the one at which the least is left. Balls roll aside by it, and show what the light does.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -15,7 +15,7 @@ import numpy as np
 from gelforge.evidence.imprints import COLS, ROWS, Window
 from gelforge.geometry.solids import Indenter
 from gelforge.labelling.sensor import Sensor
-from gelforge.records.press import Press
+from gelforge.records.press import Press, PressRecord
 
 LARGEST_DEG = 4.0  # tilts about each axis are searched for up to here
 STEPS_DEG = (
@@ -87,6 +87,20 @@ def leaning(flat: Sequence[Shaded], others: Sequence[Shaded]) -> Leaning:
 def leant(press: Press, x: float, y: float) -> Press:
     """The press at another tilt, degrees."""
     return replace(press, tilt_x_deg=float(x), tilt_y_deg=float(y))
+
+
+def tilt_notes(found: Sequence[Mapping], presses: Sequence[PressRecord], sensors: Mapping[str, Sensor]) -> list[str]:
+    """A note on each mounting whose images show another tilt than the paths of its presses. found: tilt_deg and error_deg by sensor and mounting."""
+    notes = []
+    for one in found:
+        mine = [
+            press.tilt for press in presses if (press.sensor_id, press.mounting) == (one["sensor"], one["mounting"])
+        ]
+        seen = Leaning(np.array(one["tilt_deg"]), np.array(one["error_deg"]))
+        if mine and seen.differs(assumed := np.median(mine, axis=0).tolist()):
+            where = f"sensor {one['sensor']}" + (f", mounting {one['mounting']}" if one["mounting"] else "")
+            notes.append(f"{where}: {sentence(seen, assumed, sensors[one['sensor']])}")
+    return notes
 
 
 def sentence(found: Leaning, assumed: Sequence[float], sensor: Sensor) -> str:

@@ -14,7 +14,7 @@ from gelforge.reading.faults import Asked, nocontact_fault, pair_fault
 from gelforge.reading.frame import ImageFrame, as_shipped
 from gelforge.reading.pair import NoContact, Pair
 from gelforge.records.image import read_image, read_logged_image
-from gelforge.records.press import PosedPress, PressRecord
+from gelforge.records.press import PressRecord
 
 WIDTH = 320  # px at which images are judged: what a network of Minis reads
 KEEP = "or set judge_images = false under [params.poses] in dataset.toml to use the images as they are"
@@ -114,7 +114,7 @@ class LogImages:
         image = read_logged_image(self.data, press.image, window.sensor.image)
         return shading(compare.as_logged(image, compare(image))), window
 
-    def see(self, press: PosedPress, body: Indenter) -> Seen | None:
+    def see(self, press: PressRecord, body: Indenter) -> Seen | None:
         """What is kept of the image of a press, with its fault; None without an image or a no-contact image."""
         known = self._of(press.sensor_id)
         if known is None or not press.image:

@@ -41,7 +41,7 @@ class Stage:
 
 STAGES = {
     "poses": Stage(POSES, ("poses",), calibrated=True),
-    "images": Stage(IMAGES, ("poses.images", "poses.judge_images")),
+    "images": Stage(IMAGES, ("poses",), calibrated=True),
     "meshes": Stage(MESHES),
     "fea": Stage(FEA, ("fea", "interface", "material.nu"), calibrated=True),
     "forces": Stage(FORCES, ("material",), calibrated=True),

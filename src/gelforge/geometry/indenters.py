@@ -21,7 +21,7 @@ from gelforge.geometry.profiles import (
     unit,
 )
 from gelforge.geometry.solids import Body, Extrusion, LyingCylinder, RoundedPolyhedron, SphericalCap
-from gelforge.records.press import PosedPress
+from gelforge.records.press import PressRecord
 
 DEFAULT = object()
 CATALOGUE = Path(__file__).with_name("indenters.toml")  # the installed workflow/indenters.toml
@@ -347,6 +347,6 @@ def build_all(tables: dict[str, dict], source, names=None, folder=None, kept: Pa
     return {n: build(n, t, source, folder, kept) for n, t in tables.items() if names is None or n in names}
 
 
-def bodies_of(presses: Iterable[PosedPress], tables: dict[str, dict], workflow: Path, kept: Path) -> dict[str, Body]:
+def bodies_of(presses: Iterable[PressRecord], tables: dict[str, dict], workflow: Path, kept: Path) -> dict[str, Body]:
     """Bodies of the presses' indenters by name; STL paths are relative to `workflow`. kept: as in `build`."""
     return build_all(tables, "indenter catalogue", {press.indenter for press in presses}, workflow, kept)

@@ -26,7 +26,7 @@ from gelforge.flow.tables import CalibrateSolverTable, CalibrateTable
 from gelforge.labelling.sensor import load_sensors
 from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.records.log import read_shard
-from gelforge.stages.poses import Bodies, judge
+from gelforge.stages.poses import Bodies, judge_rows
 
 VERSION = 19
 DRAWN, TRACED = 20000, 300  # draws of the corner plot, steps of the trace
@@ -302,7 +302,7 @@ def logged_readings(of: Layout, read: StageParameters, bodies: Bodies) -> Readin
     nothing = dict.fromkeys(("touch_offset_mm", "compliance_mm_per_n", "shear_compliance_mm_per_n"), 0.0)
     checks = altered(read.poses, **nothing, mounting_touch_offset_mm={}, images=False)
     tables = {"sensors": sensors, "indenters": bodies.catalogue}
-    _, rejected = judge(rows, log, of.data, tables, checks, bodies)
+    _, rejected = judge_rows(rows, log, of.data, tables, checks, bodies)
     gels = {name: sensor.gel for name, sensor in load_sensors(of.parameters("sensors")).items()}
     # a whole log with inverted signs is refused by that name, so rows that pull are taken out afterwards
     bad = {one.row for one in rejected if one.column != "fz_n"}

@@ -17,6 +17,7 @@ from gelforge.errors import BadInput
 from gelforge.evidence.forces import LogForces
 from gelforge.evidence.images import row_list
 from gelforge.evidence.labels import of_labels, refuse_unseen
+from gelforge.evidence.leaning import tilt_notes
 from gelforge.evidence.logimages import LogImages
 from gelforge.flow.cli import stage
 from gelforge.flow.files import alone, digest_of, link_or_copy, listed, publish, read_json, write_csv, write_json
@@ -400,12 +401,11 @@ def build(args: Namespace) -> dict:
     grid, settings = Grid.parse(args.resolution), params.dataset
     shards = list_shards(of, args.resolution)
     wrong_images: dict[str, str] = {}
+    judged: dict[str, Any] = {}
     if not (of.data / "labels").is_dir():
-        wrong_images = (
-            read_json(of.images())["left_out"]
-            if any(press.image for _, presses in shards for press in presses)
-            else {}
-        )
+        pictured = any(press.image for _, presses in shards for press in presses)
+        judged = read_json(of.images()) if pictured else {}
+        wrong_images = judged.get("left_out", {})
     elif params.poses.judge_images:
         wrong_images = wrong_imported(of, [press for _, presses in shards for press in presses])
     sensors = load_sensors(of.parameters("sensors"))
@@ -439,7 +439,9 @@ def build(args: Namespace) -> dict:
     about = describe(of.data.name, grid, found, splits, left_out, size, material)
     about["cameras"] = {name: camera(sensors[name]) for name in about["sensors"]}
     about |= {"repeated_pictures": len(repeated)} if repeated else {}
-    about["doubts_of_forces"] = doubts_of_forces(found, material)
+    about["doubts_of_forces"] = doubts_of_forces(found, material) + tilt_notes(
+        judged.get("tilts", []), every, sensors
+    )
     for doubt in about["doubts_of_forces"]:
         print(f"note: {of.log}: {doubt}", file=sys.stderr)
     return about | {"nocontact": rests}

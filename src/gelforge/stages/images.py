@@ -1,7 +1,8 @@
 """Stage 15: whether the images of a log, singly and together, show what its rows describe (`evidence.images`).
 
-A finding that would make all labels wrong stops make here, before anything is solved. Rows whose image is wrong are
-left out of the dataset, and all other findings are notes.
+Rows are judged as stage 10 judges them, but by their commanded paths: a calibration, which solves presses for minutes,
+comes after this stage. A finding that would make all labels wrong stops make here. Rows whose image is wrong are left out
+of the dataset, and all other findings are notes.
 """
 
 import sys
@@ -16,7 +17,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.evidence.images import Seen, Shapes, findings, row_list
 from gelforge.evidence.imprints import Window
-from gelforge.evidence.leaning import FEWEST, MOST_FLAT, MOST_ROUND, Shaded, leaning, sentence
+from gelforge.evidence.leaning import FEWEST, MOST_FLAT, MOST_ROUND, Shaded, leaning, tilt_notes
 from gelforge.evidence.logimages import KEEP, LogImages, nocontact_path, read_nocontact
 from gelforge.flow.cli import JOBS, stage
 from gelforge.flow.files import read_json, write_json
@@ -27,15 +28,16 @@ from gelforge.geometry.indenters import bodies_of, build
 from gelforge.geometry.solids import Body, feels_tilt
 from gelforge.labelling.sensor import sensor_of
 from gelforge.reading.frame import BLUE_FIRST, image_frame
-from gelforge.records.log import read_poses
-from gelforge.records.press import SENSOR_TABLES, PosedPress
+from gelforge.records.log import read_shard
+from gelforge.records.press import SENSOR_TABLES, PressRecord
+from gelforge.stages.poses import Bodies, judge_rows, summarised
 
-VERSION = 5
+VERSION = 6
 LEAST_MM = 0.2  # depth of a press whose image shows a tilt, and most sideways travel of it
 CHUNK = 200  # presses per task of a process
 
 
-def look(presses: list[PosedPress], data: Path, tables: dict, workflow: Path, kept: Path) -> list[Seen]:
+def look(presses: list[PressRecord], data: Path, tables: dict, workflow: Path, kept: Path) -> list[Seen]:
     """What the images of some presses show."""
     names = sorted({press.sensor_id for press in presses})
     sensors = {name: sensor_of(SENSOR_TABLES, name, tables["sensors"][name]) for name in names}
@@ -44,7 +46,7 @@ def look(presses: list[PosedPress], data: Path, tables: dict, workflow: Path, ke
     return [one for one in every if one is not None]
 
 
-def in_chunks(presses: list[PosedPress]) -> Iterator[list[PosedPress]]:
+def in_chunks(presses: list[PressRecord]) -> Iterator[list[PressRecord]]:
     """Presses in chunks, one per task of a process."""
     for start in range(0, len(presses), CHUNK):
         yield presses[start : start + CHUNK]
@@ -61,7 +63,7 @@ def used_tables(of: Layout) -> dict[str, dict]:
 
 
 def shapes_of(
-    presses: Mapping[str, PosedPress],
+    presses: Mapping[str, PressRecord],
     tables: Mapping[str, dict],
     bodies: Mapping[str, Body],
     beside: Mapping[str, dict] = MappingProxyType({}),
@@ -116,14 +118,14 @@ def judge(seen: list[Seen], shapes: Shapes | None, where: str) -> dict:
     }
 
 
-def tilts(presses: Sequence[PosedPress], images: LogImages, bodies: Mapping[str, Body]) -> list[dict]:
-    """Tilt of each sensor's mountings by the images of `presses`, with the one that their labels assume, degrees.
+def tilts(presses: Sequence[PressRecord], images: LogImages, bodies: Mapping[str, Body]) -> list[dict]:
+    """Tilt of each sensor's mountings by the images of `presses`, degrees.
 
     Presses that move sideways by more than LEAST_MM or are less deep are left out. A mounting with too few flat presses,
     or without a no-contact image, is none of the result.
     """
     straight = [one for one in presses if np.hypot(one.dx_mm, one.dy_mm) < LEAST_MM < -one.dz_mm]
-    of: dict[tuple[str, str], list[PosedPress]] = {}
+    of: dict[tuple[str, str], list[PressRecord]] = {}
     for one in straight:
         of.setdefault((one.sensor_id, one.mounting), []).append(one)
     found = []
@@ -136,11 +138,10 @@ def tilts(presses: Sequence[PosedPress], images: LogImages, bodies: Mapping[str,
         ]
         if len(shown[0]) < FEWEST:
             continue
-        seen, assumed = leaning(*shown), np.median([one.tilt for one in flat], axis=0).tolist()
+        seen = leaning(*shown)
         found.append({
-            "sensor": sensor, "mounting": mounting, "presses": len(shown[0]), "assumed_deg": assumed,
-            "tilt_deg": seen.tilt.tolist(), "error_deg": seen.error.tolist(),
-            "note": sentence(seen, assumed, images.sensors[sensor]) if seen.differs(assumed) else "",
+            "sensor": sensor, "mounting": mounting, "presses": len(shown[0]), "tilt_deg": seen.tilt.tolist(),
+            "error_deg": seen.error.tolist(),
         })  # fmt: skip
     return found
 
@@ -161,30 +162,37 @@ def told(found: dict, seen: list[Seen]) -> list[str]:
 @stage(Layout.images, JOBS)
 def main(args: Namespace) -> None:
     of = args.of
-    judged = read_parameters(of.parameters("images")).poses
+    read = read_parameters(of.parameters("images"))
+    judged = read.poses
     seen, shapes = [], None
     tables = used_tables(of)
-    presses = sorted((one for shard in of.names() for one in read_poses(of.poses(shard))), key=lambda one: one.row)
+    rows = sorted((row for shard in of.names() for row in read_shard(of.shard(shard))), key=lambda row: row.row)
+    bodies = Bodies(tables["indenters"], of.workflow, of.surfaces)
+    good, rejected = judge_rows(rows, str(of.log), of.data, tables, judged, bodies)
+    if read.calibration:  # stage 10 says it as late as the calibration is known
+        print(*summarised(rejected), sep="\n", end="\n" * bool(rejected), file=sys.stderr)
+    presses = [press for press, _ in good]
+    sensors = {name: sensor_of(SENSOR_TABLES, name, table) for name, table in tables["sensors"].items()}
     if judged.images and judged.judge_images:
         parts = [(part, of.data, tables, of.workflow, of.surfaces) for part in in_chunks(presses)]
         seen = [one for part in in_slots(look, parts, args.jobs) for one in part]
-        by_id = {one.sample_id: one for one in presses}
         if seen:
-            bodies = bodies_of(presses, tables["indenters"], of.workflow, of.surfaces)
-            shapes = shapes_of(by_id, tables, bodies, read_json(of.parameters("spare")))
+            by_id = {press.sample_id: press for press in presses}
+            built = {press.indenter: body for press, body in good}
+            shapes = shapes_of(by_id, tables, built, read_json(of.parameters("spare")))
     elif judged.images:
         for name in sorted({press.sensor_id for press in presses}):
-            read_nocontact(of.data, name, sensor_of(SENSOR_TABLES, name, tables["sensors"][name]).image)
+            read_nocontact(of.data, name, sensors[name].image)
     found = judge(seen, shapes, str(of.log))
     if seen:
-        good = [one for one in presses if one.sample_id not in found["left_out"]]
-        sensors = {name: sensor_of(SENSOR_TABLES, name, table) for name, table in tables["sensors"].items()}
-        found["tilts"] = tilts(good, LogImages(of.data, sensors), bodies)
-        for one in found["tilts"]:
-            where = f"sensor {one['sensor']}" + (f", mounting {one['mounting']}" if one["mounting"] else "")
-            found["notes"] += [f"{where}: {one['note']}"] if one["note"] else []
+        kept = [one for one in presses if one.sample_id not in found["left_out"]]
+        shown = tilts(kept, LogImages(of.data, sensors), built)
+        if read.calibration:  # which may find the tilt of a mounting: stage 60 compares both
+            found["tilts"] = shown
+        else:
+            found["notes"] += tilt_notes(shown, kept, sensors)
     for name in sorted({one.sensor for one in seen}):
-        picture = read_nocontact(of.data, name, sensor_of(SENSOR_TABLES, name, tables["sensors"][name]).image)
+        picture = read_nocontact(of.data, name, sensors[name].image)
         if picture is not None and image_frame(picture, (picture.shape[0], picture.shape[1]))[0].blue_first:
             found["notes"].append(f"{nocontact_path(of.data, name)}: {BLUE_FIRST}")
     for line in told(found, seen):

@@ -177,7 +177,7 @@ def write_posed(path, body, press, params: PosesTable) -> None:
         write_stl(part, posed_points(press, vertices), faces)
 
 
-def judge(rows: list[RawRow], file: str, data: Path, tables: dict, params: PosesTable, bodies: "Bodies"):
+def judge_rows(rows: list[RawRow], file: str, data: Path, tables: dict, params: PosesTable, bodies: "Bodies"):
     """Good samples of raw rows, each with its body, and the rejections.
 
     tables: "sensors" and "indenters" as dicts of catalogue tables.
@@ -304,16 +304,23 @@ def write_shard(good, rejections, out: Path, params: PosesTable) -> None:
 @stage(Layout.poses)
 def main(args: Namespace) -> None:
     of, log = args.of, str(args.of.log)
-    params = calibrated(read_parameters(of.parameters("poses")), of.base).poses
+    read = read_parameters(of.parameters("poses"))
+    params = calibrated(read, of.base).poses
     tables = read_json(of.used(args.shard))
     rows = read_shard(of.shard(args.shard))
     bodies = Bodies(tables["indenters"], of.workflow, of.surfaces)
-    good, rejections = judge(rows, log, of.data, tables, params, bodies)
+    good, rejections = judge_rows(rows, log, of.data, tables, params, bodies)
     planned = of.pictures(args.shard)
     repeated = read_json(planned).get("repeated", {}) if params.images and planned.exists() else {}
     doubtful = repeated_pictures([sample for sample, _ in good], log, repeated)
     write_shard(good, rejections, args.out, params)
-    for line in [*summarised(rejections), *summarised(doubtful, "note: kept, in one split with those like it")]:
+    # what the commanded paths show was said by stage 15, which ran before the calibration
+    before = (
+        judge_rows(rows, log, of.data, tables, read.poses, bodies)[1] if read.calibration and params.images else []
+    )
+    said = {(r.row, r.column) for r in before}
+    new = [r for r in rejections if (r.row, r.column) not in said]
+    for line in [*summarised(new), *summarised(doubtful, "note: kept, in one split with those like it")]:
         print(line, file=sys.stderr)
     # a row that is wrong in several columns counts once
     reasons = {r.row: f"{r.column}: {r.reason}" for r in rejections}

@@ -5,24 +5,25 @@ import shutil
 import numpy as np
 import pytest
 
-from gelforge.flow.files import read_csv, read_json, read_toml, write_csv, write_json, write_text
+from gelforge.flow.files import read_csv, read_json, read_toml, write_csv, write_json
 from gelforge.flow.layout import Layout
 from gelforge.records.image import read_image, write_png
-from gelforge.records.log import read_poses
+from gelforge.records.log import read_shard
+from gelforge.records.press import parse
 from gelforge.stages import images
 from gelforge.stages.dataset import wrong_imported
 from gelforge.stages.plan import spare, used
 from tests.support.parameters import write_stage
 from tests.support.refused import refused
 
-# Rows of the demo: fourteen of mini_a and one of mini_e; and what tells an order or a shape, the first 23 of mini_a.
-FEW = [0, 1, 2, 3, 5, 6, 7, 9, 10, 13, 16, 17, 26, 32, 37]
-MORE = [0, 1, 2, *range(5, 11), *range(13, 19), 21, *range(23, 27), 29, 30, 31]
+# Rows of the demo: fourteen of mini_a and one of mini_e; and what tells an order or a shape, all of mini_a.
+FEW = [0, 1, 2, 3, 5, 6, 7, 9, 10, 13, 15, 16, 17, 18, 21]
+MORE = [0, 1, 2, *range(5, 11), *range(13, 19), 21]
 
 
 @pytest.fixture(params=[FEW], ids=["few"])
 def folder(request, root, tmp_path):
-    """Some of the demo's presses as stage 10 leaves them, and their images."""
+    """Some of the demo's presses as the plan leaves them, and their images."""
     of, demo = Layout(tmp_path / "results/demo"), root / "data/demo"
     shutil.copytree(demo / "nocontact", of.data / "nocontact")
     (of.data / "images").mkdir()
@@ -32,8 +33,7 @@ def folder(request, root, tmp_path):
     for row in rows:
         shutil.copy(demo / row["image"], of.data / "images")
     for name, part in (("0000", rows[:8]), ("0001", rows[8:])):
-        write_csv(of.poses(name), list(rows[0]), part)
-        write_text(of.shard(name), "")
+        write_csv(of.shard(name), list(rows[0]), part)
         bodies = used(catalogue, {row["indenter"] for row in part})
         write_json(of.used(name), {"sensors": sensors, "indenters": bodies})
     write_json(of.parameters("sensors"), sensors)
@@ -59,19 +59,19 @@ def test_wrong_images_are_left_out(folder, capsys):
     assert judge(folder, capsys) == (0, "")
     found = read_json(folder / "15_images/images.json")
     assert found["judged"] == len(FEW) and not found["left_out"] and not found["notes"]
-    exchange(folder, 26, 32)  # of the second shard
+    exchange(folder, 13, 16)  # of the second shard
     shutil.copy(Layout(folder).data / "images/demo-000003.png", Layout(folder).data / "images/demo-000005.png")
     status, said = judge(folder, capsys)
     assert status == 0
     assert read_json(folder / "15_images/images.json")["left_out"].keys() == {
         "demo-000005",
-        "demo-000026",
-        "demo-000032",
+        "demo-000013",
+        "demo-000016",
     }
     assert (
         said.count("rejected: ") == 3
         and "different sensors" in said
-        and "row 28 (demo-000026)" in said
+        and "row 15 (demo-000013)" in said
         and "(row 7)" in said
     )
 
@@ -79,7 +79,7 @@ def test_wrong_images_are_left_out(folder, capsys):
 @pytest.mark.parametrize("folder", [MORE], indirect=True, ids=["more"])
 def test_shifted_images_stop_make_unless_all_are_to_be_used(folder, capsys):
     after = dict(zip(MORE, [*MORE[1:], MORE[0]], strict=True))
-    for table in (folder / "10_poses").glob("*.csv"):
+    for table in (folder / "00_plan/shards").glob("*.csv"):
         rows = [row | {"image": f"images/demo-{after[int(row['row']) - 2]:06d}.png"} for row in read_csv(table)]
         write_csv(table, list(rows[0]), rows)
     refused(r"shifted by one row.*judge_images = false", judge, folder, capsys)
@@ -92,15 +92,15 @@ def test_an_indenter_that_no_row_names_is_recognised(folder, capsys):
     of = Layout(folder)
     others = read_json(of.parameters("spare"))
     for name in of.names():
-        rows = read_csv(of.poses(name))
-        named = [row | {"indenter": row["indenter"].replace("triangle_10", "cylinder_8")} for row in rows]
-        write_csv(of.poses(name), list(rows[0]), named)
+        rows = read_csv(of.shard(name))
+        named = [row | {"indenter": row["indenter"].replace("cylinder_8", "triangle_10")} for row in rows]
+        write_csv(of.shard(name), list(rows[0]), named)
         tables = read_json(of.used(name))
-        others["triangle_10"] = tables["indenters"].pop("triangle_10")
+        others["cylinder_8"] = tables["indenters"].pop("cylinder_8")
         write_json(of.used(name), tables)
     write_json(of.parameters("spare"), others)
     status, said = judge(folder, capsys)
-    assert status == 0 and "images of cylinder_8 show the shape of triangle_10" in said
+    assert status == 0 and "images of triangle_10 show the shape of cylinder_8" in said
 
 
 def test_a_pressed_no_contact_image_stops_make(folder, capsys):
@@ -137,7 +137,9 @@ def test_imported_images_are_judged_where_the_dataset_is_made(folder, capsys):
     mirrored = Layout(folder).data / "images/demo-000006.png"
     write_png(mirrored, np.ascontiguousarray(read_image(mirrored)[:, ::-1]))
     shutil.copy(Layout(folder).data / "images/demo-000003.png", Layout(folder).data / "images/demo-000005.png")
-    found = wrong_imported(Layout(folder), read_poses(folder / "10_poses/0000.csv"))
+    found = wrong_imported(
+        Layout(folder), [parse(row, "log.csv")[0] for row in read_shard(Layout(folder).shard("0000"))]
+    )
     assert found.keys() == {"demo-000005", "demo-000006"} and "mirrored left to right" in found["demo-000006"]
     assert "(row 8)" in capsys.readouterr().err
 
