@@ -137,6 +137,9 @@ def leave_out(found: Aligned, body, gel, params) -> list[str]:
         f"{len(of)} images left out, {reason} (the first is {of[0].sample_id}: {of[0].hint})"
         for reason, of in by_reason.items()
     ]
+    too_large = [each for each in wrong if each.column == "fz_n"]
+    if 2 * len(too_large) > len(found.rows):
+        raise BadInput(f"{found.gauge.name}: in {len(too_large)} images {too_large[0].reason}: {too_large[0].hint}")
     if not found.rows:
         raise BadInput(f"{found.path.name}: no image is left: " + "; ".join(said))
     return said

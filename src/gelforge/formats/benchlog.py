@@ -27,6 +27,7 @@ from gelforge.records.log import write_log
 from gelforge.records.nocontactimage import STILL
 from gelforge.records.press import POSE, LoggedPress
 
+LOST_MM = 0.2  # depth of a press that a gauge must show
 HELD_MM = 0.01  # a tip this far above its lowest height is retracting
 STATE_MM = 0.005  # images whose tip positions differ less show the same state
 ABOVE_MM = 0.1  # heights above the gel at which the path is clipped
@@ -73,7 +74,7 @@ def align(
     become one row, with the middle image. touch: force from which on the gel is pressed, N. every: of a press, take
     every n-th state. BadInput where no image lies within a press.
     """
-    kept, notes = series.without_wild(gauge.name, gauge.times, gauge.values)
+    kept, notes = series.confirmed(gauge.name, gauge.times, gauge.values)
     gauge, change = Recording(gauge.name, gauge.times[kept], gauge.values[kept]), images.change()
     raw, levelled = gauge, without_level(gauge, touch)
     gauge, touch = levelled.gauge, levelled.touch
@@ -88,6 +89,7 @@ def align(
     presses, alike = presses_of(gauge.values[:, 0], touch), 0
     height = clocks["path"].to_gauge(path.times), -path.values[:, 0]
     spans = [(float(gauge.times[press.start]), float(gauge.times[press.stop - 1])) for press in presses]
+    _note_lost(gauge.name, height, spans, notes)
     _check_shift(gauge, path, clocks["path"], spans, touch, bench, notes)
     _check_average(gauge, height, spans)
     bad = _beyond_range(raw, height, at, notes) | _repeated(images, places, at, spans, notes)
@@ -133,6 +135,19 @@ def align(
     quiet = at_rest(gauge, gauge.values[:, 0] >= touch)
     rest = [k for k, time in enumerate(at.tolist()) if quiet[np.abs(gauge.times - time).argmin()]]
     return Aligned(rows, gauge, path, change, clocks, rest, notes)
+
+
+def _note_lost(
+    name: str, height: tuple[np.ndarray, np.ndarray], spans: list[tuple[float, float]], notes: list[str]
+) -> None:
+    """Note presses of the path, LOST_MM deep at least, that the gauge does not show. height: times on its clock, s, and mm."""
+    pressed = [(height[0][run.start], height[0][run.stop - 1]) for run in series.runs(height[1] < -LOST_MM)]
+    lost = [begin for begin, end in pressed if not any(start <= end and stop >= begin for start, stop in spans)]
+    if lost:
+        notes.append(
+            f"{name}: shows {len(pressed) - len(lost)} of {len(pressed)} presses of the path; the others, from {shown(lost[0])} on its clock"
+            " on, have no force and are left out: did the gauge stop, or start late?"
+        )
 
 
 def _check_average(gauge: Recording, height: tuple[np.ndarray, np.ndarray], spans: list[tuple[float, float]]) -> None:

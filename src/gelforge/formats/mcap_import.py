@@ -241,9 +241,7 @@ def pair(path: Path, topics: Topics) -> Pairs:
     values = np.array(read, float).reshape(-1, 6)
     kept = np.ones(len(values), bool)
     if len(values):
-        kept, notes = series.without_wild(
-            where, 1e-9 * np.array([time for time, _ in readings], float), values[:, :3]
-        )
+        kept, notes = series.confirmed(where, 1e-9 * np.array([time for time, _ in readings], float), values[:, :3])
     readings_kept = [time for time, good in zip(readings, kept.tolist(), strict=True) if good]
     values, wrench = values[kept], MessageTimes.of(topics.wrench, readings_kept)
     shown = small_copies(path, topics, len(images))

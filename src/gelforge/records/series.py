@@ -16,6 +16,11 @@ WINDOWS = ((5, 1.5), (5, 1.5), (9, 3.0))
 WILD_NOISE, WILD_PART = 8.0, 0.02  # a wild sample is off by so many deviations, and this fraction of the range
 SLOWEST_S = 0.09  # longest interval of readings whose neighbours say anything of them
 MOST_WILD = 0.01  # fraction of wild samples above which a series is refused
+AT_REST = 0.2  # least fraction of equal readings that shows a dead band
+# A sensor that stands still: least readings and seconds of a run of equal ones, the probability below which it is no chance, and
+# the fraction of equal neighbours elsewhere from which on its resolution is too coarse to tell.
+FROZEN, FROZEN_S, CHANCE, MOST_EQUAL = 12, 0.25, 1e-9, 0.3
+ALTERNATE, ALTERNATE_PART = 12, 0.02  # readings in a row that alternate by this fraction of their range
 STILL_PART, LEVEL_PART = 0.04, 0.08  # change of pictures without contact; force beside them, of the largest ones
 JITTER = 0.003  # fraction of the range by which readings at its end may differ
 PLATEAU = 5  # equal largest readings in a row that noise would have told apart
@@ -328,23 +333,89 @@ def equal_largest(measured: np.ndarray, predicted: np.ndarray) -> str | None:
     )
 
 
-def without_wild(name: str, times: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, list[str]]:
-    """Which readings (n,) of a series (n, k) its neighbours confirm, and a note on the others; BadInput where many are wild.
+def confirmed(name: str, times: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, list[str]]:
+    """Which readings (n,) of a series (n, k) can be believed, and notes on the others; BadInput where too few can.
 
-    times: (n,) s. Of a series slower than SLOWEST_S a single reading may be a whole press, so all are kept.
+    Not believed are readings that their neighbours contradict, and those of a sensor that repeats one reading although it
+    has noise. times: (n,) s. Of a series slower than SLOWEST_S a single reading may be a whole press, so all are kept.
     """
     if len(times) < 2 or float(np.median(np.diff(times))) > SLOWEST_S:
         return np.ones(len(values), bool), []
-    off = np.any([wild(each) for each in values.T], axis=0)
+    if len(values) >= FROZEN and (values == values[0]).all():
+        raise BadInput(
+            f"{name}: all {len(values)} readings are {values[0].max():.4g} N, to the last digit: a sensor has noise; is it connected and read?"
+        )
+    if alternating(values):
+        raise BadInput(
+            f"{name}: readings alternate between two levels during presses, as if two channels were in one column: record each"
+            " channel in a column of its own"
+        )
+    held = frozen(times, values)
+    notes = [
+        f"{name}: repeats one reading from {times[run.start] - times[0]:.2f} to {times[run.stop - 1] - times[0]:.2f} s after its start,"
+        f" {'to its end, ' if run.stop == len(times) else ''}{run.stop - run.start} times: it stands still there, and these readings"
+        " are left out"
+        for run in runs(held)
+    ]
+    if dead_band(values[~held, -1]):
+        notes.append(
+            f"{name}: reads exactly one value without contact and has noise in presses, as a sensor with a dead band, before force shows:"
+            " forces are too small by as much as it hides; switch it off, or measure it with a known weight"
+        )
+    off = np.any([wild(each) for each in values.T], axis=0) & ~held
     if not off.any():
-        return ~off, []
+        return ~held, notes
     first = int(np.flatnonzero(off)[0])
     said = f"{name}: {off.sum()} of {len(off)} readings are contradicted by their neighbours, the first is reading {first + 1}"
     if off.mean() > MOST_WILD and off.sum() > 2:
         raise BadInput(
             f"{said}: so many single wild readings come from a loose cable or a disturbed line; mend it and record again"
         )
-    return ~off, [f"{said}; they are left out"]
+    return ~(off | held), [*notes, f"{said}; they are left out"]
+
+
+def frozen(times: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """Readings (n,) bool of runs in which all channels (n, k) repeat one value for FROZEN_S s or more, at times (n,) s.
+
+    Only where that is no chance: readings equal to the one before are so rare elsewhere that a run as long has a probability
+    below CHANCE. A sensor of coarse resolution repeats readings at rest, and is not accused.
+    """
+    equal = np.concatenate([[False], (np.diff(values, axis=0) == 0.0).all(axis=1)])
+    found = np.zeros(len(values), bool)
+    for run in runs(equal):
+        count = run.stop - run.start
+        if count < FROZEN or times[run.stop - 1] - times[run.start - 1] < FROZEN_S:
+            continue
+        elsewhere = max((equal.sum() - count) / max(len(equal) - count, 1), 1e-3)
+        found[run] = elsewhere < MOST_EQUAL and count * np.log(elsewhere) < np.log(CHANCE)
+    return found
+
+
+def dead_band(values: np.ndarray) -> bool:
+    """Whether readings (n,) are all equal at rest, though they have noise elsewhere that is larger than their resolution."""
+    levels, counts = np.unique(values, return_counts=True)
+    rest = values == levels[counts.argmax()]
+    bend = np.diff(values, 2)
+    loaded = ~(rest[:-2] | rest[1:-1] | rest[2:])
+    if counts.max() < AT_REST * len(values) or loaded.sum() < 4 * FEWEST:
+        return False
+    noise = 1.4826 * float(np.median(np.abs(bend[loaded]))) / np.sqrt(6.0)
+    turns = bend[1:] * bend[:-1] < 0.0
+    # bends of noise change their sign in two of three samples, those of a smooth force hardly ever
+    return (
+        noise > 3.0 * float(np.quantile(np.diff(levels), 0.05))
+        and float(turns[loaded[1:] & loaded[:-1]].mean()) > 0.55
+    )
+
+
+def alternating(values: np.ndarray) -> bool:
+    """Whether readings (n, k) alternate between two levels for ALTERNATE samples or more."""
+    for each in values.T:
+        quality, bend = Quality.of(each), each[1:-1] - (each[:-2] + each[2:]) / 2.0
+        large = np.abs(bend) > 6.0 * quality.noise + 3.0 * quality.step + ALTERNATE_PART * np.ptp(each)
+        if _longest((bend[1:] * bend[:-1] < 0.0) & large[1:] & large[:-1]) >= ALTERNATE:
+            return True
+    return False
 
 
 def end_told(name: str, top: float, count: int) -> str:

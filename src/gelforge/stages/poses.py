@@ -48,8 +48,11 @@ from gelforge.records.press import (
     with_tilt,
 )
 
-VERSION = 9
+VERSION = 10
 # If the tip ends less than this below the apex, the force may be so small that the reading is all sensor error.
+# A force that no gel bears: modulus of a layer that is confined sideways, of a gel of C10 0.3 MPa and nu 0.475; depth by which
+# touch may be found too late; spacing at which the touched area is measured; smallest force that is judged.
+STIFFEST_LAYER, TOUCH_MM, SPACING_MM, SMALL_N, GF_N = 12.8, 0.1, 0.25, 2.0, 9.80665e-3
 FIRM_MM = 0.3
 
 
@@ -151,7 +154,25 @@ def geometric_faults(sample: LoggedPress, file: str, body, gel: Gel, params: Pos
         where = f"stays {clear:.3g} mm clear of" if np.isfinite(clear) else "is never above"
         hint = f"it {where} the gel, whose apex is the origin; check x0_mm, y0_mm, z0_mm and dz_mm"
         return [reject(sample, file, "dz_mm", "the indenter never touches the gel", hint)]
+    force = abs(sample.fz_n or 0.0)
+    if force > SMALL_N and force > (most := bearable(gel, body, press, -clear)):
+        hint = (
+            f"no gel bears more than {most:.2g} N {-clear:.2g} mm below the touch of this body: check the unit of forces (N, not grams-force"
+            f" or millinewtons; {force:.4g} gf are {GF_N * force:.2g} N) and of lengths (mm, not inches or metres)"
+        )
+        return [reject(sample, file, "fz_n", "the force is too large for the depth", hint)]
     return []
+
+
+def bearable(gel: Gel, body, press, depth: float) -> float:
+    """Normal force, N, that no gel exceeds: of a stiff layer that cannot move aside, under all that the body touches.
+
+    depth: of the body below the undeformed surface, mm, where it is deepest.
+    """
+    points, shape = touch.under_path(gel, body, press, SPACING_MM)
+    cell = float(np.prod(touch.spacing_of(points, shape)))
+    area = cell * float(touch.touched(body, press, points, TOUCH_MM).sum() + 1)
+    return STIFFEST_LAYER * area * (depth + TOUCH_MM) / gel.height
 
 
 def lowered(body, press) -> float:

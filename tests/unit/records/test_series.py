@@ -34,11 +34,11 @@ def test_many_wild_readings_are_refused_and_a_few_are_counted():
     force = np.maximum(np.sin(np.arange(4000) / 150.0), 0.0) * 20 + np.random.default_rng(0).normal(0, 0.02, 4000)
     force[[500, 1700]] = 84.0
     times = np.arange(4000) / 80.0
-    kept, notes = series.without_wild("gauge.csv", times, force[:, None])
+    kept, notes = series.confirmed("gauge.csv", times, force[:, None])
     assert (~kept).sum() == 2 and "2 of 4000 readings are contradicted" in notes[0]
-    assert series.without_wild("gauge.csv", 10.0 * times, force[:, None])[0].all()  # each may be a press
+    assert series.confirmed("gauge.csv", 10.0 * times, force[:, None])[0].all()  # each may be a press
     force[::40] = -83.9
-    refused("loose cable", series.without_wild, "gauge.csv", times, force[:, None])
+    refused("loose cable", series.confirmed, "gauge.csv", times, force[:, None])
 
 
 def test_the_end_of_a_sensors_range_is_found_by_what_goes_on_beyond():
