@@ -23,7 +23,7 @@ DEMO = ROOT / "workflow" / "rig" / "demo.toml"
 
 def plan_of(folder, presses: int, *changes):
     """The demo plan, shallow and short, of one mounting and indenter, which slips freely: it is solved in a quarter of the time."""
-    text = DEMO.read_text(encoding="utf-8").replace("presses = 48", f"presses = {presses}")
+    text = DEMO.read_text(encoding="utf-8").replace("presses = 23", f"presses = {presses}")
     text = text.replace("depth_mm = [0.3, 1.5]", "depth_mm = [0.2, 0.4]").replace("friction = 0.7", "friction = 0.0")
     text = re.sub("(?m)^indenters = .*$", 'indenters = ["sphere_10"]', text)
     text = re.sub(r"(?s)\[(film|mountings)\].*?\n\n", "", text)

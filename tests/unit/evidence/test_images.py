@@ -22,7 +22,7 @@ from gelforge.reading.wear import painted_over
 from gelforge.records.image import read_image
 from gelforge.records.press import POSE, Press
 
-DEMO = Path("data/demo")
+DEMO = Path("tests/data/presses")
 MIDDLE = np.array([160.0, 120.0])
 
 

@@ -13,7 +13,7 @@ from gelforge.labelling.sensor import load_sensors
 from gelforge.records.image import read_image
 from gelforge.records.log import read_log, read_presses
 from gelforge.reporting import canvas
-from gelforge.stages.poses import Bodies, judge
+from gelforge.stages.poses import Bodies, judge_rows
 from tests.support.parameters import parameters
 from tests.support.refused import refused
 
@@ -326,7 +326,7 @@ def test_a_bench_becomes_a_log_that_stage_10_takes_whole(tmp_path, capsys, root,
     rows = read_presses(log)
     tables = {each: tomllib.loads((root / f"workflow/{each}.toml").read_text()) for each in ("sensors", "indenters")}
     bodies = Bodies(tables["indenters"], root / "workflow")
-    good, wrong = judge(read_log(log), "log.csv", tmp_path / "bench", tables, parameters().poses, bodies)
+    good, wrong = judge_rows(read_log(log), "log.csv", tmp_path / "bench", tables, parameters().poses, bodies)
     assert not wrong and len(good) == len(rows)
     presses = {row.press_id for row in rows}
     assert len(presses) == (2 if dated else 3)

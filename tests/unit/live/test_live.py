@@ -156,7 +156,7 @@ def test_one_odd_frame_before_its_end_does_not_spoil_a_film(root, shipped):
     """Against a lightly pressed no-contact image a released gel reads less than both do once they change places, a deep press more."""
     names = ["images/demo-000024.png", "nocontact/mini_a.png", "images/demo-000032.png"]
     light, rest, deep = (
-        np.ascontiguousarray(cv2.imread(str(root / "data/demo" / name))[..., ::-1]) for name in names
+        np.ascontiguousarray(cv2.imread(str(root / "tests/data/presses" / name))[..., ::-1]) for name in names
     )
     predictor, shown = Reader(light, model=shipped), {"rest": rest, "deep": deep}
     total = {name: float(predictor(picture).total[2]) for name, picture in shown.items()}

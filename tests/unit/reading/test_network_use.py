@@ -103,6 +103,7 @@ def test_live_refuses_fewer_frames_than_give_the_nocontact_image(data, paths, tm
     assert not out.exists()
     live.main([*words, "--frames", str(FEWEST)])
     assert len(rows_of(out)) == STILL
+    out.unlink()
     cv2.imwrite(str(tmp_path / "rest.png"), rest)
     live.main([*words, "--frames", "3", "--nocontact", str(tmp_path / "rest.png")])
     assert len(rows_of(out)) == 3

@@ -24,7 +24,7 @@ from tests.support.pictures import moved
 @pytest.fixture(scope="module")
 def presses(root):
     """Sensor, picture and normal force of every press of the demo."""
-    folder = root / "data/demo"
+    folder = root / "tests/data/presses"
     return [(p.sensor_id, read_image(folder / p.image), -p.fz_n) for p in read_presses(folder / "log.csv")]
 
 

@@ -18,7 +18,7 @@ LIGHT = 0.6  # N by which lighter presses change
 @pytest.fixture(scope="module")
 def sensor(root):
     """A predictor of mini_a, every second image of it in the demo, which are seventeen, and what is read of each."""
-    demo = root / "data/demo"
+    demo = root / "tests/data/presses"
     rows = [row for row in read_csv(demo / "log.csv") if row["sensor_id"] == "mini_a"]
     predictor = Reader(read_image(demo / "nocontact/mini_a.png"), model=load_model(None))
     images = [read_image(demo / row["image"]) for row in rows[::2]]

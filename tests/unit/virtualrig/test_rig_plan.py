@@ -41,7 +41,7 @@ def changed(tmp_path, source, *changes) -> Path:
 
 
 def test_bad_plan_is_refused_by_name_before_anything_is_written(tmp_path):
-    depth, turn, frames = "depth_mm = [0.3, 1.5]", "rot_deg = [0, 360]", "presses = 48"
+    depth, turn, frames = "depth_mm = [0.3, 1.5]", "rot_deg = [0, 360]", "presses = 23"
     for old, new, said in (
         ('"cylinder_8"', '"cylinder_88"', "unknown indenter cylinder_88"),
         ('sensors = ["mini_e"]', 'sensors = ["mini_z"]', "unknown sensor mini_z"),
