@@ -63,7 +63,7 @@ def test_bad_plan_is_refused_by_name_before_anything_is_written(tmp_path):
         (turn, "rot_deg = [-1e308, 1e308]", "each a number from -3600 to 3600 degrees"),
         ("nu = 0.475", "nu = 0.5", r"\[truth\] nu = 0.5: give a number"),
         ("c10_mpa = 0.0853", "c10_mpa = 85.3", r"\[truth\] c10_mpa = 85.3: give a number from 0.002 to 5 MPa"),
-        ("presses = [0, 7, 18]", "presses = [0, 48]", "the plan has presses 0 to 47"),
+        ("presses = [0, 7, 18]", "presses = [0, 48]", "the plan has presses 0 to 22"),
         ('[film]\nsensor = "mini_a"', '[film]\nsensor = "mini_z"', "unknown sensor mini_z"),
         (
             "[params.train]\nepochs",
