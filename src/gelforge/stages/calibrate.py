@@ -226,7 +226,7 @@ def solver_settings(table: CalibrateSolverTable):
     """Settings of the solver behind the emulator, from [calibrate.solver]."""
     from gelforge.mechanics.hexsettings import HexSettings
 
-    return HexSettings(**vars(table))
+    return HexSettings(**vars(table), press_mm=table.press_mm)
 
 
 def emulate(
