@@ -189,11 +189,9 @@ class CalibrateSolverTable(ParameterTable):
     layers: Annotated[int, Within(1, 100)]
     widened: tuple[Annotated[int, Within(1, 99)], ...]
     press_steps: Steps
-    shear_steps: ClassVar[int] = 2
     # Under Coulomb's law no load step of the press is longer, mm, as on the coarse path of a label. Half as much
     # takes 1.4 times as long and moves normal forces by up to 0.04 %, sideways ones by 0.2 %.
     press_mm: ClassVar[float] = 0.1
-    final_tolerance: ClassVar[float] = 1e-7
 
     def fault(self) -> str | None:
         """A number of widened layers is above the one before it, or not below the number of all layers."""
