@@ -21,7 +21,7 @@ ifneq ($(NEEDS_PLAN),)
 $(if $(wildcard $(DATA)/log.csv),,$(error $(DATA)/log.csv not found: DATASET=$(DATASET) needs a raw log and a dataset.toml, which \
     workflow/guide/your-data.md describes; make rig writes simulated ones))
 # -n, -q and -t run nothing, and so no set-up: without it, or without a plan, make cannot know what it would do.
-$(if $(ONLY_SHOWN),$(if $(wildcard $(SETUP)),,$(error not set up yet: run make setup; -n and -q install nothing)))
+$(if $(ONLY_SHOWN),$(if $(and $(wildcard $(SETUP)),$(wildcard $(CCX_FOUND))),,$(error not set up yet: run make setup; -n and -q install nothing)))
 include $(PLANNED)
 endif
 

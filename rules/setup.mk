@@ -61,6 +61,8 @@ CCX_FOUND := .venv/ccx.path
 COMPILED := .venv/kernels.compiled
 # A linked environment belongs to another checkout: it is used as it is and never outdated.
 VENV_IS_LINK := $(filter-out $(CURDIR)/.venv,$(realpath .venv))
+# Nor is any for -n, -q and -t of another goal: make makes what it includes even then, and so would set up.
+AS_IT_IS := $(VENV_IS_LINK)$(if $(filter-out setup,$(GOALS)),$(ONLY_SHOWN))
 # An environment contains its absolute path: in a moved or copied clone its programs would start in the old place.
 VENV_CFG := $(if $(VENV_IS_LINK),,$(wildcard .venv/pyvenv.cfg))
 VENV_HOME := $(if $(VENV_CFG),$(shell sed -n 's/^command = .* -m venv \(--[^ ]* \)*//p' $(VENV_CFG)))
@@ -72,17 +74,17 @@ endif
 .PHONY: setup
 setup: $(SETUP) $(CCX_FOUND) $(COMPILED)  ## virtual environment and CalculiX, inside the project; only system packages go outside
 
-$(SETUP): $(if $(VENV_IS_LINK),,envs/requirements.lock pyproject.toml envs/venv.sh)
+$(SETUP): $(if $(AS_IT_IS),,envs/requirements.lock pyproject.toml envs/venv.sh)
 	@envs/venv.sh $@ envs/requirements.lock
 
 # Packages that only other formats, and only tests, lint and docs need.
-$(FORMATS) $(CHECKS): .venv/%.ready: $(if $(VENV_IS_LINK),,envs/%.lock) | $(SETUP)
+$(FORMATS) $(CHECKS): .venv/%.ready: $(if $(AS_IT_IS),,envs/%.lock) | $(SETUP)
 	@envs/venv.sh $@ envs/$*.lock
 
 $(CHECKS): | $(FORMATS)
 
-$(CCX_FOUND): envs/ccx.sh
+$(CCX_FOUND): $(if $(AS_IT_IS),,envs/ccx.sh)
 	@envs/ccx.sh $@
 
-$(COMPILED): envs/kernels.py | $(SETUP)
-	@$(PY) $< $@
+$(COMPILED): $(if $(AS_IT_IS),,envs/kernels.py) | $(SETUP)
+	@$(PY) envs/kernels.py $@

@@ -3,6 +3,7 @@
 Almost all of it is asked of a dataset that is planned, and of which nothing is made.
 """
 
+import os
 import re
 import shutil
 import subprocess
@@ -295,6 +296,36 @@ def test_a_dry_run_before_set_up_installs_nothing(own):
         done = make(own, flag, "labels", "DATASET=tiny")
         assert done.returncode and "not set up yet: run make setup" in done.stdout
     assert make(own, "help").returncode == 0 and not (own / ".venv").exists()
+
+
+def test_a_dry_run_with_newer_scripts_of_set_up_runs_none_of_them(own, root):
+    """Of an environment that is the project's own; `make setup` runs them."""
+    venv, envs = own / ".venv", own / "envs"
+    made = venv.resolve()
+    for link in (venv, envs):
+        link.unlink()
+        link.mkdir()
+    for name in ("bin", "lib"):
+        (venv / name).symlink_to(made / name)
+    for name in ("ready", "ccx.path", "kernels.compiled"):
+        write_text(venv / name, "none\n")
+        os.utime(venv / name, (1e9, 1e9))
+    shutil.copy(root / "envs/requirements.lock", envs)
+    for name in ("venv.sh", "ccx.sh"):
+        write_text(envs / name, f'#!/bin/sh\necho {name} >>ran\ntouch "$1"\n')
+        (envs / name).chmod(0o755)
+    write_text(
+        envs / "kernels.py", "import sys\nopen('ran', 'a').write('kernels.py\\n')\nopen(sys.argv[1], 'a').close()\n"
+    )
+    for flag in ("-n", "-q", "-nk"):
+        said = make(own, flag, "labels", "DATASET=tiny").stdout
+        assert not (own / "ran").exists() and ("gelforge.stages.labels" in said) == ("n" in flag), said
+    assert "envs/ccx.sh .venv/ccx.path" in make(own, "-n", "setup").stdout and not (own / "ran").exists()
+    assert make(own, "setup").returncode == 0
+    assert sorted((own / "ran").read_text().split()) == ["ccx.sh", "kernels.py", "venv.sh"]
+    (venv / "ccx.path").unlink()
+    done = make(own, "-n", "labels", "DATASET=tiny")
+    assert done.returncode and "not set up yet" in done.stdout and not (venv / "ccx.path").exists()
 
 
 def test_a_misspelt_choice_is_refused_and_the_environment_is_none(own):
