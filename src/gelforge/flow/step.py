@@ -56,7 +56,7 @@ def cause(target: Path, inputs: Sequence[str], command: list[str]) -> tuple[str,
         return "it is missing", now
     if lost := lost_beside(target):
         return f"{named([*map(str, lost)])} is missing", now
-    if record["sha256"] != digest_of(target):
+    if record.get("sha256") != digest_of(target):
         return "it changed since it was made", now
     if gone := sorted(known.keys() - set(inputs)):
         return f"{named(gone)} is no prerequisite any more", now
@@ -101,7 +101,7 @@ def heal(path: Path) -> bool:
     if record.get("exit_code") != 0 or not path.is_file() or not lost_beside(path):
         return False
     made = path.stat().st_mtime_ns
-    if record["sha256"] != digest_of(path) or build(path, [*record["inputs"]], record["command"]):
+    if record.get("sha256") != digest_of(path) or build(path, [*record["inputs"]], record["command"]):
         return False
     if record_at(path)["sha256"] == record["sha256"]:
         os.utime(path, ns=(made, made))
