@@ -181,12 +181,9 @@ def group(**members: Command) -> Group:
 
 
 def program(home: Any) -> str:
-    """Return how a person starts a module: `gelforge NAME` for a command, `python -m …` for a stage."""
-    if sys.argv[0].startswith("gelforge "):  # set by the dispatcher of commands
-        return sys.argv[0]
+    """Return how a module was started: `gelforge NAME`, which the dispatcher of commands sets, or `python -m …`."""
     name = home.__spec__.name if home.__spec__ else home.__name__
-    folder, _, last = name.rpartition(".")
-    return f"gelforge {last}" if folder == "gelforge.commands" else f"python -m {name}"
+    return sys.argv[0] if sys.argv[0].startswith("gelforge ") else f"python -m {name}"
 
 
 def exit_with(main: Callable[[Sequence[str] | None], int], argv: Sequence[str] | None = None) -> NoReturn:

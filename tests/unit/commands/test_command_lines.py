@@ -10,6 +10,8 @@ import pytest
 
 import gelforge.commands
 import gelforge.stages
+from gelforge.commands.gelforge import COMMANDS
+from gelforge.commands.gelforge import main as dispatch
 from gelforge.errors import BadInput
 from gelforge.flow.cli import Command, command, group, option
 
@@ -29,7 +31,15 @@ def test_every_stage_and_command_has_a_command_line_with_help(capsys):
         with pytest.raises(SystemExit) as ended:
             main(["--help"])
         assert ended.value.code == 0
-        assert "usage: " in capsys.readouterr().out, name
+        assert f"usage: python -m {name} " in capsys.readouterr().out, name
+
+
+def test_the_help_of_a_command_names_the_word_that_chose_it(capsys, monkeypatch):
+    monkeypatch.setattr(sys, "argv", ["gelforge"])
+    for word in COMMANDS:
+        with pytest.raises(SystemExit):
+            dispatch([word, "--help"])
+        assert f"usage: gelforge {word} " in capsys.readouterr().out
 
 
 def test_an_option_without_a_default_must_be_given(capsys):
