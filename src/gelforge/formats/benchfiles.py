@@ -7,6 +7,7 @@ Either it is a CSV of a time, `x_UNIT`, `y_UNIT`, `z_UNIT`, optionally `rot_deg`
 stand still. With `MPos`, at least one report states `WCO`, which must not change. A folder of images has a `times.csv` with the columns `image` and a time.
 """
 
+import os
 import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -24,7 +25,7 @@ from gelforge.records.image import read_image
 from gelforge.records.nocontactimage import STILL
 from gelforge.records.press import FORCE, parse_number
 from gelforge.records.regular import read_text
-from gelforge.records.table import filled_rows
+from gelforge.records.table import filled_rows, letters
 
 NEWTONS = {"n": 1.0, "mn": 1e-3, "kn": 1e3, "gf": 9.80665e-3, "kgf": 9.80665, "lbf": 4.4482216, "ozf": 0.27801385}
 MILLIMETRES = {"mm": 1.0, "um": 1e-3, "m": 1e3, "in": 25.4}
@@ -198,7 +199,7 @@ class Images:
         """Read names, times and small copies; BadInput where there are none."""
         if path.is_dir():
             rows, times, _ = _timed_rows(path / "times.csv", "images", "image", ("image",))
-            names = [row["image"] for row in rows]
+            names = [os.path.normpath(row["image"]) for row in rows]
             if (
                 twice := next((name for name in names if names.count(name) > 1), "")
                 if len(set(names)) < len(names)
@@ -322,6 +323,11 @@ def _date(cell: str) -> float:
 def _column(path: Path, row: dict[str, str], name: str, units: dict[str, float], needed: bool) -> tuple[str, float]:
     """The column of a quantity and the factor of its unit; ("", 1.0) where an optional column is missing."""
     found = [(column, units[unit]) for column in row for unit in units if column.lower() == f"{name}_{unit}"]
+    near = [column for column in row if not found and letters(column).partition("_")[0] == name]
+    if near and not needed:
+        raise BadInput(
+            f"{path}: column {printable(near[0])[:60]!r} is not read; write it as {name}_UNIT, with a unit of {', '.join(units)}, or give it another name"
+        )
     if len(found) > 1 or (needed and not found):
         raise BadInput(
             f"{path}: {len(found)} columns {name}_UNIT, seen: {', '.join(row)}; give one, with a unit of {', '.join(units)}"

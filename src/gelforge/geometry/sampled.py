@@ -12,7 +12,7 @@ from gelforge.geometry.shells import outer_surface
 from gelforge.geometry.solids import Body
 from gelforge.geometry.standing import cut_at, standing
 from gelforge.geometry.stlfile import read_stl
-from gelforge.geometry.triangles import Mesh
+from gelforge.geometry.triangles import Mesh, volume
 
 MARGIN_MM = 1.0  # of the grid around the body: farther away only the sign and a rough distance matter
 LEAST_MM, LARGEST_MM = 0.5, 60.0  # largest extent of a body
@@ -173,9 +173,13 @@ def sampled_from_stl(
     how = {"spacing": spacing, "reach": reach, **flags}
 
     def measure() -> Sampled:
-        body = Sampled(name, *check_body(*read_stl(path, scale), f"indenter {name}: {path}"), **how)
+        vertices, faces = read_stl(path, scale)
+        body = Sampled(name, *check_body(vertices, faces, f"indenter {name}: {path}"), **how)
         body.distance(np.zeros((1, 3)))  # raises BadInput if walls are too thin
-        for line in notes_of(body):
+        mirrored = (
+            "its faces point inward, as where the file was mirrored: compare it with the body, and mirror it back"
+        )
+        for line in [*notes_of(body), *[mirrored] * (volume(vertices, faces) < 0.0)]:
             print(f"note: indenter {name}: {path}: {line}", file=sys.stderr)
         return body
 

@@ -341,6 +341,11 @@ def image_frame(
     return frame, markers
 
 
+def colour_fault(nocontact: np.ndarray) -> list[str]:
+    """Whether red and blue of a no-contact image (h, w, 3) uint8 seem to be exchanged: one sentence, or none."""
+    return [BLUE_FIRST] * image_frame(nocontact, (nocontact.shape[0], nocontact.shape[1]))[0].blue_first
+
+
 def at_scale(pitch: float, learnt: Sequence[float]) -> bool:
     """Whether a marker pitch in px is that of training, up to SLACK; learnt: smallest and largest pitch there.
 

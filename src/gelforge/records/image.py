@@ -28,6 +28,7 @@ MOST_BYTES = 256 * 2**20
 LEAST_CONTRAST = 16  # levels: a frame of less contrast is dark or covered, and its colours mean nothing
 OF_PALETTE = 3  # colour type of a PNG whose pixels are palette indices
 PALETTE = "has a palette of at most 256 colours, too few to see the light fall; save it in true colour"
+SEVERAL = "holds {} images; save the one that is meant as a file of its own"
 HINT = f"give {', '.join(KINDS[:-1])} or {KINDS[-1]}"
 
 
@@ -113,7 +114,7 @@ def _claim_fault(data: bytes) -> str | None:
             with Image.open(io.BytesIO(data), formats=KINDS) as header:
                 several = getattr(header, "n_frames", 1) if header.format in ("TIFF", "WEBP") else 1
                 if several > 1:
-                    return f"holds {several} images; save the one that is meant as a file of its own"
+                    return SEVERAL.format(several)
                 return _size_fault(header.size) or (PALETTE if header.mode == "P" else None)
     except Image.DecompressionBombError:
         return "is far larger than 4096 x 4096 pixels"
@@ -224,6 +225,8 @@ def _chunk_fault(data: bytes) -> tuple[str | None, tuple[int, int]]:
             size = width, height
             if body[13] == OF_PALETTE:
                 return PALETTE, size
+        if kind == b"acTL":  # of an animation, whose first image decoders show
+            return SEVERAL.format("several"), size
     return None, size
 
 

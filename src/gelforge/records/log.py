@@ -28,7 +28,7 @@ from gelforge.records.press import (
     reject,
 )
 from gelforge.records.regular import read_text
-from gelforge.records.table import other_separator, records, refuse_twice, write_table
+from gelforge.records.table import letters, other_separator, records, refuse_twice, write_table
 
 P = TypeVar("P", bound=PressRecord)
 
@@ -66,7 +66,7 @@ def read_log(path: str | Path) -> list[RawRow]:
     """Rows of a raw log, each numbered by the line it begins at; blank lines are counted but are no rows.
 
     Cells are stripped, unknown columns ignored. Raises BadInput for a log without rows or sample_id, with a column
-    twice, or with a column whose name is close to that of an optional or a missing one.
+    twice, however spelt, or with a column whose name is close to that of an optional or a missing one.
     """
     return _some(_read(Path(path), KNOWN, needed=("indenter", *POSE)), path)
 
@@ -129,18 +129,13 @@ def _places(path: Path, header: list[str], known: tuple[str, ...]) -> dict[str, 
     """Position of each known column in the header."""
     if "sample_id" not in header:
         seen = printable(", ".join(header))[:200] or "no header"
-        other = other_separator(header)
-        hint = (
-            f"separate cells by commas, not by {other!r}"
-            if other
-            else "workflow/guide/your-data.md lists the columns"
-        )
+        hint = other_separator(header) or "workflow/guide/your-data.md lists the columns"
         raise BadInput(f"{path}: column sample_id is missing, so it holds no presses; seen: {seen}; {hint}")
     refuse_twice(path, header, known)
     for name in header:
         if name in known:
             continue
-        plain = re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+        plain = letters(name)
         meant = next((of for of in (*OPTIONAL, *POSE, *FORCES) if of not in header and _resembles(plain, of)), "")
         if not meant:
             continue

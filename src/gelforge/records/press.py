@@ -352,7 +352,8 @@ def _cell(value: str | float | None) -> str:
 def judge_cell(name: str, text: str | None) -> tuple[str | float | None, tuple[str, str] | None]:
     """Value of a cell and None, or the empty value of its column and what is wrong: (reason, hint)."""
     if text is None:
-        hint = f"add a column {name} to the log{' (its cells may be empty)' if name in FORCES else ''}"
+        measured = f"rename the column that holds it to {name}; where it was not measured, "
+        hint = f"{measured if name in FORCES else ''}add a column {name} to the log{' with empty cells' if name in FORCES else ''}"
         if name == "image":
             hint = "add a column image to the log, or set [params.poses] images = false in the dataset's dataset.toml"
         return _nothing(name), None if name in OPTIONAL else (ABSENT, hint)

@@ -4,6 +4,7 @@ import contextlib
 import csv
 import io
 import os
+import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -73,9 +74,8 @@ def numbered_rows(path: str | Path, hint: str, comments: bool = False) -> list[t
     if not found:
         raise BadInput(f"{path}: is empty, without even a header; {hint}")
     header = [name.strip() for name in found[0][1]]
-    other = other_separator(header)
-    if other:
-        raise BadInput(f"{path}: cells are separated by {other!r}; separate them by commas; {hint}")
+    if other := other_separator(header):
+        raise BadInput(f"{path}: {other}; {hint}")
     refuse_twice(path, header)
     for at, cells in found[1:]:
         if len(cells) != len(header):
@@ -107,18 +107,27 @@ def records(path: str | Path, text: str, hint: str, comments: bool = False) -> l
     return found
 
 
+def letters(name: str) -> str:
+    """A column's name by its letters and digits alone: Fz [N], FZ-N and fz_n are one name."""
+    return re.sub(r"[^a-z0-9]+", "_", name.lower()).strip("_")
+
+
 def refuse_twice(path: str | Path, header: Sequence[str], names: Sequence[str] = ()) -> None:
-    """BadInput if a column occurs twice in a header. names: of the columns that count, all if empty."""
+    """BadInput if a column occurs twice in a header, by its `letters`. names: of the columns that count, all if empty."""
+    plain = [letters(name) for name in header]
     for name in names or header:
-        if name and header.count(name) > 1:
+        same = [one for one, like in zip(header, plain, strict=True) if like and like == letters(name)]
+        if len(same) > 1:
+            spelt = f" ({printable(', '.join(same))[:100]})" if len(set(same)) > 1 else ""
             raise BadInput(
-                f"{path}: column {printable(name)[:60]} occurs {header.count(name)} times in the header; keep one of them"
+                f"{path}: column {printable(name)[:60]} occurs {len(same)} times in the header{spelt}; keep one of them"
             )
 
 
 def other_separator(header: Sequence[str]) -> str:
-    """Separator other than a comma in a header that was read as one cell; empty if there is none."""
-    return next((mark for mark in ";\t|" if len(header) == 1 and mark in header[0]), "")
+    """What to do about another separator than a comma, in a header that was read as one cell; empty if there is none."""
+    mark = next((mark for mark in ";\t|" if len(header) == 1 and mark in header[0]), "")
+    return mark and f"cells are separated by {mark!r}; separate them by commas, and write decimals with a point"
 
 
 def filled_rows(path: Path, columns: Sequence[str], what: str, hint: str) -> list[tuple[int, dict[str, str]]]:

@@ -27,7 +27,7 @@ from gelforge.flow.params import read_parameters
 from gelforge.geometry.indenters import bodies_of, build
 from gelforge.geometry.solids import Body, feels_tilt
 from gelforge.labelling.sensor import sensor_of
-from gelforge.reading.frame import BLUE_FIRST, image_frame
+from gelforge.reading.frame import colour_fault
 from gelforge.records.log import read_shard
 from gelforge.records.press import SENSOR_TABLES, PressRecord
 from gelforge.stages.poses import Bodies, judge_rows, summarised
@@ -180,9 +180,6 @@ def main(args: Namespace) -> None:
             by_id = {press.sample_id: press for press in presses}
             built = {press.indenter: body for press, body in good}
             shapes = shapes_of(by_id, tables, built, read_json(of.parameters("spare")))
-    elif judged.images:
-        for name in sorted({press.sensor_id for press in presses}):
-            read_nocontact(of.data, name, sensors[name].image)
     found = judge(seen, shapes, str(of.log))
     if seen:
         kept = [one for one in presses if one.sample_id not in found["left_out"]]
@@ -191,10 +188,10 @@ def main(args: Namespace) -> None:
             found["tilts"] = shown
         else:
             found["notes"] += tilt_notes(shown, kept, sensors)
-    for name in sorted({one.sensor for one in seen}):
+    for name in sorted({press.sensor_id for press in presses}) if judged.images else ():
         picture = read_nocontact(of.data, name, sensors[name].image)
-        if picture is not None and image_frame(picture, (picture.shape[0], picture.shape[1]))[0].blue_first:
-            found["notes"].append(f"{nocontact_path(of.data, name)}: {BLUE_FIRST}")
+        if picture is not None:
+            found["notes"] += [f"{nocontact_path(of.data, name)}: {fault}" for fault in colour_fault(picture)]
     for line in told(found, seen):
         print(line, file=sys.stderr)
     write_json(args.out, found)

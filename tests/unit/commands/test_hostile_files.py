@@ -305,4 +305,9 @@ def test_a_table_of_semicolons_and_decimal_commas_is_reported_what_parts_cells(t
     """As spreadsheets write them where a comma is decimal."""
     for mark in ";\t":
         (tmp_path / "r.csv").write_text(f"image{mark}force_n\na.png{mark}3,5\n")
-        refused("separate them by commas; write it anew", numbered_rows, tmp_path / "r.csv", "write it anew")
+        refused(
+            "separate them by commas, and write decimals with a point; write it anew",
+            numbered_rows,
+            tmp_path / "r.csv",
+            "write it anew",
+        )

@@ -139,7 +139,10 @@ def test_files_that_are_no_log_are_refused(tmp_path):
     for text, said in (
         ("", "no presses"),
         (HEADER + "\n", "no presses"),
-        ((HEADER + "\n" + log_line()).replace(",", ";"), "separate cells by commas, not by ';'"),
+        (
+            (HEADER + "\n" + log_line()).replace(",", ";"),
+            "cells are separated by ';'; separate them by commas, and write decimals with a point",
+        ),
         ("sep=,\n" + WHOLE, "header is in line 2; remove the lines above it"),
         ("% ATI Nano17\n% N, N m\n\n" + WHOLE, "header is in line 4; remove the lines above it"),
         ("x" * 200_000 + "\n", "row 1: field larger than field limit"),  # one long line, as JSON often is
@@ -154,6 +157,13 @@ def test_files_that_are_no_log_are_refused(tmp_path):
         (f"{HEADER},tilt_deg_x\n{log_line()},1\n", "'tilt_deg_x' is unknown; write it as tilt_x_deg"),
         ("depth_mm,fz\n0.3,-0.1\n", "seen: depth_mm, fz; workflow/guide/your-data.md lists the columns"),
         (renamed(image="Image", mz_nm="IMAGE"), "column image occurs 2 times"),
+        *(
+            (
+                f"{HEADER},{twice}\n{log_line()},-9\n",
+                rf"occurs 2 times in the header \({of}, {re.escape(twice)}\); keep one of them",
+            )
+            for twice, of in (("Fz [N]", "fz_n"), ("DZ-mm", "dz_mm"), ("IMAGE", "image"), ("Rot (deg)", "rot_deg"))
+        ),
     ):
         refused(said, read, tmp_path, text)
     path.write_bytes(b"sample_id\n\xff\xfe\n")
@@ -171,7 +181,6 @@ def test_headers_and_rows_that_are_spelt_otherwise_are_read(tmp_path):
     texts = [
         *(renamed(sample_id=name) for name in ("Sample_ID", "SAMPLE ID", "sample-id", "sample_Id ")),
         renamed(dz_mm="Dz mm", image="Image"),
-        csv_text([*GOOD, "Image"], [{**GOOD, "Image": "other.png"}]),
         quoted + "\n",
         *("\ufeff" * marks + WHOLE for marks in (1, 2, 3)),
     ]

@@ -45,6 +45,26 @@ def test_no_table_is_read_where_a_column_is_twice_a_cell_too_many_or_a_quotation
             refused("row 3 has another number of cells than the header", read, path)
 
 
+def test_a_column_that_is_nearly_one_of_a_table_is_refused_so_that_nothing_is_lost(tmp_path):
+    """A gauge's sideways forces under a name without unit were dropped, and of two readings of a press one was."""
+    for name, more, said in (
+        ("gauge", "fx", "column 'fx' is not read; write it as fx_UNIT, with a unit of n, mn"),
+        ("gauge", "Fy [N]", r"column 'Fy \[N\]' is not read; write it as fy_UNIT"),
+        ("gauge", "fx_g", "column 'fx_g' is not read"),
+        ("gauge", "FZ (N)", r"column fz_n occurs 2 times in the header \(fz_n, FZ \(N\)\); keep one of them"),
+        ("path", "Z mm", "column z_mm occurs 2 times"),
+        ("times", "Time [s]", "column time_s occurs 2 times"),
+        ("readings", "Force (N)", "column force_n occurs 2 times"),
+        ("points", "U_PX", "column u_px occurs 2 times"),
+    ):
+        read, header, row = TABLES[name]
+        (tmp_path / "times.csv").write_text(f"{header},{more}\n{row},1\n")
+        refused(said, read, tmp_path / "times.csv")
+    read, header, row = TABLES["gauge"]
+    (tmp_path / "times.csv").write_text(f"{header},fz_raw,note,temp_c\n{row},1,dry,21\n0.1,-1,1,,21\n")
+    assert read(tmp_path / "times.csv")[1] == ("fz_n",)
+
+
 @pytest.mark.parametrize(
     "turn, true", [(lambda angle: angle % 360.0, 0.0), (lambda angle: angle % 360.0 - 180.0, 180.0)]
 )
