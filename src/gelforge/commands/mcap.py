@@ -11,6 +11,7 @@ from gelforge.evidence.forces import FEWEST, drift, misplaced, unit
 from gelforge.flow.cli import command, option
 from gelforge.formats.mcap_import import Topics, import_recordings
 from gelforge.labelling.sensor import find_sensor, load_sensors
+from gelforge.reading.frame import colour_fault
 from gelforge.reading.reader import Reader
 from gelforge.records.image import read_image
 from gelforge.records.log import read_log
@@ -51,7 +52,7 @@ def imported(log: Path) -> list[PressRecord]:
 
 
 def doubts_of_forces(data: Path, rows: Sequence[PressRecord], sensor: str) -> list[str]:
-    """Doubts about unit, axes and drift of recorded forces, from predictions of the shipped network on some images.
+    """Doubts about unit, axes and drift of recorded forces, from predictions of the shipped network, and about colours.
 
     The network errs by a factor of two at most, while units differ by four and more. Flagged images are ignored.
     """
@@ -62,14 +63,15 @@ def doubts_of_forces(data: Path, rows: Sequence[PressRecord], sensor: str) -> li
     by_force = np.argsort([-float(np.linalg.norm(np.nan_to_num(row.force))) for row in known], kind="stable")
     strong = by_force[np.unique(np.linspace(0, (len(known) - 1) // 2, ASKED).astype(int))]
     through = np.unique(np.linspace(0, len(known) - 1, 2 * ASKED).astype(int))
-    asked, read = np.union1d(strong, through), Reader(nocontact=read_image(nocontact))
+    rest_image = read_image(nocontact)
+    asked, read = np.union1d(strong, through), Reader(nocontact=rest_image)
     force = np.array([known[at].force for at in asked], float)
     seen = [read(read_image(data / known[at].image)) for at in asked]
     normal = np.array([np.nan if one.flag else -one.total[2] for one in seen])
     pressed = np.isin(asked, strong) & (normal > PRESSED_N)
     rest = np.isin(asked, through) & (np.abs(normal) < PRESSED_N)
     torn = [known[at].image for at, one in zip(asked, seen, strict=True) if TORN in one.reason]
-    said = [drift(force[rest], asked[rest])]
+    said = [*(f"{nocontact}: {fault}" for fault in colour_fault(rest_image)), drift(force[rest], asked[rest])]
     if torn:
         said.append(
             f"{len(torn)} of {len(asked)} images that were read are torn, such as {torn[0]}: parts of them are of other frames; check the camera's"

@@ -42,7 +42,6 @@ from gelforge.formats.messagetime import (
     choose_clock,
     stamp_of,
 )
-from gelforge.reading.frame import colour_fault
 from gelforge.records import series
 from gelforge.records.image import write_png
 from gelforge.records.labelfile import write_labels
@@ -441,9 +440,7 @@ def import_recordings(source: Path, data: Path, topics: Topics, sensor) -> dict:
             seen = "; ".join([f"{alone} images were seen", *notes])
             raise BadInput(f"{source}: no image of {topics.image} has a wrench of {topics.wrench} within {topics.latest_s:g} s, {seen}; name other topics or a larger latest_s")  # fmt: skip
         if rest:
-            picture = np.rint(np.mean(rest, axis=0)).astype(np.uint8)
-            write_png(part / "nocontact" / f"{sensor.name}.png", picture)
-            notes += [f"{source}: {fault}" for fault in colour_fault(picture)]
+            write_png(part / "nocontact" / f"{sensor.name}.png", np.rint(np.mean(rest, axis=0)).astype(np.uint8))
         else:
             notes.append(
                 f"{source}: no image shows the gel without contact (force below touch_n = {topics.touch_n:g} N); put one as nocontact/{sensor.name}.png into"
