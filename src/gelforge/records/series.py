@@ -359,8 +359,8 @@ def confirmed(name: str, times: np.ndarray, values: np.ndarray) -> tuple[np.ndar
     ]
     if dead_band(values[~held, -1]):
         notes.append(
-            f"{name}: reads exactly one value without contact and has noise in presses, as a sensor with a dead band, before force shows:"
-            " forces are too small by as much as it hides; switch it off, or measure it with a known weight"
+            f"{name}: reads exactly one value without contact and has noise in presses: it shows nothing below its zero, or it has a dead band;"
+            " then forces are too small by as much as the band hides: check it with a known weight"
         )
     off = np.any([wild(each) for each in values.T], axis=0) & ~held
     if not off.any():

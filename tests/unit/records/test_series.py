@@ -125,3 +125,41 @@ def test_equal_largest_readings_of_a_scale_are_named():
     assert accused == 0
     said = series.equal_largest(np.minimum(true, np.quantile(true, 0.5)), true * 1.1)
     assert "the largest" in said and "end of its range" in said
+
+
+def presses(rng, noise=0.02):
+    """Times (n,) s at 60 Hz and a gauge's force (n,) N in four presses, with noise."""
+    times = np.arange(0.0, 40.0, 1.0 / 60.0)
+    depth = np.maximum(np.sin(2.0 * np.pi * times / 10.0), 0.0)
+    return times, 4.0 * depth**1.6 + noise * rng.standard_normal(len(times))
+
+
+def test_a_sensor_that_stands_still_is_left_out_there_and_one_of_coarse_resolution_is_not_accused():
+    """Whatever it stands at, 0 too: a driver repeats its last value, and rows had the force of another moment."""
+    times, force = presses(np.random.default_rng(0))
+    for still in (slice(130, 180), slice(1500, 2400)):
+        for value in (force[still.start], 0.0):
+            held = force.copy()
+            held[still] = value
+            kept, (note,) = series.confirmed("gauge.csv", times, held[:, None])
+            lost = np.flatnonzero(~kept)
+            assert (
+                still.start <= lost[0] <= still.start + 1
+                and lost[-1] == still.stop - 1
+                and "repeats one reading" in note
+            )
+    for resolution in (0.0, 0.05, 0.2):
+        coarse = np.round(force / resolution) * resolution if resolution else force
+        assert series.confirmed("gauge.csv", times, coarse[:, None])[0].all()
+    refused(
+        "all 2400 readings are 0 N, to the last digit", series.confirmed, "gauge.csv", times, 0.0 * force[:, None]
+    )
+
+
+def test_two_channels_in_one_column_are_refused_and_a_sensor_that_hides_small_forces_is_told():
+    times, force = presses(np.random.default_rng(1))
+    mixed = np.where(np.arange(len(force)) % 2, force, 0.5 * force)
+    refused("readings alternate between two levels", series.confirmed, "gauge.csv", times, mixed[:, None])
+    kept, (note,) = series.confirmed("gauge.csv", times, np.maximum(force - 0.5, 0.0)[:, None])
+    assert kept.all() and "dead band" in note
+    assert series.confirmed("gauge.csv", times, force[:, None])[1] == []
