@@ -9,7 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from gelforge.flow.files import read_csv, write_csv, write_text
+from gelforge.errors import BadInput
+from gelforge.flow.files import read_csv, record_of, write_csv, write_text
+from gelforge.flow.step import beside, build, cause
 from tests.support.sandbox import REPORTED, make
 
 
@@ -164,3 +166,48 @@ def test_what_reads_a_change_is_due_and_nothing_else(whole, name):
     change, expected = CHANGES[name]
     change(whole)
     assert due(whole) == expected
+
+
+# Targets that no other is made of; what follows a plan follows its tables.
+LAST = ("00_plan/plan.mk", "80_evaluate/6x8/tiny.card.md", "90_report/6x8-tiny.html")
+
+
+def turned(path):
+    """Turn one bit in the middle of a file, which keeps its size and date; return how to turn it back."""
+    whole, dates = path.read_bytes(), path.stat()
+
+    def write(content):
+        path.write_bytes(content)
+        os.utime(path, ns=(dates.st_atime_ns, dates.st_mtime_ns))
+
+    middle = len(whole) // 2
+    write(whole[:middle] + bytes([whole[middle] ^ 1]) + whole[middle + 1 :])
+    return lambda: write(whole)
+
+
+def test_one_bit_of_any_target_turned_at_the_same_date_and_size_is_refused_by_each_of_its_readers(whole, monkeypatch):
+    """And the target is outdated. A file beside it is refused by a reader that has to run, for another command.
+
+    Files of people, and those of the plan, which every make compares, have no record.
+    """
+    monkeypatch.chdir(whole)
+    records = {record["target"]: record for record in map(record_of, Path("results/tiny/metrics").rglob("*.json"))}
+    refusals = dict.fromkeys(records, 0)
+    for name, record in records.items():
+        target, inputs, command = Path(name), [*record["inputs"]], record["command"]
+        back = turned(target)
+        assert cause(target, inputs, command)[0] == "it changed since it was made", target
+        back()
+        for source in records.keys() & record["inputs"].keys():
+            for file in (Path(source), *beside(Path(source))):
+                back = turned(file)
+                with pytest.raises(BadInput, match=f"^{re.escape(str(file))}: missing or changed since it was made"):
+                    build(target, inputs, command if str(file) == source else ["false"])
+                back()
+                refusals[source] += 1
+        assert cause(target, inputs, command)[0] == "", target
+    last = {name for name, count in refusals.items() if not count}
+    assert (
+        last == {f"results/tiny/{name}" for name in LAST}
+        and refusals["results/tiny/60_dataset/6x8/dataset.json"] > 14
+    )
