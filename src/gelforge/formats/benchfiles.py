@@ -34,7 +34,7 @@ HINT = "the head of src/gelforge/formats/benchfiles.py says which columns are re
 AXES = "xyz"
 SMALL = (64, 48)  # px at which the change of an image is measured
 FASTEST_MM_S = 500.0  # largest speed of a tip
-SLOWEST_S = 0.25  # largest sampling interval of a path
+SLOWEST_S, SLOWEST_GAUGE_S = 0.25, 5.0  # largest sampling intervals of a path and of a gauge
 MOST_HEAD = 100  # lines in which a misplaced header is searched
 NUMBER = r"-?\d+\.\d{1,3}"
 PLACE = rf"({NUMBER}(?:,{NUMBER}){{2,7}})"  # x, y, z, and further axes
@@ -86,7 +86,12 @@ def read_gauge(path: Path, sign: int) -> tuple[Recording, tuple[str, ...]]:
         column, unit = _column(path, rows[0], f"f{name}", NEWTONS, needed=name == "z")
         if column:
             found[FORCE[axis]] = sign * unit * _numbers(path, rows, column)
-    return Recording(str(path), times, np.column_stack([-found["fz_n"], *found.values()])), tuple(found)
+    gauge = Recording(str(path), times, np.column_stack([-found["fz_n"], *found.values()]))
+    if gauge.interval > SLOWEST_GAUGE_S:
+        raise BadInput(
+            f"{path}: one reading every {gauge.interval:.3g} s, too few to follow a press: is the column of times in another unit?"
+        )
+    return gauge, tuple(found)
 
 
 def read_path(path: Path, origin: Sequence[float]) -> Recording:

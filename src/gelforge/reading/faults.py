@@ -294,6 +294,12 @@ def pair_fault(pair: Pair, asked: Asked) -> str:
     return first_fault(PAIR, pair, asked)
 
 
+def other_sensor(pair: Pair) -> str:
+    """Whether an image and its pair are of different sensors, wherever the gel sits; empty where they may be of one."""
+    of = (measures.crowd, measures.lit_likeness, measures.distance, measures.uneven)
+    return first_fault([fault for fault in PAIR if fault.measure in of], pair, Asked.BOTH)
+
+
 def pull_fault(normal: float) -> str:
     """Fault of a predicted total normal force in N that pulls on the gel; empty where it presses."""
     if normal < LEAST_PULL:

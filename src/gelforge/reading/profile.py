@@ -204,14 +204,15 @@ def _is_number(value: object) -> TypeGuard[int | float]:
     return isinstance(value, int | float) and not isinstance(value, bool)
 
 
-def with_profile(path: Path | None, picture: np.ndarray | None, metadata: dict) -> tuple[np.ndarray | None, Gain]:
+def with_profile(
+    profile: SensorProfile | None, picture: np.ndarray | None, metadata: dict
+) -> tuple[np.ndarray | None, Gain]:
     """The no-contact image, the given one or the profile's, and the profile's factor on forces.
 
     metadata: of the network that reads; BadInput where the profile's factor was found with another one.
     """
-    if path is None:
+    if profile is None:
         return picture, AS_READ
-    profile = read_profile(path)
     check_same_network(profile, metadata)
     if picture is None:
         return profile.nocontact, profile.gain

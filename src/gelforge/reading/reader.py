@@ -15,13 +15,13 @@ from gelforge.labelling.grid import Grid
 from gelforge.labelling.moment import Arms
 from gelforge.labelling.sensor import Sensor, gelsight_mini
 from gelforge.mechanics.material import REFERENCE_C10
-from gelforge.reading.faults import Asked, nocontact_fault, pair_fault, pull_fault
+from gelforge.reading.faults import Asked, nocontact_fault, other_sensor, pair_fault, pull_fault
 from gelforge.reading.forcereading import ForceReading, edge_peak
 from gelforge.reading.frame import ImageFrame, Learnt
 from gelforge.reading.interval import half_widths, moment_half_widths
 from gelforge.reading.model import ForceModel, load_model
 from gelforge.reading.pair import NoContact, Pair, alone
-from gelforge.reading.profile import AS_READ, Gain, with_profile
+from gelforge.reading.profile import AS_READ, Gain, read_profile, with_profile
 
 
 def predict(
@@ -80,7 +80,14 @@ class Reader:
         require_opencv()
         loaded = model if isinstance(model, ForceModel) else load_model(model, device, threads)
         picture = None if nocontact is None else check_image(nocontact)
-        self._set(loaded, *with_profile(None if profile is None else Path(profile), picture, loaded.metadata), sensor)
+        known = None if profile is None else read_profile(Path(profile))
+        self._set(loaded, *with_profile(known, picture, loaded.metadata), sensor)
+        compared = known and picture is not None and self.nocontact and known.gain.readings
+        if known and compared and (fault := other_sensor(self.compare(known.nocontact))):
+            raise BadInput(
+                f"the no-contact image and that of profile {known.name}, whose factor is {known.gain.value:.3g}: {fault}; make a profile of this"
+                " sensor with `gelforge sensor`"
+            )
 
     def _set(self, model: ForceModel, picture: np.ndarray | None, gain: Gain, sensor: Sensor | None = None) -> None:
         self.model, self.gain, self._given, self._sensor = model, gain, picture, sensor

@@ -5,6 +5,7 @@ rules again, so that `make -n` knows the new plan. Files are written only if the
 """
 
 import json
+import math
 import os
 import re
 import stat
@@ -12,6 +13,7 @@ from argparse import Namespace
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
+from statistics import median
 from types import MappingProxyType
 
 from gelforge.errors import BadInput, nearest, printable
@@ -33,10 +35,13 @@ from gelforge.flow.layout import LOGGED, PLAN, STAGES, TABLES, Layout, metrics_o
 from gelforge.flow.params import Params, stl_files, with_content
 from gelforge.flow.tables import ENOUGH_PRESSES, IN_PROCESS, SHIPPED
 from gelforge.records.log import read_log, shard_text
-from gelforge.records.press import RawRow, repeats
-from gelforge.records.table import read_table
+from gelforge.records.press import MOMENT, RawRow, parse_number, repeats
+from gelforge.records.table import letters, read_table
 
 FIRST_SHARDS, LATER = 32, 8  # the first shards are small, to fill the cores; later ones hold this many times as much
+# Units: fewest turns or moments that show one; steps of turns in radians, how far rounded ones are off, and steps of a whole turn;
+# least force, N, and largest lever, m, of a moment.
+FEWEST, RADIANS, ROUNDED, FULL, FIRM_N, LEVER_M = 3, math.pi / 36, 0.007, 72.1, 1.0, 0.25
 
 
 def room(shard: int, size: int) -> int:
@@ -98,6 +103,11 @@ def refuse_other_log(params: Params, rows: list[RawRow], dataset_toml: Path, cal
     logged, settings = named(rows, "mounting") - {""}, [(dataset_toml, vars(params.poses))]
     if calibration is not None and calibration.name == FROZEN:
         found, ids = read_found(calibration), named(rows, "sample_id")
+        home = found.name.rpartition("-")[0]
+        if home != calibration.parent.name:
+            print(
+                f"note: {calibration}: was found in dataset {printable(home)[:60]!r}, and labels follow it: true where gel and bench are the same"
+            )
         lost = [name for name in found.presses if name not in ids]
         if 2 * len(lost) > len(found.presses):
             raise BadInput(
@@ -115,15 +125,37 @@ def refuse_other_log(params: Params, rows: list[RawRow], dataset_toml: Path, cal
 
 def refuse_near_names(rows: list[RawRow], log: Path) -> None:
     """Refuse names in one column that differ in case or punctuation alone: as a rule one thing, written in two ways."""
-    for column in ("mounting", "gel_id", "sensor_id"):
+    for column in ("mounting", "gel_id", "sensor_id", "press_id"):
         seen: dict[str, str] = {}
         for name in sorted(named(rows, column)):
-            plain = re.sub(r"[^a-z0-9]", "", name.lower())
+            # presses may be numbered 1-11 and 11-1
+            plain = letters(name) if column == "press_id" else letters(name).replace("_", "")
             if plain and seen.setdefault(plain, name) != name:
                 raise BadInput(
                     f"{log}: column {column} has {printable(seen[plain])[:60]!r} and {printable(name)[:60]!r}, which differ in case or"
                     " punctuation alone: write one name for one thing, and names that differ in letters or digits for two"
                 )
+
+
+def refuse_other_units(rows: list[RawRow], log: Path) -> None:
+    """Refuse a column whose numbers show another unit: turns in radians, moments in N mm; BadInput."""
+    cells = {name: [parse_number(row.cells.get(name, "")) for row in rows] for name in ("rot_deg", "fz_n", *MOMENT)}
+    turns = {value for value in cells["rot_deg"] if value}
+    steps = [value / RADIANS for value in turns]
+    if len(turns) >= FEWEST and all(abs(one - round(one)) < ROUNDED and abs(one) < FULL for one in steps):
+        raise BadInput(
+            f"{log}: column rot_deg holds only multiples of 5 degrees in radians, such as {max(turns, key=abs):g}: write degrees, 57.29578 times as many"
+        )
+    levers = [
+        max(map(abs, of)) / abs(force)
+        for force, *each in zip(*(cells[name] for name in ("fz_n", *MOMENT)), strict=True)
+        if (of := [one for one in each if one]) and force and abs(force) >= FIRM_N
+    ]
+    if len(levers) >= FEWEST and median(levers) > LEVER_M:
+        raise BadInput(
+            f"{log}: columns mx_nm, my_nm, mz_nm: moments over forces are {median(levers):.2g} m, longer than any such bench: most likely they are in N mm;"
+            " write N m, a thousandth of it"
+        )
 
 
 def known_shards(table: Path) -> dict[str, int]:
@@ -473,6 +505,7 @@ def main(args: Namespace) -> None:
     states = states_of([*read, *beside.values()], known)
     check_dataset(dataset_toml, dataset, params, used(sensors, named(rows, "sensor_id")), sensors, indenters, models)
     refuse_near_names(rows, of.log)
+    refuse_other_units(rows, of.log)
     refuse_other_log(params, rows, dataset_toml, found)
     seen_by = used(sensors, named(rows, "sensor_id"))
     tables = {

@@ -245,6 +245,7 @@ def test_a_gauge_log_that_cannot_be_read_names_its_cause(tmp_path):
         ("time_s,fz\n0,1\n", "fz_UNIT"),
         ("time_s,fz_n,fz_gf\n0,1,1\n", "2 columns"),
         ("t,fz_n\n0,1\n", "time_s"),
+        ("time_ms,fz_n\n0,0\n20000,1\n40000,0\n", "one reading every 20 s.*another unit"),
         ("time_s,fz_n\n0,one\n1,2\n", "'one'"),
         ("time_s,fz_n\nnow,1\n", "line 2"),
         ("0.0,1.2\n0.1,1.3\n", "no header"),

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from gelforge.errors import BadInput
+from gelforge.geometry.sampled import sampled_from_stl
 from gelforge.geometry.stlfile import read_stl
 from gelforge.geometry.triangles import cleaned, is_watertight, joined, write_stl
 from tests.support.blocks import box
@@ -101,3 +102,18 @@ def test_corners_that_single_precision_parts_are_one_and_others_stay_apart(tmp_p
     left, right = box([-2.0, -2.0, 0.0], [1.995, 4.0, 6.0]), box([0.005, -2.0, 0.0], [1.995, 4.0, 6.0])
     write_stl(tmp_path / "b.stl", *joined([left, right]))
     assert len(read_stl(tmp_path / "b.stl")[0]) == 16
+
+
+def test_faces_that_point_inward_are_named_because_a_mirrored_file_has_them(tmp_path, capsys):
+    """The mirror image of the body was pressed without a word."""
+    vertices, faces = BODY
+    for name, mesh, told in (
+        ("whole", BODY, False),
+        ("mirrored", (vertices * [-1.0, 1.0, 1.0], faces), True),
+        ("mirrored and mended", (vertices * [-1.0, 1.0, 1.0], faces[:, ::-1]), False),
+    ):
+        write_stl(tmp_path / "b.stl", *mesh)
+        sampled_from_stl(tmp_path / "b.stl", name="b")
+        assert ("b.stl: its faces point inward, as where the file was mirrored" in capsys.readouterr().err) == told, (
+            name
+        )

@@ -109,10 +109,12 @@ def test_a_profile_comes_back_from_its_file(demo_nocontact, tmp_path):
     refused("another sensor, or cropped or scaled", check_same_sensor, found, markers_in(larger).pitch)
     # a factor holds for the network that it was found with; weights identify networks, not names
     retrained = NET | {"sha256": "12" * 32}
-    assert with_profile(tmp_path / "mine \U0001f916.toml", None, NET)[1] == profile.gain
-    refused("another network.*gelforge sensor", with_profile, tmp_path / "mine \U0001f916.toml", None, retrained)
+    assert with_profile(found, None, NET)[1] == profile.gain
+    refused("another network.*gelforge sensor", with_profile, found, None, retrained)
     write_profile(tmp_path / "mine.toml", make_profile("mine", picture, markers_in(picture).pitch, Gain(), NET))
-    assert with_profile(tmp_path / "mine.toml", None, retrained)[1].value == 1.0  # no factor, so none that is wrong
+    assert (
+        with_profile(read_profile(tmp_path / "mine.toml"), None, retrained)[1].value == 1.0
+    )  # no factor, so none that is wrong
 
 
 def test_a_profile_knows_its_sensor_in_the_camera_s_own_size(demo_nocontact, shipped, tmp_path):
@@ -122,7 +124,25 @@ def test_a_profile_knows_its_sensor_in_the_camera_s_own_size(demo_nocontact, shi
     write_profile(
         tmp_path / "own.toml", make_profile("own", small, markers_in(small).pitch, Gain(), shipped.metadata)
     )
-    assert with_profile(tmp_path / "own.toml", large, shipped.metadata)[0] is large
+    assert with_profile(read_profile(tmp_path / "own.toml"), large, shipped.metadata)[0] is large
+
+
+def test_a_factor_of_another_unit_is_refused_and_one_of_a_gel_that_was_seated_again_holds(
+    demo_nocontact, shipped, tmp_path
+):
+    """Forces of 20 N were read as 32, not flagged: units of one batch have the same marker pitch."""
+    path = tmp_path / "own.toml"
+    for name, picture in demo_nocontact.items():
+        write_profile(
+            path, make_profile(name, picture, markers_in(picture).pitch, Gain(1.6, 1.5, 1.7, 5), shipped.metadata)
+        )
+        seated = cv2.getRotationMatrix2D((160.0, 120.0), 0.5, 1.0) + [[0, 0, 3.0], [0, 0, -2.0]]
+        again = cv2.warpAffine(picture, seated, (320, 240), borderMode=cv2.BORDER_REPLICATE)
+        for same in (picture, again):
+            assert Reader(same, path, shipped).gain.value == 1.6
+        for other in demo_nocontact.keys() - {name}:
+            said = f"that of profile {name}, whose factor is 1.6: .*`gelforge sensor`|of another sensor, or cropped"
+            refused(said, Reader, demo_nocontact[other], path, shipped)
 
 
 def test_what_is_no_profile_is_refused(tmp_path):

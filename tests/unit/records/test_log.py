@@ -331,11 +331,13 @@ def test_bad_image_is_refused(folder):
 
 
 def test_a_file_of_several_images_is_refused(tmp_path):
-    """Of a TIFF of several pages and an animated WebP the first image was read."""
+    """Of a TIFF of several pages, an animated WebP and an animated PNG the first image was read."""
     pages = [Image.fromarray(np.full((24, 32, 3), 40 * k, np.uint8)) for k in (1, 2)]
     for name in ("a.tiff", "a.webp"):
         pages[0].save(tmp_path / name, save_all=True, append_images=pages[1:])
         refused(f"{name}: holds 2 images; save the one that is meant", read_image, tmp_path / name)
+    pages[0].save(tmp_path / "a.png", save_all=True, append_images=pages[1:])
+    refused("a.png: holds several images; save the one that is meant", read_image, tmp_path / "a.png")
 
 
 def test_image_path_stays_in_the_dataset(folder):

@@ -364,6 +364,9 @@ def test_a_calibration_of_another_log_is_refused(lab, tmp_path):
 
 def test_names_that_differ_in_case_or_punctuation_are_refused(tmp_path):
     """The second of two mountings `reseated` and `Reseated` had no tilt, which is a third of a flat body's force."""
+    plan.refuse_near_names([RawRow(2, {"press_id": "1-11"}), RawRow(3, {"press_id": "11-1"})], tmp_path / "log.csv")
+    rows = [RawRow(2, {"press_id": "p_1"}), RawRow(3, {"press_id": "P-1"})]
+    refused("column press_id has 'P-1' and 'p_1'", plan.refuse_near_names, rows, tmp_path / "log.csv")
     for column in ("mounting", "gel_id", "sensor_id"):
         rows = [RawRow(2, {column: "reseated"}), RawRow(3, {column: ""}), RawRow(4, {column: "other"})]
         plan.refuse_near_names(rows, tmp_path / "log.csv")
@@ -374,3 +377,32 @@ def test_names_that_differ_in_case_or_punctuation_are_refused(tmp_path):
                 [*rows, RawRow(5, {column: name})],
                 tmp_path / "log.csv",
             )
+
+
+UNITS = {"rot_deg": "", "fz_n": "-3.0", "mx_nm": "", "my_nm": "", "mz_nm": ""}
+
+
+def test_columns_that_show_another_unit_are_refused(tmp_path):
+    """Radians and N mm passed; small turns in degrees, moments about a distant origin and empty cells do."""
+
+    def judge(**columns):
+        count = len(next(iter(columns.values())))
+        cells = [UNITS | {name: str(of[k]) for name, of in columns.items()} for k in range(count)]
+        plan.refuse_other_units([RawRow(k, one) for k, one in enumerate(cells, 2)], tmp_path / "log.csv")
+
+    for turns in ((0, 0.7854, 1.5708, 3.1416), (-1.571, 0.524, 1.047), (0.26179939, 0.52359878, 6.28318531)):
+        refused("log.csv: column rot_deg holds only multiples of 5 degrees in radians", judge, rot_deg=turns)
+    for turns in (
+        (0, 0, 0),
+        (0, 45, 90, 180),
+        (0.5, 1.0, 1.5, 2.0),
+        (0, 0.7854, 1.5708, 3.0),
+        (0.1, 0.35, 1.57, 3.14),
+        (1.5708, ""),
+    ):
+        judge(rot_deg=turns)
+    for moments in ((12.0, -7.5, 9.0), (1.5, 2.0, 0.9)):
+        refused("moments over forces are .* m, longer than any such bench: .*N mm; write N m", judge, my_nm=moments)
+    for moments in ((0.012, -0.0075, 0.009), (0.3, 0.31, 0.29), ("", 12.0, ""), (0, 0, 0)):
+        judge(my_nm=moments)
+    judge(my_nm=(1.5, 2.0, 0.9), fz_n=("", "", ""))
