@@ -36,9 +36,9 @@ from gelforge.records.labelfile import FIELDS, open_labels, read_labels
 from gelforge.records.log import read_poses, read_shard, without_duplicates
 from gelforge.records.press import FORCE, ID_RULE, N_M, PressRecord, describe_repeats, names_files, parse, repeats
 from gelforge.records.rowfile import RowFile, array_on_disk, write_rows
-from gelforge.records.samplefile import DatasetSample, write_samples
+from gelforge.records.samplefile import SPLITS, DatasetSample, write_samples
 from gelforge.records.status import Status
-from gelforge.records.table import numbered_rows, read_table
+from gelforge.records.table import letters, numbered_rows, read_table
 
 VERSION = 12
 NO_IMAGE = "no image in the log"
@@ -326,6 +326,8 @@ def published_splits(
     for at, row in rows:
         if not names_files(row["split"]):
             raise BadInput(f"{path}: row {at}: split {row['split'][:100]!r} is not a name; give {ID_RULE}")
+        if row["split"] not in SPLITS and (plain := letters(row["split"])) in SPLITS:
+            raise BadInput(f"{path}: row {at}: split {row['split']!r} is none of networks' splits; write {plain}")
     known: dict[str, str] = {}
     for at, row in rows:
         if known.setdefault(row["sample_id"], row["split"]) != row["split"]:

@@ -287,6 +287,8 @@ BROKEN = (
     (lambda m: (m["results"] / "50_labels/4x4/0000.npz").write_bytes(b"x"), {}, r"0000\.npz.*make labels"),
     (lambda m: write_text(m["data"] / "splits.csv", "sample_id,split\ns000,train\ns003\n"), {}, r"splits\.csv.*row 3.*number of cells"),
     (lambda m: write_text(m["data"] / "splits.csv", "sample_id,split\ns000,\n"), {}, r"splits\.csv.*row 2.*is not a name"),
+    (lambda m: write_text(m["data"] / "splits.csv", "sample_id,split\ns000,Train\n"), {},
+     r"splits\.csv: row 2: split 'Train' is none of networks' splits; write train"),
     (lambda m: write_text(m["data"] / "splits.csv", "sample_id,split\ns000,train\ns001,train\ns000,test\n"), {},
      r"splits\.csv.*row 4.*'s000' is in two splits"),
     (lambda m: corrupt_truth(m, b"sample_id,fx_n,fy_n,fz_n\n\xff,1,2,3\n"), {}, "presses.csv: not UTF-8"),

@@ -342,13 +342,17 @@ def test_few_presses_are_read_by_the_network_that_ships(tmp_path, presses, nocon
     assert reported_model(tmp_path / "dataset.toml", params, {"tuned": {}}, presses) == shown
 
 
-def test_a_calibration_of_another_log_is_refused(lab, tmp_path):
+def test_a_calibration_of_another_log_is_refused_and_of_another_dataset_noted(lab, tmp_path, capsys):
     """A folder that was copied as a template: labels were 1.7 times too large. Rows that were added since are no fault."""
     frozen = tmp_path / "calibration.toml"
     text = 'name = "old-1a2b3c"\nlaw = "coulomb"\npresses = ["a", "b", "c"]\n\n[params.material]\nc10 = 0.12\n'
     frozen.write_text(text)
     rows = [RawRow(at, {"sample_id": name, "mounting": ""}) for at, name in enumerate("abd", 2)]
     plan.refuse_other_log(parameters(), rows, Path("dataset.toml"), frozen)
+    assert "calibration.toml: was found in dataset 'old', and labels follow it" in capsys.readouterr().out
+    frozen.write_text(text.replace("old", tmp_path.name))
+    plan.refuse_other_log(parameters(), rows, Path("dataset.toml"), frozen)
+    assert capsys.readouterr().out == ""
     said = "calibration.toml: 2 of its 3 presses are not in the log, the first 'b': it was found for another gel or bench"
     refused(said, plan.refuse_other_log, parameters(), rows[:1], Path("dataset.toml"), frozen)
     frozen.write_text(f"{text}[params.poses]\nmounting_touch_offset_mm = {{again = 0.01}}\n")
