@@ -44,6 +44,8 @@ $(if $(and $(filter clean-%,$(GOALS)),$(filter-out clean-%,$(GOALS))),$(error cl
 export PYTHONPATH := $(CURDIR)/src
 # Files of this folder named like modules of the standard library, such as types.py, must not shadow them.
 export PYTHONSAFEPATH := 1
+# Packages come without compiled modules: without the ones that Python then keeps, each start of it takes a second more.
+unexport PYTHONDONTWRITEBYTECODE
 # Tests are imported from this folder.
 PY_HERE := PYTHONSAFEPATH= $(PY)
 # The file of gels, and the store of solves, for all processes of this make.
