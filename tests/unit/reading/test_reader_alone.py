@@ -113,7 +113,7 @@ def test_python_names_the_extra_that_solve_and_label_need():
 
 def test_the_example_that_reads_a_film_needs_no_extra(root):
     program = f"import runpy, sys\nfor name in {sorted(EXTRAS)!r}:\n    sys.modules[name] = None\n"
-    program += f"runpy.run_path({str(root / 'workflow/examples/06_read_a_film.py')!r}, run_name='__main__')"
+    program += f"runpy.run_path({str(root / 'workflow/examples/read_a_film.py')!r}, run_name='__main__')"
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True)
     assert done.returncode == 0 and len(done.stdout.splitlines()) > 50, done.stderr[-1500:]
 

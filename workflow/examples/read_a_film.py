@@ -1,6 +1,6 @@
 """Read forces from a film of a GelSight Mini with printed markers, frame by frame.
 
-python workflow/examples/06_read_a_film.py [FILM] [IMAGE WITHOUT CONTACT]; without them the demo's film is read, and its first
+python workflow/examples/read_a_film.py [FILM] [IMAGE WITHOUT CONTACT]; without them the demo's film is read, and its first
 frame, in which nothing touches the gel, is the image without contact.
 """
 

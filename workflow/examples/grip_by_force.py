@@ -1,6 +1,6 @@
 """On a robot: close a gripper until the sensor in its finger reads a force, by the newest frame of its camera alone.
 
-python workflow/examples/10_grip_by_force.py [CAMERA OR FILM]; else the demo's film is read. The first frame shows the free gel.
+python workflow/examples/grip_by_force.py [CAMERA OR FILM]; else the demo's film is read. The first frame shows the free gel.
 """
 
 import sys
