@@ -26,6 +26,8 @@ Defaults that suit a GelSight Mini on a desktop CNC frame. Other values of the f
 reasons in `src/gelforge/flow/tables.py`.""",
 )
 
+PRIORS = "calibrate.priors"
+
 
 def comments(text: str) -> dict[str, str]:
     """The comment above each key and table of a TOML file, by its full name; keys that follow at once share the one above."""
@@ -63,11 +65,25 @@ def page(params_toml: Path) -> str:
     return "\n\n".join(block.strip() for block in blocks) + "\n"
 
 
+def priors(given: dict[str, Any]) -> str:
+    """The priors of a calibration as one table, because all have the same keys."""
+    rows = ["| parameter | prior | reason |", "| --- | --- | --- |"]
+    for name, prior in given["calibrate"]["priors"].items():
+        numbers = ", ".join(f"{key} {value:g}" for key, value in prior.items() if key not in ("kind", "reason"))
+        rows.append(f"| `{name}` | {prior['kind']}, {numbers} | {prior['reason']} |")
+    return "\n".join(rows)
+
+
 def listed(chosen: list[tuple[str, str, Any]], given: dict[str, Any], why: dict[str, str]) -> list[str]:
     """Blocks of Markdown about some keys: each comment once, below it the keys that it is about."""
     blocks: list[str] = []
     last = ("", "")
     for table, key, hint in chosen:
+        if table.startswith(f"{PRIORS}."):
+            if not last[0].startswith(PRIORS):
+                blocks += [f"### [{PRIORS}.PARAMETER]", why[table], priors(given)]
+            last = (table, "")
+            continue
         name = f"{table}.{key}"
         inner = next((said for one, said in why.items() if one.startswith(f"{name}.") and said), last[1])
         said = why[name] if why.get(name) else inner
