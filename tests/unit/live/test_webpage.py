@@ -115,6 +115,36 @@ def test_the_curve_has_the_sign_of_the_tiles_and_is_grey_while_frames_are_flagge
 
 
 @needs_browser
+def test_a_stream_ends_on_its_strongest_press_and_a_click_or_a_replay_shows_its_moments(chromium):
+    from selenium.webdriver.common.action_chains import ActionChains
+
+    presses = [
+        replace(each, found=replace(each.found, total=np.array([0.0, 0.0, -force])))
+        for each, force in zip(map(reading, range(6)), (0.0, 1.0, 3.0, 2.0, 1.0, 0.0), strict=True)
+    ]
+    with served() as server:
+        chromium.get(server.url)
+        show(chromium, server, *presses)
+        server.announce("over")
+        wait_for(chromium, "return el('state').textContent.includes('frame 2 ')")
+        curve, replay = chromium.find_element("id", "curve"), chromium.find_element("id", "replay")
+        for across, frame in ((-0.4, 0), (0.45, 5)):
+            ActionChains(chromium).move_to_element_with_offset(
+                curve, across * curve.size["width"], 0
+            ).click().perform()
+            wait_for(chromium, f"return el('state').textContent.includes('frame {frame} ')")
+            assert chromium.find_element("id", "z").text.startswith("0.00")
+        chromium.execute_script(
+            "seen = []; new MutationObserver(() => seen.push(el('state').textContent)).observe(el('state'), {childList: true})"
+        )
+        replay.click()
+        wait_for(chromium, "return seen.length >= 6 && !replaying")
+        frames = [int(re.search(r"frame (\d+)", text)[1]) for text in chromium.execute_script("return seen")]
+        assert frames == list(range(6)) and replay.text == "replay"
+        assert not console_errors(chromium)
+
+
+@needs_browser
 def test_a_page_that_is_opened_after_the_end_shows_the_whole_curve(chromium):
     with served() as server:
         for number in range(8):
