@@ -32,7 +32,7 @@ from gelforge.mechanics.solvers.hex import HexSolver
 from gelforge.stages.pareto import VERSION
 from gelforge.sweeps.isolate import Clock
 from gelforge.sweeps.methods import LARGE_REFERENCE, prepare, warm_up
-from gelforge.sweeps.verification import HARD
+from tests.benchmarks.fea import HARD
 from tests.support.figures import ROOT, Figure, publish_figures
 from tests.support.known_scenes import SIDES, pad, scene_of
 

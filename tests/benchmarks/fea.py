@@ -20,13 +20,17 @@ from gelforge.flow import params as config
 from gelforge.flow.cli import command, option
 from gelforge.flow.files import canonical, read_json, write_json
 from gelforge.flow.params import StageParameters
-from gelforge.flow.schema import plain
+from gelforge.flow.schema import altered, plain
+from gelforge.flow.tables import FeaTable
 from gelforge.geometry.gel import USUAL_GEL, Gel, load_gel
 from gelforge.geometry.indenters import load_catalogue
+from gelforge.labelling.grid import Grid
+from gelforge.labelling.operator import assemble
 from gelforge.labelling.sensor import Sensor, load_sensors
 from gelforge.mechanics.ccx.program import need_ccx, run_ccx
 from gelforge.mechanics.hexsettings import quality
 from gelforge.mechanics.material import Material
+from gelforge.mechanics.result import Result
 from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solve import Solvers, settings_of
 from gelforge.records.press import Press
@@ -44,7 +48,6 @@ from gelforge.sweeps.trial import (
     measure,
     solve_isolated,
 )
-from gelforge.sweeps.verification import Check, check_of, surface_cells
 from tests.benchmarks.parts import fea_cost as cost
 from tests.support.figures import PUBLISHED_DATA, Figure, publish_figures
 
@@ -54,7 +57,7 @@ SPEED = {1.0: ("sphere_1mm", 15.0, 100.0), 2.0: ("sphere_2mm", 30.0, 100.0)}
 GOALS = {"ccx": ((None, None), (3.8, 7.0)), "label": ((0.3, 1.5), (4.5, 8.0)), "draft": ((None, None), (None, None))}
 METHODS = (*map(method_of, GOALS), LARGE_REFERENCE)
 NATIVE = "FEATS' contact"  # name of `ccx-contact` in the figures
-# Presses by CalculiX' own contact as a check has it, hard and without friction: body and depth, mm; their place, mm
+# Presses by CalculiX' own contact, hard and without friction: body and depth, mm; their place, mm
 # and degrees; largest difference from `label` without friction in total force, %.
 CHECKED = {
     "sphere_15": 0.8,
@@ -65,6 +68,7 @@ CHECKED = {
     "pyramid_10": 0.6,
 }
 CHECKED_AT, CHECKED_GOAL = (0.5, -1.0, 10.0), 2.0
+HARD, HARD_MM = 1000.0, 0.7  # contact penalty, multiples of C10 per mm, and edges of its tetrahedra
 ENVELOPE = 200
 # Round, flat, sharp and sheared scenes.
 FRAMED = ("sphere_1mm", "cuboid_round", "cuboid_shear", "pyramid", "punch", "cylinder")
@@ -211,43 +215,47 @@ def solve_native(bench: ChartBench, scenes: dict[str, NamedScene]) -> list[Figur
 
 def solve_checked(params: StageParameters, sensor: Sensor, catalogue: dict, folder: Path) -> list[Figure]:
     """Differences of CalculiX' own contact from `label`, both without friction, for the presses CHECKED."""
+    fea = altered(params.fea, method="ccx-contact", contact_stiffness=HARD, contact_mm=HARD_MM)
     records = []
     for name, depth in tqdm(CHECKED.items(), "checked", len(CHECKED)):
         x, y, turn = CHECKED_AT
-        press = Scene(
+        scene = Scene(
             load_gel(USUAL_GEL),
             Material(params.material.nu),
             catalogue[name],
             Press(x, y, 0, 0, 0, -depth, turn),
-            Interface(),
-        )
-        check = check_of("ccx", [press], params.fea)
+            Interface("frictionless"),
+        ).direct
         path = folder / f"{name}.json"
-        key = hashlib.sha256(
-            canonical([params.version, depth, *CHECKED_AT, plain(check.second)]).encode()
-        ).hexdigest()
+        key = hashlib.sha256(canonical([params.version, depth, *CHECKED_AT, plain(fea)]).encode()).hexdigest()
         record = read_json(path) if path.exists() else {"key": ""}
         if record["key"] != key:
-            record = {"key": key, "scene": name} | _checked(check, sensor, folder / "work")
+            record = {"key": key, "scene": name} | _checked(scene, fea, sensor, folder / "work")
             write_json(path, record)
         records.append(record)
     return error_figures("CalculiX' own contact, hard, without friction", records, (None, CHECKED_GOAL))
 
 
-def _checked(check: Check, sensor: Sensor, work: Path) -> dict:
-    """Processor seconds of the second method of a check, and its differences from `label`; None if it failed."""
-    label = Solvers(work, check.second).solve(check.scenes[-1], "label")
+def _checked(scene: Scene, fea: FeaTable, sensor: Sensor, work: Path) -> dict:
+    """Processor seconds of a solve by CalculiX' own contact, and its differences from `label`; None if it failed."""
+    label = Solvers(work, fea).solve(scene, "label")
     with Clock() as clock:
-        found = Solvers(work, check.second).solve(check.scenes[-1], check.second.method)
+        found = Solvers(work, fea).solve(scene, fea.method)
     evidence = found.evidence
     made = {"cpu_seconds": clock.cpu_seconds, "status": found.status.name, "iterations": evidence["newton_iterations"],
             "nodes": len(found.mesh.nodes), "penetration_mm": evidence["penetration_mm"],
             "failed": evidence["failed_attempts"], "errors": None}  # fmt: skip
-    if found.status.valid and evidence["method"] == check.second.method:
-        one, other = ({"total": each.total, "cells": surface_cells(each.mesh, each.forces[each.mesh.surface_nodes], sensor)}
+    if found.status.valid and evidence["method"] == fea.method:
+        one, other = ({"total": each.total, "cells": _cells(each, sensor)}
                       for each in (found, label))  # fmt: skip
         made["errors"] = errors(one, other)
     return made
+
+
+def _cells(result: Result, sensor: Sensor) -> np.ndarray:
+    """Force per cell (3, 24, 32) N of a solve."""
+    mesh, nodes = result.mesh, result.mesh.surface_nodes
+    return assemble(mesh, sensor, Grid(24, 32)).apply(np.array([0, len(nodes)]), nodes, result.forces[nodes])[0][0]
 
 
 def _faster(what: str, deck: dict, record: dict, goal: float) -> Figure:

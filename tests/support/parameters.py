@@ -20,7 +20,7 @@ def place_workflow(folder: Path) -> Path:
 
 
 def parameters(**tables: dict[str, Any]) -> Params:
-    """All tables, with some values changed: parameters(fea={"verify": 0.1})."""
+    """All tables, with some values changed: parameters(fea={"tolerance": 0.1})."""
     return parse(Params, laid_over(plain(load_params(WORKFLOW)), tables), Place("a test"))
 
 

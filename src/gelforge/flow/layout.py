@@ -240,7 +240,6 @@ class Layout:
     meshes = Folder(MESHES, shared=True)  # base meshes of gels
     mesh = File(f"{MESHES}/{{gel}}.npz", shared=True)
     fea = File(f"{FEA}/{{shard}}.csv")  # how each press was solved, and the key of its solve
-    checked = File(f"{FEA}/{{shard}}")  # folder of presses that a second method verified
     forces = File(f"{FORCES}/{{shard}}.npz")
     labels = File(f"{LABELS}/{{resolution}}/{{shard}}.npz")
     dataset = File(f"{DATASET}/{{resolution}}")  # folder of the arrays to train on

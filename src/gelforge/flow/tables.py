@@ -42,9 +42,6 @@ TAKEN = ("draft", "label", "ccx")
 Angle = Annotated[Number, Within(-30.0, 30.0, "degrees")]
 Tilt = tuple[Angle, Angle]
 FromNone = Annotated[Number, Within(0.0, 1e9)]
-# Keys of [fea] that decide which presses are solved twice, and by which stated error "auto" chooses a method; neither
-# changes a solve by a named method.
-CHOOSING = frozenset({"tolerance", "verify"})
 SHIPPED = "shipped"  # name, in targets and parameters, of the network that predict and live use if none is named
 # Presses from which a dataset's own network is worth training: its error is then 1.4 N, that of a guess 9 N.
 ENOUGH_PRESSES = 500
@@ -340,7 +337,6 @@ class FeaTable(ParameterTable):
 
     method: Method
     tolerance: Annotated[Number, Within(TINY, 1.0)]
-    verify: Fraction
     timeout_s: Seconds
     # Load steps of the in-process load path from which CalculiX gets the contact: a point sticks where it first touched.
     # Four and six press steps differ by 0.03 % of the force of a 15 mm sphere at 1 mm, but by 0.6 % at 2 mm, so no press

@@ -13,27 +13,24 @@ from tqdm import tqdm
 from gelforge.errors import BadInput
 from gelforge.flow.calibration import calibrated
 from gelforge.flow.cli import stage
-from gelforge.flow.files import digest_of_value, read_json
+from gelforge.flow.files import read_json
 from gelforge.flow.layout import POSES, Layout
 from gelforge.flow.params import StageParameters, read_parameters
-from gelforge.flow.tables import FeaTable, InterfaceTable
+from gelforge.flow.tables import InterfaceTable
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.indenters import bodies_of
-from gelforge.labelling.sensor import sensor_of
 from gelforge.mechanics.contact.law import Frictionless, NoSlip
 from gelforge.mechanics.material import Material
-from gelforge.mechanics.mesh.names import load_mesh
 from gelforge.mechanics.result import Result, friction_error_n
 from gelforge.mechanics.scene import Interface, PosedFile, Scene
 from gelforge.mechanics.solve import Solvers, settings_of, solve_key
 from gelforge.mechanics.solvers.ccx import CcxResult
 from gelforge.records.frames import presses_of
 from gelforge.records.log import read_poses
-from gelforge.records.press import SENSOR_TABLES, PosedPress
+from gelforge.records.press import PosedPress
 from gelforge.records.solvestore import SolveStore
 from gelforge.records.solvetable import Solved, write_solves
 from gelforge.records.status import Status
-from gelforge.sweeps import verification
 
 VERSION = 24
 FIRM_N = 0.2  # force sideways, N, from which on a reading is compared with the contact law
@@ -116,18 +113,18 @@ def run_shard(
     tables: dict,
     bodies: dict,
     store: SolveStore,
-    checked: Path,
     poses: Path,
+    shard: str,
 ) -> list[Solved]:
     """Solve the presses of a shard that the store lacks, frames of a press together; return rows in their order.
 
-    checked: folder of the presses that were verified by a second method. poses: folder of stage 10.
+    poses: folder of stage 10. shard: name that the progress shows.
     """
     records: dict[str, dict] = {}
     store.folder.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".work-", dir=store.folder) as work:
         solvers = Solvers(work, params.fea)
-        for frames in tqdm(presses_of(presses), f"fea {checked.name}"):
+        for frames in tqdm(presses_of(presses), f"fea {shard}"):
             scenes = [scene_of(press, bodies, tables["sensors"], params, poses) for press in frames]
             keys = press_keys(frames, scenes, params, tables)
             try:
@@ -138,7 +135,6 @@ def run_shard(
                     " run make again; it resumes at this sample"
                 ) from error
             records |= {press.sample_id: record for press, record in zip(frames, found, strict=True)}
-            verify_press(frames[-1], scenes, found[-1], solvers, params, tables, store, checked)
     return [solved(records[press.sample_id], press, params.interface) for press in presses]
 
 
@@ -150,56 +146,6 @@ def run_press(keys: list[str], scenes: list[Scene], solvers: Solvers, store: Sol
         for at, result in enumerate(solvers.solve_frames(scenes, solvers.settings.method)):
             records[at] = records[at] or publish_solve(result, keys[at], store)
     return [record for record in records if record is not None]
-
-
-def verify_press(press: PosedPress, scenes: list[Scene], record: dict, solvers: Solvers, params: StageParameters,
-                 tables: dict, store: SolveStore, checked: Path) -> None:  # fmt: skip
-    """Solve the last frame of a press by a second method, too, if [fea] verify selects it (`verification.SECOND`).
-
-    record: of that frame. Its scenes are those of the press, or, if CalculiX itself is to find the contact, its end
-    without friction, solved by both methods. The difference is ID.verify.json in the folder `checked`.
-    """
-    path = checked / f"{press.sample_id}{verification.ENDING}"
-    solvable = Status[record["status"]] is Status.OK and not record["evidence"]["failed_attempts"]
-    if not (solvable and verification.chosen(press.sample_id, params.fea.verify)):
-        path.unlink(missing_ok=True)
-        return
-    check = verification.check_of(record["method"], scenes, params.fea)
-    shape = shape_of(press, tables)
-
-    def key_of(fea: FeaTable) -> str:
-        how = settings_of(fea.method, fea, check.scenes[-1].gel)
-        return solve_key(check.scenes, shape, how, params.version)
-
-    keys = [record["key"] if check.first is None else key_of(check.first), key_of(check.second)]
-    key = digest_of_value(keys)
-    known = [finished(store, each, params.fea.timeout_s) for each in keys]
-    if all(known) and (kept := verification.kept_verified(path)) and kept.key == key:
-        return
-    path.unlink(missing_ok=True)
-    pair = []
-    for each, found, fea in zip(keys, known, (check.first, check.second), strict=True):
-        if found is None:
-            own = Solvers(solvers.workdir, fea or params.fea)
-            found = publish_solve(own.solve_frames(check.scenes, own.settings.method)[-1], each, store)
-        pair.append(found)
-    about = (key, press.sample_id, record["method"], check.second.method)
-    for found, method in zip(pair, (record["method"], check.second.method), strict=True):
-        if found["method"] != method or not found["sha256"]:
-            reason = (
-                found["reason"]
-                or "; ".join(found["evidence"].get("failed_attempts", []))
-                or f"{method} found no solution"
-            )
-            verification.write_verified(path, verification.compare(about, [], reason, None))
-            return
-    sensor, compared, errors = sensor_of(SENSOR_TABLES, press.sensor_id, tables["sensors"][press.sensor_id]), [], []
-    for found in pair:
-        with np.load(store.arrays(found["key"]), allow_pickle=False) as file:
-            force = file["force"]
-        compared.append((force.sum(axis=0), verification.surface_cells(load_mesh(found["mesh"]), force, sensor)))
-        errors.append((found["evidence"]["error_n"], found["evidence"]["cells_error_n"]))
-    verification.write_verified(path, verification.compare(about, errors, *compared))
 
 
 def friction_notes(presses: Sequence[PosedPress], interface: InterfaceTable) -> list[str]:
@@ -247,9 +193,7 @@ def read_shard(of: Layout, shard: str) -> tuple[StageParameters, dict, list[Pose
 def main(args: Namespace) -> None:
     of = args.of
     params, tables, presses, bodies = read_shard(of, args.shard)
-    solves = run_shard(
-        presses, params, tables, bodies, SolveStore(of.solves), of.checked(args.shard), of.folder(POSES)
-    )
+    solves = run_shard(presses, params, tables, bodies, SolveStore(of.solves), of.folder(POSES), args.shard)
     write_solves(args.out, solves)
     for solve in solves:
         if not solve.status.valid:

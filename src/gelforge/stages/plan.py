@@ -457,16 +457,14 @@ def without_ccx(params: config.Params, dataset_toml: Path) -> config.Params:
     """
     method = params.fea.method
     if method in IN_PROCESS:
-        if params.fea.verify:
-            print("CalculiX (ccx) was not found: no press is verified by a second method.", flush=True)
-        return replace(params, fea=replace(params.fea, verify=0.0))
+        return params
     if "method" in config.read_dataset_file(dataset_toml).params.get("fea", {}) and method != "auto":
         raise BadInput(
             f"{dataset_toml}: [params.fea] method = {method!r} needs CalculiX (ccx), which was not found; install it"
             ' and run `rm .venv/ccx.path` and `make setup`, or write method = "label"'
         )
     print(f"CalculiX (ccx) was not found: method label is used instead of {method}.", flush=True)
-    return replace(params, fea=replace(params.fea, method="label", verify=0.0))
+    return replace(params, fea=replace(params.fea, method="label"))
 
 
 # Result of a branch that the report shows, relative to results/DATASET.
@@ -526,7 +524,7 @@ def main(args: Namespace) -> None:
         "LEARN_ALSO": [*params.train.also],
         "GELS": logged_gels,
         # gels whose meshes stage 30 needs, and those of the charts
-        "MESHED_GELS": [] if params.fea.method in IN_PROCESS and not params.fea.verify else logged_gels,
+        "MESHED_GELS": [] if params.fea.method in IN_PROCESS else logged_gels,
         "CHARTED_GELS": meshable({USUAL_GEL, *gels_of({**tables["chart"], **scenes})}),
         "IMAGES": ["yes"] if pictures and params.poses.images else [],
         "PARAMETERS": [*STAGES, *TABLES],  # files that the report shows

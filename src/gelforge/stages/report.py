@@ -43,7 +43,6 @@ from gelforge.reporting.forcesensor import (
 from gelforge.reporting.page import Explored, Section, render
 from gelforge.reporting.parts import PART, forget_parts, in_parts, place_parts
 from gelforge.reporting.presses import as_columns, press_rows
-from gelforge.sweeps import verification
 
 VERSION = 8
 ABSENT = "not installed"
@@ -220,29 +219,6 @@ def failures_section(results: Path, solved: dict[str, Solved]) -> Section:
     return section
 
 
-def read_verified(results: Path) -> list[verification.Verified]:
-    """Verified presses of the planned shards."""
-    of = Layout(results)
-    return verification.read_verified([of.checked(name) for name in of.names()])
-
-
-def verified_section(records: list[verification.Verified]) -> Section:
-    """Presses that a second method solved, too, the differences between both solves, and what they show."""
-    section = Section("Verified by a second method")
-    section.text(
-        "Differences between the method of the labels and a second one, over the second one's total force. The limit is the sum"
-        " of the errors that both solves state of themselves."
-    ).table(*verification.table(records))
-    for pair in sorted({(record.method, record.second) for record in records}):
-        section.text(verification.meaning(*pair))
-    for record in records:
-        if record.reason:
-            section.text(f"{record.sample_id}: not verified: {record.reason}")
-        elif record.beyond:
-            section.text(f"{record.sentence()}.")
-    return section
-
-
 def fidelities_section(solved: dict[str, Solved]) -> Section:
     """Seconds of a solve, by method."""
     by_method: dict[str, list[float]] = {}
@@ -388,7 +364,6 @@ def explorer_data(explorer: Explorer, known: dict) -> dict:
 def sections_of(explorer: Explorer, model: str, solved: dict[str, Solved]) -> tuple[list[Section], list[str]]:
     """Sections of the page below the explorer, and what the readings of many presses say against their labels."""
     results, resolution = explorer.results, explorer.resolution
-    verified = read_verified(results)
     table = Layout(results).dataset_table(resolution)
     doubts = [] if model == NO_MODEL else read_json(table).get("doubts_of_forces", [])
     forces, common = force_section(results, explorer.rows, doubts)
@@ -404,7 +379,6 @@ def sections_of(explorer: Explorer, model: str, solved: dict[str, Solved]) -> tu
             Layout(results).workflow.parent / "results/readme/exact.png",
         ),
         failures_section(results, solved),
-        *([verified_section(verified)] if verified else []),
         fidelities_section(solved),
         versions_section(results),
     ]
@@ -426,7 +400,6 @@ def lead_of(rows: list[dict], resolution: str, samples: int, common: Sequence[st
 @stage(Layout.report)
 def main(args: Namespace) -> None:
     of, results, resolution, model = args.of, args.results, args.resolution, args.model
-    verification.refuse_beyond(read_verified(results))
     solved = read_solved(results)
     gels = {name: sensor.gel for name, sensor in load_sensors(of.parameters("sensors")).items()}
     explorer = open_explorer(results, resolution, model, solved, gels)

@@ -27,7 +27,7 @@ SCENE = Scene(load_gel("gelsight_mini"), Material(), build("ball", BALL), Press(
 OTHER = {
     "method": None, "tolerance": 0.05,
     "press_steps": 5, "shear_steps": 4, "step_mm": 0.3, "stiffness": 1000.0, "rounds": 9,
-    "pull_tolerance": 3e-3, "penetration_mm": 3e-3, "residual": 2e-5, "contact_mm": 0.8, "contact_stiffness": 100.0, "timeout_s": 3600.0, "verify": 0.5,
+    "pull_tolerance": 3e-3, "penetration_mm": 3e-3, "residual": 2e-5, "contact_mm": 0.8, "contact_stiffness": 100.0, "timeout_s": 3600.0,
 }  # fmt: skip
 CALCULIX = {
     "tolerance", "press_steps", "shear_steps", "step_mm", "stiffness", "rounds", "pull_tolerance", "penetration_mm", "residual"
