@@ -11,7 +11,6 @@ import io
 import os
 import struct
 import warnings
-import zlib
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +25,6 @@ KINDS = ("PNG", "JPEG", "BMP", "TIFF", "WEBP", "PPM")
 MOST_PIXELS = 4096 * 4096
 MOST_BYTES = 256 * 2**20
 LEAST_CONTRAST = 16  # levels: a frame of less contrast is dark or covered, and its colours mean nothing
-OF_PALETTE = 3  # colour type of a PNG whose pixels are palette indices
 PALETTE = "has a palette of at most 256 colours, too few to see the light fall; save it in true colour"
 SEVERAL = "holds {} images; save the one that is meant as a file of its own"
 HINT = f"give {', '.join(KINDS[:-1])} or {KINDS[-1]}"
@@ -75,25 +73,29 @@ def stays_inside(folder: Path, name: str) -> bool:
 
 def decode(data: bytes, where: str, hint: str = HINT) -> np.ndarray:
     """Bytes of an image file as RGB (height, width, 3) uint8; what cannot be decoded raises BadInput."""
+    image = _decoded(data)
+    if isinstance(image, str):
+        raise BadInput(f"{where}: {image}; {hint}")
+    return image
+
+
+def _decoded(data: bytes, colour: bool = False) -> np.ndarray | str:
+    """Bytes of an image file as RGB (height, width, 3) uint8, or what is wrong with them; colour: grey ones are wrong."""
     import cv2
 
-    if not data.startswith(PNG):
-        fault = _claim_fault(data)
-    else:
-        fault, size = _chunk_fault(data)
-        fault = fault or _size_fault(size)
-    image = None
-    if fault is None:
-        try:
-            image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
-        except cv2.error as error:
-            fault = f"cannot be read as an image ({error.err})"
-    if image is not None and image.dtype != np.uint8:
-        raise BadInput(
-            f"{where}: holds {8 * image.itemsize} bits a channel; save it with 8, scaled as the sensor shows it"
-        )
+    fault, mode = _checked(data)
+    if fault:
+        return fault
+    try:
+        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_COLOR | cv2.IMREAD_ANYDEPTH)
+    except cv2.error as error:
+        return f"cannot be read as an image ({error.err})"
     if image is None:
-        raise BadInput(f"{where}: {fault or 'cannot be read as an image'}; {hint}")
+        return "cannot be decoded"
+    if image.dtype != np.uint8:
+        return f"holds {8 * image.itemsize} bits a channel; save it with 8, scaled as the sensor shows it"
+    if colour and mode not in ("RGB", "RGBA"):
+        return "is not an 8-bit colour image"
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB)
 
 
@@ -104,29 +106,31 @@ def is_monochrome(image: np.ndarray) -> bool:
     return bool(grey and np.ptp(red) > LEAST_CONTRAST)
 
 
-def _claim_fault(data: bytes) -> str | None:
-    """What is wrong with the header of a format other than PNG; Pillow reads headers without decoding."""
+def _checked(data: bytes) -> tuple[str, str]:
+    """What is wrong with the header of an image file or the checksums of a PNG, and its mode; nothing is decoded."""
     from PIL import Image, UnidentifiedImageError
 
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # size and decoding are checked explicitly
             with Image.open(io.BytesIO(data), formats=KINDS) as header:
-                several = getattr(header, "n_frames", 1) if header.format in ("TIFF", "WEBP") else 1
+                several = getattr(header, "n_frames", 1) if header.format in ("PNG", "TIFF", "WEBP") else 1
                 if several > 1:
-                    return SEVERAL.format(several)
-                return _size_fault(header.size) or (PALETTE if header.mode == "P" else None)
+                    return SEVERAL.format(several), header.mode
+                if header.mode == "P":
+                    return PALETTE, header.mode
+                width, height = header.size
+                if not 0 < width * height <= MOST_PIXELS:
+                    return f"has a size of {width} x {height} pixels, at most 4096 x 4096 are read", header.mode
+                if header.format == "PNG":
+                    header.verify()  # decoders accept truncated files
+                return "", header.mode
     except Image.DecompressionBombError:
-        return "is far larger than 4096 x 4096 pixels"
+        return "is far larger than 4096 x 4096 pixels", ""
     except UnidentifiedImageError:
-        return "cannot be read as an image (of another kind, or corrupt)" if data else "is empty"
+        return "cannot be read as an image (of another kind, or corrupt)" if data else "is empty", ""
     except (OSError, ValueError, SyntaxError, struct.error) as error:
-        return f"cannot be read as an image ({type(error).__name__})"
-
-
-def _size_fault(size: tuple[int, int]) -> str | None:
-    good = 0 < size[0] * size[1] <= MOST_PIXELS
-    return None if good else f"has a size of {size[0]} x {size[1]} pixels, at most 4096 x 4096 are read"
+        return f"is truncated or corrupt ({error})", ""
 
 
 def encode_png(image: np.ndarray, compression: int | None = None) -> bytes:
@@ -196,49 +200,8 @@ def bad_image(press: PressRecord, file: str, folder: str | Path, size: tuple[int
 
 
 def png_fault(data: bytes) -> tuple[str | None, tuple[int, int]]:
-    """What is wrong with PNG bytes, or None, and the image's (width, height)."""
+    """What is wrong with PNG bytes, or None, and the image's (width, height) as its orientation shows it."""
     if not data.startswith(PNG):
         return "is not a PNG file" if data else "is empty", (0, 0)
-    fault, size = _chunk_fault(data)
-    fault = fault or _size_fault(size) or _decode_fault(data)
-    if not fault and b"eXIf" in data:  # its orientation may rotate the image by 90 degrees
-        height, width, _ = decode(data, "the image").shape
-        size = width, height
-    return fault, size
-
-
-def _chunk_fault(data: bytes) -> tuple[str | None, tuple[int, int]]:
-    """Check the chunks and their checksums, because decoders accept truncated files (PNG specification, 5.3)."""
-    at, size, kind = len(PNG), (0, 0), b""
-    while kind != b"IEND":
-        if at + 12 > len(data):
-            return "is truncated", size
-        length, kind = struct.unpack(">I4s", data[at : at + 8])
-        body = memoryview(data)[at + 4 : at + 8 + length]
-        at += 12 + length
-        if at > len(data):
-            return "is truncated", size
-        if zlib.crc32(body) != struct.unpack(">I", data[at - 4 : at])[0]:
-            return "is corrupt: a checksum is wrong", size
-        if kind == b"IHDR" and length >= 10:
-            width, height = struct.unpack(">II", body[4:12])
-            size = width, height
-            if body[13] == OF_PALETTE:
-                return PALETTE, size
-        if kind == b"acTL":  # of an animation, whose first image decoders show
-            return SEVERAL.format("several"), size
-    return None, size
-
-
-def _decode_fault(data: bytes) -> str | None:
-    import cv2
-
-    try:
-        image = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
-    except cv2.error:
-        image = None
-    if image is None:
-        return "cannot be decoded"
-    if image.dtype != np.uint8 or image.ndim != 3 or image.shape[2] not in (3, 4):
-        return "is not an 8-bit colour image"
-    return None
+    image = _decoded(data, colour=True)
+    return (image, (0, 0)) if isinstance(image, str) else (None, (image.shape[1], image.shape[0]))

@@ -320,7 +320,7 @@ def test_bad_image_is_refused(folder):
         (b"", "is empty"),
         (b"GIF89a", "not a PNG"),
         (good[:200], "truncated"),
-        (good[:-1], "truncated"),
+        (good[:-5], "truncated"),
         (good[:60] + b"\x00\x01\x02" + good[63:], "checksum"),
         (image_bytes(320, 241), "320 x 241"),
         (image_bytes(channels=1), "colour"),
@@ -333,11 +333,9 @@ def test_bad_image_is_refused(folder):
 def test_a_file_of_several_images_is_refused(tmp_path):
     """Of a TIFF of several pages, an animated WebP and an animated PNG the first image was read."""
     pages = [Image.fromarray(np.full((24, 32, 3), 40 * k, np.uint8)) for k in (1, 2)]
-    for name in ("a.tiff", "a.webp"):
+    for name in ("a.tiff", "a.webp", "a.png"):
         pages[0].save(tmp_path / name, save_all=True, append_images=pages[1:])
         refused(f"{name}: holds 2 images; save the one that is meant", read_image, tmp_path / name)
-    pages[0].save(tmp_path / "a.png", save_all=True, append_images=pages[1:])
-    refused("a.png: holds several images; save the one that is meant", read_image, tmp_path / "a.png")
 
 
 def test_image_path_stays_in_the_dataset(folder):
