@@ -24,7 +24,7 @@ def replace(*paths, **options):
 if "RENAMED" in os.environ:
     os.replace = replace
 """
-MADE = ("00_plan", "10_poses", "15_images", "40_forces", "50_labels")  # stage 30 notes the seconds of its solves
+MADE = ("00_plan", "10_poses", "15_images", "30_fea", "40_forces", "50_labels")
 
 
 def laid(root, folder):

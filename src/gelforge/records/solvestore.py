@@ -10,6 +10,8 @@ from typing import Any
 
 from gelforge.flow.files import digest_of, publish, record_of, write_json
 
+COST = ("seconds", "cpu_seconds", "peak_mib")  # of a solve, in its evidence
+
 
 class SolveStore:
     """Solves in one folder. Records hold `status`, `reason`, `method`, `mesh`, `total`, `evidence`, `deck`."""
@@ -29,6 +31,11 @@ class SolveStore:
         path = self.arrays(key)
         whole = not record["sha256"] or (path.is_file() and digest_of(path) == record["sha256"])
         return record if whole else None
+
+    def cost(self, key: str) -> dict[str, float]:
+        """What a solve cost when it was made, by the names COST, as far as its record says."""
+        found = (record_of(self.folder / f"{key}.json", key) or {}).get("evidence", {}) if key else {}
+        return {name: found[name] for name in COST if name in found}
 
     def publish(self, key: str, record: dict[str, Any], arrays: dict[str, Any]) -> dict[str, Any]:
         """Write a solve, its record last; return the record."""

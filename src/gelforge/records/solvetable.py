@@ -1,4 +1,7 @@
-"""The table of stage 30: how each press was solved, one row per press."""
+"""The table of stage 30: how each press was solved, one row per press.
+
+What a solve cost stands in its record in the store, so that the same solve gives the same bytes.
+"""
 
 import math
 from collections.abc import Sequence
@@ -12,9 +15,8 @@ from gelforge.records.status import Status
 from gelforge.records.table import read_table, write_table
 
 EVIDENCE = (
-    "attempt", "rounds", "newton_iterations", "load_steps", "seconds", "kinematics_seconds", "peak_mib",
-    "equilibrium_residual", "base_mismatch", "penetration_mm", "pulling_fraction", "engine_difference", "extrapolated", "error_n",
-    "cells_error_n", "slipping", "friction_error_n",
+    "attempt", "rounds", "newton_iterations", "load_steps", "equilibrium_residual", "base_mismatch", "penetration_mm",
+    "pulling_fraction", "engine_difference", "extrapolated", "error_n", "cells_error_n", "slipping", "friction_error_n",
 )  # fmt: skip
 NAMES = ("sample_id", "status", "reason", "method", "mesh", "key")
 COLUMNS = (*NAMES, *FORCES, *EVIDENCE)

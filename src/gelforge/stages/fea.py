@@ -31,6 +31,7 @@ from gelforge.records.press import PosedPress
 from gelforge.records.solvestore import SolveStore
 from gelforge.records.solvetable import Solved, write_solves
 from gelforge.records.status import Status
+from gelforge.sweeps.isolate import Clock
 
 VERSION = 24
 FIRM_N = 0.2  # force sideways, N, from which on a reading is compared with the contact law
@@ -138,12 +139,21 @@ def run_shard(
     return [solved(records[press.sample_id], press, params.interface) for press in presses]
 
 
+def timed(scenes: Sequence[Scene], solvers: Solvers) -> list[Result]:
+    """Results of the frames of one press; their evidence holds their shares of its processor time, "cpu_seconds"."""
+    with Clock() as clock:
+        results = solvers.solve_frames(scenes, solvers.settings.method)
+    for result in results:
+        result.evidence["cpu_seconds"] = clock.cpu_seconds / len(results)
+    return results
+
+
 def run_press(keys: list[str], scenes: list[Scene], solvers: Solvers, store: SolveStore) -> list[dict]:
     """Records of the frames of one press: from the store, else all from one solve."""
     records = [finished(store, key, solvers.settings.timeout_s) for key in keys]
     if None in records:
         # solve all frames again: a frame's result must not depend on which other frames were finished already
-        for at, result in enumerate(solvers.solve_frames(scenes, solvers.settings.method)):
+        for at, result in enumerate(timed(scenes, solvers)):
             records[at] = records[at] or publish_solve(result, keys[at], store)
     return [record for record in records if record is not None]
 

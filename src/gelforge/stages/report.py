@@ -26,6 +26,7 @@ from gelforge.records.log import read_poses
 from gelforge.records.predictionfile import read_predictions
 from gelforge.records.press import PosedPress
 from gelforge.records.samplefile import read_samples
+from gelforge.records.solvestore import SolveStore
 from gelforge.records.solvetable import Solved, read_solves
 from gelforge.records.status import VALID, Status
 from gelforge.reporting import feats_tables, networkchoice
@@ -67,14 +68,15 @@ def read_presses(results: Path) -> list[tuple[str, PosedPress]]:
 
 
 def read_solved(results: Path) -> dict[str, Solved]:
-    """Solves in the existing tables of the planned shards, by sample_id.
+    """Solves in the existing tables of the planned shards, by sample_id, with what they cost by the store of solves.
 
     If a shard's file of forces exists, status, total and stated errors are those of that file, scaled to the material.
     """
     of = Layout(results)
-    found: dict[str, Solved] = {}
+    store, found = SolveStore(of.solves), dict[str, Solved]()
     for name in of.names():
         solves = read_solves(of.fea(name)) if of.fea(name).exists() else []
+        solves = [replace(solve, evidence=solve.evidence | store.cost(solve.key)) for solve in solves]
         found |= {solve.sample_id: solve for solve in with_forces(solves, of.forces(name))}
     return found
 

@@ -2,6 +2,7 @@
 
 import base64
 import json
+import math
 import re
 import zlib
 from dataclasses import replace
@@ -10,7 +11,7 @@ from importlib.metadata import version
 import numpy as np
 import pytest
 
-from gelforge.flow.files import write_json
+from gelforge.flow.files import write_csv, write_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.runs import costs_of, last_runs, stages
 from gelforge.geometry.gel import USUAL_GEL, load_gel
@@ -73,6 +74,23 @@ def test_the_page_states_the_materials_forces_and_what_stage_40_refused(tmp_path
     assert a.total == (0.0, 0.0, -20.0) and a.status is Status.OK and not a.reason
     assert b.status is Status.UNBALANCED and b.reason == Status.UNBALANCED.value
     assert c == solves[2]
+
+
+def test_what_a_solve_cost_comes_from_its_record_in_the_store(tmp_path):
+    """Its table holds none of it, because the same solve has other seconds each time."""
+    of = Layout(tmp_path / "results/d")
+    write_csv(of.shard("0000"), ["sample_id"], [])
+    solves = [
+        Solved(name, Status.OK, "", "label", "m", f"key-{name}", (0.0, 0.0, -1.0), {"seconds": 9.0}) for name in "ab"
+    ]
+    write_solves(of.fea("0000"), solves)
+    assert math.isnan(report.read_solved(of.root)["a"].number("seconds"))
+    SolveStore(of.solves).publish("key-a", {"evidence": {"seconds": 3.25, "peak_mib": 77.0}}, {})
+    found = report.read_solved(of.root)
+    assert (found["a"].number("seconds"), found["a"].number("peak_mib")) == (3.25, 77.0)
+    assert math.isnan(found["b"].number("seconds"))
+    (table,) = report.fidelities_section(found).items
+    assert table["rows"] == [["label", "1", "3.25", "3.25"]]
 
 
 def test_a_stated_error_is_the_same_part_of_the_force_from_solve_to_page(tmp_path):
