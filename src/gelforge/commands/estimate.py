@@ -1,9 +1,9 @@
 """Estimate core hours, disk and time of `make report` before it starts; nothing is solved.
 
 The cost of a solve comes from records of this machine: of this dataset, if it has any, else of the dataset with the
-same method and contact law that has the most rows. Without any, it comes from MEASURED, measured on one core of a
-desktop computer. Rows that stage 10 will reject are counted as well. For a log without images the estimate ends at
-labels and calibration.
+same method and contact law that has the most rows. A solve taken from the store counts as when it was made. Without
+any, it comes from MEASURED, measured on one core of a desktop computer. Rows that stage 10 will reject are counted as
+well. For a log without images the estimate ends at labels and calibration.
 """
 
 import math
@@ -16,7 +16,7 @@ import numpy as np
 from gelforge.errors import BadInput
 from gelforge.flow import layout
 from gelforge.flow.cli import RESULTS, command, option, positive
-from gelforge.flow.files import listed, read_json
+from gelforge.flow.files import listed, read_csv, read_json
 from gelforge.flow.layout import Layout
 from gelforge.flow.params import read_parameters
 from gelforge.flow.runs import duration
@@ -27,6 +27,7 @@ from gelforge.records.log import read_shard
 from gelforge.records.networkkind import kind_of
 from gelforge.records.press import RawRow, parse
 from gelforge.records.samplefile import read_samples
+from gelforge.records.solvestore import SolveStore
 from gelforge.stages.train import resolve
 
 # Processor seconds of a press straight down, by method, and the ratio of a sheared press to a straight one.
@@ -37,6 +38,7 @@ SLIPPING = {"draft": 8.0, "label": 8.0, "fine": 8.0, "ccx": 2.0, "ccx-contact": 
 # Processor seconds of a row in the other stages; of the start of a process, and of a calibration.
 EACH = {
     layout.POSES: 7e-3,
+    layout.IMAGES: 0.03,
     layout.FORCES: 1e-3,
     layout.LABELS: 2e-3,
     layout.DATASET: 2e-3,
@@ -45,7 +47,6 @@ EACH = {
 }
 START, CALIBRATE_ONCE = 3.0, 70.0
 BYTES = {layout.POSES: 2e4, layout.FEA: 2e5, layout.FORCES: 5e4}  # of a row
-OF_SHARDS = (layout.POSES, layout.FEA, layout.FORCES)
 
 
 @dataclass(frozen=True)
@@ -85,11 +86,14 @@ def solved_by(of: Layout) -> tuple[str, str]:
 def recorded(of: Layout) -> tuple[float, float, float]:
     """Recorded cost of a dataset's solved shards: processor seconds, rows in straight presses, and number of rows."""
     cpu = worth = count = 0.0
+    store = SolveStore(of.solves)
     for name in of.names():
         record = layout.metrics_of(of.fea(name))
         if of.fea(name).exists() and record.exists():
-            rows = read_shard(of.shard(name))
-            cpu, worth, count = cpu + read_json(record)["cpu_seconds"], worth + weights(rows), count + len(rows)
+            rows, solves = read_shard(of.shard(name)), read_csv(of.fea(name))
+            made = sum(store.cost(solve.get("key") or "").get("cpu_seconds", 0.0) for solve in solves)
+            cpu += max(read_json(record)["cpu_seconds"], made)
+            worth, count = worth + weights(rows), count + len(rows)
     return cpu, worth, count
 
 
@@ -132,7 +136,7 @@ def estimated(of: Layout, resolution: str, model: str, rows: list[RawRow], cores
     each, source = press_seconds(of)
 
     def of_rows(stage: str, disk: float = 0.0) -> Cost:
-        spread = stage in OF_SHARDS
+        spread = stage in layout.OF_SHARDS
         return Cost(
             stage,
             EACH[stage] * count + START * (shards if spread else 1),
@@ -153,7 +157,7 @@ def estimated(of: Layout, resolution: str, model: str, rows: list[RawRow], cores
         costs.append(Cost(layout.CALIBRATE, CALIBRATE_ONCE, 2e7, cores))
     if not read_json(of.params / "poses.json")["poses"]["images"]:
         return costs  # a log without images has no report
-    costs.append(of_rows(layout.DATASET, image_bytes(of, rows) + cells))
+    costs += [of_rows(layout.IMAGES), of_rows(layout.DATASET, image_bytes(of, rows) + cells)]
     if model != SHIPPED:
         costs.append(training(of, resolution, model, count))
     return [*costs, of_rows(layout.EVALUATE, cells / 2), of_rows(layout.REPORT, 4e4)]

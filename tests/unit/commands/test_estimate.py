@@ -24,6 +24,9 @@ from gelforge.flow.layout import Layout
 from gelforge.flow.params import plain
 from gelforge.records.log import shard_text
 from gelforge.records.press import COLUMNS, RawRow
+from gelforge.records.solvestore import SolveStore
+from gelforge.records.solvetable import Solved, write_solves
+from gelforge.records.status import Status
 from tests.support.parameters import parameters, stage_of
 from tests.support.refused import refused
 from tests.support.synthetic_presses import write_dataset
@@ -91,8 +94,28 @@ def test_what_was_run_is_what_is_estimated(tmp_path):
         )
 
 
+def test_solves_that_came_from_the_store_cost_what_they_took_when_they_were_made(tmp_path):
+    """A rerun of stage 30 that solved nothing takes seconds; what is new in it counts."""
+    of = lay(tmp_path / "results/mine", rows_of(4))
+    store = SolveStore(of.solves)
+    for name, seconds in (("s0", 90.0), ("s1", 110.0)):
+        store.publish(f"key-{name}", {"evidence": {"cpu_seconds": seconds}}, {})
+    solves = [Solved(f"s{k}", Status.OK, "", "draft", "m", f"key-s{k}", (0.0, 0.0, -1.0), {}) for k in range(4)]
+    for spent, expected in ((2.0, 200.0), (260.0, 260.0)):
+        solved(of, spent)
+        write_solves(of.fea("0000"), solves)
+        assert press_seconds(of) == (pytest.approx(expected / 4), "records of mine")
+
+
+def test_more_cores_divide_what_is_made_by_shards(tmp_path):
+    of = lay(tmp_path / "results/d", rows_of(4))
+    write_text(of.shard("0001"), shard_text(rows_of(2)))
+    spread = {cost.stage for cost in estimated(of, "24x32", "shipped", rows_of(6), cores=2) if cost.cores == 2}
+    assert set(layout.OF_SHARDS) <= spread and not spread & {layout.IMAGES, layout.DATASET, layout.REPORT}
+
+
 def test_what_the_log_cannot_feed_is_not_counted(tmp_path):
-    later = [layout.DATASET, layout.EVALUATE, layout.REPORT]
+    later = [layout.IMAGES, layout.DATASET, layout.EVALUATE, layout.REPORT]
     for images, reading, counted in (
         (False, "-3.1", [layout.CALIBRATE]),
         (False, "", []),
