@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.evidence.forces import FEWEST, drift, misplaced, unit
+from gelforge.evidence.forces import FEWEST, drift, misplaced, off_axes, unit
 from gelforge.flow.cli import command, option
 from gelforge.formats.mcap_import import Topics, import_recordings
 from gelforge.labelling.sensor import find_sensor, load_sensors
@@ -19,6 +19,7 @@ from gelforge.records.press import PressRecord, parse
 
 ASKED = 24  # strong presses whose images the shipped network reads, and twice as many of all rows
 TORN = "the image is torn"  # of reading.faults
+ASIDE_N = 0.4  # spread of sideways forces from which on their axes are compared; the network errs by 0.35 N
 PRESSED_N = 0.5  # predicted compression above which an image shows a press
 
 
@@ -80,6 +81,9 @@ def doubts_of_forces(data: Path, rows: Sequence[PressRecord], sensor: str) -> li
     if pressed.sum() >= FEWEST:
         where = "the recorded force, which was compared with the shipped network's predictions"
         said += [misplaced(force[pressed], normal[pressed]), unit(-force[pressed, 2], normal[pressed], where)]
+        aside = np.array([one.total[:2] for one in seen])[pressed] @ [1.0, 1.0j], force[pressed, :2] @ [1.0, 1.0j]
+        if min(np.std(each) for each in aside) > ASIDE_N:
+            said.append(off_axes(*aside, "what the shipped network reads of them"))
     return [one for one in said if one]
 
 

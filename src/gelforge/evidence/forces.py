@@ -186,41 +186,45 @@ def sideways(log: LogForces) -> str | None:
         )
     if np.sqrt(np.mean(np.abs(_level(seen)) ** 2)) < LEAST_N:
         return None
-    turn = np.exp(1j * np.deg2rad(log.rot_deg[used]))
+    return off_axes(along, seen, "the sideways path", np.exp(1j * np.deg2rad(log.rot_deg[used])))
+
+
+def off_axes(along: np.ndarray, seen: np.ndarray, what: str, turn: np.ndarray | None = None) -> str | None:
+    """Sideways forces `seen` that do not follow `along`, (n,) complex, x + i y; what: `along` in words.
+
+    turn: (n,) of the indenter, as complex numbers of size 1. The transformation of axes that explains them is named.
+    """
     straight, angle = _explained(along, seen)
     if straight > FOLLOWS:
         if abs(angle) <= TURNED_DEG:
             return None
         if abs(angle) > 180.0 - TURNED_DEG:
-            return _turned("both have the opposite sign", straight, "multiply fx_n and fy_n by -1")
-        return _turned(
-            f"they are turned by {angle:+.0f} degrees", straight, "turn them back, or set the sensor's axes right"
-        )
+            return _turned(what, "both have the opposite sign", straight, "multiply fx_n and fy_n by -1")
+        how = f"they are turned by {angle:+.0f} degrees"
+        return _turned(what, how, straight, "turn them back, or set the sensor's axes right")
     mirrored, axis = _explained(along.conj(), seen)
-    by_turn = {sign: _explained(along * turn**sign, seen) for sign in (1, -1)}
-    sign = max(by_turn, key=lambda one: by_turn[one][0])
-    if by_turn[sign][0] > max(FOLLOWS, mirrored):
-        sense = "against" if sign < 0 else "with"
-        return _turned(
-            f"they are in a frame that turns {sense} the indenter's rot_deg", by_turn[sign][0], "turn them by rot_deg"
-        )
+    by_turn = {sign: 0.0 if turn is None else _explained(along * turn**sign, seen)[0] for sign in (1, -1)}
+    sign = max(by_turn, key=lambda one: by_turn[one])
+    if by_turn[sign] > max(FOLLOWS, mirrored):
+        how = f"they are in a frame that turns {'against' if sign < 0 else 'with'} the indenter's rot_deg"
+        return _turned(what, how, by_turn[sign], "turn them by rot_deg")
     if mirrored > FOLLOWS:
         causes = {
             0: "the sign of y is flipped", 90: "x and y are exchanged", 180: "the sign of x is flipped",
             270: "x and y are exchanged, and their signs flipped",
         }  # fmt: skip
         nearest = 90 * round((axis % 360) / 90) % 360
-        return _turned(causes[nearest], mirrored, "correct the columns fx_n and fy_n")
+        return _turned(what, causes[nearest], mirrored, "correct the columns fx_n and fy_n")
     if straight < 0.1:
         return (
-            f"Sideways forces do not follow the sideways path (it explains {100 * straight:.0f} % of them), and no exchange of axes"
+            f"Sideways forces do not follow {what} (it explains {100 * straight:.0f} % of them), and no exchange of axes"
             " explains them: check the columns fx_n, fy_n, dx_mm and dy_mm."
         )
     return None
 
 
-def _turned(what: str, explained: float, hint: str) -> str:
-    return f"Sideways forces do not follow the sideways path: {what}, which explains {100 * explained:.0f} % of them; {hint}."
+def _turned(what: str, how: str, explained: float, hint: str) -> str:
+    return f"Sideways forces do not follow {what}: {how}, which explains {100 * explained:.0f} % of them; {hint}."
 
 
 def _explained(along: np.ndarray, seen: np.ndarray) -> tuple[float, float]:

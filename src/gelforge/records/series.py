@@ -6,6 +6,7 @@ recordings (tests/support/simulated_bench.py), none of whose good ones may be ac
 """
 
 from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
 
@@ -350,8 +351,16 @@ def confirmed(name: str, times: np.ndarray, values: np.ndarray) -> tuple[np.ndar
             f"{name}: readings alternate between two levels during presses, as if two channels were in one column: record each"
             " channel in a column of its own"
         )
+    moving = np.ptp(values, axis=0) > 0.0
+    if any((one == other).all() for one, other in combinations(values.T[moving], 2)):
+        raise BadInput(
+            f"{name}: two channels hold the same numbers to the last digit: give each axis its own channel"
+        )
     held = frozen(times, values)
     notes = [
+        f"{name}: a channel never changes: where the sensor has no such axis, leave it out, because its number would be taken for a reading"
+    ] * (not moving.all())
+    notes += [
         f"{name}: repeats one reading from {times[run.start] - times[0]:.2f} to {times[run.stop - 1] - times[0]:.2f} s after its start,"
         f" {'to its end, ' if run.stop == len(times) else ''}{run.stop - run.start} times: it stands still there, and these readings"
         " are left out"

@@ -156,6 +156,16 @@ def test_a_sensor_that_stands_still_is_left_out_there_and_one_of_coarse_resoluti
     )
 
 
+def test_a_channel_that_copies_another_is_refused_and_one_that_never_changes_is_told():
+    rng = np.random.default_rng(0)
+    times, values = np.arange(200) * 0.01, rng.normal(size=(200, 3))
+    values[:, 1] = values[:, 0]
+    refused("two channels hold the same numbers", series.confirmed, "gauge.csv", times, values)
+    values[:, 1] = 0.0
+    kept, (note,) = series.confirmed("gauge.csv", times, values)
+    assert kept.all() and "a channel never changes" in note
+
+
 def test_two_channels_in_one_column_are_refused_and_a_sensor_that_hides_small_forces_is_told():
     times, force = presses(np.random.default_rng(1))
     mixed = np.where(np.arange(len(force)) % 2, force, 0.5 * force)
