@@ -7,11 +7,12 @@ PYTEST = $(PY_HERE) -m pytest -n $(SLOTS) --dist worksteal --max-worker-restart=
 CHROMIUM_FOUND := .venv/chromium.found
 SLURM_FOUND := .venv/slurm.found
 
-$(CHROMIUM_FOUND): | $(SLURM_FOUND)
+$(SLURM_FOUND): | $(CHROMIUM_FOUND)
 $(CHROMIUM_FOUND) $(SLURM_FOUND): .venv/%.found: envs/%.sh | $(CCX_FOUND)
 	@envs/$*.sh $@
 
-test test-all benchmark-face benchmark-slurm: $(CHROMIUM_FOUND) $(SLURM_FOUND)
+test benchmark-face: $(CHROMIUM_FOUND)
+test-all benchmark-slurm: $(SLURM_FOUND)
 
 # LeRobot's package needs other versions than ours. Downloads take minutes, so tests use it only if it is installed.
 LEROBOT_READY := .venv-lerobot/ready

@@ -146,6 +146,7 @@ def test_without_friction_only_the_end_of_a_path_counts(catalogue, tmp_path):
     np.testing.assert_allclose(emulator.forces(readings.depth, values)[0][0, 0], dragged, atol=0.01 * abs(dragged[2]))
 
 
+@pytest.mark.slow
 def test_forces_between_the_friction_nodes_are_those_of_solves(root, tmp_path):
     """Under a flat body friction hardly matters from 0.5 on; below the node nothing is solved."""
     flat = load_catalogue(root / "workflow" / "indenters.toml", ["cylinder_8"])
@@ -209,6 +210,7 @@ def test_refined_forces_are_those_of_the_fine_mesh_where_the_law_ends(catalogue,
     assert abs(aside - ends[1, 2] / before[1, 2]) > 0.005
 
 
+@pytest.mark.slow
 def test_a_press_that_slides_is_dragged_by_friction_times_its_normal_force(catalogue, tmp_path):
     """Within 2 % of a solve in four times as many steps, between the friction coefficients that are solved.
 
@@ -283,6 +285,7 @@ def test_a_press_that_meets_the_gel_only_on_its_way_sideways_has_no_curve_of_its
     assert found["depth"] == found["force"] == [] and found["end"] == [0.1, 0.0, -0.4]
 
 
+@pytest.mark.slow
 def test_an_emulator_with_tilts_is_the_solver_on_a_mounting_that_leans(root, tmp_path):
     """Two mountings, one of which leans: blocks are pushed beside their tips, harder, and a ball rolls aside."""
     bodies = load_catalogue(root / "workflow" / "indenters.toml", ["sphere_15", "cuboid_10"])

@@ -128,7 +128,7 @@ def test_coulomb_bounds_shear_and_no_slip_exceeds_it(solver):
     assert abs(bound[0]) <= 0.42 * abs(bound[2])  # mu = 0.4, its rounds stop at 2 % of the drag
 
 
-@pytest.mark.parametrize("law", ["no_slip", "frictionless"])
+@pytest.mark.parametrize("law", ["no_slip", pytest.param("frictionless", marks=pytest.mark.slow)])
 def test_without_mkl_a_press_is_the_same(solver, law):
     """Every step is solved as exactly as the end: where points hold follows the steps, a thousandth of the force off by default."""
     pressed, system = scene(law), System(solver.mesh)

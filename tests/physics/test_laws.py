@@ -45,10 +45,9 @@ def force(result: HexResult) -> float:
 def test_a_lens_presses_as_the_sphere_it_is_a_part_of():
     """The cap of a sphere of 200 mm: the same force, node by node, while its rim stays clear of the gel."""
     of, solver = {"kind": "sphere", "diameter": 200.0}, HexSolver(COARSE)
-    whole, *caps = (solver.solve(press(build("lens", of | {"height": high}))) for high in (100.0, 0.5, 2.0))
+    whole, cap = (solver.solve(press(build("lens", of | {"height": high}), 0.2)) for high in (100.0, 0.5))
     assert force(whole) > 1.0
-    for cap in caps:
-        np.testing.assert_allclose(cap.forces, whole.forces, atol=1e-6 * force(whole))
+    np.testing.assert_allclose(cap.forces, whole.forces, atol=1e-6 * force(whole))
 
 
 @pytest.mark.parametrize(
@@ -85,6 +84,7 @@ def test_a_turned_press_takes_the_turned_force(draft):
         assert np.linalg.norm(found.total - right) < allowed
 
 
+@pytest.mark.slow
 def test_a_slide_along_y_is_a_slide_along_x():
     """Far enough for several load steps with friction: the pad is square, so both take as many and the same force."""
     solver = HexSolver(replace(COARSE, shear_steps=1))

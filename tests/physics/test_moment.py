@@ -48,6 +48,7 @@ def test_cells_and_nodes_have_the_same_moment(name, press):
     assert f"mx {solved.moment[0]:+.2f}" in repr(solved)
 
 
+@pytest.mark.slow
 def test_a_moment_is_off_by_less_than_it_states():
     """Nine of ten are; of one press the coarse mesh against the fine one."""
     name, press = PRESSES[0]

@@ -111,6 +111,7 @@ def test_a_press_that_bends_hexahedra_nearly_flat_takes_the_short_way(name, pres
     assert found.status is Status.OK and found.evidence["load_steps"] == 0
 
 
+@pytest.mark.slow
 def test_a_deep_press_is_what_its_whole_path_gives(root):
     plain = replace(QUALITIES["label"], nested=replace(QUALITIES["label"].nested, convergence=None))
     short = solve_hex(deep_press("triangle_8", root), plain)
@@ -141,8 +142,8 @@ def test_points_that_never_moved_touch_straight_above_them():
     ("law", "body", "press"),
     [
         ("no_slip", BALL, Press(0, 0, 0, 0, 0, -1.0)),
-        ("frictionless", BALL, Press(0, 0, 0, 0, 0, -1.0)),
-        ("no_slip", CUBOID, Press(1, -2, 0, 0.3, 0.1, -1)),
+        pytest.param("frictionless", BALL, Press(0, 0, 0, 0, 0, -1.0), marks=pytest.mark.slow),
+        pytest.param("no_slip", CUBOID, Press(1, -2, 0, 0.3, 0.1, -1), marks=pytest.mark.slow),
     ],
 )
 def test_nested_and_whole_path_come_together_as_hexahedra_shrink(law, body, press):
@@ -182,7 +183,9 @@ def test_a_correction_is_the_share_of_what_the_sizes_differ_by_and_never_more_th
         assert found == pytest.approx(right, abs=1e-12) and abs(found) <= 0.15
 
 
-@pytest.mark.parametrize(("travel", "depth", "mu"), [(0.2, 0.5, 0.5), (0.0, 1.0, 0.2)])
+@pytest.mark.parametrize(
+    ("travel", "depth", "mu"), [(0.2, 0.5, 0.5), pytest.param(0.0, 1.0, 0.2, marks=pytest.mark.slow)]
+)
 def test_friction_is_carried_to_fine_hexahedra(travel, depth, mu):
     """A path on coarse hexahedra with a walk at its end gives the force of a path of many steps on the fine ones.
 
@@ -269,16 +272,8 @@ def test_frames_of_one_press_are_what_single_presses_to_them_give(body, shear):
     assert np.linalg.norm(frames[-1].total - last) / np.linalg.norm(last) < 5e-3
 
 
-@pytest.mark.parametrize(
-    "law",
-    [
-        Interface("no_slip"),
-        *(
-            pytest.param(law, marks=pytest.mark.slow)
-            for law in (Interface("coulomb", 0.5), Interface("frictionless"))
-        ),
-    ],
-)
+@pytest.mark.slow
+@pytest.mark.parametrize("law", [Interface("no_slip"), Interface("coulomb", 0.5), Interface("frictionless")])
 def test_frames_that_a_whole_path_passes_are_ends_of_shorter_ones(law):
     """Not nested: the contact of each frame is iterated where the path passes it, and the path goes on as if nobody had looked."""
     settings = replace(PATH, size=0.8)
@@ -339,6 +334,7 @@ def test_a_frame_beyond_the_last_one_of_its_press_is_refused():
     refused("0.3 mm farther sideways", frame_time, end, straight)
 
 
+@pytest.mark.slow
 def test_a_frame_that_gave_way_aside_has_the_force_of_its_own_depth():
     """Half a micrometre aside at 0.4 mm is no press at full depth."""
     straight = framed(BALL, (0.4, 1.0), (1.0,))
@@ -348,7 +344,9 @@ def test_a_frame_that_gave_way_aside_has_the_force_of_its_own_depth():
     np.testing.assert_allclose(one[2], other[2], rtol=5e-3)
 
 
-@pytest.mark.parametrize("law", [Interface("no_slip"), Interface("coulomb", 0.5)])
+@pytest.mark.parametrize(
+    "law", [Interface("no_slip"), pytest.param(Interface("coulomb", 0.5), marks=pytest.mark.slow)]
+)
 def test_frames_that_rounding_separates_are_one(law):
     """On coarse and fine hexahedra, and on one path where friction asks for it."""
     scenes = [

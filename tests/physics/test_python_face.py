@@ -99,6 +99,7 @@ def test_a_name_of_the_catalogue_is_its_body(press, root):
     assert len(repr(by_name)) < 160 and "sphere_10" in repr(by_name)
 
 
+@pytest.mark.slow
 def test_methods_agree_within_what_they_state(press):
     """CalculiX, which others wrote, and the choice by stated errors; the name says what solved it."""
     found = {
@@ -110,6 +111,7 @@ def test_methods_agree_within_what_they_state(press):
         assert gelforge.label(one)[2].sum() == pytest.approx(one.total[2], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_less_friction_holds_less_sideways():
     drag = {
         friction: gelforge.solve("sphere_10", 0.5, shear=(0.4, 0.0), friction=friction)

@@ -59,6 +59,7 @@ def test_hidden_sideways_force_is_that_of_fine_hexahedra(plan, root):
     assert abs(pressed.force[2] - exact[2]) < stiffer * (pressed.result.error_n + found.error_n)  # what both state
 
 
+@pytest.mark.slow
 def test_a_flat_body_with_friction_converges_at_every_frame(plan, root):
     """What the last step left pending is carried out where the body stands, with all points held at first.
 

@@ -143,10 +143,11 @@ def test_forces_are_the_slope_of_one_energy(seed, which):
 @pytest.mark.parametrize(
     "body, press, law",
     [
-        (
+        pytest.param(
             {"kind": "sphere", "diameter": 15, "height": 10},
             Press(0, 0, 0, 0.1, 0.05, -0.8),
             Interface("coulomb", 0.5),
+            marks=pytest.mark.slow,
         ),
         (
             {"kind": "cuboid", "size": [6, 6], "fillet": 1, "height": 10},

@@ -186,7 +186,9 @@ def test_a_path_ends_after_the_newton_iterations_that_it_may_take(mesh):
     [
         ({"kind": "sphere", "diameter": 15, "height": 10}, 1.0, 1, 0),
         ({"kind": "pyramid", "size": [10, 10], "slope_deg": 30, "fillet": 1, "height": 7}, 1.2, 1, 0),
-        ({"kind": "cylinder", "diameter": 10, "fillet": 0.7, "height": 10, "hole": 7}, 0.3, 1, 1),
+        pytest.param(
+            {"kind": "cylinder", "diameter": 10, "fillet": 0.7, "height": 10, "hole": 7}, 0.3, 1, 1, marks=pytest.mark.slow
+        ),
         ({"kind": "triple_triangle", "side": 12, "wall": 1, "first_corner_deg": -90, "fillet": 0.7, "height": 10}, 0.5, 1, 1),
     ],
     ids=lambda value: value["kind"] if isinstance(value, dict) else None,

@@ -108,6 +108,7 @@ def test_changed_data_make_a_picture_old(tmp_path, monkeypatch):
     assert outdated(Path("readme/chart.png")) == [f"{catalogue}#ball"]
 
 
+@pytest.mark.slow
 def test_the_guide_is_a_site_whose_links_hold(root, tmp_path):
     words = [
         "-m",

@@ -49,6 +49,7 @@ def made(root, project, name, *goals):
     return forces
 
 
+@pytest.mark.slow
 def test_bad_rows_are_named_and_the_others_go_on_to_the_card_of_the_shipped_network(root, project):
     made(root, project, "bad_rows", "dataset", "evaluate", "MODEL=shipped")
     results = project / "results/bad_rows"
@@ -66,6 +67,7 @@ def test_bad_rows_are_named_and_the_others_go_on_to_the_card_of_the_shipped_netw
     assert "bad_rows" in card and "| " in card
 
 
+@pytest.mark.slow
 def test_frames_of_a_press_are_moments_of_one_path_and_a_thinner_gel_is_stiffer(root, project):
     """The last on the way down is the press that was logged alone; a frame that goes back is none of it."""
     forces = made(root, project, "frames", "labels")

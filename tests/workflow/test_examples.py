@@ -36,6 +36,7 @@ def test_every_example_is_tried_and_short(root):
     assert all(f"`{path.name}`" in shown for path in scripts)
 
 
+@pytest.mark.slow
 def test_the_notebook_runs_from_its_first_cell_to_its_last(root, monkeypatch):
     monkeypatch.chdir(root / "workflow" / "examples")
     monkeypatch.setenv("MPLBACKEND", "agg")
@@ -55,6 +56,7 @@ def test_the_notebook_runs_from_its_first_cell_to_its_last(root, monkeypatch):
     assert names["low"] < 0.0792 < names["high"]  # the paper's fit; its friction and touch are unknown
 
 
+@pytest.mark.slow
 def test_an_stl_is_pressed_and_turned(run):
     _, (straight, turned) = run("indenter_from_stl")
     assert straight[2:4] != turned[2:4]
@@ -63,6 +65,7 @@ def test_an_stl_is_pressed_and_turned(run):
     assert force == pytest.approx(force_too, rel=0.15) and force < 0
 
 
+@pytest.mark.slow
 def test_gels_differ_as_they_should(run):
     names, lines = run("own_gel")
     thin, dome, thinner = (line[-1] for line in lines[1:4])
@@ -89,6 +92,7 @@ def test_a_press_is_written_for_others(run):
         assert kept["cells"].sum() == pytest.approx(names["cells"].sum())
 
 
+@pytest.mark.slow
 def test_a_sweep_shows_the_law(run):
     names, _ = run("a_sweep")
     forces = np.array([row["force_n"] for row in names["rows"]]).reshape(2, 3)

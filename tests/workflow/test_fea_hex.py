@@ -85,7 +85,8 @@ AT_RIM = Press(1.3, -9.7, -0.3, 0, 0, -0.7, 30)
 
 
 @pytest.mark.parametrize(
-    ("method", "press"), [("draft", Press(0, 0, 0, 0.1, 0, -0.6)), ("draft", AT_RIM), ("ccx", AT_RIM)]
+    ("method", "press"),
+    [("draft", Press(0, 0, 0, 0.1, 0, -0.6)), ("draft", AT_RIM), pytest.param("ccx", AT_RIM, marks=pytest.mark.slow)],
 )
 def test_the_mesh_of_a_name_is_the_one_that_was_solved(tmp_path, ccx, press, method):
     solvers = Solvers(tmp_path, parameters(fea={"method": "draft"}).fea)

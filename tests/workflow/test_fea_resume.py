@@ -102,6 +102,7 @@ def test_missing_calculix_is_one_clear_error(folder, monkeypatch):
         fea.main(arguments(folder))
 
 
+@pytest.mark.slow
 def test_what_another_method_solved_says_so_and_is_solved_again_with_a_longer_limit(folder, ccx, capfd):
     """CalculiX is stopped: the label is of hexahedra, and nobody takes it for CalculiX'."""
     lay_presses(folder, ROWS[:1])
@@ -145,6 +146,7 @@ def forces_by_stock_ccx(ccx, folder, name, forces):
     return printed, every
 
 
+@pytest.mark.slow
 def test_decks_run_by_stock_calculix_give_the_forces_of_stage_40(folder, ccx, tmp_path_factory):
     set_fea(folder, **BY_CCX)
     lay_presses(folder, ROWS[2:])

@@ -93,6 +93,7 @@ def test_a_truncated_artifact_is_refused_and_made_again_alone(whole):
     assert forces.read_bytes() == content
 
 
+@pytest.mark.slow
 def test_killing_make_in_a_solve_loses_at_most_that_solve(project):
     build(project, "poses")
     child = subprocess.Popen(

@@ -186,23 +186,6 @@ def test_a_setting_that_changes_labels_changes_every_shard(labelled):
     assert all(shard.read_bytes() != was for shard, was in zip(shards, old, strict=True))
 
 
-def test_a_corrupt_shard_is_refused_and_made_again_once_it_is_removed(labelled):
-    """As a disk corrupts it: its date stays."""
-    folder = labelled / "results/made/50_labels/6x8"
-    kept, state = (folder / "0000.npz").read_bytes(), (folder / "0000.npz").stat()
-    for corrupt in (kept[: len(kept) // 2], kept[:-9] + b"!" + kept[-8:]):
-        (folder / "0000.npz").write_bytes(corrupt)
-        os.utime(folder / "0000.npz", ns=(state.st_atime_ns, state.st_mtime_ns))
-        done = make(labelled, "DATASET=made", "dataset", "RES=6x8")
-        found = re.search(r"0000\.npz: missing or changed since it was made; remove it \(rm (.*?)\)", done.stdout)
-        assert done.returncode and found, done.stdout
-        for name in found[1].split():
-            (labelled / name).unlink()
-        run(labelled, "labels", "RES=6x8")
-        assert (folder / "0000.npz").read_bytes() == kept
-    run(labelled, "dataset", "RES=6x8")
-
-
 def test_a_changed_value_remakes_labels_only(labelled):
     params = labelled / "workflow/params.toml"
     params.write_text(params.read_text().replace("largest_outside_share = 0.02", "largest_outside_share = 0.03"))

@@ -27,6 +27,7 @@ def project(root, tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 def test_a_mesh_is_made_once_with_its_quality_in_the_record(project):
     mesh = project / "results/mine/20_meshes/gelsight_mini.npz"
     made = make(project, "meshes", "DATASET=mine")
@@ -43,6 +44,7 @@ def test_a_mesh_is_made_once_with_its_quality_in_the_record(project):
     assert digest_of(mesh) == before
 
 
+@pytest.mark.slow
 def test_a_solve_names_its_mesh_and_follows_it(project, ccx):
     made = make(project, "forces", "DATASET=mine")
     assert made.returncode == 0, made.stdout

@@ -1,6 +1,7 @@
 """make sample and make look, one after the other as a person types them; frames of a press through the whole flow."""
 
 import numpy as np
+import pytest
 
 from gelforge.flow.files import read_csv, write_csv, write_json
 from gelforge.records.forcefile import ForceFile
@@ -13,6 +14,7 @@ def say(project, *words):
     return done.stdout
 
 
+@pytest.mark.slow
 def test_look_finds_what_sample_made_and_a_calibration_scales_it(whole):
     """Its solve is in the store; nothing of the dataset is made."""
     project = whole
@@ -52,6 +54,7 @@ def test_a_sample_that_stage_10_rejects_says_why(project):
     assert "not a finite number" in done.stdout and "was rejected, see above" in done.stdout
 
 
+@pytest.mark.slow
 def test_a_row_that_fills_up_a_labelled_shard_is_looked_at_alone(whole):
     log = whole / "data/tiny/log.csv"
     rows = read_csv(log)

@@ -30,6 +30,7 @@ def scene(name, table):
     return parse_scene(name, {"depth": 0.5, **table}, 0.475)
 
 
+@pytest.mark.slow
 def test_a_scene_is_solved_once_resumed_and_drawn(bench, tmp_path, capfd):
     ball = scene("ball", {"indenter": {"kind": "sphere", "diameter": 15, "height": 10}})
     first = pareto.solve_scene(bench, ball, METHODS)
@@ -56,6 +57,7 @@ def test_a_scene_is_solved_once_resumed_and_drawn(bench, tmp_path, capfd):
     assert json.loads((tmp_path / "chart.json").read_text())["failures"] == []
 
 
+@pytest.mark.slow
 def test_a_scene_that_cannot_be_solved_is_listed_with_its_reason(bench, tmp_path):
     far = scene("far", {"indenter": {"kind": "sphere", "diameter": 2, "height": 10}, "x0": 9.0, "depth": 0.1})
     ball = scene("ball", {"indenter": {"kind": "sphere", "diameter": 15, "height": 10}})
@@ -79,6 +81,7 @@ def test_every_solver_of_the_map_solves_with_what_its_branch_is_given(solver, cc
     assert stability.solve_case(case, params, tmp_path) == record
 
 
+@pytest.mark.slow
 def test_a_density_of_tetrahedra_follows_the_press(ccx, tmp_path):
     pressed = scene("ball", {"indenter": {"kind": "sphere", "diameter": 5, "height": 5}, "x0": 2.0, "y0": -1.5}).scene
     sizes = []

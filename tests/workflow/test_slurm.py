@@ -70,7 +70,7 @@ def succeeds(process) -> str:
 
 
 class TestSmoke:
-    pytestmark = NEEDS_SLURM
+    pytestmark = needs_slurm
 
     def test_equals_local_and_nothing_is_left_to_do(self, project, lab, tmp_path):
         code, text = make(project, lab, "whole")

@@ -10,6 +10,7 @@ sampling interval. One press alone gives no drift. The gauge's reading at rest i
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -55,7 +56,7 @@ class Recording:
                 f" {self.times[back[0] + 1]:.15g} s); {_mended(self.times)}"
             )
 
-    @property
+    @cached_property
     def interval(self) -> float:
         """Median time from sample to sample, s."""
         return float(np.median(np.diff(self.times)))

@@ -327,7 +327,14 @@ IMPRINTS = {
 
 @pytest.mark.parametrize(
     "log, troubles",
-    [("some", NOCONTACT), ("fewer", ALIKE), ("all", AXES), ("some", ROWS), ("some", SHAPES), ("some", IMPRINTS)],
+    [
+        ("some", NOCONTACT),
+        ("fewer", ALIKE),
+        pytest.param("all", AXES, marks=pytest.mark.slow),
+        ("some", ROWS),
+        pytest.param("some", SHAPES, marks=pytest.mark.slow),
+        ("some", IMPRINTS),
+    ],
     ids=["nocontact", "alike", "axes", "rows", "shapes", "imprints"],
 )
 def test_a_trouble_is_named(demo, log, troubles):

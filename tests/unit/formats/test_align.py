@@ -308,7 +308,9 @@ def lay_bench(folder, name, seconds, began=0.0, origin=(-120.5, -88.2, -35.4)):
     ]  # fmt: skip
 
 
-@pytest.mark.parametrize(("name", "dated"), [("delayed", 1.79e9), ("slow gauge", 0.0)])
+@pytest.mark.parametrize(
+    ("name", "dated"), [("delayed", 1.79e9), pytest.param("slow gauge", 0.0, marks=pytest.mark.slow)]
+)
 def test_a_bench_becomes_a_log_that_stage_10_takes_whole(tmp_path, capsys, root, monkeypatch, name, dated):
     """Of 41 rows it rejected 12, sideways forces and moments that nobody measured were 0, and negative origins were no number."""
     monkeypatch.chdir(root)

@@ -97,6 +97,7 @@ def test_what_is_published_becomes_a_dataset_with_its_splits(root, tmp_path, pub
     assert labels.label.shape == (COUNT, 3, 24, 32)
 
 
+@pytest.mark.slow
 def test_a_fetch_that_was_killed_goes_on(root, tmp_path, published):
     with hub(published) as server:
         server.pace_s = 0.05
@@ -123,6 +124,7 @@ def test_a_fetch_that_was_killed_goes_on(root, tmp_path, published):
         assert server.loaded.keys().isdisjoint(there) and len(server.loaded) == COUNT - len(there)
 
 
+@pytest.mark.slow
 def test_single_splits_come_alone_and_one_that_is_none_is_named(root, tmp_path, published):
     with hub(published) as server:
         sentence = refused(

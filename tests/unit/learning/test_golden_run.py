@@ -146,6 +146,7 @@ def test_a_training_is_what_its_settings_say(few, changes, varied):
         torch.testing.assert_close(value, weights[name], rtol=SAME, atol=SAME)
 
 
+@pytest.mark.slow
 def test_every_ingredient_is_seen_in_the_curve(few):
     """Or the law above could not fail without it: each alone, left out, changes the curve by more than its tolerance."""
     whole = numbers(plain_run(few, settings_of(EVERY, VARIED))[0])

@@ -86,7 +86,13 @@ def mesh() -> GelMesh:
     return made_here(NAME).mesh()
 
 
-@pytest.fixture(params=["gelsight_mini-3.2mm", "flat", "round", "steep", "solid"])
+@pytest.fixture(
+    params=[
+        "gelsight_mini-3.2mm",
+        *(pytest.param(name, marks=pytest.mark.slow) for name in ("flat", "round", "steep")),
+        "solid",
+    ]
+)
 def gel(request, tmp_path):
     (tmp_path / "gels.toml").write_text(GELS_TOML)
     write_stl(tmp_path / "pad.stl", *box([0.0, 0.0, 0.0], [18.0, 24.0, 4.0]))

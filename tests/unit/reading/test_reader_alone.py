@@ -125,6 +125,7 @@ def test_one_version_stands_everywhere(root):
     assert re.findall(r"^version: (\S+)$", citation, re.MULTILINE) == [gelforge.__version__] == changes[:1]
 
 
+@pytest.mark.slow
 def test_solve_and_label_work_with_their_extra_alone():
     """What `pip install '.[solve]'` does not bring is as if not installed."""
     absent = sorted(name for name, extra in EXTRAS.items() if extra != "solve")

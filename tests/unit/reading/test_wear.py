@@ -56,6 +56,7 @@ def test_vanished_markers_hardly_change_a_force(sensor):
         assert heavy < most and light < LIGHT
 
 
+@pytest.mark.slow
 def test_markers_that_only_the_no_contact_image_lacks_hardly_change_nine_of_ten_forces(sensor, root):
     predictor, images, read = sensor
     rest, markers = read_image(root / "data/demo/nocontact/mini_a.png"), predictor.nocontact.markers
@@ -80,6 +81,7 @@ def half_worn(image, points, diameter):
     return ((gone.astype(int) + image) // 2).astype(np.uint8)
 
 
+@pytest.mark.slow
 def test_half_worn_markers_change_a_force_by_a_tenth_or_are_flagged(sensor, root):
     """Markers worn in the image alone, and in the no-contact image as well."""
     predictor, images, read = sensor

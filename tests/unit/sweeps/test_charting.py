@@ -202,6 +202,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.slow
 def test_a_solve_does_not_hang_where_torch_has_run(tmp_path):
     """A process that is forked beside torch's threads waits for ever at its first factorisation with two threads."""
     (tmp_path / "beside.py").write_text(BESIDE_TORCH)
