@@ -57,12 +57,8 @@ def test_evaluation_holds_what_is_asked(data, evaluated, name):
     assert test["total"]["fz"]["mae"] == pytest.approx(error[:, 2].mean())
     assert test["cell"]
     assert set(test["controls"]) == {"constant_guess", "shuffled_images", "linear_on_image_means"}
-    shown = tables(result)
-    assert shown and all(table["rows"] for table in shown)
-    assert {row[0] for row in shown[0]["rows"]} == set(result["splits"])
-    assert all(len(row) == len(table["columns"]) for table in shown for row in table["rows"])
     # the page says whose they are: the shipped network is not called there as it was when it was trained
-    assert not any(result["model"] in table["title"] for table in shown)
+    assert not any(result["model"] in table["title"] for table in tables(result))
 
 
 @pytest.fixture(scope="module")
