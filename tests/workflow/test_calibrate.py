@@ -55,6 +55,7 @@ def test_log_holds_the_measured_points(root, reference):
     np.testing.assert_allclose(readings.force[:, 2], -measured[:, 1])
 
 
+@pytest.mark.slow
 def test_summary_and_report_say_what_is_known(done, tmp_path):
     summary = read_json(done.calibration())
     low, high = summary["c10"]["interval95"]

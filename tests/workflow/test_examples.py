@@ -100,6 +100,7 @@ def test_a_sweep_shows_the_law(run):
     assert 1.3 < names["power"] < 2.2 and len(Path("sweep.csv").read_text().splitlines()) == 7
 
 
+@pytest.mark.slow
 def test_a_contact_law_of_ones_own_is_solved(run):
     """The weaker the law, the less of the drag reaches the gel."""
     names, _ = run("a_contact_law")

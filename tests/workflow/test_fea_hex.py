@@ -1,5 +1,8 @@
 """Stages 30 to 50 in process: every press has hexahedra of its own and no mesh file."""
 
+import re
+import shutil
+
 import numpy as np
 import pytest
 
@@ -12,6 +15,7 @@ from gelforge.mechanics.material import Material
 from gelforge.mechanics.mesh.names import load_mesh
 from gelforge.mechanics.scene import Scene
 from gelforge.mechanics.solve import Solvers
+from gelforge.records import forcefile, labelfile
 from gelforge.records.forcefile import ForceFile
 from gelforge.records.labelfile import read_labels
 from gelforge.records.press import Press
@@ -79,6 +83,50 @@ def test_force_is_kept_from_solve_to_label(made):
             assert np.abs(got - forced.total[at]).max() <= 1e-6 * size
             # the table is rounded to six digits
             np.testing.assert_allclose(forced.total[at], solved[str(name)], atol=1e-5 * max(size, 1e-9))
+
+
+UNIT = re.compile(r"\b(N mm|N|kPa|MPa|mm\^2|mm)\b")
+
+
+def units_of(module):
+    """Unit of each array by the table of a format; None: of what has none."""
+    rows = [line.strip("| ").split(" | ") for line in module.__doc__.splitlines() if line.startswith("| ")]
+    for names, _, meaning in (row for row in rows if row[0][:3] not in ("arr", "---")):
+        names, units = names.split(", "), UNIT.findall(meaning) or [None]
+        yield from zip(names, units if len(units) == len(names) else units[:1] * len(names), strict=True)
+
+
+def test_twice_the_stiffness_doubles_all_that_is_a_force_a_moment_or_a_pressure_and_nothing_else(made, tmp_path):
+    """By the formats' own tables of units; arrays of indices and names have none."""
+    found = []
+    for c10 in (0.08, 0.16):
+        of = Layout(shutil.copytree(made, tmp_path / str(c10) / "results/lab"))
+        shutil.copytree(made.parent / "solves", of.solves)
+        rows = read_csv(of.fea("0000"))
+        for at, row in enumerate(rows):  # as if some slipped
+            row["friction_error_n"] = str(0.01 * at)
+        write_csv(of.fea("0000"), list(rows[0]), rows)
+        intervals = {"c10_interval68": [0.9 * c10, 1.1 * c10], "c10_interval95": [0.8 * c10, 1.2 * c10]}
+        write_stage(of.params, "forces", material={"c10": c10, **intervals})
+        write_stage(
+            of.params, "labels", labels={"channels": ["force", "traction", "traction_deformed", "displacement"]}
+        )
+        sensors = read_toml("workflow/sensors.toml")
+        sensors[SENSOR]["projection"][0][2] += 130.0  # the image ends within a contact
+        write_used(of, sensors=sensors)
+        for module, words in ((forces, ["0000"]), (labels, ["24x32", "0000"])):
+            assert module.main([str(of.root), *words]) == 0
+        found.append([dict(np.load(path)) for path in (of.forces("0000"), of.labels("24x32", "0000"))])
+    for module, once, twice in zip((forcefile, labelfile), *found, strict=True):
+        units = dict(units_of(module))
+        assert once.keys() == twice.keys() <= units.keys()
+        for name, array in once.items():
+            scales = units[name] in ("N", "N mm", "kPa", "MPa") and array.dtype.kind == "f"
+            if array.dtype.kind != "f":
+                np.testing.assert_array_equal(twice[name], array, name)
+            else:
+                assert np.nan_to_num(array).any(), name
+                np.testing.assert_allclose(twice[name], (2 if scales else 1) * array, rtol=1e-6, err_msg=name)
 
 
 AT_RIM = Press(1.3, -9.7, -0.3, 0, 0, -0.7, 30)

@@ -30,7 +30,7 @@ def test_the_dataset_trains_on_totals(tmp_path, root):
     of = Layout(tmp_path / "results/lab")
     (tmp_path / "in").mkdir()
     for k, name in enumerate("abcd"):
-        times = 100.0 + 40.0 * np.arange(9)
+        times = 100.0 + 40.0 * np.arange(14)
         size = [3.0 * ((j // 10) % 2) for j in range(300)]
         forces = [(time, wrench(time, -n, x=0.1 * n, y=0.2 * n)) for n, (time, _) in zip(size, ramp(), strict=True)]
         write(tmp_path / "in" / f"{name}.mcap", filmed(times + 60_000 * k, lambda k: 0.0), later(forces, 60_000 * k))
@@ -48,7 +48,7 @@ def test_the_dataset_trains_on_totals(tmp_path, root):
     write_json(of.parameters("sensors"), tomllib.loads((root / "workflow/sensors.toml").read_text()))
     assert dataset.main([str(of.root), "1x1"]) == 0
     about = read_json(of.dataset_table("1x1"))
-    assert about["grid"] == [1, 1] and about["samples"] == 4 * 9 and {"train", "val", "test"} == set(about["splits"])
+    assert about["grid"] == [1, 1] and about["samples"] == 4 * 14 and {"train", "val", "test"} == set(about["splits"])
     write_json(of.parameters("models/small"), {"small": {"kind": "grid", "width": 8, "blocks": 1}})
     write_stage(of.params, "train", train={**plain(SETTINGS), "epochs": 1, "shift_cells": 0})
     assert train.main([str(of.root), "1x1", "small"]) == 0

@@ -163,19 +163,6 @@ def test_a_bad_resolution_fails_and_leaves_nothing(made):
     assert not (made / "results/made/50_labels/24by32").exists()
 
 
-def test_a_deleted_shard_is_made_again(labelled):
-    shards = [labelled / f"results/made/50_labels/6x8/{name}.npz" for name in ("0000", "0001")]
-    kept, stamp = shards[0].read_bytes(), shards[1].stat().st_mtime_ns
-    shards[0].unlink()
-    assert built(run(labelled, "labels", "RES=6x8")) == {"results/made/50_labels/6x8/0000.npz"}
-    assert shards[0].read_bytes() == kept and shards[1].stat().st_mtime_ns == stamp
-    assert not built(run(labelled, "labels", "RES=6x8"))
-    for path in shards:
-        path.unlink()
-    assert built(run(labelled, "labels", "RES=6x8")) == of_shards("6x8")
-    assert shards[0].read_bytes() == kept
-
-
 def test_a_setting_that_changes_labels_changes_every_shard(labelled):
     """Shards that were there are not taken for those of the new setting."""
     shards = [labelled / f"results/made/50_labels/6x8/000{k}.npz" for k in (0, 1)]
@@ -184,11 +171,3 @@ def test_a_setting_that_changes_labels_changes_every_shard(labelled):
     params.write_text(params.read_text().replace('channels = ["force"]', 'channels = ["force", "traction"]'))
     run(labelled, "labels", "RES=6x8")
     assert all(shard.read_bytes() != was for shard, was in zip(shards, old, strict=True))
-
-
-def test_a_changed_value_remakes_labels_only(labelled):
-    params = labelled / "workflow/params.toml"
-    params.write_text(params.read_text().replace("largest_outside_share = 0.02", "largest_outside_share = 0.03"))
-    assert built(run(labelled, "labels", "RES=6x8")) == of_shards("6x8")
-    params.write_text(params.read_text() + "\n# a comment rebuilds nothing\n")
-    assert not built(run(labelled, "labels", "RES=6x8"))

@@ -67,7 +67,7 @@ def test_a_scene_that_cannot_be_solved_is_listed_with_its_reason(bench, tmp_path
     assert row["scenes"] == 2 and row["failed"] == 1 and not row["frontier_total"]
 
 
-@pytest.mark.parametrize("solver", ["hex", "ccx"])
+@pytest.mark.parametrize("solver", ["hex", pytest.param("ccx", marks=pytest.mark.slow)])
 def test_every_solver_of_the_map_solves_with_what_its_branch_is_given(solver, ccx, tmp_path):
     params = stage_of("stability")
     # how long a case may take is the chart's matter: a loaded machine is no fault

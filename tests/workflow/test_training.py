@@ -16,6 +16,7 @@ from tests.support.parameters import write_stage
 from tests.support.synthetic_presses import SETTINGS, write_dataset
 from tests.support.waiting import wait_until
 
+pytestmark = pytest.mark.slow  # `whole` of the other tests trains by make
 EPOCHS = 6
 
 
@@ -47,7 +48,6 @@ def whole(place):
     return load_model(place.network("6x8", "whole")).metadata
 
 
-@pytest.mark.slow
 def test_killed_training_ends_with_the_same_curve(place, whole):
     out, asked = place.network("6x8", "killed"), command("train", place.root, "6x8", "killed")
     checkpoint = out.with_name("killed.checkpoint.pt")

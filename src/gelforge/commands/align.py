@@ -16,6 +16,7 @@ from gelforge.flow.files import read_toml
 from gelforge.flow.tables import PosesTable
 from gelforge.formats.benchfiles import Images, read_gauge, read_path
 from gelforge.formats.benchlog import Aligned, Setup, align, nocontact_of, write_dataset
+from gelforge.formats.feats_folder import refuse_existing
 from gelforge.geometry.gel import load_gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.geometry.touch import first_touch
@@ -70,6 +71,7 @@ def newtons(text: str) -> float:
     option("--params", type=Path, default=Path("workflow/params.toml")),
 )
 def main(args: Namespace) -> None:
+    refuse_existing(args.data)
     sensor = find_sensor(load_sensors(args.sensors), args.sensor, "--sensor", str(args.sensors))
     body = load_catalogue(args.indenters, [args.indenter])[args.indenter]
     (gauge, measured), path = read_gauge(args.gauge, args.sign), read_path(args.path, args.origin)

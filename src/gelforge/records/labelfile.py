@@ -22,7 +22,7 @@ Only if `[labels] channels` asks for them, NaN in cells that show no gel:
 | --- | --- | --- |
 | displacement | (n, 3, rows, cols) float32 | mm, mean over the piece of the undeformed surface that the cell shows |
 | traction, area | (n, 3, rows, cols), (n, rows, cols) float32 | kPa on the undeformed area, and that area, mm^2 |
-| traction_deformed, area_deformed | the same | kPa on the deformed area of the same piece, and that area |
+| traction_deformed, area_deformed | the same | kPa on the deformed area of the same piece, and that area, mm^2 |
 """
 
 import zipfile

@@ -1,11 +1,22 @@
 """When an indenter first meets the gel, and how wide a figure on a grid is."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
-from gelforge.geometry.touch import TOUCH_STEP, first_touch, gap, under_path, width_of
+from gelforge.geometry.touch import (
+    PRESSED,
+    TOUCH_STEP,
+    begins_inside,
+    first_touch,
+    gap,
+    nearest,
+    under_path,
+    width_of,
+)
 from gelforge.records.press import Press
 
 GEL = Gel()
@@ -30,6 +41,40 @@ def test_first_touch_is_where_a_step_by_step_descent_meets_the_gel(body, press):
         assert met[0] - 5.01e-3 < found <= met[0]
     else:
         assert found is None
+
+
+TURNED = replace(GEL, name="turned", width=GEL.length, length=GEL.width, sag_x=GEL.sag_y, sag_y=GEL.sag_x)
+POINTS = np.stack(np.meshgrid(np.linspace(-0.5, 0.5, 166), np.linspace(-0.5, 0.5, 202)), axis=-1).reshape(-1, 2) * [
+    GEL.width,
+    GEL.length,
+]
+TOP = np.column_stack([POINTS, GEL.top(*POINTS.T)])[GEL.inside(*POINTS.T)]  # an eighth of a millimetre apart
+
+
+@pytest.mark.parametrize(
+    "body", [*BODIES, build("blade", {"kind": "cuboid", "size": [5, 0.1], "fillet": 0.04, "height": 6})]
+)
+def test_on_all_rims_a_body_meets_what_lies_below_it_and_alike_where_all_is_turned_by_a_quarter(body):
+    """On the rim, over it and beyond; by a plain grid of the whole top, which a blade passes."""
+    met = []
+    for aside in (0.97, 1.15, 1.6):
+        for x, y in np.array([(1, 0.1), (-1, 0.1), (0.1, 1), (0.1, -1)]) * aside / 2 * [GEL.width, GEL.length]:
+            press, turned = Press(x, y, 0.2, 0.4, -0.3, -1.9, 20.0), Press(-y, x, 0.2, 0.3, 0.4, -1.9, 110.0)
+            met.append(first_touch(GEL, body, press))
+            for one, other in (
+                (met[-1], first_touch(TURNED, body, turned)),
+                (nearest(GEL, body, press), nearest(TURNED, body, turned)),
+            ):
+                assert one == other or one == pytest.approx(other, abs=1e-3), press
+            low, turned = replace(press, z0=-0.6), replace(turned, z0=-0.6)
+            assert begins_inside(GEL, body, low) == begins_inside(TURNED, body, turned), press
+            top = TOP[np.abs(TOP[:, :2] - [x, y]).max(axis=1) < 5.5]
+            if body.name != "blade" and len(top):
+                assert (nearest(GEL, body, press) < 0) == (
+                    min(gap(body, press, top, t).min() for t in PRESSED) < 0
+                ), press
+                assert met[-1] is None or abs(gap(body, press, top, met[-1]).min()) < 0.02, press
+    assert met.count(None) >= 4 and None not in met[:4]
 
 
 @pytest.mark.parametrize("spacing", [(0.05, 0.05), (0.05, 0.1), (0.12, 0.04)])
