@@ -11,6 +11,7 @@ import numpy as np
 
 from gelforge.errors import BadInput, GelforgeError, nearest
 from gelforge.flow.cli import missing_extra
+from gelforge.flow.files import digest_of
 from gelforge.geometry.gel import gels_from, load_gel
 from gelforge.geometry.solids import Indenter
 from gelforge.labelling.grid import Grid
@@ -226,6 +227,10 @@ def solve(
     )
 
 
+_BUILT: dict[tuple[str, str], Indenter] = {}  # bodies of tables, the latest MOST_BUILT
+MOST_BUILT = 16
+
+
 def _body(indenter: Indenter | dict[str, Any] | str) -> Any:
     """The body of an argument: a name, a table or a body."""
     from gelforge.geometry.indenters import CATALOGUE, build, read_catalogue
@@ -238,7 +243,14 @@ def _body(indenter: Indenter | dict[str, Any] | str) -> Any:
             )
         return build(indenter, tables[indenter], "workflow/indenters.toml")
     if isinstance(indenter, dict):
-        return build(str(indenter.get("kind", "")), indenter, "gelforge.solve")
+        # a sampled STL takes up to a minute, so what was built of the same table and file is kept
+        file = Path(str(indenter.get("file", "")))
+        key = repr(sorted(indenter.items())), digest_of(file) if file.is_file() else ""
+        if key not in _BUILT:
+            while len(_BUILT) >= MOST_BUILT:
+                _BUILT.pop(next(iter(_BUILT)))
+            _BUILT[key] = build(str(indenter.get("kind", "")), indenter, "gelforge.solve")
+        return _BUILT[key]
     if not hasattr(indenter, "distance"):
         raise BadInput(
             f"gelforge.solve: indenter = {indenter!r}: give a name or a table of workflow/indenters.toml, or a body"

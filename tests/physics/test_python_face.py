@@ -13,11 +13,12 @@ import numpy as np
 import pytest
 
 import gelforge
-from gelforge.api import gelsight_mini
+from gelforge.api import _body, gelsight_mini
 from gelforge.commands import predict
 from gelforge.commands import solve as commands_solve
 from gelforge.errors import BadInput
 from gelforge.geometry.indenters import CATALOGUE
+from gelforge.geometry.triangles import write_stl
 from gelforge.labelling.sensor import load_sensors
 from gelforge.live.reading import readings
 from gelforge.mechanics.material import REFERENCE_C10
@@ -335,3 +336,21 @@ def test_readers_of_one_model_share_its_graph(root):
         for path in sorted(root.glob("data/demo/nocontact/*.png"))
     ]
     assert len(readers) > 1 and all(reader.model.graph is model.graph for reader in readers)
+
+
+def test_a_body_that_leans_touches_at_no_depth_and_one_that_is_level_does_not():
+    """Depth counts at the tip: half of a leaning block is below it."""
+    leaning = gelforge.solve("cuboid_10", depth=0.0, tilt=(3.0, 0.0))
+    assert -1.5 < leaning.total[2] < -0.3
+    assert not gelforge.solve("cuboid_10", depth=0.0).total.any()
+
+
+def test_a_table_is_built_once_while_its_file_is_the_same(tmp_path):
+    corners = np.array([[-4, -3, 5], [4, -3, 5], [4, 3, 5], [-4, 3, 5], [-2, 0, 0], [2, 0, 0]], float)
+    faces = np.array([[0, 1, 2], [0, 2, 3], [0, 4, 5], [0, 5, 1], [2, 5, 4], [2, 4, 3], [0, 3, 4], [1, 5, 2]])
+    table = {"kind": "stl", "file": str(tmp_path / "roof.stl"), "spacing": 0.5, "reach": 2.0}
+    write_stl(tmp_path / "roof.stl", corners, faces)
+    first = _body(table)
+    assert _body(dict(table)) is first and _body(table | {"spacing": 0.4}) is not first
+    write_stl(tmp_path / "roof.stl", 1.1 * corners, faces)
+    assert _body(table) is not first

@@ -61,7 +61,7 @@ def earlier(scene: Scene, end: float, length: float) -> float:
         if travelled >= length:
             return end - length / aside
         length, end = length - travelled, 1.0
-    return end - length / max(abs(scene.press.dz), length)
+    return end - length / (max(abs(scene.press.dz), length) or 1.0)
 
 
 def first_touch(scene: Scene) -> float | None:
@@ -91,7 +91,7 @@ def frame_time(scene: Scene, last: Scene) -> float:
     fallen = scene.press.z0 + scene.press.dz - last.press.z0
     _check_frame(last.press.dz - fallen, end, way)
     # eight decimals, so that frames which differ by rounding only are one
-    down = float(np.clip(np.round(fallen / last.press.dz, 8), 1e-8, 1.0))
+    down = float(np.clip(np.round(fallen / last.press.dz, 8), 1e-8, 1.0)) if last.press.dz else 1.0
     if not way @ way:
         return down
     aside = float(np.clip(np.round(end @ way / (way @ way), 8), 0.0, 1.0))
