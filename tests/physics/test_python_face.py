@@ -348,9 +348,9 @@ def test_a_body_that_leans_touches_at_no_depth_and_one_that_is_level_does_not():
 def test_a_table_is_built_once_while_its_file_is_the_same(tmp_path):
     corners = np.array([[-4, -3, 5], [4, -3, 5], [4, 3, 5], [-4, 3, 5], [-2, 0, 0], [2, 0, 0]], float)
     faces = np.array([[0, 1, 2], [0, 2, 3], [0, 4, 5], [0, 5, 1], [2, 5, 4], [2, 4, 3], [0, 3, 4], [1, 5, 2]])
-    table = {"kind": "stl", "file": str(tmp_path / "roof.stl"), "spacing": 0.5, "reach": 2.0}
+    table = {"kind": "stl", "file": str(tmp_path / "roof.stl"), "spacing": 0.25, "reach": 2.0}
     write_stl(tmp_path / "roof.stl", corners, faces)
     first = _body(table)
-    assert _body(dict(table)) is first and _body(table | {"spacing": 0.4}) is not first
-    write_stl(tmp_path / "roof.stl", 1.1 * corners, faces)
+    assert _body(dict(table)) is first and _body(table | {"reach": 1.5}) is not first
+    write_stl(tmp_path / "roof.stl", 2.0 * corners, faces)
     assert _body(table) is not first
