@@ -1,4 +1,4 @@
-"""Whether the tests notice single faults that are planted in the code: `make benchmark-faults`.
+"""Whether the tests notice single faults that are planted in the code: `make benchmark-faults`; --random N draws others.
 
 faults.toml lists them: a file, a text that occurs in it once, its replacement, and the tests that must then fail.
 Faults of different packages whose tests lie in different files are planted at once in a copy of the project; a fault
@@ -6,7 +6,10 @@ is caught where one of its own tests fails, and passes without the faults. Metho
 Sayward, "Hints on test data selection", Computer 1978), with faults chosen by hand.
 """
 
+import ast
 import os
+import random
+import re
 import shutil
 import subprocess
 import sys
@@ -33,13 +36,14 @@ CAUGHT, TIMED_OUT, SURVIVES, UNJUDGED, UNFIT = "caught", "timed out", "SURVIVES"
 
 @dataclass(frozen=True)
 class Fault:
-    """One fault to plant: in the project's `file`, `new` replaces `old`; `tests` are pytest's arguments."""
+    """One fault to plant: in the project's `file`, `new` replaces `old`; `tests` are pytest's arguments, `marks` theirs."""
 
     name: str
     file: str
     old: str
     new: str
     tests: tuple[str, ...]
+    marks: str = ""
 
     @property
     def room(self) -> str:
@@ -73,6 +77,13 @@ def listed(path: Path) -> list[Fault]:
     return [Fault(**table | {"tests": tuple(table["tests"])}) for table in tables]
 
 
+def unfit() -> Iterator[str]:
+    """What of the list cannot be planted, and packages of which it has too few."""
+    every = listed(LIST)
+    yield from (f"{LIST.name}: {fault.name!r}: {said}" for fault in every for said in misfits(fault))
+    yield from gaps(every)
+
+
 def misfits(fault: Fault, root: Path = ROOT) -> Iterator[str]:
     """Why a fault cannot be planted, or its tests cannot be run."""
     path = root / fault.file
@@ -93,6 +104,50 @@ def gaps(faults: list[Fault], root: Path = ROOT) -> Iterator[str]:
         found = sum(fault.room == room for fault in faults)
         if found < LEAST:
             yield f"{found} faults are of {room}, {LEAST} are asked for"
+
+
+SWAPPED = {"+": "-", "-": "+", "*": "/", "/": "*", "<": ">", ">": "<", "<=": ">", ">=": "<", "0": "1", "1": "0"}
+
+
+def changed(node: ast.AST, line: str) -> str | None:
+    """A node's line with another sign, factor, limit, axis or number; None where it has none of these."""
+    low = high = new = None
+    match node:
+        case ast.BinOp(left=one, right=two) | ast.Compare(left=one, comparators=[two]) if (
+            one.end_lineno == two.lineno
+        ):
+            low, high = one.end_col_offset, two.col_offset
+        case ast.keyword(arg="axis", value=value):
+            low, high = value.col_offset, value.end_col_offset
+        case ast.UnaryOp(op=ast.USub()):
+            low, high, new = node.col_offset, node.col_offset + 1, ""
+        case ast.Constant(value=float(number)):
+            low, high, new = node.col_offset, node.end_col_offset, repr(2.0 * number or 1.0)
+        case _:
+            return None
+    old = line[low:high].strip()  # of what stands in an f-string the place is another
+    if new is None and old in SWAPPED:
+        return f"{line[:low]}{line[low:high].replace(old, SWAPPED[old])}{line[high:]}"
+    return line[:low] + new + line[high:] if new is not None and re.fullmatch(r"-|[\d.e-]+", old) else None
+
+
+def drawn(count: int, seed: int) -> list[Fault]:
+    """Random faults of the package, each on a line that its file has once; tests: files that import its module."""
+    tests = {path: path.read_text(encoding="utf-8") for path in sorted((ROOT / "tests").glob("*/**/test_*.py"))}
+    faults = []
+    for path in sorted((ROOT / "src/gelforge").rglob("*.py")):
+        text, file = path.read_text(encoding="utf-8"), str(path.relative_to(ROOT))
+        module, lines = ".".join(path.relative_to(ROOT / "src").with_suffix("").parts), text.splitlines()
+        named = re.compile(
+            rf"^from (?:{re.escape(module)} import|{re.escape(module.rpartition('.')[0])} import .*\b{path.stem}\b)",
+            re.MULTILINE,
+        )
+        of = [str(test.relative_to(ROOT)) for test, said in tests.items() if named.search(said)]
+        for node in ast.walk(ast.parse(text)):
+            line = lines[node.lineno - 1] if hasattr(node, "lineno") else ""
+            if line.isascii() and text.count(line) == 1 and of and (new := changed(node, line)):
+                faults.append(Fault(f"line {node.lineno}: {new.strip()}", file, line, new, tuple(of), "not slow"))
+    return random.Random(seed).sample(faults, count)
 
 
 def copied(folder: Path) -> Path:
@@ -124,12 +179,14 @@ def grouped(faults: list[Fault], root: Path = ROOT) -> list[list[Fault]]:
     return sorted(groups, key=lambda group: (group[0].compiled(root), -len(group)))
 
 
-def tested(project: Path, tests: Collection[str], compiled: Path | None = None) -> subprocess.CompletedProcess:
-    """Run tests. compiled: folder for numba's compiled code; None: beside the sources."""
+def tested(
+    project: Path, tests: Collection[str], compiled: Path | None = None, marks: str = ""
+) -> subprocess.CompletedProcess:
+    """Run tests with these marks. compiled: folder for numba's compiled code; None: beside the sources."""
     environment = {
         **clean_environment(), "PYTHONPATH": str(project / "src"), "GELFORGE_REFERENCE": str(PUBLISHED_DATA.resolve()),
     } | ({"NUMBA_CACHE_DIR": str(compiled)} if compiled else {})  # fmt: skip
-    words = ["-q", "-m", "", "-p", "no:cacheprovider", "--tb=line", f"--timeout={SECONDS}"]
+    words = ["-q", "-m", marks, "-p", "no:cacheprovider", "--tb=line", f"--timeout={SECONDS}"]
     return subprocess.run(
         [sys.executable, "-m", "pytest", *words, *tests],
         cwd=project,
@@ -171,7 +228,7 @@ def outcomes(group: list[Fault], project: Path, moment: int) -> Iterator[tuple[F
     compiled = project.parent / "anew" if group[0].compiled(project) else None
     shutil.rmtree(project.parent / "anew", ignore_errors=True)
     with planted(group, project, moment):
-        done = tested(project, sorted({test for fault in group for test in fault.tests}), compiled)
+        done = tested(project, sorted({test for fault in group for test in fault.tests}), compiled, group[0].marks)
     failed = failures(done)
     if done.returncode not in (PASSED, FAILED):  # as where a file cannot be imported: which fault is to blame?
         for at, fault in enumerate(group):
@@ -196,24 +253,20 @@ def outcomes(group: list[Fault], project: Path, moment: int) -> Iterator[tuple[F
 
 @command(
     option("--out", type=Path, default=None, metavar="FILE", help="where the figures go (JSON)"),
-    option("--list", type=Path, default=LIST, metavar="FILE"),
     option("--only", default="", metavar="TEXT", help="faults whose name or file contains it"),
-    option("--check", action="store_true", help="only say which faults no longer fit the code"),
+    option("--random", type=int, default=0, metavar="N", help="as many random faults of the package in place of the list"),
+    option("--seed", type=int, default=0, help="of random faults, which the fast tests that name their module must notice"),
     option("--kept", type=Path, default=ROOT / "build" / "faults.json", metavar="FILE",
            help="outcomes of earlier runs, which count while a fault, its file and its tests are the same"),
 )  # fmt: skip
 def main(args: Namespace) -> int:
     """Plant every fault, and print those that survive or no longer fit the code."""
-    every = listed(args.list)
-    unfit = {fault.name: "; ".join(said) for fault in every if (said := list(misfits(fault)))}
-    wrong = [*(f"{name!r}: {said}" for name, said in unfit.items()), *gaps(every)]
-    print(*(f"{args.list.name}: {said}" for said in wrong), sep="\n", end="\n" if wrong else "")
-    if args.check:
-        return bool(wrong)
+    every = drawn(args.random, args.seed) if args.random else listed(LIST)
+    wrong = {fault.name: "; ".join(said) for fault in every if (said := list(misfits(fault)))}
     faults = [fault for fault in every if args.only in fault.name or args.only in fault.file]
     kept = {key: said for key, said in (record_of(args.kept) or {}).items() if not said.startswith(UNJUDGED)}
-    found = {fault.name: f"{UNFIT}: {unfit[fault.name]}" for fault in faults if fault.name in unfit}
-    faults = [fault for fault in faults if fault.name not in unfit]
+    found = {fault.name: f"{UNFIT}: {wrong[fault.name]}" for fault in faults if fault.name in wrong}
+    faults = [fault for fault in faults if fault.name not in wrong]
     # of the files as they are now, whoever edits them in the meantime
     keys = {fault.name: fault.key() for fault in faults}
     for fault in faults:
@@ -233,9 +286,8 @@ def main(args: Namespace) -> int:
     survivors = [name for name, said in found.items() if said not in (CAUGHT, TIMED_OUT)]
     note = f"{noticed} of {len(found)}, {len(waits)} of them because a test waits for ever; survivors: {survivors or 'none'}"
     fraction = 100.0 * noticed / max(len(found), 1)
-    publish_figures(
-        None if args.only else args.out, [Figure("planted faults caught", fraction, ">=", 95.0, "%", note)]
-    )
+    figure = Figure(f"{'random' if args.random else 'planted'} faults caught", fraction, ">=", 95.0, "%", note)
+    publish_figures(None if args.only else args.out, [figure])
     return bool(wrong)
 
 

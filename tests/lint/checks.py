@@ -14,6 +14,7 @@ from gelforge.flow.layout import FOLDERS
 from gelforge.records.networkkind import KINDS
 from gelforge.records.press import FORCE, POSE
 from gelforge.records.samplefile import SPLITS, TEST, TRAINING
+from tests.benchmarks.faults import unfit as unfit_faults
 from tests.lint.parameters_page import page
 from tests.lint.readme_pictures import outdated
 from tests.lint.tables import KEPT
@@ -42,7 +43,11 @@ ALLOWED: dict[str, set[str]] = {
 }
 # Folders of tests, and those of tests that each may import from; of others what tests share.
 SHARED = {"support"}
-OF_TESTS = {"benchmarks": {"benchmarks", "support"}, "lint": {"lint", "support"}, "unit": {"lint", "support"}}
+OF_TESTS = {
+    "benchmarks": {"benchmarks", "support"},
+    "lint": {"benchmarks", "lint", "support"},
+    "unit": {"lint", "support"},
+}
 ON_TOP = {"stages", "commands"}  # thin mains, which may use all of the above
 # Rooms of a folder, and the rooms that each may import from. Of mechanics scene, material and their like above them are for
 # all.
@@ -262,7 +267,7 @@ def main(fix: bool) -> int:
     return len(faults)
 
 
-CHECKS = (wrong_imports, same_names, unchecked_types, facts_twice, pictures, undated_figures)
+CHECKS = (wrong_imports, same_names, unchecked_types, facts_twice, pictures, undated_figures, unfit_faults)
 
 if __name__ == "__main__":
     sys.exit(bool(main(fix="--fix" in sys.argv[1:])))

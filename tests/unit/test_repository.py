@@ -1,4 +1,4 @@
-"""The list of planted faults fits the code; figures and pictures know their sources; the guide is a site."""
+"""Figures and pictures know their sources; the guide is a site."""
 
 import re
 import subprocess
@@ -15,23 +15,6 @@ from tests.support import figures
 from tests.support.figures import Figure, digest_of_sources, publish_figures, sources
 
 pytestmark = pytest.mark.processes
-
-
-def test_planted_faults_fit_the_code_and_one_that_does_not_is_named(tmp_path):
-    known, missing = tmp_path / "list.toml", "tests/unit/test_repository.py::test_nothing"
-    known.write_text(
-        f'[[fault]]\nname = "odd"\nfile = "Makefile"\nold = "none such"\nnew = ""\ntests = ["{missing}"]\n'
-    )
-    check = [sys.executable, "-m", "tests.benchmarks.faults", "--check"]
-    assert subprocess.run(check, capture_output=True, text=True).stdout == ""
-    done = subprocess.run([*check, "--list", str(known)], capture_output=True, text=True)
-    assert done.returncode == 1
-    for said in (
-        "its old text stands 0 times in Makefile",
-        f"no test {missing}",
-        "0 faults are of live, 4 are asked",
-    ):
-        assert said in done.stdout
 
 
 def test_a_figure_that_changes_changes_the_page(root, monkeypatch):
