@@ -17,6 +17,7 @@ from gelforge.mechanics.material import Material
 from gelforge.mechanics.mesh.hexmesh import FineBox, HexMesh, fine_box, mesh_on_lines
 from gelforge.mechanics.path.equilibrium import CYCLING
 from gelforge.mechanics.path.loadpath import path_pose
+from gelforge.mechanics.result import friction_error_n
 from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvers.hex import MOST_BELOW_MM, MOST_INSIDE_MM, HexSolver, solve_hex
 from gelforge.records.press import Press
@@ -183,6 +184,13 @@ def test_coulomb_slip_is_along_the_travel(rubbed):
     """Sheared by half the depth, nearly all slips: the force is mu times the pressure, along x."""
     assert rubbed.total[0] / -rubbed.total[2] == pytest.approx(0.2, rel=0.1)
     assert abs(rubbed.total[1]) < 0.02 * rubbed.total[0]
+
+
+def test_what_friction_is_off_by_changes_the_force_by_what_is_stated(rubbed):
+    more = solve_hex(ball(dx=0.5, law="coulomb", mu=0.22), COARSE)
+    stated = friction_error_n(rubbed.evidence, 0.2, 0.02)
+    # an upper bound, and no wide one: a ball that is dragged further ploughs, which takes a part back
+    assert 0.6 * stated < np.linalg.norm(more.total - rubbed.total) < 1.1 * stated
 
 
 def dragged(law, mu=0.0, far=0.6, body=None, depth=0.4):

@@ -102,6 +102,21 @@ def test_alike_presses_evenly_apart_are_told():
     assert found.rival
 
 
+def test_four_times_the_presses_halve_the_error_that_is_told():
+    """Each press is off by the same, to one side and the other, but for the error of rounding."""
+    told = []
+    for count in (6, 24):
+        starts = np.cumsum(np.random.default_rng(4).uniform(4, 9, count))
+        times = np.arange(0, starts[-1] + 5, 0.01)
+        press = sum(np.maximum(1.0 - ((times - at) / (1.0 + 0.02 * k)) ** 2, 0.0) for k, at in enumerate(starts))
+        late = np.interp(times, starts, 0.02 * (-1.0) ** np.arange(count))
+        found = match_clock(
+            Recording("gauge", times, press[:, None]), Recording("path", times + late, press[:, None]), 0.1
+        )
+        told.append(np.sqrt(found.error_s**2 - (0.1 * 0.01) ** 2))
+    assert 0.42 < told[1] / told[0] < 0.58
+
+
 def test_recordings_that_cannot_serve_are_refused():
     def matched(times, values):
         one = Recording("gauge.csv", np.array(times, float), np.array(values, float)[:, None])

@@ -105,7 +105,6 @@ def test_what_is_read_depends_on_its_picture_alone_and_changes_none(shipped, noc
         for predictor, image, first in zip(kept, pictures, alone, strict=True):
             again = predictor(image)
             assert np.array_equal(again.cells, first.cells) and again.reason == first.reason
-            assert again.reason == first.reason
     assert all(np.array_equal(one, other) for one, other in zip(given, (*pictures, *nocontact), strict=True))
 
 
