@@ -122,6 +122,7 @@ def test_slide_in_air_leaves_no_shear(solver):
     assert total[2] < -0.5 and np.abs(total[:2]).max() < 1e-3 * abs(total[2])
 
 
+@pytest.mark.slow
 def test_coulomb_bounds_shear_and_no_slip_exceeds_it(solver):
     free, bound, stuck = (solver.solve(scene(law, dx=0.25)).total for law in ("frictionless", "coulomb", "no_slip"))
     assert abs(free[0]) < abs(bound[0]) < 1.02 * abs(stuck[0])

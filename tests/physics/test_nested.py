@@ -89,11 +89,13 @@ def test_what_is_tangled_is_made_sound_and_what_is_sound_stays(seed, size):
     np.testing.assert_array_equal(found[kept], u[kept])
 
 
-def test_deep_presses_of_wide_shapes_take_the_short_way(root):
+@pytest.mark.parametrize(
+    "name", ["triangle_8", *(pytest.param(name, marks=pytest.mark.slow) for name in ("cuboid_10", "cross_15_10_3"))]
+)
+def test_deep_presses_of_wide_shapes_take_the_short_way(name, root):
     """The gel bends round an edge within one wide hexahedron: what is carried over would turn small ones over."""
-    for name in ("cuboid_10", "triangle_8", "cross_15_10_3"):
-        found = solve_hex(deep_press(name, root), QUALITIES["draft"])
-        assert found.status is Status.OK and found.evidence["load_steps"] == 0, name
+    found = solve_hex(deep_press(name, root), QUALITIES["draft"])
+    assert found.status is Status.OK and found.evidence["load_steps"] == 0
 
 
 @pytest.mark.slow
@@ -273,7 +275,7 @@ def test_frames_of_one_press_are_what_single_presses_to_them_give(body, shear):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("law", [Interface("no_slip"), Interface("coulomb", 0.5), Interface("frictionless")])
+@pytest.mark.parametrize("law", [Interface("no_slip"), Interface("coulomb", 0.5)])
 def test_frames_that_a_whole_path_passes_are_ends_of_shorter_ones(law):
     """Not nested: the contact of each frame is iterated where the path passes it, and the path goes on as if nobody had looked."""
     settings = replace(PATH, size=0.8)

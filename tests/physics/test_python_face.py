@@ -144,6 +144,7 @@ def test_a_force_has_the_digits_that_its_interval_allows(value, half, text):
     assert interval_text(value, half) == text
 
 
+@pytest.mark.slow
 def test_a_drag_is_felt_along_itself():
     """Whichever way a round indenter is turned."""
     for along, turned in ((0, 0.0), (1, 40.0)):
