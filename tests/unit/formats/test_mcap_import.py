@@ -287,7 +287,6 @@ def test_fields_that_a_message_lacks_and_films_without_a_beginning_are_named(tmp
         list(pictures([message], {0}, "a.mcap: topic /gel/image"))
 
 
-@pytest.mark.slow
 def test_forces_of_another_unit_or_axis_are_named_by_what_the_shipped_network_reads(
     tmp_path, root, capsys, monkeypatch
 ):
