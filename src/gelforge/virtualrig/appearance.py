@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import numpy as np
 
@@ -260,32 +260,25 @@ def _merged(name: str, tables: dict, path) -> dict:
 
 
 def _appearance(name: str, table: AppearanceTable) -> Appearance:
-    light, camera, markers = table.light, table.camera, table.markers
-    return Appearance(
-        name=name,
-        background=np.array([getattr(table.background, colour) for colour in COLOURS], float).T,
-        tilt=np.array(light.tilt, float),
-        white_balance=np.array(camera.white_balance, float),
-        gain=float(camera.gain),
-        vignette=float(camera.vignette),
-        light=towards(np.array(light.azimuth_deg, float)),
-        slope_gain=np.array(light.slope_gain, float),
-        slope_limit=float(light.slope_limit),
-        brightening=np.array(light.brightening, float),
-        camera_mm=float(camera.height_mm),
-        blur=float(camera.blur_px),
-        noise=np.array(camera.noise, float),
-        noise_blur=float(camera.noise_blur_px),
-        markers=marker_centres(plain(markers)),
-        diameter=float(markers.diameter_px),
-        raggedness=float(markers.raggedness),
-        ink=np.array(markers.ink, float),
-        flecks=np.array(markers.flecks, float),
-        shadow_depth=float(markers.shadow_depth),
-        shadow_length=np.array(markers.shadow_length_px, float),
-        seed=int(markers.seed),
-        normal_motion=float(markers.normal_motion),
-    )
+    parts = plain(table)
+    values = {
+        key.removesuffix("_px"): value
+        for part in ("light", "camera", "markers")
+        for key, value in parts[part].items()
+    }
+    own: dict[str, Any] = {
+        key: np.array(values[key], float) if isinstance(values[key], list) else float(values[key])
+        for key in Appearance.__annotations__
+        if key in values
+    }
+    return Appearance(**own | {
+        "name": name,
+        "background": np.array([parts["background"][colour] for colour in COLOURS], float).T,
+        "light": towards(np.array(values["azimuth_deg"], float)),
+        "camera_mm": float(values["height_mm"]),
+        "markers": marker_centres(parts["markers"]),
+        "seed": values["seed"],
+    })  # fmt: skip
 
 
 def towards(azimuth_deg: np.ndarray) -> np.ndarray:

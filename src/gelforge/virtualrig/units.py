@@ -11,29 +11,8 @@ from gelforge.errors import BadInput
 from gelforge.flow.files import read_toml
 from gelforge.flow.schema import SOME, Number, ParameterTable, Place, Span, Within, parse
 from gelforge.labelling.sensor import Sensor
-from gelforge.virtualrig.appearance import (
-    HEIGHT,
-    WIDTH,
-    Angle,
-    Appearance,
-    Brightening,
-    CameraMm,
-    Contrast,
-    Diameter,
-    Drift,
-    Flecks,
-    Fraction,
-    Gain,
-    Levels,
-    Motion,
-    Pixels,
-    Position,
-    Shadow,
-    Share,
-    marker_centres,
-    read_appearances,
-    towards,
-)  # fmt: skip
+from gelforge.virtualrig import appearance as of
+from gelforge.virtualrig.appearance import HEIGHT, WIDTH, Appearance, Drift, marker_centres, read_appearances, towards
 from gelforge.virtualrig.rigplan import DrawnUnits
 
 ROWS, COLS = 7, 9  # of the marker grid in a full view
@@ -54,51 +33,51 @@ class UnitRanges(ParameterTable):
     example = "workflow/rig/units.toml"
 
     backgrounds: Annotated[tuple[str, ...], SOME]
-    background_scatter: Span[Share]
-    tilt: Span[Share]
-    azimuth_deg: Span[Angle]
-    contrast: Span[Contrast]
-    colour_contrast: Span[Contrast]
-    slope_limit: Span[Contrast]
-    brightening: Span[Brightening]
-    camera_mm: Span[CameraMm]
-    gain: Span[Gain]
-    white_balance: Span[Gain]
-    vignette: Span[Fraction]
-    blur_px: Span[Pixels]
-    noise: Span[Levels]
-    noise_blur_px: Span[Pixels]
+    background_scatter: Span[of.Share]
+    tilt: Span[of.Share]
+    azimuth_deg: Span[of.Angle]
+    contrast: Span[of.Contrast]
+    colour_contrast: Span[of.Contrast]
+    slope_limit: Span[of.Contrast]
+    brightening: Span[of.Brightening]
+    camera_mm: Span[of.CameraMm]
+    gain: Span[of.Gain]
+    white_balance: Span[of.Gain]
+    vignette: Span[of.Fraction]
+    blur_px: Span[of.Pixels]
+    noise: Span[of.Levels]
+    noise_blur_px: Span[of.Pixels]
     scale_px_per_mm: Span[Annotated[Number, Within(1, 1000, "px/mm")]]
     perspective: Span[Annotated[Number, Within(-0.01, 0.01)]]
-    rotation_deg: Span[Angle]
-    shift_px: Span[Position]
+    rotation_deg: Span[of.Angle]
+    shift_px: Span[of.Position]
     pitch_mm: Span[Annotated[Number, Within(0.1, 100, "mm")]]
-    grid_shift_px: Span[Position]
-    grid_turn_deg: Span[Angle]
-    spread: Span[Share]
-    misprint_px: Span[Pixels]
-    diameter_px: Span[Diameter]
-    raggedness: Span[Fraction]
-    ink: Span[Fraction]
-    flecks: Span[Flecks]
-    shadow_depth: Span[Fraction]
-    shadow_px: Span[Shadow]
+    grid_shift_px: Span[of.Position]
+    grid_turn_deg: Span[of.Angle]
+    spread: Span[of.Share]
+    misprint_px: Span[of.Pixels]
+    diameter_px: Span[of.Diameter]
+    raggedness: Span[of.Fraction]
+    ink: Span[of.Fraction]
+    flecks: Span[of.Flecks]
+    shadow_depth: Span[of.Fraction]
+    shadow_px: Span[of.Shadow]
     missing_markers: Span[Annotated[Number, Within(0, ROWS * COLS - 1)]]
     specks: Span[Annotated[Number, Within(0, 10000)]]
-    drift_gain: Span[Share]
+    drift_gain: Span[of.Share]
     drift_offset: Span[Annotated[Number, Within(-255, 255)]]
-    drift_field: Span[Share]
-    relit_fraction: Fraction
+    drift_field: Span[of.Share]
+    relit_fraction: of.Fraction
     relit_gradient: Span[Annotated[Number, Within(-0.9, 0.9)]]
     relit_colour_gradient: Span[Annotated[Number, Within(-0.9, 0.9)]]
     relit_vignette: Span[Annotated[Number, Within(-0.9, 0.9)]]
-    refocus_px: Span[Pixels]
-    worn_fraction: Fraction
+    refocus_px: Span[of.Pixels]
+    worn_fraction: of.Fraction
     worn_markers: Span[Annotated[Number, Within(0, ROWS * COLS - 1)]]
-    worn_ink: Span[Fraction]
-    normal_motion: Span[Motion]
+    worn_ink: Span[of.Fraction]
+    normal_motion: Span[of.Motion]
     shade_per_mm: Span[Annotated[Number, Within(-10, 10, "1/mm")]]
-    jpeg_fraction: Fraction
+    jpeg_fraction: of.Fraction
     jpeg_quality: Span[Annotated[Number, Within(1, 100)]]
 
 
