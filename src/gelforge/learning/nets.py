@@ -11,7 +11,6 @@ scale. A new family is a class here, one line in `build`, and one in `records/ne
 
 import math
 from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import torch
 from torch import nn
@@ -19,9 +18,6 @@ from torch.nn import functional as F
 
 from gelforge.errors import BadInput
 from gelforge.records.networkkind import kind_of, sizes_of
-
-if TYPE_CHECKING:
-    import torch
 
 CELL_PX = 10  # largest cell of the internal map whose mean is the total force, for networks of totals only
 
@@ -53,14 +49,12 @@ def inner_part(fraction: float, image, grid, who: str) -> tuple[tuple[slice, sli
     return (slice(cell * rows.start, cell * rows.stop), slice(cell * cols.start, cell * cols.stop)), (rows, cols)
 
 
-def network_input(pictures: "torch.Tensor", norm: dict) -> "torch.Tensor":
+def network_input(pictures: torch.Tensor, norm: dict) -> torch.Tensor:
     """Input (n, 3 or 6, h, w) of a network in its own units.
 
     :param pictures: (n, 3, h, w) images in 0..1, or (n, 6, h, w) with the no-contact image behind each.
     :param norm: what learning.data.scales returns.
     """
-    import torch
-
     mean, std = (
         torch.tensor(norm[key], device=pictures.device).float().view(1, 3, 1, 1)
         for key in ("image_mean", "image_std")

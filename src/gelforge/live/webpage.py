@@ -4,6 +4,7 @@ import json
 import threading
 from collections import deque
 from collections.abc import Iterator
+from functools import partial
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
 
@@ -20,46 +21,23 @@ LARGE = ("image", "forces")  # entries of an event that the curve does without
 QUIET_S = 5.0  # without a reading, after which a page is sent an empty event, so that a closed one is noticed
 
 
-class Hub:
-    """The latest event, which any number of pages wait for; a slow page misses some.
-
-    Earlier events are kept without images and maps, for the curve on pages that are opened later.
-    """
-
-    def __init__(self):
-        self.changed = threading.Condition()
-        self.number, self.latest = 0, {}
-        self._curve = deque(maxlen=KEPT)
-
-    def send(self, event: dict) -> None:
-        """Give an event to all who wait."""
-        with self.changed:
-            if self.latest:
-                self._curve.append({name: value for name, value in self.latest.items() if name not in LARGE})
-            self.number, self.latest = self.number + 1, event
-            self.changed.notify_all()
-
-    def after(self, number: int, patience: float) -> tuple[int, dict | None]:
-        """Number of the latest event and this event, once newer than `number`; no event after `patience` seconds."""
-        with self.changed:
-            self.changed.wait_for(lambda: self.number > number, patience)
-            return (self.number, self.latest) if self.number > number else (number, None)
-
-    def before(self) -> list[dict]:
-        """The events before the latest one, as the curve shows them."""
-        with self.changed:
-            return list(self._curve)
-
-
 class PageServer(ThreadingHTTPServer):
-    """Serves the page in threads of its own until `stop`; BadInput where the port cannot be served."""
+    """Serves the page in threads of its own until `stop`; BadInput where the port cannot be served.
+
+    Any number of pages wait for the latest event; a slow one misses some. Earlier events are kept without images and maps,
+    for the curve on pages that are opened later.
+    """
 
     daemon_threads = True
     allow_reuse_address = True
 
     def __init__(self, host: str, port: int):
-        self.hub, self.local = Hub(), host in LOCAL
-        self.said: dict = {}
+        self.local = host in LOCAL
+        self.changed = threading.Condition()
+        self.number = 0
+        self.latest: dict = {}
+        self.said: dict = {}  # the last sentence that was announced
+        self._curve: deque[dict] = deque(maxlen=KEPT)
         self.watched = threading.Event()  # set once a page was opened
         try:
             super().__init__((host, port), Handler)
@@ -75,7 +53,7 @@ class PageServer(ThreadingHTTPServer):
 
     def send(self, reading: Reading) -> None:
         """Show a reading."""
-        self.hub.send(reading.event() | self.said)
+        self.give(reading.event() | self.said)
 
     def announce(self, sentence: str, fault: bool = False) -> None:
         """Show a sentence on all pages, in red for a fault, with the last reading and all later ones.
@@ -83,7 +61,33 @@ class PageServer(ThreadingHTTPServer):
         Pages that are opened later show it, too.
         """
         self.said = {"said": sentence, "fault": fault}
-        self.hub.send(self.hub.latest | self.said)
+        self.give(self.latest | self.said)
+
+    def give(self, event: dict) -> None:
+        """Give an event to all pages."""
+        with self.changed:
+            if self.latest:
+                self._curve.append({name: value for name, value in self.latest.items() if name not in LARGE})
+            self.number, self.latest = self.number + 1, event
+            self.changed.notify_all()
+
+    def events(self) -> Iterator[dict]:
+        """Events from the latest one on; the first has the curve of earlier ones. An empty one after QUIET_S without any."""
+        seen, before = 0, self._before()
+        while True:
+            with self.changed:
+                newer = self.changed.wait_for(partial(self._newer, seen), QUIET_S)
+                event, seen = self.latest if newer else {}, self.number
+            yield event | before
+            before = {}
+
+    def _before(self) -> dict:
+        """The events before the latest one, as the curve shows them."""
+        with self.changed:
+            return {"before": list(self._curve)}
+
+    def _newer(self, number: int) -> bool:
+        return self.number > number
 
     def stop(self) -> None:
         """Stop the server."""
@@ -128,19 +132,11 @@ class Handler(BaseHTTPRequestHandler):
         """Send events until the browser leaves."""
         self.server.watched.set()
         try:
-            for event in self.events():
+            for event in self.server.events():
                 self.wfile.write(f"data: {json.dumps(event)}\n\n".encode())
                 self.wfile.flush()
         except ConnectionError:
             self.close_connection = True
-
-    def events(self) -> Iterator[dict]:
-        """Events from the latest one on; the first has the curve of earlier ones."""
-        number, before = 0, {"before": self.server.hub.before()}
-        while True:
-            number, event = self.server.hub.after(number, QUIET_S)
-            yield (event or {}) | before
-            before = {}
 
     def log_message(self, *_) -> None:
         """Requests are not printed on the terminal."""

@@ -154,7 +154,7 @@ class ImageFrame:
     blue_first: bool = False
 
     def __call__(self, image: np.ndarray) -> np.ndarray:
-        """An image (h, w, 3) uint8 as the network reads it; one of another shape is resized whole, and has a `fault`."""
+        """An image (h, w, 3) uint8 as the network reads it; one of another shape is resized whole."""
         import cv2
 
         if same_shape(image.shape, self.shape):
@@ -191,16 +191,6 @@ class ImageFrame:
         height, width = shape[:2]
         left, top, right, bottom = self.part
         return round(left * width), round(top * height), round(right * width), round(bottom * height)
-
-    def fault(self, image: np.ndarray) -> str:
-        """What is wrong with the shape of an image (h, w, 3); empty for nothing."""
-        (height, width), (rows, cols) = image.shape[:2], self.shape
-        if same_shape(image.shape, self.shape):
-            return ""
-        return (
-            f"the image is {width} x {height}; its aspect ratio differs from that of the no-contact image or of training ({cols} x {rows}):"
-            " take all images in one mode of the camera, or crop them"
-        )
 
     @property
     def as_logged(self) -> bool:
