@@ -296,7 +296,8 @@ def flag_figures(units: Units, readers: dict[str, Reader]) -> list[Figure]:
     for fault, reader, image, true in faulty_pairs(units, readers):
         read = reader(np.ascontiguousarray(image))
         off = np.abs(read.total - true) / [RANGE[name] for name in CHANNELS]
-        found.setdefault(fault, []).append((float(off.max()), read.flag))
+        # what is said once of a no-contact image is said of a fault, and flags no good pair
+        found.setdefault(fault, []).append((float(off.max()), read.flag or bool(fault != "none" and reader.doubt)))
     bad = [flag for pairs in found.values() for off, flag in pairs if off > WRONG]
     good = [flag for off, flag in found["none"] if off <= WRONG]
     note = ", ".join(

@@ -178,9 +178,9 @@ def found_picture(seen: Iterable[Frame], name: str) -> tuple[np.ndarray, Iterato
 def reader_beside(picture: np.ndarray, model: ForceModel, name: str) -> Reader:
     """A reader with a no-contact image that was found in a stream; BadInput where that is unusable."""
     reader = Reader(picture, model=model)
-    if reader.fault:
+    if fault := reader.fault or reader.doubt:
         raise BadInput(
-            f"{name}: {reader.fault}. Start it while nothing touches the sensor, or give a no-contact image with --nocontact"
+            f"{name}: {fault}. Start it while nothing touches the sensor, or give a no-contact image with --nocontact"
         )
     return reader
 
@@ -242,8 +242,8 @@ def main(args: Namespace) -> None:
             start = StartInDoubt(reader, name)
         else:
             reader = Reader(picture, args.profile, model)
-        if reader.text:
-            report(f"{name}: {reader.text}")
+        for said in filter(None, (reader.text, reader.doubt)):
+            report(f"{name}: {said}")
         with stopping() as over, ExitStack() as stack:
             outputs = outputs_of(args, name, stack)
             paced = bool(outputs.servers) and not film.camera

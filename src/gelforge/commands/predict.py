@@ -10,6 +10,7 @@ Images are predicted independently, so an image gives the same forces here, in `
 flagged if the gel moved in its holder since the no-contact image was taken: take a new no-contact image then.
 """
 
+import sys
 import tempfile
 from argparse import Namespace
 from collections.abc import Iterator, Sequence
@@ -156,6 +157,8 @@ def main(args: Namespace) -> None:
     reader = Reader(picture, args.profile, model)
     if reader.text:
         print(reader.text)
+    if reader.doubt:
+        print(f"note: {reader.doubt}", file=sys.stderr)
     kept = [*filter(None, [args.nocontact]), *files_of(args.profile)]
     for row in predict_files(args.images, reader, args.out, kept):
         print(line_of(row), flush=True)

@@ -201,8 +201,8 @@ def reader_beside(model: ForceModel, picture: np.ndarray, source: str) -> Reader
     reader = Reader(reduced(picture), model=model)
     if reader.text:
         print(f"{source}: {reader.text}", file=sys.stderr)
-    if reader.fault:
-        raise BadInput(f"{source}: {reader.fault}; take a sharp one while nothing touches the sensor")
+    if fault := reader.fault or reader.doubt:
+        raise BadInput(f"{source}: {fault}; take a sharp one while nothing touches the sensor")
     return reader
 
 

@@ -26,6 +26,7 @@ DARK, BRIGHT = 4, 250  # levels between which the camera's response is trusted
 # unevenly for a fit.
 FALL_ROUNDS, FALL_REACH, FALL_SCALES = 4, 4.0, (0.01, 0.06)
 SPARSE = 3  # every third place is used, enough for four coefficients
+COLOUR_FALL = 0.04 / 0.055  # weight of one colour's change of distribution beside that of all
 MOST_GAIN = 2.0  # a gain beyond which images are not of one sensor under one light
 ALL = slice(None), slice(None)  # rows and columns of a picture
 
@@ -64,6 +65,7 @@ class Light:
 
 
 NO_LIGHT = Light(np.ones(3), np.zeros(3), 0.0, 0.0, False)  # where it cannot be compared
+SAME_LIGHT = Light(np.ones(3), np.zeros(3), 0.0, 1.0, True)
 
 
 def match_light(image: np.ndarray, nocontact: np.ndarray) -> Light:
@@ -85,35 +87,37 @@ class Reference:
     def normalised(self, image: np.ndarray) -> tuple[np.ndarray, Light]:
         """An image (h, w, 3) uint8 in the same frame under the light of the no-contact image, and what its light was."""
         light = self.light_of(image[self.shown])
-        return self.under(light, image), light
+        return self._within(light.undo(image[self.shown])), light
 
-    def under(self, light: Light, image: np.ndarray) -> np.ndarray:
-        """An image (h, w, 3) uint8 without that change of light."""
-        seen = image[self.shown]
-        if seen.shape == image.shape:
-            return light.undo(image)
-        normalised = self.picture.copy()  # the margin is the same in both
-        normalised[self.shown] = light.undo(seen)
-        return normalised
+    def _within(self, seen: np.ndarray) -> np.ndarray:
+        """What is shown (h', w', 3) uint8 with the no-contact image's margin, which is the same in both."""
+        if seen.shape == self.picture.shape:
+            return seen
+        whole = self.picture.copy()
+        whole[self.shown] = seen
+        return whole
 
-    def fall_of(self, image: np.ndarray, light: Light) -> tuple[float, float]:
-        """Change of the light's distribution on an image (h, w, 3) uint8 against the no-contact image.
+    def falls_of(self, image: np.ndarray, light: Light) -> np.ndarray:
+        """Change of the light's distribution on an image (h, w, 3) uint8 against the no-contact image, (3, 3) by colour.
 
-        As a fraction of the light's level, from the middle to the edge of the shown part: of all colours together,
-        and the slope of the colour that changes most. (0, 0) where the light is not known, or a press shades most of
-        the gel.
+        Slopes along u and v and curvature of the logarithm of the level over the shown part, as of `_falls`. 0 where the
+        light is not known, or a press shades most of the gel.
         """
         if not light.known:
-            return 0.0, 0.0
+            return np.zeros((3, 3))
         seen, rest = _small(image[self.shown])[:, ::SPARSE], self._small[:, ::SPARSE]
         expected = light.gain[:, None] * rest + light.offset[:, None]
         good = _believed(rest) & _believed(seen)
         ratios = np.log((seen + 1.0) / np.maximum(expected + 1.0, 1.0))
         falls, scales = _falls(ratios, good)
-        if scales.max() > FALL_SCALES[1]:
-            return 0.0, 0.0
-        along, across, corners = falls.mean(axis=0)
-        return max(float(np.hypot(along, across)), abs(float(corners))), float(np.hypot(*falls[:, :2].T).max())
+        return falls if scales.max() <= FALL_SCALES[1] else np.zeros((3, 3))
+
+    def evened(self, image: np.ndarray, falls: np.ndarray) -> np.ndarray:
+        """An image (h, w, 3) uint8 without a change of the light's distribution, `falls_of`."""
+        seen = image[self.shown]
+        v, u = np.meshgrid(*(np.linspace(-1.0, 1.0, size) for size in seen.shape[:2]), indexing="ij")
+        change = np.stack([u, v, u**2 + v**2 - 2.0 / 3.0], axis=-1) @ falls.T
+        return self._within(np.clip(np.rint(seen * np.exp(-change)), 0, 255).astype(np.uint8))
 
     def light_of(self, image: np.ndarray) -> Light:
         """Light of an image, (h, w, 3) uint8 of what is shown."""
@@ -197,3 +201,13 @@ def _falls(ratios: np.ndarray, good: np.ndarray) -> tuple[np.ndarray, np.ndarray
         scales = np.maximum(FALL_SCALES[0], 1.4826 * np.partition(left[:, good], middle, axis=1)[:, middle])
         weights = np.where(good, np.maximum(0.0, 1.0 - (left / (FALL_REACH * scales[:, None])) ** 2) ** 2, 0.0)
     return found[:, 1:], scales
+
+
+def fall_size(falls: np.ndarray) -> float:
+    """Size of a change of the light's distribution (3, 3), as a fraction of the level from the middle to the edge.
+
+    Of all colours together, or the slope of one, of which the fraction COLOUR_FALL counts.
+    """
+    along, across, corners = falls.mean(axis=0)
+    one = float(np.hypot(*falls[:, :2].T).max())
+    return max(float(np.hypot(along, across)), abs(float(corners)), one * COLOUR_FALL)

@@ -19,7 +19,7 @@ OTHER_DISTANCE, OTHER_RESIDUAL = 9.0, 16.0  # levels up to which the light of tw
 # this fraction of the 90 % quantile. It does so in 0.4 % of 700 presses of the rig, drags included. Where more markers
 # than OTHER_LOOK look different, the second fraction applies.
 ALIKE_FRACTION, OTHER_LOOK, OTHER_LOOK_ALIKE_FRACTION = 0.55, 0.27, 0.25
-LOOKS_ALIKE = 0.04  # change of the light's distribution up to which markers look alike
+JUMP = 0.8  # pitches by which a marker that moves otherwise than a neighbour is mistaken for another one
 FAR_LOST = 0.1  # fraction of lost markers beyond which their motion is that of the farthest one that was found
 # Of a torn image: columns to which rows are averaged; steps that are looked at; rows on each side of a step; fraction of
 # their difference that the step is at least; rows of a block of a compressed film.
@@ -45,19 +45,17 @@ ORDERS = {**FLIPS, "in the other colour order (red and blue exchanged)": lambda 
 
 
 def sharper(pair: Pair) -> float:
-    """Sharpness of the image, under the light of the no-contact image, less that of the latter; 0 for an image alone."""
-    return 0.0 if pair.nocontact is None else pair.lit.sharpness - pair.nocontact.picture.sharpness
+    """Sharpness of the image, under the light of the no-contact image, less that of the latter."""
+    return pair.lit.sharpness - pair.nocontact.picture.sharpness
 
 
 def whiter(pair: Pair) -> float:
     """Fraction of white pixels in addition to those of the no-contact image."""
-    return 0.0 if pair.nocontact is None else pair.image.white - pair.nocontact.picture.white
+    return pair.image.white - pair.nocontact.picture.white
 
 
 def brighter(pair: Pair) -> float:
     """Ratio of mean levels of the two images, the larger over the smaller one."""
-    if pair.nocontact is None:
-        return 1.0
     one, other = max(pair.image.level, 1.0), max(pair.nocontact.picture.level, 1.0)
     return max(one / other, other / one)
 
@@ -67,7 +65,7 @@ def distance(pair: Pair) -> float:
 
     A press changes less than half of the image by much; another sensor's light changes most of it.
     """
-    return 0.0 if pair.nocontact is None else _distance(pair.lit.image, pair.nocontact.picture.image)
+    return _distance(pair.lit.image, pair.nocontact.picture.image)
 
 
 def _distance(image: np.ndarray, nocontact: np.ndarray) -> float:
@@ -81,22 +79,17 @@ def _distance(image: np.ndarray, nocontact: np.ndarray) -> float:
 
 def residual(pair: Pair) -> float:
     """Difference of light that remains where the two images agree, levels; 0 where their light cannot be compared."""
-    return pair.light.residual if pair.light is not None and pair.light.known else 0.0
+    return pair.light.residual if pair.light.known else 0.0
 
 
 def agreeing(pair: Pair) -> float:
     """Fraction of the image that agrees with the no-contact image; 1 where their light cannot be compared."""
-    return pair.light.fraction if pair.light is not None and pair.light.known else 1.0
+    return pair.light.fraction if pair.light.known else 1.0
 
 
 def unmatched(pair: Pair) -> float:
     """1 where the light of the image cannot be matched to that of the no-contact image, else 0."""
-    return float(pair.light is not None and not pair.light.known)
-
-
-def fall(pair: Pair) -> float:
-    """Change of the light's distribution from the middle to the edge of the image, as a fraction of its level."""
-    return pair.fall
+    return float(not pair.light.known)
 
 
 def pattern_likeness(pair: Pair) -> float:
@@ -105,8 +98,6 @@ def pattern_likeness(pair: Pair) -> float:
     The lamps of a sensor give the gel a pattern of colours that no press hides, and that another unit or a covered camera does
     not show.
     """
-    if pair.nocontact is None or pair.light is None:
-        return 1.0
     alike = likeness(pair.framed.pattern, pair.nocontact.picture.pattern)
     if alike >= OWN_PATTERN or _same_light(pair.framed.image, pair.nocontact.picture.image, pair.light):
         return 1.0
@@ -125,8 +116,6 @@ def lit_likeness(pair: Pair) -> float:
 
 def flipped(pair: Pair) -> str:
     """How the image is turned, mirrored or coloured compared with the no-contact image; empty where it is not."""
-    if pair.nocontact is None or pair.light is None:
-        return ""
     image, rest = pair.framed, pair.nocontact.picture
     alike = likeness(image.pattern, rest.pattern)
     if alike >= 1.0 - FLIPPED:
@@ -153,8 +142,6 @@ def tear(pair: Pair) -> float:
     """
     import cv2
 
-    if pair.nocontact is None:
-        return 0.0
     shown = pair.nocontact.frame.shown
     difference = cv2.subtract(pair.lit.image, pair.nocontact.picture.image, dtype=cv2.CV_32F)
     dark = cv2.dilate(cv2.max(pair.lit.darkness, pair.nocontact.picture.darkness), np.ones((3, 3), np.uint8))
@@ -222,14 +209,12 @@ def shared_step(sums: np.ndarray, clear: np.ndarray) -> float:
 
 def faint(pair: Pair) -> float:
     """Fraction of the markers that are fainter in the image than in the no-contact image."""
-    if pair.nocontact is None:
-        return 0.0
     return faded(pair.nocontact.markers, pair.nocontact.printed, pair.tracks, pair.lit.darkness)
 
 
 def crowd(pair: Pair) -> float:
     """Number of markers of the image over that of the no-contact image; 0 where that shows none."""
-    known = 0 if pair.nocontact is None else len(pair.nocontact.markers.points)
+    known = len(pair.nocontact.markers.points)
     return count_markers(pair.lit.darkness) / known if known else 0.0
 
 
@@ -247,23 +232,10 @@ def count_markers(darkness: np.ndarray) -> int:
 
 def rim_px(pair: Pair) -> float:
     """Median motion of the rim's markers that registration left, px; 0 where no rim is shown."""
-    if pair.nocontact is None or not pair.nocontact.frame.shows_rim:
+    if not pair.nocontact.frame.shows_rim:
         return 0.0
     moved = np.hypot(*pair.tracks.motion[pair.nocontact.markers.rim & pair.tracks.found].T)
     return float(np.median(moved)) if len(moved) else 0.0
-
-
-def rim_lost(pair: Pair) -> float:
-    """Fraction of the rim's markers that are lost or look different; 0 where no rim is shown.
-
-    Under another distribution of light (above LOOKS_ALIKE) all markers look different, and only lost ones count.
-    """
-    if pair.nocontact is None or not pair.nocontact.frame.shows_rim or not pair.nocontact.markers.rim.any():
-        return 0.0
-    rim = pair.nocontact.markers.rim
-    unlike = float(pair.tracks.unlike[rim].mean())
-    lost = float((~pair.tracks.found[rim]).mean())
-    return lost if unlike > lost and pair.fall > LOOKS_ALIKE else unlike
 
 
 def uneven(pair: Pair) -> float:
@@ -272,7 +244,7 @@ def uneven(pair: Pair) -> float:
     Contact moves neighbours alike, whereas another gel's markers are printed at other places. A quartile, because the
     motion is uneven at a contact's edge, too.
     """
-    if pair.nocontact is None or not pair.nocontact.frame.shows_rim or not pair.nocontact.markers.rim.any():
+    if not pair.nocontact.frame.shows_rim or not pair.nocontact.markers.rim.any():
         return 0.0
     return unevenness(pair.nocontact.markers.on_lattice(pair.tracks))
 
@@ -282,7 +254,7 @@ def alike_px(pair: Pair) -> float:
 
     A drag moves distant markers less; a gel that is mounted differently moves all of them.
     """
-    return 0.0 if pair.nocontact is None or pair.nocontact.frame.shows_rim else common_motion(pair.tracks)
+    return 0.0 if pair.nocontact.frame.shows_rim else common_motion(pair.tracks)
 
 
 def common_motion(tracks: Tracks) -> float:
@@ -297,32 +269,38 @@ def common_motion(tracks: Tracks) -> float:
 
 def other_look(pair: Pair) -> float:
     """Fraction of all markers that are lost or look different, where no rim is shown; else 0."""
-    if pair.nocontact is None or pair.nocontact.frame.shows_rim or not len(pair.tracks.unlike):
+    if pair.nocontact.frame.shows_rim or not len(pair.tracks.unlike):
         return 0.0
     return float(pair.tracks.unlike.mean())
 
 
 def farthest(pair: Pair) -> float:
-    """Largest motion of a marker, pitches; 0 without a pitch."""
-    pitch = pair.nocontact.markers.printed.pitch if pair.nocontact is not None else 0.0
-    if not pitch or not pair.tracks.found.any():
-        return 0.0
-    return float(np.nanmax(np.hypot(*pair.tracks.motion.T))) / pitch
+    """Largest motion of a marker that a neighbour follows, pitches; 0 without a pitch."""
+    return _neighbours(pair)[0]
 
 
 def farthest_of_lost(pair: Pair) -> float:
     """The same where more markers than FAR_LOST are lost; else 0."""
-    return (
-        farthest(pair) if float(pair.tracks.found.mean() if len(pair.tracks.found) else 1.0) < 1.0 - FAR_LOST else 0.0
-    )
+    found = pair.tracks.found
+    return farthest(pair) if len(found) and float(found.mean()) < 1.0 - FAR_LOST else 0.0
 
 
 def stretch(pair: Pair) -> float:
-    """Largest difference of motion between neighbouring markers, pitches; 0 without a pitch."""
-    pitch = pair.nocontact.markers.printed.pitch if pair.nocontact is not None else 0.0
-    if not pitch or pair.nocontact is None:
-        return 0.0
-    return torn_apart(pair.nocontact.markers.on_lattice(pair.tracks)) / pitch
+    """Largest difference of motion between a marker and a neighbour that follows it, pitches; 0 without a pitch."""
+    return _neighbours(pair)[1]
+
+
+def _neighbours(pair: Pair) -> tuple[float, float]:
+    """Largest motion, and difference of motion, of neighbours on the lattice that differ by less than JUMP, pitches."""
+    markers, most = pair.nocontact.markers, np.zeros(2)
+    moved = markers.on_lattice(pair.tracks) / (markers.printed.pitch or np.inf)
+    for rows in (moved, moved.transpose(0, 2, 1)):
+        known = (rows[2, :, :-1] > 0) & (rows[2, :, 1:] > 0)
+        one, other = rows[:2, :, :-1][:, known], rows[:2, :, 1:][:, known]
+        apart = np.hypot(*(one - other))
+        far = np.maximum(np.hypot(*one), np.hypot(*other))
+        most = np.maximum(most, np.stack([far, apart])[:, apart < JUMP].max(axis=1, initial=0.0))
+    return float(most[0]), float(most[1])
 
 
 def bends(moved: np.ndarray) -> np.ndarray:
@@ -342,12 +320,3 @@ def unevenness(motion: np.ndarray) -> float:
     """Lower quartile of `bends` of markers' motions (3, ROWS, COLS), px."""
     bent = bends(motion)
     return float(np.partition(bent, len(bent) // 4)[len(bent) // 4]) if len(bent) else 0.0
-
-
-def torn_apart(moved: np.ndarray) -> float:
-    """Largest difference of motion between neighbouring markers, px; moved: as of `bends`."""
-    most = 0.0
-    for rows in (moved, moved.transpose(0, 2, 1)):
-        known = (rows[2, :, :-1] > 0) & (rows[2, :, 1:] > 0)
-        most = max(most, float(np.hypot(*(rows[:2, :, 1:] - rows[:2, :, :-1])[:, known]).max(initial=0.0)))
-    return most

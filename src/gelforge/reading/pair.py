@@ -15,7 +15,7 @@ from functools import cached_property
 import numpy as np
 
 from gelforge.reading.frame import WHOLE, ImageFrame, Learnt, image_frame
-from gelforge.reading.light import Light, Reference
+from gelforge.reading.light import SAME_LIGHT, Light, Reference, fall_size
 from gelforge.reading.markers import MarkerTracker, Tracks, markers_in, rim_shift, shifted_back, spacing
 from gelforge.reading.picture import Picture
 from gelforge.reading.untouched import touch_of
@@ -23,7 +23,6 @@ from gelforge.reading.wear import appeared, painted_over, pale, places_in, print
 
 NO_SHIFT = np.zeros(2)
 NOWHERE = np.zeros((0, 2))
-COLOUR_FALL = 0.04 / 0.055  # weight of one colour's change of distribution beside that of all
 MOST_WORN = 8  # cached no-contact images without vanished markers
 
 
@@ -75,7 +74,7 @@ class NoContact:
 
     def itself(self) -> "Pair":
         """This image beside itself; what is read in it is subtracted from all other forces."""
-        return Pair(self.picture, self.picture, self, None, self.frame.shape, self.picture, self.coloured)
+        return self._pair(self.picture, self.picture, SAME_LIGHT, self.frame.shape)
 
     def compare(self, image: np.ndarray, given: tuple[int, ...] | None = None) -> "Pair":
         """Undo shift of the gel, change of light and wear of an image (h, w, 3) uint8 in the network's frame.
@@ -86,17 +85,19 @@ class NoContact:
         if self.frame.shows_rim:  # else it is not known how the gel is mounted
             shift = rim_shift(self.markers, pair.tracks)
             if shift.any():
-                framed = pair.framed
-                pair = replace(self.under_its_light(shifted_back(image, shift), given, shift), framed=framed)
+                seen = self.under_its_light(shifted_back(image, shift), given)
+                pair = replace(seen, framed=pair.framed, shift=shift)
         return self._without_worn(pair)
 
-    def under_its_light(
-        self, image: np.ndarray, given: tuple[int, ...] | None = None, shift: np.ndarray = NO_SHIFT
-    ) -> "Pair":
-        """Undo only the change of light of an image (h, w, 3) uint8 in the network's frame; shift: undone before, px."""
+    def under_its_light(self, image: np.ndarray, given: tuple[int, ...] | None = None) -> "Pair":
+        """Undo only the change of light of an image (h, w, 3) uint8 in the network's frame."""
         lit, light = self.reference.normalised(image)
-        seen, shape = Picture(image, self.frame.shown), given or self.frame.shape
-        return Pair(seen, Picture(lit, self.frame.shown), self, light, shape, seen, self.coloured, shift)
+        return self._pair(
+            Picture(image, self.frame.shown), Picture(lit, self.frame.shown), light, given or self.frame.shape
+        )
+
+    def _pair(self, image: Picture, lit: Picture, light: Light, given: tuple[int, ...]) -> "Pair":
+        return Pair(image, given, self.frame.shape, self.coloured, lit, self, light, framed=image)
 
     def _without_worn(self, pair: "Pair") -> "Pair":
         """The same without the markers that only one of the two images shows."""
@@ -104,15 +105,15 @@ class NoContact:
         if not tracks.unlike.any() and not len(markers.empty):
             return pair
         gone = vanished(markers, self.printed, tracks, pair.lit.darkness)
-        more = NOWHERE
-        if len(markers.empty):
-            more = appeared(markers, self.picture.darkness, self.printed, tracks, pair.lit.darkness)
+        more = appeared(markers, self.picture.darkness, self.printed, tracks, pair.lit.darkness)
         if not gone.any() and not len(more):
             return pair
         worn = self.without(gone) if gone.any() else self
         places = np.concatenate([places_in(tracks, markers)[gone], more])
         lit, light = worn.reference.normalised(painted_over(pair.image.image, places, markers.diameter))
-        return replace(pair, lit=Picture(lit, self.frame.shown), nocontact=worn, light=light, places=places)
+        return replace(
+            pair, lit=Picture(lit, self.frame.shown), nocontact=worn, light=light, places=places, unhidden=pair
+        )
 
     def without(self, gone: np.ndarray) -> "NoContact":
         """The same with the markers `gone`, (n,) bool, painted over. Cached for later images, because wear stays."""
@@ -133,42 +134,64 @@ class NoContact:
 
 
 @dataclass(frozen=True, eq=False)
-class Pair:
-    """An image and the no-contact image of its sensor, compared.
+class Framed:
+    """An image in the frame of a network, as one that reads it alone sees it.
 
-    image: in the network's frame, registered; lit: also under the light of the no-contact image, without worn markers.
-    nocontact: without the same markers; None for a network that reads the image alone, to which both pictures are one.
-    light: the change of light that was undone. given: shape of the camera's image. framed: the image before registration. coloured: whether colour is expected.
-    shift: (2,) px of the gel in its holder that was undone. places: (k, 2) px of markers that only one of both shows, painted over in both.
+    given: shape of the camera's image; expected: of the one that defined the frame. coloured: whether colour is expected.
     """
 
     image: Picture
-    lit: Picture
-    nocontact: NoContact | None
-    light: Light | None
     given: tuple[int, ...]
+    expected: tuple[int, ...]
+    coloured: bool
+
+    @property
+    def vanished(self) -> int:
+        """Number of markers that only one of the images shows: none, where there is one image."""
+        return 0
+
+    def features(self) -> dict[str, np.ndarray]:
+        """Values (1, h, w, 3) uint8 RGB of a graph's inputs, by name."""
+        return {"image": np.ascontiguousarray(self.image.image[None])}
+
+
+@dataclass(frozen=True, eq=False)
+class Pair(Framed):
+    """An image, registered, and the no-contact image of its sensor, compared.
+
+    lit: the image also under the light of the no-contact image, without worn markers. nocontact: without the same markers.
+    light: the change of light that was undone. framed: the image before registration. shift: (2,) px of the gel in its
+    holder that was undone. places: (k, 2) px of markers that only one of both shows, painted over in both; unhidden: the
+    same before that, None where there are none.
+    """
+
+    lit: Picture
+    nocontact: NoContact
+    light: Light
     framed: Picture
-    coloured: bool = True
     shift: np.ndarray = field(default_factory=lambda: NO_SHIFT)
     places: np.ndarray = field(default_factory=lambda: NOWHERE)
+    unhidden: "Pair | None" = None
 
     @cached_property
     def tracks(self) -> Tracks:
         """The no-contact image's markers, tracked to `lit`."""
-        if self.nocontact is None:
-            return Tracks(NOWHERE, np.zeros(0, bool))
         return self.nocontact.markers.track(self.lit.image)
 
     @cached_property
     def fall(self) -> float:
-        """Change of the light's distribution from the middle to the edge of the image, as a fraction of its level.
+        """Change of the light's distribution from the middle to the edge of the image, as a fraction of its level."""
+        return fall_size(self._falls)
 
-        Of all colours together, or of one, of which the fraction COLOUR_FALL counts.
-        """
-        if self.nocontact is None or self.light is None:
-            return 0.0
-        mean, most = self.nocontact.reference.fall_of(self.image.image, self.light)
-        return max(mean, most * COLOUR_FALL)
+    @cached_property
+    def _falls(self) -> np.ndarray:
+        return self.nocontact.reference.falls_of(self.image.image, self.light)
+
+    def evenly_lit(self) -> "Pair":
+        """The same with the distribution of the no-contact image's light."""
+        return replace(
+            self, lit=Picture(self.nocontact.reference.evened(self.lit.image, self._falls), self.lit.shown)
+        )
 
     @property
     def vanished(self) -> int:
@@ -177,13 +200,5 @@ class Pair:
 
     def features(self) -> dict[str, np.ndarray]:
         """Values (1, h, w, 3) uint8 RGB of a graph's inputs, by name."""
-        found = {"image": np.ascontiguousarray(self.lit.image[None])}
-        if self.nocontact is not None:
-            found["nocontact"] = np.ascontiguousarray(self.nocontact.picture.image[None])
-        return found
-
-
-def alone(image: np.ndarray, given: tuple[int, ...], coloured: bool) -> Pair:
-    """An image (h, w, 3) uint8 in a network's frame, for a network that reads it alone."""
-    seen = Picture(image)
-    return Pair(seen, seen, None, None, given, seen, coloured)
+        both = {"image": self.lit, "nocontact": self.nocontact.picture}
+        return {name: np.ascontiguousarray(picture.image[None]) for name, picture in both.items()}

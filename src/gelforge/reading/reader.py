@@ -5,6 +5,7 @@ carries over from one image to the next, so the same image gives the same result
 """
 
 from collections.abc import Iterable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,12 +16,12 @@ from gelforge.labelling.grid import Grid
 from gelforge.labelling.moment import Arms
 from gelforge.labelling.sensor import Sensor, gelsight_mini
 from gelforge.mechanics.material import REFERENCE_C10
-from gelforge.reading.faults import Asked, nocontact_fault, other_sensor, pair_fault, pull_fault
+from gelforge.reading.faults import EFFECTS, TOUCH, Asked, nocontact_fault, other_sensor, pair_fault, pull_fault
 from gelforge.reading.forcereading import ForceReading, edge_peak
 from gelforge.reading.frame import ImageFrame, Learnt
 from gelforge.reading.interval import half_widths, moment_half_widths
 from gelforge.reading.model import ForceModel, load_model
-from gelforge.reading.pair import NoContact, Pair, alone
+from gelforge.reading.pair import Framed, NoContact, Pair, Picture
 from gelforge.reading.profile import AS_READ, Gain, read_profile, with_profile
 
 
@@ -42,7 +43,9 @@ def predict(
     Raises:
         BadInput: an invalid image, no no-contact image where the model needs one, or a file that is no model.
     """
-    found = Reader(nocontact, model=model)(image)
+    reader = Reader(nocontact, model=model)
+    found = reader(image)
+    found = replace(found, reason=found.reason or reader.doubt)
     values = {name: value for name, value in vars(found).items() if name != "image"}
     return found.cells, values | {"flag": found.flag}
 
@@ -61,7 +64,8 @@ class Reader:
         threads: per image; of a model that is loaded here.
 
     Attributes:
-        fault: what is wrong with the no-contact image, empty for nothing.
+        fault: what is wrong with the no-contact image, which flags all images; empty for nothing.
+        doubt: that something seems to touch the gel in the no-contact image, which flags none; empty for nothing.
         text: what is done to images, in one line, empty for nothing.
 
     Raises:
@@ -82,8 +86,8 @@ class Reader:
         picture = None if nocontact is None else check_image(nocontact)
         known = None if profile is None else read_profile(Path(profile))
         self._set(loaded, *with_profile(known, picture, loaded.metadata), sensor)
-        compared = known and picture is not None and self.nocontact and known.gain.readings
-        if known and compared and (fault := other_sensor(self.compare(known.nocontact))):
+        pair = self.compare(known.nocontact) if known and picture is not None and known.gain.readings else None
+        if known and isinstance(pair, Pair) and (fault := other_sensor(pair)):
             raise BadInput(
                 f"the no-contact image and that of profile {known.name}, whose factor is {known.gain.value:.3g}: {fault}; make a profile of this"
                 " sensor with `gelforge sensor`"
@@ -92,7 +96,8 @@ class Reader:
     def _set(self, model: ForceModel, picture: np.ndarray | None, gain: Gain, sensor: Sensor | None = None) -> None:
         self.model, self.gain, self._given, self._sensor = model, gain, picture, sensor
         self.arms = Arms(sensor or gelsight_mini(), Grid(*model.metadata["grid"]))
-        self.frame, self.nocontact, self.fault = ImageFrame(model.size, model.size), None, ""
+        self.frame, self.nocontact = ImageFrame(model.size, model.size), None
+        self.fault = self.doubt = ""
         if model.needs_nocontact:
             if picture is None:
                 raise BadInput(
@@ -101,7 +106,7 @@ class Reader:
                 )
             self.nocontact = NoContact(picture, model.size, Learnt.of(model.metadata["frame"]), model.coloured)
             self.frame = self.nocontact.frame
-            self.fault = nocontact_fault(self.nocontact, Asked.READER)
+            self.fault, self.doubt = nocontact_fault(self.nocontact, Asked.READER), TOUCH.of(self.nocontact)
         self.text = self.frame.text
 
     def __call__(self, image: np.ndarray) -> ForceReading:
@@ -116,8 +121,8 @@ class Reader:
         Raises:
             BadInput: anything that is no such image.
         """
-        pair = self.compare(image)
-        cells = (self.forces(pair) - self.rest(pair)) * np.float32(self.gain.value)
+        seen = self.compare(image)
+        cells = self.forces(seen)
         total = cells.sum((1, 2), dtype=float)
         # a gel whose forces are multiplied by a factor is as many times as stiff
         moment = self.arms.moment(cells, REFERENCE_C10 * self.gain.value)
@@ -128,32 +133,41 @@ class Reader:
             half_width=half_width,
             moment=moment,
             moment_half_width=moment_half_widths(total, moment, half_width),
-            reason=self.fault or pair_fault(pair, Asked.READER) or pull_fault(float(total[2])),
+            reason=self.fault
+            or pair_fault(seen, Asked.READER)
+            or self._changed(seen, total, half_width)
+            or pull_fault(float(total[2])),
             edge_peak=edge_peak(cells, self.frame.cells_shown(cells.shape[1:])),
-            image=pair.image.image,
-            vanished=pair.vanished,
+            image=seen.image.image,
+            vanished=seen.vanished,
         )
 
-    def compare(self, image: np.ndarray) -> Pair:
+    def _changed(self, seen: Framed, total: np.ndarray, half_width: np.ndarray | None) -> str:
+        """What changes a total (3,) N by more than its half widths, of what can be undone (`EFFECTS`); empty for nothing."""
+        for fault, without in EFFECTS:
+            if isinstance(seen, Pair) and (text := fault.of(seen)):
+                change = np.abs(self.forces(without(seen)).sum((1, 2), dtype=float) - total)
+                if half_width is None or (change > half_width).any():
+                    return text
+        return ""
+
+    def compare(self, image: np.ndarray) -> Framed:
         """Turn, crop and resize an image (h, w, 3) uint8 RGB as in training, and compare it with the no-contact image."""
         given = check_image(image)
         framed = self.frame(given)
         if self.nocontact is None:
-            return alone(framed, given.shape, self.model.coloured)
+            return Framed(Picture(framed), given.shape, framed.shape, self.model.coloured)
         return self.nocontact.compare(framed, given.shape)
 
-    def forces(self, pair: Pair) -> np.ndarray:
-        """Forces (3, rows, cols) N that the network reads in a pair, without tare and factor."""
-        return np.asarray(self.model.graph(pair.features())[0])
-
-    def rest(self, pair: Pair) -> np.ndarray:
-        """Forces (3, rows, cols) N that the network reads in the no-contact image of a pair itself (tare); 0 without one."""
-        nocontact = pair.nocontact
-        if nocontact is None:
-            return np.zeros((3, 1, 1), np.float32)
-        if nocontact.rest is None:
-            nocontact.rest = self.forces(nocontact.itself())
-        return nocontact.rest
+    def forces(self, seen: Framed) -> np.ndarray:
+        """Forces (3, rows, cols) N of an image or a pair, less those read in the pair's no-contact image itself (tare)."""
+        read = np.asarray(self.model.graph(seen.features())[0])
+        if isinstance(seen, Pair):
+            nocontact = seen.nocontact
+            if nocontact.rest is None:
+                nocontact.rest = np.asarray(self.model.graph(nocontact.itself().features())[0])
+            read = read - nocontact.rest
+        return read * np.float32(self.gain.value)
 
     def stream(self, images: Iterable[np.ndarray]) -> Iterator[ForceReading]:
         """Predict images as they come from a camera: the same as one by one.

@@ -40,7 +40,7 @@ from gelforge.records.samplefile import SPLITS, DatasetSample, write_samples
 from gelforge.records.status import Status
 from gelforge.records.table import letters, numbered_rows, read_table
 
-VERSION = 12
+VERSION = 13
 NO_IMAGE = "no image in the log"
 WRONG_IMAGE = "its image is not of this press"
 

@@ -32,7 +32,7 @@ from gelforge.records.log import read_shard
 from gelforge.records.press import SENSOR_TABLES, PressRecord
 from gelforge.stages.poses import Bodies, judge_rows, summarised
 
-VERSION = 7
+VERSION = 8
 LEAST_MM = 0.2  # depth of a press whose image shows a tilt, and most sideways travel of it
 CHUNK = 200  # presses per task of a process
 

@@ -10,7 +10,7 @@ from gelforge.evidence.logimages import LogPairs
 from gelforge.live.reading import exchanged
 from gelforge.reading.faults import PAIR, Asked, pair_fault
 from gelforge.reading.markers import COLS, ROWS, MarkerTracker, Tracks, markers_in
-from gelforge.reading.measures import common_motion, rim_lost, rim_px, uneven, unevenness
+from gelforge.reading.measures import common_motion, rim_px, uneven, unevenness
 from gelforge.reading.pair import NoContact
 from gelforge.reading.profile import Gain
 from gelforge.reading.reader import Reader, reader_with
@@ -49,7 +49,7 @@ def fault(image, picture):
 CORRUPTION = {
     "a turn": (lambda image: moved(image, turn=-4.5), "rim"),
     "a zoom": (lambda image: moved(image, zoom=1.12), "rim|markers|no-contact"),
-    "out of focus": (lambda image: cv2.GaussianBlur(image, (0, 0), 6.0), "markers at the rim"),
+    "out of focus": (lambda image: cv2.GaussianBlur(image, (0, 0), 6.0), "fainter"),
 }
 
 
@@ -211,13 +211,13 @@ def test_a_drag_of_most_of_the_gel_is_no_torn_frame(demo_nocontact, shipped):
 
 # By what a no-contact image is multiplied that was taken under another fall of light; x, y from -1 to 1 over the image.
 FALLS = {
-    "corners 60 % darker": (lambda x, y: 1.0 - 0.3 * (x**2 + y**2), True),
-    "50 % from left to right": (lambda x, y: 1.0 - 0.25 * x, True),
-    "10 % from top to bottom": (lambda x, y: 1.0 + 0.05 * y, False),
+    "corners 60 % darker": lambda x, y: 1.0 - 0.3 * (x**2 + y**2),
+    "50 % from left to right": lambda x, y: 1.0 - 0.25 * x,
+    "10 % from top to bottom": lambda x, y: 1.0 + 0.05 * y,
 }
 
 
-def test_a_no_contact_image_under_another_fall_of_light_is_flagged_or_changes_a_force_little(
+def test_a_no_contact_image_under_another_fall_of_light_is_flagged_or_changes_a_force_within_its_interval(
     demo_nocontact, presses, shipped
 ):
     name, image, _ = max(presses, key=lambda press: press[2])
@@ -225,11 +225,11 @@ def test_a_no_contact_image_under_another_fall_of_light_is_flagged_or_changes_a_
     usual = Reader(picture, model=shipped)(image)
     assert usual.reason == ""
     y, x = (np.linspace(-1.0, 1.0, size)[:, None] for size in picture.shape[:2])
-    for fall, (field, flagged) in FALLS.items():
+    for fall, field in FALLS.items():
         otherwise = np.clip(picture * field(x[:, 0], y)[..., None], 0, 255).astype(np.uint8)
         found = Reader(otherwise, model=shipped)(image)
-        assert found.flag == flagged, fall
-        assert flagged or found.total[2] == pytest.approx(usual.total[2], rel=0.1)
+        print(fall, found.reason, found.total, usual.total, found.half_width)
+        assert found.flag or (np.abs(found.total - usual.total) < found.half_width).all(), fall
 
 
 def test_light_alone_is_no_relief_and_no_fault(demo_nocontact, presses):
@@ -245,7 +245,7 @@ def test_light_alone_is_no_relief_and_no_fault(demo_nocontact, presses):
 def test_a_picture_without_markers_has_no_rim_to_look_at():
     grey = np.full((240, 320, 3), 128, np.uint8)
     pair = NoContact(grey, grey.shape[:2]).compare(grey)
-    assert rim_px(pair) == rim_lost(pair) == uneven(pair) == 0.0
+    assert rim_px(pair) == uneven(pair) == 0.0
     assert touch(grey) < 1.0
 
 
