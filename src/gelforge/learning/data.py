@@ -22,7 +22,6 @@ FILES = (*PICTURES, "labels.npy", "samples.csv", "dataset.json")
 ONE_CELL = (1, 1)  # the grid of a label that is the total force alone
 LEAST_TOTAL = 0.01  # least scale of a component's total force, as a fraction of the largest component's
 CHUNK = 256  # rows read at a time
-AGAIN = "make the dataset again"
 FEWEST_EACH = 9  # fewest validation presses for model selection, and as many for calibrating intervals
 HALVES = 2  # seed of the hash that parts validation presses and unseen sensors
 # Fewest samples for batch statistics (train) and for an error (val).
@@ -140,14 +139,10 @@ def open_data(folder) -> Data:
     table = read_samples(folder / "samples.csv")
     info = read_json(folder / "dataset.json")
     check_shapes(folder, images, labels, table, info)
-    check_pairs(folder, images, pairs, rests, beside)
     check_finite(folder, labels, table)
     split = np.array([sample.split for sample in table])
     splits = {str(name): np.flatnonzero(split == name) for name in np.unique(split)}
-    names = info.get("nocontact", [])
-    if len(names) > len(rests):
-        raise BadInput(f"{folder}/nocontact.npy: holds {len(rests)} images for {len(names)} sensors; {AGAIN}")
-    nocontact = {name: rests[at] for at, name in enumerate(names)}
+    nocontact = {name: rests[at] for at, name in enumerate(info.get("nocontact", []))}
     maps = np.full(len(table), labels.shape[2:] != ONE_CELL)
     return Data(folder, images, pairs, rests, np.array(beside), labels, table, splits, info, nocontact, maps)
 
@@ -171,20 +166,6 @@ def check_shapes(folder, images, labels, table, info) -> None:
             f"{folder}: the grid is {grid} in dataset.json and {list(labels.shape[2:])} in labels.npy; "
             "make the dataset again for one resolution"
         )
-
-
-def check_pairs(folder, images, pairs, rests, beside) -> None:
-    """Raise BadInput where the pictures of pairs do not fit the images."""
-    shapes = {"pairs": (pairs, images.shape), "nocontact": (rests, (len(rests), *images.shape[1:]))}
-    for name, (array, shape) in shapes.items():
-        if array.dtype != np.uint8 or array.shape != shape:
-            raise BadInput(f"{folder}/{name}.npy: expected uint8 {shape}, got {array.dtype} {array.shape}; {AGAIN}")
-    if beside.shape != images.shape[:1] or not np.issubdtype(beside.dtype, np.integer):
-        raise BadInput(
-            f"{folder}/beside.npy: expected integers ({len(images)},), got {beside.dtype} {beside.shape}; {AGAIN}"
-        )
-    if len(beside) and not -1 <= beside.min() <= beside.max() < len(rests):
-        raise BadInput(f"{folder}/beside.npy: names an image that nocontact.npy lacks; {AGAIN}")
 
 
 def check_finite(folder, labels, table) -> None:
