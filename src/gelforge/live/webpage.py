@@ -73,18 +73,15 @@ class PageServer(ThreadingHTTPServer):
 
     def events(self) -> Iterator[dict]:
         """Events from the latest one on; the first has the curve of earlier ones. An empty one after QUIET_S without any."""
-        seen, before = 0, self._before()
+        seen = 0
+        with self.changed:
+            before = {"before": list(self._curve)}
         while True:
             with self.changed:
                 newer = self.changed.wait_for(partial(self._newer, seen), QUIET_S)
                 event, seen = self.latest if newer else {}, self.number
             yield event | before
             before = {}
-
-    def _before(self) -> dict:
-        """The events before the latest one, as the curve shows them."""
-        with self.changed:
-            return {"before": list(self._curve)}
 
     def _newer(self, number: int) -> bool:
         return self.number > number
