@@ -18,10 +18,10 @@ LISTS := SHARDS BRANCHES PARETO_SCENES MODELS TUNED NEED_NOCONTACT LEARNER REPOR
 $(foreach v,$(LISTS),$(eval $v :=))
 
 ifneq ($(NEEDS_PLAN),)
-$(if $(wildcard $(DATA)/log.csv),,$(error $(DATA)/log.csv not found: DATASET=$(DATASET) needs a raw log and a dataset.toml, which \
-    workflow/guide/your-data.md describes; make rig writes simulated ones))
+$(call refuse,$(if $(wildcard $(DATA)/log.csv),,no),$(DATA)/log.csv not found: DATASET=$(DATASET) needs a raw log and a dataset.toml$(comma) \
+    which workflow/guide/your-data.md describes; make rig writes simulated ones)
 # -n, -q and -t run nothing, and so no set-up: without it, or without a plan, make cannot know what it would do.
-$(if $(ONLY_SHOWN),$(if $(and $(wildcard $(SETUP)),$(wildcard $(CCX_FOUND))),,$(error not set up yet: run make setup; -n and -q install nothing)))
+$(call refuse,$(and $(ONLY_SHOWN),$(if $(and $(wildcard $(SETUP)),$(wildcard $(CCX_FOUND))),,no)),not set up yet: run make setup; -n and -q install nothing)
 include $(PLANNED)
 endif
 
@@ -31,12 +31,12 @@ PLAN_INPUTS := $(wildcard $(wildcard $(DATA) $(DATA)/log.csv $(DATA)/*.toml $(DA
     $(DATA)/splits.csv $(DATA)/truth $(DATA)/truth/*.csv workflow/*.toml src/gelforge/stages/*.py src/gelforge/flow/*.py)) $(PLANNED_FROM)
 
 $(PLANNED): $(PLAN_INPUTS) $(wildcard $(CCX_FOUND)) | $(SETUP) $(CCX_FOUND)
-	$(call step,gelforge.stages.plan $D --ccx $(CCX_FOUND))
+	$(STEP)
 
 # A file of the plan that was removed is written again, and those of networks and scenes for the first goal that needs
 # them: the plan writes them where their folder exists.
 $D/00_plan/%: | $(PLANNED)
-	@test -e $@ || { mkdir -p $(@D); $(PY) -m gelforge.stages.plan $D --ccx $(CCX_FOUND) >/dev/null; }
+	@test -e $@ || { mkdir -p $(@D); $(PY) -m gelforge.stages.plan $D >/dev/null; }
 
 # A file that the plan read and that is gone: the plan is made again without it.
 $(filter-out $(wildcard $(PLANNED_FROM)),$(PLANNED_FROM)):
@@ -51,42 +51,38 @@ LEARNT := $(filter-out shipped,$(NET))
 LEARNT := $(or $(LEARNT),$(LEARNER))
 LEARNABLE := $(filter-out $(TUNED),$(MODELS))
 
-asks = $(filter $1,$(GOALS))
-TRAINS := $(call asks,train ship)
-# What goals need, checked before anything is made. A check by an outdated plan may be wrong: then the plan is made
-# again first, and make has read its rules anew.
-UNSURE :=
-$(if $(call asks,export),$(if $(filter mcap lerobot hdf5,$(value FORMAT)),,$(error FORMAT=$(value FORMAT): name one of mcap lerobot hdf5)))
-complain = $(if $(value MAKE_RESTARTS),$(error $1),$(eval UNSURE := yes))
-NEEDED := $(sort $(if $(call asks,evaluate report demo),$(NET)) $(if $(TRAINS),$(LEARNT)) $(if $(call asks,pareto-models),$(LEARNABLE)))
-$(if $(filter-out $(MODELS) shipped,$(NET)),$(call complain,MODEL=$(NET): no such network; workflow/models.toml has: $(MODELS)$(comma) \
-    and shipped is the one that ships))
-$(if $(and $(filter shipped,$(value MODEL)),$(TRAINS)),$(call complain,MODEL=shipped: the shipped network was trained elsewhere; to \
-    $(firstword $(TRAINS))$(comma) name one of $(MODELS)))
-$(if $(and $(filter $(TUNED),$(value MODEL)),$(filter-out $(SHIPPED_RES),$(RES1))),$(call complain,MODEL=$(value MODEL) fine-tunes the \
-    shipped network$(comma) whose grid is $(SHIPPED_RES): say RES=$(SHIPPED_RES)$(comma) or name another network))
-$(if $(call asks,ship),$(if $(value MODEL),,$(call complain,ship: replaces the shipped network; name the new one: make ship MODEL=… \
-    DATASET=…)))
-$(if $(and $(call asks,ship),$(filter-out $(SHIPPED_RES),$(RES1))),$(call complain,ship RES=$(RES1): the shipped network has a grid of \
-    $(SHIPPED_RES); train a network with that grid: RES=$(SHIPPED_RES)))
-$(if $(and $(SHARDS),$(call asks,dataset evaluate export feats-export pareto-models train ship)),$(if $(IMPORTED)$(IMAGES),,$(call \
-    complain,$(DATA)/log.csv: names no images$(comma) or [params.poses] images = false$(comma) so that its flow ends at labels and \
-    calibrate: run make report DATASET=$(DATASET)$(comma) or write the image of each press into the column image)))
-CAME := $(notdir $(basename $(wildcard $(DATA)/labels/*.npz)))
-$(if $(and $(IMPORTED),$(NEEDS_PLAN)),$(foreach r,$(filter-out $(CAME),$(RES)),$(call complain,$(DATA) was imported with labels of \
-    $(CAME)$(comma) not of $r: say RES=$(firstword $(CAME)))))
-$(if $(filter $(NEED_NOCONTACT) shipped,$(NEEDED)),$(if $(wildcard $(DATA)/nocontact),,$(if $(IMPORTED)$(IMAGES),$(call complain,MODEL=$(firstword \
-    $(filter $(NEED_NOCONTACT) shipped,$(NEEDED))) reads a picture beside a no-contact image$(comma) and $(DATA)/nocontact is missing: \
-    add nocontact/SENSOR.png of each sensor$(comma) or name a network that reads the image alone$(comma) such as unet ([params.report] \
-    model in $(DATA)/dataset.toml)))))
 # Other datasets to train on as well ([train] also). Each is made by its own run of make.
 LEARNT_WITH := $(foreach name,$(LEARN_ALSO),results/$(name)/60_dataset/$(if $(wildcard data/$(name)/labels/1x1.npz),1x1,$(RES1))/dataset.json)
-$(foreach file,$(filter-out $(wildcard $(LEARNT_WITH)),$(LEARNT_WITH)),$(if $(filter-out shipped,$(NEEDED)),$(call complain,$(file) is \
-    missing$(comma) and [train] also asks for it: make DATASET=$(word 2,$(subst /, ,$(file))) RES=$(word 4,$(subst /, ,$(file))) dataset)))
-ifneq ($(UNSURE),)
-.PHONY: unsure
-$(PLANNED): unsure
-endif
+
+# What goals need, checked before anything is made: as a recipe, because that is expanded once the plan is up to date.
+asks = $(filter $1,$(GOALS))
+TRAINS := $(call asks,train ship)
+NEEDED := $(sort $(if $(call asks,evaluate report demo),$(NET)) $(if $(TRAINS),$(LEARNT)) $(if $(call asks,pareto-models),$(LEARNABLE)))
+PICTURED := $(firstword $(filter $(NEED_NOCONTACT) shipped,$(NEEDED)))
+CAME := $(notdir $(basename $(wildcard $(DATA)/labels/*.npz)))
+IMPOSSIBLE = \
+    $(call refuse,$(filter-out $(MODELS) shipped,$(NET)),MODEL=$(NET): no such network; workflow/models.toml has: $(MODELS)$(comma) \
+        and shipped is the one that ships) \
+    $(call refuse,$(and $(filter shipped,$(value MODEL)),$(TRAINS)),MODEL=shipped: the shipped network was trained elsewhere; to \
+        $(firstword $(TRAINS))$(comma) name one of $(MODELS)) \
+    $(call refuse,$(and $(filter $(TUNED),$(value MODEL)),$(filter-out $(SHIPPED_RES),$(RES1))),MODEL=$(value MODEL) fine-tunes the \
+        shipped network$(comma) whose grid is $(SHIPPED_RES): say RES=$(SHIPPED_RES)$(comma) or name another network) \
+    $(call refuse,$(and $(call asks,ship),$(if $(value MODEL),,no)),ship: replaces the shipped network; name the new one: make ship \
+        MODEL=… DATASET=…) \
+    $(call refuse,$(and $(call asks,ship),$(filter-out $(SHIPPED_RES),$(RES1))),ship RES=$(RES1): the shipped network has a grid of \
+        $(SHIPPED_RES); train a network with that grid: RES=$(SHIPPED_RES)) \
+    $(call refuse,$(and $(call asks,dataset evaluate export feats-export pareto-models train ship),$(if $(IMPORTED)$(IMAGES),,no)),$(DATA)/log.csv: \
+        names no images$(comma) or [params.poses] images = false$(comma) so that its flow ends at labels and calibrate: run make report \
+        DATASET=$(DATASET)$(comma) or write the image of each press into the column image) \
+    $(call refuse,$(and $(IMPORTED),$(filter-out $(CAME),$(RES))),$(DATA) was imported with labels of $(CAME)$(comma) not of $(firstword \
+        $(filter-out $(CAME),$(RES))): say RES=$(firstword $(CAME))) \
+    $(call refuse,$(and $(PICTURED),$(IMPORTED)$(IMAGES),$(if $(wildcard $(DATA)/nocontact),,no)),MODEL=$(PICTURED) reads a picture \
+        beside a no-contact image$(comma) and $(DATA)/nocontact is missing: add nocontact/SENSOR.png of each sensor$(comma) or name a \
+        network that reads the image alone$(comma) such as unet ([params.report] model in $(DATA)/dataset.toml)) \
+    $(foreach file,$(filter-out $(wildcard $(LEARNT_WITH)),$(LEARNT_WITH)),$(call refuse,$(filter-out shipped,$(NEEDED)),$(file) is \
+        missing$(comma) and [train] also asks for it: make DATASET=$(word 2,$(subst /, ,$(file))) RES=$(word 4,$(subst /, ,$(file))) dataset))
+.PHONY: possible
+possible: ; $(strip $(IMPOSSIBLE))
 
 # Status makes nothing: without targets for the shards make starts in half the time.
 ifeq ($(MAKECMDGOALS),status)

@@ -13,32 +13,33 @@ EXECUTOR := local
 JOBS := $(shell env -u OMP_NUM_THREADS -u OMP_THREAD_LIMIT nproc)
 SOLVES := results/solves
 
+# $(call refuse,WORDS,TEXT) ends make with the text if there are words.
+refuse = $(if $(strip $1),$(error $2))
+comma := ,
 GIVEN := $(foreach v,$(.VARIABLES),$(if $(filter command,$(firstword $(origin $v))),$v))
 UNKNOWN := $(filter-out $(CHOICES) -%,$(GIVEN))
-$(if $(UNKNOWN),$(error $(firstword $(UNKNOWN))=$(value $(firstword $(UNKNOWN))): no such choice; there are $(CHOICES)))
+$(call refuse,$(UNKNOWN),$(firstword $(UNKNOWN))=$(value $(firstword $(UNKNOWN))): no such choice; there are $(CHOICES))
 
 # Those of -n, -q and -t that make was given: it then runs nothing.
 ONLY_SHOWN := $(strip $(foreach f,n q t,$(findstring $f,$(firstword -$(MAKEFLAGS)))))
 
 # Names become folders and words of a shell: `odd` is what is left of a choice's text without the characters allowed.
-comma := ,
 DIGITS := 0 1 2 3 4 5 6 7 8 9
 LETTERS := a b c d e f g h i j k l m n o p q r s t u v w x y z A B C D E F G H I J K L M N O P Q R S T U V W X Y Z _ - . $(DIGITS)
 left = $(if $2,$(call left,$(subst $(firstword $2),,$1),$(wordlist 2,$(words $2),$2)),$1)
 odd = $(strip $(if $(strip $(value $1)),$(call left,$(value $1),$2),empty))
 # A text with one of these would be code for make or for the shell; make expands what it hands to its commands.
-$(foreach v,$(CHOICES),$(foreach c,' " ` \ $$,$(if $(findstring $c,$(value $v)),$(error $v=$(value $v): give text without $c))))
-$(foreach v,DATASET EXECUTOR $(if $(MODEL),MODEL) $(if $(FORMAT),FORMAT),$(if $(call odd,$v,$(LETTERS))$(filter . .. -%,$(value $v)),$(error $v=$(value $v): give one name of \
-    letters, digits, _ - and .)))
+$(foreach v,$(CHOICES),$(foreach c,' " ` \ $$,$(call refuse,$(findstring $c,$(value $v)),$v=$(value $v): give text without $c)))
+$(foreach v,DATASET EXECUTOR $(if $(MODEL),MODEL) $(if $(FORMAT),FORMAT),$(call refuse,$(call odd,$v,$(LETTERS))$(filter . .. -%,$(value $v)),$v=$(value $v): give one name of \
+    letters, digits, _ - and .))
 misshapen = $(strip $(foreach r,$(RES),$(if $(filter 0%,$(subst x, ,$r))$(findstring xx,$r)$(filter-out 2,$(words $(subst x, ,$r))),$r)))
-$(if $(or $(call odd,RES,$(DIGITS) x),$(misshapen)),$(error RES=$(value RES): give resolutions as ROWSxCOLUMNS, such as \
-    RES="12x16 24x32"))
+$(call refuse,$(call odd,RES,$(DIGITS) x)$(misshapen),RES=$(value RES): give resolutions as ROWSxCOLUMNS, such as RES="12x16 24x32")
 RES1 := $(firstword $(RES))
-$(if $(call odd,JOBS,$(DIGITS)),$(error JOBS=$(value JOBS): give a number of jobs))
-$(if $(filter local slurm,$(EXECUTOR)),,$(error EXECUTOR=$(EXECUTOR): give local or slurm))
-$(if $(filter benchmarks readme solves,$(DATASET)),$(error DATASET=$(DATASET): results/$(DATASET) holds no dataset; name a folder of data/))
-$(if $(and $(filter clean-%,$(GOALS)),$(filter-out clean-%,$(GOALS))),$(error clean together with another goal: say make \
-    $(filter clean-%,$(GOALS)) first, then make $(filter-out clean-%,$(GOALS))))
+$(call refuse,$(call odd,JOBS,$(DIGITS)),JOBS=$(value JOBS): give a number of jobs)
+$(call refuse,$(filter-out local slurm,$(EXECUTOR)),EXECUTOR=$(EXECUTOR): give local or slurm)
+$(call refuse,$(filter benchmarks readme solves,$(DATASET)),DATASET=$(DATASET): results/$(DATASET) holds no dataset; name a folder of data/)
+$(call refuse,$(and $(filter clean-%,$(GOALS)),$(filter-out clean-%,$(GOALS))),clean together with another goal: say make \
+    $(filter clean-%,$(GOALS)) first$(comma) then make $(filter-out clean-%,$(GOALS)))
 
 # The code of this checkout, even if the environment was made in another one.
 export PYTHONPATH := $(CURDIR)/src
@@ -68,10 +69,8 @@ AS_IT_IS := $(VENV_IS_LINK)$(if $(filter-out setup,$(GOALS)),$(ONLY_SHOWN))
 # An environment contains its absolute path: in a moved or copied clone its programs would start in the old place.
 VENV_CFG := $(if $(VENV_IS_LINK),,$(wildcard .venv/pyvenv.cfg))
 VENV_HOME := $(if $(VENV_CFG),$(shell sed -n 's/^command = .* -m venv \(--[^ ]* \)*//p' $(VENV_CFG)))
-ifneq ($(or $(VENV_HOME),$(CURDIR)/.venv),$(CURDIR)/.venv)
-$(error .venv was made for $(VENV_HOME), not for this folder: it was moved or copied. \
+$(call refuse,$(filter-out $(CURDIR)/.venv,$(VENV_HOME)),.venv was made for $(VENV_HOME)$(comma) not for this folder: it was moved or copied. \
     Run `rm -rf .venv && make setup`)
-endif
 
 .PHONY: setup
 setup: $(SETUP) $(CCX_FOUND) $(COMPILED)  ## virtual environment and CalculiX, inside the project; only system packages go outside

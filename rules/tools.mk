@@ -45,8 +45,8 @@ clean-all:  ## remove all results of this dataset
 # -- import and export
 
 .PHONY: export
-export: $D/60_dataset/$(RES1)/dataset.json | $(FORMATS)  ## export the dataset: FORMAT=mcap, lerobot or hdf5
-	@$(PY) -m gelforge.commands.export --data $(DATA) --dataset $(<D) --sensors $P/sensors.json --format '$(value FORMAT)'
+export: possible $D/60_dataset/$(RES1)/dataset.json | $(FORMATS)  ## export the dataset: FORMAT=mcap, lerobot or hdf5
+	@$(PY) -m gelforge.commands.export --data $(DATA) --dataset $D/60_dataset/$(RES1) --sensors $P/sensors.json --format '$(value FORMAT)'
 
 .PHONY: mcap-import
 mcap-import: $(FORMATS)  ## import recordings as images with total force: make mcap-import FROM=folder TOPICS=topics.toml
@@ -63,10 +63,9 @@ feats-import: $(SETUP)  ## import FEATS' .npy files: make feats-import FROM=fold
 	@$(PY) -m gelforge.commands.feats import --from '$(value FROM)' --data $(DATA) --sensor '$(or $(value SENSOR),feats_mini)'
 
 .PHONY: feats-export
-feats-export: $(EXPORTED)  ## write labels in FEATS' layout, with its normalisation file
+feats-export: possible $(EXPORTED)  ## write labels in FEATS' layout, with its normalisation file
 
 $(EXPORTED): $D/feats/%/normalization_gelforge.npy: $D/60_dataset/%/dataset.json
-	$(call step,gelforge.commands.feats export $D $*)
 
 .PHONY: projection
 projection: $(SETUP)  ## fit a sensor: make projection SENSOR=name POINTS=points.csv and/or IMAGE=nocontact.png

@@ -24,7 +24,7 @@ NEEDS_SLURM = [
     ),
 ]
 
-# The flow's own macros around a trivial module that runs the code in the file faults/NAME.
+# The flow's own launcher in front of a trivial module that runs the code in the file faults/NAME.
 MAKEFILE = """
 MAKEFLAGS += -rR --warn-undefined-variables
 .SUFFIXES:
@@ -58,9 +58,6 @@ $(FORCES): $D/40_forces/%.npz: $D/30_fea/%.csv
 	$(call step,work --name forces-$* --out $@.part $<)
 $D/70_train/whole.pt: $(FORCES)
 	$(call step,work --name whole --out $@.part $^)
-ifeq ($(EXECUTOR),slurm)
-$(FEA) $D/70_train/whole.pt: LAUNCHED := $(ON_CLUSTER)
-endif
 """
 
 WORK = """

@@ -39,11 +39,11 @@ def test_labels_follow_the_posterior_and_hold_still_once_it_is_frozen(calibrated
     assert read_found(frozen) == read_found(summary) and len(read_found(summary).presses) == 3
     # labels do not need the posterior any more
     toml.write_text(whole)
-    assert "gelforge.stages.calibrate" not in say(calibrated, "-n", "labels")
+    assert "calibrate/summary.json" not in say(calibrated, "-n", "labels")
     say(calibrated, FORCES)
     assert len(read_found(summary).presses) == 3 and frozen.read_text() == held
     assert ForceFile(calibrated / FORCES).c10 == read_found(frozen).params["material"]["c10"] != label.c10
     # without it they are due by the posterior of all presses again
     frozen.unlink()
     said = say(calibrated, "-n", "labels")
-    assert "gelforge.stages.calibrate" in said and f"gelforge.flow.step {FORCES} " in said
+    assert "flow.step results/demo/calibrate/summary.json" in said and f"gelforge.flow.step {FORCES} " in said

@@ -98,7 +98,7 @@ def test_a_recipe_that_takes_slots_of_make_is_only_shown_where_others_are(planne
     """make runs such recipes even with -n, -q and -t where nothing keeps it from it."""
     for flag in ("-n", "-q", "-nk"):
         said = make(planned, flag, "calibrate", "DATASET=tiny").stdout
-        assert ("gelforge.stages.calibrate" in said) == ("n" in flag)
+        assert ("flow.step results/tiny/calibrate/" in said) == ("n" in flag)
         assert not (planned / "results/tiny/calibrate").exists()
 
 
@@ -177,7 +177,7 @@ def test_the_record_of_a_target_names_the_network_that_it_starts_from(with_nocon
 
 def inputs_of(said: str, target: str) -> list[str]:
     """What a recipe that make printed gives its wrapper as inputs."""
-    return re.search(rf"flow\.step results/tiny/{re.escape(target)} (.*?) -- ", said)[1].split()
+    return re.search(rf"flow\.step results/tiny/{re.escape(target)} (.*)", said)[1].split()
 
 
 def test_a_network_that_goes_on_waits_for_the_one_that_ships_and_keeps_to_its_grid(planned):
@@ -216,10 +216,8 @@ def test_a_report_of_imported_labels_solves_nothing(alone):
     write_text(alone / "data/tiny/labels/24x32.npz", "")
     write_text(alone / "data/tiny/dataset.toml", "[params.report]\nbranches = []\n")
     said = make(alone, "-n", "report", "DATASET=tiny", "MODEL=unet").stdout
-    assert "gelforge.stages.report" in said and "gelforge.stages.dataset" in said, said
-    assert not [
-        stage for stage in ("poses", "meshes", "fea", "forces", "labels") if f"gelforge.stages.{stage} " in said
-    ]
+    assert "flow.step results/tiny/90_report/" in said and "flow.step results/tiny/60_dataset/" in said, said
+    assert not re.findall(r"flow\.step results/tiny/[1-5]0_", said)
 
 
 def test_a_projection_without_a_sensor_is_one_sentence(alone):
@@ -319,7 +317,7 @@ def test_a_dry_run_with_newer_scripts_of_set_up_runs_none_of_them(own, root):
     )
     for flag in ("-n", "-q", "-nk"):
         said = make(own, flag, "labels", "DATASET=tiny").stdout
-        assert not (own / "ran").exists() and ("gelforge.stages.labels" in said) == ("n" in flag), said
+        assert not (own / "ran").exists() and ("50_labels" in said) == ("n" in flag), said
     assert "envs/ccx.sh .venv/ccx.path" in make(own, "-n", "setup").stdout and not (own / "ran").exists()
     assert make(own, "setup").returncode == 0
     assert sorted((own / "ran").read_text().split()) == ["ccx.sh", "kernels.py", "venv.sh"]

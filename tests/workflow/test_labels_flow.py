@@ -147,7 +147,7 @@ def test_a_dataset_of_imported_labels_follows_its_presses(folder):
     presses = ("shards/0000.csv", "shards/0000.pictures.json", "beside/rows.json", "params/indenters.json")
     for changed in (*presses, "shards/0000.json"):
         said = make(folder, "-n", "-W", plan + changed, *words).stdout
-        assert ("gelforge.stages.dataset " in said) == (changed in presses), said
+        assert ("flow.step results/back/60_dataset/" in said) == (changed in presses), said
 
 
 def test_resolutions_made_side_by_side_share_their_pictures(labelled):

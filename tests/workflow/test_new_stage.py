@@ -13,7 +13,7 @@ from tests.support.sandbox import lay_dataset, link_project, make
 @pytest.mark.slow
 def test_a_stage_is_a_line_of_the_table_a_module_and_a_rule(root, tmp_path):
     text = (root / "CONTRIBUTING.md").read_text(encoding="utf-8")
-    section = text[text.index("## Add a stage") : text.index("## Add a contact law")]
+    section = text[text.index("## Add a stage") : text.index("## Add a quantity per cell")]
     blocks = [textwrap.dedent(block) for _, block in re.findall(r"```(python|make)\n(.*?)```", section, re.DOTALL)]
     line, entry, module, rule = blocks
     project = link_project(root, tmp_path / "project")

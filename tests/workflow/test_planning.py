@@ -1,9 +1,9 @@
 """What a plan depends on: contents and not names, states and not ages; and what make makes again for a change of them."""
 
 import os
-import re
 import shutil
 import tomllib
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -11,7 +11,7 @@ import pytest
 
 from gelforge.errors import BadInput
 from gelforge.flow.files import digest_of_value, read_csv, write_csv, write_text
-from gelforge.flow.layout import STAGES
+from gelforge.flow.layout import STAGES, File, Layout, command_of
 from gelforge.flow.params import stl_files, with_content
 from gelforge.geometry.triangles import write_stl
 from gelforge.stages.fea import shape_of
@@ -70,10 +70,11 @@ def test_a_scene_that_is_retired_leaves_the_chart(whole):
     last = text.rindex("\n[")
     for name in [*tomllib.loads(text), "../pareto"]:
         write_text(folder / f"scenes/{name}.json", "{}")
-    assert "stages.pareto" not in shown(whole, target="pareto")
+    step = "flow.step results/tiny/pareto"
+    assert step not in shown(whole, target="pareto")
     write_text(scenes, text[:last])
     said = shown(whole, target="pareto")
-    assert "stages.pareto chart" in said and "stages.pareto scene" not in said
+    assert f"{step}/pareto.json" in said and f"{step}/scenes" not in said
 
 
 @pytest.mark.slow
@@ -148,11 +149,11 @@ def test_what_a_stage_reads_alone_makes_it_due(whole):
     """Changed where nothing between was made of it: another sensor's name in a pose table, another gel of a sensor."""
     of = "results/tiny/"
     for changed, kept, due in (
-        ("10_poses/0000.csv", "30_fea/0000.csv", "labels"),
-        ("00_plan/shards/0000.json", "10_poses/0000.csv", "fea"),
+        ("10_poses/0000.csv", "30_fea/0000.csv", "50_labels"),
+        ("00_plan/shards/0000.json", "10_poses/0000.csv", "30_fea"),
     ):
         said = make(whole, "-n", "-W", of + changed, "-o", of + kept, *LABELS).stdout
-        assert f"gelforge.stages.{due} " in said, said
+        assert f"flow.step {of}{due}/" in said, said
 
 
 def test_all_targets_can_be_made_anew(whole):
@@ -223,27 +224,25 @@ def test_what_is_left_of_a_dataset_whose_data_are_gone_is_seen_and_removed(alone
     assert done.returncode == 0 and not (alone / "results/tiny").exists(), done.stdout
 
 
-def test_results_follow_the_version_of_their_stage(root):
-    """What a newer version of the code makes otherwise is made again: the version is a prerequisite of one of its rules."""
-    rules = re.findall(
-        r"^(\S.*)\n\t(?:\$\(HANDS_SLOTS\))?\$+\(call step,(\S+?)[ ,]",
-        spelt_out(root),
-        re.MULTILINE,
-    )
+def test_results_follow_the_version_of_their_stage(whole):
+    """What a newer version of the code makes otherwise is made again: the version is a prerequisite of one of its files."""
+    goals = ("report", "calibrate", "pareto", "stability", "pareto-models")
+    rules = [
+        line.split(":", 1) for line in make(whole, "-pn", *goals, "DATASET=tiny").stdout.splitlines() if ":" in line
+    ]
+    made = {file.by.partition(" ")[0] for file in vars(Layout).values() if isinstance(file, File)}
+    assert {name for name in made if name.startswith("stages.")} == {f"stages.{name}" for name in (*STAGES, "plan")}
     for stage in STAGES:
-        of_stage = [head for head, module in rules if module == f"gelforge.stages.{stage}"]
-        # the page shows whatever was planned: it waits for the parameters of all stages
-        assert any({f"$P/{stage}.json", "$(PARAMETERS:%=$P/%.json)"} & set(head.split()) for head in of_stage), stage
+        reads = [reads.split() for target, reads in rules if f"gelforge.stages.{stage}" in command_or_none(target)]
+        assert any(f"results/tiny/00_plan/params/{stage}.json" in each for each in reads), stage
 
 
-def test_every_stage_that_make_runs_has_a_version(root):
-    run = set(re.findall(r"call step,gelforge\.stages\.(\w+)", spelt_out(root)))
-    assert run == {*STAGES, "plan"}
-
-
-def spelt_out(root):
-    """The text of all rules."""
-    return "".join(path.read_text() for path in sorted((root / "rules").glob("*.mk"))).replace("\\\n", "")
+def command_or_none(target):
+    """The command that makes a file, empty for none."""
+    try:
+        return command_of(Path(target))
+    except BadInput:
+        return []
 
 
 def test_a_gel_that_is_edited_calibrates_anew(whole):
@@ -255,7 +254,7 @@ def test_a_gel_that_is_edited_calibrates_anew(whole):
     done = make(whole, "poses", "DATASET=tiny")
     assert done.returncode == 0, done.stdout
     write_text(whole / "results/tiny/calibrate/summary.json", "{}")
-    text, due = gels.read_text(), "gelforge.stages.calibrate"
+    text, due = gels.read_text(), "flow.step results/tiny/calibrate/summary.json"
     edits = ((text + "\n", False), (text.replace("[dome]\nwidth = 18.0", "[dome]\nwidth = 19.0"), True))
     for edited, again in edits:
         write_text(gels, edited)
@@ -265,7 +264,7 @@ def test_a_gel_that_is_edited_calibrates_anew(whole):
 def test_a_log_without_images_has_none_to_judge(whole):
     """Neither a start of the program that would, nor a file of it."""
     (whole / "results/tiny/15_images/images.json").unlink()
-    judges = "gelforge.stages.images"
+    judges = "flow.step results/tiny/15_images"
     assert judges in make(whole, "-n", *LABELS).stdout
     table = whole / "data/tiny/dataset.toml"
     write_text(table, table.read_text() + "\n[params.poses]\nimages = false\n")

@@ -85,6 +85,7 @@ FOLDERS = (
 )
 OF_SHARDS = (POSES, FEA, FORCES, LABELS)  # stages that write one file per shard
 SHARD_DIGITS = 4
+PYTHON = ".venv/bin/python"  # that of make's recipes, in the project's folder
 LOGGED = "logged"  # column of the shard table: 1 for a sample of the log, 0 for one whose row is gone from the log
 
 
@@ -133,6 +134,17 @@ def beside(out: Path, ending: str) -> Path:
     return out.with_name(Path(out.name.removesuffix(".part")).stem + ending)
 
 
+def command_of(target: Path) -> list[str]:
+    """The command that writes a file of results/DATASET, as its record keeps it; BadInput if none does."""
+    root = dataset_folder(target)
+    made = [file for file in vars(Layout).values() if isinstance(file, File) and file.by]
+    for file in made:
+        pattern = re.sub(r"\\{\w+\\}", "([^/]+)", re.escape(file.pattern))
+        if root and (words := re.fullmatch(pattern, str(target.relative_to(root)))):
+            return [PYTHON, "-m", *f"gelforge.{file.by}".split(), str(root), *words.groups(), "--part"]
+    raise BadInput("no stage writes a file of this name; `make help` lists what can be made")
+
+
 def log_of(target: Path) -> Path:
     """The log of a target."""
     return mirror(target, LOGS, ".log")
@@ -146,11 +158,12 @@ def metrics_of(target: Path) -> Path:
 class File:
     """A file below results/DATASET by the pattern of its name: `of.fea("0000")` is results/DATASET/30_fea/0000.csv.
 
+    by: module of gelforge, and its sub-command, that make runs to write it; "" for files that are no targets of make.
     shared: it is that of the dataset also for a sample that `make sample` took through all stages.
     """
 
-    def __init__(self, pattern: str, shared: bool = False) -> None:
-        self.pattern, self.shared = pattern, shared
+    def __init__(self, pattern: str, by: str = "", shared: bool = False) -> None:
+        self.pattern, self.by, self.shared = pattern, by, shared
         self.words = re.findall(r"{(\w+)}", pattern)
 
     def __call__(self, of: "Layout", *words: str) -> Path:
@@ -215,51 +228,50 @@ class Layout:
         return self.data / "log.csv"
 
     @property
+    def ccx(self) -> Path:
+        """File that names CalculiX' program, or says `none`; without it there is none."""
+        return self.base / ".venv/ccx.path"
+
+    @property
     def references(self) -> Path:
         """Folder of the references of the chart's scenes, which all datasets share."""
         return self.base / "data" / "fea_challenge"
 
     # -- files and folders, by the words that their names hold
 
-    plan = File(f"{PLAN}/plan.mk")  # lists of words, such as shards, that make reads
+    plan = File(f"{PLAN}/plan.mk", "stages.plan")  # lists of words, such as shards, that make reads
     params = Folder(f"{PLAN}/params")  # parameters of each stage, NAME.json
     parameters = File(f"{PLAN}/params/{{name}}.json")  # of a stage, or catalogue entries that the dataset uses
     shards = Folder(f"{PLAN}/shards")
     shard_table = Folder(f"{PLAN}/shards.csv")  # the shard of every sample
     shard = File(f"{PLAN}/shards/{{shard}}.csv")  # raw rows
     used = File(f"{PLAN}/shards/{{shard}}.json")  # catalogue entries that a shard uses: sensors, indenters, gels
-    pictures = File(
-        f"{PLAN}/shards/{{shard}}.pictures.json"
-    )  # digests of its pictures, and rows with that of another press
-    beside = File(
-        f"{PLAN}/beside/{{name}}.json"
-    )  # digests of files beside the log: nocontact, rows, imported labels of a resolution
-    poses = File(f"{POSES}/{{shard}}.csv")
+    pictures = File(f"{PLAN}/shards/{{shard}}.pictures.json")  # digests of its images, repeated ones
+    beside = File(f"{PLAN}/beside/{{name}}.json")  # digests of files beside the log, by kind
+    poses = File(f"{POSES}/{{shard}}.csv", "stages.poses")
     rejected = File(f"{POSES}/{{shard}}.rejected.csv")
-    images = File(f"{IMAGES}/images.json")
+    images = File(f"{IMAGES}/images.json", "stages.images")
     meshes = Folder(MESHES, shared=True)  # base meshes of gels
-    mesh = File(f"{MESHES}/{{gel}}.npz", shared=True)
-    fea = File(f"{FEA}/{{shard}}.csv")  # how each press was solved, and the key of its solve
-    forces = File(f"{FORCES}/{{shard}}.npz")
-    labels = File(f"{LABELS}/{{resolution}}/{{shard}}.npz")
+    mesh = File(f"{MESHES}/{{gel}}.npz", "stages.meshes", shared=True)
+    fea = File(f"{FEA}/{{shard}}.csv", "stages.fea")  # how each press was solved, and the key of its solve
+    forces = File(f"{FORCES}/{{shard}}.npz", "stages.forces")
+    labels = File(f"{LABELS}/{{resolution}}/{{shard}}.npz", "stages.labels")
     dataset = File(f"{DATASET}/{{resolution}}")  # folder of the arrays to train on
-    dataset_table = File(f"{DATASET}/{{resolution}}/dataset.json")  # what the arrays hold, written after them
-    network = File(f"{TRAIN}/{{resolution}}/{{model}}.onnx")  # weights and learning curve lie beside it
+    dataset_table = File(f"{DATASET}/{{resolution}}/dataset.json", "stages.dataset")  # written after its arrays
+    network = File(f"{TRAIN}/{{resolution}}/{{model}}.onnx", "stages.train")  # weights and curve lie beside it
     curve = File(f"{TRAIN}/{{resolution}}/{{model}}.curve.png")
-    evaluation = File(f"{EVALUATE}/{{resolution}}/{{model}}.json")  # plots, card and predictions lie beside it
-    card = File(f"{EVALUATE}/{{resolution}}/{{model}}.card.md")
-    report = File(f"{REPORT}/{{resolution}}-{{model}}.html")  # of a dataset without images the model is "none"
-    chart_scene = File(f"{PARETO}/scenes/{{name}}.json")
-    chart = File(f"{PARETO}/pareto.json")
-    network_chart = File(f"{PARETO_MODELS}/{{resolution}}.json")
-    stability_row = File(f"{STABILITY}/rows/{{row}}.json")
-    stability_map = File(f"{STABILITY}/map.json")
-    feats = File(f"{FEATS}/{{resolution}}/normalization_gelforge.npy")  # written after the labels
-    calibration = File(f"{CALIBRATE}/summary.json", shared=True)  # samples follow the posterior of their dataset
-    plots = File(f"{CALIBRATE}/plots.json")  # captions of the pictures of the posterior beside it
-    surfaces = Folder(
-        f"{PLAN}/{SURFACES}", shared=True
-    )  # measured surfaces of STL files, by a digest of their content
+    evaluation = File(f"{EVALUATE}/{{resolution}}/{{model}}.json", "stages.evaluate")  # plots and card lie beside it
+    card = File(f"{EVALUATE}/{{resolution}}/{{model}}.card.md", "stages.card")
+    report = File(f"{REPORT}/{{resolution}}-{{model}}.html", "stages.report")  # of no network: "none"
+    chart_scene = File(f"{PARETO}/scenes/{{name}}.json", "stages.pareto scene")
+    chart = File(f"{PARETO}/pareto.json", "stages.pareto chart")
+    network_chart = File(f"{PARETO_MODELS}/{{resolution}}.json", "stages.pareto_models")
+    stability_row = File(f"{STABILITY}/rows/{{row}}.json", "stages.stability row")
+    stability_map = File(f"{STABILITY}/map.json", "stages.stability map")
+    feats = File(f"{FEATS}/{{resolution}}/normalization_gelforge.npy", "commands.feats export")  # after the labels
+    calibration = File(f"{CALIBRATE}/summary.json", "stages.calibrate", shared=True)  # also of samples
+    plots = File(f"{CALIBRATE}/plots.json", "stages.plots")  # captions of the pictures of the posterior beside it
+    surfaces = Folder(f"{PLAN}/{SURFACES}", shared=True)  # measured surfaces of STL files, by digest
     logs = Folder(LOGS)
     metrics = Folder(METRICS)
 

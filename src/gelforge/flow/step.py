@@ -1,9 +1,10 @@
 """The wrapper of every recipe: it writes a log and a record, and leaves a target whole or absent.
 
-`python -m gelforge.flow.step TARGET INPUT… -- COMMAND…`: COMMAND writes TARGET.part, which is renamed on success. If
-the command and the contents of all inputs are those of the target's record, nothing runs, and the target gets a new
-date, because make compares only dates. An input @FILE stands for the paths that FILE lists. GELFORGE_LAUNCHER of the
-environment stands in front of the command that is run, as on a cluster (`flow/slurm.py`), and is no part of the record.
+`python -m gelforge.flow.step TARGET INPUT… [-- COMMAND…]`: COMMAND, or else that of the stage which writes such a file
+(`flow.layout.command_of`), writes TARGET.part, which is renamed on success. If the command and the contents of all inputs
+are those of the target's record, nothing runs, and the target gets a new date, because make compares only dates. An input
+@FILE stands for the paths that FILE lists. GELFORGE_LAUNCHER of the environment stands in front of the command that is
+run, as on a cluster (`flow/slurm.py`), and is no part of the record.
 """
 
 import atexit
@@ -27,7 +28,7 @@ from typing import NoReturn
 from gelforge.errors import BadInput, unwritable
 from gelforge.flow.files import State, changed, digest_of, record_of, states_of, take, write_json
 from gelforge.flow.jobs import adopt_orphans, die_with_parent, handed_on
-from gelforge.flow.layout import dataset_folder, log_of, metrics_of, place_in
+from gelforge.flow.layout import command_of, dataset_folder, log_of, metrics_of, place_in
 from gelforge.flow.runs import installed
 
 TAIL_LINES = 20
@@ -355,14 +356,12 @@ def expanded(words: Iterable[str]) -> Iterator[str]:
 
 def main(argv: Sequence[str] | None = None) -> int:
     argv = sys.argv[1:] if argv is None else list(argv)
-    if "--" not in argv[1:-1]:
-        print("usage: python -m gelforge.flow.step TARGET INPUT… -- COMMAND…", file=sys.stderr)
-        return 2
-    split = argv.index("--")
+    split = argv.index("--") if "--" in argv else len(argv)
     die_with_parent()
     adopt_orphans()
     try:
-        return build(Path(argv[0]), list(dict.fromkeys(expanded(argv[1:split]))), argv[split + 1 :])
+        target, inputs = Path(argv[0]), list(dict.fromkeys(expanded(argv[1:split])))
+        return build(target, inputs, argv[split + 1 :] or command_of(target))
     except KeyboardInterrupt:
         return 130
     except BadInput as error:

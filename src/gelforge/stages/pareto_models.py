@@ -8,7 +8,7 @@ from argparse import Namespace
 import numpy as np
 
 from gelforge.errors import BadInput
-from gelforge.flow.cli import option, stage
+from gelforge.flow.cli import stage
 from gelforge.flow.files import publish, read_json, write_csv, write_json
 from gelforge.flow.layout import Layout, beside
 from gelforge.records.axes import CHANNELS
@@ -103,17 +103,18 @@ def fronts_of(rows: list[dict]) -> dict[str, set[str]]:
     return found
 
 
-@stage(Layout.network_chart, option("models", nargs="+", help="names of evaluated networks"))
+@stage(Layout.network_chart)
 def main(args: Namespace) -> None:
     from gelforge.learning.data import open_data
     from gelforge.reading.model import load_model
 
     of, resolution = args.of, args.resolution
-    evaluations = {name: read_json(of.evaluation(resolution, name)) for name in args.models}
+    names = read_json(of.parameters("networks"))
+    evaluations = {name: read_json(of.evaluation(resolution, name)) for name in names}
     for name, found in evaluations.items():
         if "failed" in found:
             raise BadInput(f"{name}: {found['failed']}")
-    models = {name: load_model(of.network(resolution, name)) for name in args.models}
+    models = {name: load_model(of.network(resolution, name)) for name in names}
     image = np.asarray(open_data(of.dataset(resolution)).images[0])
     latencies = measure(models, image, SECONDS)
     rows = [row_of(evaluations[name], latencies[name]) for name in sorted(models)]

@@ -20,7 +20,7 @@ from gelforge.errors import BadInput, nearest, printable
 from gelforge.evidence.settings import check_dataset
 from gelforge.flow import params as config
 from gelforge.flow.calibration import FROZEN, calibration_of, read_found, refuse_twice
-from gelforge.flow.cli import option, stage
+from gelforge.flow.cli import stage
 from gelforge.flow.files import (
     State,
     canonical,
@@ -325,7 +325,7 @@ def write_parameters(
         write_if_changed(out / "params" / f"{name}.json", canonical(made))
     for name, entries in tables.items():
         write_if_changed(out / "params" / f"{name}.json", canonical(entries))
-    write_if_changed(out / "params" / "networks.json", canonical(sorted(networks(workflow))))
+    write_if_changed(out / "params" / "networks.json", canonical(charted(networks(workflow))))
     write_if_changed(out / "params" / "scenes.json", canonical([*scenes]))
     # One file for each, so that a new network retrains no other.
     for kind, every in (
@@ -378,6 +378,12 @@ def networks(workflow: Path) -> dict[str, dict]:
     if odd := [name for name in found if not NETWORK_NAME.fullmatch(name)]:
         raise BadInput(f"{path}: [{odd[0]}]: name a network by small letters, digits and underscores alone")
     return found
+
+
+def charted(models: dict[str, dict]) -> list[str]:
+    """Sorted names of the networks of the chart of networks: all but those fine-tuned from the shipped one."""
+    lists = network_lists(models)
+    return sorted({*lists["MODELS"]} - {*lists["TUNED"]})
 
 
 def network_lists(models: dict[str, dict]) -> dict[str, list[str]]:
@@ -469,12 +475,9 @@ def without_ccx(params: config.Params, dataset_toml: Path) -> config.Params:
 
 # Result of a branch that the report shows, relative to results/DATASET.
 SHOWN_OF = {"calibrate": "calibrate/summary.json"}
-CCX = option(
-    "--ccx", type=Path, default=None, help="file that names CalculiX' program, or says `none`; without it none"
-)
 
 
-@stage(Layout.plan, CCX)
+@stage(Layout.plan)
 def main(args: Namespace) -> None:
     from gelforge.geometry.gel import USUAL_GEL
     from gelforge.sweeps.scenes import read_tables
@@ -485,7 +488,7 @@ def main(args: Namespace) -> None:
     dataset = config.read_dataset_file(dataset_toml)
     known = (record_of(metrics_of(of.plan())) or {}).get("inputs", {})
     params = config.load_params(workflow, dataset_toml)
-    if args.ccx is None or args.ccx.read_text(encoding="utf-8").strip() == "none":
+    if not of.ccx.exists() or of.ccx.read_text(encoding="utf-8").strip() == "none":
         params = without_ccx(params, dataset_toml)
     found = calibration_of(params, dataset_toml, of.calibration())
     refuse_twice(dataset.params, dataset_toml, found)

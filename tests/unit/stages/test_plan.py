@@ -12,7 +12,7 @@ from gelforge.commands.sample import find_rows
 from gelforge.errors import BadInput
 from gelforge.evidence.settings import check_pictures
 from gelforge.flow import params as config
-from gelforge.flow.files import read_csv, read_json, states_of, write_if_changed
+from gelforge.flow.files import read_csv, read_json, states_of, write_if_changed, write_text
 from gelforge.flow.layout import Layout
 from gelforge.flow.tables import ENOUGH_PRESSES
 from gelforge.geometry.gel import GELS
@@ -145,9 +145,9 @@ def planned(lab, text, sensor="mini_a", ccx="none"):
     """Plan a log of two rows under a dataset.toml; the sensors of the rows as the shard has them."""
     (lab / "dataset.toml").write_text(text)
     (lab / "log.csv").write_text(LOG.format(sensor))
-    (lab / "ccx.path").write_text(ccx)
     of = Layout(lab.parents[1] / "results/lab")
-    plan.main([str(of.root), "--ccx", str(lab / "ccx.path")])
+    write_text(of.ccx, ccx)
+    plan.main([str(of.root)])
     return [row.cells["sensor_id"] for row in read_shard(of.shard("0000"))]
 
 
