@@ -7,9 +7,9 @@
 POSTERIOR := $D/calibrate/summary.json
 PLOTS := $D/calibrate/plots.json
 calibrate: $(POSTERIOR) $(PLOTS)  ## posterior of C10, touch offset, compliance and friction from the log's force readings
-	@$(PY) -m gelforge.commands.freeze --show $D
+	@$(PY) -m gelforge.commands.freeze show $D
 freeze: $(POSTERIOR)  ## write the posterior to data/DATASET/calibration.toml: labels follow it until the next make freeze
-	@$(PY) -m gelforge.commands.freeze $D
+	@$(PY) -m gelforge.commands.freeze keep $D
 $(POSTERIOR): $(ROWS) $P/calibrate.json $P/indenters.json $P/sensors.json $P/gels.json | $(IMAGES_JUDGED)
 $(PLOTS): $(POSTERIOR) $P/plots.json
 

@@ -2,7 +2,10 @@
 # the target is the recipe of rules/run.mk.
 
 # What labels follow: CALIBRATION is data/DATASET/calibration.toml if there is one, else the posterior if the dataset
-# asks for it ([material] c10 = "calibrated"), else nothing. It moves poses, scales forces and sets friction.
+# asks for it ([material] c10 = "calibrated"), else nothing. It moves poses, scales forces and sets friction: FOLLOWED has
+# its values, the same before and after `make freeze`.
+FOLLOWED := $(if $(CALIBRATION),$D/calibrate/followed.toml)
+$D/calibrate/followed.toml: $(CALIBRATION)
 
 # Rows of a shard; its bodies and sensors; its images.
 ROWS := $(SHARDS:%=$(SHARD)/%.csv)
@@ -20,7 +23,7 @@ $D/15_images/images.json: $(ROWS) $(USED) $(PICTURES) $(BESIDE)/nocontact.json $
 # 10: checks each row of the log, places each indenter's surface as the CNC did.
 POSES := $(SHARDS:%=$D/10_poses/%.csv)
 poses: $(POSES)  ## check the log, place every indenter's surface as the CNC did
-$(POSES): $D/10_poses/%.csv: $(SHARD)/%.csv $(SHARD)/%.json $(SHARD)/%.pictures.json $P/poses.json $(CALIBRATION) | $D/00_plan/shards.csv
+$(POSES): $D/10_poses/%.csv: $(SHARD)/%.csv $(SHARD)/%.json $(SHARD)/%.pictures.json $P/poses.json $(FOLLOWED) | $D/00_plan/shards.csv
 
 # 20: tetrahedra of each gel, which stage 30 bisects for each press. Stages that read meshes of presses read these, too.
 MESH = $D/20_meshes/%.npz
@@ -31,12 +34,12 @@ $(sort $(GELS:%=$(MESH)) $(CHARTED_GELS:%=$(MESH))): $P/meshes.json $P/gels.json
 # 30: finite elements. Solves are kept in one store by a key of their inputs, so that none is made twice.
 FEA := $(SHARDS:%=$D/30_fea/%.csv)
 fea: $(FEA)  ## solve every accepted sample by finite elements
-$(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $(SHARD)/%.json $P/fea.json $(MESHED) $(CALIBRATION) | $(IMAGES_JUDGED)
+$(FEA): $D/30_fea/%.csv: $D/10_poses/%.csv $(SHARD)/%.json $P/fea.json $(MESHED) $(FOLLOWED) | $(IMAGES_JUDGED)
 
 # 40: the material's C10 scales the forces, no solve is repeated.
 FORCES := $(SHARDS:%=$D/40_forces/%.npz)
 forces: $(FORCES)  ## nodal contact forces of the solves, scaled to the material
-$(FORCES): $D/40_forces/%.npz: $D/30_fea/%.csv $P/forces.json $(MESHED) $(CALIBRATION)
+$(FORCES): $D/40_forces/%.npz: $D/30_fea/%.csv $P/forces.json $(MESHED) $(FOLLOWED)
 
 # From here on, $$ in prerequisites is expanded for each target: $$(*F) is its shard.
 .SECONDEXPANSION:
@@ -81,7 +84,7 @@ OWN_NET := $(patsubst %,$D/70_train/$(RES1)/%.onnx,$(filter $(MODELS),$(NET)))
 JUDGED := $(if $(filter none,$(PAGE_NET)),,$D/60_dataset/$(RES1)/dataset.json $(OWN_NET) $(patsubst %,$D/80_evaluate/$(RES1)/%.json,$(sort $(NET) $(BOTH))))
 SOLVED := $(if $(IMPORTED),,$(POSES) $(MESHED) $(FEA) $(FORCES) $(SHARDS:%=$D/50_labels/$(RES1)/%.npz) $(IMAGES_JUDGED))
 report: possible $(REPORT)  ## one HTML page: presses, labels, errors, posterior, chart, failures
-$(REPORT): $(PARAMETERS:%=$P/%.json) $(wildcard results/readme/exact.png) $(ROWS) $(USED) $(PICTURES) $(SOLVED) $(CALIBRATION) $(JUDGED) $(SHOWN)
+$(REPORT): $(PARAMETERS:%=$P/%.json) $(wildcard results/readme/exact.png) $(ROWS) $(USED) $(PICTURES) $(SOLVED) $(FOLLOWED) $(JUDGED) $(SHOWN)
 
 demo: report  ## the whole flow on the demo dataset, from its log to a report
 	@echo "open $(REPORT) in a browser: presses, labels, the posterior, networks, and what failed"

@@ -5,7 +5,7 @@ status: | $(SETUP)  ## samples done, failed with reasons and pending, per stage
 	@$(PY) -m gelforge.commands.status $D || [ $$? = 141 ]
 
 .PHONY: sample
-sample: $(MESHED) $(CALIBRATION) | $(SETUP)  ## run one sample through all stages and show its log: make sample ID=…
+sample: $(MESHED) $(FOLLOWED) | $(SETUP)  ## run one sample through all stages and show its log: make sample ID=…
 	@$(PY) -m gelforge.commands.sample $D --id '$(value ID)' --resolution $(RES1)
 
 .PHONY: provenance

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gelforge.flow.calibration import read_found
+from gelforge.flow.calibration import read_posterior, read_values
 from gelforge.records.forcefile import ForceFile
 from tests.support.sandbox import make
 
@@ -19,7 +19,7 @@ def say(project, *words):
 @pytest.mark.slow
 def test_labels_follow_the_posterior_and_hold_still_once_it_is_frozen(calibrated):
     frozen, summary = calibrated / "data/demo/calibration.toml", calibrated / "results/demo/calibrate/summary.json"
-    found, total = read_found(summary), []
+    found, total = read_posterior(summary), []
     for path in sorted((calibrated / FORCES).parent.glob("*.npz")):
         label = ForceFile(path)
         assert label.c10 == found.params["material"]["c10"] != 0.0725
@@ -36,13 +36,13 @@ def test_labels_follow_the_posterior_and_hold_still_once_it_is_frozen(calibrated
     toml.write_text(whole.replace("images = false", "images = false\ndeepest_share = 0.4"))
     say(calibrated, "freeze")
     held = frozen.read_text()
-    assert read_found(frozen) == read_found(summary) and len(read_found(summary).presses) == 3
+    assert read_values(frozen) == read_posterior(summary) and len(read_posterior(summary).presses) == 3
     # labels do not need the posterior any more
     toml.write_text(whole)
     assert "calibrate/summary.json" not in say(calibrated, "-n", "labels")
     say(calibrated, FORCES)
-    assert len(read_found(summary).presses) == 3 and frozen.read_text() == held
-    assert ForceFile(calibrated / FORCES).c10 == read_found(frozen).params["material"]["c10"] != label.c10
+    assert len(read_posterior(summary).presses) == 3 and frozen.read_text() == held
+    assert ForceFile(calibrated / FORCES).c10 == read_values(frozen).params["material"]["c10"] != label.c10
     # without it they are due by the posterior of all presses again
     frozen.unlink()
     said = say(calibrated, "-n", "labels")

@@ -2,7 +2,8 @@
 
 Labels follow the posterior of their log (`results/DATASET/calibrate/summary.json`) if the dataset sets
 `[material] c10 = "calibrated"`. If there is a frozen calibration, `data/DATASET/calibration.toml`, they follow that
-instead: its values do not move when rows are added.
+instead: its values do not move when rows are added. Stages read the one or the other from one file of one form,
+`results/DATASET/calibrate/followed.toml`, which is the same before and after `make freeze`.
 """
 
 import hashlib
@@ -97,11 +98,10 @@ def of_mountings(found: Mapping[str, Mapping], stated: Mapping[str, Any]) -> dic
     return {"mounting_touch_offset_mm": offsets} | ({"mounting_tilt_deg": tilts} if tilts else {}) | unnamed
 
 
-def write_frozen(path: Path, found: CalibratedValues) -> None:
-    """Write the frozen calibration, whole or not at all."""
-    command = f"make freeze DATASET={path.parent.name}"
+def write_values(path: Path, found: CalibratedValues) -> None:
+    """Write the values of a calibration, whole or not at all."""
     lines = [
-        f"# What `make calibrate` found from the force readings of the log, rounded. Labels follow it; only `{command}` changes it.",
+        "# What `make calibrate` found from the force readings of the log, rounded. Labels follow it; only `make freeze` changes it.",
         f"name = {json.dumps(found.name)}",
         f"law = {json.dumps(found.law)}  # contact law, the same as that of the labels",
         f"presses = {json.dumps(found.presses)}  # presses of the calibration",
@@ -118,15 +118,15 @@ def _toml(value: Any) -> str:
     return str(value)
 
 
-def read_frozen(path: Path) -> CalibratedValues:
-    """The frozen calibration; BadInput if the file is none."""
-    hint = f"run make freeze DATASET={path.parent.name}, or remove it"
+def read_values(path: Path) -> CalibratedValues:
+    """What `write_values` wrote: a frozen calibration, or the one that labels follow; BadInput if the file is none."""
+    hint = f"run make freeze DATASET={path.parent.name}, or remove it" if path.name == FROZEN else "run make again"
     try:
         given = read_toml(path)
     except BadInput as error:
         raise BadInput(f"{error}; {hint}") from error
     if given.keys() != KINDS.keys() or not all(isinstance(given[key], kind) for key, kind in KINDS.items()):
-        raise BadInput(f"{path}: is not a frozen calibration, which has the keys {', '.join(KINDS)}; {hint}")
+        raise BadInput(f"{path}: is not a calibration, which has the keys {', '.join(KINDS)}; {hint}")
     for table, values in given["params"].items():
         if not isinstance(values, dict) or values.keys() - SET.get(table, set()):
             raise BadInput(
@@ -154,11 +154,6 @@ def read_posterior(path: Path) -> CalibratedValues:
         raise BadInput(f"{path}: is not the summary of a calibration ({error!r}); {again}") from error
 
 
-def read_found(path: Path) -> CalibratedValues:
-    """A calibration: a frozen one or a posterior."""
-    return read_frozen(path) if path.name == FROZEN else read_posterior(path)
-
-
 def calibration_of(params: Params, dataset_toml: Path, posterior: Path) -> Path | None:
     """The calibration that labels follow, None for none; BadInput if it contradicts the dataset's own parameters.
 
@@ -167,7 +162,7 @@ def calibration_of(params: Params, dataset_toml: Path, posterior: Path) -> Path 
     frozen, asked = dataset_toml.parent / FROZEN, params.material.c10 == "calibrated"
     if not frozen.exists():
         return posterior if asked else None
-    found = read_frozen(frozen)
+    found = read_values(frozen)
     if found.law != params.interface.law:
         raise BadInput(
             f'{frozen}: was found under the law "{found.law}", but [interface] law = "{params.interface.law}": labels would'
@@ -180,7 +175,7 @@ def calibration_of(params: Params, dataset_toml: Path, posterior: Path) -> Path 
 def refuse_twice(given: Mapping[str, Any], dataset_toml: Path, calibration: Path | None) -> None:
     """Refuse values of a dataset's own tables `given` that its calibration sets as well; BadInput."""
     frozen = calibration is not None and calibration.name == FROZEN and calibration.exists()
-    found = read_frozen(calibration).params if calibration and frozen else {}
+    found = read_values(calibration).params if calibration and frozen else {}
     for table, keys in SET.items() if calibration else ():
         own = given.get(table) or {}
         # a calibration finds no tilt of a mounting whose tilt is stated
@@ -197,7 +192,7 @@ def calibrated(read: StageParameters, base: Path) -> StageParameters:
     """Parameters of a stage with the values of the calibration that it follows. base: the project's folder."""
     if not read.calibration:
         return read
-    values = read_found(base / read.calibration).params
+    values = read_values(base / read.calibration).params
     tables = {name: altered(getattr(read, name), **{key: _frozen_list(value) for key, value in of.items()})
               for name, of in values.items() if hasattr(read, name)}  # fmt: skip
     return altered(read, **tables)

@@ -270,6 +270,7 @@ class Layout:
     stability_map = File(f"{STABILITY}/map.json", "stages.stability map")
     feats = File(f"{FEATS}/{{resolution}}/normalization_gelforge.npy", "commands.feats export")  # after the labels
     calibration = File(f"{CALIBRATE}/summary.json", "stages.calibrate", shared=True)  # also of samples
+    followed = File(f"{CALIBRATE}/followed.toml", "commands.freeze follow", shared=True)  # values that labels follow
     plots = File(f"{CALIBRATE}/plots.json", "stages.plots")  # captions of the pictures of the posterior beside it
     surfaces = Folder(f"{PLAN}/{SURFACES}", shared=True)  # measured surfaces of STL files, by digest
     logs = Folder(LOGS)

@@ -19,7 +19,7 @@ from types import MappingProxyType
 from gelforge.errors import BadInput, nearest, printable
 from gelforge.evidence.settings import check_dataset
 from gelforge.flow import params as config
-from gelforge.flow.calibration import FROZEN, calibration_of, read_found, refuse_twice
+from gelforge.flow.calibration import FROZEN, calibration_of, read_values, refuse_twice
 from gelforge.flow.cli import stage
 from gelforge.flow.files import (
     State,
@@ -102,7 +102,7 @@ def refuse_other_log(params: Params, rows: list[RawRow], dataset_toml: Path, cal
     """
     logged, settings = named(rows, "mounting") - {""}, [(dataset_toml, vars(params.poses))]
     if calibration is not None and calibration.name == FROZEN:
-        found, ids = read_found(calibration), named(rows, "sample_id")
+        found, ids = read_values(calibration), named(rows, "sample_id")
         home = found.name.rpartition("-")[0]
         if home != calibration.parent.name:
             print(
@@ -534,7 +534,8 @@ def main(args: Namespace) -> None:
         "PLANNED_FROM": followed([*map(str, read)], of.log),
     }
     text = "".join(make_list(name, values) for name, values in lists.items())
-    write_parameters(params, workflow, of.folder(PLAN), tables, scenes, "".join(calibration))
+    follows = str(of.followed().relative_to(of.base)) if found else ""
+    write_parameters(params, workflow, of.folder(PLAN), tables, scenes, follows)
     write_beside(of, digests(states, beside))
     kinds, every = {kind: tables[kind] for kind in COLUMN_OF}, {"sensors": sensors, "indenters": indenters}
     shards = write_shards(of, rows, params.plan.shard_size, digests(states, pictures), kinds, every)

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from gelforge.flow.calibration import calibrated, read_found
+from gelforge.flow.calibration import FROZEN, calibrated, read_values
 from gelforge.flow.cli import stage
 from gelforge.flow.files import listed, read_csv, read_json, write_text
 from gelforge.flow.layout import PARETO, STAGES, TABLES, Layout
@@ -146,7 +146,8 @@ def force_section(results: Path, rows: list[dict], doubts: Sequence[str] = ()) -
     if not any(row.get("measured_fz") for row in rows):  # as where labels came with the dataset
         return section.text(none, absent=True), []
     read, path = read_parameters(of.parameters("forces")), of.calibration()
-    found = read_found(of.base / read.calibration) if read.calibration else None
+    found = read_values(of.base / read.calibration) if read.calibration else None
+    source = of.data / FROZEN if (of.data / FROZEN).exists() else path
     summary = read_json(path) if path.exists() else {}
     material = calibrated(read, of.base).material
     spread = spreads(material, summary, read_parameters(of.parameters("calibrate")).calibrate, found is not None)
@@ -162,7 +163,7 @@ def force_section(results: Path, rows: list[dict], doubts: Sequence[str] = ()) -
         section.text("Labels follow no calibration: they have the stiffness and the paths of params.toml.")
     else:
         section.text(
-            f"Labels follow {read.calibration}: {found.name} ({found.law}), found from {len(found.presses)} presses."
+            f"Labels follow {source.relative_to(of.base)}: {found.name} ({found.law}), found from {len(found.presses)} presses."
         )
     for sentence in [*common, *doubts, *force_sentences(presses)]:
         section.text(sentence)

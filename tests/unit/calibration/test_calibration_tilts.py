@@ -19,7 +19,7 @@ from gelforge.calibration.tilts import (
     tilted_mountings,
 )
 from gelforge.errors import BadInput
-from gelforge.flow.calibration import found_in, read_found, write_frozen
+from gelforge.flow.calibration import found_in, read_values, write_values
 from gelforge.geometry.indenters import build
 from gelforge.records.press import POSE, RawRow
 from tests.support.calibration_law import PARAMS, law_emulator, make_readings, true_values
@@ -174,8 +174,8 @@ def test_what_was_found_of_several_is_each_ones_and_frozen(tmp_path):
     assert poses["mounting_tilt_deg"] == {"a": [1.3, -3.0], "c": [0.5, 0.0]}
     path = tmp_path / "data/lab/calibration.toml"
     path.parent.mkdir(parents=True)
-    write_frozen(path, values)
-    assert read_found(path) == values
+    write_values(path, values)
+    assert read_values(path) == values
 
 
 def test_rows_that_name_no_mounting_follow_what_was_found_of_them():

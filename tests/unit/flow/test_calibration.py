@@ -2,16 +2,19 @@
 
 import pytest
 
+from gelforge.commands import freeze
 from gelforge.flow.calibration import (
     FROZEN,
     calibrated,
     calibration_of,
     found_in,
-    read_found,
+    read_posterior,
+    read_values,
     refuse_twice,
-    write_frozen,
+    write_values,
 )
 from gelforge.flow.files import read_json, write_json
+from gelforge.flow.layout import Layout
 from gelforge.flow.params import load_params, read_dataset_file, read_parameters
 from gelforge.reporting.forcesensor import COMPARED
 from gelforge.stages.report import force_section
@@ -30,7 +33,7 @@ def frozen(tmp_path, summary=SUMMARY):
     path = tmp_path / "data/lab" / FROZEN
     path.parent.mkdir(parents=True, exist_ok=True)
     (path.parent / "dataset.toml").write_text('[params.interface]\nlaw = "coulomb"\n')
-    write_frozen(path, found_in("lab", summary))
+    write_values(path, found_in("lab", summary))
     return path
 
 
@@ -45,7 +48,7 @@ def followed(root, toml):
 def test_what_is_frozen_is_rounded_and_read_back(root, tmp_path):
     """A posterior that another processor finds differs by less than the rounding: the same file, and no press solved again."""
     path = frozen(tmp_path)
-    found, text = read_found(path), path.read_text()
+    found, text = read_values(path), path.read_text()
     assert found.presses == ("a 1", 'b"2') and found.name.startswith("lab-")
     near = SUMMARY | {"c10": SUMMARY["c10"] | {"median": 0.08533}, "bench": SUMMARY["bench"] | {"offset": -0.01801}}
     frozen(tmp_path, near)
@@ -63,8 +66,16 @@ def stage_with(tmp_path, stage, calibration, **tables):
 
 def test_stages_follow_a_posterior_as_they_follow_what_was_frozen_from_it(tmp_path):
     frozen(tmp_path)
-    write_json(tmp_path / "results/lab/calibrate/summary.json", SUMMARY)
-    for path in ("data/lab/calibration.toml", "results/lab/calibrate/summary.json"):
+    of = Layout(tmp_path / "results/lab")
+    write_json(of.calibration(), SUMMARY)
+    freeze.main(["follow", str(of.root)])
+    held = of.followed().read_bytes()
+    (of.data / FROZEN).unlink()
+    freeze.main(["follow", str(of.root)])
+    assert of.followed().read_bytes() == held
+    freeze.main(["keep", str(of.root)])
+    assert (of.data / FROZEN).read_bytes() == held
+    for path in ("data/lab/calibration.toml", "results/lab/calibrate/followed.toml"):
         material = stage_with(tmp_path, "forces", path, material={"c10": "calibrated"}).material
         assert material.c10 == 0.0853 and material.c10_interval95 == (0.0835, 0.0871) and material.nu == 0.475
         poses = stage_with(tmp_path, "poses", path).poses
@@ -75,13 +86,13 @@ def test_stages_follow_a_posterior_as_they_follow_what_was_frozen_from_it(tmp_pa
 
 
 def test_a_posterior_that_is_none_stops_what_follows_it(tmp_path):
-    path, name = tmp_path / "results/lab/calibrate/summary.json", "results/lab/calibrate/summary.json"
-    refused("is missing, and labels follow it; run `make calibrate DATASET=lab`", stage_with, tmp_path, "poses", name)
+    path = tmp_path / "results/lab/calibrate/summary.json"
+    refused("is missing, and labels follow it; run `make calibrate DATASET=lab`", read_posterior, path)
     write_json(path, {"failed": "R-hat 1.033; log more presses"})
-    refused("follow failed: R-hat 1.033; log more presses; correct that", stage_with, tmp_path, "poses", name)
+    refused("follow failed: R-hat 1.033; log more presses; correct that", read_posterior, path)
     for text in ("{}", "[]", "{"):
         path.write_text(text)
-        refused("is not the summary of a calibration", stage_with, tmp_path, "poses", name)
+        refused("is not the summary of a calibration", read_posterior, path)
 
 
 @pytest.mark.parametrize("law", ["no_slip", "frictionless"])
@@ -113,7 +124,7 @@ def test_a_file_that_is_none_is_refused_in_a_sentence(root, tmp_path):
     whole = path.read_text()
     for old, new, said in (
         ('name = "', "name = ", "not valid TOML: .*run make freeze"),
-        ("law =", "laww =", "is not a frozen calibration"),
+        ("law =", "laww =", "is not a calibration"),
         ("c10 =", "nu =", "a key that calibration does not set"),
         ("c10 = 0.0853", "c10 = 85.3", "c10 = 85.3: give a number from"),
     ):
@@ -135,9 +146,14 @@ def test_the_report_says_what_labels_were_made_with_and_what_they_do_not_follow(
         write_stage(params, stage)
     write_json(results / "calibrate" / "summary.json", SUMMARY)
     for path in ("data/lab/calibration.toml", "results/lab/calibrate/summary.json"):
+        freeze.main(["follow", str(results)])
         write_stage(params, "forces", material={"c10": "calibrated"})
-        write_json(params / "forces.json", read_json(params / "forces.json") | {"calibration": path})
+        write_json(
+            params / "forces.json",
+            read_json(params / "forces.json") | {"calibration": "results/lab/calibrate/followed.toml"},
+        )
         section, common = force_section(results, own)
+        (tmp_path / "data/lab" / FROZEN).unlink(missing_ok=True)
         assert f"Labels follow {path}: lab-" in section.items[0]["text"] and not common
         assert section.items[-1]["columns"] == COMPARED and len(section.items[-1]["rows"]) == 2
     write_stage(params, "forces")
