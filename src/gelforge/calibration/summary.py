@@ -68,7 +68,7 @@ def bench(parameters: dict, model: BenchModel) -> dict:
 
 def correlations(chain, model) -> dict:
     """Correlation matrix of the walkers' coordinates."""
-    matrix = np.corrcoef(chain.flat(), rowvar=False)
+    matrix = np.corrcoef(chain.flat(DRAWS), rowvar=False)
     return {"names": list(model.names), "matrix": np.round(np.atleast_2d(matrix), 4).tolist()}
 
 
