@@ -25,6 +25,7 @@ from gelforge.geometry.gel import USUAL_GEL, Gel
 from gelforge.geometry.indenters import load_catalogue
 from gelforge.mechanics.hexsettings import HexSettings
 from gelforge.mechanics.material import REFERENCE_C10, Material
+from gelforge.mechanics.mesh.hexmesh import FineBox
 from gelforge.mechanics.scene import Interface, Scene
 from gelforge.mechanics.solvers.hex import solve_hex
 from gelforge.records.press import POSE, TILT, Press
@@ -152,12 +153,13 @@ def test_forces_between_the_friction_nodes_are_those_of_solves(root, tmp_path):
     flat = load_catalogue(root / "workflow" / "indenters.toml", ["cylinder_8"])
     readings = replace(presses((1.0, 1.0, 0, 0.2, -0.26, -1.0, 0)), indenters=np.array(["cylinder_8"]))
     nodes = parameters().calibrate.friction_nodes
-    plan, cache = make_plan(readings, 0.15, LAW, nodes, NU), SolveCache(tmp_path, flat, SETTINGS, SOLVER)
+    settings = replace(SETTINGS, box=FineBox(-3.0, 5.2, -3.26, 5.0, 1.2))  # the same hexahedra for all solves
+    plan, cache = make_plan(readings, 0.15, LAW, nodes, NU), SolveCache(tmp_path, flat, settings, SOLVER)
     assert not solve_all(plan, cache) and plan.nodes == [[nodes[0], np.inf]]
     emulator = build_emulator(plan, cache)
     for mu in (0.2, 1.0):
         scene = Scene(Gel(), Material(NU), flat["cylinder_8"], readings.press(0, 1.0), Interface.of_friction(mu))
-        direct = solve_hex(scene, SETTINGS).total[2]
+        direct = solve_hex(scene, settings).total[2]
         values = true_values(c10=REFERENCE_C10, offset=0.0, compliance=0.0, mu=mu)
         found = emulator.forces(readings.depth, values)[0][0, 0, 2]
         assert found == pytest.approx(direct, rel=0.012 if mu > 0.5 else 0.025)

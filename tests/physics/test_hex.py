@@ -327,9 +327,9 @@ def test_what_ends_ok_neither_penetrates_nor_leaves_the_base(depth, steps, cuts)
 
 
 def test_solver_reuses_what_it_made(solver):
-    """Presses that differ by less than the rounding of the fine box share a mesh."""
+    """Presses of one body to one place share a mesh, whatever the friction."""
     first = solver.solve(ball(x0=0.10, depth=0.3)).mesh
-    assert solver.solve(ball(x0=0.12, depth=0.3)).mesh is first
+    assert solver.solve(ball(x0=0.10, depth=0.3, law="frictionless")).mesh is first
 
 
 # ---- Hertz

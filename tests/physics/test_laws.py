@@ -18,7 +18,7 @@ from gelforge.records.press import Press
 from gelforge.records.status import Status
 from gelforge.sweeps.scenes import parse_scene, read_tables
 from tests.support.flat_pad import FlatPad
-from tests.support.known_scenes import scene_of
+from tests.support.known_scenes import pad, scene_of
 from tests.support.surface_values import base_reactions
 
 PAD = FlatPad(name="pad", width=16.0, length=16.0, corner_radius=0.0, height=4.0)
@@ -169,6 +169,18 @@ def test_presses_of_known_force_are_within_what_they_state(method):
         off = abs(force(found) - known[name]["force_n"])
         assert off < found.error_n and off < {"draft": 0.02, "label": 0.01}[method] * known[name]["force_n"], name
         assert found.error_n < found.evidence["cells_error_n"] < 0.5 * force(found)
+
+
+def test_a_sharp_block_has_one_force_wherever_its_edge_lies_and_it_is_the_known_one():
+    """Its edge, 0.1 mm, is a third of a hexahedron; force by hexahedra graded to 0.01 mm at the edge, right to 0.3 %."""
+    block, known = build("block", {"kind": "cuboid", "size": [10, 10], "fillet": 0.1, "height": 10}), 10.55
+    found = [
+        HexSolver(quality("label")).solve(Scene(pad(4.0), Material(0.475), block, Press(*at, 0.0, 0.0, 0.0, -0.3)))
+        for at in ((0.0, 0.0), (0.17, 0.07))
+    ]
+    assert force(found[0]) == pytest.approx(force(found[1]), rel=2e-3)
+    for one in found:
+        assert abs(force(one) - known) < min(one.error_n, 0.02 * known)
 
 
 @pytest.mark.slow

@@ -54,7 +54,7 @@ def test_every_press_names_its_bricks(made):
     statuses = {name: row["status"] for name, row in rows.items()}
     assert statuses.pop("through") == "OUT_OF_RANGE" and "below the gel's base" in rows["through"]["reason"]
     assert statuses == {"one": "OK", "same": "OK", "aside": "OK", "seen": "OK", "above": "NO_CONTACT"}
-    assert rows["one"]["mesh"] == rows["same"]["mesh"] != rows["aside"]["mesh"]
+    assert rows["aside"]["mesh"] == rows["seen"]["mesh"] != rows["one"]["mesh"]
     assert all(len(load_mesh(row["mesh"]).nodes) > 100 for row in rows.values())
 
 

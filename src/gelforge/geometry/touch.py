@@ -22,6 +22,8 @@ EDGE_STEP, MOST_ON_EDGE = 0.1, 200  # mm between points on an indenter's edges, 
 NEAREST_STEP = 0.25  # mm between points of the top in the search for the nearest one
 TOUCH_STEP = 0.2  # mm between points of the top in the search for the first touch
 CLOSER = 10.0  # refinement of the spacing around the nearest point
+SECTION = 0.2  # over the depth: height of a body's cross-section where contact ends if its edge radius is small
+WITHIN, SIDE_HALVINGS = 2.0, 8  # TOUCH_STEPs that a side may lie within the outermost touched point; bisections
 
 
 def pose_at(press: Press, t: float) -> tuple[np.ndarray, np.ndarray]:
@@ -198,3 +200,39 @@ def width_of(touched: np.ndarray, spacing: tuple[float, float]) -> float:
     along = [np.count_nonzero(np.diff(padded.astype(np.int8), axis=axis)) for axis in (0, 1)]
     perimeter = (along[0] * spacing[1] + along[1] * spacing[0]) * np.pi / 4.0
     return 4.0 * np.count_nonzero(touched) * spacing[0] * spacing[1] / perimeter
+
+
+@lru_cache(maxsize=64)
+def sides(gel: Gel, indenter: Indenter, press: Press) -> tuple[np.ndarray, np.ndarray]:
+    """Sides [x_min, y_min, x_max, y_max], mm, of the undeformed surface inside the indenter, and of the likely contact.
+
+    That is where it is inside from half of the press on, within the body's cross-section at SECTION of the depth. Under
+    sharp edges both agree to a fraction of the edge radius.
+    """
+    points, _ = under_path(gel, indenter, press, TOUCH_STEP)
+    points = points[touched(indenter, press, points)]
+    if not len(points):
+        return np.empty(0), np.empty(0)
+    half = 0.5 + 0.5 * (first_touch(gel, indenter, press) or 0.0)
+    depth = -float(gap(indenter, press, points, 1.0).min())
+    rotation, translation = pose_at(press, 1.0)
+
+    def contact(at: np.ndarray) -> np.ndarray:
+        places = (at - translation) @ rotation
+        places[:, 2] = SECTION * depth
+        return touched(indenter, press, at, times=(half,)) & (indenter.distance(places)[0] < 0.0)
+
+    def ends(within: Callable[[np.ndarray], np.ndarray]) -> np.ndarray:
+        found = []
+        for way in np.vstack([-np.eye(3)[:2], np.eye(3)[:2]]):
+            along = points @ way
+            first = points[along > along.max() - 1e-9]
+            low, high = np.full(len(first), -WITHIN), np.ones(len(first))
+            for _ in range(SIDE_HALVINGS):
+                middle = (low + high) / 2
+                keep = within(first + TOUCH_STEP * middle[:, None] * way)
+                low, high = np.where(keep, middle, low), np.where(keep, high, middle)
+            found.append((first @ way + TOUCH_STEP * low).max())
+        return np.array(found) * [-1, -1, 1, 1]
+
+    return ends(lambda at: touched(indenter, press, at)), ends(contact)

@@ -101,12 +101,12 @@ QUALITIES = {
     "draft": HexSettings(
         size=0.45, across=15, layers=6, widened=(4, 2), layer_ratio=2.0, thin_below=SMALLEST, growth=2.2, largest=4.0,
         press_steps=3, shear_steps=2, nested=Nested(widened=(1,), press_steps=4, shear_steps=2,
-            convergence=Convergence(smooth=0.32, edge=0.64, width=0.18, height=-0.48, spread=0.21, floor=0.004, cells=0.45)),
+            convergence=Convergence(smooth=0.36, edge=0.38, height=-0.8, spread=0.15, doubt=0.2, floor=0.004, cells=0.45)),
     ),
     "label": HexSettings(
         size=0.35, across=20, layers=5, widened=(2,), layer_ratio=2.0, thin_below=SMALLEST, growth=2.2, largest=4.0,
         press_steps=4, shear_steps=2, nested=Nested(press_steps=10, shear_steps=4,
-            convergence=Convergence(smooth=0.46, small=-0.11, corner=0.47, spread=0.12, floor=0.002, cells=0.25)),
+            convergence=Convergence(smooth=0.52, small=-0.2, edge=0.34, spread=0.12, doubt=0.08, floor=0.003, cells=0.25)),
     ),
     "fine": HexSettings(size=0.3, across=24, layers=8, press_steps=6, shear_steps=3),
 }  # fmt: skip

@@ -28,7 +28,7 @@ from gelforge.mechanics.material import REFERENCE_C10
 from gelforge.records.log import read_shard
 from gelforge.stages.poses import Bodies, judge_rows
 
-VERSION = 19
+VERSION = 20
 DRAWN, TRACED = 20000, 300  # draws of the corner plot, steps of the trace
 MOST_BANDS = 6  # indenters in the plot of predictive bands, the first by name: more would hide each other
 

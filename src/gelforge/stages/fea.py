@@ -33,7 +33,7 @@ from gelforge.records.solvetable import Solved, write_solves
 from gelforge.records.status import Status
 from gelforge.sweeps.isolate import Clock
 
-VERSION = 24
+VERSION = 25
 FIRM_N = 0.2  # force sideways, N, from which on a reading is compared with the contact law
 # Force sideways over mu times the normal force above which a reading contradicts the law: a body that slides also ploughs,
 # solved slides of balls, blocks and edges reach 1.08, that of a pyramid 1.20.

@@ -22,7 +22,7 @@ from gelforge.sweeps.methods import DOUBLED, LARGE_REFERENCE, REFERENCE, Method,
 from gelforge.sweeps.scenes import NamedScene, parse_scene
 from gelforge.sweeps.trial import ChartBench, given_check, load_bench, measure
 
-VERSION = 5
+VERSION = 6
 GOAL_TOTAL, GOAL_CELLS = 0.02, 0.08  # largest relative errors that a method for labels should have over all scenes
 COLUMNS = ("method", "solver", "size_mm", "load_steps", "scenes", "failed", "whole", "cpu_seconds_median",
            "cpu_seconds_worst",

@@ -1,4 +1,4 @@
-"""When an indenter first meets the gel, and how wide a figure on a grid is."""
+"""When an indenter first meets the gel, where contact ends, and how wide a figure on a grid is."""
 
 from dataclasses import replace
 
@@ -9,15 +9,20 @@ from gelforge.geometry.gel import Gel
 from gelforge.geometry.indenters import build
 from gelforge.geometry.touch import (
     PRESSED,
+    SECTION,
+    SIDE_HALVINGS,
     TOUCH_STEP,
+    WITHIN,
     begins_inside,
     first_touch,
     gap,
     nearest,
+    sides,
     under_path,
     width_of,
 )
 from gelforge.records.press import Press
+from tests.support.known_scenes import pad
 
 GEL = Gel()
 BODIES = [
@@ -85,3 +90,24 @@ def test_the_width_of_a_disc_is_its_diameter_and_of_a_ring_twice_its_wall(spacin
     assert width_of((away < 4.0) & (away > 3.2), spacing) == pytest.approx(1.6, rel=0.05)
     along = 4.0 / np.pi  # a square along the grid: no step of its rim is too long
     assert width_of((np.abs(x) < 2.0) & (np.abs(y) < 1.0), spacing) == pytest.approx(along * 4 * 8 / 12, rel=0.06)
+
+
+@pytest.mark.parametrize("fillet", [0.02, 0.1, 0.3])
+def test_the_contact_of_a_punch_ends_where_its_edge_reaches_a_fifth_of_the_depth(fillet):
+    """And the undeformed surface meets its side, or its fillet; wherever the punch is, to what bisection leaves."""
+    punch, depth, middle = (
+        build("punch", {"kind": "cylinder", "diameter": 8, "fillet": fillet, "height": 10}),
+        0.2,
+        [0.13, -0.31],
+    )
+    met, contact = sides(pad(4.0), punch, Press(*middle, 0.0, 0.0, 0.0, -depth))
+    left = TOUCH_STEP * (1.0 + WITHIN) / 2**SIDE_HALVINGS
+    for found, height in ((met, depth), (contact, SECTION * depth)):
+        low = max(fillet - height, 0.0)
+        radius = 4.0 - fillet + np.sqrt(fillet**2 - low**2)
+        known = np.add(middle * 2, [-radius, -radius, radius, radius])
+        assert (np.abs(found - known) < left + 1e-3).all()  # the outermost point is not quite on the axis
+
+
+def test_a_body_beside_the_gel_has_no_sides():
+    assert not len(sides(pad(4.0), BODIES[0], Press(60.0, 0.0, 0.0, 0.0, 0.0, -0.5))[0])

@@ -62,7 +62,7 @@ class HexMesh(GelMesh):
 
 @dataclass(frozen=True)
 class FineBox:
-    """Part of the gel, seen from above, with small hexahedra of side about `size`; all mm."""
+    """Contact, seen from above: mesh lines pass through its sides, and hexahedra in and around it have side `size`; mm."""
 
     x_min: float
     x_max: float
@@ -72,16 +72,18 @@ class FineBox:
 
 
 def graded_lines(
-    low: float, high: float, fine_low: float, fine_high: float, size: float, growth: float = 1.5, largest: float = 2.0
-) -> np.ndarray:
-    """Mesh lines (n + 1,) on [low, high]: cells of about `size` on the fine part, growing to `largest` beyond; mm.
+    low: float, high: float, fine_low: float, fine_high: float, size: float, growth: float = 1.5, largest: float = 2.0,
+    many: int = 1,
+) -> np.ndarray:  # fmt: skip
+    """Mesh lines (n + 1,) on [low, high], also through the ends of the fine part; mm.
 
+    Cells of about `size` on the fine part, a multiple of `many` of them, and `around` it, growing to `largest` beyond.
     growth: width of a cell over that of its inner neighbour. BadInput if the fine part lies outside [low, high].
     """
     fine_low, fine_high = max(low, fine_low), min(high, fine_high)
     if not fine_high > fine_low:
         raise BadInput(f"fine part [{fine_low}, {fine_high}] lies outside [{low}, {high}]; move the box onto the gel")
-    cells = max(1, round((fine_high - fine_low) / size))
+    cells = many * max(1, round((fine_high - fine_low) / (many * size)))
     middle = np.linspace(fine_low, fine_high, cells + 1)
     size = (fine_high - fine_low) / cells
     left = fine_low - _outward(fine_low - low, size, growth, largest)[::-1]
@@ -93,7 +95,7 @@ def _outward(distance: float, size: float, growth: float, largest: float) -> np.
     """Growing offsets (k,) that end exactly at `distance`, mm; size: of the first cell's inner neighbour."""
     if distance < 0.5 * size:
         return np.array([distance]) if distance > 1e-9 else np.empty(0)
-    sizes: list[float] = []
+    sizes = [size] * int(np.ceil(min(around(size), distance) / size))
     while sum(sizes) < distance:
         size = min(size * growth, largest)
         sizes.append(size)
@@ -186,8 +188,9 @@ def build_mesh(
     beside the gel.
     """
     half = gel.width / 2, gel.length / 2
-    xs = graded_lines(-half[0], half[0], box.x_min, box.x_max, box.size, growth, largest)
-    ys = graded_lines(-half[1], half[1], box.y_min, box.y_max, box.size, growth, largest)
+    many = 2 ** len(widened)
+    xs = graded_lines(-half[0], half[0], box.x_min, box.x_max, box.size, growth, largest, many)
+    ys = graded_lines(-half[1], half[1], box.y_min, box.y_max, box.size, growth, largest, many)
     planes = planes_of(xs, ys, layers, widened, (box.x_min, box.x_max, box.y_min, box.y_max))
     return mesh_on_lines(gel, xs, ys, layer_heights(layers, layer_ratio), planes)
 
@@ -251,18 +254,29 @@ SMALLEST = 0.15  # mm, smallest side of hexahedra under a small contact that is 
 # down to 0.01 mm each: with three, the force on a cone's tip is a tenth too large. MARGIN more surround it.
 TINY, POINTS, FEWEST, MARGIN = 1.2, 40, 6, 5
 SPACING = 0.2  # mm between the points at which other contacts are sampled
-AROUND = 0.5  # mm of small hexahedra around the touched surface; the box is rounded outwards to multiples of it
+AROUND = 0.5  # mm of small hexahedra around the contact, at most MARGIN of them
+SHARP = 3.0  # decay of sharpness with the distance between both sides, over the size of hexahedra
+
+
+def around(size: float) -> float:
+    """Width, mm, of the rim of hexahedra of side `size` mm around a contact."""
+    return min(AROUND, MARGIN * size)
+
+
+def sharpness(scene: Scene, size: float) -> float:
+    """Mean over its four sides of how sharp the edge of contact is, from 0 under round bodies to 1; size: of hexahedra, mm."""
+    met, contact = touch.sides(scene.gel, scene.indenter, scene.press)
+    return float(np.exp(-SHARP * np.abs(met - contact) / size).mean()) if len(met) else 0.0
 
 
 def fine_box(scene: Scene, size: float, across: int = 0) -> FineBox:
-    """Part of the gel that the press can touch, rounded outwards so that presses share meshes.
+    """The contact of a press: each side where a sharp edge ends it, or where the undeformed surface meets the body.
 
-    The undeformed surface that lies inside the indenter anywhere on the path, with a margin of AROUND mm, less around
-    a contact under TINY mm across. Hexahedra have side `size`, or less if fewer than `across` of them would fit
-    across the shorter side of the contact, or if its parts are narrow, down to SMALLEST; under a contact below TINY
-    down to its longer side / FEWEST, if that is less, and never below 0.01 mm. across: 0 for `size` everywhere.
+    Hexahedra have side `size`, or less if fewer than `across` of them would fit across the shorter side of the contact,
+    or if its parts are narrow, down to SMALLEST; under a contact below TINY down to its longer side / FEWEST, if that is
+    less, and never below 0.01 mm. across: 0 for `size` everywhere.
     """
-    smallest, around = SMALLEST, AROUND
+    smallest = SMALLEST
     points, shape = touch.under_path(scene.gel, scene.indenter, scene.press, SPACING)
     inside = touch.touched(scene.indenter, scene.press, points)
     if across and inside.any() and np.ptp(points[inside, :2], axis=0).max() < TINY:
@@ -271,7 +285,6 @@ def fine_box(scene: Scene, size: float, across: int = 0) -> FineBox:
         inside = touch.touched(scene.indenter, scene.press, points)
         if inside.any():
             smallest = min(smallest, max(0.01, float(np.ptp(points[inside, :2], axis=0).max()) / FEWEST))
-            around = min(around, float(np.round(MARGIN * smallest, 2)))
     if not inside.any():
         least = touch.gap(scene.indenter, scene.press, points, 1.0)
         inside = least <= least.min() + 1e-9
@@ -283,8 +296,14 @@ def fine_box(scene: Scene, size: float, across: int = 0) -> FineBox:
             touch.width_of(inside.reshape(shape), touch.spacing_of(points, shape)) / (NARROW * across),
         )
         size = min(size, float(np.round(max(smallest, narrow), 2)))
-    gel = scene.gel
-    half = np.array([gel.width / 2, gel.length / 2])
-    low = np.maximum(np.floor((met.min(axis=0) - around) / around) * around, -half)
-    high = np.minimum(np.ceil((met.max(axis=0) + around) / around) * around, half)
-    return FineBox(float(low[0]), float(high[0]), float(low[1]), float(high[1]), size)
+    outer, inner = touch.sides(scene.gel, scene.indenter, scene.press)
+    if len(outer):
+        sharp = np.abs(outer - inner) < size / 2
+        low, high = np.where(sharp, inner, outer).reshape(2, 2)
+        # under round bodies a whole number of pairs of coarse hexahedra, so that a line passes through the middle
+        wider = (low - high) % (4.0 * size) / 2.0 * ~sharp.reshape(2, 2).any(axis=0)
+        low, high = low - wider, high + wider
+    else:
+        low, high = met.min(axis=0) - around(size), met.max(axis=0) + around(size)
+    x_min, x_max, y_min, y_max = np.round([low[0], high[0], low[1], high[1]], 3).tolist()
+    return FineBox(x_min, x_max, y_min, y_max, size)

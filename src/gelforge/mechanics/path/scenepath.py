@@ -99,7 +99,6 @@ class ScenePath(Equilibrium):
         self.control = StepControl(settings.max_cuts, EASY)
         self.history: list[tuple[float, np.ndarray]] = []
         self.curve: list[list[float]] = []
-        self.areas: list[float] = []  # contact area at each load step, mm^2
         self._states = [(0.0, self.u)]
         self._anchors: list[Anchors | None] = [None]
 
@@ -244,7 +243,7 @@ class ScenePath(Equilibrium):
         """A copy of this run that continues independently; both share mesh and factorisation."""
         other = copy.copy(self)
         other.state, other._states = copy.deepcopy(self.state), list(self._states)
-        other.curve, other.areas = list(self.curve), list(self.areas)
+        other.curve = list(self.curve)
         return other
 
     def _legs(self, start: float) -> list[tuple[float, int]]:
@@ -281,7 +280,6 @@ class ScenePath(Equilibrium):
         self.t = t
         self.steps += 1
         self.curve.append([float(t), *total.tolist()])
-        self.areas.append(float(self.state.weights[np.unique(self.tractions.point)].sum()))
         self.history = [previous, (t, self.u)]
         self._states.append((t, self.u))
         self._anchors.append(self._bound() if self.law.frictional else None)

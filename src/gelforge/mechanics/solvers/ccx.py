@@ -23,7 +23,7 @@ from gelforge.mechanics.contact.penalty import FREE
 from gelforge.mechanics.hexsettings import quality
 from gelforge.mechanics.mesh.basemesh import base_of
 from gelforge.mechanics.mesh.gelmesh import GelMesh
-from gelforge.mechanics.mesh.hexmesh import fine_box
+from gelforge.mechanics.mesh.hexmesh import around, fine_box
 from gelforge.mechanics.mesh.names import SMALLEST_MM, Contact, TetMeshName
 from gelforge.mechanics.path.equilibrium import System
 from gelforge.mechanics.path.loadpath import first_touch, fitted
@@ -117,9 +117,10 @@ def mesh_of(
     edge_mm, inside_mm: longest edges there; shorter if the contact is narrow, see LONGEST (longest = inf: never).
     """
     box = fine_box(scene, AROUND.size, AROUND.across)
+    rim = around(box.size)
     low, size = (
-        (_digits(box.x_min, 6), _digits(box.y_min, 6)),
-        np.array([box.x_max - box.x_min, box.y_max - box.y_min]),
+        (_digits(box.x_min - rim, 6), _digits(box.y_min - rim, 6)),
+        np.array([box.x_max - box.x_min, box.y_max - box.y_min]) + 2.0 * rim,
     )
     pixel = _digits(size.max() / PIXELS, 3)
     x, y = (

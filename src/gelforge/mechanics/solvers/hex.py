@@ -10,13 +10,13 @@ import numpy as np
 
 from gelforge.geometry import touch
 from gelforge.geometry.gel import Gel
-from gelforge.mechanics.contact.penalty import FREE, ContactState
-from gelforge.mechanics.extrapolate import UNCORRECTED, UNCORRECTED_CELLS, Coarse, edge_of
+from gelforge.mechanics.contact.penalty import ContactState
+from gelforge.mechanics.extrapolate import UNCORRECTED, UNCORRECTED_CELLS, edge_of
 from gelforge.mechanics.hexsettings import FLATNESS, WIDEST, HexSettings
-from gelforge.mechanics.mesh.hexmesh import FineBox, HexMesh, build_mesh, fine_box, thinner_layers
+from gelforge.mechanics.mesh.hexmesh import FineBox, HexMesh, build_mesh, fine_box, sharpness, thinner_layers
 from gelforge.mechanics.mesh.hexname import HexMeshName
 from gelforge.mechanics.path.equilibrium import System
-from gelforge.mechanics.path.loadpath import first_touch, fitted, frame_time, path_pose
+from gelforge.mechanics.path.loadpath import first_touch, fitted, frame_time
 from gelforge.mechanics.path.scenepath import ScenePath
 from gelforge.mechanics.path.transfer import LoadPath, walk_start
 from gelforge.mechanics.result import BALANCE, BEYOND_CONE, Result
@@ -152,13 +152,12 @@ class HexSolver:
         if status is Status.DIVERGED and not at_end:
             return none
         run.curve[-1][1:] = run.contact_forces().sum(axis=0).tolist()
-        run.areas[-1] = float(run.state.weights[run.state.status != FREE].sum())
         path = run.path(wide.size)
         counts = {"coarse_newton_iterations": run.iterations, "coarse_factorisations": run.factorisations}
         found: list[CoarseFrame | None] = []
         for t in times:
             curve = _until(run.curve, t)
-            frame = CoarseFrame(path.until(t), curve, run.areas[len(curve) - 1], counts) if curve else None
+            frame = CoarseFrame(path.until(t), curve, counts) if curve else None
             found.append(frame if t > start + TOUCH else None)
         return found
 
@@ -205,14 +204,14 @@ class HexSolver:
         result.evidence |= coarse.counts if coarse else {}
         if result.status is not Status.OK or contact is None or force == 0.0:
             return
-        edge = edge_of(contact, scene.indenter, path_pose(scene, scene.press.end), box.size, scene.gel.height)
+        edge = edge_of(contact, sharpness(scene, box.size), box.size, scene.gel.height)
         evidence = result.evidence
         if coarse is None or numbers is None or edge is None:
             evidence |= {"error_n": UNCORRECTED * force, "cells_error_n": UNCORRECTED_CELLS * force}
             return
-        both = Coarse(coarse.force, coarse.area)
-        share = numbers.error(both, force, scene.interface.contact.frictional)
-        factor = 1.0 / (1.0 + numbers.correction(edge, both, force))
+        difference = coarse.force / force - 1.0
+        share = numbers.error(edge, difference, scene.interface.contact.frictional)
+        factor = 1.0 / (1.0 + numbers.correction(edge, difference))
         # base reactions scale with the forces, so they stay balanced; new arrays, because equal frames share them
         result.forces = factor * result.forces
         result.contact = replace(contact, traction=factor * contact.traction)
@@ -256,12 +255,11 @@ class CoarseFrame:
     """A press on coarse hexahedra up to one frame.
 
     path: its states. curve: converged load steps [path parameter of a press that ends at the frame, fx, fy, fz], N.
-    area: of contact, mm^2. counts: iterations and factorisations of the whole path.
+    counts: iterations and factorisations of the whole path.
     """
 
     path: LoadPath
     curve: list[list[float]]
-    area: float
     counts: dict[str, int]
 
     @property
