@@ -57,9 +57,15 @@ class _Table:
             self.fail(key, value, f"give a number above {low:g} and below {high:g} (mm or degrees)")
         return float(value)
 
+    def whole(self, key, low: float, high: float = 1000.0) -> int:
+        value = self.number(key, low=low, high=high)
+        if not value.is_integer():
+            self.fail(key, value, "give a whole number")
+        return int(value)
+
     def pair(self, key) -> tuple[float, float]:
         value = self.take(key)
-        fits = isinstance(value, list) and len(value) == 2
+        fits = isinstance(value, list) and len(value) == 2 and not any(isinstance(v, bool) for v in value)
         if not fits or not all(isinstance(v, int | float) and 0 < v < 1000 for v in value):
             self.fail(key, value, "give two positive numbers [along x, along y] in mm")
         return float(value[0]), float(value[1])
@@ -119,10 +125,8 @@ def _cross(t: _Table, **common) -> Body:
 
 
 def _polygon(t: _Table, **common) -> Body:
-    fillet, sides = t.number("fillet"), t.number("sides", low=2.5)
-    if not sides.is_integer():
-        t.fail("sides", sides, "give a whole number of sides")
-    corners = regular_polygon(int(sides), t.number("side"), t.number("first_corner_deg", 0.0, low=-361.0))
+    fillet, sides = t.number("fillet"), t.whole("sides", low=2.5)
+    corners = regular_polygon(sides, t.number("side"), t.number("first_corner_deg", 0.0, low=-361.0))
     return Extrusion(profile=Outline(corners, fillet), fillet=fillet, height=t.number("height"), **common)
 
 
@@ -209,7 +213,7 @@ def _pyramid(t: _Table, **common) -> Body:
 def _random_solid(t: _Table, **common) -> Body:
     """A convex block of `size` mm at most, its lower side cut by up to four planes that tilt by up to `slope_deg`."""
     size, slope = t.number("size"), t.number("slope_deg", 30.0, high=80.0)
-    rng = np.random.default_rng(int(t.number("seed", low=-1.0, high=2**31)))
+    rng = np.random.default_rng(t.whole("seed", low=-1.0, high=2**31))
     walls = int(rng.integers(3, 8))
     turns = (np.arange(walls) + rng.uniform(-0.3, 0.3, walls) + rng.uniform(0, walls)) * 2 * np.pi / walls
     corners = size / 2.0 * np.column_stack([np.cos(turns), rng.uniform(0.5, 1.0) * np.sin(turns)])  # on an ellipse

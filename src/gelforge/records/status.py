@@ -8,10 +8,10 @@ class Status(Enum):
 
     OK = "The state is in equilibrium, nothing pulls, nothing penetrates."
     NO_CONTACT = "The indenter does not reach the gel on this path; the forces are zero by geometry."
-    DIVERGED = "Newton's method found no equilibrium; use more load steps or a finer mesh."
-    UNSETTLED = "The contact set did not settle; allow more rounds or use a finer mesh."
+    DIVERGED = "Newton's method found no equilibrium; check depth and position, or choose another method."
+    UNSETTLED = "The contact set did not settle; press less deep or choose another method."
     OUT_OF_RANGE = "The press leaves what the gel can represent; check depth and position in the log."
-    TOO_COARSE = "The indenter touches the gel between the points at which contact is looked for; use a finer mesh."
+    TOO_COARSE = "The indenter touches the gel between the points at which contact is looked for; press deeper or choose method `label`."
     SOLVER_MISSING = "The solver program was not found; run `make setup` or choose method label."
     UNREADABLE = "The solver's output is truncated or not finite; look at its log and run again."
     DISAGREES = "CalculiX and the solver in process disagree on one equilibrium; install another CalculiX, its numbers cannot be trusted."

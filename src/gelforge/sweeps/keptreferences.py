@@ -32,7 +32,7 @@ POINTS, REACH_MM, LEAST_MM = 4000, 12.0, 1e-6
 
 def reference_key(scene: dict, nu: float, sensor: Sensor, table: ReferenceTable) -> str:
     """Digest of a reference's inputs: table of the scene, Poisson's ratio, cells, element sizes and load steps."""
-    return digest_of_value([scene, nu, sensor.projection.tolist(), plain(table)])
+    return digest_of_value([scene, nu, sensor.image, sensor.projection.tolist(), plain(table)])
 
 
 def reference_rows(record: dict) -> list[dict]:

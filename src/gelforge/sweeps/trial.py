@@ -45,7 +45,7 @@ class ChartBench:
         if method == LARGE_REFERENCE:
             return reference_key(scene.table, self.params.material.nu, self.sensor, self.params.pareto.reference)
         parts = [scene.table, asdict(method), self.params.version, self.params.material.nu,
-                 self.sensor.projection.tolist(), self._settings(method, scene.scene.gel)]  # fmt: skip
+                 self.sensor.image, self.sensor.projection.tolist(), self._settings(method, scene.scene.gel)]  # fmt: skip
         return digest_of_value(parts)
 
     def _settings(self, method: Method, gel: Gel) -> list:

@@ -134,6 +134,8 @@ WRONG = (
     ({"kind": "cuboid", "size": [5, 5], "fillet": 0, "height": 5}, "fillet = 0; give a number above 0"),
     ({"kind": "cuboid", "size": [5], "fillet": 1, "height": 5}, "two positive numbers"),
     ({"kind": "cuboid", "size": [1.5, 9], "fillet": 1, "height": 5}, "too large"),
+    ({"kind": "cuboid", "size": [True, 5], "fillet": 1, "height": 5}, "two positive numbers"),
+    ({"kind": "random_solid", "size": 9, "seed": 1.7, "fillet": 1, "height": 5}, "whole number"),
     ({"kind": "polygon", "sides": 5.5, "side": 4, "fillet": 0.5, "height": 8}, "sides = 5.5"),
     ({"kind": "sloping_cuboid", "size": [9, 9], "slope_deg": 100, "fillet": 1, "height": 9}, "slope_deg = 100"),
     ({"kind": "pyramid", "size": [9, 9], "slope_deg": 170, "fillet": 1, "height": 9}, "slope_deg = 170"),

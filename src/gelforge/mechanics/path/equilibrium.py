@@ -129,7 +129,7 @@ class Equilibrium:
         self.nodes = np.ascontiguousarray(mesh.faces[self.state.face])
         self.u, self.candidates = np.zeros_like(mesh.nodes), np.empty(0, np.int64)
         self.tractions: Any = None  # Tractions of the last equilibrium
-        self.factorisations = self.products = self.iterations = 0
+        self.iterations = 0
         self.residual, self.factored = np.inf, False
         self.noisy, self.crawls = NOISY, False
 
@@ -246,7 +246,6 @@ class Equilibrium:
         except SolveFailed as error:
             raise NoEquilibrium(str(error)) from error
         self.factored = True
-        self.factorisations += 1
         step = gmres(apply, system.linear.solve, right, FORCING, FRESH)
         if step is None:
             raise NoEquilibrium
@@ -267,7 +266,6 @@ class Equilibrium:
         def apply(x: np.ndarray) -> np.ndarray:
             y = symmetric_product(pattern, values, x)
             add(x, y)
-            self.products += 1
             return y
 
         return apply

@@ -97,7 +97,7 @@ def solve_contact(
     (folder / "contact.inp").write_text(deck)
     job = run_ccx("contact", folder, settings.timeout_s)
     evidence |= {
-        "newton_iterations": job.iterations, "peak_mib": job.peak_mib, "solver_seconds": job.seconds, "ccx_version": job.version,
+        "newton_iterations": job.iterations, "peak_mib": job.peak_mib, "ccx_version": job.version,
         "seconds": time.perf_counter() - began, "load_steps": len(moves),
     }  # fmt: skip
     if job.returncode == OVERDUE:

@@ -153,11 +153,10 @@ class HexSolver:
             return none
         run.curve[-1][1:] = run.contact_forces().sum(axis=0).tolist()
         path = run.path(wide.size)
-        counts = {"coarse_newton_iterations": run.iterations, "coarse_factorisations": run.factorisations}
         found: list[CoarseFrame | None] = []
         for t in times:
             curve = _until(run.curve, t)
-            frame = CoarseFrame(path.until(t), curve, counts) if curve else None
+            frame = CoarseFrame(path.until(t), curve) if curve else None
             found.append(frame if t > start + TOUCH else None)
         return found
 
@@ -201,7 +200,6 @@ class HexSolver:
         force = float(np.linalg.norm(result.total))
         contact, nested = result.contact, self.settings.nested
         numbers = nested.convergence if nested else None
-        result.evidence |= coarse.counts if coarse else {}
         if result.status is not Status.OK or contact is None or force == 0.0:
             return
         edge = edge_of(contact, sharpness(scene, box.size), box.size, scene.gel.height)
@@ -255,12 +253,10 @@ class CoarseFrame:
     """A press on coarse hexahedra up to one frame.
 
     path: its states. curve: converged load steps [path parameter of a press that ends at the frame, fx, fy, fz], N.
-    counts: iterations and factorisations of the whole path.
     """
 
     path: LoadPath
     curve: list[list[float]]
-    counts: dict[str, int]
 
     @property
     def force(self) -> float:
@@ -332,8 +328,7 @@ def _result(run: ScenePath, mesh: HexMesh, status: Status, started: float, name:
         evidence["reason"] = run.reason
     run.record()
     evidence["path"] = run.curve
-    evidence |= {"reached": float(run.t), "cuts": run.control.cuts, "factorisations": run.factorisations}
-    evidence["products"] = run.products
+    evidence |= {"reached": float(run.t), "cuts": run.control.cuts}
     evidence["seconds"] = time.perf_counter() - started
     return HexResult(status, forces, run.u, evidence, mesh, run.state, name)
 
