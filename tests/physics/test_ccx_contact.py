@@ -12,7 +12,7 @@ from gelforge.mechanics.ccx.deck import press_deck
 from gelforge.mechanics.ccx.program import need_ccx, run_ccx
 from gelforge.mechanics.contact.law import LAWS
 from gelforge.mechanics.contact.penalty import FREE, STICK
-from gelforge.mechanics.hexsettings import HexSettings
+from gelforge.mechanics.hexsettings import quality
 from gelforge.mechanics.linear.factorisation import SuperLU
 from gelforge.mechanics.material import Material
 from gelforge.mechanics.path.equilibrium import System
@@ -20,7 +20,7 @@ from gelforge.mechanics.path.loadpath import first_touch, path_pose
 from gelforge.mechanics.path.pathsettings import PathSettings
 from gelforge.mechanics.path.scenepath import ACCEPTED, ScenePath
 from gelforge.mechanics.scene import Interface, Scene
-from gelforge.mechanics.solvers.ccx import CcxSettings, CcxSolver, read_answer
+from gelforge.mechanics.solvers.ccx import EDGE_MM, ERROR, ORDER, CcxSettings, CcxSolver, read_answer
 from gelforge.mechanics.solvers.hex import solve_hex
 from gelforge.records.press import Press
 from gelforge.records.status import Status
@@ -46,6 +46,7 @@ class Ball:
         return self.size
 
 
+EDGES_MM = 1.0  # of the tetrahedra
 PAD = FlatPad(name="pad", width=7.0, length=7.0, corner_radius=0.0, height=4.0)
 
 
@@ -56,7 +57,7 @@ def scene(law, dx=0.0, depth=0.5):
 @pytest.fixture(scope="module")
 def solver(ccx, tmp_path_factory):
     return CcxSolver(
-        symmetric_block(PAD, 1.0, 3),
+        symmetric_block(PAD, EDGES_MM, 3),
         tmp_path_factory.mktemp("ccx"),
         CcxSettings.of(altered(parameters().fea, press_steps=3, shear_steps=2)),
     )
@@ -109,9 +110,9 @@ def test_forces_balance_and_agree_with_hex(solver, law):
     # the .dat prints seven digits, and the forces of both ends are sums of many nodes'
     assert np.linalg.norm(result.total + held.sum(axis=0)) < 1e-5 * np.linalg.norm(result.total)
     assert result.evidence["engine_difference"] < 1e-7  # same elements, same contact
-    hexa = solve_hex(scene(law), HexSettings(size=0.6, layers=6))
-    # the meshes' own errors at these sizes: 4 % of total force
-    assert result.total[2] == pytest.approx(hexa.total[2], rel=0.04)
+    label = solve_hex(scene(law), quality("label"))
+    stated = ERROR * (EDGES_MM / EDGE_MM) ** ORDER * abs(label.total[2]) + label.error_n
+    assert result.total[2] == pytest.approx(label.total[2], abs=stated)
     # the mesh is not symmetric: its diagonals all run one way
     assert np.abs(result.total[:2]).max() < 0.01 * abs(result.total[2])
 
