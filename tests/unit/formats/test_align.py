@@ -360,8 +360,9 @@ def test_a_bench_becomes_a_log_that_stage_10_takes_whole(tmp_path, capsys, root,
     assert read_image(tmp_path / "bench/nocontact/gelsight_mini.png").mean() == pytest.approx(100, abs=1)
     assert (tmp_path / "bench/aligned.png").stat().st_size > 10_000
     refused("exists already", command.main, [*words, "--indenter", "sphere_15"])
-    refused("no indenter named 'sphere_51'", command.main, [*words, "--indenter", "sphere_51"])
-    refused("--origin", command.main, [*words[:-2], "--indenter", "sphere_15", "--data", str(tmp_path / "other")])
+    other = ["--data", str(tmp_path / "other")]
+    refused("no indenter named 'sphere_51'", command.main, [*words, *other, "--indenter", "sphere_51"])
+    refused("--origin", command.main, [*words[:-2], "--indenter", "sphere_15", *other])
 
 
 def test_of_one_press_it_is_told_what_its_clocks_may_cost(tmp_path, capsys, root, monkeypatch):

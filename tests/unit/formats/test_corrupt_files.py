@@ -35,7 +35,8 @@ from tests.support.press_records import log_line
 PICTURE = np.random.default_rng(1).integers(0, 255, (24, 32, 3), np.uint8)
 LABELS = {"sample_id": np.array(["a", "b"]), "status": np.array(["OK", "OK"]), "outside": np.zeros((2, 3)),
           "label": np.zeros((2, 3, 2, 2), np.float32), "c10": np.float64(0.07)}  # fmt: skip
-MESH = HexMeshName("gelsight_mini", FineBox(-2.0, 2.0, -2.0, 2.0, 1.0), 2, 2.0, 2.0, 4.0).name
+HEXAHEDRA = HexMeshName("gelsight_mini", FineBox(-2.0, 2.0, -2.0, 2.0, 1.0), 2, 2.0, 2.0, 4.0)
+MESH = HEXAHEDRA.name
 LOG = "\n".join([",".join(COLUMNS), *(log_line(sample_id=f"s{k}", fz_n=-1.0 - k) for k in range(6))]) + "\n"
 
 
@@ -111,7 +112,8 @@ def whole(tmp_path_factory, root):
     found["npy"] = (folder / "x.npy").read_bytes(), [read_npy]
     np.save(folder / "rows.npy", np.arange(12.0).reshape(4, 3))
     found["rows"] = (folder / "rows.npy").read_bytes(), [lambda path: RowFile(path)[:]]
-    found["solve"] = archive(np.savez, force=np.ones((121, 3)), displacement=np.zeros((121, 3))), [solved]
+    surface = np.zeros((len(HEXAHEDRA.mesh().surface_nodes), 3))
+    found["solve"] = archive(np.savez, force=surface + 1.0, displacement=surface), [solved]
     recording(folder / "r.mcap")
     found["mcap"] = (folder / "r.mcap").read_bytes(), [recorded]
     found["log"] = LOG.encode(), [log_rows, read_poses, read_samples]
