@@ -185,11 +185,15 @@ def test_a_sharp_block_has_one_force_wherever_its_edge_lies_and_it_is_the_known_
 
 
 @pytest.mark.slow
-def test_a_press_whose_coarse_path_does_not_arrive_is_corrected_too(root):
-    """Its end is followed on the fine hexahedra themselves: two sizes say as much of it as of any other."""
-    tables = read_tables(root / "workflow")
+def test_a_press_whose_coarse_path_does_not_arrive_is_corrected_too(root, monkeypatch):
+    """Its end is followed on the fine hexahedra themselves: two sizes say as much of it as of any other.
+
+    Of the scenes of the charts all arrive, so that here the end of one that does is called diverged.
+    """
+    tables, arrived = read_tables(root / "workflow"), HexSolver._arrived
+    monkeypatch.setattr(HexSolver, "_arrived", lambda *which: replace(arrived(*which), status=Status.DIVERGED))
     found = HexSolver(quality("draft")).solve(parse_scene("slope", tables["sloping_cuboid"], 0.475).scene)
-    assert found.evidence["load_steps"] > 0, "it arrives: give another scene"
+    assert found.evidence["load_steps"] > 0 and "fell_back" in found.evidence
     assert 0.9 < found.evidence["extrapolated"] < 0.99 and found.error_share < 0.05
 
 
