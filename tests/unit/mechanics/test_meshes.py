@@ -196,7 +196,7 @@ def test_columns_are_stretched_between_base_and_top():
 
 
 def test_a_contact_as_small_as_a_hair_is_meshed_around_alone():
-    """0.05 mm wide: small tetrahedra where it is, and those of the base mesh everywhere else."""
+    """0.05 mm wide: small tetrahedra where it is, and those of the base mesh (edges near 2 mm) everywhere else."""
     mesh = made_here(TetMeshName("gelsight_mini", BASE, 0.02, 0.02, disc(0.025, (0.3, 0.2), 0.002))).mesh()
     assert mesh_report(mesh, GEL)["min_scaled_jacobian"] > 0.1 and len(mesh.nodes) < 20_000
     ends = mesh.nodes[mesh.faces[:, [0, 1]]]
@@ -204,4 +204,4 @@ def test_a_contact_as_small_as_a_hair_is_meshed_around_alone():
         np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1),
         np.hypot(*(ends.mean(axis=1)[:, :2] - [0.3, 0.2]).T),
     )
-    assert length[away < 0.03].max() < 0.03 and length[away > 6.0].min() > 1.0
+    assert length[away < 0.03].max() < 0.03 and np.median(length[away > 6.0]) > 1.5 and length[away > 6.0].min() > 0.5
