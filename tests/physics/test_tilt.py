@@ -106,11 +106,11 @@ def test_three_solves_tell_force_and_centre_at_another_tilt_and_depth(body, flat
     ends = [end_of(body, replace(press, tilt_x_deg=x, tilt_y_deg=y)) for x, y in NODES]
     force, centre, moved = response(ends)
     tilts = Tilts(np.array([0.5]), np.array([flat]), force[None] * flat, centre[None], moved[None])
-    tilt, depth = np.array([[[1.5, -1.0]]]), np.array([[0.6]])
+    tilt, depth = np.array([[[1.5, -1.0]]]), np.array([[0.8]])
     # a ball rolls, and its lowest point comes down
     sunk = 0.0 if flat else 6.0 * (1.0 - np.cos(np.deg2rad(np.hypot(*tilt[0, 0]))))
-    leant = end_of(body, replace(press, dz=-0.6, tilt_x_deg=1.5, tilt_y_deg=-1.0))
-    upright = end_of(body, replace(press, dz=-0.6 - sunk))
+    leant = end_of(body, replace(press, dz=-0.8, tilt_x_deg=1.5, tilt_y_deg=-1.0))
+    upright = end_of(body, replace(press, dz=-0.8 - sunk))
     # the linear part of the force and the third power of tilt are left out
     assert leant["end"][2] / upright["end"][2] == pytest.approx(tilts.factor(tilt, depth)[0, 0], abs=0.01)
     assert leant["centre"] == pytest.approx(tilts.centres(tilt, depth)[0, 0], abs=0.04)

@@ -10,6 +10,7 @@ from gelforge.calibration.posterior import Posterior
 from gelforge.calibration.readings import Readings, choose_presses, readings_of
 from gelforge.calibration.summary import bench
 from gelforge.calibration.tilts import (
+    DEEPER,
     FEWEST,
     NODES,
     Tilts,
@@ -46,11 +47,11 @@ def responses(n, flat=True) -> Tilts:
 
 
 def test_responses_are_those_of_the_solves_and_follow_depth():
-    """At twice the depth a flat body needs twice the tilt for the same; a ball rolls aside as far at any depth."""
+    """Deeper a flat body needs more tilt for the same, less than in proportion; a ball rolls aside as far at any depth."""
     ends = [{"end": [0.0, 0.0, -10.0], "centre": [0.1, 0.0]}, {"end": [0.0, 0.0, -10.2], "centre": [0.1, -0.6]},
             {"end": [0.0, 0.0, -10.1], "centre": [0.8, 0.0]}]  # fmt: skip
     force, centre, moved = response(ends)
-    for flat, alike in ((True, 2.0), (False, 1.0)):
+    for flat, alike in ((True, 2.0**DEEPER), (False, 1.0)):
         tilts = Tilts(np.array([0.5]), np.array([flat]), force[None], centre[None], moved[None])
         for tilt, end in zip(NODES, ends, strict=True):
             at = np.array(tilt)[None, None]
