@@ -33,6 +33,7 @@ from gelforge.flow.runs import installed
 
 TAIL_LINES = 20
 STOPS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # that tell a step to stop
+TELL_S = 20.0  # seconds between two lines on the terminal about a command that runs
 LEFT_BEHIND_S = 2.0  # how long to wait for orphaned processes
 NOTICES = ("rejected: ", "failed: ", "note: ")  # lines of a log that a person must see although the step succeeded
 
@@ -217,7 +218,9 @@ def run(command: list[str], log_path: Path) -> tuple[int, dict]:
             become([*launcher, *command], environment, log.fileno(), usual, inside=not launcher)
         stopped = pass_on_stops(child)
         signal.pthread_sigmask(signal.SIG_SETMASK, usual)
+        tell_progress(log_path)
         code = os.waitstatus_to_exitcode(os.waitpid(child, 0)[1])
+        signal.setitimer(signal.ITIMER_REAL, 0.0)
         stopped.over = True
         reap()
     usage = resource.getrusage(resource.RUSAGE_CHILDREN)
@@ -301,6 +304,20 @@ def pass_on_stops(child: int) -> Stopped:
     for name in STOPS:
         signal.signal(name, stop)
     return came
+
+
+def tell_progress(log_path: Path) -> None:
+    """From now on repeat the last line of a log on the terminal every TELL_S seconds, as long as it changes."""
+    told = [""]
+
+    def tell(_number: int, _frame: FrameType | None) -> None:
+        last = next((line for line in reversed(lines_of(log_path)[1:]) if line.strip()), "")
+        if last != told[0]:
+            told[0] = last
+            say(f"{log_path}: {last}")
+
+    signal.signal(signal.SIGALRM, tell)
+    signal.setitimer(signal.ITIMER_REAL, TELL_S, TELL_S)
 
 
 def lines_of(log_path: Path) -> list[str]:

@@ -67,6 +67,21 @@ def test_what_a_step_says_is_one_write_so_that_lines_of_two_steps_do_not_mix(tmp
         assert all(message.endswith("\n") and message.strip() for message in said)
 
 
+def test_the_last_line_of_a_long_command_s_log_is_repeated_once(tmp_path):
+    """A progress bar ends no line: what stands after the last carriage return is told."""
+    target, go = tmp_path / "results/d/30_fea/0000.csv", tmp_path / "go"
+    work = f"printf '1 of 9\\r2 of 9'; until [ -e {go} ]; do sleep 0.05; done; echo made > {target}.part"
+    code = "import sys; from gelforge.flow import step; step.TELL_S = 0.2; sys.exit(step.main())"
+    words = [sys.executable, "-c", code, str(target), "--", "bash", "-c", work]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, text=True) as child:
+        told = child.stdout.readline()
+        time.sleep(0.5)  # two more times at which nothing is new
+        go.touch()
+        rest = child.communicate(timeout=HANG)[0]
+    assert told == f"{mirror(target, 'logs', '.log')}: 2 of 9\n"
+    assert rest.splitlines()[0].startswith(f"{target}  ") and child.returncode == 0
+
+
 def test_failure_removes_the_part_and_shows_the_log(tmp_path):
     target = tmp_path / "results/d/30_fea/0000.csv"
     code, said = wrapped(target, "bash", "-c", f"echo half > {target}.part; echo the reason; exit 3")
