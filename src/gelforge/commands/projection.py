@@ -13,9 +13,9 @@ from gelforge.labelling.homography import Fit, fit_homography
 from gelforge.labelling.sensor import Sensor, check_projection, find_sensor, load_sensors, transform
 from gelforge.reading.markers import MarkerGrid, markers_in
 from gelforge.records.image import read_image, write_png
-from gelforge.records.press import check_id, parse_number
+from gelforge.records.press import check_id
 from gelforge.records.regular import refuse_to_replace
-from gelforge.records.table import filled_rows
+from gelforge.records.table import TableRows
 
 POINT_COLUMNS = ["x_mm", "y_mm", "u_px", "v_px"]
 EXACT = 4  # points that determine the eight parameters of a projection exactly
@@ -41,16 +41,9 @@ class FittedProjection:
 def read_points(path) -> tuple[np.ndarray, np.ndarray]:
     """Gel points (n, 2) mm and pixels (n, 2) of a CSV with columns x_mm, y_mm, u_px, v_px; # starts a comment."""
     hint = f"give a CSV with columns {', '.join(POINT_COLUMNS)} and decimals with a point"
-    rows = filled_rows(Path(path), POINT_COLUMNS, "points", hint)
-    values = np.array([[_number(f"{path} line {at}", row, name) for name in POINT_COLUMNS] for at, row in rows])
+    table = TableRows.read(path, hint, POINT_COLUMNS, "points")
+    values = np.column_stack([table.numbers(name) for name in POINT_COLUMNS])
     return values[:, :2], values[:, 2:]
-
-
-def _number(where: str, row: dict[str, str], name: str) -> float:
-    value = parse_number(row[name])
-    if value is None:
-        raise BadInput(f"{where}: {name} is {row[name]!r}; write a number")
-    return value
 
 
 def read_picture(path, size: tuple[int, int]) -> np.ndarray:

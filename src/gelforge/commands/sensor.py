@@ -41,18 +41,17 @@ from gelforge.reading.reader import Reader
 from gelforge.records.film import Film, open_source, source_name
 from gelforge.records.image import read_image
 from gelforge.records.nocontactimage import find_nocontact, nocontact_of
-from gelforge.records.press import check_id, parse_number
+from gelforge.records.press import check_id
 from gelforge.records.regular import real_place, refuse_to_replace
-from gelforge.records.table import filled_rows
+from gelforge.records.table import TableRows
 
 ASKED = "give the columns image and force_n, a row for each press"
 
 
 def gain_of(readings: Path, reader: Reader) -> Gain:
     """Fit the force factor to a table of readings; BadInput names the row that cannot be used."""
-    rows = filled_rows(readings, ("image", "force_n"), "readings", ASKED)
-    pictures = _pictures(readings, rows)
-    measured = np.array([_force(name, row["force_n"]) for name, (_, row) in zip(pictures, rows, strict=True)])
+    table = TableRows.read(readings, ASKED, ("image", "force_n"), "readings")
+    pictures, measured = _pictures(table), np.array(table.numbers("force_n"))
     read, whole = _normals(reader, pictures)
     if not whole.any():
         raise BadInput(
@@ -67,14 +66,14 @@ def gain_of(readings: Path, reader: Reader) -> Gain:
     return fit_gain(measured, read)
 
 
-def _pictures(table: Path, rows: list[tuple[int, dict[str, str]]]) -> dict[str, np.ndarray]:
+def _pictures(table: TableRows) -> dict[str, np.ndarray]:
     """Images (h, w, 3) uint8 of a table, by how messages name their row; BadInput names one that cannot be used."""
     lines: dict[bytes, int] = {}  # line by hash of the image: a frozen camera writes one image under several names
     found = {}
-    for number, row in rows:
-        name, where = row["image"], f"{table} line {number}"
+    for number, row in table:
+        name, where = row["image"], f"{table.path} line {number}"
         try:
-            image = read_image(table.parent / name)
+            image = read_image(Path(table.path).parent / name)
         except BadInput as error:
             raise BadInput(f"{where}: {error}") from None
         first = lines.setdefault(hashlib.blake2b(image.tobytes()).digest(), number)
@@ -84,16 +83,6 @@ def _pictures(table: Path, rows: list[tuple[int, dict[str, str]]]) -> dict[str, 
             )
         found[f"{where}: {name}"] = image
     return found
-
-
-def _force(name: str, text: str) -> float:
-    """A measured force in N; BadInput where it is not a number."""
-    value = parse_number(text)
-    if value is None:
-        raise BadInput(
-            f"{name}: force_n = {text[:100]!r} is not a number; write newtons with a decimal point, such as 3.5"
-        )
-    return value
 
 
 def nocontact_picture(

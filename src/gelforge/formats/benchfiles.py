@@ -9,6 +9,7 @@ stand still. With `MPos`, at least one report states `WCO`, which must not chang
 
 import os
 import re
+from collections import Counter
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
@@ -17,15 +18,13 @@ from pathlib import Path
 import numpy as np
 
 from gelforge.errors import BadInput, printable
-from gelforge.formats.align import (
-    Recording,
-)
+from gelforge.formats.align import Recording
 from gelforge.records.film import Film, open_source
 from gelforge.records.image import read_image
 from gelforge.records.nocontactimage import STILL
 from gelforge.records.press import FORCE, parse_number
 from gelforge.records.regular import read_text
-from gelforge.records.table import filled_rows, letters
+from gelforge.records.table import TableRows, cure
 
 NEWTONS = {"n": 1.0, "mn": 1e-3, "kn": 1e3, "gf": 9.80665e-3, "kgf": 9.80665, "lbf": 4.4482216, "ozf": 0.27801385}
 MILLIMETRES = {"mm": 1.0, "um": 1e-3, "m": 1e3, "in": 25.4}
@@ -42,7 +41,6 @@ STAMP = r"(\d+(?:\.\d+)?|\d{4}-\d\d-\d\d[T ]\d\d:\d\d:\d\d(?:\.\d+)?(?:Z|[+-]\d\
 # States of GRBL and grblHAL in which the tip is where it reports, with their substates.
 REPORT = re.compile(rf"{STAMP} <(?:Idle|Run|Jog|Hold|Tool)(?::\d+)?\|([MW])Pos:{PLACE}(?:\|([^<>]*))?>", re.ASCII)
 OFFSET = re.compile(rf"(?:^|\|)WCO:{PLACE}(?:\||$)")
-CLOCK = r"(\d{1,3}:)?\d{1,2}:\d\d([.,]\d+)?$"
 M114 = (
     r"(\d+(\.\d+)?\s+)?X:\s*-?\d",
     "M114 reports the commanded position: log the measured one, as time_s,x_mm,y_mm,z_mm",
@@ -80,12 +78,9 @@ def read_gauge(path: Path, sign: int) -> tuple[Recording, tuple[str, ...]]:
 
     sign: -1 where the gauge counts pressing as positive.
     """
-    rows, times, _ = _timed_rows(path, "readings", "fz_n")
-    found: dict[str, np.ndarray] = {}
-    for axis, name in enumerate(AXES):
-        column, unit = _column(path, rows[0], f"f{name}", NEWTONS, needed=name == "z")
-        if column:
-            found[FORCE[axis]] = sign * unit * _numbers(path, rows, column)
+    table, times = _timed(path, "readings", "fz_n")
+    forces = [table.quantity(f"f{name}", NEWTONS, needed=name == "z")[1] for name in AXES]
+    found = {name: sign * np.array(values) for name, values in zip(FORCE, forces, strict=True) if values}
     gauge = Recording(str(path), times, np.column_stack([-found["fz_n"], *found.values()]))
     if gauge.interval > SLOWEST_GAUGE_S:
         raise BadInput(
@@ -121,22 +116,21 @@ def read_path(path: Path, origin: Sequence[float]) -> Recording:
 
 def _samples(path: Path) -> tuple[np.ndarray, np.ndarray, list[int]]:
     """Times (n,) s, positions x, y, z and rotation (n, 4) in mm and degrees, and line numbers of a CSV of samples."""
-    rows, times, lines = _timed_rows(path, "positions", "x_mm,y_mm,z_mm")
-    places, known = np.zeros((len(rows), 4)), {"rot_deg"}
+    table, times = _timed(path, "positions", "x_mm,y_mm,z_mm")
+    places, known = np.zeros((len(times), 4)), {"rot_deg"}
     for axis, name in enumerate(AXES):
-        column, unit = _column(path, rows[0], name, MILLIMETRES, needed=True)
-        places[:, axis] = unit * _numbers(path, rows, column)
+        column, places[:, axis] = table.quantity(name, MILLIMETRES, needed=True)
         known.add(column)
-    if "rot_deg" in rows[0]:
+    if "rot_deg" in table.rows[0]:
         # without jumps from 360 to 0, between which other angles would be interpolated
-        places[:, 3] = np.unwrap(_numbers(path, rows, "rot_deg"), period=360.0)
-    other = [name for name in rows[0] if name not in known and not name.startswith("time_")]
+        places[:, 3] = np.unwrap(table.numbers("rot_deg"), period=360.0)
+    other = [name for name in table.rows[0] if name not in known and not name.startswith("time_")]
     if other:
         raise BadInput(
             f"{path}: column {printable(other[0])[:60]!r} is not known; a path has a time, x_UNIT, y_UNIT, z_UNIT and perhaps rot_deg, and"
             " no column that could mark rows of several kinds: remove it"
         )
-    return times, places, lines
+    return times, places, table.lines
 
 
 def _reports(path: Path, text: str) -> tuple[np.ndarray, np.ndarray, list[int]]:
@@ -203,13 +197,10 @@ class Images:
     def of(cls, path: Path) -> "Images":
         """Read names, times and small copies; BadInput where there are none."""
         if path.is_dir():
-            rows, times, _ = _timed_rows(path / "times.csv", "images", "image", ("image",))
-            names = [os.path.normpath(row["image"]) for row in rows]
-            if (
-                twice := next((name for name in names if names.count(name) > 1), "")
-                if len(set(names)) < len(names)
-                else ""
-            ):
+            table, times = _timed(path / "times.csv", "images", "image", ("image",))
+            names = [os.path.normpath(row["image"]) for row in table.rows]
+            (twice, count), *_ = Counter(names).most_common(1)
+            if count > 1:
                 raise BadInput(f"{path}/times.csv: names {twice} more than once; give each image its own row")
             return cls(path, names, times, np.array([_small(read_image(path / name)) for name in names], np.float32))
         with open_source(path, None) as (source, announced):
@@ -241,20 +232,20 @@ def _small(image: np.ndarray) -> np.ndarray:
     return cv2.resize(image, SMALL, interpolation=cv2.INTER_AREA)
 
 
-def _timed_rows(
-    path: Path, what: str, example: str, columns: tuple[str, ...] = ()
-) -> tuple[list[dict[str, str]], np.ndarray, list[int]]:
-    """Rows of a CSV, their times (n,) s, and their line numbers; example: columns beside the time, for messages."""
+def _timed(path: Path, what: str, example: str, needed: tuple[str, ...] = ()) -> tuple[TableRows, np.ndarray]:
+    """A table, and its times (n,) s; example: columns beside the time, for messages."""
     _check_head(path, example)
-    numbered = filled_rows(path, columns, what, HINT)
-    names = [name for name in numbered[0][1] if name == "time_utc" or name in {f"time_{unit}" for unit in SECONDS}]
+    table = TableRows.read(path, HINT, needed, what)
+    names = [name for name in table.rows[0] if name in {"time_utc", *(f"time_{unit}" for unit in SECONDS)}]
     if len(names) != 1:
         raise BadInput(
             f"{path}: {len(names)} time columns; give exactly one of time_s, time_ms, time_us, time_ns, time_utc"
         )
-    times = [_time(path, number, names[0], row[names[0]]) for number, row in numbered]
-    _check_digits(path, numbered, names[0], times)
-    return [row for _, row in numbered], np.array(times), [number for number, _ in numbered]
+    cells = [row[names[0]] for row in table.rows]
+    times = [_time(path, at, names[0], cell) for at, cell in zip(table.lines, cells, strict=True)]
+    if names[0] == "time_s":
+        _check_digits(path, cells, times)
+    return table, np.array(times)
 
 
 def _check_head(path: Path, example: str) -> None:
@@ -286,36 +277,23 @@ def _time(path: Path, number: int, column: str, cell: str) -> float:
         # nanoseconds since 1970 have more digits than a float holds, so read them as int
         seconds = int(cell) / 1e9 if unit == "ns" else float(cell) * SECONDS[unit]
     except ValueError as error:
-        raise BadInput(f"{path} line {number}: {cell!r} is not a valid {column}; {_time_hint(cell)}") from error
+        raise BadInput(f"{path} line {number}: {cell!r} is not a valid {column}; {cure(cell) or HINT}") from error
     if not np.isfinite(seconds):
         raise BadInput(f"{path} line {number}: {column} is {cell}; {HINT}")
     return seconds
 
 
-def _time_hint(cell: str) -> str:
-    """What to do about a cell that is no time."""
-    if re.match(CLOCK, cell):
-        return "a time of day or a duration: write seconds in time_s, or date and time in time_utc, as 2026-09-01T12:00:00.000"
-    if re.match(r"\[?\(?(s|ms|us|ns|sec|seconds|utc)\)?\]?$", cell, re.IGNORECASE):
-        return "a row of units: remove it; the unit is in the column's name"
-    if re.match(r"\d+,\d+$", cell):
-        return "write a decimal point"
-    return HINT
-
-
-def _check_digits(path: Path, rows: list[tuple[int, dict[str, str]]], column: str, times: list[float]) -> None:
+def _check_digits(path: Path, texts: list[str], times: list[float]) -> None:
     """BadInput where times are seconds and nanoseconds with a point between, without the zeros that belong there."""
-    cells = [row[column].partition(".")[::2] for _, row in rows]
-    if (
-        column != "time_s"
-        or len({len(rest) for _, rest in cells}) < 2
-        or not all(rest.isdigit() for _, rest in cells)
+    cells = [text.partition(".")[::2] for text in texts]
+    if len({len(rest) for _, rest in cells}) < 2 or not all(
+        whole.isdigit() and rest.isdigit() for whole, rest in cells
     ):
         return
-    joined = [int(whole) + 1e-9 * int(rest) for whole, rest in cells if whole.isdigit()]
-    if len(joined) == len(times) and (np.diff(times) <= 0).any() and (np.diff(joined) > 0).all():
+    joined = [int(whole) + 1e-9 * int(rest) for whole, rest in cells]
+    if (np.diff(times) <= 0).any() and (np.diff(joined) > 0).all():
         raise BadInput(
-            f"{path}: times are seconds and nanoseconds without leading zeros ({cells[0][0]}.{cells[0][1]}): write nine digits after the point"
+            f"{path}: times are seconds and nanoseconds without leading zeros ({texts[0]}): write nine digits after the point"
         )
 
 
@@ -323,30 +301,3 @@ def _date(cell: str) -> float:
     """Seconds since 1970 of a time in ISO 8601; without a time zone it is UTC."""
     when = datetime.fromisoformat(cell)
     return (when if when.tzinfo else when.replace(tzinfo=UTC)).timestamp()
-
-
-def _column(path: Path, row: dict[str, str], name: str, units: dict[str, float], needed: bool) -> tuple[str, float]:
-    """The column of a quantity and the factor of its unit; ("", 1.0) where an optional column is missing."""
-    found = [(column, units[unit]) for column in row for unit in units if column.lower() == f"{name}_{unit}"]
-    near = [column for column in row if not found and letters(column).partition("_")[0] == name]
-    if near and not needed:
-        raise BadInput(
-            f"{path}: column {printable(near[0])[:60]!r} is not read; write it as {name}_UNIT, with a unit of {', '.join(units)}, or give it another name"
-        )
-    if len(found) > 1 or (needed and not found):
-        raise BadInput(
-            f"{path}: {len(found)} columns {name}_UNIT, seen: {', '.join(row)}; give one, with a unit of {', '.join(units)}"
-        )
-    return found[0] if found else ("", 1.0)
-
-
-def _numbers(path: Path, rows: list[dict[str, str]], column: str) -> np.ndarray:
-    """A column (n,) as numbers; BadInput names the first cell that is not a number."""
-    found = [parse_number(row[column]) for row in rows]
-    if None in found:
-        number = found.index(None)
-        cell = rows[number][column]
-        units = number == 0 and cell.strip("[]()").lower() in {*NEWTONS, *MILLIMETRES, *SECONDS, "deg"}
-        hint = "a row of units: remove it; the unit is in the column's name" if units else HINT
-        raise BadInput(f"{path}: {column} of sample {number + 1} is {cell!r}, not a number; {hint}")
-    return np.array(found, float)

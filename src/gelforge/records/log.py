@@ -28,34 +28,10 @@ from gelforge.records.press import (
     reject,
 )
 from gelforge.records.regular import read_text
-from gelforge.records.table import letters, other_separator, records, refuse_twice, write_table
+from gelforge.records.table import UNITS, letters, other_separator, records, refuse_twice, write_table
 
 P = TypeVar("P", bound=PressRecord)
 
-# Words that end a column's name as its unit.
-UNITS = {
-    *(
-        "n",
-        "mn",
-        "kn",
-        "g",
-        "gf",
-        "kg",
-        "kgf",
-        "lb",
-        "lbf",
-        "oz",
-        "ozf",
-        "newton",
-        "newtons",
-        "nm",
-        "nmm",
-        "n_m",
-        "n_mm",
-        "mnm",
-    ),
-    *("m", "mm", "um", "cm", "in", "inch", "inches", "deg", "degree", "degrees", "rad", "radians"),
-}
 NAMED = {"mm": ", in mm", "deg": ", in degrees", "n": ", in N", "nm": ", in N m"}
 MOST_NOTES = 100  # rows at the top of a file among which a misplaced header is looked for
 REJECTION_COLUMNS = ("file", "row", "sample_id", "column", "value", "reason", "hint")

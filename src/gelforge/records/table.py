@@ -5,14 +5,23 @@ import csv
 import io
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from gelforge.errors import BadInput, printable
 from gelforge.flow.files import write_csv
-from gelforge.records.press import OPTIONAL
+from gelforge.records.press import OPTIONAL, parse_number
 from gelforge.records.regular import read_text
+
+# Words that end a column's name as its unit, or make a row of units.
+UNITS = {
+    *("n", "mn", "kn", "g", "gf", "kg", "kgf", "lb", "lbf", "oz", "ozf", "newton", "newtons"),
+    *("nm", "nmm", "n_m", "n_mm", "mnm", "s", "ms", "us", "ns", "sec", "seconds", "utc"),
+    *("m", "mm", "um", "cm", "in", "inch", "inches", "deg", "degree", "degrees", "rad", "radians"),
+}
+CLOCK = r"(\d{1,3}:)?\d{1,2}:\d\d([.,]\d+)?$"
 
 
 def write_table(path: str | Path, columns: Sequence[str], rows: Sequence[Mapping[str, Any]]) -> None:
@@ -60,29 +69,94 @@ class GrowingTable:
             self.path.unlink()
 
 
-def read_table(path: str | Path, hint: str) -> list[dict[str, str]]:
-    """Rows of a CSV file by column; BadInput if it cannot be read, is empty, or has a row of another length."""
-    return [row for _, row in numbered_rows(path, hint)]
+@dataclass(frozen=True)
+class TableRows:
+    """Cells of a CSV table's rows by column, and the lines in which the rows stand; hint: what to do about a wrong cell."""
 
+    path: str | Path
+    hint: str
+    lines: list[int]
+    rows: list[dict[str, str]]
 
-def numbered_rows(path: str | Path, hint: str, comments: bool = False) -> list[tuple[int, dict[str, str]]]:
-    """`read_table` with each row's line number, for tables that people write; blank lines are allowed.
+    @classmethod
+    def read(cls, path: str | Path, hint: str, needed: Sequence[str] = (), what: str = "") -> "TableRows":
+        """Read a table with the columns `needed`; blank lines are allowed.
 
-    comments: whether lines that begin with # count as blank.
-    """
-    found = records(path, read_text(Path(path), hint), hint, comments)
-    if not found:
-        raise BadInput(f"{path}: is empty, without even a header; {hint}")
-    header = [name.strip() for name in found[0][1]]
-    if other := other_separator(header):
-        raise BadInput(f"{path}: {other}; {hint}")
-    refuse_twice(path, header)
-    for at, cells in found[1:]:
-        if len(cells) != len(header):
+        BadInput if it cannot be read, is empty, has a row of another length, a column twice, or lacks a needed one.
+        what: name of its rows where a person wrote them. Lines that begin with # are comments then, cells are stripped,
+        and it must have a row, without an empty cell in a needed column.
+        """
+        found = records(path, read_text(Path(path), hint), hint, comments=bool(what))
+        if not found:
+            raise BadInput(f"{path}: is empty, without even a header; {hint}")
+        header = [name.strip() for name in found[0][1]]
+        if other := other_separator(header):
+            raise BadInput(f"{path}: {other}; {hint}")
+        refuse_twice(path, header)
+        table = cls(path, hint, [at for at, _ in found[1:]], [])
+        for at, cells in found[1:]:
+            if len(cells) != len(header):
+                raise BadInput(
+                    f"{path}: row {at} has another number of cells than the header, with commas between the cells; {hint}"
+                )
+            table.rows.append(dict(zip(header, [cell.strip() for cell in cells] if what else cells, strict=True)))
+        if missing := [column for column in needed if column not in header]:
+            seen = printable(", ".join(header))[:200]
+            raise BadInput(f"{path}: column {missing[0]} is missing, seen: {seen}; {hint}")
+        if what and not table.rows:
+            raise BadInput(f"{path}: holds no {what}; {hint}")
+        for at, row in table if what else ():
+            if empty := [column for column in needed if not row[column]]:
+                raise BadInput(f"{path} line {at}: its {empty[0]} is empty; {hint}")
+        return table
+
+    def __iter__(self) -> Iterator[tuple[int, dict[str, str]]]:
+        return zip(self.lines, self.rows, strict=True)
+
+    def numbers(self, column: str) -> list[float]:
+        """A column as numbers; BadInput names the first cell that is none."""
+        found = []
+        for at, row in self:
+            value, cell = parse_number(row[column]), printable(row[column])[:100]
+            if value is None:
+                raise BadInput(
+                    f"{self.path} line {at}: {column} is {cell!r}, not a number; {cure(cell) or self.hint}"
+                )
+            found.append(value)
+        return found
+
+    def quantity(self, name: str, units: Mapping[str, float], needed: bool) -> tuple[str, list[float]]:
+        """The column NAME_UNIT of a quantity, and its values times the unit's factor; ("", []) where it is not needed."""
+        header = list(self.rows[0])
+        found = [(column, units[unit]) for column in header for unit in units if column.lower() == f"{name}_{unit}"]
+        near = [column for column in header if not found and letters(column).partition("_")[0] == name]
+        if near and not needed:
             raise BadInput(
-                f"{path}: row {at} has another number of cells than the header, with commas between the cells; {hint}"
+                f"{self.path}: column {printable(near[0])[:60]!r} is not read; write it as {name}_UNIT, with a unit of {', '.join(units)}, or give it"
+                " another name"
             )
-    return [(at, dict(zip(header, cells, strict=True))) for at, cells in found[1:]]
+        if len(found) > 1 or (needed and not found):
+            raise BadInput(
+                f"{self.path}: {len(found)} columns {name}_UNIT, seen: {', '.join(header)}; give one, with a unit of {', '.join(units)}"
+            )
+        if not found:
+            return "", []
+        column, factor = found[0]
+        return column, [factor * value for value in self.numbers(column)]
+
+
+def read_table(path: str | Path, hint: str, needed: Sequence[str] = ()) -> list[dict[str, str]]:
+    """Rows of a CSV file by column, as `TableRows.read` reads them."""
+    return TableRows.read(path, hint, needed).rows
+
+
+def cure(cell: str) -> str:
+    """What to do about a cell that is no number and no time; empty where that is not plain."""
+    if re.match(CLOCK, cell):
+        return "a time of day or a duration: write seconds in time_s, or date and time in time_utc, as 2026-09-01T12:00:00.000"
+    if cell.strip("[]()").lower() in UNITS:
+        return "a row of units: remove it; the unit is in the column's name"
+    return "write a decimal point" if re.fullmatch(r"[-+]?\d*,\d+", cell) else ""
 
 
 def records(path: str | Path, text: str, hint: str, comments: bool = False) -> list[tuple[int, list[str]]]:
@@ -128,26 +202,3 @@ def other_separator(header: Sequence[str]) -> str:
     """What to do about another separator than a comma, in a header that was read as one cell; empty if there is none."""
     mark = next((mark for mark in ";\t|" if len(header) == 1 and mark in header[0]), "")
     return mark and f"cells are separated by {mark!r}; separate them by commas, and write decimals with a point"
-
-
-def filled_rows(path: Path, columns: Sequence[str], what: str, hint: str) -> list[tuple[int, dict[str, str]]]:
-    """Rows of a table that a person wrote, with their line numbers; lines that begin with # are comments.
-
-    BadInput if there are no rows, or if a column or a cell in it is missing. what: name of the rows in messages.
-    hint: what to provide.
-    """
-    rows = [
-        (number, {name.strip(): cell.strip() for name, cell in row.items()})
-        for number, row in numbered_rows(path, hint, comments=True)
-    ]
-    if not rows:
-        raise BadInput(f"{path}: holds no {what}; {hint}")
-    missing = [column for column in columns if column not in rows[0][1]]
-    if missing:
-        seen = ", ".join(rows[0][1])
-        raise BadInput(f"{path}: column {missing[0]} is missing, seen: {seen}; {hint}, with commas between the cells")
-    for number, row in rows:
-        empty = [column for column in columns if not row[column]]
-        if empty:
-            raise BadInput(f"{path} line {number}: its {empty[0]} is empty; {hint}")
-    return rows

@@ -38,7 +38,7 @@ from gelforge.records.press import FORCE, ID_RULE, N_M, PressRecord, describe_re
 from gelforge.records.rowfile import RowFile, array_on_disk, write_rows
 from gelforge.records.samplefile import SPLITS, DatasetSample, write_samples
 from gelforge.records.status import Status
-from gelforge.records.table import letters, numbered_rows, read_table
+from gelforge.records.table import TableRows, letters, read_table
 
 VERSION = 13
 NO_IMAGE = "no image in the log"
@@ -101,11 +101,8 @@ def _reason(press: PressRecord | None, status: Status) -> str:
 def read_truth(data: Path) -> dict:
     """True total forces (fx_n, fy_n, fz_n) by sample_id, if a virtual rig wrote them; only evaluation uses them."""
     path = data / "truth" / "presses.csv"
-    rows = read_table(path, "write it again, or remove it") if path.exists() else []
-    if rows and {"sample_id", *FORCE} - rows[0].keys():
-        raise BadInput(
-            f"{path}: its columns are {', '.join(rows[0])}; give sample_id, {', '.join(FORCE)}, or remove it"
-        )
+    needed = ("sample_id", *FORCE)
+    rows = read_table(path, "write it again, or remove it", needed) if path.exists() else []
     return {row["sample_id"]: row for row in rows}
 
 
@@ -320,9 +317,7 @@ def published_splits(
     path = data / "splits.csv"
     if not path.exists():
         return splits
-    rows = numbered_rows(path, "write it again, or remove it to make new splits")
-    if rows and {"sample_id", "split"} - rows[0][1].keys():
-        raise BadInput(f"{path}: its columns are {', '.join(rows[0][1])}; give sample_id and split")
+    rows = TableRows.read(path, "write it again, or remove it to make new splits", ("sample_id", "split"))
     for at, row in rows:
         if not names_files(row["split"]):
             raise BadInput(f"{path}: row {at}: split {row['split'][:100]!r} is not a name; give {ID_RULE}")

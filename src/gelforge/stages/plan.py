@@ -161,9 +161,9 @@ def refuse_other_units(rows: list[RawRow], log: Path) -> None:
 def known_shards(table: Path) -> dict[str, int]:
     """Shard of each sample in the previous plan, empty if there was none; a corrupt table raises BadInput."""
     hint = "restore it from a copy, or remove it: samples that come into another shard then are solved again"
-    rows = read_table(table, hint) if table.exists() else []
+    rows = read_table(table, hint, ("sample_id", "shard")) if table.exists() else []
     # a row of the log without a sample_id has a shard, too, in which stage 10 rejects it
-    if not all("sample_id" in row and row.get("shard", "").isdecimal() for row in rows):
+    if not all(row["shard"].isdecimal() for row in rows):
         raise BadInput(f"{table}: does not name the shard of every sample; {hint}")
     return {row["sample_id"]: int(row["shard"]) for row in rows}
 

@@ -46,10 +46,8 @@ class Dataset:
         self._published = -math.inf
 
     def _rows(self, path) -> dict[str, dict]:
-        hint = "remove it, and its presses are repeated"
-        rows = read_table(path, hint) if path.exists() else []
-        if rows and not {"sample_id", "status"} <= rows[0].keys():
-            raise BadInput(f"{path}: has no columns sample_id and status; {hint}")
+        hint, needed = "remove it, and its presses are repeated", ("sample_id", "status")
+        rows = read_table(path, hint, needed) if path.exists() else []
         return {row["sample_id"]: row for row in rows}
 
     def _before(self) -> dict:

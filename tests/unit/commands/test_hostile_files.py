@@ -23,7 +23,7 @@ from gelforge.records.image import bad_image, read_image
 from gelforge.records.labelfile import read_labels
 from gelforge.records.samplefile import read_samples
 from gelforge.records.solvetable import read_solves
-from gelforge.records.table import numbered_rows
+from gelforge.records.table import read_table
 from tests.support.parameters import write_stage
 from tests.support.press_records import press_record
 from tests.support.refused import refused
@@ -307,7 +307,7 @@ def test_a_table_of_semicolons_and_decimal_commas_is_reported_what_parts_cells(t
         (tmp_path / "r.csv").write_text(f"image{mark}force_n\na.png{mark}3,5\n")
         refused(
             "separate them by commas, and write decimals with a point; write it anew",
-            numbered_rows,
+            read_table,
             tmp_path / "r.csv",
             "write it anew",
         )

@@ -252,7 +252,7 @@ def test_readings_that_cannot_be_are_refused(weighed):
         ([[image, f"-{newtons}"]], "above 0 N"),
         ([["rest.png", "5.0"]], "shows no contact"),
         ([[image, f"{102 * float(newtons):.1f}"]], "was the reading in newtons"),
-        ([[image, '"3,5"']], "'3,5' is not a number; write newtons with a decimal point"),
+        ([[image, '"3,5"']], "line 2: force_n is '3,5', not a number; write a decimal point"),
         ([["", "5.0"]], "line 2: its image is empty"),
         ([rows[0], [], [], ["gone.png", "x"]], "line 5: .*gone.png: not found"),
         ([rows[0], rows[1], rows[0]], "line 4: .*the image of line 2 again"),

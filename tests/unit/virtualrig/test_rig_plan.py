@@ -230,7 +230,7 @@ def test_corrupt_records_of_the_truth_are_refused(tmp_path):
         dataset = Dataset(tmp_path, read_plan(DEMO))
         refused(r"truth.json: does not state which plan .* remove the folder", dataset.check_same_plan, {}, {})
     for content, said in (
-        (b"a,b\n1,2\n", "has no columns sample_id and status; remove it, and its presses are repeated"),
+        (b"a,b\n1,2\n", "column sample_id is missing, seen: a, b; remove it, and its presses are repeated"),
         (b"sample_id,status,x0_mm\ns-1,OK\n", "row 2 has another number of cells than the header, .*; remove it"),
         (b"\xff\xfe", "not UTF-8 text"),
     ):
