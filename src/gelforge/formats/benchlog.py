@@ -74,6 +74,8 @@ def align(
     become one row, with the middle image. touch: force from which on the gel is pressed, N. every: of a press, take
     every n-th state. BadInput where no image lies within a press.
     """
+    new = series.renewed(gauge.values)
+    gauge = Recording(gauge.name, gauge.times[new], gauge.values[new])
     kept, notes = series.confirmed(gauge.name, gauge.times, gauge.values)
     gauge, change = Recording(gauge.name, gauge.times[kept], gauge.values[kept]), images.change()
     raw, levelled = gauge, without_level(gauge, touch)

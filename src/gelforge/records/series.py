@@ -21,6 +21,9 @@ AT_REST = 0.2  # least fraction of equal readings that shows a dead band
 # A sensor that stands still: least readings and seconds of a run of equal ones, the probability below which it is no chance, and
 # the fraction of equal neighbours elsewhere from which on its resolution is too coarse to tell.
 FROZEN, FROZEN_S, CHANCE, MOST_EQUAL = 12, 0.25, 1e-9, 0.3
+RENEWED = (
+    0.6  # of the median number of equal readings, the least one of a sensor that is renewed at a rate of its own
+)
 ALTERNATE, ALTERNATE_PART = 12, 0.02  # readings in a row that alternate by this fraction of their range
 STILL_PART, LEVEL_PART = 0.04, 0.08  # change of pictures without contact; force beside them, of the largest ones
 JITTER = 0.003  # fraction of the range by which readings at its end may differ
@@ -381,6 +384,21 @@ def confirmed(name: str, times: np.ndarray, values: np.ndarray) -> tuple[np.ndar
             f"{said}: so many single wild readings come from a loose cable or a disturbed line; mend it and record again"
         )
     return ~(off | held), [*notes, f"{said}; they are left out"]
+
+
+def renewed(values: np.ndarray) -> np.ndarray:
+    """Readings (n,) bool to keep of a series (n, k) whose driver repeats each one until its slower sensor renews it.
+
+    All, unless hardly ever two changes follow each other: readings of coarse resolution change at random. A run longer
+    than the sensor's interval is kept at that interval, so that a sensor that stands still is seen.
+    """
+    new = np.concatenate([[True], (np.diff(values, axis=0) != 0.0).any(axis=1)])
+    gaps = np.diff(np.flatnonzero(new))
+    if len(gaps) < FEWEST or np.quantile(gaps, 0.05) < max(2.0, RENEWED * float(np.median(gaps))):
+        return np.ones(len(values), bool)
+    place = np.arange(len(values))
+    age = place - np.maximum.accumulate(np.where(new, place, 0))
+    return np.asarray(age % int(np.quantile(gaps, 0.9)) == 0)
 
 
 def frozen(times: np.ndarray, values: np.ndarray) -> np.ndarray:

@@ -58,6 +58,24 @@ def test_a_gauge_that_records_during_presses_only_has_no_rest():
     assert sum(series.triggered(gauge.times, gauge.force) for _, gauge, _, _ in drawn("triggered")) >= DRAWS - 1
 
 
+@pytest.mark.parametrize("each", [2, 3.3, 10])
+def test_a_gauge_whose_driver_repeats_its_readings_rests_and_stands_still_as_any_other(each):
+    """At 300 Hz, renewed 30 times a second, it `never rests`: its noise, from neighbours that are equal, was 0."""
+    for seed in range(DRAWS):
+        times, force = presses(np.random.default_rng(seed))
+        again = (np.arange(int(len(times) * each)) // each).astype(int)
+        often, held = times[0] + np.arange(len(again)) * (times[1] / each), force[again]
+        new = series.renewed(held[:, None])
+        assert new.sum() == pytest.approx(len(times), rel=0.35)
+        assert not series.triggered(often[new], held[new])
+        held[len(held) // 2 :] = held[len(held) // 2]
+        new = series.renewed(held[:, None])
+        kept, (note,) = series.confirmed("gauge.csv", often[new], held[new, None])
+        assert (~kept).sum() > 0.4 * new.sum() and "to its end" in note
+    for steps in (0.001, 0.02, 0.1, 0.5):
+        assert series.renewed(np.round(force / steps)[:, None] * steps).all()
+
+
 def test_an_average_shows_in_force_beside_the_path():
     """Means over 0.5 to 1.5 s made peaks 14 to 30 % low."""
     named = {}
