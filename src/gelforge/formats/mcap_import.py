@@ -222,21 +222,22 @@ def pair(path: Path, topics: Topics) -> Pairs:
     readings: list[tuple[int, int]] = []
     read: list[np.ndarray] = []
     notes: list[str] = []
-    frames: dict[str, None] = {}
+    frames: dict[str, dict[str, None]] = {topics.image: {}, topics.wrench: {}}
     where = f"{path}: topic {topics.wrench}"
     for topic, time, said in messages(path, (topics.image, topics.wrench)):
+        frames[topic][frame_of(said)] = None
         if topic == topics.image:
             images.append((time, stamp_of(said)))
-            continue
-        frames[frame_of(said)] = None
-        if (force := wrench_of(said, where, topics)) is not None:
+        elif (force := wrench_of(said, where, topics)) is not None:
             readings.append((time, stamp_of(said)))
             read.append(force)
-    if len(frames) > 1:
-        raise BadInput(
-            f"{where} gives forces in several frames ({', '.join(map(repr, frames))}), and `rotation` is of one: let its driver keep to one,"
-            " and record again"
-        )
+    for topic, named in frames.items():
+        if len(named) > 1:
+            why = "two cameras are on it" if topic == topics.image else "`rotation` is of one"
+            raise BadInput(
+                f"{path}: topic {topic} has messages of several frames ({', '.join(map(repr, named))[:200]}): {why}; let its driver keep to one, and"
+                " record again"
+            )
     image = MessageTimes.of(topics.image, images)
     values = np.array(read, float).reshape(-1, 6)
     kept = np.ones(len(values), bool)
@@ -275,7 +276,7 @@ def pair(path: Path, topics: Topics) -> Pairs:
         forces[good],
         gaps[good],
         int((~has).sum()),
-        [f"{path}: {n}" for n in notes],
+        [f"{path}: {note.removeprefix(f'{path}: ')}" for note in notes],
     )
 
 

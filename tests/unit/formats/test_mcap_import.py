@@ -514,14 +514,16 @@ def test_forces_beside_pictures_without_contact_are_named(tmp_path, sensor):
     assert any("beside pictures that show no contact" in note for note in found["notes"])
 
 
-def test_forces_in_several_frames_are_refused(tmp_path, sensor):
-    """A driver that changes its frame when another tool is chosen turns forces without a word."""
-    forces = [
-        (time, said | {"header": ros.header(time, "tool0" if k < 150 else "base")})
-        for k, (time, said) in enumerate(ramp())
+@pytest.mark.parametrize("topic", [IMAGE, WRENCH])
+def test_a_topic_of_several_frames_is_refused(tmp_path, sensor, topic):
+    """A driver that changes its frame with the tool turns forces; two cameras on a topic were `pale markers`."""
+    streams = {IMAGE: filmed(FILM, lambda k: 1.0), WRENCH: ramp()}
+    streams[topic] = [
+        (time, said | {"header": ros.header(time, "tool0" if k % 2 else "base")})
+        for k, (time, said) in enumerate(streams[topic])
     ]
-    path = write(tmp_path / "a.mcap", filmed(FILM, lambda k: 1.0), forces)
-    refused("in several frames .'tool0', 'base'.", imported, tmp_path, path, sensor)
+    path = write(tmp_path / "a.mcap", *streams.values())
+    refused(f"topic {topic} has messages of several frames .'base', 'tool0'.", imported, tmp_path, path, sensor)
 
 
 def test_a_topic_that_is_not_there_is_named_beside_those_that_are(tmp_path, sensor):
